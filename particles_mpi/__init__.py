@@ -1,0 +1,27 @@
+"""Moving, colliding particles in any dimension, on any number of MPI ranks.
+
+    from particles_mpi import Scene, Simulation
+    Simulation(Scene.load("marbles.toml")).run()
+"""
+
+from typing import Any
+
+__all__ = ["Particles", "Scene", "SceneError", "Simulation", "StoppedError"]
+__version__ = "0.1.0"
+
+_HOMES = {
+    "Particles": "particles",
+    "Scene": "scene",
+    "SceneError": "errors",
+    "Simulation": "simulation",
+    "StoppedError": "errors",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import on first use, so that `--help` and the checks of one module do not wait for numba and MPI."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -1,0 +1,3 @@
+from particles_mpi.cli import main
+
+main()

@@ -1,0 +1,129 @@
+"""The contact of two spheres on straight paths: its time, and its impulse. Scalars and arrays only.
+
+A particle's path within a drift of length h is made of *legs*: from (x, v) at the leg's start s, straight on, until a
+contact starts the next leg. `axes` is a tuple with one entry an axis; only its length is used, which makes the dimension a
+constant of the compiled loop. `length` holds the box length of periodic axes and 0 for the others. In every function i
+is the partner with the lower id, so that all who compute a contact compute the same bits.
+"""
+
+from math import inf, sqrt
+
+from numba import njit
+
+NOBODY = -(2**62)  # "last met" before the first contact of a drift; partners are ids >= 0, walls -1, -2, ...
+NEVER = inf
+
+
+def loss(restitution: float | None, damping: float | None) -> tuple[float, float]:
+    """(e, keep) of the two kinds of loss: restitution e, or the course's damping alpha with keep = sqrt(1-alpha)."""
+    if damping is not None:
+        return 1.0, sqrt(1.0 - damping)
+    return (1.0 if restitution is None else restitution), 1.0
+
+
+@njit(cache=True)
+def separation(x, v, s, i, j, k, t, length):
+    """Component k of x_i - x_j at time t, by the nearest periodic image."""
+    r = (x[i, k] + v[i, k] * (t - s[i])) - (x[j, k] + v[j, k] * (t - s[j]))
+    if length[k] > 0.0:
+        if r > 0.5 * length[k]:
+            r -= length[k]
+        elif r < -0.5 * length[k]:
+            r += length[k]
+    return r
+
+
+@njit(cache=True)
+def approaches(axes, x, v, i, j, diameter, h, length):
+    """False only if legs that begin now certainly do not touch within h: the quick answer for most candidates.
+
+    They move apart, or are clear of each other when they are nearest, at h or before (by margins far above round-off).
+    """
+    a = 0.0
+    b = 0.0
+    r2 = 0.0
+    for k in range(len(axes)):
+        r = x[i, k] - x[j, k]
+        if length[k] > 0.0:
+            if r > 0.5 * length[k]:
+                r -= length[k]
+            elif r < -0.5 * length[k]:
+                r += length[k]
+        u = v[i, k] - v[j, k]
+        a += u * u
+        b += r * u
+        r2 += r * r
+    if not b < 0.0:
+        return False
+    clear = r2 - (diameter * diameter + 1e-9 * r2)
+    if -b > a * h:
+        return clear + h * (2.0 * b + a * h) <= 0.0
+    return a * clear <= b * b
+
+
+@njit(cache=True)
+def contact_time(axes, x, v, s, i, j, diameter, h, length):
+    """Time in [max(s_i, s_j), h] at which the legs of i and j first touch, or NEVER.
+
+    With r, v relative position and velocity, D = `diameter` = R_i + R_j: a = v.v, b = r.v, c = (|r|-D)(|r|+D) and
+    disc = a D^2 - |r x v|^2 the time is c/(-b + sqrt(disc)), free of the cancellation of b^2 - a c, which misses grazing
+    contacts of far partners. Overlapping and approaching partners touch at once.
+    """
+    start = max(s[i], s[j])
+    a = 0.0
+    b = 0.0
+    r2 = 0.0
+    for k in range(len(axes)):
+        r = separation(x, v, s, i, j, k, start, length)
+        u = v[i, k] - v[j, k]
+        a += u * u
+        b += r * u
+        r2 += r * r
+    if not b < 0.0:
+        return NEVER
+    distance = sqrt(r2)
+    gap = distance - diameter
+    if gap <= 0.0:
+        return start
+    disc = a * diameter * diameter
+    for k in range(len(axes)):
+        for m in range(k):
+            cross = separation(x, v, s, i, j, k, start, length) * (v[i, m] - v[j, m]) - separation(
+                x, v, s, i, j, m, start, length
+            ) * (v[i, k] - v[j, k])
+            disc -= cross * cross
+    if disc < 0.0:
+        return NEVER
+    t = start + gap * (distance + diameter) / (sqrt(disc) - b)
+    return t if t <= h else NEVER
+
+
+@njit(cache=True)
+def move_to(axes, x, v, s, i, t):
+    """Bring row i along its leg to time t, where a new leg begins."""
+    for k in range(len(axes)):
+        x[i, k] += v[i, k] * (t - s[i])
+    s[i] = t
+
+
+@njit(cache=True)
+def meet(axes, x, v, s, w, i, j, t, restitution, keep, length):
+    """Collide rows i and j at time t; w = 1/m, 0 where fixed. In place on x, v, s.
+
+    v_i -= (1+e) (w_i/(w_i+w_j)) (k.v_r) k and the opposite for j, k the unit normal at the instant of contact; then the
+    course's damping multiplies both velocities by `keep` = sqrt(1-alpha) (1 with the restitution rule).
+    """
+    move_to(axes, x, v, s, i, t)
+    move_to(axes, x, v, s, j, t)
+    r2 = 0.0
+    approach = 0.0
+    for k in range(len(axes)):
+        r = separation(x, v, s, i, j, k, t, length)
+        r2 += r * r
+        approach += r * (v[i, k] - v[j, k])
+    # coincident centres have no normal, and never get here: their approach r.v is not below zero
+    impulse = (1.0 + restitution) * approach / (r2 * (w[i] + w[j]))
+    for k in range(len(axes)):
+        r = separation(x, v, s, i, j, k, t, length)
+        v[i, k] = keep * (v[i, k] - impulse * w[i] * r)
+        v[j, k] = keep * (v[j, k] + impulse * w[j] * r)

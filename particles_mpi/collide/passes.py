@@ -1,0 +1,172 @@
+"""The compiled loops of the operator `rewind`. A hit is (a, b, time): rows a, b of a pair, or row a and wall -1 - b."""
+
+from math import sqrt
+
+from numba import njit
+
+from particles_mpi.collide.contact import NEVER, NOBODY, approaches, contact_time, meet, move_to
+from particles_mpi.collide.planes import bounce, bounce_until, may_hit, wall_contact
+
+
+@njit(cache=True)
+def find_contacts(axes, x, v, s, met, ids, radius, first, second, h, length, everything, live, a, b, time):
+    """Candidate pairs that touch on their present legs; with `everything` False only those with a live row. Returns how many.
+
+    Partners whose legs both began when they met each other are left out: round-off must not make them meet twice.
+    """
+    found = 0
+    for p in range(len(first)):
+        i = first[p]
+        j = second[p]
+        if not (everything or live[i] or live[j]):
+            continue
+        if everything:
+            if not approaches(axes, x, v, i, j, radius[i] + radius[j], h, length):
+                continue
+        elif met[i] == ids[j] and met[j] == ids[i] and s[i] == s[j]:
+            continue
+        t = contact_time(axes, x, v, s, i, j, radius[i] + radius[j], h, length)
+        if t != NEVER:
+            a[found] = i
+            b[found] = j
+            time[found] = t
+            found += 1
+    return found
+
+
+@njit(cache=True)
+def find_wall_hits(axes, x, v, s, met, radius, owned, h, everything, live, point, normal, lower, upper, oblique, a, b, time, found):
+    """Adds the earliest wall contact of every owned (live) row's leg; returns the number of hits then."""
+    for i in range(owned):
+        if (everything or live[i]) and may_hit(axes, x, v, s[i], i, radius[i], h, lower, upper, oblique):
+            t, w = wall_contact(axes, x, v, s[i], i, radius[i], met[i], h, point, normal)
+            if w >= 0:
+                a[found] = i
+                b[found] = -1 - w
+                time[found] = t
+                found += 1
+    return found
+
+
+@njit(cache=True)
+def prefer(row, t, wall, low, high, choice, best):
+    """Make (t, wall or pair, low, high) the choice of `row` if it comes before what is chosen; `best` holds (t, low, high)."""
+    if choice[row] != NOBODY:
+        if t != best[row, 0]:
+            if t > best[row, 0]:
+                return False
+        elif wall != (choice[row] < 0):
+            if wall:
+                return False
+        elif low != best[row, 1]:
+            if low > best[row, 1]:
+                return False
+        elif high > best[row, 2]:
+            return False
+    best[row, 0] = t
+    best[row, 1] = low
+    best[row, 2] = high
+    return True
+
+
+@njit(cache=True)
+def choose(ids, owned, a, b, time, choice, best):
+    """For every owned row with a hit the partner of its earliest one, as id or as wall -1, -2, ...; in place on `choice`."""
+    for p in range(len(a)):
+        i = a[p]
+        j = b[p]
+        if j < 0:
+            if prefer(i, time[p], True, ids[i], -1 - j, choice, best):
+                choice[i] = j
+            continue
+        if i < owned and prefer(i, time[p], False, ids[i], ids[j], choice, best):
+            choice[i] = ids[j]
+        if j < owned and prefer(j, time[p], False, ids[i], ids[j], choice, best):
+            choice[j] = ids[i]
+
+
+@njit(cache=True)
+def take_place(
+    axes, x, v, s, met, w, ids, owned, a, b, time, choice, restitution, keep, length,
+    normal, wall_restitution, wall_keep, live, log, log_x, log_v, logged, counts,
+):  # fmt: skip
+    """Let the hits that both partners chose take place; returns how many owned rows are in the log of starts.
+
+    Rows that changed, and rows with a hit that has to wait, are `live` in the next pass. counts += (collisions, wall hits),
+    each collision counted by the owner of the lower id.
+    """
+    for p in range(len(a)):
+        i = a[p]
+        j = b[p]
+        live[i] = True
+        if j < 0:
+            if choice[i] != j:
+                continue
+            logged = remember(x, v, met, i, owned, log, log_x, log_v, logged)
+            move_to(axes, x, v, s, i, time[p])
+            bounce(axes, v, i, -1 - j, normal, wall_restitution, wall_keep)
+            met[i] = j
+            counts[1] += 1
+            continue
+        live[j] = True
+        if choice[i] != ids[j] or choice[j] != ids[i]:
+            continue
+        logged = remember(x, v, met, i, owned, log, log_x, log_v, logged)
+        logged = remember(x, v, met, j, owned, log, log_x, log_v, logged)
+        meet(axes, x, v, s, w, i, j, time[p], restitution, keep, length)
+        met[i] = ids[j]
+        met[j] = ids[i]
+        if i < owned:
+            counts[0] += 1
+    return logged
+
+
+@njit(cache=True)
+def remember(x, v, met, i, owned, log, log_x, log_v, logged):
+    """Before the first contact of an owned row in this drift: log where it started."""
+    if i >= owned or met[i] != NOBODY:
+        return logged
+    log[logged] = i
+    for k in range(x.shape[1]):
+        log_x[logged, k] = x[i, k]
+        log_v[logged, k] = v[i, k]
+    return logged + 1
+
+
+@njit(cache=True)
+def reach_of(axes, x, v, s, reference, rows, h, length):
+    """Largest distance from `reference` that the legs of `rows` get to (or began at)."""
+    most = 0.0
+    for i in rows:
+        moved = 0.0
+        speed = 0.0
+        for k in range(len(axes)):
+            r = x[i, k] - reference[i, k]
+            if length[k] > 0.0:
+                if r > 0.5 * length[k]:
+                    r -= length[k]
+                elif r < -0.5 * length[k]:
+                    r += length[k]
+            moved += r * r
+            speed += v[i, k] * v[i, k]
+        most = max(most, sqrt(moved) + sqrt(speed) * (h - s[i]))
+    return most
+
+
+@njit(cache=True)
+def finish_walls(axes, x, v, s, met, radius, a, b, h, point, normal, restitution, keep):
+    """Take the rows of the wall hits through all their wall contacts, blind to other particles; returns the number."""
+    hits = 0
+    for p in range(len(a)):
+        if b[p] < 0:
+            i = a[p]
+            hits += bounce_until(axes, x, v, s, met[i], i, radius[i], h, point, normal, restitution, keep)
+    return hits
+
+
+@njit(cache=True)
+def advance(axes, x, v, s, owned, h):
+    """From the start of the last leg to the end of the drift: x += v (h - s)."""
+    for i in range(owned):
+        for k in range(len(axes)):
+            x[i, k] += v[i, k] * (h - s[i])

@@ -1,0 +1,117 @@
+"""Planes that reflect spheres: contact at (x-p).n = R with v.n < 0, then v -= (1+e)(v.n) n. Scalars and arrays only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from particles_mpi.collide.contact import NOBODY, move_to
+from particles_mpi.particles import Array
+
+MOST_BOUNCES = 1000  # of one particle in one step; past it (a wedge without end) it waits where it is for the next step
+
+
+@dataclass(frozen=True)
+class Planes:
+    """Walls as arrays: point and normal (w, d), restitution and keep (w,).
+
+    `lower`, `upper` (d,) are the innermost faces normal to an axis (-inf, inf where none): a particle whose drift ends
+    between them met none of those, which is all that most particles need to know. `oblique`: there are other planes too.
+    """
+
+    point: Array
+    normal: Array
+    restitution: Array
+    keep: Array
+    lower: Array
+    upper: Array
+    oblique: bool
+
+    def arrays(self) -> tuple[Array | bool, ...]:
+        return self.point, self.normal, self.restitution, self.keep, self.lower, self.upper, self.oblique
+
+
+@njit(cache=True)
+def wall_distance(axes, x, i, w, point, normal):
+    """(x_i - p_w).n_w"""
+    distance = 0.0
+    for k in range(len(axes)):
+        distance += (x[i, k] - point[w, k]) * normal[w, k]
+    return distance
+
+
+@njit(cache=True)
+def may_hit(axes, x, v, start, i, radius, h, lower, upper, oblique):
+    """Cheap and never wrong: False only if the leg of row i from `start` to h meets no wall."""
+    inside = not oblique
+    for k in range(len(axes)):
+        end = x[i, k] + v[i, k] * (h - start)
+        inside = inside and end >= lower[k] + radius and end <= upper[k] - radius
+    return not inside
+
+
+@njit(cache=True)
+def wall_contact(axes, x, v, start, i, radius, met, h, point, normal):
+    """(time, wall) of the earliest wall contact of row i's leg in [start, h], lowest wall first; wall -1 if none.
+
+    The wall that this leg started from (`met` = -1 - wall) is left out: round-off must not hit it twice.
+    """
+    first = h
+    which = -1
+    for w in range(point.shape[0]):
+        speed = 0.0
+        for k in range(len(axes)):
+            speed += v[i, k] * normal[w, k]
+        if not speed < 0.0 or met == -1 - w:
+            continue
+        gap = wall_distance(axes, x, i, w, point, normal) - radius
+        t = start - gap / speed if gap > 0.0 else start
+        if t < first or (t == first and which < 0):
+            first = t
+            which = w
+    return first, which
+
+
+@njit(cache=True)
+def bounce(axes, v, i, w, normal, restitution, keep):
+    """v -= (1+e)(v.n) n, then times keep."""
+    speed = 0.0
+    for k in range(len(axes)):
+        speed += v[i, k] * normal[w, k]
+    for k in range(len(axes)):
+        v[i, k] = keep[w] * (v[i, k] - (1.0 + restitution[w]) * speed * normal[w, k])
+
+
+@njit(cache=True)
+def bounce_until(axes, x, v, s, met, i, radius, h, point, normal, restitution, keep):
+    """Take row i through all its wall contacts up to time h, at most MOST_BOUNCES; returns their number."""
+    for hits in range(MOST_BOUNCES):
+        t, w = wall_contact(axes, x, v, s[i], i, radius, met, h, point, normal)
+        if w < 0:
+            return hits
+        move_to(axes, x, v, s, i, t)
+        bounce(axes, v, i, w, normal, restitution, keep)
+        met = -1 - w
+    s[i] = h  # stays inside, at the last contact
+    return MOST_BOUNCES
+
+
+@njit(cache=True)
+def drift_with_walls(axes, x, v, radius, h, point, normal, restitution, keep, lower, upper, oblique):
+    """x += v h, reflected by walls on the way. In place on x, v (n, d); returns the number of hits."""
+    hits = 0
+    s = np.zeros(len(x))  # when the last leg began
+    for i in range(len(x)):
+        if may_hit(axes, x, v, 0.0, i, radius[i], h, lower, upper, oblique):
+            hits += bounce_until(axes, x, v, s, NOBODY, i, radius[i], h, point, normal, restitution, keep)
+        for k in range(len(axes)):
+            x[i, k] += v[i, k] * (h - s[i])
+    return hits
+
+
+def no_planes(dimension: int) -> Planes:
+    """No walls at all, for kernels that always take some."""
+    none, open_ = np.empty(0), np.full(dimension, np.inf)
+    return Planes(np.empty((0, dimension)), np.empty((0, dimension)), none, none, -open_, open_, False)

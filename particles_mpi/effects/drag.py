@@ -1,0 +1,39 @@
+"""Linear drag: dv/dt = -k v, advanced exactly together with a constant acceleration."""
+
+import math
+
+import numpy as np
+
+from particles_mpi.particles import Array, Particles
+from particles_mpi.scene import Model, Scene
+
+
+class Options(Model):
+    """`rate`: k (1/time) of the populations that give no `drag` of their own."""
+
+    rate: float = 0.0
+
+    def faults(self, scene: Scene) -> list[str]:
+        return [] if self.rate >= 0.0 else [f"rate: {self.rate} is negative"]
+
+
+class Effect:
+    """v(h) = v e^{-kh} + a (1 - e^{-kh})/k: exact for constant a, so stable at any k h and monotone towards a/k."""
+
+    role = "dissipation"
+    fields = ("drag",)
+    formula = "dv/dt = -k v"
+
+    def __init__(self, options: Options, scene: Scene):
+        pass
+
+    def factors(self, particles: Particles, h: float) -> tuple[Array, Array]:
+        """(decay, push), each (n,): the velocity after h is v * decay + a * push.
+
+        One `math.exp` a distinct rate: a vectorised exp may round differently at the end of an array, which would make
+        the bits depend on which rank holds a particle.
+        """
+        rates, which = np.unique(particles["drag"], return_inverse=True)
+        decay = np.array([math.exp(-k * h) for k in rates])
+        push = np.array([-math.expm1(-k * h) / k if k > 0.0 else h for k in rates])
+        return decay[which], push[which]

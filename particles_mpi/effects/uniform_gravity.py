@@ -1,0 +1,36 @@
+"""Uniform gravity: dv/dt = g, the same for every particle (the course divides no mass into it, and must not)."""
+
+import numpy as np
+
+from particles_mpi.particles import Array, Particles, row_dot
+from particles_mpi.scene import Model, Scene
+
+
+class Options(Model):
+    """`acceleration`: g, one component an axis (length/time^2)."""
+
+    acceleration: list[float]
+
+    def faults(self, scene: Scene) -> list[str]:
+        n, d = len(self.acceleration), scene.dimension
+        return [] if n == d else [f"acceleration: {n} components in dimension {d}"]
+
+
+class Effect:
+    """Adds g; its potential energy is -m g.x."""
+
+    role = "force"
+    fields = ()
+    formula = "dv/dt = g"
+    constant = True
+
+    def __init__(self, options: Options, scene: Scene):
+        self.g = np.array(options.acceleration, float)
+
+    def add(self, particles: Particles, acceleration: Array) -> None:
+        """acceleration (n, d) += g."""
+        acceleration += self.g
+
+    def potential(self, particles: Particles) -> Array:
+        """-m g.x of each particle, shape (n,)."""
+        return -particles.mass * row_dot(particles.position, self.g)

@@ -1,0 +1,68 @@
+"""What a run leaves on disk: frames (HDF5 and VTK), checkpoints, diagnostics; and the two things all writers share."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from particles_mpi.errors import StoppedError
+from particles_mpi.parallel.ranks import Ranks
+from particles_mpi.particles import FIELDS, Array
+
+
+@contextmanager
+def failing_together(ranks: Ranks, task: str) -> Iterator[None]:
+    """Run a block that touches files; what the file system refuses on any rank is a StoppedError on all. Collective.
+
+    `task` begins the message: "cannot write out/particles.pvd at step 100". A block may hold at most one collective
+    call, its last: a rank that failed before one would leave the others waiting in it.
+    """
+    failure = None
+    try:
+        yield
+    except (OSError, RuntimeError, ValueError, KeyError) as error:  # h5py raises all four for what is wrong with a file
+        failure = f"{task}: {error}" if ranks.size == 1 else f"{task}: rank {ranks.rank}: {error}"
+    failures = [text for text in ranks.gathered(failure) if text]
+    if failures:
+        raise StoppedError(failures[0])
+
+
+def frame_columns(name: str, dimension: int) -> dict[str, tuple[int, ...]]:
+    """Names of the columns that a field becomes in a frame, and the shape of one row of each.
+
+    Viewers know three axes: vectors have three columns, z = 0 in two dimensions. Beyond three dimensions the first three
+    axes are drawn, and all of them stand beside: as `position`, and as `velocity_full`, `acceleration_full`.
+    """
+    if not FIELDS[name].vector:
+        return {name: ()}
+    columns: dict[str, tuple[int, ...]] = {"Points" if name == "position" else name: (3,)}
+    if dimension > 3:
+        columns[name if name == "position" else f"{name}_full"] = (dimension,)
+    return columns
+
+
+def frame_arrays(arrays: dict[str, Array], dimension: int) -> dict[str, Array]:
+    """The columns of `frame_columns` for rows of particles; contiguous, bit for bit the values given."""
+    columns = {}
+    for name, values in arrays.items():
+        for column, width in frame_columns(name, dimension).items():
+            if width == (3,) and dimension != 3:
+                padded = np.zeros((len(values), 3))
+                padded[:, : min(dimension, 3)] = values[:, :3]
+                columns[column] = padded
+            else:
+                columns[column] = np.ascontiguousarray(values, FIELDS[name].dtype)
+    return columns
+
+
+def sync_folder(folder: Path) -> None:
+    """Make a rename inside the folder last through a power cut."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,200 @@
+"""All frames of a run in one HDF5 file that ParaView opens as it is: VTKHDF PolyData, see README for the layout.
+
+One part, one identity topology for all frames, every frame N rows in id order. With parallel HDF5 each rank writes its
+block of ids; otherwise rank 0 writes what is gathered to it. The file is the same either way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from particles_mpi.errors import StoppedError
+from particles_mpi.output import failing_together, frame_arrays, frame_columns
+from particles_mpi.parallel.exchange import in_id_order
+from particles_mpi.parallel.ranks import Ranks
+from particles_mpi.particles import FIELDS, Array
+
+STEPS_CHUNK = 1024  # frames
+
+
+class Trajectory:
+    """Writer of `trajectory.vtkhdf`; every method is collective.
+
+    path: the file, made anew unless `resume_step_count` is given: then frames of steps up to that one are kept, later ones
+    cut, and writing goes on behind them. particles_fields: names in FIELDS, those not meant for frames are skipped.
+    total: N, the particles of all ranks; their ids are 0..N-1. Raises StoppedError on all ranks if the file system refuses.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        ranks: Ranks,
+        particles_fields: list[str],
+        dimension: int,
+        total: int,
+        resume_step_count: int | None = None,
+    ):
+        self.path, self.ranks, self.dimension, self.total = Path(path), ranks, dimension, total
+        self.fields = [name for name in particles_fields if FIELDS[name].output]
+        self.parallel = ranks.size > 1 and bool(h5py.get_config().mpi)
+        self.writers = ranks.size if self.parallel else 1
+        self.file: Any = None
+        self.frames = 0
+        with failing_together(ranks, f"cannot prepare {path}"):
+            if ranks.is_root:  # layout is made, and cut, by one process: cheaper, and nothing collective can go wrong
+                self.frames = self._prepare(resume_step_count)
+        self.frames = ranks.from_root(self.frames)
+        with failing_together(ranks, f"cannot open {path}"):
+            if self.parallel:
+                self.file = h5py.File(self.path, "r+", driver="mpio", comm=ranks.comm)
+            elif ranks.is_root:
+                self.file = h5py.File(self.path, "r+", locking=False)  # no lock: viewers may look at a running job
+        if self.file is not None:
+            group = self.file["VTKHDF"]
+            self.steps = {name: group["Steps"][name] for name in _steps_layout()}
+            self.columns = {name: group[place] for name, place in self._places().items()}
+        self.collective = h5py.h5p.create(h5py.h5p.DATASET_XFER)
+        if self.parallel:
+            self.collective.set_dxpl_mpio(h5py.h5fd.MPIO_COLLECTIVE)
+
+    def write(self, step: int, time: float, arrays: dict[str, Array]) -> None:
+        """Append a frame. `arrays`: this rank's owned rows in any order, at least the fields given at the start."""
+        rows = in_id_order(self.ranks, {n: arrays[n] for n in self.fields}, self.total, self.writers, self.dimension)
+        # in_id_order gives writer p the ids from ceil(p N / writers)
+        first = self.frames * self.total - (-self.ranks.rank * self.total // self.writers)
+        frame = frame_arrays(rows, self.dimension)
+        for name in frame:
+            self._attempt(step, self._append, name, first, frame[name])
+        self._attempt(step, self._append_step, step, time)
+        # the count is raised only when all it counts has left this process: a killed run is readable to its last frame
+        self._attempt(step, self._flush)
+        self._attempt(step, self._raise_count)
+        self._attempt(step, self._flush)
+        self.frames += 1
+
+    def close(self) -> None:
+        """Close the file; the frames written are safe without it."""
+        if self.file is not None:
+            self.file.close()
+            self.file = None
+
+    def _attempt(self, step: int, action: Callable[..., None], *arguments: Any) -> None:
+        with failing_together(self.ranks, f"cannot write {self.path} at step {step}"):
+            if self.file is not None:
+                action(*arguments)
+
+    def _flush(self) -> None:
+        self.file.flush()
+
+    def _raise_count(self) -> None:
+        self.file["VTKHDF/Steps"].attrs.modify("NSteps", np.int64(self.frames + 1))
+
+    def _append(self, name: str, first: int, values: Array) -> None:
+        """This rank's block at row `first`. Ranks without rows select nothing, but take part: leaving them out hangs the rest."""
+        dataset = self.columns[name]
+        dataset.resize((self.frames + 1) * self.total, axis=0)
+        if self.total == 0:
+            return
+        space = dataset.id.get_space()
+        memory = h5py.h5s.create_simple(values.shape)
+        if len(values):
+            space.select_hyperslab((first,) + (0,) * (values.ndim - 1), values.shape)
+        else:
+            space.select_none()
+            memory.select_none()
+        dataset.id.write(memory, space, values, dxpl=self.collective)
+
+    def _append_step(self, step: int, time: float) -> None:
+        """The row of this frame in every dataset of Steps whose value is not its fill value."""
+        for dataset in self.steps.values():
+            dataset.resize(self.frames + 1, axis=0)
+        if self.ranks.is_root:  # resizing is collective, writing a number is not
+            self.steps["Values"][self.frames] = time
+            self.steps["Step"][self.frames] = step
+            self.steps["PointOffsets"][self.frames] = self.frames * self.total
+
+    def _places(self) -> dict[str, str]:
+        """Where each column of a frame stands below /VTKHDF."""
+        names = [column for field in self.fields for column in frame_columns(field, self.dimension)]
+        return {name: name if name == "Points" else f"PointData/{name}" for name in names}
+
+    def _prepare(self, resume_step: int | None) -> int:
+        """Make the file, or cut it behind a step; returns the frames in it. Not collective."""
+        if resume_step is not None and self.path.exists():
+            with h5py.File(self.path, "r+", locking=False) as file:
+                return self._cut(file["VTKHDF"], resume_step)
+        with h5py.File(self.path, "w", locking=False) as file:
+            self._create(file)
+        return 0
+
+    def _create(self, file: Any) -> None:
+        group = file.create_group("VTKHDF")
+        group.attrs["Version"] = np.array([2, 0], np.int64)
+        group.attrs["Type"] = np.bytes_("PolyData")  # fixed length: the reader refuses variable ones
+        chunk = int(np.clip(self.total, 256, 65536))
+        for field in self.fields:
+            for name, width in frame_columns(field, self.dimension).items():
+                _dataset(group, self._places()[name], (0, *width), FIELDS[field].dtype, chunk)
+        _dataset(group, "NumberOfPoints", (1,), "int64", 1, fill=self.total)
+        for kind, cells in (("Vertices", self.total), ("Lines", 0), ("Polygons", 0), ("Strips", 0)):
+            _dataset(group, f"{kind}/NumberOfCells", (1,), "int64", 1, fill=cells)
+            _dataset(group, f"{kind}/NumberOfConnectivityIds", (1,), "int64", 1, fill=cells)
+            _dataset(group, f"{kind}/Connectivity", (cells,), "int64", chunk)[:] = np.arange(cells)
+            _dataset(group, f"{kind}/Offsets", (cells + 1,), "int64", chunk)[:] = np.arange(cells + 1)
+        steps = group.create_group("Steps")
+        steps.attrs["NSteps"] = np.int64(0)
+        for name, (width, dtype, fill) in _steps_layout().items():
+            _dataset(steps, name, (0, *width), dtype, STEPS_CHUNK, fill=fill)
+        for place in self._places().values():
+            if place != "Points":  # all columns start where the points do: hard links to one dataset
+                steps[place.replace("PointData/", "PointDataOffsets/")] = steps["PointOffsets"]
+
+    def _cut(self, group: Any, resume_step: int) -> int:
+        """Drop the frames of later steps and what a killed run left behind its last whole frame."""
+        steps = group["Steps"]
+        held = {"Points"} | {f"PointData/{name}" for name in group["PointData"]}
+        if int(group["NumberOfPoints"][0]) != self.total or held != set(self._places().values()):
+            raise StoppedError("it holds other particles or fields than the run to be continued")
+        numbers = steps["Step"][: int(steps.attrs["NSteps"])]
+        frames = int(np.searchsorted(numbers, resume_step, side="right"))
+        steps.attrs.modify("NSteps", np.int64(frames))
+        group.file.flush()
+        for name in _steps_layout():
+            steps[name].resize(frames, axis=0)
+        for place in held:
+            group[place].resize(frames * self.total, axis=0)
+        return frames
+
+
+def _steps_layout() -> dict[str, tuple[tuple[int, ...], str, int]]:
+    """Datasets of Steps: shape of a row, dtype, value where none is written. `Step` is ours, VTK does not look at it."""
+    return {
+        "Values": ((), "float64", 0),
+        "Step": ((), "int64", 0),
+        "PartOffsets": ((), "int64", 0),
+        "NumberOfParts": ((), "int64", 1),
+        "PointOffsets": ((), "int64", 0),
+        "CellOffsets": ((4,), "int64", 0),
+        "ConnectivityIdOffsets": ((4,), "int64", 0),
+    }
+
+
+def _dataset(group: Any, name: str, shape: tuple[int, ...], dtype: str, chunk: int, fill: int | None = None) -> Any:
+    """Chunked and resizable. Without a fill value new chunks are not written twice: the data overwrites them anyway."""
+    properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)  # what parallel writing needs, and would not find in a file made serially
+    return group.create_dataset(
+        name,
+        shape,
+        dtype,
+        chunks=(chunk, *shape[1:]),
+        maxshape=(None, *shape[1:]),
+        fillvalue=fill,
+        fill_time="never" if fill is None else "alloc",
+        dcpl=properties,
+    )

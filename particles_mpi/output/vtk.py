@@ -1,0 +1,108 @@
+"""The frames once more as `vtk/particles_%06d.vtu` and `particles.pvd`: for VisIt, and ParaView before 5.12."""
+
+from __future__ import annotations
+
+import os
+import re
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import meshio
+import numpy as np
+
+from particles_mpi.output import failing_together, frame_arrays
+from particles_mpi.parallel.exchange import in_id_order
+from particles_mpi.parallel.ranks import Ranks
+from particles_mpi.particles import FIELDS, Array
+
+VTK_TYPES = {"int64": "Int64", "float64": "Float64", "uint8": "UInt8"}
+
+
+class VtkSeries:
+    """Writer of one .vtu a frame, and of the .pvd that gives them times; every method is collective.
+
+    folder: the output folder of the run. With `resume_step`, frames of steps up to that one stay listed, later ones are
+    deleted; otherwise the series begins anew. Raises StoppedError on all ranks if the file system refuses.
+    """
+
+    def __init__(self, folder: Path, ranks: Ranks, dimension: int, total: int, resume_step: int | None = None):
+        self.folder, self.ranks, self.dimension, self.total = Path(folder), ranks, dimension, total
+        self.listing = self.folder / "particles.pvd"
+        self.frames: dict[int, str] = {}  # step → time as written
+        with failing_together(ranks, f"cannot prepare {self.listing}"):
+            if ranks.is_root:
+                (self.folder / "vtk").mkdir(parents=True, exist_ok=True)
+                if resume_step is not None and self.listing.exists():
+                    self._cut(resume_step)
+
+    def write(self, step: int, time: float, arrays: dict[str, Array]) -> None:
+        """Add a frame. `arrays`: this rank's owned rows in any order, (n,) or (n, d); fields not meant for frames are skipped."""
+        shown = {name: array for name, array in arrays.items() if FIELDS[name].output}
+        rows = in_id_order(self.ranks, shown, self.total, 1, self.dimension)
+        path = self.folder / self._name(step)
+        with failing_together(self.ranks, f"cannot write {path} at step {step}"):
+            if self.ranks.is_root:
+                part = path.with_suffix(".tmp")
+                _write_vtu(part, frame_arrays(rows, self.dimension))
+                os.replace(part, path)  # a killed run never leaves half a frame
+                self.frames[step] = repr(float(time))
+                self._write_listing()
+
+    @staticmethod
+    def _name(step: int) -> str:
+        return f"vtk/particles_{step:06d}.vtu"
+
+    def _write_listing(self) -> None:
+        lines = [f'    <DataSet timestep="{time}" part="0" file="{self._name(step)}"/>\n' for step, time in self.frames.items()]
+        part = self.listing.with_suffix(".tmp")
+        part.write_text(
+            '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n  <Collection>\n'
+            + "".join(lines)
+            + "  </Collection>\n</VTKFile>\n"
+        )
+        os.replace(part, self.listing)
+
+    def _cut(self, resume_step: int) -> None:
+        """Take over the frames listed up to a step, and delete the later ones."""
+        try:
+            entries = ElementTree.parse(self.listing).iter("DataSet")
+        except ElementTree.ParseError as error:
+            raise ValueError(f"not a .pvd listing: {error}") from None
+        for entry in entries:
+            numbers = re.findall(r"_(\d+)\.vtu$", entry.get("file", ""))
+            if not numbers:
+                raise ValueError(f"it lists {entry.get('file')!r}, which this program did not write")
+            self.frames[int(numbers[0])] = entry.get("timestep", "0")
+        later = [step for step in self.frames if step > resume_step]
+        self.frames = {step: time for step, time in self.frames.items() if step <= resume_step}
+        self._write_listing()
+        for step in later:
+            (self.folder / self._name(step)).unlink(missing_ok=True)
+
+
+def _write_vtu(path: Path, columns: dict[str, Array]) -> None:
+    """One frame, binary, uncompressed; each particle is a vertex cell, without which ParaView shows nothing."""
+    points = columns.pop("Points")
+    if len(points) == 0:
+        path.write_text(_empty_vtu(columns))
+        return
+    cells = [("vertex", np.arange(len(points))[:, None])]
+    meshio.write(path, meshio.Mesh(points, cells, point_data=columns), file_format="vtu", binary=True, compression=None)
+
+
+def _empty_vtu(columns: dict[str, Array]) -> str:
+    """The text of a frame without particles: meshio raises for one."""
+    data = "".join(
+        f'<DataArray type="{VTK_TYPES[str(a.dtype)]}" Name="{name}" NumberOfComponents="{(*a.shape, 1)[1]}" format="ascii"/>'
+        for name, a in columns.items()
+    )
+    cells = "".join(
+        f'<DataArray type="{kind}" Name="{name}" format="ascii"/>'
+        for kind, name in (("Int64", "connectivity"), ("Int64", "offsets"), ("UInt8", "types"))
+    )
+    return (
+        '<?xml version="1.0"?>\n<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian">\n<UnstructuredGrid>\n'
+        '<Piece NumberOfPoints="0" NumberOfCells="0">\n'
+        '<Points><DataArray type="Float64" Name="Points" NumberOfComponents="3" format="ascii"/></Points>\n'
+        f"<Cells>{cells}</Cells>\n<PointData>{data}</PointData>\n</Piece>\n</UnstructuredGrid>\n</VTKFile>\n"
+    )

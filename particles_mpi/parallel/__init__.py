@@ -1,0 +1,1 @@
+"""Every MPI call of the program: moving rows to ranks, sharing ghosts, sums. Knows nothing of physics."""

@@ -1,0 +1,63 @@
+"""The ranks of a run: a communicator, passed in, with the few reductions that the program needs, counted."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from particles_mpi.particles import Array
+
+
+class Ranks:
+    """Thin over a communicator: on one rank nothing is sent, and every message and reduction is counted for `run.json`."""
+
+    def __init__(self, comm: MPI.Comm | None = None):
+        self.comm = MPI.COMM_WORLD if comm is None else comm
+        self.rank, self.size = self.comm.Get_rank(), self.comm.Get_size()
+        self.messages = 0
+        self.reductions = 0
+
+    @property
+    def is_root(self) -> bool:
+        return self.rank == 0
+
+    def _reduce(self, values: Any, operation: MPI.Op) -> Array:
+        values = np.atleast_1d(values)
+        if self.size == 1:
+            return values
+        self.reductions += 1
+        result = np.empty_like(values)
+        self.comm.Allreduce(values, result, operation)
+        return result
+
+    def total(self, values: Any) -> Array:
+        """Element-wise sum over ranks; exact, so independent of the ranks, for integers only."""
+        return self._reduce(values, MPI.SUM)
+
+    def largest(self, values: Any) -> Array:
+        """Element-wise maximum over ranks."""
+        return self._reduce(values, MPI.MAX)
+
+    def smallest(self, values: Any) -> Array:
+        """Element-wise minimum over ranks."""
+        return self._reduce(values, MPI.MIN)
+
+    def from_root(self, value: Any) -> Any:
+        """Any small Python object, as rank 0 has it."""
+        return value if self.size == 1 else self.comm.bcast(value)
+
+    def gathered(self, value: Any) -> list[Any]:
+        """The small Python objects of all ranks, on every rank."""
+        return [value] if self.size == 1 else self.comm.allgather(value)
+
+
+def library() -> str:
+    """The MPI library in use, one line."""
+    return MPI.Get_library_version().split("\n")[0].split(",")[0].strip("\0 ")
+
+
+def now() -> float:
+    """Seconds of the MPI clock."""
+    return MPI.Wtime()

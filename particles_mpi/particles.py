@@ -1,0 +1,101 @@
+"""The particles of one rank: a struct of arrays, and the ONE table of fields that exchange, output and checkpoint read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Field:
+    """A per-particle quantity. `vector`: one component an axis. `ghost`: partners of a pair must know it.
+
+    `output`: written to frames (state that only a restart needs is not).
+    """
+
+    dtype: str
+    vector: bool = False
+    ghost: bool = False
+    output: bool = True
+
+
+# Every field a particle can have. A scene holds the first six, and of the others those its effects name.
+FIELDS = {
+    "id": Field("int64", ghost=True),
+    "position": Field("float64", vector=True, ghost=True),
+    "velocity": Field("float64", vector=True, ghost=True),
+    "radius": Field("float64", ghost=True),
+    "mass": Field("float64", ghost=True),
+    "fixed": Field("uint8", ghost=True),
+    "drag": Field("float64"),
+    "acceleration": Field("float64", vector=True),
+    "rate": Field("float64", vector=True, output=False),  # dv/dt at the start of a `taylor` step
+}
+ALWAYS = ("id", "position", "velocity", "radius", "mass", "fixed")
+
+
+class Particles:
+    """Rows of particles as arrays: `position[i]`, `velocity[i]`, `radius[i]`, `mass[i]`, `fixed[i]`, `id[i]`.
+
+    Row order means nothing and changes from step to step; `id` tells which particle a row is. Vectors are (n, d) float64
+    in the scene's units, scalars (n,). `version` counts the times that rows were moved, so that whoever keeps something
+    by row knows when it is stale.
+    """
+
+    def __init__(self, dimension: int, arrays: dict[str, Array]):
+        self.dimension = dimension
+        self.arrays = arrays
+        self.version = 0
+
+    @classmethod
+    def empty(cls, dimension: int, names: Iterator[str] | list[str]) -> Particles:
+        """No rows, of the named fields."""
+        return cls(dimension, {n: np.empty(shape(n, 0, dimension), FIELDS[n].dtype) for n in names})
+
+    def __len__(self) -> int:
+        return len(self.arrays["id"])
+
+    def __getitem__(self, name: str) -> Array:
+        return self.arrays[name]
+
+    def __getattr__(self, name: str) -> Array:
+        try:
+            return self.__dict__["arrays"][name]
+        except KeyError:
+            raise AttributeError(f"these particles have no field {name!r}") from None
+
+    def select(self, rows: Array) -> Particles:
+        """A copy of the rows (indices or mask), in that order."""
+        return Particles(self.dimension, {name: array[rows] for name, array in self.arrays.items()})
+
+    def replace(self, arrays: dict[str, Array]) -> None:
+        """Take other rows: same fields, any number of rows, any order."""
+        self.arrays = arrays
+        self.version += 1
+
+    @property
+    def inverse_mass(self) -> Array:
+        """1/m, and 0 for fixed particles, which nothing moves; shape (n,)."""
+        return np.divide(1.0, self.mass, out=np.zeros(len(self)), where=(self.fixed == 0) & (self.mass > 0.0))
+
+    def __repr__(self) -> str:
+        return f"Particles({len(self)} rows in dimension {self.dimension}: {', '.join(self.arrays)})"
+
+
+def shape(name: str, rows: int, dimension: int) -> tuple[int, ...]:
+    """Shape of a field's array."""
+    return (rows, dimension) if FIELDS[name].vector else (rows,)
+
+
+def row_dot(rows: Array, vectors: Array) -> Array:
+    """Row by row, axes summed in order: the same bits whatever the number of rows (a BLAS product promises no such thing)."""
+    total = rows[:, 0] * vectors[..., 0]
+    for k in range(1, rows.shape[1]):
+        total += rows[:, k] * vectors[..., k]
+    return total

@@ -1,0 +1,336 @@
+"""The scene file: TOML in, validated model out.
+
+Every fault is one line that names the key. What can only be judged with the particles at hand (overlaps, walls, the
+length of a step) is judged in `populate`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import importlib.util
+import json
+import math
+import pkgutil
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from particles_mpi.errors import SceneError
+
+NOT_YET = {
+    "mutual_gravity": "effects.mutual_gravity: not available in this version",
+    "event": 'effects.collisions.mode: "event" is not available in this version; use "rewind"',
+    "order4": 'time.integrator: "order4" is not available in this version; use "leapfrog"',
+}
+
+
+class Model(BaseModel):
+    """Strict: an unknown key, or a number given as text, is a fault and not a guess."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _numbers(value: Any) -> bool:
+    return isinstance(value, list) and all(_number(x) for x in value)
+
+
+def _range(value: Any) -> bool:
+    return isinstance(value, dict) and set(value) == {"min", "max"} and _number(value["min"]) and _number(value["max"])
+
+
+def _points(value: Any) -> bool:
+    return isinstance(value, list) and len(value) > 0 and all(_numbers(row) for row in value)
+
+
+def _file(value: Any) -> bool:
+    return isinstance(value, dict) and set(value) == {"file"} and isinstance(value["file"], str)
+
+
+def _ordered(value: dict[str, float]) -> None:
+    if value["min"] > value["max"]:
+        raise ValueError(f"min {value['min']} is above max {value['max']}")
+
+
+def _position(value: Any) -> Any:
+    if value in ("random", "lattice") or _points(value) or _file(value):
+        return value
+    raise ValueError('must be "random", "lattice", a list of points [[x, y, ...], ...] or {file = "start.csv"}')
+
+
+def _velocity(value: Any) -> Any:
+    if _points(value) or _numbers(value) or _file(value):
+        return value
+    if isinstance(value, dict) and set(value) == {"temperature"} and _number(value["temperature"]) and value["temperature"] >= 0:
+        return value
+    if isinstance(value, dict) and set(value) == {"speed"}:
+        speed = value["speed"]
+        if _number(speed) and speed >= 0:
+            return value
+        if _range(speed) and speed["min"] >= 0:
+            _ordered(speed)
+            return value
+    raise ValueError(
+        "must be [vx, vy, ...], a list of these, {speed = s}, {speed = {min = a, max = b}}, {temperature = T} (all >= 0)"
+        ' or {file = "start.csv"}'
+    )
+
+
+def _scalar_or_list(value: Any) -> Any:
+    if _range(value):
+        _ordered(value)
+        return value
+    if _number(value) or _numbers(value):
+        return value
+    raise ValueError("must be a number, {min = a, max = b} or a list of numbers")
+
+
+def _flags(value: Any) -> Any:
+    if isinstance(value, bool) or (isinstance(value, list) and all(isinstance(x, bool) for x in value)):
+        return value
+    raise ValueError("must be true, false or a list of these")
+
+
+def _vector_or_rows(value: Any) -> Any:
+    if _numbers(value) or _points(value):
+        return value
+    raise ValueError("must be a vector [ax, ay, ...] or a list of these")
+
+
+Scalar = Annotated[Any, BeforeValidator(_scalar_or_list)]
+Flags = Annotated[Any, BeforeValidator(_flags)]
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+class Box(Model):
+    """The region that holds the particles; faces that are not periodic are the default walls."""
+
+    lower: list[float]
+    upper: list[float]
+    periodic: Flags = False
+
+
+class Time(Model):
+    """Step length, end, and the rule that advances a step."""
+
+    step: Annotated[float, Field(gt=0.0)]
+    end: Annotated[float, Field(ge=0.0)] | None = None
+    steps: Annotated[int, Field(ge=0)] | None = None
+    integrator: Literal["leapfrog", "order4", "taylor"] = "leapfrog"
+
+    @model_validator(mode="after")
+    def _one_end(self) -> Time:
+        if (self.end is None) == (self.steps is None):
+            raise ValueError("give one of time.end and time.steps")
+        return self
+
+
+class Population(Model):
+    """Particles that are described together; ids run through the populations in order, from 0."""
+
+    count: Annotated[int, Field(ge=0)] | None = None
+    position: Annotated[Any, BeforeValidator(_position)]
+    velocity: Annotated[Any, BeforeValidator(_velocity)] = None
+    radius: Scalar = 0.0
+    mass: Scalar = None
+    fixed: Flags = False
+    drag: Scalar = None
+    acceleration: Annotated[Any, BeforeValidator(_vector_or_rows)] = None
+
+
+class Output(Model):
+    """What is written, and how often (in steps)."""
+
+    every: Annotated[int, Field(ge=1)] = 100
+    formats: list[Literal["hdf5", "vtk"]] = ["hdf5", "vtk"]
+    checkpoint_every: Annotated[int, Field(ge=1)] = 1000
+    diagnostics_every: Annotated[int, Field(ge=1)] = 10
+
+
+def effect_names() -> list[str]:
+    """The effects that exist: one file each in `effects/`."""
+    package = importlib.import_module("particles_mpi.effects")
+    return sorted(m.name for m in pkgutil.iter_modules(package.__path__) if not m.name.startswith("_"))
+
+
+def _effects(value: Any) -> dict[str, Any]:
+    """Validate each `[effects.NAME]` by the Options of `effects/NAME.py`; an effect that is not named is not imported."""
+    if not isinstance(value, dict):
+        raise ValueError("must be tables [effects.NAME]")
+    validated, names = {}, effect_names()
+    for name, keys in value.items():
+        if name in NOT_YET:
+            raise ValueError(NOT_YET[name])
+        if name not in names:
+            raise ValueError(f"effects.{name}: unknown effect{_suggest(name, names)}")
+        options = importlib.import_module(f"particles_mpi.effects.{name}").Options
+        try:
+            validated[name] = options.model_validate(keys)
+        except ValidationError as error:
+            raise ValueError("\n".join(_faults(error, options, ("effects", name)))) from None
+    return validated
+
+
+class Scene(Model):
+    """A scene as validated: what is simulated, how long, and what is written.
+
+    `Scene.load(path)` reads a TOML file, `Scene.from_dict(tables)` takes the same tables from Python, and
+    `Scene(...)` the same again as keywords. All raise `SceneError`.
+    """
+
+    title: str = ""
+    dimension: Annotated[int, Field(ge=1)]
+    seed: Annotated[int, Field(ge=0)] = 0
+    G: Annotated[float, Field(ge=0.0)] = 6.6740831e-11
+    box: Box | None = None
+    time: Time
+    particles: list[Population]
+    effects: Annotated[dict[str, Any], BeforeValidator(_effects)] = {}
+    output: Output = Output()
+    folder: Annotated[Path, Field(exclude=True)] = Path()
+
+    def __init__(self, **tables: Any):
+        try:
+            super().__init__(**tables)
+        except ValidationError as error:
+            raise SceneError(_faults(error, Scene)) from None
+
+    @classmethod
+    def from_dict(cls, tables: dict[str, Any], folder: Path = Path()) -> Scene:
+        """A scene from the tables of the TOML layout; file names in it are relative to `folder`."""
+        if "folder" in tables:
+            raise SceneError("folder: unknown key")
+        return cls(**tables, folder=folder)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Scene:
+        """Read and validate a scene file; every fault names the file and the key."""
+        path = Path(path)
+        try:
+            tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise SceneError(f"{path}: cannot be read ({error.strerror})") from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise SceneError(f"{path}: not a TOML file: {error}") from None
+        try:
+            return cls.from_dict(tables, path.parent)
+        except SceneError as error:
+            raise SceneError([f"{path}: {fault}" for fault in error.faults]) from None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The tables that give this scene back; plain lists, numbers and text."""
+        tables = self.model_dump(mode="json", exclude_none=True, exclude={"effects"})
+        tables["effects"] = {name: o.model_dump(mode="json", exclude_none=True) for name, o in self.effects.items()}
+        return tables
+
+    def to_json(self) -> str:
+        return json.dumps(self.to_dict())
+
+    @property
+    def periodic(self) -> list[bool]:
+        """Which axes are periodic; none where space is open."""
+        flags = self.box.periodic if self.box else False
+        return flags if isinstance(flags, list) else [flags] * self.dimension
+
+    @property
+    def steps(self) -> int:
+        """How many steps the run takes; the last one reaches `end` at the nearest whole step."""
+        if self.time.steps is not None:
+            return self.time.steps
+        assert self.time.end is not None
+        return round(self.time.end / self.time.step)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Scene:
+        d, faults = self.dimension, []
+        if self.time.integrator == "order4":
+            faults.append(NOT_YET["order4"])
+        if self.time.integrator == "taylor" and "friction" in self.effects:
+            faults.append('time.integrator: "taylor" knows no friction; use "leapfrog"')
+        if self.box:
+            faults += _vector("box.lower", self.box.lower, d) + _vector("box.upper", self.box.upper, d)
+            if len(self.periodic) != d:
+                faults.append(f"box.periodic: {len(self.periodic)} flags in dimension {d}")
+            faults += [
+                f"box.upper: {hi} is not above box.lower {lo} on axis {k}"
+                for k, (lo, hi) in enumerate(zip(self.box.lower, self.box.upper, strict=False))
+                if not hi > lo
+            ]
+        if "vtk" in self.output.formats and d > 3:
+            self.output.formats.remove("vtk")
+        for number, population in enumerate(self.particles):
+            faults += self._population_faults(f"particles[{number}]", population)
+        for name, options in self.effects.items():
+            faults += [f"effects.{name}.{fault}" for fault in getattr(options, "faults", lambda scene: [])(self)]
+        if faults:
+            raise ValueError("\n".join(faults))
+        return self
+
+    def _population_faults(self, key: str, population: Population) -> list[str]:
+        d, faults = self.dimension, []
+        position, velocity = population.position, population.velocity
+        if isinstance(position, str):
+            if population.count is None:
+                faults.append(f'{key}.count: needed with position = "{position}"')
+            if self.box is None:
+                faults.append(f'{key}.position: "{position}" needs a [box]')
+        for name, value in (("position", position), ("velocity", velocity), ("acceleration", population.acceleration)):
+            if _points(value):
+                faults += [f for i, row in enumerate(value) for f in _vector(f"{key}.{name}[{i}]", row, d)]
+            elif isinstance(value, list):
+                faults += _vector(f"{key}.{name}", value, d)
+        if population.drag is not None and "drag" not in self.effects:
+            faults.append(f"{key}.drag: needs [effects.drag]")
+        if population.acceleration is not None and "user_acceleration" not in self.effects:
+            faults.append(f"{key}.acceleration: needs [effects.user_acceleration]")
+        return faults
+
+
+def _vector(key: str, value: list[float], dimension: int) -> list[str]:
+    return [] if len(value) == dimension else [f"{key}: {len(value)} components in dimension {dimension}"]
+
+
+def _suggest(name: str, known: list[str]) -> str:
+    near = difflib.get_close_matches(name, known, 1)
+    return f" (did you mean '{near[0]}'?)" if near else f" (known: {', '.join(known)})"
+
+
+def _key(location: tuple[Any, ...]) -> str:
+    text = ""
+    for part in location:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
+    return text
+
+
+def _known_keys(model: type[BaseModel], location: tuple[Any, ...]) -> list[str]:
+    """The keys that the table at `location` may hold."""
+    nested = {"box": Box, "time": Time, "output": Output, "particles": Population}
+    table = nested.get(location[0], model) if model is Scene and len(location) > 1 else model
+    return [name for name in table.model_fields if name != "folder"]
+
+
+def _faults(error: ValidationError, model: type[BaseModel], prefix: tuple[Any, ...] = ()) -> list[str]:
+    """One line a fault: `key: what is wrong`."""
+    faults = []
+    for item in error.errors():
+        location = prefix + item["loc"]
+        if item["type"] == "extra_forbidden":
+            faults.append(f"{_key(location)}: unknown key{_suggest(str(location[-1]), _known_keys(model, item['loc']))}")
+        elif item["type"] == "missing":
+            faults.append(f"{_key(location)}: missing")
+        elif item["type"] == "value_error":
+            text = str(item["ctx"]["error"])
+            named = item["loc"] and item["loc"][0] != "effects" and item["loc"] != ("time",)
+            faults += [f"{_key(location)}: {text}"] if named else text.splitlines()
+        else:
+            given = item.get("input")
+            shown = f" (got {given!r})" if isinstance(given, str | int | float | bool) else ""
+            message = item["msg"].replace("Input should be", "must be").replace("Input", "input")
+            faults.append(f"{_key(location)}: {message}{shown}")
+    return faults

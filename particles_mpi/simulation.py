@@ -1,0 +1,182 @@
+"""The time loop: the only module that sees everything."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from particles_mpi.diagnostics import measure
+from particles_mpi.errors import StoppedError
+from particles_mpi.integrators import Integrator, Leapfrog, Taylor, free_drift, wrap
+from particles_mpi.parallel.ranks import Ranks
+from particles_mpi.particles import Array, Particles
+from particles_mpi.populate import populate
+from particles_mpi.scene import Scene
+from particles_mpi.timers import Timers
+
+COUNTS = ("collisions", "wall_hits", "missed", "exchanges")
+
+
+class Simulation:
+    """A scene in motion on the ranks of a communicator.
+
+    `sim.step()` advances by `scene.time.step`, `sim.run()` to the end. `sim.particles` are this rank's rows,
+    `sim.time` and `sim.steps_done` say where it stands, `sim.totals` counts what happened on this rank since the start.
+    Raises SceneError for a scene that cannot be run and StoppedError when a state has lost its meaning, on all ranks.
+    """
+
+    def __init__(self, scene: Scene, comm: Any = None):
+        particles, self.warnings = populate(scene)
+        self._assemble(scene, Ranks(comm), particles)
+
+    def _assemble(self, scene: Scene, ranks: Ranks, everyone: Particles) -> None:
+        """Build the run around all particles (in id order on every rank), of which this rank keeps its share."""
+        self.scene, self.ranks, self.total = scene, ranks, len(everyone)
+        self.timers = Timers()
+        self.steps_done, self.h = 0, scene.time.step
+        self.totals = dict.fromkeys(COUNTS, 0)
+        self.calls: dict[str, int] = {}
+        first, last = (len(everyone) * (ranks.rank + k) // ranks.size for k in (0, 1))
+        self.particles = everyone.select(np.arange(first, last))
+
+        d, box = scene.dimension, scene.box
+        self.lower = np.array(box.lower, float) if box else np.zeros(d)
+        self.upper = np.array(box.upper, float) if box else np.zeros(d)
+        self.length = np.where(scene.periodic, self.upper - self.lower, 0.0)
+
+        effects = {
+            name: import_module(f"particles_mpi.effects.{name}").Effect(options, scene) for name, options in scene.effects.items()
+        }
+        self.forces = {name: e for name, e in effects.items() if e.role == "force"}
+        self.walls, self.collisions = effects.get("walls"), effects.get("collisions")
+        drag, friction = effects.get("drag"), effects.get("friction")
+        self.dissipation = [name for name in ("drag", "friction") if name in effects]
+        self.integrator: Integrator = Taylor(drag) if scene.time.integrator == "taylor" else Leapfrog(drag, friction)
+        self.accelerations: Array | None = None
+        self.known = -1  # version of the rows that the accelerations belong to
+        self.near: Any = None
+        if self.collisions:
+            self._enter_collisions()
+
+    def _enter_collisions(self) -> None:
+        """Only a scene with pairs loads the collision operator and the search for neighbours."""
+        from particles_mpi.collide.rewind import Rewind
+        from particles_mpi.neighbours.pairs import Neighbourhood
+
+        c = self.collisions
+        planes = self.walls.planes if self.walls else None
+        self.near = Neighbourhood(self.ranks, self.length, self.timers)
+        self.rewind = Rewind(c.restitution, c.keep, c.options.passes, planes, self.scene.dimension, self.timers)
+
+    @property
+    def time(self) -> float:
+        """The moment the state belongs to."""
+        return self.steps_done * self.h
+
+    def step(self, collisions: bool = True) -> None:
+        """Advance by one step; `collisions=False` lets particles pass through one another and through walls. Collective."""
+        p, h = self.particles, self.h
+        with self.timers("forces"):
+            a = self.sum_forces()  # at x(n)
+        with self.timers("kick"):
+            self.integrator.open(p, a, h)  # v at n+1/2
+        self.drift(h, collisions)  # x at n+1; contacts happen here
+        with self.timers("forces"):
+            a = self.sum_forces()  # at x(n+1)
+        with self.timers("kick"):
+            self.integrator.close(p, a, h)  # v at n+1
+        for name in self.dissipation:
+            self.count(name, 2)
+        self.steps_done += 1
+
+    def drift(self, h: float, contacts: bool) -> None:
+        """Positions over h, with whatever they meet on the way."""
+        p = self.particles
+        if contacts and self.collisions:
+            migrated = self.near.migrated
+            found = self.rewind.drift(p, self.near, h)
+            happened = [*found, self.near.migrated - migrated]
+            self.count("collisions")
+            if self.walls:
+                self.count("walls")
+        elif contacts and self.walls:
+            with self.timers("walls"):
+                happened = [0, self.walls.drift(p, h), 0, 0]
+            self.count("walls")
+        else:
+            with self.timers("drift"):
+                free_drift(p.position, p.velocity, h)
+            happened = [0, 0, 0, 0]
+        for name, number in zip(COUNTS, happened, strict=True):
+            self.totals[name] += int(number)
+        if self.length.any():
+            with self.timers("drift"):
+                wrap(p.position, self.lower, self.upper, self.length)
+
+    def sum_forces(self) -> Array | None:
+        """Accelerations (n, d) at the present positions, or None without forces; constant ones are summed once."""
+        if not self.forces:
+            return None
+        p = self.particles
+        if self.known == p.version and all(f.constant for f in self.forces.values()):
+            return self.accelerations
+        a = np.zeros_like(p.velocity)
+        for name, force in self.forces.items():
+            force.add(p, a)
+            self.count(name)
+        a[p.fixed != 0] = 0.0
+        self.accelerations, self.known = a, p.version
+        return a
+
+    def count(self, effect: str, calls: int = 1) -> None:
+        """Calls of each effect, for `run.json`."""
+        self.calls[effect] = self.calls.get(effect, 0) + calls
+
+    def measure(self) -> dict[str, float]:
+        """Energies, momentum, largest speed of all particles: the same bits on any number of ranks. Collective."""
+        potentials = [f.potential(self.particles) for f in self.forces.values() if hasattr(f, "potential")]
+        row = measure(self.ranks, self.particles, potentials)
+        if not np.isfinite(row["kinetic"]):
+            self.stop_for_numbers()
+        return row
+
+    def stop_for_numbers(self) -> None:
+        """A velocity or position is not finite: say whose, on all ranks."""
+        p = self.particles
+        bad = p.id[~(np.isfinite(p.velocity).all(axis=1) & np.isfinite(p.position).all(axis=1))]
+        found = [(rank, int(ids[0])) for rank, ids in enumerate(self.ranks.gathered(bad[:1])) if len(ids)]
+        if not found:  # finite, but squares to infinity
+            raise StoppedError(f"step {self.steps_done}: the kinetic energy is too large for a float64")
+        rank, particle = found[0]
+        raise StoppedError(f"step {self.steps_done}: particle {particle} on rank {rank} has a position or velocity that is not finite")
+
+    def run(self, output: str | Path | None = None, quiet: bool = True, **options: Any) -> None:
+        """Step to the end of the scene; with `output` (a folder) write everything the scene asks for. Collective."""
+        if output is None:
+            while self.steps_done < self.scene.steps:
+                self.step()
+            return
+        from particles_mpi.job import Job
+
+        Job(self, Path(output), quiet=quiet, **options).run()
+
+    @classmethod
+    def resume(cls, path: str | Path, comm: Any = None) -> Simulation:
+        """The run that wrote the checkpoint, where it stood, on any number of ranks; the same bits from there on."""
+        from particles_mpi.output.checkpoint import load
+
+        arrays, state = load(Path(path))
+        scene = Scene.from_dict(state["scene"])
+        sim = cls.__new__(cls)
+        sim.warnings = []
+        sim._assemble(scene, Ranks(comm), Particles(scene.dimension, arrays))
+        sim.steps_done = int(state["step"])
+        if sim.ranks.is_root:  # counts are sums over ranks: one rank carries those from before
+            sim.totals.update(state["totals"])
+        return sim
+
+    def __repr__(self) -> str:
+        return f"Simulation({self.scene.title!r}: {self.total} particles, step {self.steps_done}, time {self.time:g})"

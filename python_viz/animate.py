@@ -1,0 +1,54 @@
+"""Animate a run: the picture of plot_frame.py for frame after frame, with one view and one range of colours.
+
+Writes an mp4 where ffmpeg is installed, else a gif (larger, and with fewer colours).
+
+example:
+    python python_viz/animate.py out/marbles --every 2 --fps 25 --color energy --save marbles.mp4
+takes every second frame; without --save the film is out/marbles/plots/animation.mp4 (or .gif)
+"""
+
+import sys
+from pathlib import Path
+
+import matplotlib
+from matplotlib.animation import FFMpegWriter, PillowWriter
+from picture import Picture, add_picture_options
+from run_files import DEFAULT_RUN, Trajectory, new_parser, save_path, stop
+
+
+def main() -> None:
+    parser = new_parser(__doc__)
+    parser.add_argument("run", nargs="?", type=Path, default=DEFAULT_RUN, metavar="RUN_DIR", help=f"default: {DEFAULT_RUN}")
+    parser.add_argument("--every", type=int, default=1, metavar="K", help="take every K-th frame (default: 1)")
+    parser.add_argument("--fps", type=float, default=25, help="frames per second of the film (default: 25)")
+    add_picture_options(parser)
+    options = parser.parse_args()
+    if options.every < 1 or options.fps <= 0:
+        stop("--every and --fps must be positive")
+    matplotlib.use("Agg")
+    path = save_path(options.save, options.run, "animation" + (".mp4" if FFMpegWriter.isAvailable() else ".gif"))
+    writer: PillowWriter | FFMpegWriter
+    if path.suffix == ".gif":
+        dpi, writer = 80, PillowWriter(options.fps)
+    elif path.suffix == ".mp4" and FFMpegWriter.isAvailable():
+        dpi, writer = 120, FFMpegWriter(options.fps, codec="h264", bitrate=6000)
+    else:
+        stop(f"cannot write {path}: " + ("mp4 needs ffmpeg; save a .gif" if path.suffix == ".mp4" else "use .mp4 or .gif"))
+
+    trajectory = Trajectory(options.run)
+    chosen = range(0, len(trajectory), options.every)
+    picture = Picture(options.run, (trajectory[k] for k in chosen), options.color, options.view, dpi)
+    try:
+        with writer.saving(picture.figure, path, dpi):
+            for done, k in enumerate(chosen, 1):
+                picture.draw(trajectory[k])
+                writer.grab_frame()
+                print(f"\r{done} of {len(chosen)} frames", end="", file=sys.stderr, flush=True)
+        print(file=sys.stderr)
+    except OSError as error:
+        stop(f"cannot write {path}: {error}")
+    print(path)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,134 @@
+"""Compare two runs of the same scene, particle by particle: are they the same bits, and if not, how do they part?
+
+Frames are matched by their time. The first frame with any differing bit is printed with the particles and fields that differ;
+the picture shows the largest and the rms difference of position and velocity over time (across periodic faces, the short way).
+
+example:
+    python python_viz/compare_runs.py out/ranks1 out/ranks4
+prints "same bits" (exit code 0) or the first difference (exit code 1) and draws out/ranks1/plots/compare_runs.png
+"""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
+from run_files import Frame, Trajectory, finish, new_parser, parse, read_run_json, save_path, stop, title_of
+
+CURVES = {"position": "#2e86ab", "velocity": "#d1495b"}
+
+
+def matching(a: Trajectory, b: Trajectory) -> list[tuple[int, int]]:
+    """The pairs of frames at the same time (to 1e-9 of the duration, so that 0.1 + 0.2 meets 0.3)."""
+    close = 1e-9 * max(np.ptp(a.times), np.ptp(b.times))
+    nearest = [int(np.argmin(np.abs(b.times - time))) for time in a.times]
+    return [(i, j) for i, j in enumerate(nearest) if abs(b.times[j] - a.times[i]) <= close]
+
+
+def same_bits(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """For each row: equal to the last bit? NaN equals the same NaN; -0.0 differs from 0.0."""
+    if a.dtype != b.dtype or a.shape != b.shape or not a.size:
+        return np.full(len(a), a.shape == b.shape)
+    a, b = (np.ascontiguousarray(x).view(np.uint8).reshape(len(x), -1) for x in (a, b))
+    return (a == b).all(axis=1)
+
+
+def compare(a: Frame, b: Frame, period: np.ndarray) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Return the ids that differ by field (only fields with some), and the length of the difference by field of CURVES and id."""
+    common, rows_a, rows_b = np.intersect1d(a.id, b.id, return_indices=True)
+    all_a, all_b = ({"position": frame.position, **frame.fields} for frame in (a, b))
+    differ = {"presence": np.setxor1d(a.id, b.id)}
+    for name in sorted(all_a.keys() ^ all_b.keys()):
+        differ[f"presence of {name}"] = common
+    lengths = {}
+    for name in sorted(all_a.keys() & all_b.keys()):
+        of_a, of_b = all_a[name][rows_a], all_b[name][rows_b]
+        differ[name] = common[~same_bits(of_a, of_b)]
+        if name in CURVES:
+            shift = of_a - of_b
+            if name == "position":
+                period = np.resize(np.append(period, np.full(shift.shape[1], np.inf)), shift.shape[1])
+                wraps = np.isfinite(period)
+                shift[:, wraps] -= period[wraps] * np.round(shift[:, wraps] / period[wraps])
+            lengths[name] = np.linalg.norm(shift, axis=1)
+    return {name: ids for name, ids in differ.items() if len(ids)}, lengths
+
+
+def periods(run: Path) -> np.ndarray:
+    """Length of the box along periodic axes, infinite along the others."""
+    box = read_run_json(run).get("scene", {}).get("box")
+    if not box:
+        return np.array([np.inf])
+    return np.where(box.get("periodic") or False, np.subtract(box["upper"], box["lower"]), np.inf)
+
+
+def describe(frame: Frame, differ: dict[str, np.ndarray]) -> str:
+    """One line: the frame, how many particles differ in what, and the first of their ids."""
+    ids = np.unique(np.concatenate(list(differ.values())))
+    fields = ", ".join(f"{name} of {len(rows)}" for name, rows in differ.items())
+    shown = " ".join(map(str, ids[:12])) + (" ..." if len(ids) > 12 else "")
+    return f"first difference: frame {frame.index}, t = {frame.time:.6g}: {fields} particles: ids {shown}"
+
+
+def draw(times: np.ndarray, curves: dict[str, np.ndarray], radius: float, title: str) -> Figure:
+    """Largest and rms difference over time, one panel for position and one for velocity; where it is 0 nothing is drawn."""
+    figure, panels = plt.subplots(2, 1, figsize=(9, 7), sharex=True, dpi=130, layout="constrained")
+    for axes, (name, color) in zip(panels, CURVES.items(), strict=True):
+        largest, rms = np.ma.masked_equal(curves[name], 0).T
+        if largest.count():
+            axes.semilogy(times, largest, "o-", ms=3, color=color, label="largest")
+            axes.semilogy(times, rms, "o-", ms=3, color=color, alpha=0.45, label="rms over particles")
+            if name == "position" and radius > 0:
+                axes.axhline(radius, color="#4a5260", ls=":", label="smallest radius")
+            axes.legend(frameon=False)
+        else:
+            axes.text(0.5, 0.5, "no difference in any frame", ha="center", transform=axes.transAxes, color="#4a5260")
+            axes.set_yticks([])
+        axes.set_title(f"difference of {name}", loc="left")
+        axes.grid(color="#e3e6ea", lw=0.7)
+        axes.spines[["top", "right"]].set_visible(False)
+    panels[-1].set(xlabel="time", xlim=(times.min(), times.max() if times.max() > times.min() else times.min() + 1))
+    figure.suptitle(title, fontsize=13)
+    return figure
+
+
+def main() -> None:
+    parser = new_parser(__doc__)
+    parser.add_argument("run_a", type=Path, metavar="RUN_A")
+    parser.add_argument("run_b", type=Path, metavar="RUN_B")
+    options = parse(parser)
+    a, b = Trajectory(options.run_a), Trajectory(options.run_b)
+    pairs, period = matching(a, b), periods(options.run_a)
+    if not pairs:
+        stop("the two runs have no frame at the same time")
+    first, radius = None, np.inf
+    curves: dict[str, list[tuple[float, float]]] = {name: [] for name in CURVES}
+    for i, j in pairs:
+        frame = a[i]
+        differ, lengths = compare(frame, b[j], period)
+        if differ and first is None:
+            first = describe(frame, differ)
+        radius = min(radius, frame.radius.min(initial=np.inf))
+        for name in CURVES:
+            length = lengths.get(name, np.zeros(0))
+            curves[name].append((length.max(initial=0), np.sqrt(np.mean(length**2)) if len(length) else 0))
+
+    print(f"{len(pairs)} frames at the same time ({options.run_a}: {len(a)}, {options.run_b}: {len(b)})")
+    same_times = np.array_equal(a.times, b.times)
+    if first:
+        print(first)
+        for name in CURVES:
+            worst = int(np.argmax([largest for largest, _ in curves[name]]))
+            largest, rms = curves[name][worst]
+            print(f"largest difference of {name}: {largest:.3g} (rms {rms:.3g}) at t = {a.times[pairs[worst][0]]:.6g}")
+    else:
+        print("same bits" if same_times else "same bits in these frames, but the frames or their times are not the same")
+    times = a.times[[i for i, _ in pairs]]
+    title = f"{title_of(options.run_a)}: {options.run_a} against {options.run_b}"
+    figure = draw(times, {name: np.array(values) for name, values in curves.items()}, radius, title)
+    finish(figure, save_path(options.save, options.run_a, "compare_runs.png"), options.show)
+    raise SystemExit(0 if same_times and not first else 1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,213 @@
+"""The picture of a frame: marbles with true radii in their box. Used by plot_frame.py (one frame) and animate.py (all)."""
+
+from argparse import ArgumentParser
+from collections.abc import Callable, Iterable
+from itertools import combinations, product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import pyplot as plt
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from numpy.typing import ArrayLike
+from run_files import Frame, read_run_json, spaced, stop, title_of
+from spheres import paint_spheres
+
+SMALLEST = 0.75  # pixels: smaller marbles are drawn with this radius, and the caption says so
+HAZE = 0.4  # share of white in the colour of the furthest marbles
+WALLS, LINE = ("#f4f5f7", "#f8f9fa", "#e9ebef"), "#4a5260"
+SQUARE = np.array([(0, 0), (0, 1), (1, 1), (1, 0)])
+# what --color offers: the values, their label, the colour map, and the percentile of the values that gets its last colour
+COLORS: dict[str, tuple[Callable[[Frame], np.ndarray], str, str, float]] = {
+    "speed": (lambda frame: frame.speed, "speed", "plasma", 99.5),
+    "energy": (lambda frame: 0.5 * frame.fields["mass"] * frame.speed**2, "kinetic energy of a marble", "viridis", 99.5),
+    "mass": (lambda frame: frame.fields["mass"], "mass", "cividis", 100),
+    "id": (lambda frame: frame.id.astype(float), "id", "rainbow", 100),
+    "radius": (lambda frame: frame.radius, "radius", "cividis", 100),
+}
+
+
+def add_picture_options(parser: ArgumentParser) -> None:
+    parser.add_argument("--color", choices=COLORS, default="speed", help="what the colour tells (default: speed)")
+    parser.add_argument("--view", type=float, nargs=2, default=(-60, 20), metavar=("AZIMUTH", "ELEVATION"),
+                        help="where the viewer stands, in degrees, for runs in space (default: -60 20)")  # fmt: skip
+
+
+class Camera:
+    """Maps positions to the picture: (u, v) in data units at the centre of the box, distance from the eye, magnification."""
+
+    def __init__(self, lower: np.ndarray, upper: np.ndarray, planar: bool, azimuth: float, elevation: float) -> None:
+        a, e = np.radians([azimuth, elevation])
+        right = np.array([-np.sin(a), np.cos(a), 0])
+        to_eye = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+        self.planar = planar
+        self.axes = np.eye(3) if planar else np.array([right, np.cross(to_eye, right), to_eye])
+        self.center = np.zeros(3) if planar else (lower + upper) / 2
+        self.distance = 2.2 * float(np.linalg.norm(upper - lower))
+        self.eye = self.center + self.distance * self.axes[2]
+
+    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        turned = (points - self.center) @ self.axes.T
+        depth = self.distance - turned[:, 2]
+        magnify = np.ones(len(points)) if self.planar else self.distance / np.where(depth > 0, depth, np.nan)
+        return turned[:, :2] * magnify[:, None], depth, magnify
+
+
+class Picture:
+    """One figure of a run: box, walls, colour bar. `draw(frame)` paints the marbles; view and colours stay the same."""
+
+    def __init__(self, run: Path, frames: Iterable[Frame], color: str, view: tuple[float, float], dpi: int) -> None:
+        """`frames` are all that will be drawn: they set the range of the colours, and of space where the scene has no box."""
+        self.title, scene = title_of(run), read_run_json(run).get("scene", {})
+        self.value, self.label, self.colormap, self.top = COLORS[color]
+        self.survey(frames)
+        box = scene.get("box")
+        if box:
+            self.lower, self.upper = in_space(box["lower"]), in_space(box["upper"])
+        if self.planar:
+            self.lower[2] = self.upper[2] = 0
+        self.camera = Camera(self.lower, self.upper, self.planar, *view)
+        self.make_figure(dpi)
+        self.draw_box(box)
+        for plane in scene.get("effects", {}).get("walls", {}).get("planes") or ():
+            self.draw_plane(in_space(plane["point"]), in_space(plane["normal"]))
+
+    def survey(self, frames: Iterable[Frame]) -> None:
+        """Find the range of values, the extent of space and the largest radius over the frames."""
+        self.planar, self.largest = True, 0.0
+        ranges = []
+        self.lower, self.upper = np.full(3, np.inf), np.full(3, -np.inf)
+        for frame in frames:
+            try:
+                values = self.value(frame)
+            except KeyError as name:
+                stop(f"the trajectory has no {name}")
+            position = in_space(frame.position)
+            good = np.isfinite(position).all(axis=1)
+            if good.any():
+                radius, position = frame.radius[good, None], position[good]
+                self.planar &= not position[:, 2].any()
+                self.largest = max(self.largest, radius.max())
+                self.lower = np.minimum(self.lower, (position - radius).min(axis=0))
+                self.upper = np.maximum(self.upper, (position + radius).max(axis=0))
+            values = values[np.isfinite(values)]
+            if len(values):
+                ranges.append((values.min(), np.percentile(values, self.top, method="higher"), values.max()))
+        if not np.any(self.upper > self.lower):  # a single point, or no particle at all
+            self.lower, self.upper = np.full(3, -1.0), np.ones(3)
+        low, high, highest = np.array(ranges or [(0, 1, 1)]).T
+        self.colors = ScalarMappable(Normalize(low.min(), high.max()), self.colormap)
+        self.extend = "max" if highest.max() > high.max() else "neither"
+
+    def make_figure(self, dpi: int) -> None:
+        """A figure as large as the box asks for, with places for the colour bar and the caption."""
+        corners = self.camera.project(np.array(list(product(*zip(self.lower, self.upper, strict=True)))))[0]
+        span = np.ptp(corners, axis=0)
+        room = max(self.largest, 0.02 * span.max()) if self.planar else 0.055 * span.max()
+        (left, bottom), (right, top) = corners.min(axis=0) - room, corners.max(axis=0) + room
+        aspect = (top - bottom) / (right - left)
+        wide = max(4.5, min(8, 7 / aspect))
+        high, (margin, foot) = min(7, wide * aspect), (0.7, 0.9) if self.planar else (0.05, 0.4)
+        self.figure = plt.figure(figsize=(wide + margin + 1.2, high + foot + 0.5), dpi=dpi)
+        width, height = self.figure.get_size_inches()
+        self.axes = self.figure.add_axes((margin / width, foot / height, wide / width, high / height))
+        self.axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", anchor="C")
+        self.axes.apply_aspect()
+        place = self.axes.get_position()
+        bar = self.figure.add_axes((place.x1 + 0.2 / width, place.y0 + 0.1 * place.height, 0.18 / width, 0.8 * place.height))
+        self.figure.colorbar(self.colors, cax=bar, label=self.label, extend=self.extend).outline.set_visible(False)
+        middle = (place.x0 + place.x1) / 2
+        self.heading = self.figure.text(middle, place.y1 + 0.12 / height, "", ha="center", va="bottom", fontsize=13)
+        self.caption = self.figure.text(middle, 0.15 / height, "", ha="center", fontsize=9, color=LINE)
+        self.marbles = self.axes.imshow(np.zeros((1, 1, 4)), extent=(left, right, bottom, top), origin="lower", zorder=3)
+
+    def draw_box(self, box: dict[str, Any] | None) -> None:
+        """Outline of the box (periodic faces dashed, walls behind the marbles filled); dotted, it is only the marbles' extent."""
+        periodic = np.resize(box.get("periodic") or False, 3) if box else np.ones(3, bool)
+        faces = np.array([self.lower, self.upper])
+        front = (self.camera.eye > self.camera.center).astype(int)  # for each axis the side of the box that faces the viewer
+        real = [0, 1] if self.planar else [0, 1, 2]
+        for axis in real:
+            others = [k for k in real if k != axis]
+            for sides in product((0, 1), repeat=len(others)):
+                edge = faces.copy()
+                edge[:, others] = faces[sides, others]
+                near = not self.planar and bool(np.all(sides == front[others]))
+                style = ":" if not box else "--" if periodic[others].all() else "-"
+                self.axes.plot(*self.project(edge).T, color=LINE, lw=0.8, ls=style, zorder=4 if near else 2)
+        for axis in [2] if self.planar else np.flatnonzero(~periodic):
+            sides = np.insert(SQUARE, axis, 1 - front[axis], axis=1)
+            self.axes.fill(*self.project(faces[sides, range(3)]).T, color=WALLS[axis], zorder=0)
+        if self.planar:
+            self.axes.set(xlabel="x", ylabel="y")
+            self.axes.tick_params(length=0)
+            self.axes.spines[:].set_visible(False)
+        else:
+            self.axes.set_axis_off()
+            verticals = [(s, t, 0) for s, t in product((0, 1), repeat=2)]
+            leftmost = min(verticals, key=lambda sides: self.project(faces[[sides], range(3)])[0, 0])
+            for axis, sides in enumerate([(0, front[1], 0), (front[0], 0, 0), leftmost]):
+                self.label_edge(faces, axis, sides)
+
+    def label_edge(self, faces: np.ndarray, axis: int, sides: tuple[int, ...]) -> None:
+        """Write the name of the axis and the coordinates of its ends outside one edge of the box."""
+        edge = faces[sides, range(3)] * np.ones((2, 1))
+        edge[:, axis] = faces[:, axis]
+        start, end = ends = self.project(edge)
+        out = np.array([start[1] - end[1], end[0] - start[0]])
+        out *= 0.04 * np.ptp(self.axes.get_xlim()) / max(np.linalg.norm(out), 1e-300)
+        out *= np.sign(out @ (ends.mean(axis=0) - self.project(self.camera.center[None])[0])) or 1
+        first, last = (f"{number:.4g}" for number in faces[:, axis])
+        for place, text, size in [(start, first, 9), (ends.mean(axis=0), "xyz"[axis], 12), (end, last, 9)]:
+            self.axes.text(*(place + out), text, ha="center", va="center", color=LINE, fontsize=size)
+
+    def draw_plane(self, point: np.ndarray, normal: np.ndarray) -> None:
+        """A wall that is no face of the box: its section with the box, in grey; before the marbles if the viewer is behind it."""
+        corners = np.array(list(product(*zip(self.lower, self.upper, strict=True))))
+        height = (corners - point) @ normal / np.linalg.norm(normal)
+        if np.all(height > -1e-9 * self.camera.distance):  # a face of the box, or outside it
+            return
+        cuts = [a + (b - a) * s / (s - t) for (a, s), (b, t) in combinations(zip(corners, height, strict=True), 2)
+                if np.count_nonzero(a != b) == 1 and s * t <= 0 and s != t]  # fmt: skip
+        if not cuts:
+            return
+        cut = self.project(np.array(cuts))
+        around = cut - cut.mean(axis=0)
+        cut = cut[np.argsort(np.arctan2(around[:, 1], around[:, 0]))]
+        before = (self.camera.eye - point) @ normal < 0 and not self.planar
+        self.axes.fill(*cut.T, facecolor="#9aa3b080", edgecolor=LINE, lw=1.2, zorder=4 if before else 2)
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        return self.camera.project(points)[0]
+
+    def draw(self, frame: Frame) -> None:
+        """Paint the marbles of a frame; those outside the picture, or at no number, are counted in the caption."""
+        place = self.axes.get_window_extent()
+        width, height = round(place.width), round(place.height)
+        left, right, bottom, _ = self.marbles.get_extent()
+        pixel = (right - left) / width
+        uv, depth, magnify = self.camera.project(in_space(frame.position))
+        center, radius = (uv - [left, bottom]) / pixel, frame.radius * magnify / pixel
+        seen = np.all((center > -radius[:, None]) & (center < [width, height] + radius[:, None]), axis=1)
+        small = int(np.count_nonzero(radius[seen] < SMALLEST))
+        rgb = self.colors.to_rgba(self.value(frame))[:, :3]
+        if not self.planar:
+            half = np.linalg.norm(self.upper - self.lower) / 2
+            far = np.clip((depth - self.camera.distance + half) / (2 * half), 0, 1)[:, None]
+            rgb = rgb + (1 - rgb) * HAZE * far
+        self.marbles.set_data(paint_spheres(center[seen], np.maximum(radius, SMALLEST)[seen], depth[seen], frame.radius[seen],
+                                            rgb[seen], frame.fixed[seen], width, height))  # fmt: skip
+        self.heading.set_text(f"{self.title} · t = {frame.time:.6g} · frame {frame.index}")
+        missing, fixed = len(seen) - int(seen.sum()), int(frame.fixed.sum())
+        notes = [f"{spaced(len(seen))} marbles", "true radii"]
+        notes += [f"but {spaced(small)} drawn with the smallest visible one, {SMALLEST} pixel"] if small else []
+        notes += [f"{fixed} fixed (dark rim)"] if fixed else []
+        notes += [f"{missing} not in the picture"] if missing else []
+        self.caption.set_text(" · ".join(notes))
+
+
+def in_space(values: ArrayLike) -> np.ndarray:
+    """Vectors of any dimension as (x, y, z): missing coordinates are 0, those past the third are left out."""
+    vectors = np.asarray(values, dtype=float)[..., :3]
+    return np.concatenate([vectors, np.zeros((*vectors.shape[:-1], 3 - vectors.shape[-1]))], axis=-1)

@@ -1,0 +1,91 @@
+"""Plot the sums of a run against time: energy, momentum, events per unit time (collisions, wall hits, missed), largest speed.
+
+The heading of the energy panel says how far the total energy has moved from its first value: a run without losses should
+keep it; with friction, drag or inelastic collisions it must fall. Steady momentum is the same check for the forces.
+
+example:
+    python python_viz/plot_diagnostics.py out/marbles
+draws out/marbles/diagnostics.csv into out/marbles/plots/diagnostics.png
+"""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+from run_files import DEFAULT_RUN, finish, new_parser, parse, read_diagnostics, save_path, spaced, title_of
+
+BINS = 200  # longer runs have their counts summed to about this many intervals, or the rates would be a black band
+RATES = {"collisions": "#5b3f8c", "wall_hits": "#3a9d6e", "missed": "#e08e1b"}
+
+
+def plot_energy(axes: Axes, rows: dict[str, np.ndarray]) -> None:
+    """Kinetic, potential and total energy; the change of the total, relative to the largest energy there was."""
+    axes.plot(rows["time"], rows["kinetic"], color="#d1495b", label="kinetic")
+    axes.plot(rows["time"], rows["potential"], color="#2e86ab", label="potential")
+    axes.plot(rows["time"], rows["total_energy"], color="#222222", ls="--", label="total")
+    total = rows["total_energy"]
+    scale = max(np.abs(rows[name]).max() for name in ("kinetic", "potential", "total_energy")) or 1
+    axes.set_title(f"energy   (total changed by {(total[-1] - total[0]) / scale:+.2g} of the largest energy)", loc="left")
+    at_least(axes, 1e-9 * scale)
+
+
+def plot_momentum(axes: Axes, rows: dict[str, np.ndarray]) -> None:
+    """Every component of the total momentum."""
+    names = [name for name in rows if name.startswith("momentum_")]
+    for name in names:
+        axes.plot(rows["time"], rows[name], label=name.removeprefix("momentum_"))
+    axes.set_title("momentum", loc="left")
+
+
+def plot_rates(axes: Axes, rows: dict[str, np.ndarray]) -> None:
+    """Events per unit time: the counts since the previous row over the time since then."""
+    group = 1 + len(rows["time"]) // BINS
+    edges = rows["time"][::group]
+    if len(edges) < 2:
+        axes.text(0.5, 0.5, "needs two rows", ha="center", transform=axes.transAxes)
+    else:
+        starts = np.arange(1, len(edges) * group - group + 1, group)
+        for name, color in RATES.items():
+            counts = np.add.reduceat(rows[name][: starts[-1] + group], starts)
+            label = f"{name.replace('_', ' ')} ({spaced(rows[name].sum())})"
+            axes.stairs(counts / np.diff(edges), edges, baseline=None, color=color, label=label, lw=1.4)
+    axes.set_title("events per unit time (in all)", loc="left")
+    axes.set_ylim(bottom=0)
+
+
+def plot_speed(axes: Axes, rows: dict[str, np.ndarray]) -> None:
+    """The speed of the fastest particle."""
+    axes.plot(rows["time"], rows["max_speed"], color="#d1495b")
+    axes.set_title("speed of the fastest particle", loc="left")
+    axes.set_ylim(bottom=0)
+
+
+def at_least(axes: Axes, span: float) -> None:
+    """Widen the y range to `span`, so that round-off in a constant is not blown up to the full height."""
+    low, high = axes.get_ylim()
+    grow = max(0.0, (span - (high - low)) / 2)
+    axes.set_ylim(low - grow, high + grow)
+
+
+def main() -> None:
+    parser = new_parser(__doc__)
+    parser.add_argument("run", nargs="?", type=Path, default=DEFAULT_RUN, metavar="RUN_DIR", help=f"default: {DEFAULT_RUN}")
+    options = parse(parser)
+    rows = read_diagnostics(options.run)
+    figure, panels = plt.subplots(2, 2, figsize=(12, 7.5), sharex=True, dpi=130, layout="constrained")
+    for axes, draw in zip(panels.flat, (plot_energy, plot_momentum, plot_rates, plot_speed), strict=True):
+        draw(axes, rows)
+        axes.grid(color="#e3e6ea", lw=0.7)
+        axes.set_axisbelow(True)
+        axes.spines[["top", "right"]].set_visible(False)
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(frameon=False)
+    for axes in panels[-1]:
+        axes.set_xlabel("time")
+    figure.suptitle(f"{title_of(options.run)} · {spaced(rows['particles'][-1])} particles", fontsize=14)
+    finish(figure, save_path(options.save, options.run, "diagnostics.png"), options.show)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,30 @@
+"""Draw the marbles of one frame as lit spheres with their true radii, in their box.
+
+Space is drawn in perspective, a planar run (all z = 0) from above. Fixed particles have a dark rim, walls that are not faces
+of the box are grey planes, periodic faces have dashed edges. Marbles smaller than a pixel are enlarged; the caption says so.
+
+example:
+    python python_viz/plot_frame.py out/marbles --frame -1 --color speed
+draws the last frame into out/marbles/plots/frame_000005.png (if 5 is the last)
+"""
+
+from pathlib import Path
+
+from picture import Picture, add_picture_options
+from run_files import DEFAULT_RUN, Trajectory, finish, new_parser, parse, save_path
+
+
+def main() -> None:
+    parser = new_parser(__doc__)
+    parser.add_argument("run", nargs="?", type=Path, default=DEFAULT_RUN, metavar="RUN_DIR", help=f"default: {DEFAULT_RUN}")
+    parser.add_argument("--frame", type=int, default=-1, help="number of the frame; -1 is the last (default)")
+    add_picture_options(parser)
+    options = parse(parser)
+    frame = Trajectory(options.run)[options.frame]
+    picture = Picture(options.run, [frame], options.color, options.view, dpi=150)
+    picture.draw(frame)
+    finish(picture.figure, save_path(options.save, options.run, f"frame_{frame.index:06d}.png"), options.show)
+
+
+if __name__ == "__main__":
+    main()
