@@ -24,7 +24,7 @@ import json, sys
 import numpy as np
 from mpi4py import MPI
 comm = MPI.COMM_WORLD
-found = {"size": comm.size, "library": MPI.Get_library_version().split("\\n")[0].split(",")[0].strip("\\0 ")}
+found = {"size": comm.size, "library": " ".join(MPI.Get_library_version().strip("\\0").split("\\n")[0].split(",")[0].split())}
 large = np.full(1 << 17, comm.rank + 1.0)
 comm.Allreduce(MPI.IN_PLACE, large)
 found["sum_right"] = bool((large == comm.size * (comm.size + 1) / 2).all())
@@ -146,7 +146,9 @@ def _ranks_seen(world: int) -> Row:
     started = max(started_ranks(), world)
     if world == started:
         return Row("ranks", f"{world} started, {world} see each other (this very run)")
-    return Row("ranks", f"{started} started, but each is alone", False, "this mpirun is of another MPI than mpi4py's: see launcher")
+    return Row(
+        "ranks", f"{started} started, but each is alone", False, "this mpirun is of another MPI than mpi4py's: see launcher"
+    )
 
 
 def _ranks_tried(pair: dict[str, Any] | None) -> Row:
@@ -157,11 +159,15 @@ def _ranks_tried(pair: dict[str, Any] | None) -> Row:
     if pair["size"] != 2:
         return Row("2-rank check", f"2 started, a world of {pair['size']}", False, "launcher and mpi4py are of different MPIs")
     if not pair["sum_right"]:
-        return Row("2-rank check", "a wrong sum over the ranks", False, "this MPI is broken: PARTICLES_MPI_SETUP=pip ./run.sh setup")
+        return Row(
+            "2-rank check", "a wrong sum over the ranks", False, "this MPI is broken: PARTICLES_MPI_SETUP=pip ./run.sh setup"
+        )
     if "hdf5_error" in pair or pair.get("written") is False:
         said = pair.get("hdf5_error", "wrong rows")
         return Row("2-rank check", f"HDF5: {said}", False, "remove .venv and ./run.sh setup")
-    return Row("2-rank check", "2 ranks see each other, sums right" + (", collective HDF5 write right" if "written" in pair else ""))
+    return Row(
+        "2-rank check", "2 ranks see each other, sums right" + (", collective HDF5 write right" if "written" in pair else "")
+    )
 
 
 def _hdf5(alone: dict[str, Any]) -> Row:
@@ -188,7 +194,9 @@ def _kernels(package: Path) -> Row:
     home = folder if folder.exists() else Path.home()
     if os.access(home, os.W_OK) or os.access(Path.home(), os.W_OK):
         return Row("kernel cache", "empty: the first run compiles (python -m particles_mpi.warmup does it now)")
-    return Row("kernel cache", f"{folder} cannot be written", False, "every run will compile: set NUMBA_CACHE_DIR to a folder of yours")
+    return Row(
+        "kernel cache", f"{folder} cannot be written", False, "every run will compile: set NUMBA_CACHE_DIR to a folder of yours"
+    )
 
 
 def main(rank: int = 0, size: int = 1) -> int:

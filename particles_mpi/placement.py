@@ -13,7 +13,7 @@ from particles_mpi.particles import Array
 
 LEVELS = 10  # classes of radius, each half as large as the one before, with a cell grid each
 MOST_TRIES = 100_000  # in a row for one sphere: at packing 0.30 in 3D about 1 try in 1000 succeeds
-JAMMED = {1: 0.7476, 2: 0.547, 3: 0.384}  # the packing at which random addition of equal spheres stops, exactly known
+JAMMED = {1: 0.7476, 2: 0.547, 3: 0.384}  # packing at which random addition of equal spheres stops (literature)
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,8 @@ class RandomAddition:
         self.room, self.x, self.radius = room, x, radius
         self.axes = (0,) * x.shape[1]
         largest = radius.max(initial=0.0)
-        with np.errstate(divide="ignore"):
-            ratio = np.log2(largest / radius, out=np.full(len(radius), float(LEVELS)), where=radius > 0.0)
-        self.level = np.clip(ratio, 0, LEVELS - 1).astype(np.int64)
+        ratio = np.divide(largest, radius, out=np.full(len(radius), np.inf), where=radius > 0.0)
+        self.level = np.clip(np.log2(ratio), 0, LEVELS - 1).astype(np.int64)
         reach, cells = np.zeros(LEVELS), np.ones((LEVELS, 3), np.int64)
         for k in range(LEVELS):
             members = radius[self.level == k]
@@ -78,7 +77,7 @@ class RandomAddition:
         """Give `rows` their places, large ones first; returns (how many found one, tries)."""
         room, tries, placed, failures = self.room, 0, 0, 0
         order = rows[np.argsort(-self.radius[rows], kind="stable")]
-        budget = 20_000_000 + 200 * len(rows)
+        budget = 5_000_000 + 200 * len(rows)
         while placed < len(rows) and failures < MOST_TRIES and tries < budget:
             u = random.random((min(max(len(rows) - placed, 1000), 100_000), len(self.axes)))
             placed, failures = add_spheres(

@@ -10,7 +10,6 @@ import difflib
 import importlib
 import importlib.util
 import json
-import math
 import pkgutil
 import tomllib
 from pathlib import Path
@@ -34,7 +33,7 @@ class Model(BaseModel):
 
 
 def _number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 1e100
 
 
 def _numbers(value: Any) -> bool:
@@ -127,7 +126,9 @@ class Time(Model):
     @model_validator(mode="after")
     def _one_end(self) -> Time:
         if (self.end is None) == (self.steps is None):
-            raise ValueError("give one of time.end and time.steps")
+            raise ValueError("time.steps: give one of time.end and time.steps")
+        if self.end is not None and not self.end / self.step < 1e15:
+            raise ValueError(f"time.end: {self.end:g} is too many steps of {self.step:g}")
         return self
 
 
@@ -185,7 +186,7 @@ class Scene(Model):
     """
 
     title: str = ""
-    dimension: Annotated[int, Field(ge=1)]
+    dimension: Annotated[int, Field(ge=1, le=100)]
     seed: Annotated[int, Field(ge=0)] = 0
     G: Annotated[float, Field(ge=0.0)] = 6.6740831e-11
     box: Box | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,7 @@ class Simulation:
         self.timers = Timers()
         self.steps_done, self.h = 0, scene.time.step
         self.totals = dict.fromkeys(COUNTS, 0)
+        self.reported = [0] * len(COUNTS)  # sums over ranks at the last row of diagnostics
         self.calls: dict[str, int] = {}
         first, last = (len(everyone) * (ranks.rank + k) // ranks.size for k in (0, 1))
         self.particles = everyone.select(np.arange(first, last))
@@ -169,13 +171,14 @@ class Simulation:
         from particles_mpi.output.checkpoint import load
 
         arrays, state = load(Path(path))
-        scene = Scene.from_dict(state["scene"])
+        scene = Scene.from_dict(json.loads(state["scene"]))
         sim = cls.__new__(cls)
         sim.warnings = []
         sim._assemble(scene, Ranks(comm), Particles(scene.dimension, arrays))
         sim.steps_done = int(state["step"])
         if sim.ranks.is_root:  # counts are sums over ranks: one rank carries those from before
-            sim.totals.update(state["totals"])
+            sim.totals.update(json.loads(state["totals"]))
+        sim.reported = json.loads(state["reported"])
         return sim
 
     def __repr__(self) -> str:

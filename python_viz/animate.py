@@ -26,6 +26,7 @@ def main() -> None:
     if options.every < 1 or options.fps <= 0:
         stop("--every and --fps must be positive")
     matplotlib.use("Agg")
+    trajectory = Trajectory(options.run)
     path = save_path(options.save, options.run, "animation" + (".mp4" if FFMpegWriter.isAvailable() else ".gif"))
     writer: PillowWriter | FFMpegWriter
     if path.suffix == ".gif":
@@ -35,7 +36,6 @@ def main() -> None:
     else:
         stop(f"cannot write {path}: " + ("mp4 needs ffmpeg; save a .gif" if path.suffix == ".mp4" else "use .mp4 or .gif"))
 
-    trajectory = Trajectory(options.run)
     chosen = range(0, len(trajectory), options.every)
     picture = Picture(options.run, (trajectory[k] for k in chosen), options.color, options.view, dpi)
     try:
@@ -43,8 +43,8 @@ def main() -> None:
             for done, k in enumerate(chosen, 1):
                 picture.draw(trajectory[k])
                 writer.grab_frame()
-                print(f"\r{done} of {len(chosen)} frames", end="", file=sys.stderr, flush=True)
-        print(file=sys.stderr)
+                if sys.stderr.isatty():
+                    print(f"\r{done} of {len(chosen)} frames", end="", file=sys.stderr, flush=True)
     except OSError as error:
         stop(f"cannot write {path}: {error}")
     print(path)

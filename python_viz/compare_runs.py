@@ -30,7 +30,8 @@ def same_bits(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     if a.dtype != b.dtype or a.shape != b.shape or not a.size:
         return np.full(len(a), a.shape == b.shape)
     a, b = (np.ascontiguousarray(x).view(np.uint8).reshape(len(x), -1) for x in (a, b))
-    return (a == b).all(axis=1)
+    same: np.ndarray = (a == b).all(axis=1)
+    return same
 
 
 def compare(a: Frame, b: Frame, period: np.ndarray) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from run_files import Frame, read_run_json, spaced, stop, title_of
 from spheres import paint_spheres
 
-SMALLEST = 0.75  # pixels: smaller marbles are drawn with this radius, and the caption says so
+SMALLEST = 1.0  # pixels: smaller marbles are drawn with this radius, and the caption says so
 HAZE = 0.4  # share of white in the colour of the furthest marbles
 WALLS, LINE = ("#f4f5f7", "#f8f9fa", "#e9ebef"), "#4a5260"
 SQUARE = np.array([(0, 0), (0, 1), (1, 1), (1, 0)])
@@ -70,7 +70,8 @@ class Picture:
         self.camera = Camera(self.lower, self.upper, self.planar, *view)
         self.make_figure(dpi)
         self.draw_box(box)
-        for plane in scene.get("effects", {}).get("walls", {}).get("planes") or ():
+        walls = (scene.get("effects") or {}).get("walls") or {}
+        for plane in walls.get("planes") or ():
             self.draw_plane(in_space(plane["point"]), in_space(plane["normal"]))
 
     def survey(self, frames: Iterable[Frame]) -> None:
@@ -104,7 +105,8 @@ class Picture:
         """A figure as large as the box asks for, with places for the colour bar and the caption."""
         corners = self.camera.project(np.array(list(product(*zip(self.lower, self.upper, strict=True)))))[0]
         span = np.ptp(corners, axis=0)
-        room = max(self.largest, 0.02 * span.max()) if self.planar else 0.055 * span.max()
+        across, up = (0.02, 0.02) if self.planar else (0.08, 0.055)  # room for the labels of the edges
+        room = self.largest + np.array([across, up]) * span.max()
         (left, bottom), (right, top) = corners.min(axis=0) - room, corners.max(axis=0) + room
         aspect = (top - bottom) / (right - left)
         wide = max(4.5, min(8, 7 / aspect))
@@ -136,9 +138,9 @@ class Picture:
                 near = not self.planar and bool(np.all(sides == front[others]))
                 style = ":" if not box else "--" if periodic[others].all() else "-"
                 self.axes.plot(*self.project(edge).T, color=LINE, lw=0.8, ls=style, zorder=4 if near else 2)
-        for axis in [2] if self.planar else np.flatnonzero(~periodic):
-            sides = np.insert(SQUARE, axis, 1 - front[axis], axis=1)
-            self.axes.fill(*self.project(faces[sides, range(3)]).T, color=WALLS[axis], zorder=0)
+        for wall in [2] if self.planar else [axis for axis in real if not periodic[axis]]:
+            corners = np.insert(SQUARE, wall, 1 - front[wall], axis=1)
+            self.axes.fill(*self.project(faces[corners, range(3)]).T, color=WALLS[wall], zorder=0)
         if self.planar:
             self.axes.set(xlabel="x", ylabel="y")
             self.axes.tick_params(length=0)
@@ -156,11 +158,13 @@ class Picture:
         edge[:, axis] = faces[:, axis]
         start, end = ends = self.project(edge)
         out = np.array([start[1] - end[1], end[0] - start[0]])
-        out *= 0.04 * np.ptp(self.axes.get_xlim()) / max(np.linalg.norm(out), 1e-300)
+        out *= (self.largest + 0.035 * np.ptp(self.axes.get_xlim())) / max(np.linalg.norm(out), 1e-300)
         out *= np.sign(out @ (ends.mean(axis=0) - self.project(self.camera.center[None])[0])) or 1
-        first, last = (f"{number:.4g}" for number in faces[:, axis])
-        for place, text, size in [(start, first, 9), (ends.mean(axis=0), "xyz"[axis], 12), (end, last, 9)]:
-            self.axes.text(*(place + out), text, ha="center", va="center", color=LINE, fontsize=size)
+        first, last = (f"{number:.3g}" for number in faces[:, axis])
+        inset = 0 if axis == 2 else 0.04  # the numbers of x and y meet at one corner
+        for along, text, size in [(inset, first, 9), (0.5, "xyz"[axis], 12), (1 - inset, last, 9)]:
+            x, y = start + along * (end - start) + out
+            self.axes.text(x, y, text, ha="center", va="center", color=LINE, fontsize=size)
 
     def draw_plane(self, point: np.ndarray, normal: np.ndarray) -> None:
         """A wall that is no face of the box: its section with the box, in grey; before the marbles if the viewer is behind it."""
@@ -200,8 +204,8 @@ class Picture:
                                             rgb[seen], frame.fixed[seen], width, height))  # fmt: skip
         self.heading.set_text(f"{self.title} · t = {frame.time:.6g} · frame {frame.index}")
         missing, fixed = len(seen) - int(seen.sum()), int(frame.fixed.sum())
-        notes = [f"{spaced(len(seen))} marbles", "true radii"]
-        notes += [f"but {spaced(small)} drawn with the smallest visible one, {SMALLEST} pixel"] if small else []
+        notes = [f"{spaced(len(seen))} marble" + "s" * (len(seen) != 1), "true radii"]
+        notes += [f"{spaced(small)} of them too small to see, drawn with radius {SMALLEST:g} pixel"] if small else []
         notes += [f"{fixed} fixed (dark rim)"] if fixed else []
         notes += [f"{missing} not in the picture"] if missing else []
         self.caption.set_text(" · ".join(notes))

@@ -43,6 +43,8 @@ class Timing:
 
 
 def read_timing(run: Path) -> Timing:
+    if not (run / "run.json").is_file():
+        stop(f"no {run / 'run.json'}")
     info = read_run_json(run)
     try:
         timers = dict(info["timers"])

@@ -49,7 +49,8 @@ class Frame:
 
     @property
     def speed(self) -> np.ndarray:
-        return np.linalg.norm(self.fields["velocity"], axis=1)
+        speed: np.ndarray = np.linalg.norm(self.fields["velocity"], axis=1)
+        return speed
 
 
 class Trajectory:
@@ -76,13 +77,16 @@ class Trajectory:
         if not -len(self) <= k < len(self):
             stop(f"no frame {k}: the run has frames 0 to {len(self) - 1}")
         k %= len(self)
-        count = int(self.data["NumberOfPoints"][self.steps["PartOffsets"][k]])
-        first = int(self.steps["PointOffsets"][k])
-        position = self.data["Points"][first : first + count]
-        fields = {}
-        for name, values in self.data["PointData"].items():
-            first = int(self.steps["PointDataOffsets"][name][k])
-            fields[name] = values[first : first + count]
+        try:
+            count = int(self.data["NumberOfPoints"][self.steps["PartOffsets"][k]])
+            first = int(self.steps["PointOffsets"][k])
+            position = self.data["Points"][first : first + count]
+            fields = {}
+            for name, values in self.data["PointData"].items():
+                first = int(self.steps["PointDataOffsets"][name][k])
+                fields[name] = values[first : first + count]
+        except (OSError, KeyError) as error:
+            stop(f"cannot read frame {k} of {self.data.file.filename}: {error}")
         return Frame(k, float(self.times[k]), fields.pop("position", position), fields)
 
 
@@ -96,7 +100,10 @@ def read_diagnostics(run: Path) -> dict[str, np.ndarray]:
     whole = [row for row in rows if len(row) == len(header) and all(row)]
     if not whole:
         stop(f"no rows yet in {path}")
-    return dict(zip(header, np.array(whole, dtype=float).T, strict=True))
+    try:
+        return dict(zip(header, np.array(whole, dtype=float).T, strict=True))
+    except ValueError as error:
+        stop(f"cannot read {path}: {error}")
 
 
 def read_run_json(run: Path) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,10 +26,16 @@ def failing_together(ranks: Ranks, task: str) -> Iterator[None]:
     try:
         yield
     except (OSError, RuntimeError, ValueError, KeyError) as error:  # h5py raises all four for what is wrong with a file
-        failure = f"{task}: {error}" if ranks.size == 1 else f"{task}: rank {ranks.rank}: {error}"
+        failure = f"{task}: {_reason(error)}" + (f" (rank {ranks.rank})" if ranks.size > 1 else "")
     failures = [text for text in ranks.gathered(failure) if text]
     if failures:
         raise StoppedError(failures[0])
+
+
+def _reason(error: Exception) -> str:
+    """One line; HDF5 hides the one that says why ("No space left on device") in a paragraph of addresses."""
+    said = re.search(r"error message = '([^']+)'", str(error))
+    return said[1] if said else (str(error) or type(error).__name__).splitlines()[0]
 
 
 def frame_columns(name: str, dimension: int) -> dict[str, tuple[int, ...]]:

@@ -6,6 +6,7 @@ block of ids; otherwise rank 0 writes what is gathered to it. The file is the sa
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,9 @@ class Trajectory:
         self.parallel = ranks.size > 1 and bool(h5py.get_config().mpi)
         self.writers = ranks.size if self.parallel else 1
         self.file: Any = None
+        self.steps: dict[str, Any] = {}
+        self.columns: dict[str, Any] = {}
+        self.failed = False
         self.frames = 0
         with failing_together(ranks, f"cannot prepare {path}"):
             if ranks.is_root:  # layout is made, and cut, by one process: cheaper, and nothing collective can go wrong
@@ -78,15 +82,25 @@ class Trajectory:
         self.frames += 1
 
     def close(self) -> None:
-        """Close the file; the frames written are safe without it."""
-        if self.file is not None:
+        """Close the file; the frames written are safe without it, and after a failure it stays open until the process ends."""
+        if self.file is not None and not self.failed:
             self.file.close()
             self.file = None
 
     def _attempt(self, step: int, action: Callable[..., None], *arguments: Any) -> None:
-        with failing_together(self.ranks, f"cannot write {self.path} at step {step}"):
-            if self.file is not None:
-                action(*arguments)
+        try:
+            with failing_together(self.ranks, f"cannot write {self.path} at step {step}"):
+                if self.file is not None:
+                    action(*arguments)
+        except StoppedError:
+            self._abandon()
+            raise
+
+    def _abandon(self) -> None:
+        """HDF5 crashes when a file is closed that it cannot flush, be it by Python's last clean-up: never let go of it."""
+        self.failed = True
+        for kept in (self.file, self.steps, self.columns):
+            ctypes.pythonapi.Py_IncRef(ctypes.py_object(kept))
 
     def _flush(self) -> None:
         self.file.flush()

@@ -1,0 +1,149 @@
+"""The command line: run, check, doctor. Exit codes: 0 done, 2 bad scene or arguments, 3 stopped by the run, 130 interrupted."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from pathlib import Path
+from time import perf_counter
+from typing import Annotated, Any
+
+import typer
+from mpi4py import MPI
+from rich.console import Console
+
+from particles_mpi.errors import SceneError, StoppedError
+
+STARTED = perf_counter()
+app = typer.Typer(
+    name="particles-mpi",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+    help="""Moving, colliding particles in any dimension, on any number of MPI ranks: the same bits on all of them.
+
+    A first run:   [bold]mpirun -n 2 particles-mpi run particles_mpi/scenes/marbles.toml --output out/marbles[/bold]
+
+    A scene file says what there is (particles, box) and which effects act; an effect that it does not name does not run.
+    [bold]check[/bold] tells what a scene would do before it runs, and what is wrong with it, key by key.""",
+)
+
+SceneFile = Annotated[Path, typer.Argument(metavar="SCENE.toml", help="The scene: see particles_mpi/scenes/ for examples.")]
+
+
+def root() -> bool:
+    return MPI.COMM_WORLD.Get_rank() == 0
+
+
+@app.command()
+def run(
+    scene: SceneFile,
+    output: Annotated[Path | None, typer.Option(help="Folder for the results; out/<scene name> if not given.")] = None,
+    steps: Annotated[int | None, typer.Option(min=0, help="Stop after this many steps instead of at the scene's end.")] = None,
+    resume: Annotated[Path | None, typer.Option(help="Go on from this checkpoint.h5, on any number of ranks.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run that the folder holds.")] = False,
+    wall_time: Annotated[str | None, typer.Option(metavar="HH:MM:SS", help="Write a checkpoint and stop after this time.")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing but errors.")] = False,
+) -> None:
+    """Run a scene: frames for ParaView, diagnostics, checkpoints; then the phase table.
+
+    Example:   mpirun -n 2 particles-mpi run my.toml --output out/my --steps 100
+    """
+    from particles_mpi.job import Job
+    from particles_mpi.scene import Scene
+    from particles_mpi.simulation import Simulation
+
+    limit = seconds(wall_time) if wall_time else None
+    described = Scene.load(scene)
+    if resume:
+        sim = Simulation.resume(resume)
+        if sim.scene.to_dict()["particles"] != described.to_dict()["particles"]:
+            raise SceneError(f"--resume: {resume} is of another scene than {scene}")
+    else:
+        sim = Simulation(described)
+    folder = output or Path("out") / scene.stem
+    job = Job(
+        sim, folder, quiet=quiet, overwrite=overwrite, resumed=resume is not None, steps=steps, wall_time=limit, setup_began=STARTED
+    )
+    job.run()
+
+
+@app.command()
+def check(scene: SceneFile) -> None:
+    """Validate a scene and print its plan, without running it: 0 valid, 2 invalid (one line a fault).
+
+    Example:   particles-mpi check my.toml
+    """
+    from particles_mpi.output.console import Screen
+    from particles_mpi.plan import plan
+    from particles_mpi.populate import populate
+    from particles_mpi.scene import Scene
+
+    described = Scene.load(scene)
+    try:
+        particles, warnings = populate(described)
+    except SceneError as error:
+        raise SceneError([f"{scene}: {fault}" for fault in error.faults]) from None
+    Screen(root(), False).plan(described.title, plan(described, particles, MPI.COMM_WORLD.Get_size()), warnings)
+    if root():
+        print("valid")
+
+
+@app.command()
+def doctor() -> None:
+    """What is installed (MPI, parallel HDF5, versions), a 2-rank check, and what to do about what is not right."""
+    from particles_mpi import doctor as examined
+
+    comm = MPI.COMM_WORLD
+    raise SystemExit(examined.main(comm.Get_rank(), comm.Get_size()))
+
+
+def seconds(text: str) -> float:
+    """HH:MM:SS, MM:SS or SS."""
+    try:
+        parts = [float(p) for p in text.split(":")]
+        if not 1 <= len(parts) <= 3 or min(parts) < 0:
+            raise ValueError
+    except ValueError:
+        raise SceneError(f"--wall-time: {text!r} is not HH:MM:SS") from None
+    return sum(p * 60.0**k for k, p in enumerate(reversed(parts)))
+
+
+def main() -> None:
+    """Run the command; a fault that all ranks found ends them together, one that only this rank found ends all."""
+    from particles_mpi.job import Interrupted
+
+    try:
+        app(standalone_mode=False, prog_name="particles-mpi")
+        code: Any = 0
+    except (SceneError, StoppedError, Interrupted) as error:
+        code = error.exit_code
+        if root():
+            for line in str(error).splitlines():
+                Console(stderr=True, highlight=False, markup=False, soft_wrap=True).print(f"particles-mpi: {line}")
+    except typer.Exit as error:
+        code = error.exit_code
+    except KeyboardInterrupt:
+        code = 130
+    except SystemExit as error:
+        code = error.code or 0
+    except BaseException as error:
+        if hasattr(error, "format_message"):  # typer's own: wrong arguments
+            code = 2
+            if root():
+                print(f"particles-mpi: {error.format_message()}", file=sys.stderr)
+        else:
+            rank = MPI.COMM_WORLD.Get_rank()
+            print(f"particles-mpi: rank {rank}: unexpected {type(error).__name__}: {error}", file=sys.stderr)
+            traceback.print_exc()
+            sys.stderr.flush()
+            if MPI.COMM_WORLD.Get_size() > 1:
+                MPI.COMM_WORLD.Abort(3)
+            code = 3
+    sys.stdout.flush()
+    sys.exit(code)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,245 @@
+"""One run from plan to phase table: frames, diagnostics, checkpoints, signals, `run.json`."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shutil
+import signal
+from importlib.metadata import version
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from particles_mpi.diagnostics import columns
+from particles_mpi.errors import SceneError
+from particles_mpi.output import checkpoint, failing_together
+from particles_mpi.output.console import Screen
+from particles_mpi.output.diagnostics_csv import Diagnostics
+from particles_mpi.parallel.ranks import library
+from particles_mpi.particles import FIELDS, Array
+from particles_mpi.plan import plan
+from particles_mpi.simulation import COUNTS, Simulation
+
+OURS = ("trajectory.vtkhdf", "particles.pvd", "vtk", "checkpoint.h5", "diagnostics.csv", "run.json", "plots")
+LOOK_EVERY = 10  # steps between two looks whether a rank was told to stop
+LIBRARIES = ("numpy", "numba", "mpi4py", "h5py", "meshio", "particles-mpi")
+
+
+class Interrupted(Exception):  # noqa: N818  not an error: it ended as it was told to
+    """Stopped by a signal or the wall-time limit, after writing a checkpoint."""
+
+    exit_code = 130
+
+
+class Job:
+    """Runs a simulation into a folder. Collective throughout."""
+
+    def __init__(
+        self,
+        sim: Simulation,
+        folder: Path,
+        *,
+        quiet: bool = False,
+        overwrite: bool = False,
+        resumed: bool = False,
+        steps: int | None = None,
+        wall_time: float | None = None,
+        setup_began: float | None = None,
+    ):
+        self.sim, self.folder, self.resumed = sim, folder, resumed
+        self.scene, self.ranks = sim.scene, sim.ranks
+        self.last = self.scene.steps if steps is None else steps
+        self.wall_time, self.began = wall_time, perf_counter()
+        self.setup_began = self.began if setup_began is None else setup_began
+        self.told_to_stop = False
+        self.since = np.array(sim.reported, np.int64)
+        self.screen = Screen(self.ranks.is_root, quiet)
+        self.plan = plan(self.scene, sim.particles, self.ranks.size)
+        self._count_plan()
+        self._prepare(overwrite)
+        self._open()
+
+    def _count_plan(self) -> None:
+        """The plan was made from this rank's rows: make it the whole run's."""
+        rows = max(len(self.sim.particles), 1)
+        self.plan["particles"] = self.sim.total
+        self.plan["fixed"] = int(self.ranks.total(self.plan["fixed"])[0])
+        for key in ("memory_bytes", "output_bytes", "predicted_seconds"):
+            self.plan[key] = self.plan[key] * self.sim.total / rows
+
+    def _prepare(self, overwrite: bool) -> None:
+        """The output folder: ours to fill, or a refusal before anything is written."""
+        fault = None
+        if self.ranks.is_root:
+            held = [name for name in OURS if (self.folder / name).exists()]
+            if held and not overwrite and not self.resumed:
+                fault = f"--output: {self.folder} already holds a run ({', '.join(held)}); use --overwrite or --resume"
+        fault = self.ranks.from_root(fault)
+        if fault:
+            raise SceneError(fault)
+        with failing_together(self.ranks, f"cannot write into {self.folder}"):
+            if self.ranks.is_root:
+                self.folder.mkdir(parents=True, exist_ok=True)
+                for name in OURS if not self.resumed else ():
+                    path = self.folder / name
+                    shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+
+    def _open(self) -> None:
+        """The writers that the scene asks for."""
+        sim, d = self.sim, self.scene.dimension
+        step = sim.steps_done if self.resumed else None
+        self.writers: list[Any] = []
+        if "hdf5" in self.scene.output.formats:
+            from particles_mpi.output.trajectory import Trajectory
+
+            self.writers.append(Trajectory(self.folder / "trajectory.vtkhdf", self.ranks, list(self._frame()), d, sim.total, step))
+        if "vtk" in self.scene.output.formats:
+            from particles_mpi.output.vtk import VtkSeries
+
+            self.writers.append(VtkSeries(self.folder, self.ranks, d, sim.total, step))
+        self.diagnostics = Diagnostics(self.folder / "diagnostics.csv", self.ranks, columns(d), step)
+
+    def _frame(self) -> dict[str, Array]:
+        """The fields that a frame shows; `fixed` only where something is."""
+        arrays = self.sim.particles.arrays
+        return {n: a for n, a in arrays.items() if FIELDS[n].output and (n != "fixed" or self.plan["fixed"])}
+
+    def run(self) -> None:
+        """To the last step, or to a signal."""
+        sim, output = self.sim, self.scene.output
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: setattr(self, "told_to_stop", True))
+        self.screen.plan(self.scene.title, self.plan, sim.warnings)
+        setup = perf_counter() - self.setup_began
+        begin, done = perf_counter(), sim.steps_done
+        show = self.screen.start(done, self.last)
+        row: dict[str, Any] = {}
+        stopped = False
+        try:
+            if not self.resumed:
+                row = self.report()
+                self.write_frame()
+            while sim.steps_done < self.last and not stopped:
+                sim.step()
+                n, final = sim.steps_done, sim.steps_done == self.last
+                if n % output.diagnostics_every == 0 or final:
+                    row = self.report()
+                if n % output.every == 0:
+                    self.write_frame()
+                if n % output.checkpoint_every == 0 or final:
+                    self.save()
+                if n % LOOK_EVERY == 0:
+                    stopped = self.must_stop()
+                    show(n, row)
+            if stopped:
+                self.save()
+            show(sim.steps_done, row)
+        finally:
+            self.screen.stop()
+            self.close()
+        self.finish(setup, perf_counter() - begin, sim.steps_done - done)
+        if stopped:
+            raise Interrupted(f"stopped at step {sim.steps_done} of {self.last}; continue with --resume {self.folder / 'checkpoint.h5'}")
+
+    def must_stop(self) -> bool:
+        """Was any rank told to stop, or is the time up?"""
+        late = self.wall_time is not None and perf_counter() - self.began > self.wall_time
+        return bool(self.ranks.largest(float(self.told_to_stop or late))[0])
+
+    def report(self) -> dict[str, Any]:
+        """One row of diagnostics.csv: the state, and what happened since the row before."""
+        sim = self.sim
+        with sim.timers("diagnostics"):
+            state = sim.measure()
+            totals = self.ranks.total(np.array([sim.totals[name] for name in COUNTS]))
+            held = float(self.ranks.largest(float(len(sim.particles)))[0])
+            since = dict(zip(COUNTS, (totals - self.since).tolist(), strict=True))
+            imbalance = held * self.ranks.size / sim.total if sim.total else 1.0
+            self.since = totals
+            row = {"step": sim.steps_done, "time": sim.time, "particles": sim.total, **state, **since, "imbalance": imbalance}
+            self.diagnostics.write(row)
+        return {**row, "collisions_so_far": int(totals[0])}
+
+    def write_frame(self) -> None:
+        """One frame in every format."""
+        with self.sim.timers("output"):
+            frame = self._frame()
+            for writer in self.writers:
+                writer.write(self.sim.steps_done, self.sim.time, frame)
+
+    def save(self) -> None:
+        """The exact state; replaces the checkpoint before."""
+        sim = self.sim
+        with sim.timers("checkpoint"):
+            totals = self.ranks.total(np.array([sim.totals[name] for name in COUNTS])).tolist()
+            state = {
+                "step": sim.steps_done,
+                "time": sim.time,
+                "scene": self.scene.to_json(),
+                "totals": json.dumps(dict(zip(COUNTS, totals, strict=True))),
+                "reported": json.dumps(self.since.tolist()),
+            }
+            checkpoint.save(
+                self.folder / "checkpoint.h5", self.ranks, sim.particles.arrays, sim.total, self.scene.dimension, state
+            )
+
+    def close(self) -> None:
+        """Close every file."""
+        for writer in self.writers:
+            if hasattr(writer, "close"):
+                writer.close()
+        self.diagnostics.close()
+
+    def finish(self, setup: float, loop: float, steps: int) -> None:
+        """The phase table, run.json, and where to look next."""
+        sim = self.sim
+        seconds = {"setup": setup, "loop": loop, **sim.timers.seconds}
+        seconds["other"] = loop - sum(sim.timers.seconds.values())
+        everyone = self.ranks.gathered(seconds)
+        timers = {}
+        for name in sorted({n for s in everyone for n in s}, key=lambda n: (n not in ("setup", "loop"), n)):
+            values = [s.get(name, 0.0) for s in everyone]
+            timers[name] = {"min": min(values), "mean": sum(values) / len(values), "max": max(values)}
+        traffic = self.traffic()
+        self.screen.phases(timers, steps, sim.total)
+        with failing_together(self.ranks, f"cannot write {self.folder / 'run.json'}"):
+            if self.ranks.is_root:
+                self.write_json(timers, traffic)
+        f = self.folder
+        if "hdf5" in self.scene.output.formats:
+            self.screen.say(f"ParaView >= 5.13: {f}/trajectory.vtkhdf")
+        if "vtk" in self.scene.output.formats:
+            self.screen.say(f"VisIt, older ParaView: {f}/particles.pvd")
+        self.screen.say(f"plots: python python_viz/plot_frame.py {f}   (and plot_diagnostics.py, plot_phases.py, animate.py)")
+
+    def traffic(self) -> dict[str, int]:
+        """Sums over ranks of what was sent, and of what happened."""
+        sim, near = self.sim, self.sim.near
+        counted = {name: sim.totals[name] for name in COUNTS}
+        counted |= {"messages": self.ranks.messages, "ghost_rows": near.ghost_rows if near else 0}
+        totals = self.ranks.total(np.array(list(counted.values()), np.int64))
+        result = dict(zip(counted, totals.tolist(), strict=True))
+        return result | {"reductions": self.ranks.reductions, "pair_searches": near.searches if near else 0}
+
+    def write_json(self, timers: dict[str, Any], counts: dict[str, int]) -> None:
+        """run.json, replaced as a whole."""
+        sim = self.sim
+        for row in self.plan["effects"]:
+            row["calls"] = sim.calls.get(row["effect"], 0)
+        self.plan["not_run"] = [{"effect": name, "calls": sim.calls.get(name, 0)} for name in self.plan["not_run"]]
+        versions = {name: version(name) for name in LIBRARIES} | {"python": platform.python_version(), "mpi": library()}
+        text = {
+            "scene": self.scene.to_dict(),
+            "plan": self.plan,
+            "ranks": self.ranks.size,
+            "versions": versions,
+            "timers": timers,
+            "counts": {"steps": sim.steps_done, **counts},
+        }
+        part = self.folder / "run.json.tmp"
+        part.write_text(json.dumps(text, indent=2) + "\n")
+        os.replace(part, self.folder / "run.json")

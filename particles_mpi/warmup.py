@@ -1,0 +1,43 @@
+"""Compile the kernels once, so that a first run does not wait for it: `python -m particles_mpi.warmup`."""
+
+from __future__ import annotations
+
+from time import perf_counter
+
+from particles_mpi.scene import Scene
+from particles_mpi.simulation import Simulation
+
+
+def tiny(dimension: int, periodic: bool, effects: dict[str, object], integrator: str = "leapfrog") -> Scene:
+    """A few particles that meet one another, walls and periodic faces within two steps."""
+    d = dimension
+    acceleration = [0.0] * (d - 1) + [-1.0]
+    available = {"uniform_gravity": {"acceleration": acceleration}, "walls": {}, "collisions": {}}
+    return Scene(
+        dimension=d,
+        box={"lower": [0.0] * d, "upper": [4.0] * d, "periodic": periodic},
+        time={"step": 0.01, "steps": 2, "integrator": integrator},
+        particles=[{"count": 4, "position": "random", "velocity": {"speed": 10.0}, "radius": 0.2, "mass": 1.0}],
+        effects={name: keys or available[name] for name, keys in effects.items()},
+    )
+
+
+def main() -> None:
+    """Every kernel in one, two and three dimensions."""
+    begin = perf_counter()
+    for d in (1, 2, 3):
+        scenes = [
+            tiny(d, False, {"uniform_gravity": None, "walls": None, "collisions": None, "friction": {"strength": 0.1}}),
+            tiny(d, True, {"collisions": None, "drag": {"rate": 0.1}}),
+            tiny(d, False, {"uniform_gravity": None, "walls": None}),
+            tiny(d, False, {"uniform_gravity": None}),
+        ]
+        for scene in scenes:
+            sim = Simulation(scene)
+            sim.run()
+            sim.measure()
+    print(f"kernels compiled in {perf_counter() - begin:.0f} s")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,143 @@
+"""The program as users start it: files, exit codes, resume, plan."""
+
+import csv
+import json
+
+import h5py
+import numpy as np
+import pytest
+from conftest import run_ranks
+
+pytestmark = pytest.mark.parallel
+
+SCENE = """
+title = "test"
+dimension = 2
+seed = 5
+[box]
+lower = [0, 0]
+upper = [4, 4]
+[time]
+step = 0.01
+steps = 40
+[[particles]]
+count = 40
+position = "random"
+velocity = {speed = 2.0}
+radius = 0.1
+mass = {min = 0.1, max = 0.5}
+[effects.collisions]
+[effects.walls]
+restitution = 0.9
+[effects.uniform_gravity]
+acceleration = [0, -9.81]
+[output]
+every = 10
+checkpoint_every = 20
+diagnostics_every = 5
+"""
+
+
+def particles_mpi(ranks, *arguments):
+    return run_ranks(ranks, "-m", "particles_mpi", *arguments)
+
+
+def frames(folder):
+    with h5py.File(folder / "trajectory.vtkhdf") as file:
+        group = file["VTKHDF"]
+        return {n: group[n][:] for n in ("Points", "PointData/id", "PointData/velocity", "Steps/Values")}
+
+
+def rows(folder):
+    """diagnostics.csv without the columns that tell about ranks."""
+    table = list(csv.reader((folder / "diagnostics.csv").read_text().splitlines()))
+    kept = [k for k, name in enumerate(table[0]) if name not in ("exchanges", "imbalance")]
+    return [[row[k] for k in kept] for row in table]
+
+
+@pytest.fixture
+def scene(tmp_path):
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE)
+    return path
+
+
+def test_run_and_resume_give_the_same_bits_on_any_ranks(scene, tmp_path):
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    done = particles_mpi(1, "run", scene, "--output", whole)
+    assert done.returncode == 0, done.stderr
+    assert "does not run: drag, friction, user_acceleration" in done.stdout and "contact times" in done.stdout
+    assert "\x1b" not in done.stdout and "\r" not in done.stdout  # plain where nobody watches
+    assert particles_mpi(2, "run", scene, "--output", parts, "--steps", "20", "--quiet").stdout == ""
+    done = particles_mpi(3, "run", scene, "--output", parts, "--resume", parts / "checkpoint.h5", "--quiet")
+    assert done.returncode == 0, done.stderr
+    a, b = frames(whole), frames(parts)
+    assert len(a["Steps/Values"]) == 5
+    assert all(a[n].tobytes() == b[n].tobytes() for n in a)
+    assert rows(whole) == rows(parts) and len(rows(whole)) == 10
+    told = json.loads((whole / "run.json").read_text())
+    assert told["ranks"] == 1 and told["counts"]["messages"] == 0
+    assert {"min", "mean", "max"} == set(told["timers"]["loop"]) == set(told["timers"]["setup"])
+    assert [row["calls"] for row in told["plan"]["not_run"]] == [0, 0, 0]
+    assert all(row["calls"] > 0 for row in told["plan"]["effects"])
+
+
+def test_counts_add_up(scene, tmp_path):
+    particles_mpi(2, "run", scene, "--output", tmp_path / "o", "--quiet")
+    table = list(csv.DictReader((tmp_path / "o" / "diagnostics.csv").read_text().splitlines()))
+    told = json.loads((tmp_path / "o" / "run.json").read_text())["counts"]
+    for name in ("collisions", "wall_hits", "missed", "exchanges"):
+        assert sum(int(row[name]) for row in table) == told[name]
+    assert told["collisions"] > 0 and told["ghost_rows"] > 0
+
+
+def test_a_folder_that_holds_a_run_is_refused(scene, tmp_path):
+    out = tmp_path / "o"
+    assert particles_mpi(1, "run", scene, "--output", out, "--quiet").returncode == 0
+    before = (out / "run.json").read_bytes()
+    done = particles_mpi(2, "run", scene, "--output", out)
+    assert done.returncode == 2 and "--overwrite" in done.stderr and (out / "run.json").read_bytes() == before
+    assert particles_mpi(1, "run", scene, "--output", out, "--overwrite", "--quiet").returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("radius = 0.1", "raduis = 0.1", "particles[0].raduis: unknown key (did you mean 'radius'?)"),
+        ("radius = 0.1", "radius = -0.1", "particles[0].radius"),
+        ("min = 0.1, max = 0.5", "min = 0.0, max = 0.0", "particles[0].mass"),
+        ("step = 0.01", "step = 0.2", "time.step"),
+        ("count = 40", "count = 4000", "particles[0].position"),
+        ("[effects.collisions]", '[effects.collisions]\nmode = "event"', "not available"),
+        ("[effects.collisions]", "[effects.mutual_gravity]", "not available"),
+        ("steps = 40", 'steps = 40\nintegrator = "order4"', "not available"),
+        ("restitution = 0.9", "restitution = 0.9\ndamping = 0.1", "effects.walls.restitution"),
+        ("dimension = 2", "dimension = 3", "box.lower"),
+        ("steps = 40", "", "time.steps"),
+    ],
+)
+def test_faults_name_the_key_and_write_nothing(scene, tmp_path, old, new, says):
+    assert old in SCENE
+    scene.write_text(SCENE.replace(old, new))
+    for arguments in (["check", scene], ["run", scene, "--output", tmp_path / "o"]):
+        done = particles_mpi(2, *arguments)
+        assert done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr, done.stderr
+    assert not (tmp_path / "o").exists()
+
+
+def test_every_shipped_scene_is_valid():
+    from pathlib import Path
+
+    scenes = sorted((Path(__file__).parents[2] / "particles_mpi" / "scenes").glob("*.toml"))
+    assert len(scenes) >= 6
+    for path in scenes:
+        done = run_ranks(1, "-m", "particles_mpi", "check", path)
+        assert done.returncode == 0 and "valid" in done.stdout, done.stderr
+
+
+def test_interrupt_writes_a_checkpoint(scene, tmp_path):
+    scene.write_text(SCENE.replace("steps = 40", "steps = 100000000"))
+    done = particles_mpi(2, "run", scene, "--output", tmp_path / "o", "--wall-time", "00:00:02")
+    assert done.returncode == 130 and "--resume" in done.stderr
+    with h5py.File(tmp_path / "o" / "checkpoint.h5") as file:
+        assert np.isfinite(file["particles/position"][:]).all()

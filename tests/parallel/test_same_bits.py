@@ -1,0 +1,103 @@
+"""The same bits on any number of ranks: positions, velocities, diagnostics, counts; for every effect."""
+
+import json
+
+import numpy as np
+import pytest
+from conftest import run_ranks
+
+pytestmark = pytest.mark.parallel
+
+BOX3 = {"lower": [0, 0, 0], "upper": [4, 4, 4]}
+MIXED = {"radius": {"min": 0.05, "max": 0.15}, "mass": {"min": 0.1, "max": 0.5}, "velocity": {"speed": {"min": 0.1, "max": 3.0}}}
+GRAVITY = {"acceleration": [0, 0, -9.80665]}
+
+SCENES = {
+    "marbles": dict(
+        dimension=3,
+        box=BOX3,
+        time={"step": 0.01, "steps": 60},
+        particles=[{"count": 400, "position": "random", **MIXED}],
+        effects={"uniform_gravity": GRAVITY, "friction": {"strength": 0.01}, "collisions": {"damping": 0.01}, "walls": {"damping": 0.01}},
+    ),
+    "dense periodic gas": dict(
+        dimension=3,
+        box={"lower": [0, 0, 0], "upper": [9.6, 9.6, 9.6], "periodic": True},
+        time={"step": 0.03, "steps": 40},
+        particles=[{"count": 512, "position": "lattice", "velocity": {"temperature": 1.0}, "radius": 0.5}],
+        effects={"collisions": {"passes": 4}},
+    ),
+    "half periodic, drag, acceleration, fixed": dict(
+        dimension=2,
+        box={"lower": [0, 0], "upper": [10, 10], "periodic": [True, False]},
+        time={"step": 0.01, "steps": 80},
+        particles=[
+            {"position": [[3, 3], [7, 6], [5, 5]], "radius": 0.8, "fixed": True},
+            {"count": 60, "position": "random", "radius": 0.2, "velocity": {"speed": 2.0}, "drag": 0.3, "acceleration": [1, -2]},
+        ],
+        effects={"collisions": {"restitution": 0.8}, "walls": {"restitution": 0.5}, "drag": {}, "user_acceleration": {}},
+    ),
+    "oblique planes, open space": dict(
+        dimension=2,
+        time={"step": 0.01, "steps": 100},
+        particles=[{"position": [[0.5 * i, 2.0 + 0.5 * (i % 3)] for i in range(-10, 10)], "radius": 0.1, "velocity": {"speed": 1.0}}],
+        effects={
+            "uniform_gravity": {"acceleration": [0, -9.81]},
+            "collisions": {},
+            "walls": {"planes": [{"point": [0, 0], "normal": [1, 2]}, {"point": [0, 0], "normal": [-1, 2], "restitution": 0.5}]},
+        },
+    ),
+    "rack of touching discs": dict(
+        dimension=2,
+        time={"step": 0.002, "steps": 100},
+        particles=[
+            {"position": [[0.05 * 3**0.5 * r, 0.05 * (2 * c - r)] for r in range(5) for c in range(r + 1)], "radius": 0.05},
+            {"position": [[-1.0, 0.0]], "velocity": [8.0, 0.0], "radius": 0.05},
+        ],
+        effects={"collisions": {"restitution": 0.95}},
+    ),
+    "walls and gravity only": dict(
+        dimension=3,
+        box=BOX3,
+        time={"step": 0.01, "steps": 50},
+        particles=[{"count": 100, "position": "random", **MIXED}],
+        effects={"uniform_gravity": GRAVITY, "walls": {"restitution": 0.9}},
+    ),
+    "taylor": dict(
+        dimension=2,
+        box={"lower": [0, 0], "upper": [4, 4]},
+        time={"step": 0.01, "steps": 50, "integrator": "taylor"},
+        particles=[{"count": 50, "position": "random", "radius": 0.1, "velocity": {"speed": 1.0}}],
+        effects={"drag": {"rate": 0.2}, "uniform_gravity": {"acceleration": [0, -1]}, "collisions": {}, "walls": {}},
+    ),
+    "more ranks than particles": dict(
+        dimension=1,
+        time={"step": 0.05, "steps": 60},
+        particles=[{"position": [[0.0], [1.0], [2.0]], "velocity": [[1.0], [0.0], [-1.0]], "radius": 0.1}],
+        effects={"collisions": {}},
+    ),
+    "no particles": dict(
+        dimension=2, box={"lower": [0, 0], "upper": [4, 4]}, time={"step": 0.05, "steps": 3},
+        particles=[{"count": 0, "position": "random", "radius": 0.1}], effects={"collisions": {}, "walls": {}},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_same_bits(name, tmp_path):
+    results = {}
+    for ranks in (1, 2, 3, 4, 7, 8):
+        path = tmp_path / f"{ranks}.npz"
+        done = run_ranks(ranks, "tests/parallel/final_state.py", json.dumps(SCENES[name]), path)
+        assert done.returncode == 0, done.stderr[-2000:]
+        results[ranks] = dict(np.load(path))
+    one = results[1]
+    for ranks, result in results.items():
+        for key, value in one.items():
+            if key != "traffic":
+                assert value.tobytes() == result[key].tobytes(), f"{key} differs on {ranks} ranks"
+    if "collisions" in SCENES[name]["effects"] and len(one["id"]):
+        assert one["counts"][0] > 0
+        assert results[4]["traffic"][0] > 0  # it really was decomposed
+    if "collisions" not in SCENES[name]["effects"]:
+        assert not results[4]["traffic"].any()  # no pairs: no ghosts, no migration, no message

@@ -1,0 +1,282 @@
+"""Initial particles: places, velocities, and the faults of a start."""
+
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from particles_mpi.errors import SceneError
+from particles_mpi.populate import populate
+from particles_mpi.scene import Scene
+
+
+def scene(particles, d=2, upper=1.0, periodic=False, effects=None, step=1e-3, folder=None, **more):
+    given_tables = {
+        "dimension": d,
+        "seed": 5,
+        "box": {"lower": [0.0] * d, "upper": [upper] * d, "periodic": periodic},
+        "time": {"step": step, "steps": 1},
+        "particles": particles if isinstance(particles, list) else [particles],
+        "effects": {"collisions": {}} if effects is None else effects,
+        **more,
+    }
+    return Scene.from_dict(given_tables, folder) if folder else Scene.from_dict(given_tables)
+
+
+def start(*args, **kwargs):
+    return populate(scene(*args, **kwargs))
+
+
+def faults(*args, **kwargs):
+    with pytest.raises(SceneError) as caught:
+        start(*args, **kwargs)
+    return "\n".join(caught.value.faults)
+
+
+def deepest(particles, length=0.0):
+    """Deepest relative overlap by all pairs, without the program's own search."""
+    x, radius = particles.position, particles.radius
+    r = x[:, None] - x[None]
+    if length:
+        r -= length * np.rint(r / length)
+    sums = radius[:, None] + radius[None]
+    i, j = np.triu_indices(len(x), 1)
+    return (1.0 - np.sqrt((r**2).sum(axis=-1))[i, j] / sums[i, j]).max()
+
+
+# places
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(1, 5), st.booleans(), st.integers(0, 60), st.booleans(), st.sampled_from(["random", "lattice"]))
+def test_places_never_overlap_and_stay_inside(d, periodic, count, polydisperse, position):
+    radius = 0.18 * 0.2 ** (1 / d) * max(count, 8) ** (-1.0 / d)
+    big = {"min": 0.2 * radius, "max": 2.0 * radius} if polydisperse else radius
+    populations = [
+        {"count": count, "position": position, "radius": big},
+        {"position": [[0.5] * d], "radius": radius, "fixed": True}
+        if position == "random"
+        else {"count": 0, "position": "random"},
+    ]
+    particles, warnings = start(populations, d=d, periodic=periodic, effects={"collisions": {}, "walls": {}})
+    assert not warnings
+    assert np.array_equal(particles.id, np.arange(len(particles)))
+    if len(particles) > 1:
+        assert deepest(particles, 1.0 if periodic else 0.0) < 1e-12
+    margin = 0.0 if periodic else particles.radius[:, None] * (1 - 1e-9)
+    assert ((particles.position >= margin) & (particles.position <= 1 - margin)).all()
+
+
+def test_random_spheres_of_very_different_size_keep_clear():
+    populations = [
+        {"count": 300, "position": "random", "radius": {"min": 0.001, "max": 0.01}},
+        {"count": 3, "position": "random", "radius": 0.15},
+        {"position": [[0.1, 0.1], [0.95, 0.5]], "radius": 0.04},
+    ]
+    particles, _ = start(populations, periodic=True)
+    assert deepest(particles, 1.0) < 1e-12
+
+
+def test_random_points_are_uniform_and_may_coincide_only_without_collisions():
+    particles, _ = start({"count": 20000, "position": "random", "radius": 0.2}, effects={})
+    assert np.abs(particles.position.mean(axis=0) - 0.5).max() < 4 * np.sqrt(1 / 12 / 20000)
+    assert particles.position.min() < 0.01 and particles.position.max() > 0.99
+
+
+def test_random_stays_inside_oblique_walls():
+    walls = {"planes": [{"point": [0.5, 0.5], "normal": [-1, -1]}]}
+    particles, _ = start({"count": 50, "position": "random", "radius": 0.02}, effects={"collisions": {}, "walls": walls})
+    assert ((1.0 - particles.position.sum(axis=1)) / np.sqrt(2) >= 0.02 * (1 - 1e-9)).all()
+
+
+@pytest.mark.parametrize(("d", "packing"), [(2, 0.85), (3, 0.70)])
+@pytest.mark.parametrize("periodic", [True, False])
+def test_lattice_reaches_high_packing(d, packing, periodic):
+    count = {2: 900, 3: 4000}[d]
+    packing = packing if periodic else packing - 0.1
+    volume = {2: np.pi, 3: 4 * np.pi / 3}[d]
+    radius = (packing / count / volume) ** (1 / d)
+    particles, _ = start({"count": count, "position": "lattice", "radius": radius}, d=d, periodic=periodic)
+    assert len(particles) == count
+    assert deepest(particles, 1.0 if periodic else 0.0) < 1e-12
+
+
+@pytest.mark.parametrize("position", ["random", "lattice"])
+@pytest.mark.parametrize(("d", "radius"), [(1, 0.01), (2, 0.06), (3, 0.13), (3, 0.7), (5, 0.3)])
+def test_what_cannot_fit_is_told_quickly(position, d, radius):
+    begin = time.perf_counter()
+    told = faults({"count": 100, "position": position, "radius": radius}, d=d)
+    assert "particles[0].position" in told
+    assert time.perf_counter() - begin < 30.0
+
+
+def test_the_same_seed_gives_the_same_bits_and_streams_are_independent():
+    populations = [
+        {
+            "count": 50,
+            "position": "random",
+            "radius": 0.01,
+            "velocity": {"speed": {"min": 1, "max": 2}},
+            "mass": {"min": 1, "max": 2},
+        },
+        {"count": 50, "position": "random", "radius": 0.01, "velocity": {"temperature": 2.0}},
+    ]
+    a, b = start(populations)[0], start(populations)[0]
+    assert all(np.array_equal(a[name], b[name]) for name in a.arrays)
+    other = [{**populations[0], "mass": 1.0, "velocity": [0, 1]}, populations[1]]
+    c = start(other)[0]
+    assert np.array_equal(a.position, c.position) and np.array_equal(a.velocity[50:], c.velocity[50:])
+    assert not np.array_equal(a.velocity[:50], a.velocity[50:])
+
+
+def test_csv_with_and_without_header(tmp_path):
+    (tmp_path / "a.csv").write_text("x,y,note\n0.1,0.2,7\n0.5,0.6,8\n")
+    (tmp_path / "b.csv").write_text("1.0,2.0\n3.0,4.0\n")
+    population = {"position": {"file": "a.csv"}, "velocity": {"file": "b.csv"}, "radius": [0.01, 0.02]}
+    particles, _ = start(population, folder=tmp_path)
+    assert particles.position.tolist() == [[0.1, 0.2], [0.5, 0.6]]
+    assert particles.velocity.tolist() == [[1.0, 2.0], [3.0, 4.0]]
+
+
+@pytest.mark.parametrize("text", [None, "", "x,y\n", "0.1\n", "0.1,0.2\n0.3,oops\n", "0.1,nan\n", "0.1,0.2\n0.3\n", "\udcff,1\n"])
+def test_bad_csv_is_a_fault(tmp_path, text):
+    if text is not None:
+        (tmp_path / "a.csv").write_bytes(text.encode("utf-8", "surrogateescape"))
+    told = faults({"position": {"file": "a.csv"}}, folder=tmp_path)
+    assert told.startswith("particles[0].position: ") and "a.csv" in told
+
+
+# velocities, masses, fields
+
+
+def test_speed_is_exact_and_isotropic():
+    particles, _ = start({"count": 4000, "position": "random", "velocity": {"speed": 0.5}}, d=3, effects={})
+    speed = np.sqrt((particles.velocity**2).sum(axis=1))
+    assert np.allclose(speed, 0.5, rtol=1e-14)
+    second = (particles.velocity**2).mean(axis=0) / 0.25
+    assert np.allclose(second, 1 / 3, atol=4 * np.sqrt(4 / 45 / 4000))
+
+
+def test_temperature_is_exact_and_the_whole_at_rest():
+    population = {"count": 300, "position": "random", "velocity": {"temperature": 2.5}, "mass": {"min": 0.1, "max": 3}}
+    population["fixed"] = [k % 10 == 0 for k in range(300)]
+    particles, _ = start(population, d=3, effects={})
+    free = particles.fixed == 0
+    m, v = particles.mass[free], particles.velocity[free]
+    assert np.isclose((m[:, None] * v**2).sum(), 3 * free.sum() * 2.5, rtol=1e-13)
+    assert np.abs((m[:, None] * v).sum(axis=0)).max() < 1e-11
+    assert not particles.velocity[~free].any()
+
+
+def test_fields_are_those_the_effects_name():
+    plain, _ = start({"position": [[0.5, 0.5]]}, effects={})
+    assert list(plain.arrays) == ["id", "position", "velocity", "radius", "mass", "fixed"]
+    assert plain.mass[0] == 1.0
+    effects = {"drag": {"rate": 0.3}, "user_acceleration": {}}
+    more, _ = start(
+        [{"position": [[0.5, 0.5]], "acceleration": [1, 2]}, {"position": [[0.2, 0.5]], "drag": 0.7}], effects=effects
+    )
+    assert more.drag.tolist() == [0.3, 0.7]
+    assert more.acceleration.tolist() == [[1, 2], [0, 0]]
+    taylor, _ = start({"position": [[0.5, 0.5]]}, effects={}, time={"step": 0.1, "steps": 1, "integrator": "taylor"})
+    assert taylor.rate.shape == (1, 2) and not taylor.rate.any()
+
+
+@pytest.mark.parametrize(
+    ("population", "words"),
+    [
+        ({"position": [[0.5, 0.5]], "mass": -1.0}, "particles[0].mass: negative for particle 0"),
+        ({"position": [[0.5, 0.5]], "mass": 0.0}, "particles[0].mass: 0, but [effects.collisions]"),
+        ({"position": [[0.5, 0.5]], "radius": -1.0}, "particles[0].radius: negative"),
+        ({"position": [[0.5, 0.5]], "radius": [0.1, 0.1]}, "particles[0].radius: 2 entries, but position has 1"),
+        ({"position": [[0.5, 0.5]], "count": 2}, "particles[0].position: 1 entries, but count = 2"),
+        ({"position": [[0.5, 0.5]], "fixed": True, "velocity": [0, 1]}, "particles[0].velocity"),
+        ({"position": [[0.5, 0.5]], "fixed": True, "velocity": {"speed": 1}}, "particles[0].velocity"),
+        ({"count": 10**15, "position": "random"}, "particles[0].count"),
+        ({"position": [[0.5, 1.5]]}, "box: particle 0 outside"),
+        ({"position": [[0.5, 0.04]], "radius": 0.05}, "effects.walls.planes[2]: particle 0 not fully inside"),
+    ],
+)
+def test_faults_name_key_and_particle(population, words):
+    assert words in faults(population, effects={"collisions": {}, "walls": {}})
+
+
+def test_mass_zero_where_nothing_divides_by_it():
+    assert start({"position": [[0.5, 0.5]], "mass": 0.0}, effects={})[0].mass[0] == 0.0
+    assert start({"position": [[0.5, 0.5]], "mass": 0.0, "fixed": True})[0].mass[0] == 0.0
+    assert "effects.friction" in faults(
+        {"position": [[0.5, 0.5]], "mass": 0.0, "fixed": True}, effects={"friction": {"strength": 1.0}}
+    )
+
+
+# the start
+
+
+def test_long_lists_of_ids_are_cut_short():
+    told = faults({"count": 20, "position": "lattice", "radius": 0.01, "velocity": [50, 0]})
+    assert "time.step: particles 0, 1, 2, 3, 4 and 15 more cross more than their diameter" in told
+    assert "use a step <= 0.0004" in told
+
+
+def test_the_advised_step_is_accepted():
+    population = {"position": [[0.5, 0.5]], "radius": 0.0123, "velocity": [33.3, 1.7]}
+    advised = float(faults(population, step=0.1).rsplit(" ", 1)[1])
+    start(population, step=advised)
+
+
+def test_points_are_warned_of():
+    _, warnings = start({"position": [[0.5, 0.5]], "velocity": [1000, 0]})
+    assert "radius 0" in warnings[0]
+
+
+def test_overlap_names_the_pairs_and_touching_is_none():
+    touching = {"position": [[0.2, 0.5], [0.4, 0.5], [0.4, 0.7]], "radius": 0.1}
+    assert start(touching)[1] == []
+    told = faults({"position": [[0.2, 0.5], [0.9, 0.9], [0.39, 0.5]], "radius": 0.1})
+    assert told.startswith("effects.collisions: pair 0-2 overlaps")
+    across = {"position": [[0.05, 0.5], [0.95, 0.5]], "radius": 0.06}
+    assert "pair 0-1" in faults(across, periodic=True)
+    assert start(across)[1] == []
+    assert start({"position": [[0.2, 0.5], [0.3, 0.5]], "radius": 0.1, "fixed": True})[1] == []
+
+
+def test_periodic_box_must_be_long_enough():
+    assert "box: periodic axis 0" in faults({"position": [[0.5, 0.5]], "radius": 0.3}, periodic=[True, False])
+
+
+def test_allowed_overlap_is_pushed_apart_without_touching_velocities():
+    collisions = {"collisions": {"allow_overlap": True}, "walls": {}}
+    position = [[0.5, 0.5], [0.5, 0.5], [0.52, 0.5], [0.06, 0.06], [0.07, 0.05], [0.3, 0.3]]
+    population = {"position": position, "radius": 0.05, "velocity": [1, 2], "mass": [1, 2, 3, 4, 5, 6]}
+    particles, warnings = start(population, effects=collisions)
+    assert len(warnings) == 1 and "pairs 0-1, 0-2, 1-2 and 3-4 overlap" in warnings[0]
+    assert deepest(particles) <= 1e-12
+    assert (particles.velocity == [1, 2]).all()
+    assert (particles.position[5] == [0.3, 0.3]).all()
+    assert ((particles.position >= 0.05 * (1 - 1e-9)) & (particles.position <= 1 - 0.05 * (1 - 1e-9))).all()
+    again, _ = start(population, effects=collisions)
+    assert np.array_equal(again.position, particles.position)
+
+
+def test_fixed_spheres_are_not_pushed_and_lighter_ones_move_further():
+    collisions = {"collisions": {"allow_overlap": True}}
+    particles, _ = start({"position": [[0.5, 0.5], [0.55, 0.5]], "radius": 0.05, "fixed": [True, False]}, effects=collisions)
+    assert particles.position[0].tolist() == [0.5, 0.5] and np.isclose(particles.position[1, 0], 0.6)
+    particles, _ = start({"position": [[0.5, 0.5], [0.55, 0.5]], "radius": 0.05, "mass": [3, 1]}, effects=collisions)
+    assert np.isclose(0.5 - particles.position[0, 0], 0.0125) and np.isclose(particles.position[1, 0] - 0.55, 0.0375)
+
+
+def test_hopeless_overlap_is_a_warning_that_says_how_much_is_left():
+    population = {"count": 4, "position": [[0.5, 0.5]] * 4, "radius": 0.4}
+    _, warnings = start(population, effects={"collisions": {"allow_overlap": True}, "walls": {}})
+    assert "still overlap after 1000 sweeps" in warnings[-1]
+
+
+def test_a_million_random_spheres_take_seconds():
+    start({"count": 100, "position": "random", "radius": 0.001}, d=3)
+    begin = time.perf_counter()
+    particles, _ = start({"count": 1_000_000, "position": "random", "radius": 0.001}, d=3)
+    assert len(particles) == 1_000_000
+    assert time.perf_counter() - begin < 30.0

@@ -1,0 +1,194 @@
+"""Scene files: what is accepted, and that everything else is a SceneError that names the key."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from particles_mpi.errors import SceneError
+from particles_mpi.populate import populate
+from particles_mpi.scene import Scene
+
+SCENES = sorted((Path(__file__).parents[2] / "particles_mpi" / "scenes").glob("*.toml"))
+
+
+def tables(**changes):
+    """A small valid scene; a change to None removes the table."""
+    base = {
+        "dimension": 2,
+        "box": {"lower": [0, 0], "upper": [1, 1]},
+        "time": {"step": 0.01, "steps": 3},
+        "particles": [{"count": 3, "position": "random", "radius": 0.1, "velocity": {"speed": 0.5}}],
+        "effects": {"collisions": {}, "walls": {}},
+    }
+    base.update(changes)
+    return {key: value for key, value in base.items() if value is not None}
+
+
+def faults(given_tables):
+    with pytest.raises(SceneError) as caught:
+        populate(Scene.from_dict(given_tables))
+    assert all("\n" not in fault for fault in caught.value.faults)
+    return "\n".join(caught.value.faults)
+
+
+def test_there_are_scenes():
+    names = {path.stem for path in SCENES}
+    assert names >= {"marbles", "pool_break", "bounce", "gas_periodic", "billiard_3d_fixed", "headline", "pbphys_drag"}
+
+
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+def test_shipped_scene_starts_without_a_word(path):
+    particles, warnings = populate(Scene.load(path))
+    assert len(particles) and not warnings
+
+
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+def test_scene_survives_its_own_tables(path):
+    scene = Scene.load(path)
+    again = Scene.from_dict(scene.to_dict())
+    assert again.to_dict() == scene.to_dict()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"dimensions": 2}, ["dimensions", "did you mean 'dimension'"]),
+        ({"dimension": None}, ["dimension: missing"]),
+        ({"dimension": 0}, ["dimension"]),
+        ({"dimension": "2"}, ["dimension"]),
+        ({"dimension": 3}, ["box.lower", "box.upper"]),
+        ({"box": {"lower": [0, 1], "upper": [1, 1]}}, ["box.upper", "axis 1"]),
+        ({"box": {"lower": [0, 0], "upper": [1, 1], "periodic": [True]}}, ["box.periodic"]),
+        ({"box": None}, ["particles[0].position", "effects.walls.planes"]),
+        ({"time": {"step": 0.0, "steps": 1}}, ["time.step"]),
+        ({"time": {"step": float("nan"), "steps": 1}}, ["time.step"]),
+        ({"time": {"step": 0.1}}, ["time.end", "time.steps"]),
+        ({"time": {"step": 0.1, "end": 1.0, "steps": 1}}, ["time.end", "time.steps"]),
+        ({"effects": {"gravity": {}}}, ["effects.gravity", "unknown effect"]),
+        ({"effects": {"collisions": {"restitution": 2.0}}}, ["effects.collisions.restitution"]),
+        ({"effects": {"collisions": {"restitution": 0.5, "damping": 0.5}}}, ["effects.collisions.restitution", "not both"]),
+        ({"effects": {"collisions": {"passes": 0}}}, ["effects.collisions.passes"]),
+        ({"effects": {"uniform_gravity": {"acceleration": [1]}}}, ["effects.uniform_gravity.acceleration"]),
+        ({"effects": {"friction": {}}}, ["effects.friction.strength: missing"]),
+        ({"particles": [{"position": "random"}]}, ["particles[0].count"]),
+        ({"particles": [{"position": "somewhere", "count": 1}]}, ["particles[0].position"]),
+        ({"particles": [{"position": [[0.5]]}]}, ["particles[0].position[0]"]),
+        ({"particles": [{"position": [[0.5, 0.5]], "velocity": {"speed": -1}}]}, ["particles[0].velocity"]),
+        ({"particles": [{"position": [[0.5, 0.5]], "mass": {"min": 2, "max": 1}}]}, ["particles[0].mass"]),
+        ({"particles": [{"position": [[0.5, 0.5]], "drag": 1.0}]}, ["particles[0].drag", "effects.drag"]),
+        ({"particles": [{"position": [[0.5, 0.5]], "acceleration": [0, 1]}]}, ["particles[0].acceleration"]),
+        ({"output": {"every": 0}}, ["output.every"]),
+        ({"output": {"formats": ["png"]}}, ["output.formats"]),
+        ({"seed": -1}, ["seed"]),
+        ({"seed": 2**64}, ["seed"]),
+        ({"folder": "/tmp"}, ["folder"]),
+    ],
+)
+def test_a_fault_names_its_key(changes, words):
+    told = faults(tables(**changes))
+    assert all(word in told for word in words), told
+
+
+def test_faults_name_the_file(tmp_path):
+    for name, text in (("a.toml", "dimension = "), ("b.toml", "dimension = 2"), ("c.toml", "\udcff")):
+        (tmp_path / name).write_bytes(text.encode("utf-8", "surrogateescape"))
+        with pytest.raises(SceneError, match=name):
+            Scene.load(tmp_path / name)
+    with pytest.raises(SceneError, match="cannot be read"):
+        Scene.load(tmp_path / "none.toml")
+
+
+numbers = st.integers(-3, 5) | st.floats(width=32) | st.sampled_from([0.0, 1e-300, 1e300, 2**70])
+words = st.sampled_from(["random", "lattice", "rewind", "event", "taylor", "hdf5", "", "none.csv", "min", "x"]) | st.text(
+    max_size=3
+)
+values = st.recursive(
+    st.none() | st.booleans() | numbers | words,
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(st.sampled_from(["min", "max", "speed", "temperature", "file", "point", "normal"]), inner, max_size=2)
+    ),
+    max_leaves=6,
+)
+likely = {
+    "box": {"lower": [0, 0], "upper": [2, 3], "periodic": [True, False]},
+    "time": {"step": 0.01, "steps": 3},
+    "effects": {"collisions": {"allow_overlap": True}, "walls": {}, "drag": {}, "user_acceleration": {}},
+    "particles": [{"count": 3, "position": "random", "radius": 0.1}, {"count": 2, "position": "lattice", "radius": 0.2}],
+}
+
+
+def table(*keys):
+    return st.dictionaries(st.sampled_from(keys) | st.text(max_size=2), values, max_size=4)
+
+
+population = st.dictionaries(
+    st.sampled_from(["count", "position", "velocity", "radius", "mass", "fixed", "drag", "acceleration"]), values, max_size=5
+)
+effect = table("restitution", "damping", "rate", "strength", "acceleration", "mode", "passes", "planes", "allow_overlap")
+names = st.sampled_from(["collisions", "walls", "drag", "friction", "uniform_gravity", "user_acceleration", "mutual_gravity"])
+garbage = st.fixed_dictionaries(
+    {"dimension": st.just(2) | st.integers(-1, 4)},
+    optional={
+        "box": st.just(likely["box"]) | table("lower", "upper", "periodic") | values,
+        "time": st.just(likely["time"]) | table("step", "end", "steps", "integrator") | values,
+        "particles": st.just(likely["particles"]) | st.lists(population, max_size=3) | values,
+        "effects": st.just(likely["effects"]) | st.dictionaries(names, effect, max_size=3) | values,
+        "output": table("every", "formats") | values,
+        "seed": values,
+        "G": values,
+    },
+)
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
+@given(garbage)
+def test_garbage_is_a_scene_error_and_nothing_else(given_tables):
+    try:
+        populate(Scene.from_dict(given_tables))
+    except SceneError as error:
+        assert error.faults and all(fault.strip() for fault in error.faults)
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.data())
+def test_garbage_in_one_place_of_a_valid_scene(data):
+    """One key of an otherwise valid scene set to anything: this gets past validation far more often."""
+    given_tables = tomllib.loads(
+        """
+        dimension = 2
+        seed = 1
+        [box]
+        lower = [0, 0]
+        upper = [2, 3]
+        periodic = [true, false]
+        [time]
+        step = 0.01
+        steps = 3
+        [[particles]]
+        count = 4
+        position = "random"
+        velocity = {temperature = 1.0}
+        radius = 0.1
+        mass = 1.0
+        drag = 0.1
+        acceleration = [0, 1]
+        fixed = false
+        [effects.collisions]
+        allow_overlap = true
+        [effects.walls]
+        [effects.drag]
+        [effects.user_acceleration]
+        """
+    )
+    places = [given_tables[k] for k in ("box", "time")] + given_tables["particles"] + [given_tables]
+    for _ in range(data.draw(st.integers(1, 2))):
+        place = data.draw(st.sampled_from(places))
+        place[data.draw(st.sampled_from(sorted(place)))] = data.draw(values | st.lists(st.lists(numbers, min_size=2, max_size=2)))
+    try:
+        populate(Scene.from_dict(given_tables))
+    except SceneError as error:
+        assert error.faults
