@@ -58,8 +58,9 @@ def draw_one(timing: Timing) -> Figure:
     """Horizontal bars of the phases, longest first, then what no phase counts, then setup (not part of the loop)."""
     phases = sorted(timing.phases.items(), key=lambda item: -item[1]["mean"])
     rest = dict.fromkeys(("min", "mean", "max"), timing.rest)
-    bars = [*phases, ("not in a phase", rest), ("setup", timing.setup)]
-    colors = [plt.cm.viridis(x) for x in np.linspace(0.15, 0.85, len(phases))] + [GREY, GREY]
+    outside = [("not in a phase", rest)] * (timing.rest > 1e-3 * timing.loop["mean"]) + [("setup", timing.setup)]
+    bars = [*phases, *outside]
+    colors = [plt.cm.viridis(x) for x in np.linspace(0.15, 0.85, len(phases))] + [GREY] * len(outside)
     figure, axes = plt.subplots(figsize=(9.5, 1.6 + 0.42 * len(bars)), dpi=130, layout="constrained")
     longest = max(bar["max"] for _, bar in bars)
     for row, ((name, bar), color) in enumerate(zip(bars, colors, strict=True)):
@@ -90,7 +91,7 @@ def draw_stack(axes: Axes, timings: list[Timing]) -> None:
     heights = [np.array([timing.phases.get(name, {"mean": 0})["mean"] for timing in timings]) for name in names]
     others = np.array([timing.loop["mean"] for timing in timings]) - sum(heights)
     colors = [plt.cm.viridis(x) for x in np.linspace(0.1, 0.9, len(names))] + [GREY]
-    for name, height, color in zip([*names, "other"], [*heights, np.maximum(others, 0)], colors, strict=True):
+    for name, height, color in zip([*names, "the rest"], [*heights, np.maximum(others, 0)], colors, strict=True):
         axes.bar(range(len(timings)), height, bottom=bottom, color=color, label=name, width=0.7)
         bottom += height
     axes.set_xticks(range(len(timings)), [str(timing.ranks) for timing in timings])

@@ -2,15 +2,49 @@
 
 from math import sqrt
 
+import numpy as np
 from numba import njit
 
-from particles_mpi.collide.contact import NEVER, NOBODY, approaches, contact_time, meet, move_to
+from particles_mpi.collide.contact import NEVER, NOBODY, contact_time, meet, move_to, nearest
 from particles_mpi.collide.planes import bounce, bounce_until, may_hit, wall_contact
 
 
+@njit(cache=True, error_model="numpy")
+def approaching(axes, x, v, radius, first, second, h, length, periodic, a, b):
+    """Candidates whose legs, all from now, may touch within h; into a and b, returns how many. All but certain no's.
+
+    Left out: partners that move apart, or are clear of each other when they are nearest, at h or before (by margins far
+    above round-off). Most tests are coin tosses: nothing branches on them, each pair is written, and the next one over it
+    if it does not count. Unsigned indices spare the test for a negative one.
+    """
+    found = 0
+    for p in range(len(first)):
+        i = np.uint64(first[p])
+        j = np.uint64(second[p])
+        u2 = 0.0
+        ru = 0.0
+        r2 = 0.0
+        for k in range(len(axes)):
+            r = x[i, k] - x[j, k]
+            if periodic:
+                r = nearest(r, length[k])
+            u = v[i, k] - v[j, k]
+            u2 += u * u
+            ru += r * u
+            r2 += r * r
+        diameter = radius[i] + radius[j]
+        clear = r2 - (diameter * diameter + 1e-9 * r2)
+        before = (-ru > u2 * h) & (clear + h * (2.0 * ru + u2 * h) <= 0.0)
+        within = (-ru <= u2 * h) & (u2 * clear <= ru * ru)
+        a[found] = i
+        b[found] = j
+        found += (ru < 0.0) & (before | within)
+    return found
+
+
 @njit(cache=True)
-def find_contacts(axes, x, v, s, met, ids, radius, first, second, h, length, everything, live, a, b, time):
-    """Candidate pairs that touch on their present legs; with `everything` False only those with a live row. Returns how many.
+def changed(met, s, ids, live, first, second, a, b):
+    """Candidates with a live row; into a and b, returns how many.
 
     Partners whose legs both began when they met each other are left out: round-off must not make them meet twice.
     """
@@ -18,13 +52,27 @@ def find_contacts(axes, x, v, s, met, ids, radius, first, second, h, length, eve
     for p in range(len(first)):
         i = first[p]
         j = second[p]
-        if not (everything or live[i] or live[j]):
-            continue
-        if everything:
-            if not approaches(axes, x, v, i, j, radius[i] + radius[j], h, length):
-                continue
-        elif met[i] == ids[j] and met[j] == ids[i] and s[i] == s[j]:
-            continue
+        if live[np.uint64(i)] | live[np.uint64(j)] and not (met[i] == ids[j] and met[j] == ids[i] and s[i] == s[j]):
+            a[found] = i
+            b[found] = j
+            found += 1
+    return found
+
+
+@njit(cache=True)
+def find_contacts(axes, x, v, s, met, ids, radius, first, second, h, length, everything, live, a, b, time):
+    """Candidate pairs that touch on their present legs; with `everything` False only those with a live row. Returns how many.
+
+    `everything` is for the first pass, in which all legs begin at time 0.
+    """
+    if everything:
+        likely = approaching(axes, x, v, radius, first, second, h, length, length.max() > 0.0, a, b)
+    else:
+        likely = changed(met, s, ids, live, first, second, a, b)
+    found = 0
+    for p in range(likely):
+        i = a[p]
+        j = b[p]
         t = contact_time(axes, x, v, s, i, j, radius[i] + radius[j], h, length)
         if t != NEVER:
             a[found] = i
@@ -35,7 +83,9 @@ def find_contacts(axes, x, v, s, met, ids, radius, first, second, h, length, eve
 
 
 @njit(cache=True)
-def find_wall_hits(axes, x, v, s, met, radius, owned, h, everything, live, point, normal, lower, upper, oblique, a, b, time, found):
+def find_wall_hits(
+    axes, x, v, s, met, radius, owned, h, everything, live, point, normal, lower, upper, oblique, a, b, time, found
+):
     """Adds the earliest wall contact of every owned (live) row's leg; returns the number of hits then."""
     for i in range(owned):
         if (everything or live[i]) and may_hit(axes, x, v, s[i], i, radius[i], h, lower, upper, oblique):

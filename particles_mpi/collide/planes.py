@@ -48,7 +48,7 @@ def may_hit(axes, x, v, start, i, radius, h, lower, upper, oblique):
     inside = not oblique
     for k in range(len(axes)):
         end = x[i, k] + v[i, k] * (h - start)
-        inside = inside and end >= lower[k] + radius and end <= upper[k] - radius
+        inside &= (end >= lower[k] + radius) & (end <= upper[k] - radius)
     return not inside
 
 

@@ -1,7 +1,7 @@
 """Linked cells on at most three axes, and the candidate pairs in them. Plain arrays; periodic boxes by image entries.
 
-A cell grid has an empty margin of one cell, so that a neighbour cell is a constant offset away and needs no test. Cells
-along the last gridded axis are contiguous in the sorted order: three of them are one range of entries.
+A cell grid has an empty margin, so that a neighbour cell is a constant offset away and needs no test. Cells
+along the last gridded axis are contiguous in the sorted order: all that are near a given one are one run of entries.
 """
 
 from __future__ import annotations
@@ -15,6 +15,9 @@ from numba import njit
 from particles_mpi.particles import Array
 
 GRIDDED = 3  # axes with cells; more would cost 3^d cells to visit, and the others are tested by distance anyway
+FINE = 4  # cells to the cut-off on the last gridded axis: runs along it can be any length, so that they may as well be tight
+AT_ONCE = 8
+BLOCK = 2048  # near pairs judged at a time
 
 
 def images(x: Array, cut: float, lower: Array, upper: Array, length: Array) -> tuple[Array, Array]:
@@ -35,22 +38,29 @@ def images(x: Array, cut: float, lower: Array, upper: Array, length: Array) -> t
     return x, rows
 
 
-def grid(x: Array, side: float) -> tuple[tuple[float, ...], float, tuple[int, ...]]:
-    """(origin, side, cells an axis with margin) of cells of at least `side` over x (n, d), about one a particle at most."""
+def grid(x: Array, side: float) -> tuple[tuple[float, ...], tuple[float, ...], tuple[int, ...], tuple[int, ...]]:
+    """(origin, cells a unit length, margin, cells with both margins), an entry a gridded axis, of cells over x (n, d).
+
+    `margin` cells are at least `side` long together: 1, and FINE on the last axis; about one to FINE cells a particle.
+    """
     low, high = bounds(x)
     origin = low[:GRIDDED]
     extent = high[:GRIDDED] - origin
-    side = max(side, np.finfo(float).tiny, float(extent.max()) * 1e-6)
+    side = max(side * (1.0 + 1e-8), np.finfo(float).tiny, float(extent.max()) * 1e-6)  # 1e-8: above any round-off
     while np.prod(np.floor(extent / side) + 1.0) > max(len(x), 64):
         side *= 1.25
-    return tuple(origin.tolist()), side, tuple((np.floor(extent / side).astype(int) + 3).tolist())
+    margin = np.ones(len(origin), int)
+    margin[-1] = FINE
+    per = margin / side
+    cells = (extent * per).astype(int) + 1 + 2 * margin
+    return tuple(origin.tolist()), tuple(per.tolist()), tuple(margin.tolist()), tuple(cells.tolist())
 
 
 @njit(cache=True)
 def bounds(x):
-    """(lowest, highest) coordinates of the rows of x (n, d), n > 0."""
-    low = x[0].copy()
-    high = x[0].copy()
+    """(lowest, highest) coordinates of the rows of x (n, d); (inf, -inf) if n = 0."""
+    low = np.full(x.shape[1], inf)
+    high = np.full(x.shape[1], -inf)
     for i in range(x.shape[0]):
         for k in range(x.shape[1]):
             low[k] = min(low[k], x[i, k])
@@ -59,33 +69,34 @@ def bounds(x):
 
 
 @njit(cache=True, error_model="numpy")
-def cell_order(x, origin, side, cells):
-    """(order, start): rows sorted by cell, rows in order within one, and where each cell starts; a counting sort.
-
-    `origin`, `cells`: tuples over the gridded axes, as `grid` gives them.
+def cell_order(x, origin, per, margin, cells):
+    """(order, cell, start): rows sorted by cell (rows in order within one), the cell of each of these, and where each
+    cell starts among them; a counting sort. The other arguments are those that `grid` gives.
     """
     n = len(x)
     count = 1
     for k in range(len(cells)):
         count *= cells[k]
-    per = 1.0 / side
-    cell = np.empty(n, np.int64)
-    start = np.zeros(count + 1, np.int64)
+    cell_of = np.empty(n, np.int32)
+    start = np.zeros(count + 2, np.int32)  # of cell c: for now its rows counted at c + 2, then its next free place at c + 1
     for i in range(n):
         c = 0
         for k in range(len(cells)):
-            place = int((x[i, k] - origin[k]) * per) + 1
-            c = c * cells[k] + min(place, cells[k] - 2)
-        cell[i] = c
-        start[c + 1] += 1
+            place = int((x[i, k] - origin[k]) * per[k]) + margin[k]
+            c = c * cells[k] + min(place, cells[k] - 1 - margin[k])
+        cell_of[i] = c
+        start[c + 2] += 1
     for c in range(count):
-        start[c + 1] += start[c]
-    place_of = start[:-1].copy()
-    order = np.empty(n, np.int64)
+        start[c + 2] += start[c + 1]
+    order = np.empty(n, np.int32)
+    cell = np.empty(n, np.int32)
     for i in range(n):
-        order[place_of[cell[i]]] = i
-        place_of[cell[i]] += 1
-    return order, start
+        c = cell_of[i]
+        place = start[c + 1]
+        order[place] = i
+        cell[place] = c
+        start[c + 1] = place + 1
+    return order, cell, start
 
 
 def forward_rows(cells: tuple[int, ...]) -> Array:
@@ -96,38 +107,75 @@ def forward_rows(cells: tuple[int, ...]) -> Array:
 
 
 @njit(cache=True)
-def find_pairs(axes, x, row, start, offsets, radius, w, ids, owned, skin, first, second):
+def take_rows(x, row, order):
+    """(x[order], row[order])"""
+    y = np.empty_like(x)
+    row_of = np.empty(len(order), np.int32)
+    for a in range(len(order)):
+        row_of[a] = row[order[a]]
+        for k in range(x.shape[1]):
+            y[a, k] = x[order[a], k]
+    return y, row_of
+
+
+@njit(cache=True)
+def list_around(a, cell, start, margin, offsets, around):
+    """Entries after a in a's own row of cells, and those in the rows that follow; into `around`, returns how many.
+
+    Runs are short: AT_ONCE places are written whatever their length, without a loop whose end the processor must guess.
+    """
+    listed = 0
+    begin, end = a + 1, start[np.uint64(cell + margin + 1)]
+    for run in range(len(offsets) + 1):
+        for m in range(AT_ONCE):
+            around[np.uint64(listed + m)] = begin + m
+        for m in range(AT_ONCE, end - begin):
+            around[np.uint64(listed + m)] = begin + m
+        listed += end - begin
+        if run < len(offsets):
+            c = cell + offsets[run]
+            begin, end = start[np.uint64(c - margin)], start[np.uint64(c + margin + 1)]
+    return listed
+
+
+@njit(cache=True, error_model="numpy")
+def find_pairs(axes, x, row, cell, start, margin, offsets, radius, w, ids, owned, skin, first, second):
     """Pairs of rows nearer than R_i + R_j + skin; returns how many there are (more than len(first): enlarge, call again).
 
     x (n, d) are entries sorted by cell, `row` what each is an image of. Kept: pairs with an owned partner (row < owned) and
-    a movable one (w > 0), each once, the partner with the lower id first.
+    a movable one (w > 0), each once, the partner with the lower id first. Nearly every test is a coin toss, so nothing
+    branches on one: all is written, and the place to write at moves on by the truth of the test. Unsigned indices spare
+    the test for a negative one.
     """
-    found = 0
+    n = len(x)
     widest = (2.0 * radius.max() + skin) ** 2
-    for c in range(1, len(start) - 2):
-        for a in range(start[c], start[c + 1]):
-            for run in range(-1, len(offsets)):
-                if run < 0:
-                    begin, end = a + 1, start[c + 2]
-                else:
-                    begin, end = start[c + offsets[run] - 1], start[c + offsets[run] + 2]
-                for b in range(begin, end):
-                    r2 = 0.0
-                    for k in range(len(axes)):
-                        r2 += (x[a, k] - x[b, k]) ** 2
-                    if r2 > widest:
-                        continue
-                    i = row[a]
-                    j = row[b]
-                    cut = radius[i] + radius[j] + skin
-                    if r2 > cut * cut or (i >= owned and j >= owned) or i == j or (w[i] == 0.0 and w[j] == 0.0):
-                        continue
-                    if ids[i] > ids[j]:
-                        i, j = j, i
-                    if found < len(first):
-                        first[found] = i
-                        second[found] = j
-                    found += 1
+    around = np.empty(n + AT_ONCE, np.int32)
+    near_a, near_b, near_r2 = np.empty(n + BLOCK, np.int32), np.empty(n + BLOCK, np.int32), np.empty(n + BLOCK)
+    found = 0
+    a = 0
+    while a < n:
+        near = 0
+        while a < n and near < BLOCK:
+            for p in range(list_around(a, cell[a], start, margin, offsets, around)):
+                b = np.uint64(around[np.uint64(p)])
+                r2 = 0.0
+                for k in range(len(axes)):
+                    r2 += (x[np.uint64(a), k] - x[b, k]) ** 2
+                near_a[np.uint64(near)] = a
+                near_b[np.uint64(near)] = b
+                near_r2[np.uint64(near)] = r2
+                near += r2 <= widest
+            a += 1
+        for p in range(near):
+            i = np.uint64(row[np.uint64(near_a[p])])
+            j = np.uint64(row[np.uint64(near_b[p])])
+            cut = radius[i] + radius[j] + skin
+            kept = (near_r2[p] <= cut * cut) & ((i < owned) | (j < owned)) & (i != j) & ((w[i] != 0.0) | (w[j] != 0.0))
+            swapped = ids[i] > ids[j]
+            if found < len(first):
+                first[found] = j if swapped else i
+                second[found] = i if swapped else j
+            found += kept
     return found
 
 
@@ -144,16 +192,16 @@ def candidate_pairs(
         return none, none
     cut = 2.0 * float(radius.max()) + skin
     own = x[:owned]
-    entries, row = images(x, cut, *bounds(own), length)
-    origin, side, cells = grid(entries, cut)
-    order, start = cell_order(entries, origin, side, cells)
-    entries, row = entries[order], row[order].astype(np.int32)
+    entries, row = images(x, cut, *bounds(own), length) if length.any() else (x, np.arange(len(x)))
+    origin, per, margin, cells = grid(entries, cut)
+    order, cell, start = cell_order(entries, origin, per, margin, cells)
+    entries, row = take_rows(entries, row, order)
     offsets = forward_rows(cells)
     axes = (0,) * x.shape[1]
     capacity = expected + expected // 8 + 64
     while True:
         first, second = np.empty(capacity, np.int32), np.empty(capacity, np.int32)
-        found = find_pairs(axes, entries, row, start, offsets, radius, w, ids, owned, skin, first, second)
+        found = find_pairs(axes, entries, row, cell, start, FINE, offsets, radius, w, ids, owned, skin, first, second)
         if found <= capacity:
             break
         capacity = found
@@ -185,6 +233,21 @@ def furthest(axes, x, reference, v, h, length):
             speed += v[i, k] * v[i, k]
         most = max(most, moved**0.5 + h * speed**0.5)
     return most
+
+
+@njit(cache=True)
+def fastest(axes, x, v):
+    """Largest speed of the rows of v; not a number if a coordinate or velocity is not finite."""
+    most = 0.0
+    wrong = 0.0  # or nan
+    for i in range(len(v)):
+        v2 = 0.0
+        for k in range(len(axes)):
+            v2 += v[i, k] * v[i, k]
+            wrong += x[i, k] * 0.0
+        wrong += v2 * 0.0
+        most = max(most, v2)
+    return most**0.5 + wrong
 
 
 def best_skin(travel: float, diameter: float, pairs: float, cut: float, spacing: float, dimension: int) -> float:

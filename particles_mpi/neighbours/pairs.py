@@ -10,7 +10,7 @@ import numpy as np
 
 from particles_mpi.collide.contact import NOBODY
 from particles_mpi.errors import StoppedError
-from particles_mpi.neighbours.cells import best_skin, candidate_pairs, cell_order, furthest, grid
+from particles_mpi.neighbours.cells import best_skin, bounds, candidate_pairs, cell_order, fastest, furthest, grid
 from particles_mpi.parallel.balance import Balance
 from particles_mpi.parallel.domain import near_box
 from particles_mpi.parallel.exchange import Halo, by_destination, migrate, send_rows
@@ -62,7 +62,7 @@ class Neighbourhood:
         with self.timers("pairs"):
             skin, reach = self.choose_skin(particles, h, at_least)
             if self.searches % SORT_EVERY == 0 and len(particles) > 1:
-                order, _ = cell_order(particles.position, *grid(particles.position, reach))
+                order, *_ = cell_order(particles.position, *grid(particles.position, reach))
                 particles.replace({name: array[order] for name, array in particles.arrays.items()})
         with self.timers("ghosts"):
             self.fetch_ghosts(particles, reach)
@@ -79,9 +79,9 @@ class Neighbourhood:
     def choose_skin(self, particles: Particles, h: float, at_least: float) -> tuple[float, float]:
         """(skin, reach = 2 R_max + skin), the same on all ranks."""
         d, x = particles.dimension, particles.position
-        speed = np.sqrt((particles.velocity**2).sum(axis=1)).max(initial=0.0)
-        ends = np.full(2 * d, -np.inf) if len(x) == 0 else np.concatenate((x.max(axis=0), -x.min(axis=0)))
-        most = self.ranks.largest(np.concatenate(([speed, particles.radius.max(initial=0.0)], ends)))
+        low, high = bounds(x)
+        speed = fastest(self.axes, x, particles.velocity)
+        most = self.ranks.largest(np.concatenate(([speed, particles.radius.max(initial=0.0)], high, -low)))
         if not np.isfinite(most[:2]).all():
             raise StoppedError("a position, velocity or radius is not a finite number")
         count, pairs = self.ranks.total(np.array([len(x), len(self.first)]))

@@ -45,7 +45,9 @@ class Screen:
 
     def __init__(self, is_root: bool, quiet: bool):
         self.loud = is_root and not quiet
-        self.console = Console(highlight=False, soft_wrap=True, force_terminal=None if watched() else False, width=None if watched() else 110)
+        self.console = Console(
+            highlight=False, soft_wrap=True, force_terminal=None if watched() else False, width=None if watched() else 110
+        )
         self.progress: Progress | None = None
 
     def say(self, text: Any) -> None:
@@ -112,4 +114,6 @@ class Screen:
             table.add_row(PHASES.get(name, name), *(f"{t[k]:.3f}" for k in ("min", "mean", "max")), share)
         self.console.print(table)
         if steps and particles:
-            self.console.print(f"{steps / timers['loop']['max']:.0f} steps/s, {timers['loop']['max'] / steps / particles * 1e9:.1f} ns a particle-step")
+            self.console.print(
+                f"{steps / timers['loop']['max']:.0f} steps/s, {timers['loop']['max'] / steps / particles * 1e9:.1f} ns a particle-step"
+            )

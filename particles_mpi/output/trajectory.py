@@ -6,7 +6,10 @@ block of ids; otherwise rank 0 writes what is gathered to it. The file is the sa
 
 from __future__ import annotations
 
+import atexit
 import ctypes
+import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -97,10 +100,12 @@ class Trajectory:
             raise
 
     def _abandon(self) -> None:
-        """HDF5 crashes when a file is closed that it cannot flush, be it by Python's last clean-up: never let go of it."""
+        """HDF5 crashes on closing a file that it cannot flush, and again when the process ends: never close it, leave before."""
         self.failed = True
         for kept in (self.file, self.steps, self.columns):
             ctypes.pythonapi.Py_IncRef(ctypes.py_object(kept))
+        if self.file is not None:
+            atexit.register(_leave)
 
     def _flush(self) -> None:
         self.file.flush()
@@ -185,6 +190,13 @@ class Trajectory:
         return frames
 
 
+def _leave() -> None:
+    """End the process as a StoppedError does, without HDF5's own clean-up."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(StoppedError.exit_code)
+
+
 def _steps_layout() -> dict[str, tuple[tuple[int, ...], str, int]]:
     """Datasets of Steps: shape of a row, dtype, value where none is written. `Step` is ours, VTK does not look at it."""
     return {
@@ -201,7 +213,9 @@ def _steps_layout() -> dict[str, tuple[tuple[int, ...], str, int]]:
 def _dataset(group: Any, name: str, shape: tuple[int, ...], dtype: str, chunk: int, fill: int | None = None) -> Any:
     """Chunked and resizable. Without a fill value new chunks are not written twice: the data overwrites them anyway."""
     properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-    properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)  # what parallel writing needs, and would not find in a file made serially
+    properties.set_alloc_time(
+        h5py.h5d.ALLOC_TIME_EARLY
+    )  # what parallel writing needs, and would not find in a file made serially
     return group.create_dataset(
         name,
         shape,

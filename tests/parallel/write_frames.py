@@ -1,6 +1,6 @@
 """Started by mpirun in test_output.py: writes frames, checkpoints and diagnostics of made-up particles, spread at random.
 
-    write_frames.py FOLDER N DIMENSION FRAMES [--resume STEP] [--serial] [--no-vtk] [--limit BYTES] [--kill STEP] [--time]
+write_frames.py FOLDER N DIMENSION FRAMES [--resume STEP] [--serial] [--no-vtk] [--limit BYTES] [--kill STEP] [--time]
 """
 
 import argparse
@@ -98,7 +98,7 @@ def main() -> None:
         trajectory.close()
     except StoppedError as stopped:
         print(f"STOPPED {ranks.rank} {stopped}", flush=True)
-        trajectory.close()
+        ranks.comm.Barrier()  # mpirun ends all as soon as one has left
         raise SystemExit(3) from None
 
 
