@@ -1,7 +1,7 @@
 """Moving, colliding particles in any dimension, on any number of MPI ranks.
 
-    from particles_mpi import Scene, Simulation
-    Simulation(Scene.load("marbles.toml")).run()
+from particles_mpi import Scene, Simulation
+Simulation(Scene.load("marbles.toml")).run()
 """
 
 from typing import Any

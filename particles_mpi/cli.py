@@ -43,7 +43,9 @@ def run(
     steps: Annotated[int | None, typer.Option(min=0, help="Stop after this many steps instead of at the scene's end.")] = None,
     resume: Annotated[Path | None, typer.Option(help="Go on from this checkpoint.h5, on any number of ranks.")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run that the folder holds.")] = False,
-    wall_time: Annotated[str | None, typer.Option(metavar="HH:MM:SS", help="Write a checkpoint and stop after this time.")] = None,
+    wall_time: Annotated[
+        str | None, typer.Option(metavar="HH:MM:SS", help="Write a checkpoint and stop after this time.")
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing but errors.")] = False,
 ) -> None:
     """Run a scene: frames for ParaView, diagnostics, checkpoints; then the phase table.
@@ -64,7 +66,14 @@ def run(
         sim = Simulation(described)
     folder = output or Path("out") / scene.stem
     job = Job(
-        sim, folder, quiet=quiet, overwrite=overwrite, resumed=resume is not None, steps=steps, wall_time=limit, setup_began=STARTED
+        sim,
+        folder,
+        quiet=quiet,
+        overwrite=overwrite,
+        resumed=resume is not None,
+        steps=steps,
+        wall_time=limit,
+        setup_began=STARTED,
     )
     job.run()
 

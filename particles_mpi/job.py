@@ -29,7 +29,7 @@ LOOK_EVERY = 10  # steps between two looks whether a rank was told to stop
 LIBRARIES = ("numpy", "numba", "mpi4py", "h5py", "meshio", "particles-mpi")
 
 
-class Interrupted(Exception):  # noqa: N818  not an error: it ended as it was told to
+class Interrupted(Exception):
     """Stopped by a signal or the wall-time limit, after writing a checkpoint."""
 
     exit_code = 130
@@ -96,7 +96,9 @@ class Job:
         if "hdf5" in self.scene.output.formats:
             from particles_mpi.output.trajectory import Trajectory
 
-            self.writers.append(Trajectory(self.folder / "trajectory.vtkhdf", self.ranks, list(self._frame()), d, sim.total, step))
+            self.writers.append(
+                Trajectory(self.folder / "trajectory.vtkhdf", self.ranks, list(self._frame()), d, sim.total, step)
+            )
         if "vtk" in self.scene.output.formats:
             from particles_mpi.output.vtk import VtkSeries
 
@@ -143,7 +145,9 @@ class Job:
             self.close()
         self.finish(setup, perf_counter() - begin, sim.steps_done - done)
         if stopped:
-            raise Interrupted(f"stopped at step {sim.steps_done} of {self.last}; continue with --resume {self.folder / 'checkpoint.h5'}")
+            raise Interrupted(
+                f"stopped at step {sim.steps_done} of {self.last}; continue with --resume {self.folder / 'checkpoint.h5'}"
+            )
 
     def must_stop(self) -> bool:
         """Was any rank told to stop, or is the time up?"""

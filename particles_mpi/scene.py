@@ -15,7 +15,7 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from particles_mpi.errors import SceneError
 
@@ -311,7 +311,7 @@ def _key(location: tuple[Any, ...]) -> str:
 
 def _known_keys(model: type[BaseModel], location: tuple[Any, ...]) -> list[str]:
     """The keys that the table at `location` may hold."""
-    nested = {"box": Box, "time": Time, "output": Output, "particles": Population}
+    nested: dict[Any, type[BaseModel]] = {"box": Box, "time": Time, "output": Output, "particles": Population}
     table = nested.get(location[0], model) if model is Scene and len(location) > 1 else model
     return [name for name in table.model_fields if name != "folder"]
 

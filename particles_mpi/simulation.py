@@ -61,14 +61,13 @@ class Simulation:
         self.known = -1  # version of the rows that the accelerations belong to
         self.near: Any = None
         if self.collisions:
-            self._enter_collisions()
+            self._enter_collisions(self.collisions)
 
-    def _enter_collisions(self) -> None:
+    def _enter_collisions(self, c: Any) -> None:
         """Only a scene with pairs loads the collision operator and the search for neighbours."""
         from particles_mpi.collide.rewind import Rewind
         from particles_mpi.neighbours.pairs import Neighbourhood
 
-        c = self.collisions
         planes = self.walls.planes if self.walls else None
         self.near = Neighbourhood(self.ranks, self.length, self.timers)
         self.rewind = Rewind(c.restitution, c.keep, c.options.passes, planes, self.scene.dimension, self.timers)
@@ -153,7 +152,9 @@ class Simulation:
         if not found:  # finite, but squares to infinity
             raise StoppedError(f"step {self.steps_done}: the kinetic energy is too large for a float64")
         rank, particle = found[0]
-        raise StoppedError(f"step {self.steps_done}: particle {particle} on rank {rank} has a position or velocity that is not finite")
+        raise StoppedError(
+            f"step {self.steps_done}: particle {particle} on rank {rank} has a position or velocity that is not finite"
+        )
 
     def run(self, output: str | Path | None = None, quiet: bool = True, **options: Any) -> None:
         """Step to the end of the scene; with `output` (a folder) write everything the scene asks for. Collective."""

@@ -11,6 +11,7 @@ from particles_mpi.collide.planes import Planes, drift_with_walls
 from particles_mpi.particles import Particles
 from particles_mpi.scene import Fraction, Model, Scene
 
+
 class Plane(Model):
     """`point` on the wall, `normal` into the free side (any length); `restitution` or `damping` if not the table's."""
 

@@ -192,7 +192,8 @@ def candidate_pairs(
         return none, none
     cut = 2.0 * float(radius.max()) + skin
     own = x[:owned]
-    entries, row = images(x, cut, *bounds(own), length) if length.any() else (x, np.arange(len(x)))
+    low, high = bounds(own)
+    entries, row = images(x, cut, low, high, length) if length.any() else (x, np.arange(len(x)))
     origin, per, margin, cells = grid(entries, cut)
     order, cell, start = cell_order(entries, origin, per, margin, cells)
     entries, row = take_rows(entries, row, order)

@@ -13,7 +13,7 @@ from particles_mpi.errors import StoppedError
 from particles_mpi.neighbours.cells import best_skin, bounds, candidate_pairs, cell_order, fastest, furthest, grid
 from particles_mpi.parallel.balance import Balance
 from particles_mpi.parallel.domain import near_box
-from particles_mpi.parallel.exchange import Halo, by_destination, migrate, send_rows
+from particles_mpi.parallel.exchange import Halo, migrate, send_rows
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, Array, Particles, shape
 from particles_mpi.timers import Timers

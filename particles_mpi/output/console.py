@@ -60,7 +60,8 @@ class Screen:
             return
         say = self.console.print
         say(f"[bold]{title or 'untitled scene'}[/bold]: {plan['particles']} particles ({plan['fixed']} fixed) in dimension "
-            f"{plan['dimension']}, {plan['steps']} steps of {plan['step']:g}, {plan['integrator']}, {plan['ranks']} rank(s)")  # fmt: skip
+            f"{plan['dimension']}, {plan['steps']} steps of {plan['step']:g}, "
+            f"{plan['integrator']}, {plan['ranks']} rank(s)")  # fmt: skip
         table = Table("runs", "law", "about ns a particle-step", box=None, padding=(0, 2, 0, 2))
         for row in plan["effects"]:
             table.add_row(row["effect"], row["law"], f"{row['ns_per_particle_step']:.0f}")
@@ -79,7 +80,8 @@ class Screen:
         if not self.loud or not self.console.is_terminal:
             return lambda step, row: None
         self.progress = Progress(
-            MofNCompleteColumn(), BarColumn(), TextColumn("{task.fields[rate]}"), TimeRemainingColumn(), TextColumn("{task.fields[state]}"),
+            MofNCompleteColumn(), BarColumn(), TextColumn("{task.fields[rate]}"), TimeRemainingColumn(),
+            TextColumn("{task.fields[state]}"),
             console=self.console,
         )  # fmt: skip
         task = self.progress.add_task("steps", total=steps, completed=done, rate="", state="")
@@ -114,6 +116,6 @@ class Screen:
             table.add_row(PHASES.get(name, name), *(f"{t[k]:.3f}" for k in ("min", "mean", "max")), share)
         self.console.print(table)
         if steps and particles:
-            self.console.print(
-                f"{steps / timers['loop']['max']:.0f} steps/s, {timers['loop']['max'] / steps / particles * 1e9:.1f} ns a particle-step"
-            )
+            seconds = timers["loop"]["max"]
+            each = seconds / steps / particles * 1e9
+            self.console.print(f"{steps / seconds:.0f} steps/s, {each:.1f} ns a particle-step")

@@ -36,7 +36,10 @@ class Domain:
 def bisect(ranks: Ranks, x: Array, weight: float) -> Domain:
     """Cut space so that each rank gets an equal share of the work, `weight` a row of x (n, d) on this rank. Collective."""
     d = x.shape[1]
-    axis, cut, below, above = [], [], [], []
+    axis: list[int] = []
+    cut: list[float] = []
+    below: list[int] = []
+    above: list[int] = []
     lower, upper = np.full((ranks.size, d), -inf), np.full((ranks.size, d), inf)
 
     def split(first: int, last: int, rows: Array) -> int:
@@ -44,8 +47,10 @@ def bisect(ranks: Ranks, x: Array, weight: float) -> Domain:
             return -1 - first
         node, middle = len(cut), (first + last) // 2
         k, at = best_cut(ranks, rows, weight, (middle - first) / (last - first))
-        for column, value in ((axis, k), (cut, at), (below, 0), (above, 0)):
-            column.append(value)
+        axis.append(k)
+        cut.append(at)
+        below.append(0)
+        above.append(0)
         upper[first:middle, k] = at
         lower[middle:last, k] = at
         under = rows[:, k] < at
@@ -54,7 +59,9 @@ def bisect(ranks: Ranks, x: Array, weight: float) -> Domain:
         return node
 
     split(0, ranks.size, x)
-    return Domain(np.array(axis, np.int64), np.array(cut, float), np.array(below, np.int64), np.array(above, np.int64), lower, upper)
+    return Domain(
+        np.array(axis, np.int64), np.array(cut, float), np.array(below, np.int64), np.array(above, np.int64), lower, upper
+    )
 
 
 def best_cut(ranks: Ranks, x: Array, weight: float, share: float) -> tuple[int, float]:

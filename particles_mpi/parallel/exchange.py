@@ -9,7 +9,9 @@ from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, Array, shape
 
 
-def send_rows(ranks: Ranks, arrays: dict[str, Array], rows: Array, counts: Array, dimension: int) -> tuple[dict[str, Array], Array]:
+def send_rows(
+    ranks: Ranks, arrays: dict[str, Array], rows: Array, counts: Array, dimension: int
+) -> tuple[dict[str, Array], Array]:
     """Send `rows` of the arrays, sorted by destination with `counts[p]` of them for rank p.
 
     Returns what arrived, in order of the sender, and how many rows from each. Collective.
@@ -72,9 +74,9 @@ class Halo:
     def __init__(self, ranks: Ranks, rows: Array, counts: Array, arriving: Array, owned: int):
         self.ranks = ranks
         ends, begins = np.cumsum(counts), starts(counts)
-        self.outgoing = [(p, rows[begins[p] : ends[p]]) for p in np.flatnonzero(counts)]
+        self.outgoing = [(int(p), rows[begins[p] : ends[p]]) for p in np.flatnonzero(counts)]
         ends, begins = owned + np.cumsum(arriving), owned + starts(arriving)
-        self.incoming = [(p, slice(begins[p], ends[p])) for p in np.flatnonzero(arriving)]
+        self.incoming = [(int(p), slice(int(begins[p]), int(ends[p]))) for p in np.flatnonzero(arriving)]
         self.sent = 0
 
     def refresh(self, *arrays: Array) -> None:

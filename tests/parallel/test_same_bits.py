@@ -18,7 +18,12 @@ SCENES = {
         box=BOX3,
         time={"step": 0.01, "steps": 60},
         particles=[{"count": 400, "position": "random", **MIXED}],
-        effects={"uniform_gravity": GRAVITY, "friction": {"strength": 0.01}, "collisions": {"damping": 0.01}, "walls": {"damping": 0.01}},
+        effects={
+            "uniform_gravity": GRAVITY,
+            "friction": {"strength": 0.01},
+            "collisions": {"damping": 0.01},
+            "walls": {"damping": 0.01},
+        },
     ),
     "dense periodic gas": dict(
         dimension=3,
@@ -40,7 +45,9 @@ SCENES = {
     "oblique planes, open space": dict(
         dimension=2,
         time={"step": 0.01, "steps": 200},
-        particles=[{"position": [[0.5 * i, 4.0 + 0.5 * (i % 3)] for i in range(-10, 10)], "radius": 0.1, "velocity": {"speed": 1.0}}],
+        particles=[
+            {"position": [[0.5 * i, 4.0 + 0.5 * (i % 3)] for i in range(-10, 10)], "radius": 0.1, "velocity": {"speed": 1.0}}
+        ],
         effects={
             "uniform_gravity": {"acceleration": [0, -9.81]},
             "collisions": {},

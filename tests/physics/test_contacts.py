@@ -89,13 +89,15 @@ def test_fixed_particle_reflects_and_never_moves():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_elastic_rods_are_sorted_lines(seed):
-    """reference/: with y_i = x_i - i sigma the state is sort(y + v t), and hits are inversions. Small steps order them in time."""
+    """reference/: with y_i = x_i - i sigma the state is sort(y + v t), and hits are inversions. Small steps order hits."""
     random, n, sigma = np.random.default_rng(seed), 20, 0.1
     y, u = np.sort(random.random(n)) * 10.0, random.normal(size=n)
     x, _, sim = run(
         dimension=1,
         time={"step": 0.0005, "end": 1.0},
-        particles=[{"position": (y + sigma * np.arange(n))[:, None].tolist(), "velocity": u[:, None].tolist(), "radius": sigma / 2}],
+        particles=[
+            {"position": (y + sigma * np.arange(n))[:, None].tolist(), "velocity": u[:, None].tolist(), "radius": sigma / 2}
+        ],
         effects={"collisions": {}},
     )
     end = y + u * sim.time

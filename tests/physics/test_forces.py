@@ -1,6 +1,7 @@
 """Forces, drag and friction against exact solutions; the order of the splitting; PBPhys's printed figures."""
 
 import csv
+from itertools import pairwise
 from math import exp, log2
 from pathlib import Path
 
@@ -82,7 +83,7 @@ def test_strong_drag_decays_monotonically():
     for _ in range(8):
         sim.step()
         speeds.append(float(sim.particles.velocity[0, 0]))
-    assert all(b <= a for a, b in zip(speeds, speeds[1:], strict=False)) and speeds[-1] == pytest.approx(-1.0, abs=1e-12)
+    assert all(b <= a for a, b in pairwise(speeds)) and speeds[-1] == pytest.approx(-1.0, abs=1e-12)
 
 
 def test_leapfrog_parabola_is_exact():
@@ -99,7 +100,9 @@ def test_user_acceleration_stays():
 @pytest.mark.parametrize("drag", [0.0, 0.2])
 def test_pbphys_trajectory(drag):
     """All its printed points, to its float32 accuracy."""
-    rows = [r for r in csv.reader((FIGURES / "pbphys_trajectory.csv").read_text().splitlines()) if not r[0].startswith(("#", "t"))]
+    rows = [
+        r for r in csv.reader((FIGURES / "pbphys_trajectory.csv").read_text().splitlines()) if not r[0].startswith(("#", "t"))
+    ]
     scene = Scene(
         dimension=2,
         time={"step": 0.01, "steps": len(rows), "integrator": "taylor"},
