@@ -69,7 +69,8 @@ class Simulation:
         from particles_mpi.neighbours.pairs import Neighbourhood
 
         planes = self.walls.planes if self.walls else None
-        self.near = Neighbourhood(self.ranks, self.length, self.timers)
+        none = np.empty((0, self.scene.dimension))
+        self.near = Neighbourhood(self.ranks, self.length, (planes.point, planes.normal) if planes else (none, none), self.timers)
         self.rewind = Rewind(c.restitution, c.keep, c.options.passes, planes, self.scene.dimension, self.timers)
 
     @property

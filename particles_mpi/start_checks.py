@@ -8,7 +8,7 @@ from math import floor, log10
 import numpy as np
 from numba import njit
 
-from particles_mpi.neighbours.cells import candidate_pairs
+from particles_mpi.neighbours.candidates import touching
 from particles_mpi.particles import Array, Particles
 from particles_mpi.placement import Room
 from particles_mpi.scene import Scene
@@ -104,7 +104,7 @@ def overlapping(particles: Particles, length: Array) -> tuple[Array, Array, Arra
     if n < 2 or not radius.any():
         return np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0)
     weight = np.where(particles.fixed == 0, 1.0, 0.0)
-    first, second = candidate_pairs(x, radius, weight, particles.id, n, 0.0, length, 0)
+    first, second = touching(x, radius, weight, particles.id, length)
     order = np.lexsort((second, first))
     first, second = first[order].astype(np.int64), second[order].astype(np.int64)
     r = x[first] - x[second]

@@ -1,7 +1,5 @@
 """The compiled loops of the operator `rewind`. A hit is (a, b, time): rows a, b of a pair, or row a and wall -1 - b."""
 
-from math import sqrt
-
 import numpy as np
 from numba import njit
 
@@ -84,10 +82,10 @@ def find_contacts(axes, x, v, s, met, ids, radius, first, second, h, length, eve
 
 @njit(cache=True)
 def find_wall_hits(
-    axes, x, v, s, met, radius, owned, h, everything, live, point, normal, lower, upper, oblique, a, b, time, found
+    axes, x, v, s, met, radius, rows, h, everything, live, point, normal, lower, upper, oblique, a, b, time, found
 ):
-    """Adds the earliest wall contact of every owned (live) row's leg; returns the number of hits then."""
-    for i in range(owned):
+    """Adds the earliest wall contact of each of the (live) rows' legs; returns the number of hits then."""
+    for i in rows:
         if (everything or live[i]) and may_hit(axes, x, v, s[i], i, radius[i], h, lower, upper, oblique):
             t, w = wall_contact(axes, x, v, s[i], i, radius[i], met[i], h, point, normal)
             if w >= 0:
@@ -138,17 +136,18 @@ def choose(ids, owned, a, b, time, choice, best):
 @njit(cache=True)
 def take_place(
     axes, x, v, s, met, w, ids, owned, a, b, time, choice, restitution, keep, length,
-    normal, wall_restitution, wall_keep, live, log, log_x, log_v, logged, counts,
+    normal, wall_restitution, wall_keep, live, touched, log, log_x, log_v, logged, counts,
 ):  # fmt: skip
-    """Let the hits that both partners chose take place; returns how many owned rows are in the log of starts.
+    """Let the hits that both partners chose take place; returns (rows in `touched`, owned rows in the log of starts).
 
-    Rows that changed, and rows with a hit that has to wait, are `live` in the next pass. counts += (collisions, wall hits),
-    each collision counted by the owner of the lower id.
+    Rows that changed, and rows with a hit that has to wait, are `live` in the next pass, and listed in `touched`.
+    counts += (collisions, wall hits), each collision counted by the owner of the lower id.
     """
+    found = 0
     for p in range(len(a)):
         i = a[p]
         j = b[p]
-        live[i] = True
+        found = touch(i, live, touched, found)
         if j < 0:
             if choice[i] != j:
                 continue
@@ -158,7 +157,7 @@ def take_place(
             met[i] = j
             counts[1] += 1
             continue
-        live[j] = True
+        found = touch(j, live, touched, found)
         if choice[i] != ids[j] or choice[j] != ids[i]:
             continue
         logged = remember(x, v, met, i, owned, log, log_x, log_v, logged)
@@ -168,7 +167,19 @@ def take_place(
         met[j] = ids[i]
         if i < owned:
             counts[0] += 1
-    return logged
+    for p in range(found):
+        choice[touched[p]] = NOBODY
+    return found, logged
+
+
+@njit(cache=True)
+def touch(i, live, touched, found):
+    """Make row i live, and list it once; returns how many are listed."""
+    if not live[i]:
+        live[i] = True
+        touched[found] = i
+        found += 1
+    return found
 
 
 @njit(cache=True)
@@ -181,26 +192,6 @@ def remember(x, v, met, i, owned, log, log_x, log_v, logged):
         log_x[logged, k] = x[i, k]
         log_v[logged, k] = v[i, k]
     return logged + 1
-
-
-@njit(cache=True)
-def reach_of(axes, x, v, s, reference, rows, h, length):
-    """Largest distance from `reference` that the legs of `rows` get to (or began at)."""
-    most = 0.0
-    for i in rows:
-        moved = 0.0
-        speed = 0.0
-        for k in range(len(axes)):
-            r = x[i, k] - reference[i, k]
-            if length[k] > 0.0:
-                if r > 0.5 * length[k]:
-                    r -= length[k]
-                elif r < -0.5 * length[k]:
-                    r += length[k]
-            moved += r * r
-            speed += v[i, k] * v[i, k]
-        most = max(most, sqrt(moved) + sqrt(speed) * (h - s[i]))
-    return most
 
 
 @njit(cache=True)

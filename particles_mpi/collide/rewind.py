@@ -14,8 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from particles_mpi.collide.contact import NOBODY
-from particles_mpi.collide.passes import advance, choose, find_contacts, find_wall_hits, finish_walls, reach_of, take_place
+from particles_mpi.collide.passes import advance, choose, find_contacts, find_wall_hits, finish_walls, take_place
 from particles_mpi.collide.planes import Planes, no_planes
 from particles_mpi.neighbours.pairs import Neighbourhood
 from particles_mpi.particles import Array, Particles
@@ -23,7 +22,7 @@ from particles_mpi.timers import Timers
 
 
 class TooFarError(Exception):
-    """A collision threw a particle further than the candidate pairs reach; `travel` is the distance it needs."""
+    """A collision threw a particle further than the candidates reach; `travel` is the distance it needs."""
 
     def __init__(self, travel: float):
         self.travel = travel
@@ -37,88 +36,94 @@ class Rewind:
         self.walls = planes is not None
         self.planes = planes or no_planes(dimension)
 
-    def drift(self, particles: Particles, near: Neighbourhood, h: float) -> Array:
+    def drift(self, particles: Particles, all_: Neighbourhood, h: float) -> Array:
         """x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
 
-        If a collision throws a particle further than the candidate pairs reach, the drift is undone, pairs are sought with
+        If a collision throws a particle further than the candidates reach, the drift is undone, candidates are sought with
         a longer reach, and it is done again: the result is that of a reach long enough from the start.
         """
-        near.prepare(particles, h)
+        all_.prepare(particles, h)
         while True:
             try:
-                counts = self.contacts(near, h)
+                counts = self.contacts(all_, h)
                 break
             except TooFarError as far:
-                self.undo(near)
-                near.search(particles, h, far.travel)
+                self.forget(all_, undo=True)
+                all_.search(particles, h, far.travel)
         with self.timers("drift"):
-            advance(near.axes, near.x, near.v, near.s, near.owned, h)
+            advance(all_.axes, all_.x, all_.v, all_.s, all_.owned, h)
+            self.forget(all_)
+        all_.passed(h)
         return counts
 
-    def contacts(self, near: Neighbourhood, h: float) -> Array:
+    def contacts(self, all_: Neighbourhood, h: float) -> Array:
         """All passes; leaves each row at the start of its last leg. Returns (collisions, wall hits, missed) of this rank."""
-        counts = np.zeros(3, np.int64)
-        self.logged, travel = 0, 0.0
-        near.s.fill(0.0)
-        near.met.fill(NOBODY)
+        counts, needed = np.zeros(3, np.int64), 0.0
         for left in range(self.passes, -1, -1):
             with self.timers("search"):
-                hits = self.find(near, h, left == self.passes)
+                hits = self.find(all_, h, left == self.passes)
             with self.timers("agree"):
-                waiting, travel = near.ranks.largest(np.array([float(len(hits[0])), travel]))
-            if travel > near.room:
-                raise TooFarError(float(travel))
+                waiting, needed = all_.ranks.largest(np.array([float(len(hits[0])), needed]))
+            if needed:
+                raise TooFarError(float(needed))
             if not waiting:
                 break
             if not left:
                 a, b, _ = hits
-                counts[2] = np.count_nonzero((b >= 0) & (a < near.owned))
+                counts[2] = np.count_nonzero((b >= 0) & (a < all_.owned))
                 if self.walls:
+                    all_.note(a[b < 0])
                     point, normal, restitution, keep, *_ = self.planes.arrays()
                     counts[1] += finish_walls(
-                        near.axes, near.x, near.v, near.s, near.met, near.radius, a, b, h, point, normal, restitution, keep
+                        all_.axes, all_.x, all_.v, all_.s, all_.met, all_.radius, a, b, h, point, normal, restitution, keep
                     )
                 break
-            travel = self.one_pass(near, hits, h, counts)
+            needed = self.one_pass(all_, hits, h, counts)
         return counts
 
-    def find(self, near: Neighbourhood, h: float, everything: bool) -> tuple[Array, Array, Array]:
+    def find(self, all_: Neighbourhood, h: float, everything: bool) -> tuple[Array, Array, Array]:
         """The hits on the present legs: all of them, or those of rows that are live."""
+        near = all_.near
         a, b, time = near.hits
         found = find_contacts(
-            near.axes, near.x, near.v, near.s, near.met, near.ids, near.radius, near.first, near.second, h, near.length,
-            everything, near.live, a, b, time,
+            all_.axes, all_.x, all_.v, all_.s, all_.met, all_.ids, all_.radius, near.first[: near.pairs], near.second[: near.pairs],
+            h, all_.length, everything, all_.live, a, b, time,
         )  # fmt: skip
         if self.walls:
             point, normal, _, _, lower, upper, oblique = self.planes.arrays()
             found = find_wall_hits(
-                near.axes, near.x, near.v, near.s, near.met, near.radius, near.owned, h, everything, near.live,
+                all_.axes, all_.x, all_.v, all_.s, all_.met, all_.radius, near.near_wall[: near.walls], h, everything, all_.live,
                 point, normal, lower, upper, oblique, a, b, time, found,
             )  # fmt: skip
         return a[:found], b[:found], time[:found]
 
-    def one_pass(self, near: Neighbourhood, hits: tuple[Array, Array, Array], h: float, counts: Array) -> float:
-        """Choose by the total order, tell the other ranks, let the chosen hits take place. Returns how far rows get now."""
-        with self.timers("collide"):
-            choose(near.ids, near.owned, *hits, near.choice, near.best)
-        with self.timers("ghosts"):
-            near.refresh(near.choice)
-        with self.timers("collide"):
-            near.live.fill(False)
-            self.logged = take_place(
-                near.axes, near.x, near.v, near.s, near.met, near.w, near.ids, near.owned, *hits, near.choice,
-                self.restitution, self.keep, near.length, self.planes.normal, self.planes.restitution, self.planes.keep,
-                near.live, near.log, near.log_x, near.log_v, self.logged, counts,
-            )  # fmt: skip
-            near.choice.fill(NOBODY)
-            rows = near.log[: self.logged]
-            travel = reach_of(near.axes, near.x, near.v, near.s, near.reference, rows, h, near.length)
-        with self.timers("ghosts"):
-            near.refresh_legs()
-        return float(travel)
+    def one_pass(self, all_: Neighbourhood, hits: tuple[Array, Array, Array], h: float, counts: Array) -> float:
+        """Choose by the total order, tell the other ranks, let the chosen hits take place, find who is in the way now.
 
-    def undo(self, near: Neighbourhood) -> None:
-        """Put back every owned row that collided in this drift."""
-        rows = near.log[: self.logged]
-        near.x[rows] = near.log_x[: self.logged]
-        near.v[rows] = near.log_v[: self.logged]
+        Returns 0, or how far a row needs candidates to reach.
+        """
+        with self.timers("collide"):
+            choose(all_.ids, all_.owned, *hits, all_.choice, all_.best)
+        if all_.halo:
+            with self.timers("ghosts"):
+                all_.halo.tell_choices(all_.choice)
+        with self.timers("collide"):
+            all_.forget_live()
+            all_.touches, all_.logged = take_place(
+                all_.axes, all_.x, all_.v, all_.s, all_.met, all_.w, all_.ids, all_.owned, *hits, all_.choice,
+                self.restitution, self.keep, all_.length, self.planes.normal, self.planes.restitution, self.planes.keep,
+                all_.live, all_.touched, all_.log, all_.log_x, all_.log_v, all_.logged, counts,
+            )  # fmt: skip
+        if all_.halo:
+            with self.timers("ghosts"):
+                all_.tell_legs()
+        with self.timers("pairs"):
+            return all_.follow(h)
+
+    def forget(self, all_: Neighbourhood, undo: bool = False) -> None:
+        """Legs are over: all begin at time 0 again. `undo`: owned rows go back to where they were before their contacts."""
+        rows = all_.log[: all_.logged]
+        if undo:
+            all_.x[rows] = all_.log_x[: all_.logged]
+            all_.v[rows] = all_.log_v[: all_.logged]
+        all_.forget_legs()

@@ -1,147 +1,196 @@
-"""The neighbourhood of a rank's particles: ghosts, and candidate pairs kept while nothing moved further than the skin.
+"""The neighbourhood of a rank's particles: ghosts, and candidates that hold until a horizon.
 
-Owned rows come first in every array, ghosts behind them. The particles' own position and velocity are views of the first
-`owned` rows, so that forces and drift work in place on what the pair search reads.
+Owned rows come first in every array, ghosts behind them. The particles' own position and velocity are the first `owned`
+rows, so that forces and drift work in place on what the pair search reads.
 """
 
 from __future__ import annotations
+
+from math import floor
 
 import numpy as np
 
 from particles_mpi.collide.contact import NOBODY
 from particles_mpi.errors import StoppedError
-from particles_mpi.neighbours.cells import best_skin, bounds, candidate_pairs, cell_order, fastest, furthest, grid
+from particles_mpi.neighbours.candidates import HEADROOM, Candidates
+from particles_mpi.neighbours.cells import GRIDDED, bounds, cell_order, grid
+from particles_mpi.neighbours.paths import fastest
+from particles_mpi.neighbours.rhythm import Rhythm
 from particles_mpi.parallel.balance import Balance
 from particles_mpi.parallel.domain import near_box
 from particles_mpi.parallel.exchange import Halo, migrate, send_rows
 from particles_mpi.parallel.ranks import Ranks
-from particles_mpi.particles import FIELDS, Array, Particles, shape
+from particles_mpi.particles import FIELDS, Array, Particles
 from particles_mpi.timers import Timers
 
-SORT_EVERY = 8  # searches; between two sorts in space the rows keep their order, which changes slowly
+SORT_EVERY = 2  # searches; between two sorts in space the rows keep their order, which changes slowly
+TOO_MANY = 0.1  # of the rows left their tubes at once: a search of all is cheaper than one for each
 
 
 class Neighbourhood:
-    """Who is near whom. `search` finds out, `prepare` makes sure before a drift that it still holds.
+    """Who is near whom. `search` finds out, `prepare` makes sure before a drift that it still holds, `follow` after contacts.
 
-    x, v (n, d), ids, radius, w = 1/m, s, met (n,): owned rows, then ghosts. `first`, `second`: rows of the candidate pairs.
-    `room`: how far a row may be from where the search saw it (half the skin). `length` (d,): periodic box lengths, else 0.
+    x, v (n, d), ids, radius, w = 1/m, s, met (n,): owned rows, then ghosts. `near` holds the candidates among them.
+    `length` (d,): periodic box lengths, else 0. `planes`: (point, normal) of the walls.
     """
 
-    def __init__(self, ranks: Ranks, length: Array, timers: Timers):
-        self.ranks, self.length, self.timers = ranks, length, timers
+    def __init__(self, ranks: Ranks, length: Array, planes: tuple[Array, Array], timers: Timers):
+        self.ranks, self.length, self.planes, self.timers = ranks, length, planes, timers
         self.axes = (0,) * len(length)
         self.balance = Balance(ranks, timers)
         self.version = -1
-        self.room = 0.0
-        self.searches = self.migrated = self.ghost_rows = 0
-        self.pairs_each = self.cut = 0.0
-        self.first = np.empty(0, np.int32)
+        self.halo: Halo | None = None
+        self.near: Candidates
+        self.mine: Array | None = None
+        self.searches = self.migrated = self.ghost_rows = self.expected = 0
+        self.rhythm = Rhythm()
 
     def prepare(self, particles: Particles, h: float) -> None:
-        """Before a drift over h: fresh ghosts, and pairs that reach as far as it will take any particle. Collective."""
-        with self.timers("agree"):
-            travel = np.inf
-            if self.version == particles.version and particles.position.base is self.x:
-                travel = furthest(self.axes, particles.position, self.reference, particles.velocity, h, self.length)
-            travel = float(self.ranks.largest(np.array([travel]))[0])
-        if not np.isfinite(travel) or travel > self.room:
-            self.search(particles, h, 0.0)
-        else:
+        """Before a drift over h: fresh ghosts, and candidates for wherever it will take any particle. Collective."""
+        if self.halo:
             with self.timers("ghosts"):
-                self.refresh(self.x, self.v)
+                self.halo.refresh(self.x, self.v)
+        with self.timers("pairs"):
+            needed = np.inf
+            if self.version == particles.version and particles.position is self.mine:
+                strays = self.near.strays(h)
+                if self.near.time + h <= self.near.end and len(strays) <= TOO_MANY * len(self.x) + 10:
+                    needed = self.near.follow(strays, self.s, h)
+        with self.timers("agree"):
+            needed = float(self.ranks.largest(needed)[0])
+        if needed:
+            self.search(particles, h, needed if np.isfinite(needed) else 0.0)
 
     def search(self, particles: Particles, h: float, at_least: float) -> None:
-        """Migrate, fetch ghosts and find the candidate pairs, to last some steps of h; room >= `at_least`. Collective."""
+        """Migrate, fetch ghosts and find the candidates, to last some steps of h; bound >= `at_least`. Collective."""
         with self.timers("migrate"):
             self.balance.update(particles, self.searches)
             arrays, gone = migrate(self.ranks, particles.arrays, self.balance.owner(particles.position), particles.dimension)
             self.migrated += gone
             if arrays is not particles.arrays:
                 particles.replace(arrays)
+        with self.timers("agree"):
+            end, half, bound = self.horizon(particles, h, at_least)
         with self.timers("pairs"):
-            skin, reach = self.choose_skin(particles, h, at_least)
             if self.searches % SORT_EVERY == 0 and len(particles) > 1:
-                order, *_ = cell_order(particles.position, *grid(particles.position, reach))
-                particles.replace({name: array[order] for name, array in particles.arrays.items()})
+                self.sort(particles)
         with self.timers("ghosts"):
-            self.fetch_ghosts(particles, reach)
+            self.fetch_ghosts(particles, end, bound)
         with self.timers("pairs"):
-            self.reference = particles.position.copy()
-            self.room = 0.5 * skin
-            self.first, self.second = candidate_pairs(
-                self.x, self.radius, self.w, self.ids, self.owned, skin, self.length, len(self.first)
-            )
-            capacity = len(self.first) + self.owned
-            self.hits = np.empty(capacity, np.int32), np.empty(capacity, np.int32), np.empty(capacity)
+            state = self.x, self.v, self.radius, self.w, self.ids
+            self.near = Candidates(state, self.owned, self.length, self.planes, end, half, bound, self.expected)
+            self.expected = self.near.pairs
         self.searches += 1
 
-    def choose_skin(self, particles: Particles, h: float, at_least: float) -> tuple[float, float]:
-        """(skin, reach = 2 R_max + skin), the same on all ranks."""
-        d, x = particles.dimension, particles.position
+    def horizon(self, particles: Particles, h: float, at_least: float) -> tuple[float, float, float]:
+        """(end, half, bound) of the next candidates, the same on all ranks."""
+        d, x, n = particles.dimension, particles.position, len(particles)
         low, high = bounds(x)
-        speed = fastest(self.axes, x, particles.velocity)
-        most = self.ranks.largest(np.concatenate(([speed, particles.radius.max(initial=0.0)], high, -low)))
-        if not np.isfinite(most[:2]).all():
+        work = self.rhythm.work(n, self.near.tests, self.near.asked) if self.searches else 0.0
+        radius = particles.radius
+        mine = np.array([n, fastest(self.axes, x, particles.velocity), radius.max(initial=0.0), radius.sum(), work, *low, *high])
+        table = self.ranks.rows_of_all(mine)  # of all in one message
+        total, speed, largest = table[:, 0].sum(), table[:, 1].max(), 2.0 * float(table[:, 2].max())
+        if not np.isfinite(table[:, 1:3]).all():
             raise StoppedError("a position, velocity or radius is not a finite number")
-        count, pairs = self.ranks.total(np.array([len(x), len(self.first)]))
-        travel, diameter = float(most[0]) * h, 2.0 * float(most[1])
-        extent = np.maximum(most[2 : 2 + d] + most[2 + d :], max(diameter, 1e-300)) if count else np.ones(d)
-        spacing = float(np.exp(np.log(extent).mean()) / max(count, 1) ** (1.0 / d))
-        self.pairs_each = pairs / max(count, 1)
-        skin = best_skin(travel, diameter, self.pairs_each, self.cut or 1.0, spacing, d)
-        least = max(2.01 * travel, 2.01 * at_least)
-        skin = max(skin, least)
-        periodic = self.length[self.length > 0.0]
+        mean = 2.0 * float(table[:, 3].sum()) / max(total, 1.0)
+        extent = np.maximum(table[:, 5 + d :].max(axis=0) - table[:, 5 : 5 + d].min(axis=0), max(mean, 1e-300)) if total else np.ones(d)
+        spacing = float(np.exp(np.log(extent).mean()) / max(total, 1.0) ** (1.0 / d))
+        half = 0.5 * max(0.25 * mean, 0.05 * spacing)
+        travel = float(speed) * h
+        steps = self.rhythm.next(float(table[:, 4].sum()), 0.5 * spacing / travel if travel > 0.0 else 50.0)
+        bound = max(HEADROOM * travel * steps + half, 1.01 * (travel + half), 1.01 * at_least)
+        # Relative paths up to 4 bound long: on a gridded axis of length L one image of a pair at most may meet, on the
+        # others it must be the nearest one all the time.
+        periodic = np.flatnonzero(self.length)
         if len(periodic):
-            widest = 0.5 * float(periodic.min()) - diameter
-            if least > widest:
+            widest = float(((0.5 * self.length - largest) * np.where(np.arange(d) < GRIDDED, 0.5, 0.25))[periodic].min()) * (1.0 - 1e-9)
+            least = max(travel, at_least - half)
+            if not least < widest:
                 raise StoppedError(
-                    f"time.step: a particle crosses {0.5 * least:.3g} in one step, too far for the periodic box of "
-                    f"{periodic.min():.3g} to tell a particle from its image; use a shorter step or a larger box"
+                    f"time.step: a particle crosses {least:.3g} in one step, too far for a periodic box of "
+                    f"{self.length[periodic].min():.3g} to tell a particle from its image; use a shorter step or a larger box"
                 )
-            skin = min(skin, widest)
-        self.cut = diameter + skin
-        return skin, self.cut
+            half = min(half, 0.5 * (widest - least))
+            bound = min(bound, widest - half)
+            if travel > 0.0:
+                steps = max(1, min(steps, floor((bound - half) / travel)))
+        return steps * h * (1.0 + 1e-9), half, bound
 
-    def fetch_ghosts(self, particles: Particles, reach: float) -> None:
-        """Copies of all particles within `reach` of this rank's domain, behind the owned rows. Collective."""
-        ranks, names = self.ranks, [name for name in particles.arrays if FIELDS[name].ghost]
-        arrays, d, self.owned = particles.arrays, particles.dimension, len(particles)
-        arrived = {name: np.empty(shape(name, 0, d), FIELDS[name].dtype) for name in names}
+    def sort(self, particles: Particles) -> None:
+        """Rows that are near in space, near in memory."""
+        low, high = bounds(particles.position)
+        g = min(particles.dimension, 3)
+        side = float(np.exp(np.log(np.maximum(high - low, 1e-300)[:g]).mean())) / len(particles) ** (1.0 / g)
+        order, _ = cell_order(particles.position, *grid(particles.position, side))
+        particles.replace({name: array[order] for name, array in particles.arrays.items()})
+
+    def fetch_ghosts(self, particles: Particles, end: float, bound: float) -> None:
+        """Copies of all particles that may meet this rank's, behind the owned rows. Collective."""
+        ranks, arrays, d, self.owned = self.ranks, particles.arrays, particles.dimension, len(particles)
+        names = [name for name in arrays if FIELDS[name].ghost]
+        everyone = {n: arrays[n] for n in names}
         self.halo = None
         if ranks.size > 1:
-            domain = self.balance.domain
-            populated = ranks.gathered(len(particles))
+            middle = particles.position + 0.5 * end * particles.velocity
+            boxes = ranks.rows_of_all(np.concatenate(([len(middle), particles.radius.max(initial=0.0)], *bounds(middle))))
             wanted = [
-                near_box(particles.position, domain.lower[p], domain.upper[p], reach, self.length)
-                if p != ranks.rank and populated[p]
+                near_box(middle, particles.radius, box[2 : 2 + d], box[2 + d :], box[1] + 2.0 * bound, self.length)
+                if p != ranks.rank and box[0]
                 else np.empty(0, np.int64)
-                for p in range(ranks.size)
+                for p, box in enumerate(boxes)
             ]
             rows, counts = np.concatenate(wanted), np.array([len(w) for w in wanted], np.int32)
-            arrived, arriving = send_rows(ranks, {n: arrays[n] for n in names}, rows, counts, d)
-            self.halo = Halo(ranks, rows, counts, arriving, self.owned)
+            arrived, arriving = send_rows(ranks, everyone, rows, counts, d)
+            self.halo = Halo(ranks, rows, counts, arriving, self.owned, d)
             self.ghost_rows += len(arrived["id"])
-        everyone = Particles(d, {n: np.concatenate((arrays[n], arrived[n])) for n in names})
-        self.ids, self.radius, self.w = everyone.id, everyone.radius, everyone.inverse_mass
-        self.x, self.v = np.array(everyone.position), np.array(everyone.velocity)
-        n = len(everyone)
+            everyone = {n: np.concatenate((arrays[n], arrived[n])) for n in names}
+        self.x, self.v = (np.ascontiguousarray(everyone[n]) for n in ("position", "velocity"))
+        self.ids, self.radius, self.w = everyone["id"], everyone["radius"], Particles(d, everyone).inverse_mass
+        n = len(self.x)
         self.s, self.met, self.live = np.zeros(n), np.full(n, NOBODY), np.zeros(n, np.bool_)
         self.choice, self.best = np.full(n, NOBODY), np.empty((self.owned, 3))
-        self.log = np.empty(self.owned, np.int64)
+        self.touched, self.touches = np.empty(n, np.int32), 0
+        self.log, self.logged = np.empty(self.owned, np.int32), 0
         self.log_x, self.log_v = np.empty((self.owned, d)), np.empty((self.owned, d))
-        particles.replace({**arrays, "position": self.x[: self.owned], "velocity": self.v[: self.owned]})
+        self.mine = self.x[: self.owned]
+        particles.replace({**arrays, "position": self.mine, "velocity": self.v[: self.owned]})
         self.version = particles.version
 
-    def refresh(self, *arrays: Array) -> None:
-        """Ghost rows of the arrays, as their owners have them."""
+    def tell_legs(self) -> None:
+        """Ghosts after a pass, as their owners have them; those whose leg is a new one are live."""
         if self.halo:
-            self.halo.refresh(*arrays)
+            self.choice[self.owned :] = NOBODY
+            self.touches = self.halo.tell_legs(self.live, self.x, self.v, self.s, self.met, self.touched, self.touches)
 
-    def refresh_legs(self) -> None:
-        """Ghosts after a pass; those whose leg is a new one are live."""
-        if self.halo:
-            before = self.s[self.owned :].copy(), self.met[self.owned :].copy()
-            self.halo.refresh(self.x, self.v, self.s, self.met)
-            self.live[self.owned :] |= (before[0] != self.s[self.owned :]) | (before[1] != self.met[self.owned :])
+    def follow(self, h: float) -> float:
+        """After a pass in the drift over h: candidates for the legs of the touched rows.
+
+        Returns 0, or how far a row gets if that is further than the candidates may reach.
+        """
+        rows = self.near.turned(self.touched[: self.touches].copy(), self.s)
+        return self.near.follow(rows, self.s, h)
+
+    def forget_live(self) -> None:
+        """No row is live."""
+        self.live[self.touched[: self.touches]] = False
+        self.touches = 0
+
+    def note(self, rows: Array) -> None:
+        """Owned rows that begin new legs without having met anyone before, each once."""
+        fresh = rows[self.met[rows] == NOBODY]
+        self.log[self.logged : self.logged + len(fresh)] = fresh
+        self.logged += len(fresh)
+
+    def forget_legs(self) -> None:
+        """All legs begin at time 0, and no one has met anyone."""
+        self.forget_live()
+        for rows in (self.log[: self.logged], slice(self.owned, None)):
+            self.s[rows] = 0.0
+            self.met[rows] = NOBODY
+        self.logged = 0
+
+    def passed(self, h: float) -> None:
+        """A drift over h is done."""
+        self.near.time += h
+        self.rhythm.step(self.near.pairs)

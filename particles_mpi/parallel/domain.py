@@ -105,8 +105,8 @@ def owners(x, axis, cut, below, above):
 
 
 @njit(cache=True)
-def near_box(x, lower, upper, reach, length):
-    """Rows of x (n, d) no further than `reach` from the box [lower, upper], by the nearest periodic image."""
+def near_box(x, radius, lower, upper, reach, length):
+    """Rows of x (n, d) no further than `reach` + radius from the box [lower, upper], by the nearest periodic image."""
     rows = np.empty(len(x), np.int64)
     found = 0
     for i in range(len(x)):
@@ -117,7 +117,6 @@ def near_box(x, lower, upper, reach, length):
                 gap = min(gap, max(lower[k] - x[i, k] - length[k], 0.0, x[i, k] + length[k] - upper[k]))
                 gap = min(gap, max(lower[k] - x[i, k] + length[k], 0.0, x[i, k] - length[k] - upper[k]))
             r2 += gap * gap
-        if r2 <= reach * reach:
-            rows[found] = i
-            found += 1
+        rows[found] = i
+        found += r2 <= (reach + radius[i]) ** 2
     return rows[:found]

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from mpi4py import MPI
+from numba import njit
 
+from particles_mpi.collide.contact import NOBODY
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, Array, shape
 
@@ -68,38 +72,130 @@ def in_id_order(ranks: Ranks, arrays: dict[str, Array], total: int, writers: int
 class Halo:
     """The ghosts of a rank: which rows go to which rank, and where theirs arrive, until the next search for pairs.
 
-    Ghost rows stand behind the owned ones, in order of their owner. Non-blocking, one message a pair of ranks and refresh.
+    Ghost rows stand behind the owned ones, in order of their owner. Each exchange is one non-blocking message to each
+    rank that has ghosts of ours; after a pass it holds only the rows to which something happened.
     """
 
-    def __init__(self, ranks: Ranks, rows: Array, counts: Array, arriving: Array, owned: int):
-        self.ranks = ranks
-        ends, begins = np.cumsum(counts), starts(counts)
-        self.outgoing = [(int(p), rows[begins[p] : ends[p]]) for p in np.flatnonzero(counts)]
-        ends, begins = owned + np.cumsum(arriving), owned + starts(arriving)
-        self.incoming = [(int(p), slice(int(begins[p]), int(ends[p]))) for p in np.flatnonzero(arriving)]
-        self.sent = 0
+    def __init__(self, ranks: Ranks, rows: Array, counts: Array, arriving: Array, owned: int, dimension: int):
+        self.ranks, self.owned = ranks, owned
+        self.rows = rows.astype(np.int32)
+        width = 3 + 2 * dimension  # the longest row of a message: place, last met, start of the leg, x, v
+        to, of = np.flatnonzero(counts), np.flatnonzero(arriving)
+        self.outgoing = list(zip(to.tolist(), starts(counts)[to].tolist(), np.cumsum(counts)[to].tolist(), strict=True))
+        ends = np.cumsum(arriving)
+        self.incoming = list(zip(of.tolist(), starts(arriving)[of].tolist(), ends[of].tolist(), strict=True))
+        self.out = [np.empty((end - begin) * width) for _, begin, end in self.outgoing]
+        self.into = [np.empty((end - begin) * width) for _, begin, end in self.incoming]
 
-    def refresh(self, *arrays: Array) -> None:
-        """Overwrite the ghost rows of the arrays (8-byte numbers, (n,) or (n, d)) by what their owners hold."""
-        comm = self.ranks.comm
-        widths = [a.size // max(len(a), 1) for a in arrays]
-        width = sum(widths)
-        received, requests = [], []
-        for p, ghosts in self.incoming:
-            buffer = np.empty((ghosts.stop - ghosts.start) * width)
-            received.append(buffer)
+    def exchange(self, pack: Callable[[Array, Array], int]) -> list[tuple[int, Array]]:
+        """`pack(rows, buffer)` writes a message and returns its length; gives (first ghost row, message) of all that arrived."""
+        comm, requests = self.ranks.comm, []
+        for (p, _, _), buffer in zip(self.incoming, self.into, strict=True):
             requests.append(comm.Irecv([buffer, MPI.DOUBLE], source=p))
-        kept = []
-        for p, rows in self.outgoing:
-            buffer = np.concatenate([a[rows].view(np.float64).ravel() for a in arrays])
-            kept.append(buffer)
-            requests.append(comm.Isend([buffer, MPI.DOUBLE], dest=p))
-            self.sent += len(rows)
-        self.ranks.messages += len(kept)
-        MPI.Request.Waitall(requests)
-        for (_, ghosts), buffer in zip(self.incoming, received, strict=True):
-            begin = 0
-            for array, columns in zip(arrays, widths, strict=True):
-                end = begin + columns * (ghosts.stop - ghosts.start)
-                array[ghosts] = buffer[begin:end].view(array.dtype).reshape(array[ghosts].shape)
-                begin = end
+        for (p, begin, end), buffer in zip(self.outgoing, self.out, strict=True):
+            size = pack(self.rows[begin:end], buffer)
+            requests.append(comm.Isend([buffer, size, MPI.DOUBLE], dest=p))
+        self.ranks.messages += len(self.outgoing)
+        statuses = [MPI.Status() for _ in requests]
+        MPI.Request.Waitall(requests, statuses)
+        return [
+            (self.owned + begin, buffer[: status.Get_count(MPI.DOUBLE)])
+            for (_, begin, _), buffer, status in zip(self.incoming, self.into, statuses, strict=False)
+        ]
+
+    def refresh(self, x: Array, v: Array) -> None:
+        """Ghost rows of x and v (n, d), as their owners have them."""
+        for first, message in self.exchange(lambda rows, buffer: pack_state(rows, x, v, buffer)):
+            unpack_state(first, message, x, v)
+
+    def tell_choices(self, choice: Array) -> None:
+        """The choices of owned rows to all who hold them as ghosts; those that made none are not mentioned."""
+        for first, message in self.exchange(lambda rows, buffer: pack_choices(rows, choice, buffer.view(np.int64))):
+            unpack_choices(first, message.view(np.int64), choice)
+
+    def tell_legs(self, live: Array, x: Array, v: Array, s: Array, met: Array, touched: Array, count: int) -> int:
+        """New legs of live owned rows to all who hold them as ghosts, which are live there too if their leg is news.
+
+        `touched[:count]` lists the live rows; returns the count with the ghosts that came to it.
+        """
+        for first, message in self.exchange(
+            lambda rows, buffer: pack_legs(rows, live, x, v, s, met, buffer, buffer.view(np.int64))
+        ):
+            count = unpack_legs(first, message, message.view(np.int64), live, x, v, s, met, touched, count)
+        return count
+
+
+@njit(cache=True)
+def pack_state(rows, x, v, out):
+    """x and v of rows, one after the other."""
+    d = x.shape[1]
+    for r in range(len(rows)):
+        for k in range(d):
+            out[2 * d * r + k] = x[rows[r], k]
+            out[2 * d * r + d + k] = v[rows[r], k]
+    return 2 * d * len(rows)
+
+
+@njit(cache=True)
+def unpack_state(first, message, x, v):
+    """What pack_state wrote, to the rows from `first` on."""
+    d = x.shape[1]
+    for r in range(len(message) // (2 * d)):
+        for k in range(d):
+            x[first + r, k] = message[2 * d * r + k]
+            v[first + r, k] = message[2 * d * r + d + k]
+
+
+@njit(cache=True)
+def pack_choices(rows, choice, out):
+    """(place among rows, choice) of those that made one."""
+    size = 0
+    for r in range(len(rows)):
+        if choice[rows[r]] != NOBODY:
+            out[size] = r
+            out[size + 1] = choice[rows[r]]
+            size += 2
+    return size
+
+
+@njit(cache=True)
+def unpack_choices(first, message, choice):
+    """What pack_choices wrote."""
+    for m in range(0, len(message), 2):
+        choice[first + message[m]] = message[m + 1]
+
+
+@njit(cache=True)
+def pack_legs(rows, live, x, v, s, met, out, words):
+    """(place among rows, met, s, x, v) of live rows; `words` is `out` as integers."""
+    d = x.shape[1]
+    size = 0
+    for r in range(len(rows)):
+        i = rows[r]
+        if live[i]:
+            words[size] = r
+            words[size + 1] = met[i]
+            out[size + 2] = s[i]
+            for k in range(d):
+                out[size + 3 + k] = x[i, k]
+                out[size + 3 + d + k] = v[i, k]
+            size += 3 + 2 * d
+    return size
+
+
+@njit(cache=True)
+def unpack_legs(first, message, words, live, x, v, s, met, touched, count):
+    """What pack_legs wrote; rows whose leg is news become live and touched."""
+    d = x.shape[1]
+    for m in range(0, len(message), 3 + 2 * d):
+        i = first + words[m]
+        if (met[i] != words[m + 1] or s[i] != message[m + 2]) and not live[i]:
+            live[i] = True
+            touched[count] = i
+            count += 1
+        met[i] = words[m + 1]
+        s[i] = message[m + 2]
+        for k in range(d):
+            x[i, k] = message[m + 3 + k]
+            v[i, k] = message[m + 3 + d + k]
+    return count

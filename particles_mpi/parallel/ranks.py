@@ -44,6 +44,16 @@ class Ranks:
         """Element-wise minimum over ranks."""
         return self._reduce(values, MPI.MIN)
 
+    def rows_of_all(self, row: Array) -> Array:
+        """A row of numbers from each rank, as a table (ranks, len(row)) on all of them."""
+        table = np.empty((self.size, len(row)), row.dtype)
+        if self.size == 1:
+            table[0] = row
+        else:
+            self.reductions += 1
+            self.comm.Allgather(row, table)
+        return table
+
     def from_root(self, value: Any) -> Any:
         """Any small Python object, as rank 0 has it."""
         return value if self.size == 1 else self.comm.bcast(value)

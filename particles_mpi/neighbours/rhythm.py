@@ -1,0 +1,47 @@
+"""How many steps the candidates of a search shall last: hill climbing on counted work, the same on every rank."""
+
+from __future__ import annotations
+
+MOST_STEPS = 400
+STRIDE = 1.3  # between the tries
+# Costs of a search, a row in it, a row that asks for itself, a pair in a step; in the time of one pair test (about 5 ns).
+SEARCH, ROW, ASKED, PAIR = 2e4, 25.0, 80.0, 0.5
+
+
+class Rhythm:
+    """`steps`: how many the next candidates shall last. Longer means fewer searches, but more candidates, found among more rows."""
+
+    def __init__(self) -> None:
+        self.steps = 0.0
+        self.upwards = True
+        self.before = float("inf")
+        self.lasted = 0
+        self.pair_steps = 0
+
+    def step(self, pairs: int) -> None:
+        """One more step done with so many pairs."""
+        self.lasted += 1
+        self.pair_steps += pairs
+
+    def work(self, rows: int, tests: int, asked: int) -> float:
+        """What the candidates have cost this rank since their search."""
+        return SEARCH + ROW * rows + tests + ASKED * asked + PAIR * self.pair_steps
+
+    def next(self, work: float, crossing: float) -> int:
+        """Steps that the next candidates shall last; `work` since the last search, of all ranks.
+
+        `crossing`: steps in which the fastest row gets as far as the next one is, for a start.
+        """
+        if self.steps == 0.0:
+            self.steps = crossing
+        elif self.lasted:
+            cost = work / self.lasted
+            if cost > self.before:
+                self.upwards = not self.upwards
+            self.before = cost
+            # Candidates that did not last as long as they should: longer ones would not either.
+            reached = self.steps if self.lasted >= int(self.steps + 0.5) else float(self.lasted)
+            self.steps = reached * (STRIDE if self.upwards else 1.0 / STRIDE)
+        self.steps = min(max(self.steps, 1.0), MOST_STEPS)
+        self.lasted = self.pair_steps = 0
+        return int(self.steps + 0.5)
