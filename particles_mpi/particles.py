@@ -71,8 +71,8 @@ class Particles:
             raise AttributeError(f"these particles have no field {name!r}") from None
 
     def select(self, rows: Array) -> Particles:
-        """A copy of the rows (indices or mask), in that order."""
-        return Particles(self.dimension, {name: array[rows] for name, array in self.arrays.items()})
+        """A copy of the rows (indices), in that order."""
+        return Particles(self.dimension, rows_of(self.arrays, rows))
 
     def replace(self, arrays: dict[str, Array]) -> None:
         """Take other rows: same fields, any number of rows, any order."""
@@ -91,6 +91,11 @@ class Particles:
 def shape(name: str, rows: int, dimension: int) -> tuple[int, ...]:
     """Shape of a field's array."""
     return (rows, dimension) if FIELDS[name].vector else (rows,)
+
+
+def rows_of(arrays: dict[str, Array], rows: Array) -> dict[str, Array]:
+    """Copies of the rows of every array, in that order."""
+    return {name: array.take(rows, axis=0) for name, array in arrays.items()}
 
 
 def row_dot(rows: Array, vectors: Array) -> Array:

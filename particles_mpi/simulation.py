@@ -70,7 +70,13 @@ class Simulation:
 
         planes = self.walls.planes if self.walls else None
         none = np.empty((0, self.scene.dimension))
-        self.near = Neighbourhood(self.ranks, self.length, (planes.point, planes.normal) if planes else (none, none), self.timers)
+        self.near = Neighbourhood(
+            self.ranks,
+            (self.lower, self.upper, self.length),
+            (planes.point, planes.normal) if planes else (none, none),
+            bool(self.forces or self.dissipation),
+            self.timers,
+        )
         self.rewind = Rewind(c.restitution, c.keep, c.options.passes, planes, self.scene.dimension, self.timers)
 
     @property
@@ -96,11 +102,12 @@ class Simulation:
 
     def drift(self, h: float, contacts: bool) -> None:
         """Positions over h, with whatever they meet on the way."""
-        p = self.particles
+        p, wrapped = self.particles, False
         if contacts and self.collisions:
             migrated = self.near.migrated
             found = self.rewind.drift(p, self.near, h)
             happened = [*found, self.near.migrated - migrated]
+            wrapped = True
             self.count("collisions")
             if self.walls:
                 self.count("walls")
@@ -114,7 +121,7 @@ class Simulation:
             happened = [0, 0, 0, 0]
         for name, number in zip(COUNTS, happened, strict=True):
             self.totals[name] += int(number)
-        if self.length.any():
+        if self.length.any() and not wrapped:
             with self.timers("drift"):
                 wrap(p.position, self.lower, self.upper, self.length)
 

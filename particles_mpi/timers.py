@@ -2,21 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from time import perf_counter
+
+
+class Phase:
+    """A stop watch: `with phase: ...` adds to its seconds."""
+
+    __slots__ = ("begin", "seconds")
+
+    def __init__(self) -> None:
+        self.begin = self.seconds = 0.0
+
+    def __enter__(self) -> None:
+        self.begin = perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        self.seconds += perf_counter() - self.begin
 
 
 class Timers:
     """`with timers("search"): ...` adds to that phase's seconds; `timers.seconds` holds them. Phases do not nest."""
 
     def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
+        self.phases: dict[str, Phase] = {}
 
-    @contextmanager
-    def __call__(self, phase: str) -> Iterator[None]:
-        begin = perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[phase] = self.seconds.get(phase, 0.0) + perf_counter() - begin
+    def __call__(self, phase: str) -> Phase:
+        found = self.phases.get(phase)
+        if found is None:
+            found = self.phases[phase] = Phase()
+        return found
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        return {name: phase.seconds for name, phase in self.phases.items()}

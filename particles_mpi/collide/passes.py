@@ -203,11 +203,3 @@ def finish_walls(axes, x, v, s, met, radius, a, b, h, point, normal, restitution
             i = a[p]
             hits += bounce_until(axes, x, v, s, met[i], i, radius[i], h, point, normal, restitution, keep)
     return hits
-
-
-@njit(cache=True)
-def advance(axes, x, v, s, owned, h):
-    """From the start of the last leg to the end of the drift: x += v (h - s)."""
-    for i in range(owned):
-        for k in range(len(axes)):
-            x[i, k] += v[i, k] * (h - s[i])

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from particles_mpi.collide.passes import advance, choose, find_contacts, find_wall_hits, finish_walls, take_place
+from particles_mpi.collide.passes import choose, find_contacts, find_wall_hits, finish_walls, take_place
 from particles_mpi.collide.planes import Planes, no_planes
 from particles_mpi.neighbours.pairs import Neighbourhood
 from particles_mpi.particles import Array, Particles
@@ -48,12 +48,10 @@ class Rewind:
                 counts = self.contacts(all_, h)
                 break
             except TooFarError as far:
-                self.forget(all_, undo=True)
+                self.undo(all_)
                 all_.search(particles, h, far.travel)
         with self.timers("drift"):
-            advance(all_.axes, all_.x, all_.v, all_.s, all_.owned, h)
-            self.forget(all_)
-        all_.passed(h)
+            all_.advance(h)
         return counts
 
     def contacts(self, all_: Neighbourhood, h: float) -> Array:
@@ -71,6 +69,7 @@ class Rewind:
             if not left:
                 a, b, _ = hits
                 counts[2] = np.count_nonzero((b >= 0) & (a < all_.owned))
+                all_.distrust()  # walls that are blind to others turn rows which are ghosts elsewhere
                 if self.walls:
                     all_.note(a[b < 0])
                     point, normal, restitution, keep, *_ = self.planes.arrays()
@@ -120,10 +119,9 @@ class Rewind:
         with self.timers("pairs"):
             return all_.follow(h)
 
-    def forget(self, all_: Neighbourhood, undo: bool = False) -> None:
-        """Legs are over: all begin at time 0 again. `undo`: owned rows go back to where they were before their contacts."""
+    def undo(self, all_: Neighbourhood) -> None:
+        """Owned rows go back to where they were before their contacts in this drift."""
         rows = all_.log[: all_.logged]
-        if undo:
-            all_.x[rows] = all_.log_x[: all_.logged]
-            all_.v[rows] = all_.log_v[: all_.logged]
+        all_.x[rows] = all_.log_x[: all_.logged]
+        all_.v[rows] = all_.log_v[: all_.logged]
         all_.forget_legs()

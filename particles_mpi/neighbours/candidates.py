@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from particles_mpi.neighbours.cells import GRIDDED, bounds, cell_order, grid
+from particles_mpi.neighbours.cells import FINE, bounds, grid, sort_rows, spacing
 from particles_mpi.neighbours.paths import (
+    SLOW,
     drop_pairs,
+    fill_cells,
     find_near_walls,
     find_partners,
+    levels,
+    move_rows,
     set_out,
     set_out_anew,
     strayed,
@@ -17,17 +21,17 @@ from particles_mpi.neighbours.paths import (
 )
 from particles_mpi.particles import Array
 
-GIANT = 4.0  # times the mean reach: beyond it a row, if it is one of few, does not set how far all others must look
-FEW_GIANTS = 64
-TURN = 1.6  # a row that turns back gets further from the middle of its first path: the reach beyond which it is a giant then
-HEADROOM = 1.1  # how far a row may get from there, in paths of the fastest one, before the horizon comes nearer
+SLOWEST = 1.7  # times the mean reach: rows beyond it are fast, one in twenty of a gas
+GIANTS = 8.0  # times the mean reach: beyond it are giants, if they are few
+FEW = 64
 
 
 class Candidates:
     """`first[:pairs]`, `second[:pairs]` are the candidate pairs as rows, `near_wall[:walls]` the rows near walls.
 
-    x, v (n, d), radius, w = 1/m, ids (n,): the first `owned` rows are this rank's, ghosts follow. They may change in place; what
-    happened to them is told by `follow_strays` and `follow`. `bound`: no row may get further than that from where the search saw it.
+    x, v (n, d), radius, w = 1/m, ids (n,): the first `owned` rows are this rank's, ghosts follow. They may change in place;
+    `strays` finds those that forces bent out of their tubes, `turned` those that contacts turned, `follow` renews both.
+    `bound`: no row may get further than that from the middle of its first path.
     """
 
     def __init__(
@@ -64,40 +68,34 @@ class Candidates:
         self.hits = np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size)
 
     def search(self) -> None:
-        """All candidates, from the cells."""
-        n, g = len(self.x), min(self.x.shape[1], GRIDDED)
-        self.path, self.seen, self.reach = set_out(self.axes, self.x, self.v, self.radius, self.end, self.half)
+        """All candidates, from cells made anew."""
+        n = len(self.x)
+        self.path, self.home, self.reach, mean = set_out(self.axes, self.x, self.v, self.radius, self.end, self.half)
+        self.seen = self.home.copy()
         self.lowest, self.highest = bounds(self.seen)
-        extent = np.maximum(self.highest - self.lowest, 1e-300)[:g]
-        spacing = float(np.exp(np.log(extent).mean()) / n ** (1.0 / g))
-        mean = float(self.reach.mean())
-        self.cells = grid(self.seen, max(0.9 * spacing, 0.6 * mean))
-        self.order, self.start = cell_order(self.seen, *self.cells)
-        self.place = np.empty(n, np.int32)
-        self.place[self.order] = np.arange(n, dtype=np.int32)
-        self.entry = np.column_stack((self.seen[self.order, :g], self.reach[self.order]))
-        self.cap, self.giants, self.known = np.inf, np.empty(n, np.int32), 0
-        self.ask(np.arange(n, dtype=np.int32), -1.0)
+        self.own_low, self.own_high = bounds(self.seen[: self.owned])
+        self.limit = GIANTS * mean
         largest, periodic = float(self.radius.max()), self.length[self.length > 0.0]
         if len(periodic) and 2.0 * largest + 4.0 * self.bound > 0.5 * periodic.min():
-            self.cap = largest + self.bound  # nobody reaches further: giants only know the nearest image of a partner
-            return
-        ordinary = self.reach[self.reach <= GIANT * mean]
-        if n - len(ordinary) > FEW_GIANTS:
-            ordinary = self.reach
-        self.cap = TURN * float(ordinary.max())
-        giants = np.flatnonzero(self.reach > self.cap)
-        self.known = len(giants)
-        self.giants[: self.known] = giants
+            self.limit = np.inf  # no giants: they only know the nearest image of a partner
+        self.level, self.giants, self.known, self.caps = levels(self.reach, SLOWEST * mean, self.limit, FEW)
+        apart = spacing(self.lowest, self.highest, n)
+        cells = grid(self.seen, max(0.9 * apart, 0.6 * mean), FINE)
+        order, start = sort_rows(self.seen, self.level, SLOW, *cells)
+        self.coarse = grid(self.seen, max(2.0 * apart, 2.0 * mean), 1)
+        place, entry, *self.lists = fill_cells(self.seen, self.reach, self.level, order, *self.coarse)
+        self.slow = order, place, start, entry, *cells
+        self.fast = *self.lists[:2], *self.coarse
+        self.ask(np.arange(n, dtype=np.int32), everything=True)
 
-    def ask(self, rows: Array, widest: float) -> None:
-        """Replace the candidates of `rows`: each looks for partners that reach up to `widest` (< 0: only up to its own)."""
+    def ask(self, rows: Array, everything: bool) -> None:
+        """Replace the candidates of `rows`."""
         self.pairs = drop_pairs(rows, self.marked, self.first, self.second, self.pairs)
         while True:
             found, tests = find_partners(
-                self.axes, rows, self.marked, self.path, self.reach, self.end, self.half, widest, self.cap,
-                self.giants[: self.known], self.order, self.place, self.entry, self.start, *self.cells, self.lowest, self.highest, self.length,
-                self.owned, self.ids, self.w, self.first, self.second, self.pairs,
+                self.axes, rows, everything, self.marked, self.path, self.seen, self.reach, self.level, self.end, self.half,
+                self.slow, self.fast, self.giants[: self.known], self.caps, self.lowest, self.highest, self.length,
+                self.owned, self.own_low, self.own_high, self.ids, self.w, self.first, self.second, self.pairs,
             )  # fmt: skip
             if found <= len(self.first):
                 break
@@ -125,14 +123,22 @@ class Candidates:
 
         Returns 0, or how far a row gets in this drift if the bound forbids it: then all must be searched anew.
         """
-        needed, self.end, self.known = set_out_anew(
-            self.axes, rows, self.x, self.v, s, self.seen, self.path, self.reach, self.length, self.time, h, self.end,
-            self.half, self.bound, self.cap, self.giants, self.known,
+        if not len(rows):
+            return 0.0
+        needed, self.end = set_out_anew(
+            self.axes, rows, self.x, self.v, s, self.home, self.path, self.seen, self.reach, self.length,
+            self.time, h, self.end, self.half, self.bound,
+        )  # fmt: skip
+        if needed:
+            return float(needed)
+        _, place, _, entry, *_ = self.slow
+        self.known = move_rows(
+            rows, self.seen, self.reach, self.level, place, entry, *self.lists, *self.coarse, self.caps, self.limit,
+            self.giants, self.known, self.lowest, self.highest, self.owned, self.own_low, self.own_high,
         )  # fmt: skip
         self.asked += len(rows)
-        if not needed and len(rows):
-            self.ask(rows, self.cap)
-        return float(needed)
+        self.ask(rows, everything=False)
+        return 0.0
 
 
 def touching(x: Array, radius: Array, w: Array, ids: Array, length: Array) -> tuple[Array, Array]:

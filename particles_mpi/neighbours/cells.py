@@ -1,6 +1,7 @@
-"""Linked cells on at most three axes: rows sorted by cell. Plain arrays.
+"""Linked cells on at most three axes. Plain arrays.
 
-Cells along the last gridded axis are contiguous in the sorted order: all rows that are near a place are a few runs of entries.
+A grid is (origin, cells a unit length, cells), each of shape (3,); in fewer dimensions the first axes have one cell. Places
+outside belong to the outermost cells, so that a grid may leave outliers out, a few of which would else make all cells coarse.
 """
 
 from __future__ import annotations
@@ -13,17 +14,14 @@ from numba import njit
 from particles_mpi.particles import Array
 
 GRIDDED = 3  # axes with cells; more would cost 3^d cells to visit, and the others are tested by distance anyway
-FINE = 4  # cells to a side on the last gridded axis: runs along it can be any length, so that they may as well be tight
+FINE = 4  # cells to a side on the last axis of a sorted grid: runs along it can be any length, so that they may be tight
 SAMPLE = 512  # rows that tell where the bulk of the particles is
 
+Grid = tuple[Array, Array, Array]
 
-def grid(x: Array, side: float) -> tuple[Array, Array, Array]:
-    """(origin, cells a unit length, cells), of shape (3,), of cells of about `side` over the rows of x (n, d); d < 3: the
-    first axes have one cell. At most about FINE cells a row.
 
-    Rows outside belong to the outermost cells. So the grid may leave outliers out, a few of which would else make the cells
-    of all others coarse.
-    """
+def grid(x: Array, side: float, fine: int) -> Grid:
+    """Cells of about `side`, and side/fine along the last axis, over the rows of x (n, d); at most about n sides."""
     g = min(x.shape[1], GRIDDED)
     first = GRIDDED - g
     origin, per, cells = np.zeros(GRIDDED), np.zeros(GRIDDED), np.ones(GRIDDED, np.int64)
@@ -40,9 +38,15 @@ def grid(x: Array, side: float) -> tuple[Array, Array, Array]:
         side *= 1.25
     origin[first:] = low
     per[first:] = 1.0 / side
-    per[-1] *= FINE
+    per[-1] *= fine
     cells[first:] = (extent * per[first:]).astype(np.int64) + 1
     return origin, per, cells
+
+
+def spacing(low: Array, high: Array, n: int) -> float:
+    """Mean distance of n rows in the gridded part of the box [low, high]; 0 if it has no volume."""
+    extent = np.maximum(high - low, 1e-300)[:GRIDDED]
+    return float(np.exp(np.log(extent).mean()) / max(n, 1) ** (1.0 / len(extent)))
 
 
 @njit(cache=True)
@@ -52,8 +56,8 @@ def bounds(x):
     high = np.full(x.shape[1], -inf)
     for i in range(x.shape[0]):
         for k in range(x.shape[1]):
-            low[k] = min(low[k], x[i, k])
-            high[k] = max(high[k], x[i, k])
+            low[k] = low[k] if low[k] <= x[i, k] else x[i, k]
+            high[k] = high[k] if high[k] >= x[i, k] else x[i, k]
     return low, high
 
 
@@ -63,27 +67,56 @@ def cell_along(y, origin, per, cells):
     return int(min(max((y - origin) * per, 0.0), cells - 1.0))
 
 
-@njit(cache=True, error_model="numpy")
-def cell_order(x, origin, per, cells):
-    """(order, start): rows sorted by cell (rows in order within one), and where each cell starts among them; a counting sort.
-
-    The other arguments are those that `grid` gives.
-    """
-    n = len(x)
+@njit(cache=True)
+def cell_at(x, i, origin, per, cells):
+    """The cell of row i of x (n, d)."""
     first = max(0, 3 - x.shape[1])
+    c = 0
+    for m in range(first, 3):
+        c = c * cells[m] + cell_along(x[i, m - first], origin[m], per[m], cells[m])
+    return c
+
+
+@njit(cache=True, error_model="numpy")
+def sort_rows(x, level, wanted, origin, per, cells):
+    """(order, start): rows of one level sorted by cell (rows in order within one), and where each cell starts among them."""
+    n = len(x)
     cell_of = np.empty(n, np.int32)
     start = np.zeros(cells[0] * cells[1] * cells[2] + 2, np.int32)  # rows of cell c counted at c + 2, then its place at c + 1
+    count = 0
     for i in range(n):
-        c = 0
-        for m in range(first, 3):
-            c = c * cells[m] + cell_along(x[i, m - first], origin[m], per[m], cells[m])
-        cell_of[i] = c
-        start[c + 2] += 1
+        if level[i] == wanted:
+            c = cell_at(x, i, origin, per, cells)
+            cell_of[i] = c
+            start[c + 2] += 1
+            count += 1
     for c in range(len(start) - 2):
         start[c + 2] += start[c + 1]
-    order = np.empty(n, np.int32)
+    order = np.empty(count, np.int32)
     for i in range(n):
-        c = cell_of[i]
-        order[start[c + 1]] = i
-        start[c + 1] += 1
+        if level[i] == wanted:
+            c = cell_of[i]
+            order[start[c + 1]] = i
+            start[c + 1] += 1
     return order, start
+
+
+@njit(cache=True)
+def link(i, c, head, after, before, cell_of):
+    """Put row i into the list of cell c."""
+    j = head[c]
+    after[i], before[i], cell_of[i] = j, -1, c
+    if j >= 0:
+        before[j] = i
+    head[c] = i
+
+
+@njit(cache=True)
+def unlink(i, head, after, before, cell_of):
+    """Take row i out of the list of its cell."""
+    if before[i] >= 0:
+        after[before[i]] = after[i]
+    else:
+        head[cell_of[i]] = after[i]
+    if after[i] >= 0:
+        before[after[i]] = before[i]

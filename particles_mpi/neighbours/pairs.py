@@ -9,21 +9,24 @@ from __future__ import annotations
 from math import floor
 
 import numpy as np
+from numba import njit
 
 from particles_mpi.collide.contact import NOBODY
 from particles_mpi.errors import StoppedError
-from particles_mpi.neighbours.candidates import HEADROOM, Candidates
-from particles_mpi.neighbours.cells import GRIDDED, bounds, cell_order, grid
+from particles_mpi.integrators import wrap
+from particles_mpi.neighbours.candidates import Candidates
+from particles_mpi.neighbours.cells import GRIDDED, bounds, grid, sort_rows, spacing
 from particles_mpi.neighbours.paths import fastest
 from particles_mpi.neighbours.rhythm import Rhythm
 from particles_mpi.parallel.balance import Balance
 from particles_mpi.parallel.domain import near_box
 from particles_mpi.parallel.exchange import Halo, migrate, send_rows
 from particles_mpi.parallel.ranks import Ranks
-from particles_mpi.particles import FIELDS, Array, Particles
+from particles_mpi.particles import FIELDS, Array, Particles, rows_of
 from particles_mpi.timers import Timers
 
 SORT_EVERY = 2  # searches; between two sorts in space the rows keep their order, which changes slowly
+HEADROOM = 1.1  # how far a row may get from the middle of its path, in whole paths of the fastest one
 TOO_MANY = 0.1  # of the rows left their tubes at once: a search of all is cheaper than one for each
 
 
@@ -31,11 +34,14 @@ class Neighbourhood:
     """Who is near whom. `search` finds out, `prepare` makes sure before a drift that it still holds, `follow` after contacts.
 
     x, v (n, d), ids, radius, w = 1/m, s, met (n,): owned rows, then ghosts. `near` holds the candidates among them.
-    `length` (d,): periodic box lengths, else 0. `planes`: (point, normal) of the walls.
+    `box`: (lower, upper, length) (d,), with length 0 where not periodic. `planes`: (point, normal) of the walls. `kicked`: do
+    forces or dissipation change velocities? If not, ghosts fly on by themselves, and only contacts need a message.
     """
 
-    def __init__(self, ranks: Ranks, length: Array, planes: tuple[Array, Array], timers: Timers):
-        self.ranks, self.length, self.planes, self.timers = ranks, length, planes, timers
+    def __init__(self, ranks: Ranks, box: tuple[Array, Array, Array], planes: tuple[Array, Array], kicked: bool, timers: Timers):
+        self.ranks, self.planes, self.kicked, self.timers = ranks, planes, kicked, timers
+        self.lower, self.upper, self.length = box
+        length = self.length
         self.axes = (0,) * len(length)
         self.balance = Balance(ranks, timers)
         self.version = -1
@@ -46,20 +52,36 @@ class Neighbourhood:
         self.rhythm = Rhythm()
 
     def prepare(self, particles: Particles, h: float) -> None:
-        """Before a drift over h: fresh ghosts, and candidates for wherever it will take any particle. Collective."""
-        if self.halo:
-            with self.timers("ghosts"):
-                self.halo.refresh(self.x, self.v)
+        """Before a drift over h: candidates for wherever it will take any particle. Collective."""
         with self.timers("pairs"):
-            needed = np.inf
-            if self.version == particles.version and particles.position is self.mine:
-                strays = self.near.strays(h)
-                if self.near.time + h <= self.near.end and len(strays) <= TOO_MANY * len(self.x) + 10:
-                    needed = self.near.follow(strays, self.s, h)
+            valid = self.version == particles.version and particles.position is self.mine
+            needed = 0.0 if valid and self.near.time + h <= self.near.end else np.inf
+        if self.kicked:
+            needed = max(needed, self.follow_kicks(h))
+        elif valid:
+            with self.timers("pairs"):
+                if fingerprint(self.mine, self.v) != self.left_at:  # someone else moved or pushed them
+                    needed = np.inf
         with self.timers("agree"):
             needed = float(self.ranks.largest(needed)[0])
         if needed:
             self.search(particles, h, needed if np.isfinite(needed) else 0.0)
+
+    def follow_kicks(self, h: float) -> float:
+        """Where forces change velocities: fresh ghosts, and candidates for the rows that are bent out of their tubes.
+
+        Returns 0, or what a search is needed for.
+        """
+        if self.halo:
+            with self.timers("ghosts"):
+                self.halo.refresh(self.x, self.v)
+        if not self.searches:
+            return np.inf
+        with self.timers("pairs"):
+            strays = self.near.strays(h)
+            if len(strays) > TOO_MANY * len(self.x) + 10:
+                return np.inf
+            return self.near.follow(strays, self.s, h)
 
     def search(self, particles: Particles, h: float, at_least: float) -> None:
         """Migrate, fetch ghosts and find the candidates, to last some steps of h; bound >= `at_least`. Collective."""
@@ -86,7 +108,7 @@ class Neighbourhood:
         """(end, half, bound) of the next candidates, the same on all ranks."""
         d, x, n = particles.dimension, particles.position, len(particles)
         low, high = bounds(x)
-        work = self.rhythm.work(n, self.near.tests, self.near.asked) if self.searches else 0.0
+        work = self.rhythm.work(len(self.x), self.near.tests, self.near.asked) if self.searches else 0.0
         radius = particles.radius
         mine = np.array([n, fastest(self.axes, x, particles.velocity), radius.max(initial=0.0), radius.sum(), work, *low, *high])
         table = self.ranks.rows_of_all(mine)  # of all in one message
@@ -94,11 +116,10 @@ class Neighbourhood:
         if not np.isfinite(table[:, 1:3]).all():
             raise StoppedError("a position, velocity or radius is not a finite number")
         mean = 2.0 * float(table[:, 3].sum()) / max(total, 1.0)
-        extent = np.maximum(table[:, 5 + d :].max(axis=0) - table[:, 5 : 5 + d].min(axis=0), max(mean, 1e-300)) if total else np.ones(d)
-        spacing = float(np.exp(np.log(extent).mean()) / max(total, 1.0) ** (1.0 / d))
-        half = 0.5 * max(0.25 * mean, 0.05 * spacing)
+        apart = spacing(table[:, 5 : 5 + d].min(axis=0), table[:, 5 + d :].max(axis=0), int(total)) if total else 1.0
+        half = 0.5 * max(0.25 * mean, 0.05 * apart)
         travel = float(speed) * h
-        steps = self.rhythm.next(float(table[:, 4].sum()), 0.5 * spacing / travel if travel > 0.0 else 50.0)
+        steps = self.rhythm.next(float(table[:, 4].sum()), 0.5 * apart / travel if travel > 0.0 else 50.0)
         bound = max(HEADROOM * travel * steps + half, 1.01 * (travel + half), 1.01 * at_least)
         # Relative paths up to 4 bound long: on a gridded axis of length L one image of a pair at most may meet, on the
         # others it must be the nearest one all the time.
@@ -119,11 +140,9 @@ class Neighbourhood:
 
     def sort(self, particles: Particles) -> None:
         """Rows that are near in space, near in memory."""
-        low, high = bounds(particles.position)
-        g = min(particles.dimension, 3)
-        side = float(np.exp(np.log(np.maximum(high - low, 1e-300)[:g]).mean())) / len(particles) ** (1.0 / g)
-        order, _ = cell_order(particles.position, *grid(particles.position, side))
-        particles.replace({name: array[order] for name, array in particles.arrays.items()})
+        x = particles.position
+        order, _ = sort_rows(x, np.zeros(len(x), np.int8), 0, *grid(x, spacing(*bounds(x), len(x)), 1))
+        particles.replace(rows_of(particles.arrays, order))
 
     def fetch_ghosts(self, particles: Particles, end: float, bound: float) -> None:
         """Copies of all particles that may meet this rank's, behind the owned rows. Collective."""
@@ -190,7 +209,35 @@ class Neighbourhood:
             self.met[rows] = NOBODY
         self.logged = 0
 
-    def passed(self, h: float) -> None:
-        """A drift over h is done."""
+    def advance(self, h: float) -> None:
+        """From the starts of the last legs to the end of the drift over h, and back into a periodic box."""
+        end_legs(self.axes, self.x, self.v, self.s, h)
+        self.forget_legs()
+        if self.length.any():
+            wrap(self.x, self.lower, self.upper, self.length)
         self.near.time += h
         self.rhythm.step(self.near.pairs)
+        if not self.kicked:
+            self.left_at = fingerprint(self.mine, self.v)
+
+    def distrust(self) -> None:
+        """Ghosts are not what their owners have: search before the next drift."""
+        self.version = -1
+
+
+@njit(cache=True)
+def end_legs(axes, x, v, s, h):
+    """From the start of the last leg to the end of the drift: x += v (h - s)."""
+    for i in range(len(x)):
+        for k in range(len(axes)):
+            x[i, k] += v[i, k] * (h - s[i])
+
+
+@njit(cache=True)
+def fingerprint(x, v):
+    """A number that changes when somebody changes a row of x or v (n, d)."""
+    a, b = x.ravel().view(np.int64), v.ravel().view(np.int64)
+    total = np.int64(0)
+    for i in range(len(a)):
+        total += (a[i] ^ (np.int64(i) * 7919)) + (b[i] ^ (np.int64(i) * 104729))
+    return total

@@ -10,7 +10,7 @@ from numba import njit
 
 from particles_mpi.collide.contact import NOBODY
 from particles_mpi.parallel.ranks import Ranks
-from particles_mpi.particles import FIELDS, Array, shape
+from particles_mpi.particles import FIELDS, Array, rows_of, shape
 
 
 def send_rows(
@@ -21,14 +21,14 @@ def send_rows(
     Returns what arrived, in order of the sender, and how many rows from each. Collective.
     """
     if ranks.size == 1:
-        return {name: array[rows] for name, array in arrays.items()}, counts
+        return rows_of(arrays, rows), counts
     arriving = np.empty_like(counts)
     ranks.comm.Alltoall(counts, arriving)
     ranks.messages += int((counts > 0).sum())
     row_type = np.dtype([(name, FIELDS[name].dtype, shape(name, 1, dimension)[1:]) for name in arrays])
     outgoing = np.empty(len(rows), row_type)
     for name, array in arrays.items():
-        outgoing[name] = array[rows]
+        outgoing[name] = array.take(rows, axis=0)
     incoming = np.empty(int(arriving.sum()), row_type)
     mpi_row = MPI.BYTE.Create_contiguous(row_type.itemsize).Commit()
     ranks.comm.Alltoallv([outgoing, (counts, starts(counts)), mpi_row], [incoming, (arriving, starts(arriving)), mpi_row])
@@ -51,13 +51,13 @@ def migrate(ranks: Ranks, arrays: dict[str, Array], owner: Array, dimension: int
     """Every row to its owner, any rank; returns the rows held now and how many this rank sent away. Collective."""
     if ranks.size == 1:
         return arrays, 0
-    stays = owner == ranks.rank
-    leaving = np.flatnonzero(~stays)
+    leaving = np.flatnonzero(owner != ranks.rank)
     if ranks.total(len(leaving))[0] == 0:
         return arrays, 0
     order, counts = by_destination(owner[leaving], ranks.size)
     arrived, _ = send_rows(ranks, arrays, leaving[order], counts, dimension)
-    return {n: np.concatenate((a[stays], arrived[n])) for n, a in arrays.items()}, len(leaving)
+    staying = np.flatnonzero(owner == ranks.rank)
+    return {n: np.concatenate((a, arrived[n])) for n, a in rows_of(arrays, staying).items()}, len(leaving)
 
 
 def in_id_order(ranks: Ranks, arrays: dict[str, Array], total: int, writers: int, dimension: int) -> dict[str, Array]:
@@ -66,7 +66,7 @@ def in_id_order(ranks: Ranks, arrays: dict[str, Array], total: int, writers: int
     order, counts = by_destination(owner, ranks.size)
     arrived, _ = send_rows(ranks, arrays, order, counts, dimension)
     order = np.argsort(arrived["id"], kind="stable")
-    return {name: array[order] for name, array in arrived.items()}
+    return rows_of(arrived, order)
 
 
 class Halo:
