@@ -223,7 +223,7 @@ warm_up() {  # compile the kernels now, so that the first run, or four test rank
   key=$(find particles_mpi -name '*.py' -print0 | sort -z | xargs -0 cat | digest)
   was_done kernels "$key" && return
   find particles_mpi -name '*.nb[ic]' -delete  # numba does not see that a kernel called from another file has changed
-  if $PY -m particles_mpi.warmup; then printf '%s' "$key" >"$DONE/kernels"
+  if mpirun -n 2 $PY -m particles_mpi.warmup; then printf '%s' "$key" >"$DONE/kernels"
   else note 'kernels could not be compiled ahead: the first run does it'; fi
 }
 

@@ -193,7 +193,7 @@ def _kernels(package: Path) -> Row:
         return Row("kernel cache", f"{compiled} compiled, in {folder}")
     home = folder if folder.exists() else Path.home()
     if os.access(home, os.W_OK) or os.access(Path.home(), os.W_OK):
-        return Row("kernel cache", "empty: the first run compiles (python -m particles_mpi.warmup does it now)")
+        return Row("kernel cache", "empty: the first run compiles (./run.sh setup does it now)")
     return Row(
         "kernel cache", f"{folder} cannot be written", False, "every run will compile: set NUMBA_CACHE_DIR to a folder of yours"
     )

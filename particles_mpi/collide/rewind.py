@@ -61,7 +61,8 @@ class Rewind:
             with self.timers("search"):
                 hits = self.find(all_, h, left == self.passes)
             with self.timers("agree"):
-                waiting, needed = all_.ranks.largest(np.array([float(len(hits[0])), needed]))
+                mine = np.array([len(hits[0]), needed, all_.concern_others(hits)], float)
+                waiting, needed, shared = all_.ranks.largest(mine)
             if needed:
                 raise TooFarError(float(needed))
             if not waiting:
@@ -77,7 +78,7 @@ class Rewind:
                         all_.axes, all_.x, all_.v, all_.s, all_.met, all_.radius, a, b, h, point, normal, restitution, keep
                     )
                 break
-            needed = self.one_pass(all_, hits, h, counts)
+            needed = self.one_pass(all_, hits, h, counts, bool(shared))
         return counts
 
     def find(self, all_: Neighbourhood, h: float, everything: bool) -> tuple[Array, Array, Array]:
@@ -96,14 +97,14 @@ class Rewind:
             )  # fmt: skip
         return a[:found], b[:found], time[:found]
 
-    def one_pass(self, all_: Neighbourhood, hits: tuple[Array, Array, Array], h: float, counts: Array) -> float:
+    def one_pass(self, all_: Neighbourhood, hits: tuple[Array, Array, Array], h: float, counts: Array, shared: bool) -> float:
         """Choose by the total order, tell the other ranks, let the chosen hits take place, find who is in the way now.
 
-        Returns 0, or how far a row needs candidates to reach.
+        `shared`: some rank has hits that concern another one, so that there is something to tell. Returns 0, or how far a row needs candidates to reach.
         """
         with self.timers("collide"):
             choose(all_.ids, all_.owned, *hits, all_.choice, all_.best)
-        if all_.halo:
+        if shared and all_.halo:
             with self.timers("ghosts"):
                 all_.halo.tell_choices(all_.choice)
         with self.timers("collide"):
@@ -113,7 +114,7 @@ class Rewind:
                 self.restitution, self.keep, all_.length, self.planes.normal, self.planes.restitution, self.planes.keep,
                 all_.live, all_.touched, all_.log, all_.log_x, all_.log_v, all_.logged, counts,
             )  # fmt: skip
-        if all_.halo:
+        if shared:
             with self.timers("ghosts"):
                 all_.tell_legs()
         with self.timers("pairs"):

@@ -61,7 +61,7 @@ def kick_with_friction(v, a, mass, decay, push, strength, h, coast):
             for k in range(d):
                 v[i, k] *= mean
             continue
-        if sqrt(pushed) <= loss:
+        if pushed <= loss * loss:
             for k in range(d):
                 v[i, k] = 0.0
             continue

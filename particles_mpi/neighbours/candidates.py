@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from particles_mpi.neighbours.cells import FINE, bounds, grid, sort_rows, spacing
+from particles_mpi.neighbours.cells import FINE, grid, sort_rows, spacing
 from particles_mpi.neighbours.paths import (
+    AT_ONCE,
     SLOW,
     drop_pairs,
     fill_cells,
@@ -21,7 +22,7 @@ from particles_mpi.neighbours.paths import (
 )
 from particles_mpi.particles import Array
 
-SLOWEST = 1.7  # times the mean reach: rows beyond it are fast, one in twenty of a gas
+SLOWEST = 2.2  # times the mean reach: rows beyond it are fast, one in a hundred of a gas
 GIANTS = 8.0  # times the mean reach: beyond it are giants, if they are few
 FEW = 64
 
@@ -54,9 +55,8 @@ class Candidates:
         self.marked, self.few = np.zeros(n, np.bool_), np.empty(n, np.int32)
         self.pairs = self.walls = self.tests = self.asked = 0
         self.reserve(expected + expected // 4 + 256)
-        self.near_wall = np.empty(owned, np.int32)
-        if owned:
-            self.search()
+        self.near_wall, self.around = np.empty(owned, np.int32), np.empty(n + AT_ONCE, np.int32)
+        self.search()
 
     def reserve(self, capacity: int) -> None:
         """Room for pairs."""
@@ -70,19 +70,20 @@ class Candidates:
     def search(self) -> None:
         """All candidates, from cells made anew."""
         n = len(self.x)
-        self.path, self.home, self.reach, mean = set_out(self.axes, self.x, self.v, self.radius, self.end, self.half)
+        self.path, self.home, self.reach, mean, (self.lowest, self.highest), (self.own_low, self.own_high) = set_out(
+            self.axes, self.x, self.v, self.radius, self.end, self.half, self.owned
+        )
         self.seen = self.home.copy()
-        self.lowest, self.highest = bounds(self.seen)
-        self.own_low, self.own_high = bounds(self.seen[: self.owned])
         self.limit = GIANTS * mean
-        largest, periodic = float(self.radius.max()), self.length[self.length > 0.0]
+        largest, periodic = float(self.radius.max(initial=0.0)), self.length[self.length > 0.0]
         if len(periodic) and 2.0 * largest + 4.0 * self.bound > 0.5 * periodic.min():
             self.limit = np.inf  # no giants: they only know the nearest image of a partner
         self.level, self.giants, self.known, self.caps = levels(self.reach, SLOWEST * mean, self.limit, FEW)
         apart = spacing(self.lowest, self.highest, n)
-        cells = grid(self.seen, max(0.9 * apart, 0.6 * mean), FINE)
+        box = self.lowest, self.highest
+        cells = grid(self.seen, box, max(0.9 * apart, 0.6 * mean), FINE)
         order, start = sort_rows(self.seen, self.level, SLOW, *cells)
-        self.coarse = grid(self.seen, max(2.0 * apart, 2.0 * mean), 1)
+        self.coarse = grid(self.seen, box, max(2.0 * apart, 2.0 * mean), 1)
         place, entry, *self.lists = fill_cells(self.seen, self.reach, self.level, order, *self.coarse)
         self.slow = order, place, start, entry, *cells
         self.fast = *self.lists[:2], *self.coarse
@@ -95,7 +96,7 @@ class Candidates:
             found, tests = find_partners(
                 self.axes, rows, everything, self.marked, self.path, self.seen, self.reach, self.level, self.end, self.half,
                 self.slow, self.fast, self.giants[: self.known], self.caps, self.lowest, self.highest, self.length,
-                self.owned, self.own_low, self.own_high, self.ids, self.w, self.first, self.second, self.pairs,
+                self.owned, self.own_low, self.own_high, self.ids, self.w, self.around, self.first, self.second, self.pairs,
             )  # fmt: skip
             if found <= len(self.first):
                 break

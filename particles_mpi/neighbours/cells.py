@@ -20,8 +20,8 @@ SAMPLE = 512  # rows that tell where the bulk of the particles is
 Grid = tuple[Array, Array, Array]
 
 
-def grid(x: Array, side: float, fine: int) -> Grid:
-    """Cells of about `side`, and side/fine along the last axis, over the rows of x (n, d); at most about n sides."""
+def grid(x: Array, box: tuple[Array, Array], side: float, fine: int) -> Grid:
+    """Cells of about `side`, and side/fine along the last axis, over the rows of x (n, d) in `box`; at most about n sides."""
     g = min(x.shape[1], GRIDDED)
     first = GRIDDED - g
     origin, per, cells = np.zeros(GRIDDED), np.zeros(GRIDDED), np.ones(GRIDDED, np.int64)
@@ -29,7 +29,7 @@ def grid(x: Array, side: float, fine: int) -> Grid:
         return origin, per, cells
     sample = np.sort(x[:: max(len(x) // SAMPLE, 1), :g], axis=0)
     left, right = sample[len(sample) // 20], sample[-1 - len(sample) // 20]
-    low, high = bounds(x)
+    low, high = box
     low = np.maximum(low[:g], left - (right - left))
     high = np.minimum(high[:g], right + (right - left))
     extent = np.maximum(high - low, 0.0)

@@ -25,7 +25,7 @@ from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, Array, Particles, rows_of
 from particles_mpi.timers import Timers
 
-SORT_EVERY = 2  # searches; between two sorts in space the rows keep their order, which changes slowly
+SORT_EVERY = 4  # searches; between two sorts in space the rows keep their order, which changes slowly
 HEADROOM = 1.1  # how far a row may get from the middle of its path, in whole paths of the fastest one
 TOO_MANY = 0.1  # of the rows left their tubes at once: a search of all is cheaper than one for each
 
@@ -60,7 +60,7 @@ class Neighbourhood:
             needed = max(needed, self.follow_kicks(h))
         elif valid:
             with self.timers("pairs"):
-                if fingerprint(self.mine, self.v) != self.left_at:  # someone else moved or pushed them
+                if fingerprint(self.axes, self.mine, self.v) != self.left_at:  # someone else moved or pushed them
                     needed = np.inf
         with self.timers("agree"):
             needed = float(self.ranks.largest(needed)[0])
@@ -119,7 +119,7 @@ class Neighbourhood:
         apart = spacing(table[:, 5 : 5 + d].min(axis=0), table[:, 5 + d :].max(axis=0), int(total)) if total else 1.0
         half = 0.5 * max(0.25 * mean, 0.05 * apart)
         travel = float(speed) * h
-        steps = self.rhythm.next(float(table[:, 4].sum()), 0.5 * apart / travel if travel > 0.0 else 50.0)
+        steps = self.rhythm.next(float(table[:, 4].sum()), 1.5 * apart / travel if travel > 0.0 else 50.0)
         bound = max(HEADROOM * travel * steps + half, 1.01 * (travel + half), 1.01 * at_least)
         # Relative paths up to 4 bound long: on a gridded axis of length L one image of a pair at most may meet, on the
         # others it must be the nearest one all the time.
@@ -141,7 +141,8 @@ class Neighbourhood:
     def sort(self, particles: Particles) -> None:
         """Rows that are near in space, near in memory."""
         x = particles.position
-        order, _ = sort_rows(x, np.zeros(len(x), np.int8), 0, *grid(x, spacing(*bounds(x), len(x)), 1))
+        box = bounds(x)
+        order, _ = sort_rows(x, np.zeros(len(x), np.int8), 0, *grid(x, box, spacing(*box, len(x)), 1))
         particles.replace(rows_of(particles.arrays, order))
 
     def fetch_ghosts(self, particles: Particles, end: float, bound: float) -> None:
@@ -162,6 +163,8 @@ class Neighbourhood:
             rows, counts = np.concatenate(wanted), np.array([len(w) for w in wanted], np.int32)
             arrived, arriving = send_rows(ranks, everyone, rows, counts, d)
             self.halo = Halo(ranks, rows, counts, arriving, self.owned, d)
+            self.shared = np.zeros(self.owned + int(arriving.sum()), np.bool_)
+            self.shared[rows] = self.shared[self.owned :] = True
             self.ghost_rows += len(arrived["id"])
             everyone = {n: np.concatenate((arrays[n], arrived[n])) for n in names}
         self.x, self.v = (np.ascontiguousarray(everyone[n]) for n in ("position", "velocity"))
@@ -175,6 +178,10 @@ class Neighbourhood:
         self.mine = self.x[: self.owned]
         particles.replace({**arrays, "position": self.mine, "velocity": self.v[: self.owned]})
         self.version = particles.version
+
+    def concern_others(self, hits: tuple[Array, Array, Array]) -> bool:
+        """Is a row among the hits that other ranks hold too?"""
+        return self.halo is not None and any_of(self.shared, hits[0], hits[1])
 
     def tell_legs(self) -> None:
         """Ghosts after a pass, as their owners have them; those whose leg is a new one are live."""
@@ -211,14 +218,13 @@ class Neighbourhood:
 
     def advance(self, h: float) -> None:
         """From the starts of the last legs to the end of the drift over h, and back into a periodic box."""
-        end_legs(self.axes, self.x, self.v, self.s, h)
+        self.left_at = end_legs(self.axes, self.x, self.v, self.s, h, self.owned)
         self.forget_legs()
         if self.length.any():
             wrap(self.x, self.lower, self.upper, self.length)
+            self.left_at = fingerprint(self.axes, self.mine, self.v)
         self.near.time += h
         self.rhythm.step(self.near.pairs)
-        if not self.kicked:
-            self.left_at = fingerprint(self.mine, self.v)
 
     def distrust(self) -> None:
         """Ghosts are not what their owners have: search before the next drift."""
@@ -226,18 +232,34 @@ class Neighbourhood:
 
 
 @njit(cache=True)
-def end_legs(axes, x, v, s, h):
-    """From the start of the last leg to the end of the drift: x += v (h - s)."""
+def end_legs(axes, x, v, s, h, owned):
+    """From the start of the last leg to the end of the drift: x += v (h - s). Returns the fingerprint of the owned rows."""
+    bits_x, bits_v = x.view(np.int64), v.view(np.int64)
+    total = np.int64(0)
     for i in range(len(x)):
         for k in range(len(axes)):
             x[i, k] += v[i, k] * (h - s[i])
+        for k in range(len(axes)):
+            if i < owned:
+                total += (bits_x[i, k] ^ i) + (bits_v[i, k] ^ ~i)
+    return total
 
 
 @njit(cache=True)
-def fingerprint(x, v):
+def any_of(marks, a, b):
+    """Is a row of a, or one of b that is no wall (b < 0), marked?"""
+    for p in range(len(a)):
+        if marks[a[p]] or (b[p] >= 0 and marks[b[p]]):
+            return True
+    return False
+
+
+@njit(cache=True)
+def fingerprint(axes, x, v):
     """A number that changes when somebody changes a row of x or v (n, d)."""
-    a, b = x.ravel().view(np.int64), v.ravel().view(np.int64)
+    bits_x, bits_v = x.view(np.int64), v.view(np.int64)
     total = np.int64(0)
-    for i in range(len(a)):
-        total += (a[i] ^ (np.int64(i) * 7919)) + (b[i] ^ (np.int64(i) * 104729))
+    for i in range(len(x)):
+        for k in range(len(axes)):
+            total += (bits_x[i, k] ^ i) + (bits_v[i, k] ^ ~i)
     return total

@@ -39,24 +39,33 @@ def fastest(axes, x, v):
 
 
 @njit(cache=True)
-def set_out(axes, x, v, radius, end, half):
-    """(path, seen, reach, mean reach) of rows that all start now, at time 0."""
+def set_out(axes, x, v, radius, end, half, owned):
+    """(path, seen, reach, mean reach, bounds of seen (2, d), those of the first `owned`) of rows that all start now, at time 0."""
     d = len(axes)
     path, seen = np.empty((len(x), 2 * d + 2)), np.empty((len(x), d))
     reach = np.empty(len(x))
+    box = np.empty((2, d))
+    box[0], box[1] = inf, -inf
+    own_box = box.copy()
     total = 0.0
     for i in range(len(x)):
         v2 = 0.0
+        if i == owned:
+            own_box[:] = box
         for k in range(d):
             path[i, k] = x[i, k]
             path[i, d + k] = v[i, k]
             seen[i, k] = x[i, k] + 0.5 * end * v[i, k]
+            box[0, k] = box[0, k] if box[0, k] <= seen[i, k] else seen[i, k]
+            box[1, k] = box[1, k] if box[1, k] >= seen[i, k] else seen[i, k]
             v2 += v[i, k] * v[i, k]
         path[i, 2 * d] = 0.0
         path[i, 2 * d + 1] = radius[i]
         reach[i] = radius[i] + half + sqrt(v2) * 0.5 * end
         total += reach[i]
-    return path, seen, reach, total / max(len(x), 1)
+    if owned == len(x):
+        own_box[:] = box
+    return path, seen, reach, total / max(len(x), 1), box, own_box
 
 
 @njit(cache=True)
@@ -322,7 +331,7 @@ def may_meet(axes, y, path, i, j, window, half, length):
 @njit(cache=True, error_model="numpy")
 def find_partners(
     axes, rows, everything, marked, path, seen, reach, level, end, half, slow, fast, giants, caps,
-    lowest, highest, length, owned, own_low, own_high, ids, w, first, second, found,
+    lowest, highest, length, owned, own_low, own_high, ids, w, around, first, second, found,
 ):  # fmt: skip
     """Candidate pairs of `rows` (all of them marked) with all rows, each once, behind the first `found` pairs.
 
@@ -331,6 +340,7 @@ def find_partners(
     finds the other: where `everything` is marked no search need look further than its own reach, and slow rows need not
     look for fast ones. `slow` = (order, place, start, entry, grid...), `fast` = (head, after, grid...). Nearly every test is a
     coin toss: nothing branches on it; each place is written, and the next one over it if it does not count.
+    `around` is room for len(path) + AT_ONCE rows.
     """
     d = len(axes)
     g = min(d, 3)
@@ -339,7 +349,6 @@ def find_partners(
     low, high = np.zeros(3, np.int64), np.zeros(3, np.int64)
     by, images = np.zeros((3, 3)), np.ones(3, np.int64)
     y, middle, extent = np.empty(d), np.empty(d), np.empty(g)
-    around = np.empty(len(path) + AT_ONCE, np.int32)
     tests = 0
     for i in rows:
         window = end - path[i, 2 * d]

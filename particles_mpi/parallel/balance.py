@@ -10,6 +10,7 @@ from particles_mpi.particles import Array, Particles
 from particles_mpi.timers import Timers
 
 LOOK_EVERY = 8  # searches for pairs, between two looks at the clocks
+NOISE = 0.05  # of the mean time: what clocks of equal work differ by on a shared machine
 WORK = ("search", "collide", "drift", "pairs")  # phases whose time is a rank's own, not waiting for others
 
 
@@ -35,7 +36,8 @@ class Balance:
             mine = worked - self.worked
             self.worked = worked
             times = np.array(self.ranks.gathered(mine))
-            self.lost += float(times.max() - times.mean())
+            self.lost += float(times.max() - times.mean()) - NOISE * float(times.mean())
+            self.lost = max(self.lost, 0.0)
             if self.lost > self.cost:
                 each = mine / max(len(particles), 1)
                 typical = float(times.sum()) / max(int(self.ranks.total(len(particles))[0]), 1)

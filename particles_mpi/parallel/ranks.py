@@ -19,6 +19,11 @@ class Ranks:
         self.messages = 0
         self.reductions = 0
 
+    @classmethod
+    def alone(cls) -> Ranks:
+        """This rank by itself."""
+        return cls(MPI.COMM_SELF)
+
     @property
     def is_root(self) -> bool:
         return self.rank == 0

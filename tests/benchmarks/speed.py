@@ -1,0 +1,142 @@
+"""Speed, as tables: `python tests/benchmarks/speed.py headline|flat|ranks|walls|start|frames|all [--runs 5]`.
+
+Each case is run several times, the settings in turn, and the median and range are printed and written to
+out/benchmarks/CASE.csv. Shared machines are noisy: compare medians of one call, not of two.
+"""
+
+import argparse
+import csv
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from statistics import median
+from time import perf_counter
+
+ROOT = Path(__file__).parents[2]
+HERE = Path(__file__).parent
+SCENES = ROOT / "particles_mpi" / "scenes"
+
+
+def mpirun(ranks, *arguments):
+    """Output of `python arguments...` on the ranks."""
+    command = ["mpirun", "-n", str(ranks), sys.executable, *map(str, arguments)]
+    done = subprocess.run(command, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
+    if done.returncode:
+        sys.exit(f"{' '.join(command)} failed:\n{done.stderr[-2000:]}")
+    return done.stdout
+
+
+def gas(count, effects, steps=100):
+    """The headline's density, speed, radius and step with any number of particles."""
+    side = 4.0 * (count / 32000) ** (1 / 3)
+    return {
+        "dimension": 3,
+        "box": {"lower": [0.0] * 3, "upper": [side] * 3},
+        "time": {"step": 0.02, "steps": steps},
+        "particles": [
+            {"count": count, "position": "random", "velocity": {"speed": 0.5}, "radius": 0.01, "mass": {"min": 0.1, "max": 0.5}}
+        ],
+        "effects": effects,
+    }
+
+
+def steps_of(tables, ranks, warm, steps):
+    """ns a particle-step, slowest rank."""
+    with tempfile.NamedTemporaryFile("w", suffix=".json") as file:
+        file.write(json.dumps(tables))
+        file.flush()
+        told = json.loads(mpirun(ranks, HERE / "steps.py", file.name, warm, steps).strip().splitlines()[-1])
+    return told["seconds"] / told["steps"] / told["particles"] * 1e9
+
+
+def run(scene, ranks):
+    """(seconds of the whole process, run.json) of `particles-mpi run`."""
+    with tempfile.TemporaryDirectory() as folder:
+        begin = perf_counter()
+        mpirun(ranks, "-m", "particles_mpi", "run", scene, "--output", folder, "--overwrite", "--quiet")
+        return perf_counter() - begin, json.loads((Path(folder) / "run.json").read_text())
+
+
+COLLIDING = {"collisions": {"restitution": 1.0}, "walls": {"restitution": 1.0}}
+FALLING = {"uniform_gravity": {"acceleration": [0.0, 0.0, -9.80665]}, "walls": {"restitution": 0.9}}
+
+
+def headline():
+    """headline.toml, seconds of the loop"""
+    return {f"{r} ranks": lambda r=r: run(SCENES / "headline.toml", r)[1]["timers"]["loop"]["max"] for r in (1, 2)}
+
+
+def flat():
+    """ns a particle-step on one core at the headline's density"""
+    sizes = {30_000: 200, 100_000: 100, 300_000: 50, 1_000_000: 30}
+    return {f"N = {n}": lambda n=n, s=s: steps_of(gas(n, COLLIDING), 1, 30, s) for n, s in sizes.items()}
+
+
+def ranks():
+    """N = 200 000 colliding spheres, ns a particle-step"""
+    return {f"{r} ranks": lambda r=r: steps_of(gas(200_000, COLLIDING), r, 30, 60) for r in (1, 2)}
+
+
+def walls():
+    """gravity and walls, no pairs, ns a particle-step on one core"""
+    return {f"N = {n}": lambda n=n: steps_of(gas(n, FALLING), 1, 10, max(20, 3_000_000 // n)) for n in (32_000, 1_000_000)}
+
+
+def start():
+    """whole process of a run of one step of headline.toml, seconds"""
+    text = (SCENES / "headline.toml").read_text().replace("steps = 500", "steps = 1").replace("every = 500", "every = 1")
+
+    def once(r):
+        with tempfile.NamedTemporaryFile("w", suffix=".toml") as file:
+            file.write(text)
+            file.flush()
+            return run(file.name, r)[0]
+
+    return {f"{r} ranks": lambda r=r: once(r) for r in (1, 2)}
+
+
+def frames():
+    """one frame of a million particles, ms"""
+    tables = gas(1_000_000, {}, steps=8) | {"output": {"every": 1, "checkpoint_every": 8, "formats": ["hdf5"]}}
+
+    def once(r):
+        with tempfile.NamedTemporaryFile("w", suffix=".json") as file:
+            file.write(json.dumps(tables))
+            file.flush()
+            return run(file.name, r)[1]["timers"]["output"]["max"] / 9 * 1e3
+
+    return {f"{r} ranks": lambda r=r: once(r) for r in (1, 2)}
+
+
+CASES = {f.__name__: f for f in (headline, flat, ranks, walls, start, frames)}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("case", choices=[*CASES, "all"])
+    parser.add_argument("--runs", type=int, default=5)
+    options = parser.parse_args()
+    folder = ROOT / "out" / "benchmarks"
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in CASES if options.case == "all" else [options.case]:
+        settings = CASES[name]()
+        figures = {label: [] for label in settings}
+        for _ in range(options.runs):
+            for label, measure in settings.items():
+                figures[label].append(measure())
+        base = next(iter(figures))
+        print(f"{name}: {CASES[name].__doc__}")
+        rows = []
+        for label, values in figures.items():
+            ratio = median(b / a for a, b in zip(figures[base], values, strict=True))
+            rows.append([label, median(values), min(values), max(values), ratio])
+            print(f"  {label:14} median {rows[-1][1]:9.3f}   range {rows[-1][2]:.3f} .. {rows[-1][3]:.3f}   to the first: {ratio:.3f}")
+        with (folder / f"{name}.csv").open("w", newline="") as file:
+            csv.writer(file).writerows([["setting", "median", "min", "max", "median of paired ratios to the first"], *rows])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,27 @@
+"""Time steps of a scene on the ranks it is started on: `mpirun -n 2 python steps.py SCENE.json WARM STEPS`.
+
+Prints one JSON line: seconds of the slowest rank for STEPS steps after WARM ones, without output or compilation.
+"""
+
+import json
+import sys
+from pathlib import Path
+from time import perf_counter
+
+from mpi4py import MPI
+
+from particles_mpi import Scene, Simulation
+
+comm = MPI.COMM_WORLD
+scene = Scene.from_dict(json.loads(Path(sys.argv[1]).read_text()))
+warm, steps = int(sys.argv[2]), int(sys.argv[3])
+sim = Simulation(scene)
+for _ in range(warm):
+    sim.step()
+comm.Barrier()
+begin = perf_counter()
+for _ in range(steps):
+    sim.step()
+seconds = comm.allreduce(perf_counter() - begin, MPI.MAX)
+if comm.rank == 0:
+    print(json.dumps({"seconds": seconds, "particles": sim.total, "steps": steps, "ranks": comm.size}))
