@@ -8,7 +8,6 @@ from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.scene import Scene
 from particles_mpi.simulation import Simulation
 
-
 DIMENSIONS = (3, 2)
 
 

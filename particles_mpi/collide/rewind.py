@@ -86,8 +86,8 @@ class Rewind:
         near = all_.near
         a, b, time = near.hits
         found = find_contacts(
-            all_.axes, all_.x, all_.v, all_.s, all_.met, all_.ids, all_.radius, near.first[: near.pairs], near.second[: near.pairs],
-            h, all_.length, everything, all_.live, a, b, time,
+            all_.axes, all_.x, all_.v, all_.s, all_.met, all_.ids, all_.radius,
+            near.first[: near.pairs], near.second[: near.pairs], h, all_.length, everything, all_.live, a, b, time,
         )  # fmt: skip
         if self.walls:
             point, normal, _, _, lower, upper, oblique = self.planes.arrays()

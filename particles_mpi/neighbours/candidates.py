@@ -54,6 +54,7 @@ class Candidates:
         n = len(self.x)
         self.marked, self.few = np.zeros(n, np.bool_), np.empty(n, np.int32)
         self.pairs = self.walls = self.tests = self.asked = 0
+        self.first, self.second = np.empty(0, np.int32), np.empty(0, np.int32)
         self.reserve(expected + expected // 4 + 256)
         self.near_wall, self.around = np.empty(owned, np.int32), np.empty(n + AT_ONCE, np.int32)
         self.search()
@@ -61,8 +62,7 @@ class Candidates:
     def reserve(self, capacity: int) -> None:
         """Room for pairs."""
         first, second = np.empty(capacity, np.int32), np.empty(capacity, np.int32)
-        if self.pairs:
-            first[: self.pairs], second[: self.pairs] = self.first[: self.pairs], self.second[: self.pairs]
+        first[: self.pairs], second[: self.pairs] = self.first[: self.pairs], self.second[: self.pairs]
         self.first, self.second = first, second
         size = capacity + self.owned
         self.hits = np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size)
@@ -106,7 +106,17 @@ class Candidates:
         point, normal = self.planes
         if len(point):
             self.walls = find_near_walls(
-                self.axes, rows, self.path, self.end, self.half, self.owned, point, normal, self.marked, self.near_wall, self.walls
+                self.axes,
+                rows,
+                self.path,
+                self.end,
+                self.half,
+                self.owned,
+                point,
+                normal,
+                self.marked,
+                self.near_wall,
+                self.walls,
             )
         unmark(rows, self.marked)
 
@@ -132,9 +142,12 @@ class Candidates:
         )  # fmt: skip
         if needed:
             return float(needed)
-        _, place, _, entry, *_ = self.slow
+        place, entry = self.slow[1], self.slow[3]
+        head, after, before, cell_of = self.lists
+        origin, per, cells = self.coarse
         self.known = move_rows(
-            rows, self.seen, self.reach, self.level, place, entry, *self.lists, *self.coarse, self.caps, self.limit,
+            rows, self.seen, self.reach, self.level, place, entry, head, after, before, cell_of, origin, per, cells,
+            self.caps, self.limit,
             self.giants, self.known, self.lowest, self.highest, self.owned, self.own_low, self.own_high,
         )  # fmt: skip
         self.asked += len(rows)

@@ -125,7 +125,9 @@ class Neighbourhood:
         # others it must be the nearest one all the time.
         periodic = np.flatnonzero(self.length)
         if len(periodic):
-            widest = float(((0.5 * self.length - largest) * np.where(np.arange(d) < GRIDDED, 0.5, 0.25))[periodic].min()) * (1.0 - 1e-9)
+            widest = float(((0.5 * self.length - largest) * np.where(np.arange(d) < GRIDDED, 0.5, 0.25))[periodic].min()) * (
+                1.0 - 1e-9
+            )
             least = max(travel, at_least - half)
             if not least < widest:
                 raise StoppedError(
@@ -141,8 +143,8 @@ class Neighbourhood:
     def sort(self, particles: Particles) -> None:
         """Rows that are near in space, near in memory."""
         x = particles.position
-        box = bounds(x)
-        order, _ = sort_rows(x, np.zeros(len(x), np.int8), 0, *grid(x, box, spacing(*box, len(x)), 1))
+        low, high = bounds(x)
+        order, _ = sort_rows(x, np.zeros(len(x), np.int8), 0, *grid(x, (low, high), spacing(low, high, len(x)), 1))
         particles.replace(rows_of(particles.arrays, order))
 
     def fetch_ghosts(self, particles: Particles, end: float, bound: float) -> None:
@@ -248,10 +250,10 @@ def end_legs(axes, x, v, s, h, owned):
 @njit(cache=True)
 def any_of(marks, a, b):
     """Is a row of a, or one of b that is no wall (b < 0), marked?"""
+    found = False
     for p in range(len(a)):
-        if marks[a[p]] or (b[p] >= 0 and marks[b[p]]):
-            return True
-    return False
+        found |= marks[a[p]] or (b[p] >= 0 and marks[b[p]])
+    return found
 
 
 @njit(cache=True)

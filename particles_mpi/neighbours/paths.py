@@ -40,7 +40,7 @@ def fastest(axes, x, v):
 
 @njit(cache=True)
 def set_out(axes, x, v, radius, end, half, owned):
-    """(path, seen, reach, mean reach, bounds of seen (2, d), those of the first `owned`) of rows that all start now, at time 0."""
+    """Of rows that all start now, at time 0: path, seen, reach, mean reach, bounds of seen (2, d), those of the first `owned`."""
     d = len(axes)
     path, seen = np.empty((len(x), 2 * d + 2)), np.empty((len(x), d))
     reach = np.empty(len(x))
@@ -415,11 +415,12 @@ def find_partners(
                             near += (r2 <= (own + reach[j]) ** 2) & (i != j)
                     for p in range(near):
                         j = np.int64(around[p])
-                        if may_meet(axes, y, path, i, np.uint64(j), window, half, length):
-                            if wanted(i, j, marked, reach, owned, ids, w):
-                                if found < len(first):
-                                    first[found], second[found] = (i, j) if ids[i] < ids[j] else (j, i)
-                                found += 1
+                        if may_meet(axes, y, path, i, np.uint64(j), window, half, length) and wanted(
+                            i, j, marked, reach, owned, ids, w
+                        ):
+                            if found < len(first):
+                                first[found], second[found] = (i, j) if ids[i] < ids[j] else (j, i)
+                            found += 1
     return found, tests
 
 

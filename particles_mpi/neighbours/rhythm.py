@@ -9,7 +9,7 @@ SEARCH, ROW, ASKED, PAIR = 2e4, 50.0, 80.0, 0.5
 
 
 class Rhythm:
-    """`steps`: how many the next candidates shall last. Longer means fewer searches, but more candidates, found among more rows."""
+    """`steps`: how many the next candidates shall last. More of them: fewer searches, of more candidates among more rows."""
 
     def __init__(self) -> None:
         self.steps = 0.0

@@ -133,7 +133,8 @@ def main():
         for label, values in figures.items():
             ratio = median(b / a for a, b in zip(figures[base], values, strict=True))
             rows.append([label, median(values), min(values), max(values), ratio])
-            print(f"  {label:14} median {rows[-1][1]:9.3f}   range {rows[-1][2]:.3f} .. {rows[-1][3]:.3f}   to the first: {ratio:.3f}")
+            _, middle, low, high, _ = rows[-1]
+            print(f"  {label:14} median {middle:9.3f}   range {low:.3f} .. {high:.3f}   to the first: {ratio:.3f}")
         with (folder / f"{name}.csv").open("w", newline="") as file:
             csv.writer(file).writerows([["setting", "median", "min", "max", "median of paired ratios to the first"], *rows])
 

@@ -1,0 +1,100 @@
+"""Candidates are a superset of what can touch: against all pairs, at the search and after turns, with images, giants, fast rows."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from particles_mpi.neighbours.candidates import Candidates, touching
+
+
+def closest(x, v, start, end, length):
+    """Smallest distance of straight paths from x at `start` (n,) with v, over [start, end], by nearest images; (n, n)."""
+    at = lambda t: x[:, None] + v[:, None] * (t - start[:, None, None]) - x[None] - v[None] * (t - start[None, :, None])  # noqa: E731
+    begin = np.maximum(start[:, None], start[None])
+    least = np.full(begin.shape, np.inf)
+    for share in np.linspace(0.0, 1.0, 31):
+        r = at((begin + share * (end - begin))[:, :, None])
+        r -= np.where(length > 0.0, length * np.rint(r / np.where(length > 0.0, length, 1.0)), 0.0)
+        least = np.minimum(least, np.sqrt((r**2).sum(axis=2)))
+    return least
+
+
+def listed(c):
+    return set(zip(c.first[: c.pairs].tolist(), c.second[: c.pairs].tolist(), strict=True))
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    d=st.sampled_from([2, 3]),
+    n=st.sampled_from([2, 7, 60, 300]),
+    periodic=st.booleans(),
+    giant=st.booleans(),
+    fast=st.booleans(),
+)
+def test_every_pair_whose_paths_come_near_is_listed_once(seed, d, n, periodic, giant, fast):
+    random = np.random.default_rng(seed)
+    side, end, half = 10.0 * (n / 60) ** (1 / d), 0.5, 0.02
+    x, v = random.random((n, d)) * side, random.normal(size=(n, d))
+    radius, ids = random.random(n) * 0.2, random.permutation(n).astype(np.int64)
+    if giant:
+        radius[0] = 1.5
+    if fast:
+        v[-1] *= 3.0
+    w = np.where(random.random(n) < 0.9, 1.0, 0.0)
+    v[w == 0.0] = 0.0
+    owned = n if periodic else max(1, 2 * n // 3)
+    length = np.full(d, side if periodic else 0.0)
+    bound = 1.1 * end * float(np.sqrt((v**2).sum(axis=1)).max()) + half
+    if periodic and 4.0 * (radius.max() + bound + half) > side:  # what the caller sees to
+        assume(4.0 * radius.max() < side)
+        end = bound = half = 0.0
+    none = np.empty((0, d))
+    c = Candidates((x, v, radius, w, ids), owned, length, (none, none), end, half, bound, 0)
+
+    def check(x, v, start):
+        near = closest(x, v, start, np.maximum(end, start[:, None]), length) <= (radius[:, None] + radius[None]) * (1.0 - 1e-12)
+        found = listed(c)
+        assert len(found) == c.pairs
+        for i, j in np.argwhere(np.triu(near, 1)).tolist():
+            kept = (i < owned or j < owned) and (w[i] > 0.0 or w[j] > 0.0) and radius[i] + radius[j] > 0.0
+            first, second = (i, j) if ids[i] < ids[j] else (j, i)
+            assert ((first, second) in found) == kept or not kept
+
+    start = np.zeros(n)
+    check(x, v, start)
+    if not end:
+        return
+    # Some rows turn on the way, others fly on.
+    now = 0.2
+    turning = np.flatnonzero((random.random(n) < 0.3) & (w > 0.0)).astype(np.int32)
+    c.x[:] = x + now * v
+    c.v[turning] = random.permutation(c.v[turning])
+    c.time = now
+    if c.follow(turning, np.zeros(n), 0.01) == 0.0:
+        end = c.end
+        check(c.x, c.v, np.full(n, now))
+
+
+def test_touching_spheres_against_all_pairs():
+    random = np.random.default_rng(1)
+    x, radius = random.random((400, 3)) * 4.0, random.random(400) * 0.2
+    radius[3] = 1.0  # one large among small
+    length = np.array([4.0, 0.0, 4.0])
+    r = x[:, None] - x[None]
+    r -= np.where(length > 0.0, length * np.rint(r / 4.0), 0.0)
+    near = np.triu((r**2).sum(axis=2) <= (radius[:, None] + radius[None]) ** 2, 1)
+    first, second = touching(x, radius, np.ones(400), np.arange(400), length)
+    assert set(zip(first.tolist(), second.tolist(), strict=True)) >= set(map(tuple, np.argwhere(near).tolist()))
+    assert len(first) == near.sum()
+
+
+@pytest.mark.parametrize("wall", [0, 1])
+def test_only_rows_near_a_wall_are_listed(wall):
+    x = np.array([[0.5, 5.0], [5.0, 5.0], [9.8, 5.0], [5.0, 0.1]])
+    v = np.array([[-1.0, 0.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
+    point, normal = np.array([[0.0, 0.0], [10.0, 10.0]]), np.array([[1.0, 0.0], [-1.0, 0.0]])
+    state = x, v, np.full(4, 0.1), np.ones(4), np.arange(4)
+    c = Candidates(state, 4, np.zeros(2), (point[[wall]], normal[[wall]]), 0.5, 0.01, 2.0, 0)
+    assert c.near_wall[: c.walls].tolist() == [[0], [2]][wall]
