@@ -100,7 +100,8 @@ class Rewind:
     def one_pass(self, all_: Neighbourhood, hits: tuple[Array, Array, Array], h: float, counts: Array, shared: bool) -> float:
         """Choose by the total order, tell the other ranks, let the chosen hits take place, find who is in the way now.
 
-        `shared`: some rank has hits that concern another one, so that there is something to tell. Returns 0, or how far a row needs candidates to reach.
+        `shared`: some rank has hits that concern another one, so that there is something to tell.
+        Returns 0, or how far a row needs candidates to reach.
         """
         with self.timers("collide"):
             choose(all_.ids, all_.owned, *hits, all_.choice, all_.best)

@@ -25,6 +25,7 @@ from particles_mpi.particles import Array
 SLOWEST = 2.2  # times the mean reach: rows beyond it are fast, one in a hundred of a gas
 GIANTS = 8.0  # times the mean reach: beyond it are giants, if they are few
 FEW = 64
+ALONE = 4  # times as long takes a test for a row that asks alone: its surroundings are not in the cache
 
 
 class Candidates:
@@ -102,7 +103,7 @@ class Candidates:
                 break
             self.reserve(found + found // 4)
         self.pairs = found
-        self.tests += tests
+        self.tests += tests if everything else ALONE * tests
         point, normal = self.planes
         if len(point):
             self.walls = find_near_walls(

@@ -25,7 +25,7 @@ from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, Array, Particles, rows_of
 from particles_mpi.timers import Timers
 
-SORT_EVERY = 4  # searches; between two sorts in space the rows keep their order, which changes slowly
+SORT_EVERY = 2  # searches; between two sorts in space the rows keep their order, which changes slowly
 HEADROOM = 1.1  # how far a row may get from the middle of its path, in whole paths of the fastest one
 TOO_MANY = 0.1  # of the rows left their tubes at once: a search of all is cheaper than one for each
 

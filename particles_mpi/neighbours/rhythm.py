@@ -5,7 +5,7 @@ from __future__ import annotations
 MOST_STEPS = 400
 STRIDE = 1.15  # between the tries
 # Costs of a search, a row in it, a row that asks for itself, a pair in a step; in the time of one pair test (about 5 ns).
-SEARCH, ROW, ASKED, PAIR = 2e4, 50.0, 80.0, 0.5
+SEARCH, ROW, ASKED, PAIR = 2e4, 50.0, 100.0, 1.0
 
 
 class Rhythm:

@@ -29,13 +29,13 @@ def mpirun(ranks, *arguments):
     return done.stdout
 
 
-def gas(count, effects, steps=100):
+def gas(count, effects, steps=100, step=0.02):
     """The headline's density, speed, radius and step with any number of particles."""
     side = 4.0 * (count / 32000) ** (1 / 3)
     return {
         "dimension": 3,
         "box": {"lower": [0.0] * 3, "upper": [side] * 3},
-        "time": {"step": 0.02, "steps": steps},
+        "time": {"step": step, "steps": steps},
         "particles": [
             {"count": count, "position": "random", "velocity": {"speed": 0.5}, "radius": 0.01, "mass": {"min": 0.1, "max": 0.5}}
         ],
@@ -82,7 +82,7 @@ def ranks():
 
 def walls():
     """gravity and walls, no pairs, ns a particle-step on one core"""
-    return {f"N = {n}": lambda n=n: steps_of(gas(n, FALLING), 1, 10, max(20, 3_000_000 // n)) for n in (32_000, 1_000_000)}
+    return {f"N = {n}": lambda n=n: steps_of(gas(n, FALLING, step=0.002), 1, 10, 15_000_000 // n) for n in (32_000, 1_000_000)}
 
 
 def start():
@@ -100,11 +100,17 @@ def start():
 
 def frames():
     """one frame of a million particles, ms"""
-    tables = gas(1_000_000, {}, steps=8) | {"output": {"every": 1, "checkpoint_every": 8, "formats": ["hdf5"]}}
+    text = """dimension = 3
+box = {lower = [0, 0, 0], upper = [100, 100, 100]}
+time = {step = 0.01, steps = 8}
+particles = [{count = 1000000, position = "random", velocity = {speed = 0.5}, radius = 0.01}]
+effects = {}
+output = {every = 1, checkpoint_every = 8, formats = ["hdf5"]}
+"""
 
     def once(r):
-        with tempfile.NamedTemporaryFile("w", suffix=".json") as file:
-            file.write(json.dumps(tables))
+        with tempfile.NamedTemporaryFile("w", suffix=".toml") as file:
+            file.write(text)
             file.flush()
             return run(file.name, r)[1]["timers"]["output"]["max"] / 9 * 1e3
 

@@ -1,4 +1,4 @@
-"""Candidates are a superset of what can touch: against all pairs, at the search and after turns, with images, giants, fast rows."""
+"""Candidates are a superset of what can touch: against all pairs, at the search and after turns; with images and giants."""
 
 import numpy as np
 import pytest
