@@ -71,6 +71,7 @@ class Simulation:
         planes = self.walls.planes if self.walls else None
         none = np.empty((0, self.scene.dimension))
         self.near = Neighbourhood(
+            self.particles,
             self.ranks,
             (self.lower, self.upper, self.length),
             (planes.point, planes.normal) if planes else (none, none),
@@ -105,7 +106,7 @@ class Simulation:
         p, wrapped = self.particles, False
         if contacts and self.collisions:
             migrated = self.near.migrated
-            found = self.rewind.drift(p, self.near, h)
+            found = self.rewind.drift(self.near, h)
             happened = [*found, self.near.migrated - migrated]
             wrapped = True
             self.count("collisions")

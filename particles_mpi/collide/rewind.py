@@ -17,7 +17,7 @@ import numpy as np
 from particles_mpi.collide.passes import choose, find_contacts, find_wall_hits, finish_walls, take_place
 from particles_mpi.collide.planes import Planes, no_planes
 from particles_mpi.neighbours.pairs import Neighbourhood
-from particles_mpi.particles import Array, Particles
+from particles_mpi.particles import Array
 from particles_mpi.timers import Timers
 
 
@@ -36,20 +36,20 @@ class Rewind:
         self.walls = planes is not None
         self.planes = planes or no_planes(dimension)
 
-    def drift(self, particles: Particles, all_: Neighbourhood, h: float) -> Array:
+    def drift(self, all_: Neighbourhood, h: float) -> Array:
         """x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
 
         If a collision throws a particle further than the candidates reach, the drift is undone, candidates are sought with
         a longer reach, and it is done again: the result is that of a reach long enough from the start.
         """
-        all_.prepare(particles, h)
+        all_.prepare(h)
         while True:
             try:
                 counts = self.contacts(all_, h)
                 break
             except TooFarError as far:
                 self.undo(all_)
-                all_.search(particles, h, far.travel)
+                all_.search(h, far.travel)
         with self.timers("drift"):
             all_.advance(h)
         return counts

@@ -20,9 +20,10 @@ from particles_mpi.neighbours.paths import fastest
 from particles_mpi.neighbours.rhythm import Rhythm
 from particles_mpi.parallel.balance import Balance
 from particles_mpi.parallel.domain import near_box
-from particles_mpi.parallel.exchange import Halo, migrate, send_rows
+from particles_mpi.parallel.exchange import Halo, send_rows
 from particles_mpi.parallel.ranks import Ranks
-from particles_mpi.particles import FIELDS, Array, Particles, rows_of
+from particles_mpi.parallel.store import Store
+from particles_mpi.particles import FIELDS, Array, Particles
 from particles_mpi.timers import Timers
 
 SORT_EVERY = 2  # searches; between two sorts in space the rows keep their order, which changes slowly
@@ -38,8 +39,16 @@ class Neighbourhood:
     forces or dissipation change velocities? If not, ghosts fly on by themselves, and only contacts need a message.
     """
 
-    def __init__(self, ranks: Ranks, box: tuple[Array, Array, Array], planes: tuple[Array, Array], kicked: bool, timers: Timers):
-        self.ranks, self.planes, self.kicked, self.timers = ranks, planes, kicked, timers
+    def __init__(
+        self,
+        particles: Particles,
+        ranks: Ranks,
+        box: tuple[Array, Array, Array],
+        planes: tuple[Array, Array],
+        kicked: bool,
+        timers: Timers,
+    ):
+        self.particles, self.ranks, self.planes, self.kicked, self.timers = particles, ranks, planes, kicked, timers
         self.lower, self.upper, self.length = box
         length = self.length
         self.axes = (0,) * len(length)
@@ -47,12 +56,14 @@ class Neighbourhood:
         self.version = -1
         self.halo: Halo | None = None
         self.near: Candidates
+        self.store = Store(particles)
         self.mine: Array | None = None
         self.searches = self.migrated = self.ghost_rows = self.expected = 0
         self.rhythm = Rhythm()
 
-    def prepare(self, particles: Particles, h: float) -> None:
+    def prepare(self, h: float) -> None:
         """Before a drift over h: candidates for wherever it will take any particle. Collective."""
+        particles = self.particles
         with self.timers("pairs"):
             valid = self.version == particles.version and particles.position is self.mine
             needed = 0.0 if valid and self.near.time + h <= self.near.end else np.inf
@@ -65,7 +76,7 @@ class Neighbourhood:
         with self.timers("agree"):
             needed = float(self.ranks.largest(needed)[0])
         if needed:
-            self.search(particles, h, needed if np.isfinite(needed) else 0.0)
+            self.search(h, needed if np.isfinite(needed) else 0.0)
 
     def follow_kicks(self, h: float) -> float:
         """Where forces change velocities: fresh ghosts, and candidates for the rows that are bent out of their tubes.
@@ -83,29 +94,29 @@ class Neighbourhood:
                 return np.inf
             return self.near.follow(strays, self.s, h)
 
-    def search(self, particles: Particles, h: float, at_least: float) -> None:
+    def search(self, h: float, at_least: float) -> None:
         """Migrate, fetch ghosts and find the candidates, to last some steps of h; bound >= `at_least`. Collective."""
+        particles = self.particles
         with self.timers("migrate"):
             self.balance.update(particles, self.searches)
-            arrays, gone = migrate(self.ranks, particles.arrays, self.balance.owner(particles.position), particles.dimension)
-            self.migrated += gone
-            if arrays is not particles.arrays:
-                particles.replace(arrays)
+            self.store.adopt()
+            self.migrated += self.store.migrate(self.ranks, self.balance.owner(particles.position))
         with self.timers("agree"):
-            end, half, bound = self.horizon(particles, h, at_least)
+            end, half, bound = self.horizon(h, at_least)
         with self.timers("pairs"):
             if self.searches % SORT_EVERY == 0 and len(particles) > 1:
-                self.sort(particles)
+                self.sort()
         with self.timers("ghosts"):
-            self.fetch_ghosts(particles, end, bound)
+            self.fetch_ghosts(end, bound)
         with self.timers("pairs"):
             state = self.x, self.v, self.radius, self.w, self.ids
             self.near = Candidates(state, self.owned, self.length, self.planes, end, half, bound, self.expected)
             self.expected = self.near.pairs
         self.searches += 1
 
-    def horizon(self, particles: Particles, h: float, at_least: float) -> tuple[float, float, float]:
+    def horizon(self, h: float, at_least: float) -> tuple[float, float, float]:
         """(end, half, bound) of the next candidates, the same on all ranks."""
+        particles = self.particles
         d, x, n = particles.dimension, particles.position, len(particles)
         low, high = bounds(x)
         work = self.rhythm.work(len(self.x), self.near.tests, self.near.asked) if self.searches else 0.0
@@ -140,18 +151,20 @@ class Neighbourhood:
                 steps = max(1, min(steps, floor((bound - half) / travel)))
         return steps * h * (1.0 + 1e-9), half, bound
 
-    def sort(self, particles: Particles) -> None:
+    def sort(self) -> None:
         """Rows that are near in space, near in memory."""
+        particles = self.particles
         x = particles.position
         low, high = bounds(x)
         order, _ = sort_rows(x, np.zeros(len(x), np.int8), 0, *grid(x, (low, high), spacing(low, high, len(x)), 1))
-        particles.replace(rows_of(particles.arrays, order))
+        self.store.sort(order)
 
-    def fetch_ghosts(self, particles: Particles, end: float, bound: float) -> None:
+    def fetch_ghosts(self, end: float, bound: float) -> None:
         """Copies of all particles that may meet this rank's, behind the owned rows. Collective."""
-        ranks, arrays, d, self.owned = self.ranks, particles.arrays, particles.dimension, len(particles)
-        names = [name for name in arrays if FIELDS[name].ghost]
-        everyone = {n: arrays[n] for n in names}
+        particles = self.particles
+        ranks, d, self.owned = self.ranks, particles.dimension, len(particles)
+        names = [name for name in particles.arrays if FIELDS[name].ghost]
+        everyone = {name: particles.arrays[name] for name in names}
         self.halo = None
         if ranks.size > 1:
             middle = particles.position + 0.5 * end * particles.velocity
@@ -168,17 +181,16 @@ class Neighbourhood:
             self.shared = np.zeros(self.owned + int(arriving.sum()), np.bool_)
             self.shared[rows] = self.shared[self.owned :] = True
             self.ghost_rows += len(arrived["id"])
-            everyone = {n: np.concatenate((arrays[n], arrived[n])) for n in names}
-        self.x, self.v = (np.ascontiguousarray(everyone[n]) for n in ("position", "velocity"))
-        self.ids, self.radius, self.w = everyone["id"], everyone["radius"], Particles(d, everyone).inverse_mass
+            everyone = self.store.behind(arrived)
+        self.x, self.v, self.ids, self.radius = (everyone[n] for n in ("position", "velocity", "id", "radius"))
+        self.w = Particles(d, everyone).inverse_mass
         n = len(self.x)
         self.s, self.met, self.live = np.zeros(n), np.full(n, NOBODY), np.zeros(n, np.bool_)
         self.choice, self.best = np.full(n, NOBODY), np.empty((self.owned, 3))
         self.touched, self.touches = np.empty(n, np.int32), 0
         self.log, self.logged = np.empty(self.owned, np.int32), 0
         self.log_x, self.log_v = np.empty((self.owned, d)), np.empty((self.owned, d))
-        self.mine = self.x[: self.owned]
-        particles.replace({**arrays, "position": self.mine, "velocity": self.v[: self.owned]})
+        self.mine = particles.position
         self.version = particles.version
 
     def concern_others(self, hits: tuple[Array, Array, Array]) -> bool:

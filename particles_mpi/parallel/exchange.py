@@ -47,19 +47,6 @@ def by_destination(destination: Array, size: int) -> tuple[Array, Array]:
     return np.argsort(destination, kind="stable"), counts
 
 
-def migrate(ranks: Ranks, arrays: dict[str, Array], owner: Array, dimension: int) -> tuple[dict[str, Array], int]:
-    """Every row to its owner, any rank; returns the rows held now and how many this rank sent away. Collective."""
-    if ranks.size == 1:
-        return arrays, 0
-    leaving = np.flatnonzero(owner != ranks.rank)
-    if ranks.total(len(leaving))[0] == 0:
-        return arrays, 0
-    order, counts = by_destination(owner[leaving], ranks.size)
-    arrived, _ = send_rows(ranks, arrays, leaving[order], counts, dimension)
-    staying = np.flatnonzero(owner == ranks.rank)
-    return {n: np.concatenate((a, arrived[n])) for n, a in rows_of(arrays, staying).items()}, len(leaving)
-
-
 def in_id_order(ranks: Ranks, arrays: dict[str, Array], total: int, writers: int, dimension: int) -> dict[str, Array]:
     """Rows in id order, an equal block of ids on each of the first `writers` ranks. Collective."""
     owner = arrays["id"] * writers // max(total, 1)
