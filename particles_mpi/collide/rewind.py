@@ -107,7 +107,7 @@ class Rewind:
             choose(all_.ids, all_.owned, *hits, all_.choice, all_.best)
         if shared and all_.halo:
             with self.timers("ghosts"):
-                all_.halo.tell_choices(all_.choice)
+                all_.halo.tell_choices(all_.choice, hits[0], hits[1], all_.near.marked)
         with self.timers("collide"):
             all_.forget_live()
             all_.touches, all_.logged = take_place(

@@ -95,21 +95,37 @@ class Halo:
         for first, message in self.exchange(lambda rows, buffer: pack_state(rows, x, v, buffer)):
             unpack_state(first, message, x, v)
 
-    def tell_choices(self, choice: Array) -> None:
-        """The choices of owned rows to all who hold them as ghosts; those that made none are not mentioned."""
-        for first, message in self.exchange(lambda rows, buffer: pack_choices(rows, choice, buffer.view(np.int64))):
+    def tell_choices(self, choice: Array, a: Array, b: Array, marked: Array) -> None:
+        """The choices of owned rows among the hits (a, b) to all who hold them as ghosts. `marked`: no row, now and after."""
+        for first, message in self.exchange(
+            lambda rows, buffer: pack_choices(rows, choice, a, b, self.owned, marked, buffer.view(np.int64))
+        ):
             unpack_choices(first, message.view(np.int64), choice)
 
     def tell_legs(self, live: Array, x: Array, v: Array, s: Array, met: Array, touched: Array, count: int) -> int:
-        """New legs of live owned rows to all who hold them as ghosts, which are live there too if their leg is news.
+        """New legs of the owned ones of the live rows, touched[:count], to all who hold them as ghosts.
 
-        `touched[:count]` lists the live rows; returns the count with the ghosts that came to it.
+        They are live there too if their leg is news. Returns the count with the ghosts that came to it.
         """
+        mine = touched[:count]
         for first, message in self.exchange(
-            lambda rows, buffer: pack_legs(rows, live, x, v, s, met, buffer, buffer.view(np.int64))
+            lambda rows, buffer: pack_legs(rows, mine, x, v, s, met, buffer, buffer.view(np.int64))
         ):
             count = unpack_legs(first, message, message.view(np.int64), live, x, v, s, met, touched, count)
         return count
+
+
+@njit(cache=True)
+def place_of(row, rows):
+    """Where `row` is among ascending rows, or -1."""
+    low, high = 0, len(rows)
+    while low < high:
+        middle = (low + high) // 2
+        if rows[middle] < row:
+            low = middle + 1
+        else:
+            high = middle
+    return low if low < len(rows) and rows[low] == row else -1
 
 
 @njit(cache=True)
@@ -134,14 +150,19 @@ def unpack_state(first, message, x, v):
 
 
 @njit(cache=True)
-def pack_choices(rows, choice, out):
-    """(place among rows, choice) of those that made one."""
+def pack_choices(rows, choice, a, b, owned, marked, out):
+    """(place among rows, choice) of the owned rows of the hits that are among them."""
     size = 0
-    for r in range(len(rows)):
-        if choice[rows[r]] != NOBODY:
-            out[size] = r
-            out[size + 1] = choice[rows[r]]
-            size += 2
+    for told in (True, False):  # each row once, and all unmarked again
+        for p in range(len(a)):
+            for i in (a[p], b[p]):
+                if 0 <= i < owned and marked[i] != told:
+                    marked[i] = told
+                    place = place_of(i, rows) if told and choice[i] != NOBODY else -1
+                    if place >= 0:
+                        out[size] = place
+                        out[size + 1] = choice[i]
+                        size += 2
     return size
 
 
@@ -153,14 +174,14 @@ def unpack_choices(first, message, choice):
 
 
 @njit(cache=True)
-def pack_legs(rows, live, x, v, s, met, out, words):
-    """(place among rows, met, s, x, v) of live rows; `words` is `out` as integers."""
+def pack_legs(rows, touched, x, v, s, met, out, words):
+    """(place among rows, met, s, x, v) of the touched rows that are among them; `words` is `out` as integers."""
     d = x.shape[1]
     size = 0
-    for r in range(len(rows)):
-        i = rows[r]
-        if live[i]:
-            words[size] = r
+    for i in touched:
+        place = place_of(i, rows)
+        if place >= 0:
+            words[size] = place
             words[size + 1] = met[i]
             out[size + 2] = s[i]
             for k in range(d):

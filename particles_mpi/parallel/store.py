@@ -1,4 +1,4 @@
-"""The rows of a rank in arrays with room behind them: rows come, go, change places and get ghosts without new arrays each time."""
+"""The rows of a rank in arrays with room behind them: rows come, go, change places and get ghosts without new arrays."""
 
 from __future__ import annotations
 
