@@ -16,7 +16,7 @@ COST = {
     "drag": 4.0,
     "friction": 25.0,
     "walls": 8.0,
-    "collisions": 120.0,
+    "collisions": 90.0,
 }
 DRIFT = 3.0
 
@@ -44,7 +44,7 @@ def plan(scene: Scene, particles: Particles, ranks: int) -> dict[str, Any]:
         "integrator": scene.time.integrator,
         "effects": runs,
         "not_run": [name for name in effect_names() if name not in scene.effects],
-        "ghosts": "within 2 R_max + skin of each domain" if pairs and ranks > 1 else "none",
+        "ghosts": "particles that may meet those of another rank before the next search" if pairs and ranks > 1 else "none",
         "ranks": ranks,
         "memory_bytes": int(n * (row + (350 if pairs else 50))),
         "frames": frames,
