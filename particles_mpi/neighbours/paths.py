@@ -447,14 +447,21 @@ def find_near_walls(axes, rows, path, end, half, owned, point, normal, marked, n
         if i >= owned:
             continue
         window = end - path[i, 2 * d]
+        size = path[i, 2 * d + 1] + half * 1.000001
+        travel = 0.0
+        for k in range(d):
+            travel += path[i, d + k] ** 2
+        travel = sqrt(travel) * window
         touches = False
         for m in range(len(point)):
             begin = 0.0
-            speed = 0.0
             for k in range(d):
                 begin += (path[i, k] - point[m, k]) * normal[m, k]
-                speed += path[i, d + k] * normal[m, k]
-            touches |= not min(begin, begin + speed * window) > path[i, 2 * d + 1] + half * 1.000001
+            if not begin - travel > size:  # most are too far to ask which way they go
+                speed = 0.0
+                for k in range(d):
+                    speed += path[i, d + k] * normal[m, k]
+                touches |= not min(begin, begin + speed * window) > size
         if touches:
             near[kept] = i
             kept += 1
