@@ -130,7 +130,7 @@ class Neighbourhood:
         apart = spacing(table[:, 5 : 5 + d].min(axis=0), table[:, 5 + d :].max(axis=0), int(total)) if total else 1.0
         half = 0.5 * max(0.25 * mean, 0.05 * apart)
         travel = float(speed) * h
-        steps = self.rhythm.next(float(table[:, 4].sum()), apart / travel if travel > 0.0 else 50.0)
+        steps = self.rhythm.next(float(table[:, 4].sum()), 0.5 * apart / travel if travel > 0.0 else 50.0)
         bound = max(HEADROOM * travel * steps + half, 1.01 * (travel + half), 1.01 * at_least)
         # Relative paths up to 4 bound long: on a gridded axis of length L one image of a pair at most may meet, on the
         # others it must be the nearest one all the time.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 MOST_STEPS = 400
-STRIDE = 1.15  # between the tries
+STRIDE = 0.15  # of the steps, from one try to the next
+WORSE = 1.003  # above it the cost has risen
 # Costs of a search, a row in it, a row that asks for itself, a pair in a step; in the time of one pair test (about 5 ns).
 SEARCH, ROW, ASKED, PAIR = 2e4, 50.0, 100.0, 1.0
 
@@ -12,7 +13,7 @@ class Rhythm:
     """`steps`: how many the next candidates shall last. More of them: fewer searches, of more candidates among more rows."""
 
     def __init__(self) -> None:
-        self.steps = 0.0
+        self.steps = 0
         self.upwards = True
         self.before = float("inf")
         self.lasted = 0
@@ -32,16 +33,16 @@ class Rhythm:
 
         `crossing`: steps in which the fastest row gets as far as the next one is, for a start.
         """
-        if self.steps == 0.0:
-            self.steps = crossing
+        if self.steps == 0:
+            self.steps = int(crossing)
         elif self.lasted:
             cost = work / self.lasted
-            if cost > self.before:
+            if cost > WORSE * self.before:
                 self.upwards = not self.upwards
             self.before = cost
-            # Candidates that did not last as long as they should: longer ones would not either.
-            reached = self.steps if self.lasted >= int(self.steps + 0.5) else float(self.lasted)
-            self.steps = reached * (STRIDE if self.upwards else 1.0 / STRIDE)
-        self.steps = min(max(self.steps, 1.0), MOST_STEPS)
+            self.steps = min(self.steps, self.lasted)  # what did not last as long as it should, need not be longer
+            stride = max(1, round(STRIDE * self.steps))
+            self.steps += stride if self.upwards else -stride
+        self.steps = min(max(self.steps, 1), MOST_STEPS)
         self.lasted = self.pair_steps = 0
-        return int(self.steps + 0.5)
+        return self.steps
