@@ -65,16 +65,17 @@ class Simulation:
 
     def _enter_collisions(self, c: Any) -> None:
         """Only a scene with pairs loads the collision operator and the search for neighbours."""
+        from particles_mpi.collide.planes import no_planes
         from particles_mpi.collide.rewind import Rewind
         from particles_mpi.neighbours.pairs import Neighbourhood
 
         planes = self.walls.planes if self.walls else None
-        none = np.empty((0, self.scene.dimension))
+        walls = planes or no_planes(self.scene.dimension)
         self.near = Neighbourhood(
             self.particles,
             self.ranks,
             (self.lower, self.upper, self.length),
-            (planes.point, planes.normal) if planes else (none, none),
+            (walls.point, walls.normal),
             bool(self.forces or self.dissipation),
             self.timers,
         )
@@ -103,12 +104,11 @@ class Simulation:
 
     def drift(self, h: float, contacts: bool) -> None:
         """Positions over h, with whatever they meet on the way."""
-        p, wrapped = self.particles, False
+        p = self.particles
         if contacts and self.collisions:
             migrated = self.near.migrated
             found = self.rewind.drift(self.near, h)
             happened = [*found, self.near.migrated - migrated]
-            wrapped = True
             self.count("collisions")
             if self.walls:
                 self.count("walls")
@@ -122,7 +122,7 @@ class Simulation:
             happened = [0, 0, 0, 0]
         for name, number in zip(COUNTS, happened, strict=True):
             self.totals[name] += int(number)
-        if self.length.any() and not wrapped:
+        if self.length.any() and not (contacts and self.collisions):  # those wrap ghosts too
             with self.timers("drift"):
                 wrap(p.position, self.lower, self.upper, self.length)
 

@@ -105,9 +105,9 @@ class Rewind:
         """
         with self.timers("collide"):
             choose(all_.ids, all_.owned, *hits, all_.choice, all_.best)
-        if shared and all_.halo:
+        if shared:
             with self.timers("ghosts"):
-                all_.halo.tell_choices(all_.choice, hits[0], hits[1], all_.near.marked)
+                all_.tell_choices(hits)
         with self.timers("collide"):
             all_.forget_live()
             all_.touches, all_.logged = take_place(

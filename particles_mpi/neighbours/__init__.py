@@ -1,1 +1,1 @@
-"""Which particles can touch within a drift: linked cells, and candidate pairs that are kept while nothing moved too far."""
+"""Which particles can touch: straight paths, cells, candidates that hold for some steps, and the ghosts of other ranks."""

@@ -5,21 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from particles_mpi.neighbours.cells import FINE, grid, sort_rows, spacing
-from particles_mpi.neighbours.paths import (
-    AT_ONCE,
-    SLOW,
-    drop_pairs,
-    fill_cells,
-    find_near_walls,
-    find_partners,
-    levels,
-    move_rows,
-    set_out,
-    set_out_anew,
-    strayed,
-    turned,
-    unmark,
-)
+from particles_mpi.neighbours.partners import AT_ONCE, SLOW, drop_pairs, fill_cells, find_partners, levels, move_rows, unmark
+from particles_mpi.neighbours.paths import find_near_walls, set_out, set_out_anew, strayed, turned
 from particles_mpi.particles import Array
 
 SLOWEST = 2.2  # times the mean reach: rows beyond it are fast, one in a hundred of a gas

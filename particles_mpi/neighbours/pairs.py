@@ -7,15 +7,17 @@ rows, so that forces and drift work in place on what the pair search reads.
 from __future__ import annotations
 
 from math import floor
+from typing import Any
 
 import numpy as np
-from numba import njit
 
 from particles_mpi.collide.contact import NOBODY
+from particles_mpi.collide.passes import end_legs, fingerprint
 from particles_mpi.errors import StoppedError
 from particles_mpi.integrators import wrap
 from particles_mpi.neighbours.candidates import Candidates
 from particles_mpi.neighbours.cells import GRIDDED, bounds, grid, sort_rows, spacing
+from particles_mpi.neighbours.ghosts import any_of, refresh, tell_choices, tell_legs, width
 from particles_mpi.neighbours.paths import fastest
 from particles_mpi.neighbours.rhythm import Rhythm
 from particles_mpi.parallel.balance import Balance
@@ -54,10 +56,11 @@ class Neighbourhood:
         self.axes = (0,) * len(length)
         self.balance = Balance(ranks, timers)
         self.version = -1
-        self.halo: Halo | None = None
+        self.halo: Any = None  # on one rank; else a Halo
         self.near: Candidates
         self.store = Store(particles)
         self.mine: Array | None = None
+        self.box: Any = None  # bounds of the owned rows at the last search
         self.searches = self.migrated = self.ghost_rows = self.expected = 0
         self.rhythm = Rhythm()
 
@@ -85,7 +88,7 @@ class Neighbourhood:
         """
         if self.halo:
             with self.timers("ghosts"):
-                self.halo.refresh(self.x, self.v)
+                refresh(self.halo, self.x, self.v)
         if not self.searches:
             return np.inf
         with self.timers("pairs"):
@@ -118,7 +121,7 @@ class Neighbourhood:
         """(end, half, bound) of the next candidates, the same on all ranks."""
         particles = self.particles
         d, x, n = particles.dimension, particles.position, len(particles)
-        low, high = bounds(x)
+        self.box = low, high = bounds(x)
         work = self.rhythm.work(len(self.x), self.near.tests, self.near.asked) if self.searches else 0.0
         radius = particles.radius
         mine = np.array([n, fastest(self.axes, x, particles.velocity), radius.max(initial=0.0), radius.sum(), work, *low, *high])
@@ -153,10 +156,9 @@ class Neighbourhood:
 
     def sort(self) -> None:
         """Rows that are near in space, near in memory."""
-        particles = self.particles
-        x = particles.position
-        low, high = bounds(x)
-        order, _ = sort_rows(x, np.zeros(len(x), np.int8), 0, *grid(x, (low, high), spacing(low, high, len(x)), 1))
+        x = self.particles.position
+        low, high = self.box
+        order, _ = sort_rows(x, np.zeros(len(x), np.int8), 0, *grid(x, self.box, spacing(low, high, len(x)), 1))
         self.store.sort(order)
 
     def fetch_ghosts(self, end: float, bound: float) -> None:
@@ -177,7 +179,7 @@ class Neighbourhood:
             ]
             rows, counts = np.concatenate(wanted), np.array([len(w) for w in wanted], np.int32)
             arrived, arriving = send_rows(ranks, everyone, rows, counts, d)
-            self.halo = Halo(ranks, rows, counts, arriving, self.owned, d)
+            self.halo = Halo(ranks, rows, counts, arriving, self.owned, width(d))
             self.shared = np.zeros(self.owned + int(arriving.sum()), np.bool_)
             self.shared[rows] = self.shared[self.owned :] = True
             self.ghost_rows += len(arrived["id"])
@@ -197,11 +199,14 @@ class Neighbourhood:
         """Is a row among the hits that other ranks hold too?"""
         return self.halo is not None and any_of(self.shared, hits[0], hits[1])
 
+    def tell_choices(self, hits: tuple[Array, Array, Array]) -> None:
+        """The choices of this rank's rows to all who hold them as ghosts."""
+        tell_choices(self.halo, self.choice, hits[0], hits[1], self.near.marked)
+
     def tell_legs(self) -> None:
         """Ghosts after a pass, as their owners have them; those whose leg is a new one are live."""
-        if self.halo:
-            self.choice[self.owned :] = NOBODY
-            self.touches = self.halo.tell_legs(self.live, self.x, self.v, self.s, self.met, self.touched, self.touches)
+        self.choice[self.owned :] = NOBODY
+        self.touches = tell_legs(self.halo, self.live, self.x, self.v, self.s, self.met, self.touched, self.touches)
 
     def follow(self, h: float) -> float:
         """After a pass in the drift over h: candidates for the legs of the touched rows.
@@ -243,37 +248,3 @@ class Neighbourhood:
     def distrust(self) -> None:
         """Ghosts are not what their owners have: search before the next drift."""
         self.version = -1
-
-
-@njit(cache=True)
-def end_legs(axes, x, v, s, h, owned):
-    """From the start of the last leg to the end of the drift: x += v (h - s). Returns the fingerprint of the owned rows."""
-    bits_x, bits_v = x.view(np.int64), v.view(np.int64)
-    total = np.int64(0)
-    for i in range(len(x)):
-        for k in range(len(axes)):
-            x[i, k] += v[i, k] * (h - s[i])
-        for k in range(len(axes)):
-            if i < owned:
-                total += (bits_x[i, k] ^ i) + (bits_v[i, k] ^ ~i)
-    return total
-
-
-@njit(cache=True)
-def any_of(marks, a, b):
-    """Is a row of a, or one of b that is no wall (b < 0), marked?"""
-    found = False
-    for p in range(len(a)):
-        found |= marks[a[p]] or (b[p] >= 0 and marks[b[p]])
-    return found
-
-
-@njit(cache=True)
-def fingerprint(axes, x, v):
-    """A number that changes when somebody changes a row of x or v (n, d)."""
-    bits_x, bits_v = x.view(np.int64), v.view(np.int64)
-    total = np.int64(0)
-    for i in range(len(x)):
-        for k in range(len(axes)):
-            total += (bits_x[i, k] ^ i) + (bits_v[i, k] ^ ~i)
-    return total

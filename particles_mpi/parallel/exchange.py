@@ -6,9 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 from mpi4py import MPI
-from numba import njit
 
-from particles_mpi.collide.contact import NOBODY
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, Array, rows_of, shape
 
@@ -60,13 +58,12 @@ class Halo:
     """The ghosts of a rank: which rows go to which rank, and where theirs arrive, until the next search for pairs.
 
     Ghost rows stand behind the owned ones, in order of their owner. Each exchange is one non-blocking message to each
-    rank that has ghosts of ours; after a pass it holds only the rows to which something happened.
+    rank that has ghosts of ours, of up to `width` numbers a row.
     """
 
-    def __init__(self, ranks: Ranks, rows: Array, counts: Array, arriving: Array, owned: int, dimension: int):
+    def __init__(self, ranks: Ranks, rows: Array, counts: Array, arriving: Array, owned: int, width: int):
         self.ranks, self.owned = ranks, owned
         self.rows = rows.astype(np.int32)
-        width = 3 + 2 * dimension  # the longest row of a message: place, last met, start of the leg, x, v
         to, of = np.flatnonzero(counts), np.flatnonzero(arriving)
         self.outgoing = list(zip(to.tolist(), starts(counts)[to].tolist(), np.cumsum(counts)[to].tolist(), strict=True))
         ends = np.cumsum(arriving)
@@ -89,121 +86,3 @@ class Halo:
             (self.owned + begin, buffer[: status.Get_count(MPI.DOUBLE)])
             for (_, begin, _), buffer, status in zip(self.incoming, self.into, statuses, strict=False)
         ]
-
-    def refresh(self, x: Array, v: Array) -> None:
-        """Ghost rows of x and v (n, d), as their owners have them."""
-        for first, message in self.exchange(lambda rows, buffer: pack_state(rows, x, v, buffer)):
-            unpack_state(first, message, x, v)
-
-    def tell_choices(self, choice: Array, a: Array, b: Array, marked: Array) -> None:
-        """The choices of owned rows among the hits (a, b) to all who hold them as ghosts. `marked`: no row, now and after."""
-        for first, message in self.exchange(
-            lambda rows, buffer: pack_choices(rows, choice, a, b, self.owned, marked, buffer.view(np.int64))
-        ):
-            unpack_choices(first, message.view(np.int64), choice)
-
-    def tell_legs(self, live: Array, x: Array, v: Array, s: Array, met: Array, touched: Array, count: int) -> int:
-        """New legs of the owned ones of the live rows, touched[:count], to all who hold them as ghosts.
-
-        They are live there too if their leg is news. Returns the count with the ghosts that came to it.
-        """
-        mine = touched[:count]
-        for first, message in self.exchange(
-            lambda rows, buffer: pack_legs(rows, mine, x, v, s, met, buffer, buffer.view(np.int64))
-        ):
-            count = unpack_legs(first, message, message.view(np.int64), live, x, v, s, met, touched, count)
-        return count
-
-
-@njit(cache=True)
-def place_of(row, rows):
-    """Where `row` is among ascending rows, or -1."""
-    low, high = 0, len(rows)
-    while low < high:
-        middle = (low + high) // 2
-        if rows[middle] < row:
-            low = middle + 1
-        else:
-            high = middle
-    return low if low < len(rows) and rows[low] == row else -1
-
-
-@njit(cache=True)
-def pack_state(rows, x, v, out):
-    """x and v of rows, one after the other."""
-    d = x.shape[1]
-    for r in range(len(rows)):
-        for k in range(d):
-            out[2 * d * r + k] = x[rows[r], k]
-            out[2 * d * r + d + k] = v[rows[r], k]
-    return 2 * d * len(rows)
-
-
-@njit(cache=True)
-def unpack_state(first, message, x, v):
-    """What pack_state wrote, to the rows from `first` on."""
-    d = x.shape[1]
-    for r in range(len(message) // (2 * d)):
-        for k in range(d):
-            x[first + r, k] = message[2 * d * r + k]
-            v[first + r, k] = message[2 * d * r + d + k]
-
-
-@njit(cache=True)
-def pack_choices(rows, choice, a, b, owned, marked, out):
-    """(place among rows, choice) of the owned rows of the hits that are among them."""
-    size = 0
-    for told in (True, False):  # each row once, and all unmarked again
-        for p in range(len(a)):
-            for i in (a[p], b[p]):
-                if 0 <= i < owned and marked[i] != told:
-                    marked[i] = told
-                    place = place_of(i, rows) if told and choice[i] != NOBODY else -1
-                    if place >= 0:
-                        out[size] = place
-                        out[size + 1] = choice[i]
-                        size += 2
-    return size
-
-
-@njit(cache=True)
-def unpack_choices(first, message, choice):
-    """What pack_choices wrote."""
-    for m in range(0, len(message), 2):
-        choice[first + message[m]] = message[m + 1]
-
-
-@njit(cache=True)
-def pack_legs(rows, touched, x, v, s, met, out, words):
-    """(place among rows, met, s, x, v) of the touched rows that are among them; `words` is `out` as integers."""
-    d = x.shape[1]
-    size = 0
-    for i in touched:
-        place = place_of(i, rows)
-        if place >= 0:
-            words[size] = place
-            words[size + 1] = met[i]
-            out[size + 2] = s[i]
-            for k in range(d):
-                out[size + 3 + k] = x[i, k]
-                out[size + 3 + d + k] = v[i, k]
-            size += 3 + 2 * d
-    return size
-
-
-@njit(cache=True)
-def unpack_legs(first, message, words, live, x, v, s, met, touched, count):
-    """What pack_legs wrote; rows whose leg is news become live and touched."""
-    d = x.shape[1]
-    for m in range(0, len(message), 3 + 2 * d):
-        i = first + words[m]
-        if (met[i] != words[m + 1] or s[i] != message[m + 2]) and not live[i]:
-            live[i] = True
-            touched[count] = i
-            count += 1
-        met[i] = words[m + 1]
-        s[i] = message[m + 2]
-        for k in range(d):
-            x[i, k] = message[m + 3 + k]
-            v[i, k] = message[m + 3 + d + k]
-    return count

@@ -7,25 +7,24 @@ out/benchmarks/CASE.csv. Shared machines are noisy: compare medians of one call,
 import argparse
 import csv
 import json
-import os
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
 from statistics import median
 from time import perf_counter
 
-ROOT = Path(__file__).parents[2]
 HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE.parent))
+from conftest import ROOT, run_ranks  # noqa: E402
+
 SCENES = ROOT / "particles_mpi" / "scenes"
 
 
 def mpirun(ranks, *arguments):
     """Output of `python arguments...` on the ranks."""
-    command = ["mpirun", "-n", str(ranks), sys.executable, *map(str, arguments)]
-    done = subprocess.run(command, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
+    done = run_ranks(ranks, *arguments, timeout=1000)
     if done.returncode:
-        sys.exit(f"{' '.join(command)} failed:\n{done.stderr[-2000:]}")
+        sys.exit(f"{' '.join(map(str, arguments))} on {ranks} ranks failed:\n{done.stderr[-2000:]}")
     return done.stdout
 
 
