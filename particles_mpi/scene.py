@@ -305,7 +305,8 @@ def _suggest(name: str, known: list[str]) -> str:
 def _key(location: tuple[Any, ...]) -> str:
     text = ""
     for part in location:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
+        name = part if str(part).isprintable() else repr(part)  # a fault is one line, whatever the key
+        text += f"[{part}]" if isinstance(part, int) else f".{name}" if text else str(name)
     return text
 
 

@@ -43,13 +43,15 @@ class Rewind:
         a longer reach, and it is done again: the result is that of a reach long enough from the start.
         """
         all_.prepare(h)
+        travel = 0.0
         while True:
             try:
                 counts = self.contacts(all_, h)
                 break
             except TooFarError as far:
                 self.undo(all_)
-                all_.search(h, far.travel)
+                travel = max(far.travel, 1.2 * travel)
+                all_.search(h, travel)
         with self.timers("drift"):
             all_.advance(h)
         return counts

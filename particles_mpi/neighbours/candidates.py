@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from particles_mpi.neighbours.cells import FINE, grid, sort_rows, spacing
+from particles_mpi.neighbours.fence import Fence, nowhere
 from particles_mpi.neighbours.partners import AT_ONCE, SLOW, drop_pairs, fill_cells, find_partners, levels, move_rows, unmark
 from particles_mpi.neighbours.paths import find_near_walls, set_out, set_out_anew, strayed, turned
 from particles_mpi.particles import Array
@@ -20,7 +21,7 @@ class Candidates:
 
     x, v (n, d), radius, w = 1/m, ids (n,): the first `owned` rows are this rank's, ghosts follow. They may change in place;
     `strays` finds those that forces bent out of their tubes, `turned` those that contacts turned, `follow` renews both.
-    `bound`: no row may get further than that from the middle of its first path.
+    `bound`: no row may get further than that from the middle of its first path; nor an owned row out of its `fence`.
     """
 
     def __init__(
@@ -32,11 +33,12 @@ class Candidates:
         end: float,
         half: float,
         bound: float,
+        fence: Fence,
         expected: int,
     ):
         self.x, self.v, self.radius, self.w, self.ids = state
         self.owned, self.length, self.planes = owned, length, planes
-        self.end, self.half, self.bound = end, half, bound
+        self.end, self.half, self.bound, self.fence = end, half, bound, fence
         self.axes = (0,) * self.x.shape[1]
         self.time = 0.0  # since the search
         n = len(self.x)
@@ -120,13 +122,13 @@ class Candidates:
     def follow(self, rows: Array, s: Array, h: float) -> float:
         """New paths and candidates for `rows`, on legs that began at s in the drift over h.
 
-        Returns 0, or how far a row gets in this drift if the bound forbids it: then all must be searched anew.
+        Returns 0, or how far a row gets in this drift if bound or fence forbid it: then all must be searched anew.
         """
         if not len(rows):
             return 0.0
         needed, self.end = set_out_anew(
             self.axes, rows, self.x, self.v, s, self.home, self.path, self.seen, self.reach, self.length,
-            self.time, h, self.end, self.half, self.bound,
+            self.time, h, self.end, self.half, self.bound, self.owned, self.fence,
         )  # fmt: skip
         if needed:
             return float(needed)
@@ -146,5 +148,5 @@ class Candidates:
 def touching(x: Array, radius: Array, w: Array, ids: Array, length: Array) -> tuple[Array, Array]:
     """(first, second): rows of all pairs of resting spheres that touch, each once, the lower id first, not both with w = 0."""
     none = np.empty((0, x.shape[1]))
-    c = Candidates((x, np.zeros_like(x), radius, w, ids), len(x), length, (none, none), 0.0, 0.0, 0.0, 0)
+    c = Candidates((x, np.zeros_like(x), radius, w, ids), len(x), length, (none, none), 0.0, 0.0, 0.0, nowhere(x.shape[1]), 0)
     return c.first[: c.pairs], c.second[: c.pairs]

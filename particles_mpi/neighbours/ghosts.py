@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from particles_mpi.collide.contact import NOBODY
+from particles_mpi.neighbours.paths import place_of
 from particles_mpi.parallel.exchange import Halo
 from particles_mpi.particles import Array
 
@@ -50,19 +51,6 @@ def any_of(marks, a, b):
     for p in range(len(a)):
         found |= marks[a[p]] or (b[p] >= 0 and marks[b[p]])
     return found
-
-
-@njit(cache=True)
-def place_of(row, rows):
-    """Where `row` is among ascending rows, or -1."""
-    low, high = 0, len(rows)
-    while low < high:
-        middle = (low + high) // 2
-        if rows[middle] < row:
-            low = middle + 1
-        else:
-            high = middle
-    return low if low < len(rows) and rows[low] == row else -1
 
 
 @njit(cache=True)

@@ -17,11 +17,11 @@ from particles_mpi.errors import StoppedError
 from particles_mpi.integrators import wrap
 from particles_mpi.neighbours.candidates import Candidates
 from particles_mpi.neighbours.cells import GRIDDED, bounds, grid, sort_rows, spacing
+from particles_mpi.neighbours.fence import Fence, build, nowhere
 from particles_mpi.neighbours.ghosts import any_of, refresh, tell_choices, tell_legs, width
-from particles_mpi.neighbours.paths import fastest
+from particles_mpi.neighbours.paths import fastest, tubes_box
 from particles_mpi.neighbours.rhythm import Rhythm
 from particles_mpi.parallel.balance import Balance
-from particles_mpi.parallel.domain import near_box
 from particles_mpi.parallel.exchange import Halo, send_rows
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.parallel.store import Store
@@ -29,7 +29,7 @@ from particles_mpi.particles import FIELDS, Array, Particles
 from particles_mpi.timers import Timers
 
 SORT_EVERY = 2  # searches; between two sorts in space the rows keep their order, which changes slowly
-HEADROOM = 1.1  # how far a row may get from the middle of its path, in whole paths of the fastest one
+SLACK = 0.2  # how far rows may get over the border of their rank's box, in paths of the fastest one
 TOO_MANY = 0.1  # of the rows left their tubes at once: a search of all is cheaper than one for each
 
 
@@ -98,27 +98,27 @@ class Neighbourhood:
             return self.near.follow(strays, self.s, h)
 
     def search(self, h: float, at_least: float) -> None:
-        """Migrate, fetch ghosts and find the candidates, to last some steps of h; bound >= `at_least`. Collective."""
+        """Migrate, fetch ghosts, find candidates to last some steps of h; `at_least`: how far rows must get. Collective."""
         particles = self.particles
         with self.timers("migrate"):
             self.balance.update(particles, self.searches)
             self.store.adopt()
             self.migrated += self.store.migrate(self.ranks, self.balance.owner(particles.position))
         with self.timers("agree"):
-            end, half, bound = self.horizon(h, at_least)
+            end, half, bound, slack = self.horizon(h, at_least)
         with self.timers("pairs"):
             if self.searches % SORT_EVERY == 0 and len(particles) > 1:
                 self.sort()
         with self.timers("ghosts"):
-            self.fetch_ghosts(end, bound)
+            fence = self.fetch_ghosts(end, half, slack)
         with self.timers("pairs"):
             state = self.x, self.v, self.radius, self.w, self.ids
-            self.near = Candidates(state, self.owned, self.length, self.planes, end, half, bound, self.expected)
+            self.near = Candidates(state, self.owned, self.length, self.planes, end, half, bound, fence, self.expected)
             self.expected = self.near.pairs
         self.searches += 1
 
-    def horizon(self, h: float, at_least: float) -> tuple[float, float, float]:
-        """(end, half, bound) of the next candidates, the same on all ranks."""
+    def horizon(self, h: float, at_least: float) -> tuple[float, float, float, float]:
+        """(end, half, bound, slack) of the next candidates, the same on all ranks."""
         particles = self.particles
         d, x, n = particles.dimension, particles.position, len(particles)
         self.box = low, high = bounds(x)
@@ -134,7 +134,8 @@ class Neighbourhood:
         half = 0.5 * max(0.25 * mean, 0.05 * apart)
         travel = float(speed) * h
         steps = self.rhythm.next(float(table[:, 4].sum()), 0.5 * apart / travel if travel > 0.0 else 50.0)
-        bound = max(HEADROOM * travel * steps + half, 1.01 * (travel + half), 1.01 * at_least)
+        slack = max(SLACK * travel * steps + travel + 2.0 * half, 1.01 * at_least)
+        bound = np.inf
         # Relative paths up to 4 bound long: on a gridded axis of length L one image of a pair at most may meet, on the
         # others it must be the nearest one all the time.
         periodic = np.flatnonzero(self.length)
@@ -149,10 +150,10 @@ class Neighbourhood:
                     f"{self.length[periodic].min():.3g} to tell a particle from its image; use a shorter step or a larger box"
                 )
             half = min(half, 0.5 * (widest - least))
-            bound = min(bound, widest - half)
+            bound = widest - half
             if travel > 0.0:
                 steps = max(1, min(steps, floor((bound - half) / travel)))
-        return steps * h * (1.0 + 1e-9), half, bound
+        return steps * h * (1.0 + 1e-9), half, bound, slack
 
     def sort(self) -> None:
         """Rows that are near in space, near in memory."""
@@ -161,24 +162,18 @@ class Neighbourhood:
         order, _ = sort_rows(x, np.zeros(len(x), np.int8), 0, *grid(x, self.box, spacing(low, high, len(x)), 1))
         self.store.sort(order)
 
-    def fetch_ghosts(self, end: float, bound: float) -> None:
+    def fetch_ghosts(self, end: float, half: float, slack: float) -> Fence:
         """Copies of all particles that may meet this rank's, behind the owned rows. Collective."""
         particles = self.particles
         ranks, d, self.owned = self.ranks, particles.dimension, len(particles)
         names = [name for name in particles.arrays if FIELDS[name].ghost]
         everyone = {name: particles.arrays[name] for name in names}
-        self.halo = None
+        self.halo, fence = None, nowhere(d)
         if ranks.size > 1:
-            middle = particles.position + 0.5 * end * particles.velocity
-            boxes = ranks.rows_of_all(np.concatenate(([len(middle), particles.radius.max(initial=0.0)], *bounds(middle))))
-            wanted = [
-                near_box(middle, particles.radius, box[2 : 2 + d], box[2 + d :], box[1] + 2.0 * bound, self.length)
-                if p != ranks.rank and box[0]
-                else np.empty(0, np.int64)
-                for p, box in enumerate(boxes)
-            ]
-            rows, counts = np.concatenate(wanted), np.array([len(w) for w in wanted], np.int32)
-            arrived, arriving = send_rows(ranks, everyone, rows, counts, d)
+            state = particles.position, particles.velocity, particles.radius
+            boxes = ranks.rows_of_all(tubes_box(self.axes, *state, end, half))
+            fence, rows, counts = build(boxes, ranks.rank, slack, state, end, half, self.length)
+            arrived, arriving = send_rows(ranks, everyone, rows, counts)
             self.halo = Halo(ranks, rows, counts, arriving, self.owned, width(d))
             self.shared = np.zeros(self.owned + int(arriving.sum()), np.bool_)
             self.shared[rows] = self.shared[self.owned :] = True
@@ -194,6 +189,7 @@ class Neighbourhood:
         self.log_x, self.log_v = np.empty((self.owned, d)), np.empty((self.owned, d))
         self.mine = particles.position
         self.version = particles.version
+        return fence
 
     def concern_others(self, hits: tuple[Array, Array, Array]) -> bool:
         """Is a row among the hits that other ranks hold too?"""

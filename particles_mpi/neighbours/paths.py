@@ -106,14 +106,114 @@ def turned(axes, x, v, s, path, rows, time, until, half, length):
     return found
 
 
+@njit(cache=True)
+def tubes_box(axes, x, v, radius, end, half):
+    """The box (2, d) around the tubes, spheres and all, of rows that set out now; (inf, -inf) if there are none."""
+    d = len(axes)
+    box = np.empty((2, d))
+    box[0], box[1] = inf, -inf
+    for i in range(len(x)):
+        margin = radius[i] + half
+        for k in range(d):
+            then = x[i, k] + v[i, k] * end
+            low = (x[i, k] if x[i, k] <= then else then) - margin
+            high = (x[i, k] if x[i, k] >= then else then) + margin
+            box[0, k] = box[0, k] if box[0, k] <= low else low
+            box[1, k] = box[1, k] if box[1, k] >= high else high
+    return box
+
+
+@njit(cache=True)
+def tubes_near(axes, x, v, radius, end, half, low, high, length):
+    """Rows, ascending, whose tubes may touch the box [low, high] or an image of it: judged axis by axis."""
+    d = len(axes)
+    rows = np.empty(len(x), np.int32)
+    found = 0
+    for i in range(len(x)):
+        margin = radius[i] + half
+        near = True
+        for k in range(d):
+            then = x[i, k] + v[i, k] * end
+            begin = (x[i, k] if x[i, k] <= then else then) - margin
+            finish = (x[i, k] if x[i, k] >= then else then) + margin
+            touches = (finish >= low[k]) & (begin <= high[k])
+            if length[k] > 0.0:
+                touches |= (finish + length[k] >= low[k]) & (begin + length[k] <= high[k])
+                touches |= (finish - length[k] >= low[k]) & (begin - length[k] <= high[k])
+            near &= touches
+        rows[found] = i
+        found += near
+    return rows[:found]
+
+
+@njit(cache=True)
+def leaves_box(axes, path, i, margin, low, high):
+    """How long the path of row i stays `margin` inside the box [low, high]; below 0 if it does not start there."""
+    d = len(axes)
+    stay = inf
+    for k in range(d):
+        at = path[i, k]
+        speed = path[i, d + k]
+        gap = min(high[k] - margin - at, at - margin - low[k])
+        if gap < 0.0:
+            return -1.0
+        if speed > 0.0:
+            stay = min(stay, (high[k] - margin - at) / speed)
+        elif speed < 0.0:
+            stay = min(stay, (low[k] + margin - at) / speed)
+    return stay
+
+
+@njit(cache=True)
+def enters_box(axes, path, i, margin, low, high, length):
+    """When the path of row i comes within `margin` of the box [low, high] or an image of it, at the earliest; inf if never."""
+    d = len(axes)
+    begin = 0.0
+    finish = inf
+    for k in range(d):
+        speed = path[i, d + k]
+        first = inf
+        last = -inf
+        for image in range(3 if length[k] > 0.0 else 1):
+            at = path[i, k] + (0.0 if image == 0 else (length[k] if image == 1 else -length[k]))
+            left = low[k] - margin - at
+            right = high[k] + margin - at
+            if speed == 0.0:
+                if left <= 0.0 <= right:
+                    first = 0.0
+                    last = inf
+                continue
+            out = max(left / speed, right / speed)
+            if out >= 0.0:  # it is not behind
+                first = min(first, left / speed, right / speed)
+                last = max(last, out)
+        begin = max(begin, first)
+        finish = min(finish, last)
+    return begin if begin <= finish else inf
+
+
+@njit(cache=True)
+def place_of(row, rows):
+    """Where `row` is among ascending rows, or -1."""
+    low, high = 0, len(rows)
+    while low < high:
+        middle = (low + high) // 2
+        if rows[middle] < row:
+            low = middle + 1
+        else:
+            high = middle
+    return low if low < len(rows) and rows[low] == row else -1
+
+
 @njit(cache=True, error_model="numpy")
-def set_out_anew(axes, rows, x, v, s, home, path, seen, reach, length, time, h, end, half, bound):
+def set_out_anew(axes, rows, x, v, s, home, path, seen, reach, length, time, h, end, half, bound, owned, fence):
     """New paths for `rows` along their present legs, in the drift over h from `time`. In place on path, seen, reach.
 
-    Returns (how far from `home`, where the last search saw it, a row gets in this drift if that is more than `bound`, else 0;
-    horizon). Rows that could get further than `bound` until the horizon bring it nearer.
+    Returns (how far from `home`, where the last search saw it, a row gets in this drift if it may not, else 0; horizon).
+    Rows that could get further than `bound`, or out of their fence, until the horizon bring it nearer. See `pairs.Fence`.
     """
     d = len(axes)
+    own, others, sent, known = fence
     needed = 0.0
     for i in rows:
         start = time + s[i]
@@ -132,11 +232,17 @@ def set_out_anew(axes, rows, x, v, s, home, path, seen, reach, length, time, h, 
         path[i, 2 * d] = start
         now, soon, late = sqrt(now) + half, sqrt(soon) + half, sqrt(late) + half
         speed = sqrt(speed)
-        if not max(now, soon) <= bound:
+        until = max(time + h, start + (bound - now) / speed) if late > bound else inf
+        if i < owned:
+            margin = path[i, 2 * d + 1] + half
+            until = min(until, start + leaves_box(axes, path, i, margin, own[0], own[1]))
+            for p in range(len(others)):
+                if place_of(i, known[sent[p] : sent[p + 1]]) < 0:
+                    until = min(until, start + enters_box(axes, path, i, margin, others[p, 0], others[p, 1], length))
+        if not (max(now, soon) <= bound and until >= time + h):
             needed = max(needed, now, soon) if soon == soon else inf
             continue
-        if late > bound:
-            end = max(time + h, start + (bound - now) / speed)
+        end = min(end, until)
         for k in range(d):
             seen[i, k] = path[i, k] + 0.5 * v[i, k] * (end - start)
         reach[i] = path[i, 2 * d + 1] + half + 0.5 * speed * (end - start)

@@ -27,7 +27,7 @@ def save(path: Path, ranks: Ranks, arrays: dict[str, Array], total: int, dimensi
     `arrays`: this rank's owned rows in any order, every field a restart needs; `attributes`: numbers and texts of any length.
     At every moment `path` is the previous checkpoint or this one. Raises StoppedError on all ranks if it cannot be written.
     """
-    rows = in_id_order(ranks, arrays, total, 1, dimension)
+    rows = in_id_order(ranks, arrays, total, 1)
     with failing_together(ranks, f"cannot write {path} at step {attributes.get('step', '?')}"):
         if ranks.is_root:
             _replace(Path(path), rows, {MARK: FORMAT, "total": total, "dimension": dimension} | attributes)

@@ -71,7 +71,7 @@ class Trajectory:
 
     def write(self, step: int, time: float, arrays: dict[str, Array]) -> None:
         """Append a frame. `arrays`: this rank's owned rows in any order, at least the fields given at the start."""
-        rows = in_id_order(self.ranks, {n: arrays[n] for n in self.fields}, self.total, self.writers, self.dimension)
+        rows = in_id_order(self.ranks, {n: arrays[n] for n in self.fields}, self.total, self.writers)
         # in_id_order gives writer p the ids from ceil(p N / writers)
         first = self.frames * self.total - (-self.ranks.rank * self.total // self.writers)
         frame = frame_arrays(rows, self.dimension)

@@ -38,7 +38,7 @@ class VtkSeries:
     def write(self, step: int, time: float, arrays: dict[str, Array]) -> None:
         """Add a frame. `arrays`: this rank's owned rows in any order, (n,) or (n, d); fields not meant for frames are skipped."""
         shown = {name: array for name, array in arrays.items() if FIELDS[name].output}
-        rows = in_id_order(self.ranks, shown, self.total, 1, self.dimension)
+        rows = in_id_order(self.ranks, shown, self.total, 1)
         path = self.folder / self._name(step)
         with failing_together(self.ranks, f"cannot write {path} at step {step}"):
             if self.ranks.is_root:

@@ -102,21 +102,3 @@ def owners(x, axis, cut, below, above):
             node = below[node] if x[i, axis[node]] < cut[node] else above[node]
         owner[i] = -1 - node
     return owner
-
-
-@njit(cache=True)
-def near_box(x, radius, lower, upper, reach, length):
-    """Rows of x (n, d) no further than `reach` + radius from the box [lower, upper], by the nearest periodic image."""
-    rows = np.empty(len(x), np.int64)
-    found = 0
-    for i in range(len(x)):
-        r2 = 0.0
-        for k in range(x.shape[1]):
-            gap = max(lower[k] - x[i, k], x[i, k] - upper[k], 0.0)
-            if length[k] > 0.0:
-                gap = min(gap, max(lower[k] - x[i, k] - length[k], 0.0, x[i, k] + length[k] - upper[k]))
-                gap = min(gap, max(lower[k] - x[i, k] + length[k], 0.0, x[i, k] - length[k] - upper[k]))
-            r2 += gap * gap
-        rows[found] = i
-        found += r2 <= (reach + radius[i]) ** 2
-    return rows[:found]

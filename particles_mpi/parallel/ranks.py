@@ -50,8 +50,8 @@ class Ranks:
         return self._reduce(values, MPI.MIN)
 
     def rows_of_all(self, row: Array) -> Array:
-        """A row of numbers from each rank, as a table (ranks, len(row)) on all of them."""
-        table = np.empty((self.size, len(row)), row.dtype)
+        """A row of numbers (any shape) from each rank, as a table (ranks, *shape) on all of them."""
+        table = np.empty((self.size, *row.shape), row.dtype)
         if self.size == 1:
             table[0] = row
         else:

@@ -63,7 +63,7 @@ class Store:
         if ranks.total(len(leaving))[0] == 0:
             return 0
         order, counts = by_destination(owner[leaving], ranks.size)
-        arrived, _ = send_rows(ranks, self.particles.arrays, leaving[order], counts, self.particles.dimension)
+        arrived, _ = send_rows(ranks, self.particles.arrays, leaving[order], counts)
         left, came = len(leaving), len(arrived["id"])
         after = n - left + came
         self.reserve(after)

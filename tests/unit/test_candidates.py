@@ -6,6 +6,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from particles_mpi.neighbours.candidates import Candidates, touching
+from particles_mpi.neighbours.fence import nowhere
 
 
 def closest(x, v, start, end, length):
@@ -51,7 +52,7 @@ def test_every_pair_whose_paths_come_near_is_listed_once(seed, d, n, periodic, g
         assume(4.0 * radius.max() < side)
         end = bound = half = 0.0
     none = np.empty((0, d))
-    c = Candidates((x, v, radius, w, ids), owned, length, (none, none), end, half, bound, 0)
+    c = Candidates((x, v, radius, w, ids), owned, length, (none, none), end, half, bound, nowhere(d), 0)
 
     def check(x, v, start):
         near = closest(x, v, start, np.maximum(end, start[:, None]), length) <= (radius[:, None] + radius[None]) * (1.0 - 1e-12)
@@ -96,5 +97,5 @@ def test_only_rows_near_a_wall_are_listed(wall):
     v = np.array([[-1.0, 0.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
     point, normal = np.array([[0.0, 0.0], [10.0, 10.0]]), np.array([[1.0, 0.0], [-1.0, 0.0]])
     state = x, v, np.full(4, 0.1), np.ones(4), np.arange(4)
-    c = Candidates(state, 4, np.zeros(2), (point[[wall]], normal[[wall]]), 0.5, 0.01, 2.0, 0)
+    c = Candidates(state, 4, np.zeros(2), (point[[wall]], normal[[wall]]), 0.5, 0.01, 2.0, nowhere(2), 0)
     assert c.near_wall[: c.walls].tolist() == [[0], [2]][wall]

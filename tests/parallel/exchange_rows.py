@@ -1,0 +1,56 @@
+"""Random rows to random ranks, many times; every rank knows all of it and checks what it gets. The cases: a JSON file."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from particles_mpi.parallel.exchange import by_destination, in_id_order, send_rows
+from particles_mpi.parallel.ranks import Ranks
+from particles_mpi.parallel.store import Store
+from particles_mpi.particles import Particles
+
+ranks = Ranks()
+
+
+def everyone(random, total, dimension):
+    """Particles of all ranks, with values that show which row is which."""
+    ids = random.permutation(total).astype(np.int64)
+    x = ids[:, None] + np.linspace(0.0, 0.5, dimension)
+    return {"id": ids, "position": x, "velocity": -x, "radius": ids * 2.0, "mass": ids + 0.5, "fixed": (ids % 2).astype(np.uint8)}
+
+
+for seed, total, dimension, emptied in json.loads(Path(sys.argv[1]).read_text()):
+    random = np.random.default_rng(seed)
+    every = everyone(random, total, dimension)
+    holder, owner = random.integers(0, ranks.size, total), random.integers(0, ranks.size, total)
+    holder[holder == emptied] = ranks.size - 1
+    owner[owner == (emptied + 1) % ranks.size] = 0
+    mine = np.flatnonzero(holder == ranks.rank)
+
+    held = {name: column[mine] for name, column in every.items()}
+    order, counts = by_destination(owner[mine], ranks.size)
+    arrived, arriving = send_rows(ranks, held, order, counts)
+    expected = np.concatenate([np.flatnonzero((holder == p) & (owner == ranks.rank)) for p in range(ranks.size)])
+    assert arriving.sum() == len(expected)
+    for name, column in every.items():
+        assert arrived[name].dtype == column.dtype and (arrived[name] == column[expected]).all(), (seed, name)
+
+    store = Store(Particles(dimension, held))
+    store.adopt()
+    left = store.migrate(ranks, owner[mine])
+    assert left == np.count_nonzero(owner[mine] != ranks.rank)
+    shown = store.particles.arrays
+    places = np.argsort(shown["id"])
+    expected = np.flatnonzero(owner == ranks.rank)
+    expected = expected[np.argsort(every["id"][expected])]
+    for name, column in every.items():
+        assert (shown[name][places] == column[expected]).all(), (seed, name)
+
+    writers = 1 + seed % ranks.size
+    block = in_id_order(ranks, shown, total, writers)["id"]
+    assert (np.concatenate(ranks.gathered(block)) == np.arange(total)).all()
+    assert len(block) <= -(-total // writers)
+if ranks.is_root:
+    print("all arrived")
