@@ -49,7 +49,8 @@ class Frame:
 
     @property
     def speed(self) -> np.ndarray:
-        speed: np.ndarray = np.linalg.norm(self.fields["velocity"], axis=1)
+        velocity = self.fields.get("velocity_full", self.fields["velocity"])  # the whole one, in more than three dimensions
+        speed: np.ndarray = np.linalg.norm(velocity, axis=1)
         return speed
 
 
