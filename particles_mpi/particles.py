@@ -35,6 +35,7 @@ FIELDS = {
     "fixed": Field("uint8", ghost=True),
     "drag": Field("float64"),
     "acceleration": Field("float64", vector=True),
+    "contacted": Field("float64", ghost=True, output=False),  # when it last met anyone or a wall, in mode event; -inf: never
     "rate": Field("float64", vector=True, output=False),  # dv/dt at the start of a `taylor` step
 }
 ALWAYS = ("id", "position", "velocity", "radius", "mass", "fixed")

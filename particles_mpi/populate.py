@@ -42,6 +42,8 @@ def fields_of(scene: Scene) -> list[str]:
     extra = {name for effect in scene.effects for name in effect_class(effect).fields}
     if scene.time.integrator == "taylor":
         extra.add("rate")
+    if "collisions" in scene.effects and scene.effects["collisions"].mode == "event":
+        extra.add("contacted")
     return [name for name in FIELDS if name in ALWAYS or name in extra]
 
 
@@ -80,6 +82,8 @@ class Populator:
         ends = np.cumsum([0, *counts])
         n, d = int(ends[-1]), scene.dimension
         self.arrays = {name: np.zeros(shape(name, n, d), FIELDS[name].dtype) for name in fields_of(scene)}
+        if "contacted" in self.arrays:
+            self.arrays["contacted"][:] = -inf
         self.arrays["id"][:] = np.arange(n)
         self.rows = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         for number, population in enumerate(scene.particles):

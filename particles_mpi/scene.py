@@ -21,7 +21,6 @@ from particles_mpi.errors import SceneError
 
 NOT_YET = {
     "mutual_gravity": "effects.mutual_gravity: not available in this version",
-    "event": 'effects.collisions.mode: "event" is not available in this version; use "rewind"',
     "order4": 'time.integrator: "order4" is not available in this version; use "leapfrog"',
 }
 

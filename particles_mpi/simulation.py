@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.diagnostics import measure
-from particles_mpi.errors import StoppedError
+from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.integrators import Integrator, Leapfrog, Taylor, free_drift, wrap
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import Array, Particles
@@ -60,26 +60,29 @@ class Simulation:
         self.accelerations: Array | None = None
         self.known = -1  # version of the rows that the accelerations belong to
         self.near: Any = None
+        self.contacts: Any = None
         if self.collisions:
             self._enter_collisions(self.collisions)
 
     def _enter_collisions(self, c: Any) -> None:
-        """Only a scene with pairs loads the collision operator and the search for neighbours."""
+        """Only a scene with pairs loads a collision operator, the one it names, and its search for neighbours."""
+        planes = self.walls.planes if self.walls else None
+        box, loss = (self.lower, self.upper, self.length), (c.restitution, c.keep)
+        if c.options.mode == "event":
+            from particles_mpi.collide.event import Event
+
+            if self.ranks.size > 1:
+                raise SceneError('effects.collisions.mode: "event" runs on one rank in this version; use "rewind"')
+            self.near = self.contacts = Event(self.particles, box, loss, c.soft, planes, self.timers)
+            return
         from particles_mpi.collide.planes import no_planes
         from particles_mpi.collide.rewind import Rewind
         from particles_mpi.neighbours.pairs import Neighbourhood
 
-        planes = self.walls.planes if self.walls else None
         walls = planes or no_planes(self.scene.dimension)
-        self.near = Neighbourhood(
-            self.particles,
-            self.ranks,
-            (self.lower, self.upper, self.length),
-            (walls.point, walls.normal),
-            bool(self.forces or self.dissipation),
-            self.timers,
-        )
-        self.rewind = Rewind(c.restitution, c.keep, c.options.passes, planes, self.scene.dimension, self.timers)
+        kicked = bool(self.forces or self.dissipation)
+        self.near = Neighbourhood(self.particles, self.ranks, box, (walls.point, walls.normal), kicked, self.timers)
+        self.contacts = Rewind(self.near, loss, c.options.passes, planes, self.timers)
 
     @property
     def time(self) -> float:
@@ -107,7 +110,7 @@ class Simulation:
         p = self.particles
         if contacts and self.collisions:
             migrated = self.near.migrated
-            found = self.rewind.drift(self.near, h)
+            found = self.contacts.drift(h, self.time)
             happened = [*found, self.near.migrated - migrated]
             self.count("collisions")
             if self.walls:

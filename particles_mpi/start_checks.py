@@ -72,13 +72,16 @@ def check_step(scene: Scene, particles: Particles) -> tuple[list[str], list[str]
     speed = np.sqrt((particles.velocity**2).sum(axis=1))
     radius, moving = particles.radius, speed > 0.0
     points = np.flatnonzero(moving & (radius == 0.0))
-    if len(points):
+    event = scene.effects["collisions"].mode == "event"
+    if len(points) and not (event and scene.dimension == 1):
         warnings.append(f"particles: {listed(points)} with radius 0: points meet spheres, but never one another")
     fast = np.flatnonzero(moving & (radius > 0.0) & (speed * dt > 2.0 * radius))
-    if scene.effects["collisions"].mode == "rewind" and len(fast):
+    if not event and len(fast):
         safe = rounded_down(float((2.0 * radius[fast] / speed[fast]).min()))
         verb = "crosses more than its" if len(fast) == 1 else "cross more than their"
         faults.append(f"time.step: {listed(fast)} {verb} diameter in a step of {dt:g}; use a step <= {safe:g}")
+    if event:
+        return faults + small_boxes(scene, particles), warnings
     reach = 2.0 * (2.0 * float(radius.max()) + 2.0 * float(speed.max()) * dt)
     if scene.box is not None:
         for k, (lo, hi) in enumerate(zip(scene.box.lower, scene.box.upper, strict=True)):
@@ -88,6 +91,19 @@ def check_step(scene: Scene, particles: Particles) -> tuple[list[str], list[str]
                     " for the largest and the fastest particle"
                 )
     return faults, warnings
+
+
+def small_boxes(scene: Scene, particles: Particles) -> list[str]:
+    """Periodic axes on which a sphere could meet two images of another."""
+    if scene.box is None:
+        return []
+    movable = particles.radius[particles.fixed == 0].max(initial=0.0)
+    least = 2.0 * float(particles.radius.max(initial=0.0) + movable) * 1.01
+    return [
+        f"box: periodic axis {k} is {hi - lo:g} long, but collisions need two contact distances, {least:g}"
+        for k, (lo, hi) in enumerate(zip(scene.box.lower, scene.box.upper, strict=True))
+        if scene.periodic[k] and not hi - lo > least
+    ]
 
 
 def rounded_down(value: float) -> float:

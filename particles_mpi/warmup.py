@@ -35,6 +35,7 @@ def main() -> None:
                 tiny(d, False, {"uniform_gravity": None, "walls": None, "collisions": None, "friction": {"strength": 0.1}}),
                 tiny(d, True, {"collisions": None, "drag": {"rate": 0.1}}),
                 tiny(d, False, {"uniform_gravity": None, "walls": None}),
+                *[tiny(d, p, {"collisions": {"mode": "event"}, "walls": None}) for p in (False, True) if ranks is alone],
                 tiny(d, False, {"uniform_gravity": None}),
             ]
             for scene in scenes:

@@ -31,17 +31,21 @@ class TooFarError(Exception):
 class Rewind:
     """Drifts particles that collide with one another, and with walls if there are any."""
 
-    def __init__(self, restitution: float, keep: float, passes: int, planes: Planes | None, dimension: int, timers: Timers):
-        self.restitution, self.keep, self.passes, self.timers = restitution, keep, passes, timers
+    def __init__(self, near: Neighbourhood, loss: tuple[float, float], passes: int, planes: Planes | None, timers: Timers):
+        self.near, self.passes, self.timers = near, passes, timers
+        self.restitution, self.keep = loss
         self.walls = planes is not None
-        self.planes = planes or no_planes(dimension)
+        self.planes = planes or no_planes(len(near.axes))
 
-    def drift(self, all_: Neighbourhood, h: float) -> Array:
+    def drift(self, h: float, moment: float) -> Array:
         """x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
+
+        `moment`, when the drift begins, is of no concern to this operator.
 
         If a collision throws a particle further than the candidates reach, the drift is undone, candidates are sought with
         a longer reach, and it is done again: the result is that of a reach long enough from the start.
         """
+        all_ = self.near
         all_.prepare(h)
         travel = 0.0
         while True:

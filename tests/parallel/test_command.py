@@ -110,8 +110,6 @@ def test_a_folder_that_holds_a_run_is_refused(scene, tmp_path):
         ("min = 0.1, max = 0.5", "min = 0.0, max = 0.0", "particles[0].mass"),
         ("step = 0.01", "step = 0.2", "time.step"),
         ("count = 40", "count = 4000", "particles[0].position"),
-        ("[effects.collisions]", '[effects.collisions]\nmode = "event"', "not available"),
-        ("[effects.collisions]", "[effects.mutual_gravity]", "not available"),
         ("steps = 40", 'steps = 40\nintegrator = "order4"', "not available"),
         ("restitution = 0.9", "restitution = 0.9\ndamping = 0.1", "effects.walls.restitution"),
         ("dimension = 2", "dimension = 3", "box.lower"),

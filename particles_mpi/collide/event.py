@@ -1,0 +1,123 @@
+"""The operator `event`: hard spheres and walls in exact order of time, the reference for `rewind`.
+
+Every particle is on a straight leg since its last contact and knows its next event: the first contact on the present legs, or
+that it leaves its shell (`neighbours.shells`). The first event of all takes place, the partners set out on new legs, and
+only they, and those who had meant to meet them, look for their next events again: O(1) work a contact, whatever N is.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from particles_mpi.collide.contact import NOBODY
+from particles_mpi.collide.events import AHEAD, COLLISIONS, HOMES, WALL_HITS, arrive, run, set_out
+from particles_mpi.collide.planes import Planes, no_planes
+from particles_mpi.collide.queue import NOTHING, SLOT
+from particles_mpi.neighbours.cells import bounds, grid, sort_rows, spacing
+from particles_mpi.neighbours.homes import Homes
+from particles_mpi.parallel.store import Store
+from particles_mpi.particles import Array, Particles
+from particles_mpi.timers import Timers
+
+SETTLED = 8  # new homes a particle, on average; then all are sorted in space and settled again
+CONTACTS = 1.0  # expected in a bucket of the queue
+
+
+class Event:
+    """Drifts particles that collide with one another, and with walls if there are any."""
+
+    def __init__(
+        self,
+        particles: Particles,
+        box: tuple[Array, Array, Array],
+        loss: tuple[float, float],
+        soft: float,
+        planes: Planes | None,
+        timers: Timers,
+    ):
+        self.particles, self.timers = particles, timers
+        self.restitution, self.keep = loss
+        self.soft = soft
+        self.lower, _, self.length = box
+        self.planes = planes or no_planes(particles.dimension)
+        self.axes = (0,) * particles.dimension
+        self.store, self.homes = Store(particles), Homes(box)
+        self.version, self.moved = -1, 0
+        self.searches = self.ghost_rows = self.migrated = 0
+        self.counts = np.zeros(6, np.int64)
+        self.events = 0  # in the last drift
+        self.ahead = 0.0
+        self.spared = np.empty((64, 2), np.int64)
+
+    def drift(self, h: float, moment: float) -> Array:
+        """x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
+
+        `moment`: the time at which the drift begins.
+        """
+        p = self.particles
+        with self.timers("pairs"):
+            if self.version != p.version or self.moved > SETTLED * len(p):
+                self.settle()
+        n, d = len(p), p.dimension
+        counts = self.counts
+        counts[:] = 0
+        with self.timers("search"):
+            set_out(self.axes, self.leg, p.position, p.velocity, p.radius)
+            self.met[:] = NOBODY
+            self.stuck[:] = 0
+            self.slot[:, 0] = NOTHING
+            buckets = int(min(max(self.events / CONTACTS, 64), 4 * n + 64))
+            heads = np.full(buckets, -1, np.int32)
+            queue: Any = (
+                self.slot,
+                self.when,
+                heads,
+                buckets / h,
+                np.zeros(1, np.int64),
+                np.zeros(1, np.bool_),
+                np.empty(d),
+                np.empty(d),
+            )
+            homes, planes = self.homes, self.planes
+            shells = homes.home, homes.shell
+            walls = planes.point, planes.normal, planes.lower, planes.upper, planes.oblique
+            todo = np.arange(max(n, 2), dtype=np.int32)[::-1][:n].copy()
+        with self.timers("collide"):
+            pending = n
+            while True:
+                short = run(
+                    self.axes, self.leg, p.id, self.w, self.met, self.stuck, self.turns, p.contacted, self.virial, h, moment,
+                    self.length, homes.pool, homes.lists, shells, homes.size, homes.level, homes.chains, homes.grid,
+                    walls, planes.restitution, planes.keep, self.restitution, self.keep, self.soft, queue, counts,
+                    self.spared, self.ahead, self.lower, homes.around, todo, pending,
+                )  # fmt: skip
+                if not short:
+                    break
+                homes.pool = np.concatenate((homes.pool, np.empty(short + len(homes.pool), np.int32)))
+                pending = 0
+        with self.timers("drift"):
+            squeezed = arrive(self.axes, self.leg, p.position, p.velocity, self.stuck, h, homes.home, self.length, self.lower)
+        self.moved += int(counts[HOMES])
+        self.events = int(counts[COLLISIONS] + counts[WALL_HITS] + counts[HOMES])
+        self.ahead = AHEAD / (1.0 + 2.0 * counts[COLLISIONS] / max(counts[HOMES], 1))
+        return np.array([counts[COLLISIONS], counts[WALL_HITS], squeezed])
+
+    def settle(self) -> None:
+        """Rows sorted in space, with new homes, and all that goes with them."""
+        p = self.particles
+        n, d = len(p), p.dimension
+        self.store.adopt()
+        if n > 1:
+            low, high = bounds(p.position)
+            order, _ = sort_rows(p.position, np.zeros(n, np.int8), 0, *grid(p.position, (low, high), spacing(low, high, n), 1))
+            self.store.sort(order)
+        self.w = p.inverse_mass
+        self.homes.settle(p.position, p.radius, self.w)
+        self.leg = np.empty((n, 2 * d + 2))
+        self.met, self.stuck, self.turns = np.full(n, NOBODY), np.zeros(n, np.int32), np.zeros(n, np.int32)
+        self.virial = np.zeros(n)
+        self.slot, self.when = np.full((n, SLOT), NOTHING, np.int32), np.empty(n)
+        self.version, self.moved = p.version, 0
+        self.searches += 1

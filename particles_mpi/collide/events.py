@@ -1,0 +1,380 @@
+"""The compiled loop of the operator `event`: contacts one after the other, in exact order of time.
+
+A row of `leg` (n, 2d + 2) is (x, v, s, R): the straight path x + v (t - s) that the particle has been on since s, when its
+last contact was. Positions are not brought to a common time between contacts; a contact's time is a function of the two legs
+alone, so how neighbours are found, and when they are looked at, leaves no trace in the bits.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+from numba import njit
+
+from particles_mpi.collide.contact import NEVER
+from particles_mpi.collide.planes import bounce, wall_contact
+from particles_mpi.collide.queue import LEAVING, NOTHING, PARTNER, STAMP, before_other, first, put, take
+from particles_mpi.lean import lean
+from particles_mpi.neighbours.shells import image, move_in, move_out, neighbours, room_for
+
+COLLISIONS, WALL_HITS, SPARED, HOMES, LOOKS, STUCK = 0, 1, 2, 3, 4, 5  # what `counts` counts
+PATIENCE = 1000  # contacts in a row without time passing; past it a particle is squeezed, and waits for the next step
+AHEAD = 0.8  # of the shell: a new home lies that far ahead where flights are longer than shells
+
+
+@njit(cache=True)
+def boxes_between(at, length):
+    """What to take from the component `at` of a distance, to get the nearest periodic image however many boxes away."""
+    return length * np.rint(at / length) if length > 0.0 else 0.0
+
+
+@njit(cache=True, inline="always")
+def apart(leg, d, i, j, k, start, now, length, far):
+    """Component k of x_i - x_j at `start`, for the periodic images of the two that are nearest at time `now`.
+
+    Not `far`: at most one box lies between them. Conditional expressions, because these do not branch.
+    """
+    r = (leg[i, k] + leg[i, d + k] * (start - leg[i, 2 * d])) - (leg[j, k] + leg[j, d + k] * (start - leg[j, 2 * d]))
+    at = r + (leg[i, d + k] - leg[j, d + k]) * (now - start)
+    if far:
+        return r - boxes_between(at, length[k])
+    return r - (length[k] if at > 0.5 * length[k] else (-length[k] if at < -0.5 * length[k] else 0.0))
+
+
+@njit(cache=True, inline="always")
+def may_touch(axes, leg, i, j, now, best, length):
+    """False for most: rows whose legs move apart, or are clear of each other until `best` (by margins above round-off)."""
+    d = len(axes)
+    start = leg[i, 2 * d] if leg[i, 2 * d] >= leg[j, 2 * d] else leg[j, 2 * d]
+    a = 0.0
+    b = 0.0
+    r2 = 0.0
+    for k in range(d):
+        r = apart(leg, d, i, j, k, start, now, length, False)
+        u = leg[i, d + k] - leg[j, d + k]
+        a += u * u
+        b += r * u
+        r2 += r * r
+    diameter = leg[i, 2 * d + 1] + leg[j, 2 * d + 1]
+    clear = r2 - diameter * diameter
+    until = best - start
+    before = (-b > a * until) & (clear + until * (2.0 * b + a * until) <= 1e-9 * r2)
+    within = (-b <= a * until) & (b * b - a * clear >= -1e-9 * a * r2)
+    return (b < 0.0) & (before | within)
+
+
+@njit(cache=True, inline="always")
+def may_touch_from(axes, leg, i, j, now, best, length):
+    """`may_touch` for a row i whose leg begins now."""
+    d = len(axes)
+    a = 0.0
+    b = 0.0
+    r2 = 0.0
+    for k in range(d):
+        r = leg[i, k] - (leg[j, k] + leg[j, d + k] * (now - leg[j, 2 * d]))
+        r -= length[k] * (np.float64(r > 0.5 * length[k]) - np.float64(r < -0.5 * length[k]))
+        u = leg[i, d + k] - leg[j, d + k]
+        a += u * u
+        b += r * u
+        r2 += r * r
+    diameter = leg[i, 2 * d + 1] + leg[j, 2 * d + 1]
+    clear = r2 - diameter * diameter
+    until = best - now
+    before = (-b > a * until) & (clear + until * (2.0 * b + a * until) <= 1e-9 * r2)
+    within = (-b <= a * until) & (b * b - a * clear >= -1e-9 * a * r2)
+    return (b < 0.0) & (before | within)
+
+
+@njit(cache=True, inline="always")
+def touch_time(axes, leg, i, j, now, h, length, far, r, u):
+    """Time at which the legs of i and j first touch, up to h, or NEVER: the root of `contact.contact_time`.
+
+    `now`, at or after both starts, only tells which periodic images are meant; r, u (d,) are for scribbling.
+    """
+    d = len(axes)
+    start = leg[i, 2 * d] if leg[i, 2 * d] >= leg[j, 2 * d] else leg[j, 2 * d]
+    a = 0.0
+    b = 0.0
+    r2 = 0.0
+    own = 0.0
+    for k in range(d):
+        r[k] = apart(leg, d, i, j, k, start, now, length, far)
+        u[k] = leg[i, d + k] - leg[j, d + k]
+        a += u[k] * u[k]
+        b += r[k] * u[k]
+        r2 += r[k] * r[k]
+        own += leg[i, d + k] * leg[i, d + k] + leg[j, d + k] * leg[j, d + k]
+    if not b < 0.0 or b * b <= 1e-28 * r2 * own:  # together but for round-off is no approach
+        return NEVER
+    diameter = leg[i, 2 * d + 1] + leg[j, 2 * d + 1]
+    if diameter == 0.0 and d > 1:  # points meet on a line only
+        return NEVER
+    distance = sqrt(r2)
+    gap = distance - diameter
+    if gap <= 0.0:
+        return start
+    disc = a * diameter * diameter
+    for k in range(d):
+        for m in range(k):
+            cross = r[k] * u[m] - r[m] * u[k]
+            disc -= cross * cross
+    if disc < 0.0:
+        return NEVER
+    t = start + gap * (distance + diameter) / (sqrt(disc) - b)
+    return t if t <= h else NEVER
+
+
+@lean
+def move_leg(axes, leg, i, t):
+    """A new leg of row i begins at time t, where the old one gets then."""
+    d = len(axes)
+    for k in range(d):
+        leg[i, k] += leg[i, d + k] * (t - leg[i, 2 * d])
+    leg[i, 2 * d] = t
+
+
+@lean
+def collide(axes, leg, w, i, j, t, restitution, keep, length):
+    """The contact of rows i and j at time t: `contact.meet` on legs. Returns its virial, -r.dp."""
+    d = len(axes)
+    move_leg(axes, leg, i, t)
+    move_leg(axes, leg, j, t)
+    r2 = 0.0
+    approach = 0.0
+    for k in range(d):
+        r = image(leg[i, k] - leg[j, k], length[k])
+        r2 += r * r
+        approach += r * (leg[i, d + k] - leg[j, d + k])
+    virial = -(1.0 + restitution) * approach / (w[i] + w[j])
+    if d == 1:  # there is one normal, even for points, whose distance is none
+        push = (1.0 + restitution) * (leg[i, 1] - leg[j, 1]) / (w[i] + w[j])
+        leg[i, 1] = keep * (leg[i, 1] - push * w[i])
+        leg[j, 1] = keep * (leg[j, 1] + push * w[j])
+        return virial
+    impulse = (1.0 + restitution) * approach / (r2 * (w[i] + w[j]))
+    for k in range(d):
+        r = image(leg[i, k] - leg[j, k], length[k])
+        leg[i, d + k] = keep * (leg[i, d + k] - impulse * w[i] * r)
+        leg[j, d + k] = keep * (leg[j, d + k] + impulse * w[j] * r)
+    return virial
+
+
+@lean
+def nearest_image(d, r, length):
+    """Is r the nearest periodic image of a distance? Of partners who last met each other it is the one that met."""
+    nearest = True
+    for k in range(d):
+        nearest &= length[k] == 0.0 or abs(r[k]) <= 0.5 * length[k]
+    return nearest
+
+
+@njit(cache=True, inline="always")
+def next_event(
+    axes, leg, ids, met, stuck, i, now, h, length, pool, begin, count, home, shell, x, v, point, normal, lower, upper,
+    oblique, far, r, u, around,
+):  # fmt: skip
+    """(time, partner) of the next event of row i, on the legs of now: its first contact of all, or that it leaves its shell."""
+    d = len(axes)
+    best = h
+    partner = np.int64(NOTHING)
+    if stuck[i] < PATIENCE:
+        likely = 0
+        if leg[i, 2 * d] == now and not far[0]:  # it sets out now, and most others set out before: less to compute
+            for p in range(np.uint64(begin[i]), np.uint64(begin[i] + count[i])):
+                around[np.uint64(likely)] = pool[p]
+                likely += may_touch_from(axes, leg, np.uint64(i), np.uint64(pool[p]), now, h, length)
+        else:
+            for p in range(np.uint64(begin[i]), np.uint64(begin[i] + count[i])):
+                around[np.uint64(likely)] = pool[p]
+                likely += far[0] | may_touch(axes, leg, np.uint64(i), np.uint64(pool[p]), now, h, length)
+        for p in range(likely):
+            j = np.int64(around[p])
+            t = touch_time(axes, leg, np.uint64(i), np.uint64(j), now, best, length, far[0], r, u)
+            if (
+                t != NEVER
+                and (t < best or partner == NOTHING or before_other(i, j, i, partner, ids))
+                and stuck[j] < PATIENCE
+                and not (met[i] == ids[j] and met[j] == ids[i] and leg[i, 2 * d] == leg[j, 2 * d] and nearest_image(d, r, length))
+            ):
+                best = t
+                partner = j
+        if len(point):
+            inside = not oblique
+            for k in range(d):
+                end = leg[i, k] + leg[i, d + k] * (h - leg[i, 2 * d])
+                inside &= (end >= lower[k] + leg[i, 2 * d + 1]) & (end <= upper[k] - leg[i, 2 * d + 1])
+            if not inside:
+                t, wall = wall_contact(axes, x, v, leg[i, 2 * d], i, leg[i, 2 * d + 1], met[i], h, point, normal)
+                if wall >= 0 and (t < best or partner == NOTHING):
+                    best = t
+                    partner = np.int64(-1 - wall)
+    a = 0.0
+    b = 0.0
+    c = -shell[i] * shell[i]
+    for k in range(d):
+        away = leg[i, k] + leg[i, d + k] * (now - leg[i, 2 * d]) - home[i, k]
+        a += leg[i, d + k] * leg[i, d + k]
+        b += away * leg[i, d + k]
+        c += away * away
+    # It leaves before `best` if it is out of its shell then: most do not, and need no root.
+    until = best - now
+    if c + until * (2.0 * b + a * until) > 0.0 and a > 0.0:
+        best = now
+        if c < 0.0:
+            root = sqrt(max(b * b - a * c, 0.0))
+            best += -c / (b + root) if b > 0.0 else (root - b) / a
+        partner = np.int64(LEAVING)
+    return best, partner
+
+
+@lean
+def turn(axes, leg, ids, met, stuck, turns, last, i, t, partner, moment):
+    """Row i is about to begin a new leg at time t: what must be remembered of it."""
+    stuck[i] = stuck[i] + 1 if t == leg[i, 2 * len(axes)] else 0
+    met[i] = partner
+    turns[i] += 1
+    last[i] = moment + t
+
+
+@lean
+def run(
+    axes, leg, ids, w, met, stuck, turns, last, virial, h, moment, length, pool, lists, shells, size, level, chains, grid,
+    walls, wall_restitution, wall_keep, restitution, keep, soft, queue, counts, spared, ahead, box_low, around, todo, pending,
+):  # fmt: skip
+    """All events up to h, in order. `moment`: when the drift began; `soft`: the duration t_c of a contact.
+
+    Returns 0, or how many places the pool is short of: then call again with a larger one.
+
+    A contact within t_c of the last one of either partner takes no energy: the TC model (Luding and McNamara, Granular
+    Matter 1, 113, 1998), which keeps inelastic collapse from stopping the clock. `spared` lists the first of them.
+    `virial` (n,): -r.dp of the collisions of each row, told to the lower id. todo[:pending]: rows whose next event is not known.
+
+    One kernel with everything in it: a call with so many arrays costs as much as the look it would be for.
+    """
+    d = len(axes)
+    slot, when, heads, per_time, clock, far, r, u = queue
+    home, shell = shells
+    begin, count, room, top = lists
+    head, after, before, cell_in = chains
+    low, per, cells, corners, caps = grid
+    point, normal, lower, upper, oblique = walls
+    x, v = leg[:, :d], leg[:, d : 2 * d]
+    now = 0.0
+    while True:
+        if pending > 0:
+            pending -= 1
+            i = np.int64(todo[pending])
+            counts[LOOKS] += 1
+            take(slot, heads, i)
+            t, partner = next_event(
+                axes, leg, ids, met, stuck, i, now, h, length, pool, begin, count, home, shell, x, v, point, normal, lower,
+                upper, oblique, far, r, u, around,
+            )  # fmt: skip
+            if partner != NOTHING:
+                put(slot, when, heads, per_time, clock, i, t, partner, turns[partner] if partner >= 0 else 0)
+            continue
+        i = first(slot, when, heads, clock, ids)
+        if i < 0:
+            return 0
+        t = when[i]
+        now = max(now, t)
+        j = np.int64(slot[i, PARTNER])
+        todo[0] = i
+        pending = 1
+        if j == LEAVING:
+            speed = 0.0
+            for k in range(d):
+                speed += v[i, k] * v[i, k]
+            lead = ahead * shell[i] / sqrt(speed)
+            for k in range(d):
+                home[i, k] = x[i, k] + v[i, k] * (now - leg[i, 2 * d] + lead)
+                far[0] |= length[k] > 0.0 and not -0.25 * length[k] < home[i, k] - box_low[k] < 1.25 * length[k]
+            found = neighbours(axes, i, home, size, w, head, after, low, per, cells, corners, caps, length, far[0], around)
+            short = top[0] + room_for(i, around, found, count, room) - len(pool)
+            if short > 0:
+                return short
+            move_out(i, pool, begin, count, head, after, before, cell_in)
+            move_in(
+                axes, i, home, level, around, found, pool, begin, count, room, top, head, after, before, cell_in, low, per,
+                cells, corners, length,
+            )  # fmt: skip
+            counts[HOMES] += 1
+        elif j < 0:
+            wall = -1 - j
+            lossy = wall_restitution[wall] * wall_keep[wall] < 1.0
+            easy = lossy and moment + t - last[i] < soft
+            turn(axes, leg, ids, met, stuck, turns, last, i, t, j, moment)
+            move_leg(axes, leg, i, t)
+            if easy:
+                mirror(axes, v, i, wall, normal)
+                note(spared, counts, ids[i], j)
+            else:
+                bounce(axes, v, i, wall, normal, wall_restitution, wall_keep)
+            counts[WALL_HITS] += 1
+        elif slot[i, STAMP] == turns[j]:
+            todo[1] = j
+            pending = 2
+            if ids[j] < ids[i]:
+                i, j = j, i
+            easy = restitution * keep < 1.0 and moment + t - max(last[i], last[j]) < soft
+            turn(axes, leg, ids, met, stuck, turns, last, i, t, ids[j], moment)
+            turn(axes, leg, ids, met, stuck, turns, last, j, t, ids[i], moment)
+            if easy:
+                virial[i] += collide(axes, leg, w, i, j, t, 1.0, 1.0, length)
+                note(spared, counts, ids[i], ids[j])
+            else:
+                virial[i] += collide(axes, leg, w, i, j, t, restitution, keep, length)
+            counts[COLLISIONS] += 1
+
+
+@lean
+def mirror(axes, v, i, wall, normal):
+    """A wall contact that takes no energy."""
+    speed = 0.0
+    for k in range(len(axes)):
+        speed += v[i, k] * normal[wall, k]
+    for k in range(len(axes)):
+        v[i, k] -= 2.0 * speed * normal[wall, k]
+
+
+@lean
+def note(spared, counts, one, other):
+    """One more contact that took no energy; the first ones by name."""
+    if counts[SPARED] < len(spared):
+        spared[counts[SPARED], 0] = one
+        spared[counts[SPARED], 1] = other
+    counts[SPARED] += 1
+
+
+@njit(cache=True)
+def set_out(axes, leg, x, v, radius):
+    """Legs from (x, v) at time 0."""
+    d = len(axes)
+    for i in range(len(x)):
+        for k in range(d):
+            leg[i, k] = x[i, k]
+            leg[i, d + k] = v[i, k]
+        leg[i, 2 * d] = 0.0
+        leg[i, 2 * d + 1] = radius[i]
+
+
+@njit(cache=True)
+def arrive(axes, leg, x, v, stuck, h, home, length, lower):
+    """Positions and velocities at time h, back in a periodic box with their homes. Returns the rows that were squeezed."""
+    d = len(axes)
+    squeezed = 0
+    for i in range(len(x)):
+        if stuck[i] >= PATIENCE:
+            squeezed += 1
+            leg[i, 2 * d] = h  # it stays where its last contact was
+        for k in range(d):
+            v[i, k] = leg[i, d + k]
+            at = leg[i, k] + leg[i, d + k] * (h - leg[i, 2 * d])
+            if length[k] > 0.0 and not lower[k] <= at < lower[k] + length[k]:
+                inside = lower[k] + (at - lower[k]) % length[k]
+                inside = inside if inside < lower[k] + length[k] else lower[k]
+                home[i, k] += inside - at
+                at = inside
+            x[i, k] = at
+    return squeezed

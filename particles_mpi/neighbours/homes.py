@@ -1,0 +1,70 @@
+"""The homes and lists of a rank's particles as one object; see `shells` for the idea."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from particles_mpi.neighbours.cells import spacing
+from particles_mpi.neighbours.shells import ROOM, grids, settle_all
+from particles_mpi.particles import Array
+
+WANTED = {1: 3.0, 2: 7.0, 3: 12.0}  # neighbours in a list: fewer, and homes change too often; more, and looks take longer
+MANY = 20.0  # in more dimensions
+LOOSE = 1.3  # times more or fewer neighbours than wanted are borne
+
+
+class Homes:
+    """`home` (n, d), `shell`, `size` = R + shell (n,), and the lists of all rows, as arrays for the kernels.
+
+    box: (lower, upper, length) (d,), length 0 where not periodic. `settle` gives all rows homes where they are.
+    """
+
+    def __init__(self, box: tuple[Array, Array, Array]):
+        self.lower, self.upper, self.length = box
+        self.shell_width = 0.0
+
+    def settle(self, x: Array, radius: Array, w: Array) -> None:
+        """New homes and lists, with shells as wide as serves the density found."""
+        n, d = x.shape
+        movable = radius[w > 0.0].max(initial=0.0)
+        largest = self.largest_shell(float(radius.max(initial=0.0) + movable))
+        if not self.shell_width:
+            low, high = (x.min(axis=0), x.max(axis=0)) if n else (np.zeros(d), np.ones(d))
+            self.shell_width = max(0.5 * spacing(low, high, n), 0.05 * float(radius.mean()) if n else 0.0)
+        wanted = WANTED.get(d, MANY)
+        for _ in range(6):
+            self.shell_width = min(self.shell_width, largest)
+            self.build(x, radius, w)
+            mean = self.lists[1].mean() if n else wanted
+            if wanted / LOOSE < mean < wanted * LOOSE or n < 3:
+                break
+            diameter = 2.0 * float(radius.mean())
+            longer = (max(mean, 0.2) / wanted) ** (-1.0 / d)
+            width = 0.5 * ((diameter + 2.0 * self.shell_width) * longer - diameter)
+            width = min(max(width, 0.4 * self.shell_width), 2.5 * self.shell_width, largest)
+            if abs(width - self.shell_width) < 0.05 * self.shell_width:
+                break
+            self.shell_width = width
+
+    def largest_shell(self, diameter: float) -> float:
+        """Two rows in each other's list must have one nearest image only, wherever in their shells they are."""
+        periodic = self.length[self.length > 0.0]
+        return float(periodic.min() - 2.0 * diameter) / 8.0 if len(periodic) else np.inf
+
+    def build(self, x: Array, radius: Array, w: Array) -> None:
+        """Homes at x, shells of the present width, cells and lists."""
+        n, d = x.shape
+        floor_ = 64.0 * np.finfo(float).eps * float(np.abs(x).max(initial=0.0))
+        self.shell = np.where(w > 0.0, max(self.shell_width, floor_), 0.0)
+        self.size = radius + self.shell
+        self.home = np.empty_like(x)
+        self.grid, self.level = grids(x, self.size, (self.lower, self.upper), self.length)
+        begin = np.arange(n, dtype=np.int64) * ROOM
+        self.lists = begin, np.zeros(n, np.int32), np.full(n, ROOM, np.int32), np.array([n * ROOM])
+        pool = np.empty(n * (ROOM + ROOM // 2) + 64, np.int32)
+        links = (np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int64))
+        self.chains = np.full(self.grid[3][-1], -1, np.int32), *links
+        self.around = np.empty(n + 1, np.int32)
+        self.pool = settle_all(
+            (0,) * d, x, self.home, self.size, w, self.level, pool, self.lists, self.chains, self.grid, self.length, self.around
+        )

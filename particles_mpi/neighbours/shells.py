@@ -1,0 +1,236 @@
+"""Neighbour lists for particles that move one at a time: every particle has a home, and a shell around it.
+
+A particle stays within `shell` of its `home` until it is given a new one, so two that can touch are in each other's list:
+their homes are no further apart than R_i + R_j + shell_i + shell_j. A particle that reaches its shell gets a new home and
+a new list, found in cells that hold the homes. Homes are in unwrapped coordinates, near x; distances take the nearest image.
+
+Cells come in levels: a particle stands in the level of its reach R + shell, whose cells are about as wide, so that a few
+large spheres do not make the search of all the small ones coarse. Lists are a supersets: they cost time and change no result.
+"""
+
+from __future__ import annotations
+
+from math import floor
+
+import numpy as np
+from numba import njit
+
+from particles_mpi.lean import lean
+from particles_mpi.particles import Array
+
+GRIDDED = 3  # axes with cells
+LEVELS, FACTOR = 5, 3.0  # each level of cells is for reaches up to FACTOR times those of the one before
+WIDTH = 1.4  # of a cell, in reaches of the largest row in it
+ROOM = 16  # places in a new list; a list that gets full moves to one twice as long
+MARGIN = 1.0 + 1e-9  # on distances between homes, far above round-off
+
+Grid = tuple[Array, Array, Array, Array, Array]
+
+
+def grids(x: Array, reach: Array, box: tuple[Array, Array], length: Array) -> tuple[Grid, Array]:
+    """(grid, level of each row) for homes x (n, d): grid = (low (3,), per (levels, 3), cells (levels, 3), first, caps (levels,)).
+
+    `box`: the corners of the region; open axes of it may be infinite, then the rows decide. Places outside belong to the
+    outermost cells, or to their image where the axis is periodic.
+    """
+    g = min(x.shape[1], GRIDDED)
+    low, high = (np.array(side[:g], float) for side in box)
+    if len(x):
+        low = np.where(np.isfinite(low), np.maximum(low, x[:, :g].min(axis=0)), x[:, :g].min(axis=0))
+        high = np.where(np.isfinite(high), np.minimum(high, x[:, :g].max(axis=0)), x[:, :g].max(axis=0))
+    periodic = length[:g] > 0.0
+    low, high = np.where(periodic, box[0][:g], low), np.where(periodic, box[1][:g], high)
+    moving = reach[reach > 0.0]
+    typical = float(np.median(moving)) * 1.5 if len(moving) else 1.0
+    steps = np.ceil(np.log(np.maximum(reach, 1e-300) / typical) / np.log(FACTOR))
+    level = np.clip(steps, 0, LEVELS - 1).astype(np.int8)
+    per, cells = np.zeros((LEVELS, GRIDDED)), np.ones((LEVELS, GRIDDED), np.int64)
+    caps, first = np.full(LEVELS, -1.0), np.zeros(LEVELS + 1, np.int64)
+    for step in range(LEVELS):
+        rows = np.flatnonzero(level == step)
+        if len(rows):
+            caps[step] = reach[rows].max()
+            extent = np.maximum(high - low, 1e-300)
+            side = max(WIDTH * float(caps[step]), float(extent.max()) * 1e-5, 1e-300)
+            while np.prod(np.floor(extent / side) + 1.0) > max(2 * len(rows), 64):
+                side *= 1.25
+            count = np.maximum(np.floor(extent / side), 1.0)
+            cells[step, :g] = count.astype(np.int64)
+            per[step, :g] = count / extent
+        first[step + 1] = first[step] + cells[step].prod()
+    corner = np.zeros(GRIDDED)
+    corner[:g] = low
+    return (corner, per, cells, first, caps), level
+
+
+@lean
+def along(y, reach, low, per, cells, periodic):
+    """(first cell, number of cells) of the interval y +- reach on one axis; on a periodic one they may pass the end."""
+    begin = floor((y - reach - low) * per)
+    end = floor((y + reach - low) * per)
+    if periodic:
+        if end - begin + 1.0 >= cells:
+            return 0, np.int64(cells)
+        return np.int64(begin - floor(begin / cells) * cells), np.int64(end - begin) + 1
+    begin = min(max(begin, 0.0), cells - 1.0)
+    return np.int64(begin), np.int64(min(max(end, 0.0), cells - 1.0) - begin) + 1
+
+
+@lean
+def image(r, length):
+    """The component r of a distance by the nearest periodic image, however many boxes away."""
+    if length > 0.0 and abs(r) > 0.5 * length:
+        r -= length * np.rint(r / length)
+    return r
+
+
+@njit(cache=True, inline="always")
+def near_homes(axes, home, size, i, j, w, length, far):
+    """May rows i and j touch while both are in their shells? `size` = R + shell. Never both immovable."""
+    r2 = 0.0
+    for k in range(len(axes)):
+        r = home[i, k] - home[j, k]
+        if far:
+            r = image(r, length[k])
+        else:
+            r -= length[k] * (np.float64(r > 0.5 * length[k]) - np.float64(r < -0.5 * length[k]))
+        r2 += r * r
+    reach = (size[i] + size[j]) * MARGIN
+    return (r2 <= reach * reach) & (i != j) & ((w[i] > 0.0) | (w[j] > 0.0))
+
+
+@lean
+def listed(pool, begin, count, room, top, i, j):
+    """Put j into the list of i, for which there is room in the pool."""
+    if count[i] == room[i]:
+        for p in range(count[i]):
+            pool[top[0] + p] = pool[begin[i] + p]
+        begin[i] = top[0]
+        room[i] *= 2
+        top[0] += room[i]
+    pool[begin[i] + count[i]] = j
+    count[i] += 1
+
+
+@lean
+def unlisted(pool, begin, count, i, j):
+    """Take j out of the list of i."""
+    last = begin[i] + count[i] - 1
+    for p in range(begin[i], last + 1):
+        if pool[p] == j:
+            pool[p] = pool[last]
+            count[i] -= 1
+            return
+
+
+@lean
+def neighbours(axes, i, home, size, w, head, after, low, per, cells, first, caps, length, far, around):
+    """Rows in the cells that may be in touch with row i, into `around`; returns how many."""
+    g = min(len(axes), 3)
+    found = 0
+    f0 = f1 = f2 = 0
+    m0 = m1 = m2 = 1
+    for step in range(len(caps)):
+        if caps[step] < 0.0:
+            continue
+        reach = (size[i] + caps[step]) * MARGIN
+        f0, m0 = along(home[i, 0], reach, low[0], per[step, 0], cells[step, 0], length[0] > 0.0)
+        if g > 1:
+            f1, m1 = along(home[i, 1], reach, low[1], per[step, 1], cells[step, 1], length[1] > 0.0)
+        if g > 2:
+            f2, m2 = along(home[i, 2], reach, low[2], per[step, 2], cells[step, 2], length[2] > 0.0)
+        for a in range(m0):
+            c0 = f0 + a if f0 + a < cells[step, 0] else f0 + a - cells[step, 0]
+            for b in range(m1):
+                c1 = f1 + b if f1 + b < cells[step, 1] else f1 + b - cells[step, 1]
+                for c in range(m2):
+                    c2 = f2 + c if f2 + c < cells[step, 2] else f2 + c - cells[step, 2]
+                    j = head[first[step] + (c0 * cells[step, 1] + c1) * cells[step, 2] + c2]
+                    while j >= 0:
+                        around[np.uint64(found)] = j
+                        found += near_homes(axes, home, size, np.uint64(i), np.uint64(j), w, length, far)
+                        j = after[np.uint64(j)]
+    return found
+
+
+@lean
+def room_for(i, around, found, count, room):
+    """Places that the pool needs at most to list `found` rows `around` i, and i with each of them."""
+    need = np.int64(0)
+    longer = np.int64(room[i])
+    while longer < found:
+        longer *= 2
+        need += longer
+    for p in range(found):
+        j = around[p]
+        if count[j] == room[j]:
+            need += 2 * room[j]
+    return need
+
+
+@lean
+def move_in(
+    axes, i, home, level, around, found, pool, begin, count, room, top, head, after, before, cell_in, low, per, cells,
+    first, length,
+):  # fmt: skip
+    """List row i with the rows `around` it, and put it into its cell."""
+    for p in range(found):
+        listed(pool, begin, count, room, top, i, around[p])
+        listed(pool, begin, count, room, top, around[p], i)
+    step = level[i]
+    c = np.int64(0)
+    for m in range(min(len(axes), 3)):
+        at = floor((home[i, m] - low[m]) * per[step, m])
+        if length[m] > 0.0:
+            at -= floor(at / cells[step, m]) * cells[step, m]
+        c = c * cells[step, m] + np.int64(min(max(at, 0.0), cells[step, m] - 1.0))
+    cell = first[step] + c
+    j = head[cell]
+    after[i] = j
+    before[i] = -1
+    cell_in[i] = cell
+    if j >= 0:
+        before[j] = i
+    head[cell] = i
+
+
+@njit(cache=True)
+def larger(pool, used, need):
+    """The pool, or a copy with room for `need` more places than are used."""
+    if used + need <= len(pool):
+        return pool
+    copy = np.empty(2 * len(pool) + need, np.int32)
+    copy[:used] = pool[:used]
+    return copy
+
+
+@lean
+def move_out(i, pool, begin, count, head, after, before, cell_in):
+    """Row i leaves its cell and all lists."""
+    for p in range(begin[i], begin[i] + count[i]):
+        unlisted(pool, begin, count, pool[p], i)
+    count[i] = 0
+    if before[i] >= 0:
+        after[before[i]] = after[i]
+    else:
+        head[cell_in[i]] = after[i]
+    if after[i] >= 0:
+        before[after[i]] = before[i]
+
+
+@njit(cache=True)
+def settle_all(axes, x, home, size, w, level, pool, lists, chains, grid, length, around):
+    """Homes of all rows where they are. Returns the pool."""
+    begin, count, room, top = lists
+    head, after, before, cell_in = chains
+    low, per, cells, first, caps = grid
+    for i in range(len(x)):
+        for k in range(len(axes)):
+            home[i, k] = x[i, k]
+        found = neighbours(axes, i, home, size, w, head, after, low, per, cells, first, caps, length, True, around)
+        pool = larger(pool, top[0], room_for(i, around, found, count, room))
+        move_in(
+            axes, i, home, level, around, found, pool, begin, count, room, top, head, after, before, cell_in, low, per,
+            cells, first, length,
+        )  # fmt: skip
+    return pool

@@ -1,0 +1,240 @@
+"""Mode event against what is known exactly, and against `rewind`."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from particles_mpi import Scene, Simulation
+
+
+def scene(d, particles, step, steps=1, box=None, **effects):
+    effects.setdefault("collisions", {})
+    effects["collisions"] = {"mode": "event", **effects["collisions"]}
+    tables = {"dimension": d, "seed": 1, "time": {"step": step, "steps": steps}, "particles": particles, "effects": effects}
+    return Scene.from_dict(tables | ({"box": box} if box else {}))
+
+
+def by_id(sim):
+    order = np.argsort(sim.particles.id)
+    return sim.particles.position[order], sim.particles.velocity[order]
+
+
+@pytest.mark.parametrize(("k", "hits"), [(0, 3), (1, 31), (2, 314), (3, 3141), (4, 31415), (5, 314159)])
+@pytest.mark.parametrize("steps", [1, 7])
+def test_galperin_counts_the_digits_of_pi(k, hits, steps):
+    """G. Galperin, Regul. Chaotic Dyn. 8, 375 (2003): a wall, a point of mass 1, and one of mass 100^k that comes in."""
+    pair = [
+        {"position": [[1.0]], "velocity": [0.0], "radius": 0.0, "mass": 1.0},
+        {"position": [[2.0]], "velocity": [-1.0], "radius": 0.0, "mass": 100.0**k},
+    ]
+    sim = Simulation(scene(1, pair, 20.0 / steps, steps, walls={"planes": [{"point": [0.0], "normal": [1.0]}]}))
+    sim.run()
+    assert sim.totals["collisions"] + sim.totals["wall_hits"] == hits
+    assert sim.totals["missed"] == 0
+
+
+@pytest.mark.parametrize("count", [100, 1000])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_rods_on_a_line(count, seed):
+    """y_i = x_i - i sigma: the state is sort(y + v t), the number of collisions that of inversions."""
+    random = np.random.default_rng(seed)
+    sigma, t = 0.3, 2.0
+    y, v = np.sort(random.random(count)) * count, random.standard_normal(count)
+    x = y + sigma * np.arange(count)
+    rods = [{"position": x[:, None].tolist(), "velocity": v[:, None].tolist(), "radius": sigma / 2, "mass": 1.0}]
+    sim = Simulation(scene(1, rods, t / 4, 4))
+    sim.run()
+    then = y + v * t
+    inversions = int(np.triu(then[:, None] > then[None], 1).sum())
+    assert sim.totals["collisions"] == inversions
+    np.testing.assert_allclose(np.sort(by_id(sim)[0][:, 0] - sigma * np.arange(count)), np.sort(then), atol=1e-11)
+
+
+def test_newtons_cradle():
+    """Five touching spheres: one in, one out."""
+    x = [[-3.0, 0.0, 0.0], *[[float(k), 0.0, 0.0] for k in range(4)]]
+    v = [[1.0, 0.0, 0.0]] + [[0.0] * 3] * 4
+    sim = Simulation(scene(3, [{"position": x, "velocity": v, "radius": 0.5, "mass": 1.0}], 5.0))
+    sim.run()
+    position, velocity = by_id(sim)
+    expected = np.zeros((5, 3))
+    expected[4, 0] = 1.0
+    np.testing.assert_allclose(velocity, expected, atol=1e-12)
+    np.testing.assert_allclose(position[:, 0], [-1.0, 0.0, 1.0, 2.0, 6.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("step", [0.013, 0.5, 7.0])
+@pytest.mark.parametrize("b", [0.0, 0.3, 0.5, 0.9])
+def test_oblique_pair_at_any_step(step, b):
+    """Equal spheres, one at rest, impact parameter b of diameter 1: deflected along and across the line of centres."""
+    pair = [
+        {"position": [[-3.0, b, 0.0]], "velocity": [1.0, 0.0, 0.0], "radius": 0.5, "mass": 1.0},
+        {"position": [[0.0, 0.0, 0.0]], "velocity": [0.0, 0.0, 0.0], "radius": 0.5, "mass": 1.0},
+    ]
+    sim = Simulation(scene(3, pair, step, int(np.ceil(7.0 / step))))
+    sim.run()
+    n = np.array([np.sqrt(1.0 - b * b), -b, 0.0])
+    _, v = by_id(sim)
+    np.testing.assert_allclose(v[1], n[0] * n, atol=1e-12)
+    np.testing.assert_allclose(v[0], [1.0, 0.0, 0.0] - n[0] * n, atol=1e-12)
+
+
+def test_sinai_billiard_mean_path():
+    """Unit periodic box, fixed disc R = 0.25: (1 - pi R^2)/(2 R) between hits (reference/README.md: 1.607301).
+
+    Flights along the corridors are long, so a mean over 3e5 has a standard error of 0.5 %: eight points, in long steps.
+    """
+    angle = 1.0 + 0.1 * np.arange(8)
+    tables = [
+        {"position": [[0.5, 0.5]], "radius": 0.25, "mass": 1.0, "fixed": True},
+        {
+            "position": [[0.05, 0.1]] * 8,
+            "velocity": np.column_stack((np.cos(angle), np.sin(angle))).tolist(),
+            "radius": 0.0,
+            "mass": 1.0,
+        },
+    ]
+    box = {"lower": [0.0, 0.0], "upper": [1.0, 1.0], "periodic": True}
+    sim = Simulation(scene(2, tables, 1000.0, 300, box))
+    sim.run()
+    assert 8 * 300_000.0 / sim.totals["collisions"] == pytest.approx(1.607301, rel=0.005)
+
+
+def test_a_bullet_hits_what_is_in_its_way():
+    """100 diameters in a step, against a row of spheres and a thin wall."""
+    tables = [
+        {"position": [[0.0, 0.0]], "velocity": [1000.0, 0.0], "radius": 0.05, "mass": 1.0},
+        {"position": [[3.0, 0.0]], "velocity": [0.0, 0.0], "radius": 0.05, "mass": 1.0},
+    ]
+    walls = {"planes": [{"point": [5.0, 0.0], "normal": [-1.0, 0.0]}]}
+    sim = Simulation(scene(2, tables, 0.01, walls=walls))
+    sim.run()
+    x, v = by_id(sim)
+    assert sim.totals["collisions"] == 2 and sim.totals["wall_hits"] == 1
+    # contact at 2.9, the other one goes to 4.95 and comes back to 3, the first goes on with what is left of 10
+    np.testing.assert_allclose(x[:, 0], [-0.3, 3.0], atol=1e-9)
+    np.testing.assert_allclose(v[:, 0], [-1000.0, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize(("beads", "restitution"), [(3, 0.05), (4, 0.1)])
+def test_inelastic_collapse_does_not_stop_the_clock(beads, restitution):
+    """Below e = 7 - 4 sqrt(3) = 0.0718 three beads collapse (McNamara and Young, Phys. Fluids A 4, 496, 1992)."""
+    x = np.arange(beads) * 1.5
+    v = np.linspace(1.0, -1.0, beads)
+    tables = [{"position": x[:, None].tolist(), "velocity": v[:, None].tolist(), "radius": 0.5, "mass": 1.0}]
+    sim = Simulation(scene(1, tables, 0.5, 8, collisions={"restitution": restitution}))
+    energy = [sim.measure()["kinetic"]]
+    for _ in range(8):
+        sim.step()
+        energy.append(sim.measure()["kinetic"])
+    x, v = by_id(sim)
+    assert sim.steps_done == 8 and np.isfinite(x).all()
+    assert all(b <= a * (1.0 + 1e-12) for a, b in pairwise(energy))
+    assert (np.diff(x[:, 0]) > 1.0 - 1e-9).all()
+    assert abs(v.sum()) < 1e-12
+
+
+@pytest.mark.parametrize(("density", "z"), [(0.2, 1.55361), (0.5, 3.26941), (0.7, 5.72696), (0.9, 10.76274)])
+def test_pressure_of_the_hard_sphere_fluid(density, z):
+    """Kolafa, Labik, Malijevsky (Phys. Chem. Chem. Phys. 6, 2335, 2004), by the rate of collisions and by the virial."""
+    n = 4000
+    side = (n / density) ** (1 / 3)
+    tables = [{"count": n, "position": "lattice", "velocity": {"temperature": 1.0}, "radius": 0.5, "mass": 1.0}]
+    box = {"lower": [0.0] * 3, "upper": [side] * 3, "periodic": True}
+    rate = 6.0 * (z - 1.0) / np.sqrt(np.pi)  # collisions a particle and unit of time
+    step = 20.0 / rate
+    sim = Simulation(scene(3, tables, step, 12, box))
+    for _ in range(4):
+        sim.step()
+    before, start = sim.totals["collisions"], sim.time
+    while sim.steps_done < 12:
+        sim.step()
+    measured = 2.0 * (sim.totals["collisions"] - before) / n / (sim.time - start)
+    temperature = n / (n - 1)  # of 3 (N - 1) degrees of freedom
+    assert 1.0 + measured * np.sqrt(np.pi / temperature) / 6.0 == pytest.approx(z, rel=0.003 + 2.0 / n)
+
+
+def crowd(d, periodic, **collisions):
+    """Spheres of many sizes, two giants, points and fixed ones among them; oblique wall, gravity, drag."""
+    side = {2: 6.0, 3: 3.6, 4: 3.0}[d]
+    box = {"lower": [0.0] * d, "upper": [side] * d, "periodic": [True] + [periodic] * (d - 1)}
+    count = {2: 120, 3: 300, 4: 300}[d]
+    tables = [
+        {"count": 2, "position": "random", "velocity": {"speed": 0.5}, "radius": 0.7, "mass": 40.0},
+        {"count": count, "position": "random", "velocity": {"speed": 1.0}, "radius": {"min": 0.02, "max": 0.12}, "mass": 0.3},
+        {"count": 20, "position": "random", "velocity": {"speed": 2.0}, "radius": 0.0, "mass": 0.1},
+        {"count": 5, "position": "random", "radius": 0.2, "mass": 1.0, "fixed": True},
+    ]
+    effects = {"drag": {"rate": 0.05}, "collisions": collisions}
+    if not periodic:
+        effects |= {"walls": {"restitution": 0.9}, "uniform_gravity": {"acceleration": [0.0] * (d - 1) + [-1.0]}}
+    return scene(d, tables, 0.05, 60, box, **effects)
+
+
+def overlaps(x, radius, length):
+    r = x[:, None] - x[None]
+    r -= np.where(length > 0.0, length * np.rint(r / np.where(length > 0.0, length, 1.0)), 0.0)
+    depth = radius[:, None] + radius[None] - np.sqrt((r**2).sum(axis=2))
+    np.fill_diagonal(depth, -1.0)
+    return np.where((radius[:, None] > 0.0) | (radius[None] > 0.0), depth, -1.0).max()
+
+
+@pytest.mark.parametrize("d", [2, 3, 4])
+@pytest.mark.parametrize("periodic", [True, False])
+def test_nothing_ever_overlaps(d, periodic):
+    """Every contact is found: whatever the sizes, walls and images; after 3 units of time nobody is in anybody."""
+    sim = Simulation(crowd(d, periodic, restitution=0.9))
+    for _ in range(6):
+        for _ in range(10):
+            sim.step()
+        p = sim.particles
+        assert overlaps(p.position, p.radius, sim.length) < 1e-9
+    assert sim.totals["collisions"] > 50
+    assert sim.totals["missed"] == 0
+
+
+def test_shells_leave_no_trace_in_the_bits():
+    """Neighbours found with other shells, at other times: the same bits."""
+    final = []
+    for width in (None, 0.01, 0.5):
+        sim = Simulation(crowd(3, False, restitution=0.8))
+        if width:
+            sim.near.homes.shell_width = width
+            sim.near.homes.settle = lambda x, radius, w, homes=sim.near.homes: homes.build(x, radius, w)
+        sim.run()
+        final.append(by_id(sim))
+    for x, v in final[1:]:
+        assert (x == final[0][0]).all() and (v == final[0][1]).all()
+
+
+def test_energy_and_momentum_of_many_collisions():
+    """Elastic, periodic: the energy to 1e-11 of itself, momentum to round-off."""
+    n, side = 500, (500 / 0.7) ** (1 / 3)
+    tables = [{"count": n, "position": "lattice", "velocity": {"temperature": 1.0}, "radius": 0.5, "mass": 1.0}]
+    box = {"lower": [0.0] * 3, "upper": [side] * 3, "periodic": True}
+    sim = Simulation(scene(3, tables, 1.0, 100, box))
+    before = sim.measure()
+    while sim.totals["collisions"] < 1_000_000:
+        sim.step()
+    after = sim.measure()
+    assert after["kinetic"] == pytest.approx(before["kinetic"], rel=1e-12)
+    assert max(abs(after[f"momentum_{k}"]) for k in "xyz") < 1e-10
+
+
+def test_rewind_converges_to_the_order_of_events():
+    """One dense scene in both modes: what rewind gets wrong shrinks with the step."""
+    errors = []
+    for step in (0.04, 0.01, 0.0025):
+        n, side = 400, (400 / 0.7) ** (1 / 3)
+        tables = [{"count": n, "position": "lattice", "velocity": {"temperature": 1.0}, "radius": 0.5, "mass": 1.0}]
+        box = {"lower": [0.0] * 3, "upper": [side] * 3, "periodic": True}
+        states = []
+        for collisions in ({"mode": "event"}, {"mode": "rewind", "passes": 100}):
+            sim = Simulation(scene(3, tables, step, round(0.12 / step), box, collisions=collisions))
+            sim.run()
+            states.append(by_id(sim)[0])
+        r = states[0] - states[1]
+        r -= side * np.rint(r / side)
+        errors.append(np.count_nonzero((r**2).sum(axis=1) > 1e-16))
+    assert errors[0] > 2 * errors[1] > 4 * errors[2], errors
