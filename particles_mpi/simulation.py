@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.diagnostics import measure
-from particles_mpi.errors import SceneError, StoppedError
+from particles_mpi.errors import StoppedError
 from particles_mpi.integrators import Integrator, Leapfrog, Taylor, free_drift, wrap
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import Array, Particles
@@ -71,9 +71,7 @@ class Simulation:
         if c.options.mode == "event":
             from particles_mpi.collide.event import Event
 
-            if self.ranks.size > 1:
-                raise SceneError('effects.collisions.mode: "event" runs on one rank in this version; use "rewind"')
-            self.near = self.contacts = Event(self.particles, box, loss, c.soft, planes, self.timers)
+            self.near = self.contacts = Event(self.particles, self.ranks, box, loss, c.soft, planes, self.timers)
             return
         from particles_mpi.collide.planes import no_planes
         from particles_mpi.collide.rewind import Rewind

@@ -88,6 +88,15 @@ SCENES = {
         particles=[{"count": 0, "position": "random", "radius": 0.1}], effects={"collisions": {}, "walls": {}},
     ),
 }  # fmt: skip
+EVENTS = (
+    "dense periodic gas",
+    "half periodic, drag, acceleration, fixed",
+    "oblique planes, open space",
+    "rack of touching discs",
+)
+for name in EVENTS:
+    collisions = {"mode": "event", "restitution": SCENES[name]["effects"]["collisions"].get("restitution", 0.9)}
+    SCENES[f"{name}: in order of time"] = SCENES[name] | {"effects": SCENES[name]["effects"] | {"collisions": collisions}}
 
 
 RANKS = (1, 2, 3, 4, 7, 8)

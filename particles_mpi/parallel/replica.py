@@ -1,0 +1,55 @@
+"""All particles on every rank: for what is computed in one order of time, by all ranks alike."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from particles_mpi.parallel.exchange import send_rows
+from particles_mpi.parallel.ranks import Ranks
+from particles_mpi.particles import FIELDS, Particles
+
+
+class Replica:
+    """`everyone` holds the rows of all ranks, in any order; on one rank it is `particles` itself.
+
+    `gather` brings the `changing` fields of all rows up to date, `give_back` those of this rank's own rows. Ids are 0 ... N-1.
+    """
+
+    def __init__(self, particles: Particles, ranks: Ranks, changing: tuple[str, ...]):
+        self.particles, self.ranks, self.changing = particles, ranks, changing
+        self.everyone = particles
+        self.version = -1
+        self.messages = 0
+        if ranks.size > 1:
+            names = [name for name in particles.arrays if FIELDS[name].ghost]
+            self.everyone = Particles(particles.dimension, self._all_of(names))
+
+    def _all_of(self, names: list[str]) -> dict[str, np.ndarray]:
+        n, size = len(self.particles), self.ranks.size
+        rows, counts = np.tile(np.arange(n), size), np.full(size, n, np.int32)
+        arrived, _ = send_rows(self.ranks, {name: self.particles.arrays[name] for name in names}, rows, counts)
+        return arrived
+
+    def _find(self) -> None:
+        """Where the row of each id stands among everyone; anew when rows were moved."""
+        if self.version != self.everyone.version:
+            self.row_of = np.empty(len(self.everyone), np.int64)
+            self.row_of[self.everyone.id] = np.arange(len(self.everyone))
+            self.version = self.everyone.version
+
+    def gather(self) -> None:
+        """`everyone` as the owners have them. Collective."""
+        if self.ranks.size > 1:
+            arrived = self._all_of(["id", *self.changing])
+            self._find()
+            rows = self.row_of[arrived.pop("id")]
+            for name, column in arrived.items():
+                self.everyone[name][rows] = column
+
+    def give_back(self) -> None:
+        """This rank's rows as they are among everyone."""
+        if self.ranks.size > 1:
+            self._find()
+            rows = self.row_of[self.particles.id]
+            for name in self.changing:
+                self.particles[name][:] = self.everyone[name][rows]
