@@ -20,7 +20,7 @@ from particles_mpi.output import checkpoint, failing_together
 from particles_mpi.output.console import Screen
 from particles_mpi.output.diagnostics_csv import Diagnostics
 from particles_mpi.parallel.ranks import library
-from particles_mpi.particles import FIELDS, Array
+from particles_mpi.particles import Array, field
 from particles_mpi.plan import plan
 from particles_mpi.simulation import COUNTS, Simulation
 
@@ -108,7 +108,7 @@ class Job:
     def _frame(self) -> dict[str, Array]:
         """The fields that a frame shows; `fixed` only where something is."""
         arrays = self.sim.particles.arrays
-        return {n: a for n, a in arrays.items() if FIELDS[n].output and (n != "fixed" or self.plan["fixed"])}
+        return {n: a for n, a in arrays.items() if field(n).output and (n != "fixed" or self.plan["fixed"])}
 
     def run(self) -> None:
         """To the last step, or to a signal."""
@@ -183,6 +183,7 @@ class Job:
             state = {
                 "step": sim.steps_done,
                 "time": sim.time,
+                "moment": json.dumps(sim.moment),
                 "scene": self.scene.to_json(),
                 "totals": json.dumps(dict(zip(COUNTS, totals, strict=True))),
                 "reported": json.dumps(self.since.tolist()),

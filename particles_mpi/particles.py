@@ -38,6 +38,7 @@ FIELDS = {
     "contacted": Field("float64", ghost=True, output=False),  # when it last met anyone or a wall, in mode event; -inf: never
     "rate": Field("float64", vector=True, output=False),  # dv/dt at the start of a `taylor` step
 }
+USER = Field("", output=False)  # any other name: data of the user's, of any type and shape, that goes where its particle goes
 ALWAYS = ("id", "position", "velocity", "radius", "mass", "fixed")
 
 
@@ -87,6 +88,11 @@ class Particles:
 
     def __repr__(self) -> str:
         return f"Particles({len(self)} rows in dimension {self.dimension}: {', '.join(self.arrays)})"
+
+
+def field(name: str) -> Field:
+    """What is known of a field; data of the user's own is in no table."""
+    return FIELDS.get(name, USER)
 
 
 def shape(name: str, rows: int, dimension: int) -> tuple[int, ...]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from particles_mpi.particles import FIELDS, Particles
+from particles_mpi.particles import Particles
 from particles_mpi.scene import Scene, effect_names
 
 # Nanoseconds a particle and step on one core of a present laptop, to tell a minute from a day; measured on the shipped scenes.
@@ -31,7 +31,7 @@ def plan(scene: Scene, particles: Particles, ranks: int) -> dict[str, Any]:
         effect = import_module(f"particles_mpi.effects.{name}").Effect
         runs.append({"effect": name, "role": effect.role, "law": effect.formula, "ns_per_particle_step": COST.get(name, 10.0)})
     pairs = "collisions" in scene.effects
-    row = sum(np.dtype(FIELDS[name].dtype).itemsize * (d if FIELDS[name].vector else 1) for name in particles.arrays)
+    row = sum(column.nbytes for column in particles.arrays.values()) / max(n, 1)
     frame = 8 * (3 + 3 + 3) + 8
     frames = scene.steps // scene.output.every + 1
     seconds = scene.steps * n * (DRIFT + sum(r["ns_per_particle_step"] for r in runs)) * 1e-9 / min(ranks, 2)

@@ -3,22 +3,35 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from particles_mpi import state
 from particles_mpi.diagnostics import measure
-from particles_mpi.errors import StoppedError
+from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.integrators import Integrator, Leapfrog, Taylor, free_drift, wrap
 from particles_mpi.parallel.ranks import Ranks
-from particles_mpi.particles import Array, Particles
+from particles_mpi.particles import FIELDS, Array, Particles
 from particles_mpi.populate import populate
 from particles_mpi.scene import Scene
 from particles_mpi.timers import Timers
 
+CLOSE = 1e-14  # of a step: how well a step that ends with a contact must know its own length
+MOST_TRIES = 60
 COUNTS = ("collisions", "wall_hits", "missed", "exchanges")
+
+
+def next_length(tried: list[tuple[float, float]], longest: float) -> float:
+    """The secant's guess of the step length h that ends with its contact, where (h, lateness) were tried."""
+    (h, late) = tried[-1]
+    guess = h + 0.5 * late
+    if len(tried) > 1 and late != tried[-2][1]:
+        guess = h - late * (h - tried[-2][0]) / (late - tried[-2][1])
+    return guess if 0.0 <= guess < longest else h + 0.5 * late
 
 
 class Simulation:
@@ -38,6 +51,7 @@ class Simulation:
         self.scene, self.ranks, self.total = scene, ranks, len(everyone)
         self.timers = Timers()
         self.steps_done, self.h = 0, scene.time.step
+        self.moment = 0.0, 0  # (time, steps done) that the clock counts from
         self.totals = dict.fromkeys(COUNTS, 0)
         self.reported = [0] * len(COUNTS)  # sums over ranks at the last row of diagnostics
         self.calls: dict[str, int] = {}
@@ -85,30 +99,62 @@ class Simulation:
     @property
     def time(self) -> float:
         """The moment the state belongs to."""
-        return self.steps_done * self.h
+        since, steps = self.moment
+        return since + (self.steps_done - steps) * self.h
 
     def step(self, collisions: bool = True) -> None:
         """Advance by one step; `collisions=False` lets particles pass through one another and through walls. Collective."""
-        p, h = self.particles, self.h
+        self.advance(self.h, lambda: self.drift(self.h, collisions))
+        self.steps_done += 1
+
+    def advance(self, h: float, drift: Callable[[], None]) -> None:
+        """Kick, drift, kick over h."""
+        p = self.particles
         with self.timers("forces"):
             a = self.sum_forces()  # at x(n)
         with self.timers("kick"):
             self.integrator.open(p, a, h)  # v at n+1/2
-        self.drift(h, collisions)  # x at n+1; contacts happen here
+        drift()  # x at n+1; contacts happen here
         with self.timers("forces"):
             a = self.sum_forces()  # at x(n+1)
         with self.timers("kick"):
             self.integrator.close(p, a, h)  # v at n+1
         for name in self.dissipation:
             self.count(name, 2)
-        self.steps_done += 1
 
-    def drift(self, h: float, contacts: bool) -> None:
-        """Positions over h, with whatever they meet on the way."""
+    def step_to_collision(self) -> tuple[int, int] | None:
+        """Advance to the next collision of two particles, or by one step if there is none before its end. Collective.
+
+        Returns the ids of the two that met, the lower one first, or None; `sim.time` is the moment. It is the end of a whole
+        leapfrog step of the length that ends with the contact, found by iteration where forces make that depend on itself.
+        Needs collisions in mode event. Collisions at the same moment come one call after the other.
+        """
+        if not self.collisions or self.collisions.options.mode != "event":
+            raise SceneError('effects.collisions.mode: step_to_collision needs "event"')
+        h, met, free = self.h, self.near.stop, not (self.forces or self.dissipation)
+        tried: list[tuple[float, float]] = []  # (length that was kicked for, how much later the contact came)
+        for _ in range(MOST_TRIES):
+            before, totals, calls = self.particles.select(np.arange(len(self.particles))), self.totals.copy(), self.calls.copy()
+            self.advance(h, lambda: self.drift(self.h, True, stop=True))
+            reached, met_none = float(self.near.stopped[0]), met[1] < 0
+            if met_none and h == self.h:
+                self.steps_done += 1
+                return None
+            tried.append((h, reached - h))
+            if free or (not met_none and abs(reached - h) <= CLOSE * self.h):
+                break
+            self.particles.replace(before.arrays)
+            self.totals, self.calls = totals, calls
+            h = next_length(tried, self.h)
+        self.moment = self.time + reached, self.steps_done
+        return int(met[1]), int(met[2])
+
+    def drift(self, h: float, contacts: bool, stop: bool = False) -> None:
+        """Positions over h, with whatever they meet on the way; with `stop` to the first collision only."""
         p = self.particles
         if contacts and self.collisions:
             migrated = self.near.migrated
-            found = self.contacts.drift(h, self.time)
+            found = self.contacts.drift(h, self.time, stop=True) if stop else self.contacts.drift(h, self.time)
             happened = [*found, self.near.migrated - migrated]
             self.count("collisions")
             if self.walls:
@@ -181,16 +227,66 @@ class Simulation:
         """The run that wrote the checkpoint, where it stood, on any number of ranks; the same bits from there on."""
         from particles_mpi.output.checkpoint import load
 
-        arrays, state = load(Path(path))
-        scene = Scene.from_dict(json.loads(state["scene"]))
+        arrays, saved = load(Path(path))
+        scene = Scene.from_dict(json.loads(saved["scene"]))
+        totals = json.loads(saved["totals"])
+        about = {"step": int(saved["step"]), "moment": json.loads(saved["moment"]), "totals": [totals[name] for name in COUNTS]}
+        sim = cls._restored(scene, Ranks(comm), Particles(scene.dimension, arrays), about)
+        sim.reported = json.loads(saved["reported"])
+        return sim
+
+    def attach(self, name: str, values: Array) -> None:
+        """Give every particle data of the user's own: `values` (N, ...) in id order, any numeric type. Collective.
+
+        `sim.particles[name]` are this rank's rows from then on; they go where their particles go, to other ranks and into
+        checkpoints. Nothing computes with them.
+        """
+        values = np.asarray(values)
+        if name in FIELDS or values.shape[:1] != (self.total,) or values.dtype.kind not in "biuf":
+            raise ValueError(f"attach: {name!r} must be a new name, with an array of numbers for {self.total} particles")
+        self.particles.arrays[name] = values[self.particles.id]
+
+    def _about(self) -> dict[str, Any]:
+        totals = self.ranks.total(np.array([self.totals[name] for name in COUNTS])).tolist()
+        return {"step": self.steps_done, "moment": self.moment, "totals": totals, "scene": self.scene.to_dict()}
+
+    @classmethod
+    def _restored(cls, scene: Scene, ranks: Ranks, everyone: Particles, about: dict[str, Any]) -> Simulation:
         sim = cls.__new__(cls)
         sim.warnings = []
-        sim._assemble(scene, Ranks(comm), Particles(scene.dimension, arrays))
-        sim.steps_done = int(state["step"])
-        if sim.ranks.is_root:  # counts are sums over ranks: one rank carries those from before
-            sim.totals.update(json.loads(state["totals"]))
-        sim.reported = json.loads(state["reported"])
+        sim._assemble(scene, ranks, everyone)
+        sim.steps_done = about["step"]
+        sim.moment = about["moment"][0], about["moment"][1]
+        if ranks.is_root:  # counts are sums over ranks: one rank carries those from before
+            sim.totals.update(zip(COUNTS, about["totals"], strict=True))
         return sim
+
+    def copy(self) -> Simulation:
+        """Another simulation in the same state. Collective."""
+        return self._restored(self.scene, self.ranks, state.everyone(self.ranks, self.particles), self._about())
+
+    def to_json(self, path: str | Path, indent: int | None = None) -> None:
+        """Save scene and state, exact to the bit; compact, or readable with `indent`. Collective."""
+        state.save_json(Path(path), self.ranks, self.particles, self._about(), indent)
+
+    @classmethod
+    def from_json(cls, path: str | Path, comm: Any = None) -> Simulation:
+        """What `to_json` saved, on any number of ranks."""
+        arrays, about = state.load_json(Path(path))
+        scene = Scene.from_dict(about["scene"])
+        return cls._restored(scene, Ranks(comm), Particles(scene.dimension, arrays), about)
+
+    def __eq__(self, other: object) -> bool:
+        """The same scene, time and particles, to the bit. Collective."""
+        if not isinstance(other, Simulation):
+            return NotImplemented
+        mine, theirs = (state.everyone(sim.ranks, sim.particles) for sim in (self, other))
+        return self.scene == other.scene and self.time == other.time and state.same(mine, theirs)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __str__(self) -> str:
+        return f"{self!r}\n{state.table(self.particles)}"
 
     def __repr__(self) -> str:
         return f"Simulation({self.scene.title!r}: {self.total} particles, step {self.steps_done}, time {self.time:g})"

@@ -56,12 +56,14 @@ class Event:
         self.counts = np.zeros(6, np.int64)
         self.events = 0  # in the last drift
         self.ahead = 0.0
+        self.stop, self.stopped = np.zeros(3, np.int64), np.zeros(1)
         self.spared = np.empty((64, 2), np.int64)
 
-    def drift(self, h: float, moment: float) -> Array:
+    def drift(self, h: float, moment: float, stop: bool = False) -> Array:
         """x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
 
-        `moment`: the time at which the drift begins.
+        `moment`: the time at which the drift begins. With `stop` it ends with the first collision of two particles, after
+        `self.stopped[0]` (h if there is none), and `self.stop[1:]` are their ids, the lower one first, or -1.
         """
         p = self.particles
         with self.timers("exchange"):
@@ -72,6 +74,7 @@ class Event:
         n, d = len(p), p.dimension
         counts = self.counts
         counts[:] = 0
+        self.stop[:], self.stopped[0] = (stop, -1, -1), h
         with self.timers("search"):
             set_out(self.axes, self.leg, p.position, p.velocity, p.radius)
             self.met[:] = NOBODY
@@ -100,14 +103,24 @@ class Event:
                     self.axes, self.leg, p.id, self.w, self.met, self.stuck, self.turns, p.contacted, self.virial, h, moment,
                     self.length, homes.pool, homes.lists, shells, homes.size, homes.level, homes.chains, homes.grid,
                     walls, planes.restitution, planes.keep, self.restitution, self.keep, self.soft, queue, counts,
-                    self.spared, self.ahead, self.lower, homes.around, todo, pending,
+                    self.spared, self.ahead, self.lower, homes.around, todo, pending, self.stop, self.stopped,
                 )  # fmt: skip
                 if not short:
                     break
                 homes.pool = np.concatenate((homes.pool, np.empty(short + len(homes.pool), np.int32)))
                 pending = 0
         with self.timers("drift"):
-            squeezed = arrive(self.axes, self.leg, p.position, p.velocity, self.stuck, h, homes.home, self.length, self.lower)
+            squeezed = arrive(
+                self.axes,
+                self.leg,
+                p.position,
+                p.velocity,
+                self.stuck,
+                float(self.stopped[0]),
+                homes.home,
+                self.length,
+                self.lower,
+            )
         with self.timers("exchange"):
             self.replica.give_back()
         self.moved += int(counts[HOMES])

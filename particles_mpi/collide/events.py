@@ -241,9 +241,11 @@ def turn(axes, leg, ids, met, stuck, turns, last, i, t, partner, moment):
 def run(
     axes, leg, ids, w, met, stuck, turns, last, virial, h, moment, length, pool, lists, shells, size, level, chains, grid,
     walls, wall_restitution, wall_keep, restitution, keep, soft, queue, counts, spared, ahead, box_low, around, todo, pending,
+    stop, stopped,
 ):  # fmt: skip
     """All events up to h, in order. `moment`: when the drift began; `soft`: the duration t_c of a contact.
 
+    With stop[0] it ends after the first collision, whose time goes to `stopped` and ids to stop[1:].
     Returns 0, or how many places the pool is short of: then call again with a larger one.
 
     A contact within t_c of the last one of either partner takes no energy: the TC model (Luding and McNamara, Granular
@@ -326,6 +328,9 @@ def run(
             else:
                 virial[i] += collide(axes, leg, w, i, j, t, restitution, keep, length)
             counts[COLLISIONS] += 1
+            if stop[0]:
+                stop[1], stop[2], stopped[0] = ids[i], ids[j], t
+                return 0
 
 
 @lean

@@ -31,7 +31,7 @@ class Options(Model):
         if self.restitution is not None and self.damping is not None:
             faults.append("restitution: give restitution or damping, not both")
         for key, mode in (("passes", "rewind"), ("contact_duration", "event")):
-            if key in self.model_fields_set and self.mode != mode:
+            if getattr(self, key) != type(self).model_fields[key].default and self.mode != mode:
                 faults.append(f'{key}: only in mode "{mode}"')
         return faults
 

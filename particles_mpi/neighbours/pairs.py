@@ -25,7 +25,7 @@ from particles_mpi.parallel.balance import Balance
 from particles_mpi.parallel.exchange import Halo, send_rows
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.parallel.store import Store
-from particles_mpi.particles import FIELDS, Array, Particles
+from particles_mpi.particles import Array, Particles, field
 from particles_mpi.timers import Timers
 
 SORT_EVERY = 2  # searches; between two sorts in space the rows keep their order, which changes slowly
@@ -166,7 +166,7 @@ class Neighbourhood:
         """Copies of all particles that may meet this rank's, behind the owned rows. Collective."""
         particles = self.particles
         ranks, d, self.owned = self.ranks, particles.dimension, len(particles)
-        names = [name for name in particles.arrays if FIELDS[name].ghost]
+        names = [name for name in particles.arrays if field(name).ghost]
         everyone = {name: particles.arrays[name] for name in names}
         self.halo, fence = None, nowhere(d)
         if ranks.size > 1:

@@ -59,7 +59,10 @@ def load(path: Path, rows: slice = slice(None)) -> tuple[dict[str, Array], dict[
             total, dimension = attributes["total"], attributes["dimension"]
             arrays = {}
             for name, dataset in file["particles"].items():
-                if name not in FIELDS or dataset.shape != shape(name, total, dimension) or dataset.dtype != FIELDS[name].dtype:
+                ours = name in FIELDS
+                if dataset.shape[:1] != (total,) or (
+                    ours and (dataset.shape != shape(name, total, dimension) or dataset.dtype != FIELDS[name].dtype)
+                ):
                     raise SceneError(f"{path}: particles/{name} is not a field of {total} particles in dimension {dimension}")
                 arrays[name] = dataset[rows]
     except FileNotFoundError:

@@ -21,7 +21,7 @@ from particles_mpi.errors import StoppedError
 from particles_mpi.output import failing_together, frame_arrays, frame_columns
 from particles_mpi.parallel.exchange import in_id_order
 from particles_mpi.parallel.ranks import Ranks
-from particles_mpi.particles import FIELDS, Array
+from particles_mpi.particles import FIELDS, Array, field
 
 STEPS_CHUNK = 1024  # frames
 
@@ -44,7 +44,7 @@ class Trajectory:
         resume_step_count: int | None = None,
     ):
         self.path, self.ranks, self.dimension, self.total = Path(path), ranks, dimension, total
-        self.fields = [name for name in particles_fields if FIELDS[name].output]
+        self.fields = [name for name in particles_fields if field(name).output]
         self.parallel = ranks.size > 1 and bool(h5py.get_config().mpi)
         self.writers = ranks.size if self.parallel else 1
         self.file: Any = None
@@ -156,9 +156,9 @@ class Trajectory:
         group.attrs["Version"] = np.array([2, 0], np.int64)
         group.attrs["Type"] = np.bytes_("PolyData")  # fixed length: the reader refuses variable ones
         chunk = int(np.clip(self.total, 256, 65536))
-        for field in self.fields:
-            for name, width in frame_columns(field, self.dimension).items():
-                _dataset(group, self._places()[name], (0, *width), FIELDS[field].dtype, chunk)
+        for field_name in self.fields:
+            for name, width in frame_columns(field_name, self.dimension).items():
+                _dataset(group, self._places()[name], (0, *width), FIELDS[field_name].dtype, chunk)
         _dataset(group, "NumberOfPoints", (1,), "int64", 1, fill=self.total)
         for kind, cells in (("Vertices", self.total), ("Lines", 0), ("Polygons", 0), ("Strips", 0)):
             _dataset(group, f"{kind}/NumberOfCells", (1,), "int64", 1, fill=cells)

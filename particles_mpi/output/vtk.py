@@ -13,7 +13,7 @@ import numpy as np
 from particles_mpi.output import failing_together, frame_arrays
 from particles_mpi.parallel.exchange import in_id_order
 from particles_mpi.parallel.ranks import Ranks
-from particles_mpi.particles import FIELDS, Array
+from particles_mpi.particles import Array, field
 
 VTK_TYPES = {"int64": "Int64", "float64": "Float64", "uint8": "UInt8"}
 
@@ -37,7 +37,7 @@ class VtkSeries:
 
     def write(self, step: int, time: float, arrays: dict[str, Array]) -> None:
         """Add a frame. `arrays`: this rank's owned rows in any order, (n,) or (n, d); fields not meant for frames are skipped."""
-        shown = {name: array for name, array in arrays.items() if FIELDS[name].output}
+        shown = {name: array for name, array in arrays.items() if field(name).output}
         rows = in_id_order(self.ranks, shown, self.total, 1)
         path = self.folder / self._name(step)
         with failing_together(self.ranks, f"cannot write {path} at step {step}"):

@@ -6,7 +6,7 @@ import numpy as np
 
 from particles_mpi.parallel.exchange import send_rows
 from particles_mpi.parallel.ranks import Ranks
-from particles_mpi.particles import FIELDS, Particles
+from particles_mpi.particles import Particles, field
 
 
 class Replica:
@@ -21,7 +21,7 @@ class Replica:
         self.version = -1
         self.messages = 0
         if ranks.size > 1:
-            names = [name for name in particles.arrays if FIELDS[name].ghost]
+            names = [name for name in particles.arrays if field(name).ghost]
             self.everyone = Particles(particles.dimension, self._all_of(names))
 
     def _all_of(self, names: list[str]) -> dict[str, np.ndarray]:

@@ -1,0 +1,63 @@
+"""Steps that end with a collision, against PBPhys's printed run and against exact moments."""
+
+import numpy as np
+import pytest
+
+from particles_mpi import Scene, SceneError, Simulation
+
+
+def scene(d, particles, step, **effects):
+    effects.setdefault("collisions", {"mode": "event"})
+    return Scene.from_dict({"dimension": d, "time": {"step": step, "steps": 100}, "particles": particles, "effects": effects})
+
+
+DISCS = [
+    {"position": [[0.0, 0.0]], "velocity": [1.0, 1.0], "radius": 0.5, "mass": 1.0},
+    {"position": [[0.0, 2.0]], "velocity": [0.5, -0.5], "radius": 0.5, "mass": 1.0},
+    {"position": [[2.0, 2.0]], "velocity": [-1.0, -1.0], "radius": 0.5, "mass": 2.0},
+]
+
+
+@pytest.mark.parametrize("step", [0.01, 0.3, 10.0])
+def test_pbphys_three_discs(step):
+    """Its printed run: discs 0 and 2 at t = 0.646447, then 1 and 2 at t = 0.878937."""
+    sim = Simulation(scene(2, DISCS, step))
+    met = []
+    while sim.time < 1.0 and len(met) < 2:
+        pair = sim.step_to_collision()
+        if pair is not None:
+            met.append((pair, sim.time))
+    assert [pair for pair, _ in met] == [(0, 2), (1, 2)]
+    np.testing.assert_allclose([t for _, t in met], [0.646447, 0.878937], atol=1e-6)
+    assert met[0][1] == pytest.approx(1.0 - np.sqrt(2.0) / 4.0, abs=1e-14)
+    x = sim.particles.position[np.argsort(sim.particles.id)]
+    assert np.linalg.norm(x[1] - x[2]) == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("step", [0.05, 1.0])
+def test_dropped_on_a_fixed_sphere(step):
+    """From rest, a gap of 1 under g = 2: contact at t = 1 with speed 2, whatever the step, since the last one fits."""
+    pair = [
+        {"position": [[0.0, 0.0]], "radius": 0.5, "mass": 1.0, "fixed": True},
+        {"position": [[0.0, 2.0]], "velocity": [0.0, 0.0], "radius": 0.5, "mass": 1.0},
+    ]
+    sim = Simulation(scene(2, pair, step, uniform_gravity={"acceleration": [0.0, -2.0]}))
+    pairs = [sim.step_to_collision()]
+    while pairs[-1] is None:
+        pairs.append(sim.step_to_collision())
+    assert pairs[-1] == (0, 1)
+    assert sim.time == pytest.approx(1.0, abs=1e-12)
+    falling = sim.particles.position[sim.particles.id == 1][0]
+    assert falling[1] == pytest.approx(1.0, abs=1e-12)
+
+
+def test_nobody_to_meet_is_a_whole_step():
+    sim = Simulation(scene(1, [{"position": [[0.0], [5.0]], "velocity": [[1.0], [1.0]], "radius": 0.1}], 0.5))
+    assert sim.step_to_collision() is None
+    assert (sim.steps_done, sim.time) == (1, 0.5)
+
+
+def test_needs_mode_event():
+    sim = Simulation(scene(2, DISCS, 0.01, collisions={}))
+    with pytest.raises(SceneError, match="event"):
+        sim.step_to_collision()
