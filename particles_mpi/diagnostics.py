@@ -35,8 +35,13 @@ def momentum_names(dimension: int) -> list[str]:
     return [f"momentum_{'xyz'[k] if dimension <= 3 else k}" for k in range(dimension)]
 
 
-def columns(dimension: int) -> list[str]:
+def columns(dimension: int, observables: bool = False) -> list[str]:
     """The columns of diagnostics.csv, in order."""
     energies = ["kinetic", "potential", "total_energy"]
     counts = ["collisions", "wall_hits", "missed", "exchanges", "imbalance"]
-    return ["step", "time", "particles", *energies, *momentum_names(dimension), "max_speed", *counts]
+    row = ["step", "time", "particles", *energies, *momentum_names(dimension), "max_speed", *counts]
+    if observables:
+        from particles_mpi.observables import OBSERVABLES
+
+        row += OBSERVABLES
+    return row

@@ -103,7 +103,8 @@ class Job:
             from particles_mpi.output.vtk import VtkSeries
 
             self.writers.append(VtkSeries(self.folder, self.ranks, d, sim.total, step))
-        self.diagnostics = Diagnostics(self.folder / "diagnostics.csv", self.ranks, columns(d), step)
+        names = columns(d, self.scene.output.observables)
+        self.diagnostics = Diagnostics(self.folder / "diagnostics.csv", self.ranks, names, step)
 
     def _frame(self) -> dict[str, Array]:
         """The fields that a frame shows; `fixed` only where something is."""
@@ -184,6 +185,7 @@ class Job:
                 "step": sim.steps_done,
                 "time": sim.time,
                 "moment": json.dumps(sim.moment),
+                "observed": json.dumps(sim.observed),
                 "scene": self.scene.to_json(),
                 "totals": json.dumps(dict(zip(COUNTS, totals, strict=True))),
                 "reported": json.dumps(self.since.tolist()),

@@ -44,6 +44,8 @@ def fields_of(scene: Scene) -> list[str]:
         extra.add("rate")
     if "collisions" in scene.effects and scene.effects["collisions"].mode == "event":
         extra.add("contacted")
+    if scene.output.observables:
+        extra.add("virial")
     return [name for name in FIELDS if name in ALWAYS or name in extra]
 
 

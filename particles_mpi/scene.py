@@ -151,6 +151,7 @@ class Output(Model):
     formats: list[Literal["hdf5", "vtk"]] = ["hdf5", "vtk"]
     checkpoint_every: Annotated[int, Field(ge=1)] = 1000
     diagnostics_every: Annotated[int, Field(ge=1)] = 10
+    observables: bool = False
 
 
 def effect_names() -> list[str]:

@@ -54,6 +54,7 @@ class Simulation:
         self.moment = 0.0, 0  # (time, steps done) that the clock counts from
         self.totals = dict.fromkeys(COUNTS, 0)
         self.reported = [0] * len(COUNTS)  # sums over ranks at the last row of diagnostics
+        self.observed = [0.0, 0.0, 0.0]  # time, collisions and virial when the observables were last looked at
         self.calls: dict[str, int] = {}
         first, last = (len(everyone) * (ranks.rank + k) // ranks.size for k in (0, 1))
         self.particles = everyone.select(np.arange(first, last))
@@ -193,9 +194,18 @@ class Simulation:
         self.calls[effect] = self.calls.get(effect, 0) + calls
 
     def measure(self) -> dict[str, float]:
-        """Energies, momentum, largest speed of all particles: the same bits on any number of ranks. Collective."""
+        """Energies, momentum, largest speed of all particles: the same bits on any number of ranks. Collective.
+
+        With `output.observables` also those of `observables`: rates are over the time since the last call.
+        """
         potentials = [f.potential(self.particles) for f in self.forces.values() if hasattr(f, "potential")]
         row = measure(self.ranks, self.particles, potentials)
+        if self.scene.output.observables:
+            from particles_mpi.observables import observe
+
+            collisions = int(self.ranks.total(self.totals["collisions"])[0])
+            volume = float(np.prod(self.upper - self.lower)) if self.scene.box else np.nan
+            row |= observe(self.ranks, self.particles, volume, self.time, collisions, self.observed)
         if not np.isfinite(row["kinetic"]):
             self.stop_for_numbers()
         return row
@@ -230,7 +240,8 @@ class Simulation:
         arrays, saved = load(Path(path))
         scene = Scene.from_dict(json.loads(saved["scene"]))
         totals = json.loads(saved["totals"])
-        about = {"step": int(saved["step"]), "moment": json.loads(saved["moment"]), "totals": [totals[name] for name in COUNTS]}
+        about = {name: json.loads(saved[name]) for name in ("moment", "observed")} | {"step": int(saved["step"])}
+        about["totals"] = [totals[name] for name in COUNTS]
         sim = cls._restored(scene, Ranks(comm), Particles(scene.dimension, arrays), about)
         sim.reported = json.loads(saved["reported"])
         return sim
@@ -248,7 +259,8 @@ class Simulation:
 
     def _about(self) -> dict[str, Any]:
         totals = self.ranks.total(np.array([self.totals[name] for name in COUNTS])).tolist()
-        return {"step": self.steps_done, "moment": self.moment, "totals": totals, "scene": self.scene.to_dict()}
+        clock = {"step": self.steps_done, "moment": self.moment, "observed": self.observed}
+        return {**clock, "totals": totals, "scene": self.scene.to_dict()}
 
     @classmethod
     def _restored(cls, scene: Scene, ranks: Ranks, everyone: Particles, about: dict[str, Any]) -> Simulation:
@@ -257,6 +269,7 @@ class Simulation:
         sim._assemble(scene, ranks, everyone)
         sim.steps_done = about["step"]
         sim.moment = about["moment"][0], about["moment"][1]
+        sim.observed = list(about["observed"])
         if ranks.is_root:  # counts are sums over ranks: one rank carries those from before
             sim.totals.update(zip(COUNTS, about["totals"], strict=True))
         return sim

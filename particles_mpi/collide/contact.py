@@ -91,7 +91,7 @@ def move_to(axes, x, v, s, i, t):
 
 @njit(cache=True)
 def meet(axes, x, v, s, w, i, j, t, restitution, keep, length):
-    """Collide rows i and j at time t; w = 1/m, 0 where fixed. In place on x, v, s.
+    """Collide rows i and j at time t; w = 1/m, 0 where fixed. In place on x, v, s; returns the virial -r.dp.
 
     v_i -= (1+e) (w_i/(w_i+w_j)) (k.v_r) k and the opposite for j, k the unit normal at the instant of contact; then the
     course's damping multiplies both velocities by `keep` = sqrt(1-alpha) (1 with the restitution rule).
@@ -110,3 +110,4 @@ def meet(axes, x, v, s, w, i, j, t, restitution, keep, length):
         r = separation(x, v, s, i, j, k, t, length)
         v[i, k] = keep * (v[i, k] - impulse * w[i] * r)
         v[j, k] = keep * (v[j, k] + impulse * w[j] * r)
+    return -(1.0 + restitution) * approach / (w[i] + w[j])

@@ -43,7 +43,8 @@ class Event:
         timers: Timers,
     ):
         self.ranks, self.timers = ranks, timers
-        self.replica = Replica(particles, ranks, ("position", "velocity", "contacted"))
+        changing = [name for name in ("position", "velocity", "contacted", "virial") if name in particles.arrays]
+        self.replica = Replica(particles, ranks, changing)
         self.particles = self.replica.everyone
         self.restitution, self.keep = loss
         self.soft = soft
@@ -74,6 +75,7 @@ class Event:
         n, d = len(p), p.dimension
         counts = self.counts
         counts[:] = 0
+        virial = p.arrays.get("virial", self.unasked)
         self.stop[:], self.stopped[0] = (stop, -1, -1), h
         with self.timers("search"):
             set_out(self.axes, self.leg, p.position, p.velocity, p.radius)
@@ -100,7 +102,7 @@ class Event:
             pending = n
             while True:
                 short = run(
-                    self.axes, self.leg, p.id, self.w, self.met, self.stuck, self.turns, p.contacted, self.virial, h, moment,
+                    self.axes, self.leg, p.id, self.w, self.met, self.stuck, self.turns, p.contacted, virial, h, moment,
                     self.length, homes.pool, homes.lists, shells, homes.size, homes.level, homes.chains, homes.grid,
                     walls, planes.restitution, planes.keep, self.restitution, self.keep, self.soft, queue, counts,
                     self.spared, self.ahead, self.lower, homes.around, todo, pending, self.stop, self.stopped,
@@ -140,8 +142,8 @@ class Event:
         self.w = p.inverse_mass
         self.homes.settle(p.position, p.radius, self.w)
         self.leg = np.empty((n, 2 * d + 2))
+        self.unasked = np.zeros(n)
         self.met, self.stuck, self.turns = np.full(n, NOBODY), np.zeros(n, np.int32), np.zeros(n, np.int32)
-        self.virial = np.zeros(n)
         self.slot, self.when = np.full((n, SLOT), NOTHING, np.int32), np.empty(n)
         self.version, self.moved = p.version, 0
         self.searches += 1

@@ -136,12 +136,13 @@ def choose(ids, owned, a, b, time, choice, best):
 @njit(cache=True)
 def take_place(
     axes, x, v, s, met, w, ids, owned, a, b, time, choice, restitution, keep, length,
-    normal, wall_restitution, wall_keep, live, touched, log, log_x, log_v, logged, counts,
+    normal, wall_restitution, wall_keep, live, touched, log, log_x, log_v, logged, counts, virial,
 ):  # fmt: skip
     """Let the hits that both partners chose take place; returns (rows in `touched`, owned rows in the log of starts).
 
     Rows that changed, and rows with a hit that has to wait, are `live` in the next pass, and listed in `touched`.
-    counts += (collisions, wall hits), each collision counted by the owner of the lower id.
+    counts += (collisions, wall hits), each collision counted by the owner of the lower id; so is
+    its virial, where that is wanted: `virial` (owned,) += -r.dp, else it is empty.
     """
     found = 0
     for p in range(len(a)):
@@ -162,11 +163,13 @@ def take_place(
             continue
         logged = remember(x, v, met, i, owned, log, log_x, log_v, logged)
         logged = remember(x, v, met, j, owned, log, log_x, log_v, logged)
-        meet(axes, x, v, s, w, i, j, time[p], restitution, keep, length)
+        given = meet(axes, x, v, s, w, i, j, time[p], restitution, keep, length)
         met[i] = ids[j]
         met[j] = ids[i]
         if i < owned:
             counts[0] += 1
+            if len(virial):
+                virial[i] += given
     for p in range(found):
         choice[touched[p]] = NOBODY
     return found, logged

@@ -20,6 +20,8 @@ from particles_mpi.neighbours.pairs import Neighbourhood
 from particles_mpi.particles import Array
 from particles_mpi.timers import Timers
 
+NONE = np.empty(0)
+
 
 class TooFarError(Exception):
     """A collision threw a particle further than the candidates reach; `travel` is the distance it needs."""
@@ -63,6 +65,8 @@ class Rewind:
     def contacts(self, all_: Neighbourhood, h: float) -> Array:
         """All passes; leaves each row at the start of its last leg. Returns (collisions, wall hits, missed) of this rank."""
         counts, needed = np.zeros(3, np.int64), 0.0
+        self.virial = all_.particles.arrays.get("virial", NONE)
+        self.virial_before = self.virial.copy()
         for left in range(self.passes, -1, -1):
             with self.timers("search"):
                 hits = self.find(all_, h, left == self.passes)
@@ -119,7 +123,7 @@ class Rewind:
             all_.touches, all_.logged = take_place(
                 all_.axes, all_.x, all_.v, all_.s, all_.met, all_.w, all_.ids, all_.owned, *hits, all_.choice,
                 self.restitution, self.keep, all_.length, self.planes.normal, self.planes.restitution, self.planes.keep,
-                all_.live, all_.touched, all_.log, all_.log_x, all_.log_v, all_.logged, counts,
+                all_.live, all_.touched, all_.log, all_.log_x, all_.log_v, all_.logged, counts, self.virial,
             )  # fmt: skip
         if shared:
             with self.timers("ghosts"):
@@ -132,4 +136,5 @@ class Rewind:
         rows = all_.log[: all_.logged]
         all_.x[rows] = all_.log_x[: all_.logged]
         all_.v[rows] = all_.log_v[: all_.logged]
+        self.virial[:] = self.virial_before
         all_.forget_legs()

@@ -15,13 +15,13 @@ class Replica:
     `gather` brings the `changing` fields of all rows up to date, `give_back` those of this rank's own rows. Ids are 0 ... N-1.
     """
 
-    def __init__(self, particles: Particles, ranks: Ranks, changing: tuple[str, ...]):
+    def __init__(self, particles: Particles, ranks: Ranks, changing: list[str]):
         self.particles, self.ranks, self.changing = particles, ranks, changing
         self.everyone = particles
         self.version = -1
         self.messages = 0
         if ranks.size > 1:
-            names = [name for name in particles.arrays if field(name).ghost]
+            names = [name for name in particles.arrays if field(name).ghost or name in changing]
             self.everyone = Particles(particles.dimension, self._all_of(names))
 
     def _all_of(self, names: list[str]) -> dict[str, np.ndarray]:

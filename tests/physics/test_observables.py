@@ -1,0 +1,87 @@
+"""Observables of a hard-sphere fluid, in both modes, against theory; and that asking for them changes nothing else."""
+
+import numpy as np
+import pytest
+
+from particles_mpi import Scene, Simulation
+
+
+def fluid(density, step, n=1372, **collisions):
+    side = (n / density) ** (1 / 3)
+    return Scene.from_dict(
+        {
+            "dimension": 3,
+            "seed": 2,
+            "box": {"lower": [0.0] * 3, "upper": [side] * 3, "periodic": True},
+            "time": {"step": step, "steps": 1},
+            "particles": [{"count": n, "position": "lattice", "velocity": {"temperature": 2.0}, "radius": 0.5, "mass": 3.0}],
+            "effects": {"collisions": collisions},
+            "output": {"observables": True},
+        }
+    )
+
+
+@pytest.mark.parametrize(
+    ("mode", "gamma_step", "steps"), [({"mode": "event"}, 10.0, 25), ({"mode": "rewind", "passes": 10}, 0.1, 800)]
+)
+def test_hard_sphere_fluid(mode, gamma_step, steps):
+    """Z of Kolafa, Labik, Malijevsky at rho sigma^3 = 0.5, by virial and by rate; Maxwell-Boltzmann within 3 standard errors."""
+    n, z, density = 1372, 3.26941, 0.5
+    temperature = 2.0 * n / (n - 1)
+    rate = 6.0 * (z - 1.0) * np.sqrt(temperature / (np.pi * 3.0))
+    sim = Simulation(fluid(density, gamma_step / rate, n, **mode))
+    for _ in range(max(1, round(20 / gamma_step))):
+        sim.step()
+    sim.measure()
+    ratios = []
+    apart = max(5, round(5 / gamma_step))  # steps between two samples: five collisions of each
+    for _ in range(steps // apart):
+        for _ in range(apart):
+            sim.step()
+        ratios.append(moment_ratio(sim))
+    row = sim.measure()
+    assert row["z_virial"] == pytest.approx(z, rel=0.01)
+    assert row["z_rate"] == pytest.approx(z, rel=0.01)
+    assert row["temperature"] == pytest.approx(temperature, rel=1e-10)
+    assert row["packing"] == pytest.approx(density * np.pi / 6.0, rel=1e-12)
+    assert row["collision_rate"] == pytest.approx(rate, rel=0.01)
+    assert row["free_time"] * row["collision_rate"] == pytest.approx(1.0)
+    assert row["free_path"] == pytest.approx(np.sqrt(8.0 * temperature / (np.pi * 3.0)) / rate, rel=0.02)
+    freedom = 3 * (n - 1)
+    theory = 5.0 / 3.0 * freedom / (freedom + 2)
+    error = np.std(ratios) / np.sqrt(len(ratios))
+    assert abs(np.mean(ratios) - theory) < 3.0 * error
+
+
+def moment_ratio(sim):
+    v = sim.particles.velocity - sim.particles.velocity.mean(axis=0)
+    square = (v**2).sum(axis=1)
+    return (square**2).mean() / square.mean() ** 2
+
+
+@pytest.mark.parametrize("mode", ["rewind", "event"])
+def test_asking_changes_no_bit(mode):
+    final = []
+    for asked in (False, True):
+        tables = fluid(0.3, 0.05, 300, mode=mode).to_dict()
+        tables["output"]["observables"] = asked
+        sim = Simulation(Scene.from_dict(tables))
+        for _ in range(20):
+            sim.step()
+        assert ("z_virial" in sim.measure()) == asked
+        final.append(sim.particles.velocity[np.argsort(sim.particles.id)])
+    assert (final[0] == final[1]).all()
+
+
+def test_rates_are_since_the_last_call():
+    sim = Simulation(fluid(0.3, 0.05, 300, mode="event"))
+    rows = [sim.measure()]
+    counts = [0]
+    for _ in range(3):
+        for _ in range(10):
+            sim.step()
+        rows.append(sim.measure())
+        counts.append(sim.totals["collisions"])
+    assert np.isnan(rows[0]["collision_rate"])
+    expected = 2.0 * np.diff(counts) / (300 * 0.5)
+    np.testing.assert_allclose([row["collision_rate"] for row in rows[1:]], expected, rtol=1e-12)
