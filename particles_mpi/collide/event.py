@@ -43,7 +43,7 @@ class Event:
         timers: Timers,
     ):
         self.ranks, self.timers = ranks, timers
-        changing = [name for name in ("position", "velocity", "contacted", "virial") if name in particles.arrays]
+        changing: list[str] = [name for name in ("position", "velocity", "contacted", "virial") if name in particles.arrays]
         self.replica = Replica(particles, ranks, changing)
         self.particles = self.replica.everyone
         self.restitution, self.keep = loss

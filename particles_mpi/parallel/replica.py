@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from particles_mpi.parallel.exchange import send_rows
@@ -15,7 +17,7 @@ class Replica:
     `gather` brings the `changing` fields of all rows up to date, `give_back` those of this rank's own rows. Ids are 0 ... N-1.
     """
 
-    def __init__(self, particles: Particles, ranks: Ranks, changing: list[str]):
+    def __init__(self, particles: Particles, ranks: Ranks, changing: Sequence[str]):
         self.particles, self.ranks, self.changing = particles, ranks, changing
         self.everyone = particles
         self.version = -1
