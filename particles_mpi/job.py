@@ -213,6 +213,8 @@ class Job:
             timers[name] = {"min": min(values), "mean": sum(values) / len(values), "max": max(values)}
         traffic = self.traffic()
         self.screen.phases(timers, steps, sim.total)
+        for remark in sim.remarks():
+            self.screen.say(remark)
         with failing_together(self.ranks, f"cannot write {self.folder / 'run.json'}"):
             if self.ranks.is_root:
                 self.write_json(timers, traffic)
@@ -245,6 +247,7 @@ class Job:
             "ranks": self.ranks.size,
             "versions": versions,
             "timers": timers,
+            "remarks": sim.remarks(),
             "counts": {"steps": sim.steps_done, **counts},
         }
         part = self.folder / "run.json.tmp"

@@ -210,6 +210,10 @@ class Simulation:
             self.stop_for_numbers()
         return row
 
+    def remarks(self) -> list[str]:
+        """What happened that a user should know of, a line each."""
+        return self.contacts.remarks() if hasattr(self.contacts, "remarks") else []
+
     def stop_for_numbers(self) -> None:
         """A velocity or position is not finite: say whose, on all ranks."""
         p = self.particles

@@ -6,10 +6,16 @@ the picture shows the largest and the rms difference of position and velocity ov
 example:
     python python_viz/compare_runs.py out/ranks1 out/ranks4
 prints "same bits" (exit code 0) or the first difference (exit code 1) and draws out/ranks1/plots/compare_runs.png
+
+Against a run in mode event, runs of the same scene in mode rewind, with several steps, are compared by what they count: the
+collisions that they lose, and with what order in the step that gets better.
+
+    python python_viz/compare_runs.py out/event out/dt0.1 out/dt0.05 out/dt0.025
 """
 
 from pathlib import Path
 
+import against_event
 import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
@@ -96,9 +102,18 @@ def draw(times: np.ndarray, curves: dict[str, np.ndarray], radius: float, title:
 def main() -> None:
     parser = new_parser(__doc__)
     parser.add_argument("run_a", type=Path, metavar="RUN_A")
-    parser.add_argument("run_b", type=Path, metavar="RUN_B")
+    parser.add_argument("run_b", type=Path, metavar="RUN_B", nargs="+")
     options = parse(parser)
-    a, b = Trajectory(options.run_a), Trajectory(options.run_b)
+    if against_event.mode_of(options.run_a) == "event" and all(against_event.mode_of(b) == "rewind" for b in options.run_b):
+        table, exact, found = against_event.report(options.run_a, options.run_b)
+        print(table)
+        figure = against_event.draw(exact, found, f"{title_of(options.run_a)}: rewind against event")
+        finish(figure, save_path(options.save, options.run_a, "compare_runs.png"), options.show)
+        return
+    if len(options.run_b) > 1:
+        stop("several runs are compared with one in mode event only")
+    (run_b,) = options.run_b
+    a, b = Trajectory(options.run_a), Trajectory(run_b)
     pairs, period = matching(a, b), periods(options.run_a)
     if not pairs:
         stop("the two runs have no frame at the same time")
@@ -114,7 +129,7 @@ def main() -> None:
             length = lengths.get(name, np.zeros(0))
             curves[name].append((length.max(initial=0), np.sqrt(np.mean(length**2)) if len(length) else 0))
 
-    print(f"{len(pairs)} frames at the same time ({options.run_a}: {len(a)}, {options.run_b}: {len(b)})")
+    print(f"{len(pairs)} frames at the same time ({options.run_a}: {len(a)}, {run_b}: {len(b)})")
     same_times = np.array_equal(a.times, b.times)
     if first:
         print(first)
@@ -125,7 +140,7 @@ def main() -> None:
     else:
         print("same bits" if same_times else "same bits in these frames, but the frames or their times are not the same")
     times = a.times[[i for i, _ in pairs]]
-    title = f"{title_of(options.run_a)}: {options.run_a} against {options.run_b}"
+    title = f"{title_of(options.run_a)}: {options.run_a} against {run_b}"
     figure = draw(times, {name: np.array(values) for name, values in curves.items()}, radius, title)
     finish(figure, save_path(options.save, options.run_a, "compare_runs.png"), options.show)
     raise SystemExit(0 if same_times and not first else 1)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.collide.contact import NOBODY
-from particles_mpi.collide.events import AHEAD, COLLISIONS, HOMES, WALL_HITS, arrive, run, set_out
+from particles_mpi.collide.events import AHEAD, COLLISIONS, HOMES, SPARED, WALL_HITS, arrive, run, set_out
 from particles_mpi.collide.planes import Planes, no_planes
 from particles_mpi.collide.queue import NOTHING, SLOT
 from particles_mpi.neighbours.cells import bounds, grid, sort_rows, spacing
@@ -57,6 +57,8 @@ class Event:
         self.counts = np.zeros(6, np.int64)
         self.events = 0  # in the last drift
         self.ahead = 0.0
+        self.eased = 0
+        self.first_eased: tuple[float, list[int]] | None = None
         self.stop, self.stopped = np.zeros(3, np.int64), np.zeros(1)
         self.spared = np.empty((64, 2), np.int64)
 
@@ -125,10 +127,35 @@ class Event:
             )
         with self.timers("exchange"):
             self.replica.give_back()
+        if counts[SPARED]:
+            self.remember(moment, int(counts[SPARED]))
         self.moved += int(counts[HOMES])
         self.events = int(counts[COLLISIONS] + counts[WALL_HITS] + counts[HOMES])
         self.ahead = AHEAD / (1.0 + 2.0 * counts[COLLISIONS] / max(counts[HOMES], 1))
         return np.array([counts[COLLISIONS], counts[WALL_HITS], squeezed]) * self.ranks.is_root  # all ranks saw the same
+
+    def remember(self, moment: float, eased: int) -> None:
+        """How many contacts took no energy, and in which cluster it began."""
+        self.eased += eased
+        if self.first_eased is None:
+            pairs = self.spared[: min(eased, len(self.spared))].tolist()
+            cluster = set(pairs[0])
+            for pair in pairs:  # in order of time: a cluster grows from its first pair
+                if cluster & {member for member in pair if member >= 0}:
+                    cluster |= set(pair)
+            self.first_eased = moment, sorted(cluster)
+
+    def remarks(self) -> list[str]:
+        """What a user should be told at the end."""
+        if self.first_eased is None:
+            return []
+        moment, cluster = self.first_eased
+        ids, walls = [str(k) for k in cluster if k >= 0], [str(-1 - k) for k in cluster if k < 0]
+        where = f"particles {', '.join(ids)}" + (f" and wall {', '.join(walls)}" if walls else "")
+        return [
+            f"inelastic collapse: {self.eased} contacts within {self.soft:.3g} of the last one took no energy, "
+            f"the first in the step from t = {moment:g} among {where}"
+        ]
 
     def settle(self) -> None:
         """Rows sorted in space, with new homes, and all that goes with them."""

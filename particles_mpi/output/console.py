@@ -21,6 +21,7 @@ PHASES = {
     "pairs": "find candidate pairs",
     "search": "contact times",
     "collide": "collide",
+    "exchange": "all particles to all ranks",
     "walls": "drift with walls",
     "drift": "drift",
     "diagnostics": "diagnostics",

@@ -133,6 +133,8 @@ def test_inelastic_collapse_does_not_stop_the_clock(beads, restitution):
     assert all(b <= a * (1.0 + 1e-12) for a, b in pairwise(energy))
     assert (np.diff(x[:, 0]) > 1.0 - 1e-9).all()
     assert abs(v.sum()) < 1e-12
+    (remark,) = sim.remarks()
+    assert "inelastic collapse" in remark and "particles " + ", ".join(map(str, range(beads))) in remark
 
 
 @pytest.mark.parametrize(("density", "z"), [(0.2, 1.55361), (0.5, 3.26941), (0.7, 5.72696), (0.9, 10.76274)])
