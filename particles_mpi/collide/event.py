@@ -18,7 +18,7 @@ from particles_mpi.collide.events import AHEAD, COLLISIONS, HOMES, SPARED, WALL_
 from particles_mpi.collide.planes import Planes, no_planes
 from particles_mpi.collide.queue import NOTHING, SLOT
 from particles_mpi.neighbours.cells import bounds, grid, sort_rows, spacing
-from particles_mpi.neighbours.homes import Homes
+from particles_mpi.neighbours.homes import Homes, aligned
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.parallel.replica import Replica
 from particles_mpi.parallel.store import Store
@@ -27,13 +27,6 @@ from particles_mpi.timers import Timers
 
 SETTLED = 8  # new homes a particle, on average; then all are sorted in space and settled again
 CONTACTS = 1.0  # expected in a bucket of the queue
-
-
-def aligned(rows: int, width: int) -> Array:
-    """Room for rows of numbers that begin where lines of the cache (64 bytes) do: eight to a row are read at once."""
-    room = np.empty(rows * width + 8)
-    first = -room.ctypes.data // 8 % 8
-    return room[first : first + rows * width].reshape(rows, width)
 
 
 class Event:
@@ -104,7 +97,6 @@ class Event:
                 np.empty(d),
             )
             homes, planes = self.homes, self.planes
-            shells = homes.home, homes.shell
             walls = planes.point, planes.normal, planes.lower, planes.upper, planes.oblique
             todo = np.arange(max(n, 2), dtype=np.int32)[::-1][:n].copy()
         with self.timers("collide"):
@@ -112,7 +104,7 @@ class Event:
             while True:
                 short = run(
                     self.axes, self.leg, p.id, self.w, self.met, self.stuck, self.turns, p.contacted, virial, h, moment,
-                    self.length, homes.pool, homes.lists, shells, homes.size, homes.level, homes.chains, homes.grid,
+                    self.length, homes.pool, homes.lists, homes.top, homes.home, homes.links, homes.level, homes.head, homes.grid,
                     walls, planes.restitution, planes.keep, self.restitution, self.keep, self.soft, queue, counts,
                     self.spared, self.ahead, self.lower, homes.around, todo, pending, self.stop, self.stopped,
                 )  # fmt: skip

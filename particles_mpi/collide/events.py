@@ -16,7 +16,7 @@ from particles_mpi.collide.contact import NEVER
 from particles_mpi.collide.planes import bounce, wall_contact
 from particles_mpi.collide.queue import LEAVING, NOTHING, PARTNER, STAMP, before_other, first, put, take
 from particles_mpi.lean import lean
-from particles_mpi.neighbours.shells import image, move_in, move_out, neighbours, room_for
+from particles_mpi.neighbours.shells import BEGIN, COUNT, image, move_in, move_out, neighbours, room_for
 
 COLLISIONS, WALL_HITS, SPARED, HOMES, LOOKS, STUCK = 0, 1, 2, 3, 4, 5  # what `counts` counts
 PATIENCE = 1000  # contacts in a row without time passing; past it a particle is squeezed, and waits for the next step
@@ -171,7 +171,7 @@ def nearest_image(d, r, length):
 
 @njit(cache=True, inline="always")
 def next_event(
-    axes, leg, ids, met, stuck, i, now, h, length, pool, begin, count, home, shell, x, v, point, normal, lower, upper,
+    axes, leg, ids, met, stuck, i, now, h, length, pool, lists, home, x, v, point, normal, lower, upper,
     oblique, far, r, u, around,
 ):  # fmt: skip
     """(time, partner) of the next event of row i, on the legs of now: its first contact of all, or that it leaves its shell."""
@@ -180,12 +180,16 @@ def next_event(
     partner = np.int64(NOTHING)
     if stuck[i] < PATIENCE:
         likely = 0
+        warm = 0.0  # all at once to the cache: the loops below would ask for one after the other
+        for p in range(np.uint64(lists[i, BEGIN]), np.uint64(lists[i, BEGIN] + lists[i, COUNT])):
+            warm += leg[np.uint64(pool[p]), 0]
+        r[0] = warm
         if leg[i, 2 * d] == now and not far[0]:  # it sets out now, and most others set out before: less to compute
-            for p in range(np.uint64(begin[i]), np.uint64(begin[i] + count[i])):
+            for p in range(np.uint64(lists[i, BEGIN]), np.uint64(lists[i, BEGIN] + lists[i, COUNT])):
                 around[np.uint64(likely)] = pool[p]
                 likely += may_touch_from(axes, leg, np.uint64(i), np.uint64(pool[p]), now, h, length)
         else:
-            for p in range(np.uint64(begin[i]), np.uint64(begin[i] + count[i])):
+            for p in range(np.uint64(lists[i, BEGIN]), np.uint64(lists[i, BEGIN] + lists[i, COUNT])):
                 around[np.uint64(likely)] = pool[p]
                 likely += far[0] | may_touch(axes, leg, np.uint64(i), np.uint64(pool[p]), now, h, length)
         for p in range(likely):
@@ -211,7 +215,7 @@ def next_event(
                     partner = np.int64(-1 - wall)
     a = 0.0
     b = 0.0
-    c = -shell[i] * shell[i]
+    c = -home[i, d + 1] * home[i, d + 1]
     for k in range(d):
         away = leg[i, k] + leg[i, d + k] * (now - leg[i, 2 * d]) - home[i, k]
         a += leg[i, d + k] * leg[i, d + k]
@@ -239,7 +243,7 @@ def turn(axes, leg, ids, met, stuck, turns, last, i, t, partner, moment):
 
 @lean
 def run(
-    axes, leg, ids, w, met, stuck, turns, last, virial, h, moment, length, pool, lists, shells, size, level, chains, grid,
+    axes, leg, ids, w, met, stuck, turns, last, virial, h, moment, length, pool, lists, top, home, links, level, head, grid,
     walls, wall_restitution, wall_keep, restitution, keep, soft, queue, counts, spared, ahead, box_low, around, todo, pending,
     stop, stopped,
 ):  # fmt: skip
@@ -256,9 +260,6 @@ def run(
     """
     d = len(axes)
     slot, when, heads, per_time, clock, far, r, u = queue
-    home, shell = shells
-    begin, count, room, top = lists
-    head, after, before, cell_in = chains
     low, per, cells, corners, caps = grid
     point, normal, lower, upper, oblique = walls
     x, v = leg[:, :d], leg[:, d : 2 * d]
@@ -270,7 +271,7 @@ def run(
             counts[LOOKS] += 1
             take(slot, heads, i)
             t, partner = next_event(
-                axes, leg, ids, met, stuck, i, now, h, length, pool, begin, count, home, shell, x, v, point, normal, lower,
+                axes, leg, ids, met, stuck, i, now, h, length, pool, lists, home, x, v, point, normal, lower,
                 upper, oblique, far, r, u, around,
             )  # fmt: skip
             if partner != NOTHING:
@@ -288,19 +289,16 @@ def run(
             speed = 0.0
             for k in range(d):
                 speed += v[i, k] * v[i, k]
-            lead = ahead * shell[i] / sqrt(speed)
+            lead = ahead * home[i, d + 1] / sqrt(speed)
             for k in range(d):
                 home[i, k] = x[i, k] + v[i, k] * (now - leg[i, 2 * d] + lead)
                 far[0] |= length[k] > 0.0 and not -0.25 * length[k] < home[i, k] - box_low[k] < 1.25 * length[k]
-            found = neighbours(axes, i, home, size, w, head, after, low, per, cells, corners, caps, length, far[0], around)
-            short = top[0] + room_for(i, around, found, count, room) - len(pool)
+            found = neighbours(axes, i, home, links, head, low, per, cells, corners, caps, length, far[0], around)
+            short = top[0] + room_for(i, around, found, lists) - len(pool)
             if short > 0:
                 return short
-            move_out(i, pool, begin, count, head, after, before, cell_in)
-            move_in(
-                axes, i, home, level, around, found, pool, begin, count, room, top, head, after, before, cell_in, low, per,
-                cells, corners, length,
-            )  # fmt: skip
+            move_out(axes, i, links, pool, lists, head)
+            move_in(axes, i, home, links, level, around, found, pool, lists, top, head, low, per, cells, corners, length)
             counts[HOMES] += 1
         elif j < 0:
             wall = -1 - j

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from particles_mpi.neighbours.cells import spacing
-from particles_mpi.neighbours.shells import ROOM, grids, settle_all
+from particles_mpi.neighbours.shells import BEGIN, COUNT, PLACES, ROOM, grids, settle_all
 from particles_mpi.particles import Array
 
 WANTED = {1: 3.0, 2: 7.0, 3: 12.0}  # neighbours in a list: fewer, and homes change too often; more, and looks take longer
@@ -14,7 +14,7 @@ LOOSE = 1.3  # times more or fewer neighbours than wanted are borne
 
 
 class Homes:
-    """`home` (n, d), `shell`, `size` = R + shell (n,), and the lists of all rows, as arrays for the kernels.
+    """`home`, `links`, `lists`, `pool`, `head`, `grid`: homes and lists of all rows, as arrays for the kernels.
 
     box: (lower, upper, length) (d,), length 0 where not periodic. `settle` gives all rows homes where they are.
     """
@@ -35,7 +35,7 @@ class Homes:
         for _ in range(6):
             self.shell_width = min(self.shell_width, largest)
             self.build(x, radius, w)
-            mean = self.lists[1].mean() if n else wanted
+            mean = self.lists[:, COUNT].mean() if n else wanted
             if wanted / LOOSE < mean < wanted * LOOSE or n < 3:
                 break
             diameter = 2.0 * float(radius.mean())
@@ -55,16 +55,26 @@ class Homes:
         """Homes at x, shells of the present width, cells and lists."""
         n, d = x.shape
         floor_ = 64.0 * np.finfo(float).eps * float(np.abs(x).max(initial=0.0))
-        self.shell = np.where(w > 0.0, max(self.shell_width, floor_), 0.0)
-        self.size = radius + self.shell
-        self.home = np.empty_like(x)
-        self.grid, self.level = grids(x, self.size, (self.lower, self.upper), self.length)
-        begin = np.arange(n, dtype=np.int64) * ROOM
-        self.lists = begin, np.zeros(n, np.int32), np.full(n, ROOM, np.int32), np.array([n * ROOM])
-        pool = np.empty(n * (ROOM + ROOM // 2) + 64, np.int32)
-        links = (np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int64))
-        self.chains = np.full(self.grid[3][-1], -1, np.int32), *links
-        self.around = np.empty(n + 1, np.int32)
+        self.home = aligned(n, 8 * ((d + 5 + 7) // 8))
+        self.links = self.home.view(np.int32)
+        shell = self.home[:, d + 1] = np.where(w > 0.0, max(self.shell_width, floor_), 0.0)
+        size = self.home[:, d] = radius + shell
+        self.home[:, d + 2] = w
+        self.grid, self.level = grids(x, size, (self.lower, self.upper), self.length)
+        self.lists = np.zeros((n, 4), np.int32)
+        self.lists[:, BEGIN], self.lists[:, ROOM] = np.arange(n) * PLACES, PLACES
+        self.top = np.array([n * PLACES])
+        self.head = np.full(self.grid[3][-1], -1, np.int32)
+        pool = np.empty(n * (PLACES + PLACES // 2) + 64, np.int32)
+        self.around = np.empty(n + 2, np.int32)
         self.pool = settle_all(
-            (0,) * d, x, self.home, self.size, w, self.level, pool, self.lists, self.chains, self.grid, self.length, self.around
-        )
+            (0,) * d, x, self.home, self.links, self.level, pool, self.lists, self.top, self.head, self.grid, self.length,
+            self.around,
+        )  # fmt: skip
+
+
+def aligned(rows: int, width: int) -> Array:
+    """Room for rows of numbers that begin where lines of the cache (64 bytes) do: eight to a row are read at once."""
+    room = np.empty(rows * width + 8)
+    first = -room.ctypes.data // 8 % 8
+    return room[first : first + rows * width].reshape(rows, width)

@@ -4,6 +4,10 @@ A particle stays within `shell` of its `home` until it is given a new one, so tw
 their homes are no further apart than R_i + R_j + shell_i + shell_j. A particle that reaches its shell gets a new home and
 a new list, found in cells that hold the homes. Homes are in unwrapped coordinates, near x; distances take the nearest image.
 
+What a look at a neighbour needs stands together in a row of `home` (n, width): home (d), size = R + shell, shell, w = 1/m, and,
+as integers seen through `links`, the next and the last row in the same cell, and the cell. `lists` (n, 4) int32: where
+the list of a row begins in the pool, how many it holds, and how many it can.
+
 Cells come in levels: a particle stands in the level of its reach R + shell, whose cells are about as wide, so that a few
 large spheres do not make the search of all the small ones coarse. Lists are a supersets: they cost time and change no result.
 """
@@ -21,7 +25,9 @@ from particles_mpi.particles import Array
 GRIDDED = 3  # axes with cells
 LEVELS, FACTOR = 5, 3.0  # each level of cells is for reaches up to FACTOR times those of the one before
 WIDTH = 1.4  # of a cell, in reaches of the largest row in it
-ROOM = 16  # places in a new list; a list that gets full moves to one twice as long
+PLACES = 16  # in a new list; a list that gets full moves to one twice as long
+AFTER, BEFORE, CELL = 6, 7, 8  # int32 places in a row of `links`, behind 2 d
+BEGIN, COUNT, ROOM = 0, 1, 2
 MARGIN = 1.0 + 1e-9  # on distances between homes, far above round-off
 
 Grid = tuple[Array, Array, Array, Array, Array]
@@ -85,59 +91,60 @@ def image(r, length):
 
 
 @njit(cache=True, inline="always")
-def near_homes(axes, home, size, i, j, w, length, far):
-    """May rows i and j touch while both are in their shells? `size` = R + shell. Never both immovable."""
+def near_homes(axes, home, i, j, length, far):
+    """May rows i and j touch while both are in their shells? Never both immovable."""
+    d = len(axes)
     r2 = 0.0
-    for k in range(len(axes)):
+    for k in range(d):
         r = home[i, k] - home[j, k]
         if far:
             r = image(r, length[k])
         else:
             r -= length[k] * (np.float64(r > 0.5 * length[k]) - np.float64(r < -0.5 * length[k]))
         r2 += r * r
-    reach = (size[i] + size[j]) * MARGIN
-    return (r2 <= reach * reach) & (i != j) & ((w[i] > 0.0) | (w[j] > 0.0))
+    reach = (home[i, d] + home[j, d]) * MARGIN
+    return (r2 <= reach * reach) & (i != j) & ((home[i, d + 2] > 0.0) | (home[j, d + 2] > 0.0))
 
 
 @lean
-def listed(pool, begin, count, room, top, i, j):
+def listed(pool, lists, top, i, j):
     """Put j into the list of i, for which there is room in the pool."""
-    if count[i] == room[i]:
-        for p in range(count[i]):
-            pool[top[0] + p] = pool[begin[i] + p]
-        begin[i] = top[0]
-        room[i] *= 2
-        top[0] += room[i]
-    pool[begin[i] + count[i]] = j
-    count[i] += 1
+    if lists[i, COUNT] == lists[i, ROOM]:
+        for p in range(lists[i, COUNT]):
+            pool[top[0] + p] = pool[lists[i, BEGIN] + p]
+        lists[i, BEGIN] = top[0]
+        lists[i, ROOM] *= 2
+        top[0] += lists[i, ROOM]
+    pool[lists[i, BEGIN] + lists[i, COUNT]] = j
+    lists[i, COUNT] += 1
 
 
 @lean
-def unlisted(pool, begin, count, i, j):
+def unlisted(pool, lists, i, j):
     """Take j out of the list of i."""
-    last = begin[i] + count[i] - 1
-    for p in range(begin[i], last + 1):
+    last = lists[i, BEGIN] + lists[i, COUNT] - 1
+    for p in range(lists[i, BEGIN], last + 1):
         if pool[p] == j:
             pool[p] = pool[last]
-            count[i] -= 1
+            lists[i, COUNT] -= 1
             return
 
 
 @lean
-def neighbours(axes, i, home, size, w, head, after, low, per, cells, first, caps, length, far, around):
+def neighbours(axes, i, home, links, head, low, per, cells, first, caps, length, far, around):
     """Rows in the cells that may be in touch with row i, into `around`; returns how many."""
-    g = min(len(axes), 3)
-    found = 0
+    d = len(axes)
+    waiting = 0
     f0 = f1 = f2 = 0
     m0 = m1 = m2 = 1
     for step in range(len(caps)):
         if caps[step] < 0.0:
             continue
-        reach = (size[i] + caps[step]) * MARGIN
+        reach = (home[i, d] + caps[step]) * MARGIN
         f0, m0 = along(home[i, 0], reach, low[0], per[step, 0], cells[step, 0], length[0] > 0.0)
-        if g > 1:
+        if d > 1:
             f1, m1 = along(home[i, 1], reach, low[1], per[step, 1], cells[step, 1], length[1] > 0.0)
-        if g > 2:
+        if d > 2:
             f2, m2 = along(home[i, 2], reach, low[2], per[step, 2], cells[step, 2], length[2] > 0.0)
         for a in range(m0):
             c0 = f0 + a if f0 + a < cells[step, 0] else f0 + a - cells[step, 0]
@@ -145,53 +152,74 @@ def neighbours(axes, i, home, size, w, head, after, low, per, cells, first, caps
                 c1 = f1 + b if f1 + b < cells[step, 1] else f1 + b - cells[step, 1]
                 for c in range(m2):
                     c2 = f2 + c if f2 + c < cells[step, 2] else f2 + c - cells[step, 2]
-                    j = head[first[step] + (c0 * cells[step, 1] + c1) * cells[step, 2] + c2]
-                    while j >= 0:
-                        around[np.uint64(found)] = j
-                        found += near_homes(axes, home, size, np.uint64(i), np.uint64(j), w, length, far)
-                        j = after[np.uint64(j)]
+                    j = head[np.uint64(first[step] + (c0 * cells[step, 1] + c1) * cells[step, 2] + c2)]
+                    around[np.uint64(waiting)] = j
+                    waiting += j >= 0
+    # Each is taken from the front, the next one in its cell is put behind: without a branch the memory answers many at once.
+    found = 0
+    p = 0
+    while p < waiting:
+        j = np.uint64(around[np.uint64(p)])
+        p += 1
+        after = links[j, 2 * d + AFTER]
+        around[np.uint64(waiting)] = after
+        waiting += after >= 0
+        around[np.uint64(found)] = j
+        found += near_homes(axes, home, np.uint64(i), j, length, far)
     return found
 
 
 @lean
-def room_for(i, around, found, count, room):
+def room_for(i, around, found, lists):
     """Places that the pool needs at most to list `found` rows `around` i, and i with each of them."""
     need = np.int64(0)
-    longer = np.int64(room[i])
+    longer = np.int64(lists[i, ROOM])
     while longer < found:
         longer *= 2
         need += longer
     for p in range(found):
         j = around[p]
-        if count[j] == room[j]:
-            need += 2 * room[j]
+        if lists[j, COUNT] == lists[j, ROOM]:
+            need += 2 * lists[j, ROOM]
     return need
 
 
 @lean
-def move_in(
-    axes, i, home, level, around, found, pool, begin, count, room, top, head, after, before, cell_in, low, per, cells,
-    first, length,
-):  # fmt: skip
+def move_in(axes, i, home, links, level, around, found, pool, lists, top, head, low, per, cells, first, length):
     """List row i with the rows `around` it, and put it into its cell."""
+    d = len(axes)
     for p in range(found):
-        listed(pool, begin, count, room, top, i, around[p])
-        listed(pool, begin, count, room, top, around[p], i)
+        listed(pool, lists, top, i, around[p])
+        listed(pool, lists, top, around[p], i)
     step = level[i]
     c = np.int64(0)
-    for m in range(min(len(axes), 3)):
+    for m in range(min(d, 3)):
         at = floor((home[i, m] - low[m]) * per[step, m])
         if length[m] > 0.0:
             at -= floor(at / cells[step, m]) * cells[step, m]
         c = c * cells[step, m] + np.int64(min(max(at, 0.0), cells[step, m] - 1.0))
     cell = first[step] + c
     j = head[cell]
-    after[i] = j
-    before[i] = -1
-    cell_in[i] = cell
+    links[i, 2 * d + AFTER], links[i, 2 * d + BEFORE], links[i, 2 * d + CELL] = j, -1, cell
     if j >= 0:
-        before[j] = i
+        links[j, 2 * d + BEFORE] = i
     head[cell] = i
+
+
+@lean
+def move_out(axes, i, links, pool, lists, head):
+    """Row i leaves its cell and all lists."""
+    d = len(axes)
+    for p in range(lists[i, BEGIN], lists[i, BEGIN] + lists[i, COUNT]):
+        unlisted(pool, lists, pool[p], i)
+    lists[i, COUNT] = 0
+    after, before = links[i, 2 * d + AFTER], links[i, 2 * d + BEFORE]
+    if before >= 0:
+        links[before, 2 * d + AFTER] = after
+    else:
+        head[links[i, 2 * d + CELL]] = after
+    if after >= 0:
+        links[after, 2 * d + BEFORE] = before
 
 
 @njit(cache=True)
@@ -204,33 +232,14 @@ def larger(pool, used, need):
     return copy
 
 
-@lean
-def move_out(i, pool, begin, count, head, after, before, cell_in):
-    """Row i leaves its cell and all lists."""
-    for p in range(begin[i], begin[i] + count[i]):
-        unlisted(pool, begin, count, pool[p], i)
-    count[i] = 0
-    if before[i] >= 0:
-        after[before[i]] = after[i]
-    else:
-        head[cell_in[i]] = after[i]
-    if after[i] >= 0:
-        before[after[i]] = before[i]
-
-
 @njit(cache=True)
-def settle_all(axes, x, home, size, w, level, pool, lists, chains, grid, length, around):
+def settle_all(axes, x, home, links, level, pool, lists, top, head, grid, length, around):
     """Homes of all rows where they are. Returns the pool."""
-    begin, count, room, top = lists
-    head, after, before, cell_in = chains
     low, per, cells, first, caps = grid
     for i in range(len(x)):
         for k in range(len(axes)):
             home[i, k] = x[i, k]
-        found = neighbours(axes, i, home, size, w, head, after, low, per, cells, first, caps, length, True, around)
-        pool = larger(pool, top[0], room_for(i, around, found, count, room))
-        move_in(
-            axes, i, home, level, around, found, pool, begin, count, room, top, head, after, before, cell_in, low, per,
-            cells, first, length,
-        )  # fmt: skip
+        found = neighbours(axes, i, home, links, head, low, per, cells, first, caps, length, True, around)
+        pool = larger(pool, top[0], room_for(i, around, found, lists))
+        move_in(axes, i, home, links, level, around, found, pool, lists, top, head, low, per, cells, first, length)
     return pool
