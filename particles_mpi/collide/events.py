@@ -20,6 +20,7 @@ from particles_mpi.neighbours.shells import BEGIN, COUNT, image, move_in, move_o
 
 COLLISIONS, WALL_HITS, SPARED, HOMES, LOOKS, STUCK = 0, 1, 2, 3, 4, 5  # what `counts` counts
 PATIENCE = 1000  # contacts in a row without time passing; past it a particle is squeezed, and waits for the next step
+EARLY = 3  # buckets
 AHEAD = 0.8  # of the shell: a new home lies that far ahead where flights are longer than shells
 
 
@@ -277,6 +278,9 @@ def run(
             if partner != NOTHING:
                 put(slot, when, heads, per_time, clock, i, t, partner, turns[partner] if partner >= 0 else 0)
             continue
+        soon = np.int64(heads[min(clock[0] + EARLY, len(heads) - 1)])
+        if soon >= 0:  # what its event will need comes to the cache while this one is worked on
+            u[0] = leg[soon, 0] + home[soon, 0] + pool[lists[soon, BEGIN]] + ids[soon] + met[soon] + turns[soon] + last[soon]
         i = first(slot, when, heads, clock, ids)
         if i < 0:
             return 0

@@ -1,4 +1,4 @@
-"""Speed, as tables: `python tests/benchmarks/speed.py headline|flat|ranks|walls|start|frames|all [--runs 5]`.
+"""Speed, as tables: `python tests/benchmarks/speed.py headline|flat|ranks|walls|events|start|frames|all [--runs 5]`.
 
 Each case is run several times, the settings in turn, and the median and range are printed and written to
 out/benchmarks/CASE.csv. Shared machines are noisy: compare medians of one call, not of two.
@@ -9,6 +9,7 @@ import csv
 import json
 import sys
 import tempfile
+from math import pi
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -42,13 +43,18 @@ def gas(count, effects, steps=100, step=0.02):
     }
 
 
-def steps_of(tables, ranks, warm, steps):
-    """ns a particle-step, slowest rank."""
+def told(tables, ranks, warm, steps):
+    """What steps.py says of the scene."""
     with tempfile.NamedTemporaryFile("w", suffix=".json") as file:
         file.write(json.dumps(tables))
         file.flush()
-        told = json.loads(mpirun(ranks, HERE / "steps.py", file.name, warm, steps).strip().splitlines()[-1])
-    return told["seconds"] / told["steps"] / told["particles"] * 1e9
+        return json.loads(mpirun(ranks, HERE / "steps.py", file.name, warm, steps).strip().splitlines()[-1])
+
+
+def steps_of(tables, ranks, warm, steps):
+    """ns a particle-step, slowest rank."""
+    said = told(tables, ranks, warm, steps)
+    return said["seconds"] / said["steps"] / said["particles"] * 1e9
 
 
 def run(scene, ranks):
@@ -84,6 +90,26 @@ def walls():
     return {f"N = {n}": lambda n=n: steps_of(gas(n, FALLING, step=0.002), 1, 10, 15_000_000 // n) for n in (32_000, 1_000_000)}
 
 
+def events():
+    """mode event, hard-sphere fluid at packing 0.30, thousand collisions a second on one core"""
+
+    def fluid(n):
+        side = (n * pi / 6 / 0.30) ** (1 / 3)
+        return {
+            "dimension": 3,
+            "box": {"lower": [0.0] * 3, "upper": [side] * 3, "periodic": True},
+            "time": {"step": 0.4, "steps": 10},  # four collisions of each particle
+            "particles": [{"count": n, "position": "lattice", "velocity": {"temperature": 1.0}, "radius": 0.5, "mass": 1.0}],
+            "effects": {"collisions": {"mode": "event"}},
+        }
+
+    def rate(n, steps):
+        said = told(fluid(n), 1, 4, steps)
+        return said["collisions"] / said["seconds"] / 1e3
+
+    return {f"N = {n}": lambda n=n, s=s: rate(n, s) for n, s in {4_000: 200, 32_000: 25, 108_000: 8}.items()}
+
+
 def start():
     """whole process of a run of one step of headline.toml, seconds"""
     text = (SCENES / "headline.toml").read_text().replace("steps = 500", "steps = 1").replace("every = 500", "every = 1")
@@ -116,7 +142,7 @@ output = {every = 1, checkpoint_every = 8, formats = ["hdf5"]}
     return {f"{r} ranks": lambda r=r: once(r) for r in (1, 2)}
 
 
-CASES = {f.__name__: f for f in (headline, flat, ranks, walls, start, frames)}
+CASES = {f.__name__: f for f in (headline, flat, ranks, walls, events, start, frames)}
 
 
 def main():

@@ -18,10 +18,12 @@ warm, steps = int(sys.argv[2]), int(sys.argv[3])
 sim = Simulation(scene)
 for _ in range(warm):
     sim.step()
+met = sim.totals["collisions"]
 comm.Barrier()
 begin = perf_counter()
 for _ in range(steps):
     sim.step()
 seconds = comm.allreduce(perf_counter() - begin, MPI.MAX)
+met = comm.allreduce(sim.totals["collisions"] - met)
 if comm.rank == 0:
-    print(json.dumps({"seconds": seconds, "particles": sim.total, "steps": steps, "ranks": comm.size}))
+    print(json.dumps({"seconds": seconds, "particles": sim.total, "steps": steps, "ranks": comm.size, "collisions": met}))
