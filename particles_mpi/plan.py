@@ -31,6 +31,7 @@ def plan(scene: Scene, particles: Particles, ranks: int) -> dict[str, Any]:
         effect = import_module(f"particles_mpi.effects.{name}").Effect
         runs.append({"effect": name, "role": effect.role, "law": effect.formula, "ns_per_particle_step": COST.get(name, 10.0)})
     pairs = "collisions" in scene.effects
+    event = pairs and scene.effects["collisions"].mode == "event"
     row = sum(column.nbytes for column in particles.arrays.values()) / max(n, 1)
     frame = 8 * (3 + 3 + 3) + 8
     frames = scene.steps // scene.output.every + 1
@@ -44,7 +45,7 @@ def plan(scene: Scene, particles: Particles, ranks: int) -> dict[str, Any]:
         "integrator": scene.time.integrator,
         "effects": runs,
         "not_run": [name for name in effect_names() if name not in scene.effects],
-        "ghosts": "particles that may meet those of another rank before the next search" if pairs and ranks > 1 else "none",
+        "ghosts": ghosts(pairs, event, ranks),
         "ranks": ranks,
         "memory_bytes": int(n * (row + (350 if pairs else 50))),
         "frames": frames,
@@ -54,6 +55,13 @@ def plan(scene: Scene, particles: Particles, ranks: int) -> dict[str, Any]:
     }
 
 
+def ghosts(pairs: bool, event: bool, ranks: int) -> str:
+    """Which particles of others a rank holds."""
+    if not pairs or ranks == 1:
+        return "none"
+    return "all particles, on every rank" if event else "particles that may meet those of another rank before the next search"
+
+
 def advice(scene: Scene, particles: Particles) -> list[str]:
     """What an experienced user would say about the step."""
     h, lines = scene.time.step, []
@@ -61,7 +69,11 @@ def advice(scene: Scene, particles: Particles) -> list[str]:
     radius = particles.radius[particles.fixed == 0]
     if "collisions" in scene.effects and len(radius) and radius.min() > 0.0 and speed > 0.0:
         share = speed * h / (2.0 * float(radius.min()))
-        lines.append(f"the fastest particle crosses {share:.2g} of the smallest diameter in a step (at most 1 in rewind mode)")
+        if scene.effects["collisions"].mode == "event":
+            lines.append(f"the fastest particle crosses {share:.2g} of the smallest diameter in a step, any number will do")
+            lines.append("mode event takes about 2 us a contact besides: longer steps cost less, more ranks do not help")
+        else:
+            lines.append(f"the fastest particle crosses {share:.2g} of the smallest diameter in a step (at most 1)")
     if "drag" in scene.effects and scene.time.integrator == "taylor":
         k = float(particles.drag.max(initial=0.0))
         if k * h > 1.0:
