@@ -17,8 +17,10 @@ from particles_mpi.collide.contact import NOBODY
 from particles_mpi.collide.events import AHEAD, COLLISIONS, HOMES, SPARED, WALL_HITS, arrive, run, set_out
 from particles_mpi.collide.planes import Planes, no_planes
 from particles_mpi.collide.queue import NOTHING, SLOT
+from particles_mpi.errors import StoppedError
 from particles_mpi.neighbours.cells import bounds, grid, sort_rows, spacing
 from particles_mpi.neighbours.homes import Homes, aligned
+from particles_mpi.neighbours.paths import fastest
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.parallel.replica import Replica
 from particles_mpi.parallel.store import Store
@@ -71,6 +73,8 @@ class Event:
         p = self.particles
         with self.timers("exchange"):
             self.replica.gather()
+            if not np.isfinite(fastest(self.axes, p.position, p.velocity)):
+                self.stop_for_numbers(moment)
         with self.timers("pairs"):
             if self.version != p.version or self.moved > SETTLED * len(p):
                 self.settle()
@@ -132,6 +136,13 @@ class Event:
         self.events = int(counts[COLLISIONS] + counts[WALL_HITS] + counts[HOMES])
         self.ahead = AHEAD / (1.0 + 2.0 * counts[COLLISIONS] / max(counts[HOMES], 1))
         return np.array([counts[COLLISIONS], counts[WALL_HITS], squeezed]) * self.ranks.is_root  # all ranks saw the same
+
+    def stop_for_numbers(self, moment: float) -> None:
+        """Something is not finite, or too fast for its square to be: say whose, on all ranks."""
+        p = self.particles
+        with np.errstate(over="ignore", invalid="ignore"):
+            bad = p.id[~np.isfinite((p.velocity**2).sum(axis=1) + p.position.sum(axis=1))]
+        raise StoppedError(f"t = {moment:g}: particle {bad.min(initial=2**62)} has a position or velocity that is not finite")
 
     def remember(self, moment: float, eased: int) -> None:
         """How many contacts took no energy, and in which cluster it began."""

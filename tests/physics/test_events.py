@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from particles_mpi import Scene, Simulation
+from particles_mpi import Scene, Simulation, StoppedError
 
 
 def scene(d, particles, step, steps=1, box=None, **effects):
@@ -240,3 +240,12 @@ def test_rewind_converges_to_the_order_of_events():
         r -= side * np.rint(r / side)
         errors.append(np.count_nonzero((r**2).sum(axis=1) > 1e-16))
     assert errors[0] > 2 * errors[1] > 4 * errors[2], errors
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e200])
+def test_what_is_not_a_number_is_named(value):
+    sim = Simulation(crowd(2, True))
+    sim.step()
+    sim.particles.velocity[sim.particles.id == 7, 1] = value
+    with pytest.raises(StoppedError, match="particle 7 "):
+        sim.step()
