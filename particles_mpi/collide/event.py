@@ -102,7 +102,7 @@ class Event:
             )
             homes, planes = self.homes, self.planes
             walls = planes.point, planes.normal, planes.lower, planes.upper, planes.oblique
-            todo = np.arange(max(n, 2), dtype=np.int32)[::-1][:n].copy()
+            todo = np.arange(n, dtype=np.int32)
         with self.timers("collide"):
             pending = n
             while True:

@@ -249,3 +249,15 @@ def test_what_is_not_a_number_is_named(value):
     sim.particles.velocity[sim.particles.id == 7, 1] = value
     with pytest.raises(StoppedError, match="particle 7 "):
         sim.step()
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_a_single_ball_and_none(count):
+    """Alone between two walls, gap 8: 10 units of path are one hit and the way back."""
+    ball = [{"position": [[5.0]], "velocity": [1.0], "radius": 1.0, "mass": 1.0}]
+    if not count:
+        ball = [{"count": 0, "position": "random", "radius": 1.0}]
+    sim = Simulation(scene(1, ball, 5.0, 2, {"lower": [0.0], "upper": [10.0]}, walls={}))
+    sim.run()
+    assert len(sim.particles) == count and sim.totals["wall_hits"] == count
+    np.testing.assert_allclose(by_id(sim)[0][:, 0], [3.0] * count, atol=1e-12)
