@@ -180,16 +180,9 @@ class Job:
         """The exact state; replaces the checkpoint before."""
         sim = self.sim
         with sim.timers("checkpoint"):
-            totals = self.ranks.total(np.array([sim.totals[name] for name in COUNTS])).tolist()
-            state = {
-                "step": sim.steps_done,
-                "time": sim.time,
-                "moment": json.dumps(sim.moment),
-                "observed": json.dumps(sim.observed),
-                "scene": self.scene.to_json(),
-                "totals": json.dumps(dict(zip(COUNTS, totals, strict=True))),
-                "reported": json.dumps(self.since.tolist()),
-            }
+            about = sim.about()
+            state: dict[str, Any] = {name: json.dumps(about[name]) for name in ("moment", "observed", "totals", "scene")}
+            state |= {"step": about["step"], "time": sim.time, "reported": json.dumps(self.since.tolist())}
             checkpoint.save(
                 self.folder / "checkpoint.h5", self.ranks, sim.particles.arrays, sim.total, self.scene.dimension, state
             )

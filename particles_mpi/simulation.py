@@ -135,14 +135,15 @@ class Simulation:
         h, met, free = self.h, self.near.stop, not (self.forces or self.dissipation)
         tried: list[tuple[float, float]] = []  # (length that was kicked for, how much later the contact came)
         for _ in range(MOST_TRIES):
-            before, totals, calls = self.particles.select(np.arange(len(self.particles))), self.totals.copy(), self.calls.copy()
+            totals, calls = self.totals.copy(), self.calls.copy()
+            before = None if free else self.particles.select(np.arange(len(self.particles)))
             self.advance(h, lambda: self.drift(self.h, True, stop=True))
             reached, met_none = float(self.near.stopped[0]), met[1] < 0
             if met_none and h == self.h:
                 self.steps_done += 1
                 return None
             tried.append((h, reached - h))
-            if free or (not met_none and abs(reached - h) <= CLOSE * self.h):
+            if before is None or (not met_none and abs(reached - h) <= CLOSE * self.h):
                 break
             self.particles.replace(before.arrays)
             self.totals, self.calls = totals, calls
@@ -243,9 +244,7 @@ class Simulation:
 
         arrays, saved = load(Path(path))
         scene = Scene.from_dict(json.loads(saved["scene"]))
-        totals = json.loads(saved["totals"])
-        about = {name: json.loads(saved[name]) for name in ("moment", "observed")} | {"step": int(saved["step"])}
-        about["totals"] = [totals[name] for name in COUNTS]
+        about = {name: json.loads(saved[name]) for name in ("moment", "observed", "totals")} | {"step": int(saved["step"])}
         sim = cls._restored(scene, Ranks(comm), Particles(scene.dimension, arrays), about)
         sim.reported = json.loads(saved["reported"])
         return sim
@@ -261,7 +260,8 @@ class Simulation:
             raise ValueError(f"attach: {name!r} must be a new name, with an array of numbers for {self.total} particles")
         self.particles.arrays[name] = values[self.particles.id]
 
-    def _about(self) -> dict[str, Any]:
+    def about(self) -> dict[str, Any]:
+        """Clock, counts over all ranks, and scene, as plain data: what a state is besides its particles. Collective."""
         totals = self.ranks.total(np.array([self.totals[name] for name in COUNTS])).tolist()
         clock = {"step": self.steps_done, "moment": self.moment, "observed": self.observed}
         return {**clock, "totals": totals, "scene": self.scene.to_dict()}
@@ -280,11 +280,11 @@ class Simulation:
 
     def copy(self) -> Simulation:
         """Another simulation in the same state. Collective."""
-        return self._restored(self.scene, self.ranks, state.everyone(self.ranks, self.particles), self._about())
+        return self._restored(self.scene, self.ranks, state.everyone(self.ranks, self.particles), self.about())
 
     def to_json(self, path: str | Path, indent: int | None = None) -> None:
         """Save scene and state, exact to the bit; compact, or readable with `indent`. Collective."""
-        state.save_json(Path(path), self.ranks, self.particles, self._about(), indent)
+        state.save_json(Path(path), self.ranks, self.particles, self.about(), indent)
 
     @classmethod
     def from_json(cls, path: str | Path, comm: Any = None) -> Simulation:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.errors import SceneError
-from particles_mpi.parallel.exchange import send_rows
+from particles_mpi.parallel.exchange import rows_of_everyone
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, Array, Particles, rows_of
 
@@ -20,9 +20,7 @@ SHOWN = 20  # rows of a printed table
 
 def everyone(ranks: Ranks, particles: Particles) -> Particles:
     """All particles of all ranks in id order, on every rank. Collective."""
-    n = len(particles)
-    rows, counts = np.tile(np.arange(n), ranks.size), np.full(ranks.size, n, np.int32)
-    arrived, _ = send_rows(ranks, particles.arrays, rows, counts)
+    arrived = rows_of_everyone(ranks, particles.arrays)
     return Particles(particles.dimension, rows_of(arrived, np.argsort(arrived["id"], kind="stable")))
 
 

@@ -8,6 +8,7 @@ is the partner with the lower id, so that all who compute a contact compute the 
 
 from math import inf, sqrt
 
+import numpy as np
 from numba import njit
 
 NOBODY = -(2**62)  # "last met" before the first contact of a drift; partners are ids >= 0, walls -1, -2, ...
@@ -30,6 +31,24 @@ def nearest(r, length):
         elif r < -0.5 * length:
             r += length
     return r
+
+
+@njit(cache=True)
+def boxes_between(r, length):
+    """What to take from the component r of a distance, to get the nearest periodic image however many boxes away."""
+    return length * np.rint(r / length) if abs(r) > 0.5 * length > 0.0 else 0.0
+
+
+@njit(cache=True, inline="always")
+def may_come_near(a, b, r2, diameter, h):
+    """False for most pairs: those that move apart, or are clear of each other until h (by margins far above round-off).
+
+    With r, v relative position and velocity: a = v.v, b = r.v, r2 = r.r. Nothing branches: most tests are coin tosses.
+    """
+    clear = r2 - (diameter * diameter + 1e-9 * r2)
+    before = (-b > a * h) & (clear + h * (2.0 * b + a * h) <= 0.0)
+    within = (-b <= a * h) & (a * clear <= b * b)
+    return (b < 0.0) & (before | within)
 
 
 @njit(cache=True)

@@ -18,7 +18,7 @@ from particles_mpi.collide.events import AHEAD, COLLISIONS, HOMES, SPARED, WALL_
 from particles_mpi.collide.planes import Planes, no_planes
 from particles_mpi.collide.queue import NOTHING, SLOT
 from particles_mpi.errors import StoppedError
-from particles_mpi.neighbours.cells import bounds, grid, sort_rows, spacing
+from particles_mpi.neighbours.cells import bounds, order_in_space
 from particles_mpi.neighbours.homes import Homes, aligned
 from particles_mpi.neighbours.paths import fastest
 from particles_mpi.parallel.ranks import Ranks
@@ -56,7 +56,7 @@ class Event:
         self.store, self.homes = Store(self.particles), Homes(box)
         self.version, self.moved = -1, 0
         self.searches = self.ghost_rows = self.migrated = 0
-        self.counts = np.zeros(6, np.int64)
+        self.counts = np.zeros(4, np.int64)
         self.events = 0  # in the last drift
         self.ahead = 0.0
         self.eased = 0
@@ -173,9 +173,7 @@ class Event:
         n, d = len(p), p.dimension
         self.store.adopt()
         if n > 1:
-            low, high = bounds(p.position)
-            order, _ = sort_rows(p.position, np.zeros(n, np.int8), 0, *grid(p.position, (low, high), spacing(low, high, n), 1))
-            self.store.sort(order)
+            self.store.sort(order_in_space(p.position, bounds(p.position)))
         self.w = p.inverse_mass
         self.homes.settle(p.position, p.radius, self.w)
         self.leg = aligned(n, 2 * d + 2)

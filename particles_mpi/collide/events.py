@@ -12,22 +12,16 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-from particles_mpi.collide.contact import NEVER
-from particles_mpi.collide.planes import bounce, wall_contact
+from particles_mpi.collide.contact import NEVER, boxes_between, may_come_near
+from particles_mpi.collide.planes import bounce, may_hit, wall_contact
 from particles_mpi.collide.queue import LEAVING, NOTHING, PARTNER, STAMP, before_other, first, put, take
 from particles_mpi.lean import lean
-from particles_mpi.neighbours.shells import BEGIN, COUNT, image, move_in, move_out, neighbours, room_for
+from particles_mpi.neighbours.shells import BEGIN, COUNT, move_in, move_out, neighbours, room_for
 
-COLLISIONS, WALL_HITS, SPARED, HOMES, LOOKS, STUCK = 0, 1, 2, 3, 4, 5  # what `counts` counts
+COLLISIONS, WALL_HITS, SPARED, HOMES = 0, 1, 2, 3  # what `counts` counts
 PATIENCE = 1000  # contacts in a row without time passing; past it a particle is squeezed, and waits for the next step
 EARLY = 3  # buckets
 AHEAD = 0.8  # of the shell: a new home lies that far ahead where flights are longer than shells
-
-
-@njit(cache=True)
-def boxes_between(at, length):
-    """What to take from the component `at` of a distance, to get the nearest periodic image however many boxes away."""
-    return length * np.rint(at / length) if length > 0.0 else 0.0
 
 
 @njit(cache=True, inline="always")
@@ -58,11 +52,7 @@ def may_touch(axes, leg, i, j, now, best, length):
         b += r * u
         r2 += r * r
     diameter = leg[i, 2 * d + 1] + leg[j, 2 * d + 1]
-    clear = r2 - diameter * diameter
-    until = best - start
-    before = (-b > a * until) & (clear + until * (2.0 * b + a * until) <= 1e-9 * r2)
-    within = (-b <= a * until) & (b * b - a * clear >= -1e-9 * a * r2)
-    return (b < 0.0) & (before | within)
+    return may_come_near(a, b, r2, diameter, best - start)
 
 
 @njit(cache=True, inline="always")
@@ -80,11 +70,7 @@ def may_touch_from(axes, leg, i, j, now, best, length):
         b += r * u
         r2 += r * r
     diameter = leg[i, 2 * d + 1] + leg[j, 2 * d + 1]
-    clear = r2 - diameter * diameter
-    until = best - now
-    before = (-b > a * until) & (clear + until * (2.0 * b + a * until) <= 1e-9 * r2)
-    within = (-b <= a * until) & (b * b - a * clear >= -1e-9 * a * r2)
-    return (b < 0.0) & (before | within)
+    return may_come_near(a, b, r2, diameter, best - now)
 
 
 @njit(cache=True, inline="always")
@@ -144,7 +130,8 @@ def collide(axes, leg, w, i, j, t, restitution, keep, length):
     r2 = 0.0
     approach = 0.0
     for k in range(d):
-        r = image(leg[i, k] - leg[j, k], length[k])
+        r = leg[i, k] - leg[j, k]
+        r -= boxes_between(r, length[k])
         r2 += r * r
         approach += r * (leg[i, d + k] - leg[j, d + k])
     virial = -(1.0 + restitution) * approach / (w[i] + w[j])
@@ -155,7 +142,8 @@ def collide(axes, leg, w, i, j, t, restitution, keep, length):
         return virial
     impulse = (1.0 + restitution) * approach / (r2 * (w[i] + w[j]))
     for k in range(d):
-        r = image(leg[i, k] - leg[j, k], length[k])
+        r = leg[i, k] - leg[j, k]
+        r -= boxes_between(r, length[k])
         leg[i, d + k] = keep * (leg[i, d + k] - impulse * w[i] * r)
         leg[j, d + k] = keep * (leg[j, d + k] + impulse * w[j] * r)
     return virial
@@ -204,16 +192,11 @@ def next_event(
             ):
                 best = t
                 partner = j
-        if len(point):
-            inside = not oblique
-            for k in range(d):
-                end = leg[i, k] + leg[i, d + k] * (h - leg[i, 2 * d])
-                inside &= (end >= lower[k] + leg[i, 2 * d + 1]) & (end <= upper[k] - leg[i, 2 * d + 1])
-            if not inside:
-                t, wall = wall_contact(axes, x, v, leg[i, 2 * d], i, leg[i, 2 * d + 1], met[i], h, point, normal)
-                if wall >= 0 and (t < best or partner == NOTHING):
-                    best = t
-                    partner = np.int64(-1 - wall)
+        if len(point) and may_hit(axes, x, v, leg[i, 2 * d], i, leg[i, 2 * d + 1], h, lower, upper, oblique):
+            t, wall = wall_contact(axes, x, v, leg[i, 2 * d], i, leg[i, 2 * d + 1], met[i], h, point, normal)
+            if wall >= 0 and (t < best or partner == NOTHING):
+                best = t
+                partner = np.int64(-1 - wall)
     a = 0.0
     b = 0.0
     c = -home[i, d + 1] * home[i, d + 1]
@@ -269,7 +252,6 @@ def run(
         if pending > 0:
             pending -= 1
             i = np.int64(todo[pending])
-            counts[LOOKS] += 1
             take(slot, heads, i)
             t, partner = next_event(
                 axes, leg, ids, met, stuck, i, now, h, length, pool, lists, home, x, v, point, normal, lower,

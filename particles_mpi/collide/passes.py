@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from particles_mpi.collide.contact import NEVER, NOBODY, contact_time, meet, move_to, nearest
+from particles_mpi.collide.contact import NEVER, NOBODY, contact_time, may_come_near, meet, move_to, nearest
 from particles_mpi.collide.planes import bounce, bounce_until, may_hit, wall_contact
 
 
@@ -11,9 +11,8 @@ from particles_mpi.collide.planes import bounce, bounce_until, may_hit, wall_con
 def approaching(axes, x, v, radius, first, second, h, length, periodic, a, b):
     """Candidates whose legs, all from now, may touch within h; into a and b, returns how many. All but certain no's.
 
-    Left out: partners that move apart, or are clear of each other when they are nearest, at h or before (by margins far
-    above round-off). Most tests are coin tosses: nothing branches on them, each pair is written, and the next one over it
-    if it does not count. Unsigned indices spare the test for a negative one.
+    Left out: partners that move apart, or are clear of each other when they are nearest, at h or before. Nothing branches:
+    each pair is written, and the next one over it if it does not count. Unsigned indices spare the test for a negative one.
     """
     found = 0
     for p in range(len(first)):
@@ -30,13 +29,9 @@ def approaching(axes, x, v, radius, first, second, h, length, periodic, a, b):
             u2 += u * u
             ru += r * u
             r2 += r * r
-        diameter = radius[i] + radius[j]
-        clear = r2 - (diameter * diameter + 1e-9 * r2)
-        before = (-ru > u2 * h) & (clear + h * (2.0 * ru + u2 * h) <= 0.0)
-        within = (-ru <= u2 * h) & (u2 * clear <= ru * ru)
         a[found] = i
         b[found] = j
-        found += (ru < 0.0) & (before | within)
+        found += may_come_near(u2, ru, r2, radius[i] + radius[j], h)
     return found
 
 

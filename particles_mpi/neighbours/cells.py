@@ -101,6 +101,12 @@ def sort_rows(x, level, wanted, origin, per, cells):
     return order, start
 
 
+def order_in_space(x: Array, box: tuple[Array, Array]) -> Array:
+    """Rows of x (n, d) in `box`, those that are near in space near one another; n > 0."""
+    order, _ = sort_rows(x, np.zeros(len(x), np.int8), 0, *grid(x, box, spacing(*box, len(x)), 1))
+    return order
+
+
 @njit(cache=True)
 def link(i, c, head, after, before, cell_of):
     """Put row i into the list of cell c."""

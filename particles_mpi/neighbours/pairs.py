@@ -16,7 +16,7 @@ from particles_mpi.collide.passes import end_legs, fingerprint
 from particles_mpi.errors import StoppedError
 from particles_mpi.integrators import wrap
 from particles_mpi.neighbours.candidates import Candidates
-from particles_mpi.neighbours.cells import GRIDDED, bounds, grid, sort_rows, spacing
+from particles_mpi.neighbours.cells import GRIDDED, bounds, order_in_space, spacing
 from particles_mpi.neighbours.fence import Fence, build, nowhere
 from particles_mpi.neighbours.ghosts import any_of, refresh, tell_choices, tell_legs, width
 from particles_mpi.neighbours.paths import fastest, tubes_box
@@ -157,10 +157,7 @@ class Neighbourhood:
 
     def sort(self) -> None:
         """Rows that are near in space, near in memory."""
-        x = self.particles.position
-        low, high = self.box
-        order, _ = sort_rows(x, np.zeros(len(x), np.int8), 0, *grid(x, self.box, spacing(low, high, len(x)), 1))
-        self.store.sort(order)
+        self.store.sort(order_in_space(self.particles.position, self.box))
 
     def fetch_ghosts(self, end: float, half: float, slack: float) -> Fence:
         """Copies of all particles that may meet this rank's, behind the owned rows. Collective."""

@@ -9,7 +9,7 @@ as integers seen through `links`, the next and the last row in the same cell, an
 the list of a row begins in the pool, how many it holds, and how many it can.
 
 Cells come in levels: a particle stands in the level of its reach R + shell, whose cells are about as wide, so that a few
-large spheres do not make the search of all the small ones coarse. Lists are a supersets: they cost time and change no result.
+large spheres do not make the search of all the small ones coarse. Lists are supersets: they cost time and change no result.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from math import floor
 import numpy as np
 from numba import njit
 
+from particles_mpi.collide.contact import boxes_between
 from particles_mpi.lean import lean
 from particles_mpi.particles import Array
 
@@ -82,14 +83,6 @@ def along(y, reach, low, per, cells, periodic):
     return np.int64(begin), np.int64(min(max(end, 0.0), cells - 1.0) - begin) + 1
 
 
-@lean
-def image(r, length):
-    """The component r of a distance by the nearest periodic image, however many boxes away."""
-    if length > 0.0 and abs(r) > 0.5 * length:
-        r -= length * np.rint(r / length)
-    return r
-
-
 @njit(cache=True, inline="always")
 def near_homes(axes, home, i, j, length, far):
     """May rows i and j touch while both are in their shells? Never both immovable."""
@@ -98,7 +91,7 @@ def near_homes(axes, home, i, j, length, far):
     for k in range(d):
         r = home[i, k] - home[j, k]
         if far:
-            r = image(r, length[k])
+            r -= boxes_between(r, length[k])
         else:
             r -= length[k] * (np.float64(r > 0.5 * length[k]) - np.float64(r < -0.5 * length[k]))
         r2 += r * r

@@ -40,6 +40,13 @@ def send_rows(ranks: Ranks, arrays: dict[str, Array], rows: Array, counts: Array
     return arrived, arriving
 
 
+def rows_of_everyone(ranks: Ranks, arrays: dict[str, Array]) -> dict[str, Array]:
+    """The rows of all ranks on every rank, in order of the owner. Collective."""
+    n = len(next(iter(arrays.values())))
+    rows, counts = np.tile(np.arange(n), ranks.size), np.full(ranks.size, n, np.int32)
+    return send_rows(ranks, arrays, rows, counts)[0]
+
+
 def columns(words: Array, count: int, like: dict[str, Array]) -> Iterator[tuple[str, Array]]:
     """(name, view of `count` rows) in one rank's part of a message, the beginning of `words`.
 

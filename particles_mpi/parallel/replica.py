@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from particles_mpi.parallel.exchange import send_rows
+from particles_mpi.parallel.exchange import rows_of_everyone
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import Particles, field
 
@@ -21,16 +21,12 @@ class Replica:
         self.particles, self.ranks, self.changing = particles, ranks, changing
         self.everyone = particles
         self.version = -1
-        self.messages = 0
         if ranks.size > 1:
             names = [name for name in particles.arrays if field(name).ghost or name in changing]
-            self.everyone = Particles(particles.dimension, self._all_of(names))
+            self.everyone = Particles(particles.dimension, self._of_all(names))
 
-    def _all_of(self, names: list[str]) -> dict[str, np.ndarray]:
-        n, size = len(self.particles), self.ranks.size
-        rows, counts = np.tile(np.arange(n), size), np.full(size, n, np.int32)
-        arrived, _ = send_rows(self.ranks, {name: self.particles.arrays[name] for name in names}, rows, counts)
-        return arrived
+    def _of_all(self, names: Sequence[str]) -> dict[str, np.ndarray]:
+        return rows_of_everyone(self.ranks, {name: self.particles.arrays[name] for name in names})
 
     def _find(self) -> None:
         """Where the row of each id stands among everyone; anew when rows were moved."""
@@ -42,7 +38,7 @@ class Replica:
     def gather(self) -> None:
         """`everyone` as the owners have them. Collective."""
         if self.ranks.size > 1:
-            arrived = self._all_of(["id", *self.changing])
+            arrived = self._of_all(["id", *self.changing])
             self._find()
             rows = self.row_of[arrived.pop("id")]
             for name, column in arrived.items():
