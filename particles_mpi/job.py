@@ -206,11 +206,12 @@ class Job:
             timers[name] = {"min": min(values), "mean": sum(values) / len(values), "max": max(values)}
         traffic = self.traffic()
         self.screen.phases(timers, steps, sim.total)
-        for remark in sim.remarks():
+        remarks = sim.remarks()
+        for remark in remarks:
             self.screen.say(remark)
         with failing_together(self.ranks, f"cannot write {self.folder / 'run.json'}"):
             if self.ranks.is_root:
-                self.write_json(timers, traffic)
+                self.write_json(timers, traffic, remarks)
         f = self.folder
         if "hdf5" in self.scene.output.formats:
             self.screen.say(f"ParaView >= 5.13: {f}/trajectory.vtkhdf")
@@ -227,7 +228,7 @@ class Job:
         result = dict(zip(counted, totals.tolist(), strict=True))
         return result | {"reductions": self.ranks.reductions, "pair_searches": near.searches if near else 0}
 
-    def write_json(self, timers: dict[str, Any], counts: dict[str, int]) -> None:
+    def write_json(self, timers: dict[str, Any], counts: dict[str, int], remarks: list[str]) -> None:
         """run.json, replaced as a whole."""
         sim = self.sim
         for row in self.plan["effects"]:
@@ -240,7 +241,7 @@ class Job:
             "ranks": self.ranks.size,
             "versions": versions,
             "timers": timers,
-            "remarks": sim.remarks(),
+            "remarks": remarks,
             "counts": {"steps": sim.steps_done, **counts},
         }
         part = self.folder / "run.json.tmp"

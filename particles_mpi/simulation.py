@@ -212,7 +212,7 @@ class Simulation:
         return row
 
     def remarks(self) -> list[str]:
-        """What happened that a user should know of, a line each."""
+        """What happened that a user should know of, a line each. Collective."""
         return self.contacts.remarks() if hasattr(self.contacts, "remarks") else []
 
     def stop_for_numbers(self) -> None:

@@ -4,23 +4,19 @@ Every particle is on a straight leg since its last contact and knows its next ev
 that it leaves its shell (`neighbours.shells`). The first event of all takes place, the partners set out on new legs, and
 only they, and those who had meant to meet them, look for their next events again: O(1) work a contact, whatever N is.
 
-On several ranks every rank has all particles during the drift, and computes all contacts: the same bits, and no faster.
+On several ranks space is divided and ranks compute their parts in verified windows of time (`collide.windows`), or, where
+there is too little to divide, every rank computes everything (`Whole`). The bits are the same.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from particles_mpi.collide.contact import NOBODY
-from particles_mpi.collide.events import AHEAD, COLLISIONS, HOMES, SPARED, WALL_HITS, arrive, run, set_out
+from particles_mpi.collide.engine import NAMED, Engine
+from particles_mpi.collide.events import COLLISIONS, SPARED, WALL_HITS
 from particles_mpi.collide.planes import Planes, no_planes
-from particles_mpi.collide.queue import NOTHING, SLOT
 from particles_mpi.errors import StoppedError
 from particles_mpi.neighbours.cells import bounds, order_in_space
-from particles_mpi.neighbours.homes import Homes, aligned
-from particles_mpi.neighbours.paths import fastest
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.parallel.replica import Replica
 from particles_mpi.parallel.store import Store
@@ -28,7 +24,7 @@ from particles_mpi.particles import Array, Particles
 from particles_mpi.timers import Timers
 
 SETTLED = 8  # new homes a particle, on average; then all are sorted in space and settled again
-CONTACTS = 1.0  # expected in a bucket of the queue
+CHANGING = ("position", "velocity", "contacted", "virial")
 
 
 class Event:
@@ -44,25 +40,24 @@ class Event:
         planes: Planes | None,
         timers: Timers,
     ):
-        self.ranks, self.timers = ranks, timers
-        changing: list[str] = [name for name in ("position", "velocity", "contacted", "virial") if name in particles.arrays]
-        self.replica = Replica(particles, ranks, changing)
-        self.particles = self.replica.everyone
-        self.restitution, self.keep = loss
-        self.soft = soft
-        self.lower, _, self.length = box
-        self.planes = planes or no_planes(particles.dimension)
-        self.axes = (0,) * particles.dimension
-        self.store, self.homes = Store(self.particles), Homes(box)
-        self.version, self.moved = -1, 0
-        self.searches = self.ghost_rows = self.migrated = 0
-        self.counts = np.zeros(4, np.int64)
-        self.events = 0  # in the last drift
-        self.ahead = 0.0
+        self.ranks, self.soft = ranks, soft
+        rules = box, loss, soft, planes or no_planes(particles.dimension)
+        self.whole = Whole(particles, ranks, Engine(*rules), timers)
+        self.migrated = self.ghost_rows = 0
         self.eased = 0
-        self.first_eased: tuple[float, list[int]] | None = None
-        self.stop, self.stopped = np.zeros(3, np.int64), np.zeros(1)
-        self.spared = np.empty((64, 2), np.int64)
+        self.first_eased: tuple[float, Array] = np.inf, np.empty((0, 3))  # moment of a step, (time, id, id or wall) there
+
+    @property
+    def searches(self) -> int:
+        return self.whole.searches
+
+    @property
+    def stop(self) -> Array:
+        return self.whole.engine.stop
+
+    @property
+    def stopped(self) -> Array:
+        return self.whole.engine.stopped
 
     def drift(self, h: float, moment: float, stop: bool = False) -> Array:
         """x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
@@ -70,115 +65,92 @@ class Event:
         `moment`: the time at which the drift begins. With `stop` it ends with the first collision of two particles, after
         `self.stopped[0]` (h if there is none), and `self.stop[1:]` are their ids, the lower one first, or -1.
         """
-        p = self.particles
-        with self.timers("exchange"):
-            self.replica.gather()
-            if not np.isfinite(fastest(self.axes, p.position, p.velocity)):
-                self.stop_for_numbers(moment)
-        with self.timers("pairs"):
-            if self.version != p.version or self.moved > SETTLED * len(p):
-                self.settle()
-        n, d = len(p), p.dimension
-        counts = self.counts
-        counts[:] = 0
-        virial = p.arrays.get("virial", self.unasked)
-        self.stop[:], self.stopped[0] = (stop, -1, -1), h
-        with self.timers("search"):
-            set_out(self.axes, self.leg, p.position, p.velocity, p.radius)
-            self.met[:] = NOBODY
-            self.stuck[:] = 0
-            self.slot[:, 0] = NOTHING
-            buckets = int(min(max(self.events / CONTACTS, 64), 4 * n + 64))
-            heads = np.full(buckets, -1, np.int32)
-            queue: Any = (
-                self.slot,
-                self.when,
-                heads,
-                buckets / h,
-                np.zeros(1, np.int64),
-                np.zeros(1, np.bool_),
-                np.empty(d),
-                np.empty(d),
-            )
-            homes, planes = self.homes, self.planes
-            walls = planes.point, planes.normal, planes.lower, planes.upper, planes.oblique
-            todo = np.arange(n, dtype=np.int32)
-        with self.timers("collide"):
-            pending = n
-            while True:
-                short = run(
-                    self.axes, self.leg, p.id, self.w, self.met, self.stuck, self.turns, p.contacted, virial, h, moment,
-                    self.length, homes.pool, homes.lists, homes.top, homes.home, homes.links, homes.level, homes.head, homes.grid,
-                    walls, planes.restitution, planes.keep, self.restitution, self.keep, self.soft, queue, counts,
-                    self.spared, self.ahead, self.lower, homes.around, todo, pending, self.stop, self.stopped,
-                )  # fmt: skip
-                if not short:
-                    break
-                homes.pool = np.concatenate((homes.pool, np.empty(short + len(homes.pool), np.int32)))
-                pending = 0
-        with self.timers("drift"):
-            squeezed = arrive(
-                self.axes,
-                self.leg,
-                p.position,
-                p.velocity,
-                self.stuck,
-                float(self.stopped[0]),
-                homes.home,
-                self.length,
-                self.lower,
-            )
-        with self.timers("exchange"):
-            self.replica.give_back()
-        if counts[SPARED]:
-            self.remember(moment, int(counts[SPARED]))
-        self.moved += int(counts[HOMES])
-        self.events = int(counts[COLLISIONS] + counts[WALL_HITS] + counts[HOMES])
-        self.ahead = AHEAD / (1.0 + 2.0 * counts[COLLISIONS] / max(counts[HOMES], 1))
-        return np.array([counts[COLLISIONS], counts[WALL_HITS], squeezed]) * self.ranks.is_root  # all ranks saw the same
+        engine = self.whole.engine
+        happened = self.whole.drift(h, moment, stop)
+        if self.ranks.is_root and engine.counts[SPARED]:  # all ranks saw the same
+            self.remember(moment, engine)
+        return happened * self.ranks.is_root
 
-    def stop_for_numbers(self, moment: float) -> None:
-        """Something is not finite, or too fast for its square to be: say whose, on all ranks."""
-        p = self.particles
-        with np.errstate(over="ignore", invalid="ignore"):
-            bad = p.id[~np.isfinite((p.velocity**2).sum(axis=1) + p.position.sum(axis=1))]
-        raise StoppedError(f"t = {moment:g}: particle {bad.min(initial=2**62)} has a position or velocity that is not finite")
-
-    def remember(self, moment: float, eased: int) -> None:
-        """How many contacts took no energy, and in which cluster it began."""
+    def remember(self, moment: float, engine: Engine) -> None:
+        """How many contacts took no energy, and which were the first."""
+        eased = int(engine.counts[SPARED])
         self.eased += eased
-        if self.first_eased is None:
-            pairs = self.spared[: min(eased, len(self.spared))].tolist()
-            cluster = set(pairs[0])
-            for pair in pairs:  # in order of time: a cluster grows from its first pair
-                if cluster & {member for member in pair if member >= 0}:
-                    cluster |= set(pair)
-            self.first_eased = moment, sorted(cluster)
+        if not len(self.first_eased[1]):
+            self.first_eased = moment, engine.spared[:eased].copy()
 
     def remarks(self) -> list[str]:
-        """What a user should be told at the end."""
-        if self.first_eased is None:
+        """What a user should be told at the end. Collective."""
+        told = self.ranks.gathered((self.eased, *self.first_eased))
+        eased = sum(number for number, _, _ in told)
+        if not eased:
             return []
-        moment, cluster = self.first_eased
-        ids, walls = [str(k) for k in cluster if k >= 0], [str(-1 - k) for k in cluster if k < 0]
+        moment = min(moment for _, moment, _ in told)
+        first = sorted(tuple(row) for _, begin, rows in told if begin == moment for row in rows)
+        pairs = [(int(a), int(b)) for _, a, b in first[:NAMED]]
+        cluster = set(pairs[0])
+        for pair in pairs:  # in order of time: a cluster grows from its first pair
+            if cluster & {member for member in pair if member >= 0}:
+                cluster |= set(pair)
+        ids, walls = [str(k) for k in sorted(cluster) if k >= 0], [str(-1 - k) for k in sorted(cluster) if k < 0]
         where = f"particles {', '.join(ids)}" + (f" and wall {', '.join(walls)}" if walls else "")
         return [
-            f"inelastic collapse: {self.eased} contacts within {self.soft:.3g} of the last one took no energy, "
+            f"inelastic collapse: {eased} contacts within {self.soft:.3g} of the last one took no energy, "
             f"the first in the step from t = {moment:g} among {where}"
         ]
+
+
+class Whole:
+    """Every rank has all particles during a drift and computes all contacts: as fast as one rank, and nothing to agree on."""
+
+    def __init__(self, particles: Particles, ranks: Ranks, engine: Engine, timers: Timers):
+        self.engine, self.timers = engine, timers
+        self.replica = Replica(particles, ranks, [name for name in CHANGING if name in particles.arrays])
+        self.particles = self.replica.everyone
+        self.store = Store(self.particles)
+        self.version = -1
+        self.searches = 0
+
+    def drift(self, h: float, moment: float, stop: bool) -> Array:
+        """Of all particles; returns the (collisions, wall hits, missed) of all. Collective."""
+        p, engine = self.particles, self.engine
+        with self.timers("exchange"):
+            self.replica.gather()
+        with self.timers("pairs"):
+            if self.version != p.version or engine.moved > SETTLED * len(p):
+                self.settle()
+        with self.timers("search"):
+            moved, speed2 = engine.set_out(p, self.seat)
+            if not np.isfinite(speed2):
+                raise StoppedError(not_finite(p, moment))
+            if moved:
+                self.settle()
+                engine.set_out(p, self.seat)
+            engine.stop[:] = stop, -1, -1
+            engine.begin(h)
+        with self.timers("collide"):
+            engine.run(0.0, np.inf, moment)
+        with self.timers("drift"):
+            squeezed = engine.arrive()
+            engine.hand_over(p, self.seat)
+        with self.timers("exchange"):
+            self.replica.give_back()
+        return np.array([engine.counts[COLLISIONS], engine.counts[WALL_HITS], squeezed])
 
     def settle(self) -> None:
         """Rows sorted in space, with new homes, and all that goes with them."""
         p = self.particles
-        n, d = len(p), p.dimension
         self.store.adopt()
-        if n > 1:
+        if len(p) > 1:
             self.store.sort(order_in_space(p.position, bounds(p.position)))
-        self.w = p.inverse_mass
-        self.homes.settle(p.position, p.radius, self.w)
-        self.leg = aligned(n, 2 * d + 2)
-        self.unasked = np.zeros(n)
-        self.met, self.stuck, self.turns = np.full(n, NOBODY), np.zeros(n, np.int32), np.zeros(n, np.int32)
-        self.slot, self.when = np.full((n, SLOT), NOTHING, np.int32), np.empty(n)
-        self.version, self.moved = p.version, 0
+        self.engine.homes.settle(p.position, p.radius, p.inverse_mass)
+        self.engine.settle(p, len(p))
+        self.seat = np.arange(len(p), dtype=np.int32)
+        self.version = p.version
         self.searches += 1
+
+
+def not_finite(p: Particles, moment: float) -> str:
+    """Whose position or velocity is not finite, or too large for its square to be."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        bad = p.id[~np.isfinite((p.velocity**2).sum(axis=1) + p.position.sum(axis=1))]
+    return f"t = {moment:g}: particle {bad.min(initial=2**62)} has a position or velocity that is not finite"

@@ -12,9 +12,24 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-from particles_mpi.collide.contact import NEVER, boxes_between, may_come_near
+from particles_mpi.collide.contact import NEVER, NOBODY, boxes_between, may_come_near
+from particles_mpi.collide.log import (
+    HISTORY,
+    ID,
+    LAST,
+    MET,
+    MINE,
+    NOT_HERE,
+    OWN,
+    STUCK,
+    TURNS,
+    VIRIAL,
+    note_home,
+    note_leg,
+    remember,
+)
 from particles_mpi.collide.planes import bounce, may_hit, wall_contact
-from particles_mpi.collide.queue import LEAVING, NOTHING, PARTNER, STAMP, before_other, first, put, take
+from particles_mpi.collide.queue import LEAVING, NOTHING, PARTNER, STAMP, WHEN, before_other, first, put, take
 from particles_mpi.lean import lean
 from particles_mpi.neighbours.shells import BEGIN, COUNT, move_in, move_out, neighbours, room_for
 
@@ -122,9 +137,10 @@ def move_leg(axes, leg, i, t):
 
 
 @lean
-def collide(axes, leg, w, i, j, t, restitution, keep, length):
+def collide(axes, leg, home, i, j, t, restitution, keep, length):
     """The contact of rows i and j at time t: `contact.meet` on legs. Returns its virial, -r.dp."""
     d = len(axes)
+    own, other = home[i, d + 2], home[j, d + 2]  # inverse masses
     move_leg(axes, leg, i, t)
     move_leg(axes, leg, j, t)
     r2 = 0.0
@@ -134,18 +150,18 @@ def collide(axes, leg, w, i, j, t, restitution, keep, length):
         r -= boxes_between(r, length[k])
         r2 += r * r
         approach += r * (leg[i, d + k] - leg[j, d + k])
-    virial = -(1.0 + restitution) * approach / (w[i] + w[j])
+    virial = -(1.0 + restitution) * approach / (own + other)
     if d == 1:  # there is one normal, even for points, whose distance is none
-        push = (1.0 + restitution) * (leg[i, 1] - leg[j, 1]) / (w[i] + w[j])
-        leg[i, 1] = keep * (leg[i, 1] - push * w[i])
-        leg[j, 1] = keep * (leg[j, 1] + push * w[j])
+        push = (1.0 + restitution) * (leg[i, 1] - leg[j, 1]) / (own + other)
+        leg[i, 1] = keep * (leg[i, 1] - push * own)
+        leg[j, 1] = keep * (leg[j, 1] + push * other)
         return virial
-    impulse = (1.0 + restitution) * approach / (r2 * (w[i] + w[j]))
+    impulse = (1.0 + restitution) * approach / (r2 * (own + other))
     for k in range(d):
         r = leg[i, k] - leg[j, k]
         r -= boxes_between(r, length[k])
-        leg[i, d + k] = keep * (leg[i, d + k] - impulse * w[i] * r)
-        leg[j, d + k] = keep * (leg[j, d + k] + impulse * w[j] * r)
+        leg[i, d + k] = keep * (leg[i, d + k] - impulse * own * r)
+        leg[j, d + k] = keep * (leg[j, d + k] + impulse * other * r)
     return virial
 
 
@@ -160,14 +176,13 @@ def nearest_image(d, r, length):
 
 @njit(cache=True, inline="always")
 def next_event(
-    axes, leg, ids, met, stuck, i, now, h, length, pool, lists, home, x, v, point, normal, lower, upper,
-    oblique, far, r, u, around,
+    axes, leg, state, i, now, h, length, pool, lists, home, x, v, point, normal, lower, upper, oblique, far, r, u, around,
 ):  # fmt: skip
     """(time, partner) of the next event of row i, on the legs of now: its first contact of all, or that it leaves its shell."""
     d = len(axes)
     best = h
     partner = np.int64(NOTHING)
-    if stuck[i] < PATIENCE:
+    if state[i, STUCK] < PATIENCE:
         likely = 0
         warm = 0.0  # all at once to the cache: the loops below would ask for one after the other
         for p in range(np.uint64(lists[i, BEGIN]), np.uint64(lists[i, BEGIN] + lists[i, COUNT])):
@@ -186,14 +201,19 @@ def next_event(
             t = touch_time(axes, leg, np.uint64(i), np.uint64(j), now, best, length, far[0], r, u)
             if (
                 t != NEVER
-                and (t < best or partner == NOTHING or before_other(i, j, i, partner, ids))
-                and stuck[j] < PATIENCE
-                and not (met[i] == ids[j] and met[j] == ids[i] and leg[i, 2 * d] == leg[j, 2 * d] and nearest_image(d, r, length))
+                and (t < best or partner == NOTHING or before_other(i, j, i, partner, state))
+                and state[j, STUCK] < PATIENCE
+                and not (
+                    state[i, MET] == state[j, ID]
+                    and state[j, MET] == state[i, ID]
+                    and leg[i, 2 * d] == leg[j, 2 * d]
+                    and nearest_image(d, r, length)
+                )
             ):
                 best = t
                 partner = j
         if len(point) and may_hit(axes, x, v, leg[i, 2 * d], i, leg[i, 2 * d + 1], h, lower, upper, oblique):
-            t, wall = wall_contact(axes, x, v, leg[i, 2 * d], i, leg[i, 2 * d + 1], met[i], h, point, normal)
+            t, wall = wall_contact(axes, x, v, leg[i, 2 * d], i, leg[i, 2 * d + 1], state[i, MET], h, point, normal)
             if wall >= 0 and (t < best or partner == NOTHING):
                 best = t
                 partner = np.int64(-1 - wall)
@@ -207,7 +227,7 @@ def next_event(
         c += away * away
     # It leaves before `best` if it is out of its shell then: most do not, and need no root.
     until = best - now
-    if c + until * (2.0 * b + a * until) > 0.0 and a > 0.0:
+    if c + until * (2.0 * b + a * until) > 0.0 and (a > 0.0 or c > 0.0):
         best = now
         if c < 0.0:
             root = sqrt(max(b * b - a * c, 0.0))
@@ -217,28 +237,28 @@ def next_event(
 
 
 @lean
-def turn(axes, leg, ids, met, stuck, turns, last, i, t, partner, moment):
+def turn(axes, leg, state, reals, i, t, partner, moment):
     """Row i is about to begin a new leg at time t: what must be remembered of it."""
-    stuck[i] = stuck[i] + 1 if t == leg[i, 2 * len(axes)] else 0
-    met[i] = partner
-    turns[i] += 1
-    last[i] = moment + t
+    state[i, STUCK] = state[i, STUCK] + 1 if t == leg[i, 2 * len(axes)] else 0
+    state[i, MET] = partner
+    state[i, TURNS] += 1
+    reals[i, LAST] = moment + t
 
 
 @lean
 def run(
-    axes, leg, ids, w, met, stuck, turns, last, virial, h, moment, length, pool, lists, top, home, links, level, head, grid,
+    axes, leg, leg_words, state, reals, h, now, until, moment, length, pool, lists, top, home, links, level, head, grid,
     walls, wall_restitution, wall_keep, restitution, keep, soft, queue, counts, spared, ahead, box_low, around, todo, pending,
-    stop, stopped,
+    stop, stopped, log,
 ):  # fmt: skip
-    """All events up to h, in order. `moment`: when the drift began; `soft`: the duration t_c of a contact.
+    """All events from `now` to `until`, in order, of a drift over h that began at `moment`. `soft`: the duration t_c of a contact.
 
     With stop[0] it ends after the first collision, whose time goes to `stopped` and ids to stop[1:].
     Returns 0, or how many places the pool is short of: then call again with a larger one.
 
     A contact within t_c of the last one of either partner takes no energy: the TC model (Luding and McNamara, Granular
     Matter 1, 113, 1998), which keeps inelastic collapse from stopping the clock. `spared` lists the first of them.
-    `virial` (n,): -r.dp of the collisions of each row, told to the lower id. todo[:pending]: rows whose next event is not known.
+    What is counted is what own rows did, a pair by its lower id. todo[:pending]: rows whose next event is not known.
 
     One kernel with everything in it: a call with so many arrays costs as much as the look it would be for.
     """
@@ -247,35 +267,39 @@ def run(
     low, per, cells, corners, caps = grid
     point, normal, lower, upper, oblique = walls
     x, v = leg[:, :d], leg[:, d : 2 * d]
-    now = 0.0
+    logging = log[0][0] > 0
     while True:
         if pending > 0:
             pending -= 1
             i = np.int64(todo[pending])
+            if state[i, MINE] == NOT_HERE:
+                continue
             take(slot, heads, i)
             t, partner = next_event(
-                axes, leg, ids, met, stuck, i, now, h, length, pool, lists, home, x, v, point, normal, lower,
-                upper, oblique, far, r, u, around,
+                axes, leg, state, i, now, h, length, pool, lists, home, x, v, point, normal, lower, upper, oblique, far, r, u,
+                around,
             )  # fmt: skip
             if partner != NOTHING:
-                put(slot, when, heads, per_time, clock, i, t, partner, turns[partner] if partner >= 0 else 0)
+                put(slot, when, heads, per_time, clock, i, t, partner, state[partner, TURNS] if partner >= 0 else 0)
             continue
         soon = np.int64(heads[min(clock[0] + EARLY, len(heads) - 1)])
         if soon >= 0:  # what its event will need comes to the cache while this one is worked on
-            u[0] = leg[soon, 0] + home[soon, 0] + pool[lists[soon, BEGIN]] + ids[soon] + met[soon] + turns[soon] + last[soon]
-        i = first(slot, when, heads, clock, ids)
-        if i < 0:
+            u[0] = leg[soon, 0] + home[soon, 0] + pool[lists[soon, BEGIN]] + state[soon, ID]
+        i = first(slot, when, heads, clock, state)
+        if i < 0 or when[i, WHEN] >= until:
             return 0
-        t = when[i]
+        t = when[i, WHEN]
         now = max(now, t)
         j = np.int64(slot[i, PARTNER])
+        if logging:
+            remember(axes, leg, state, i, log)
         todo[0] = i
         pending = 1
         if j == LEAVING:
             speed = 0.0
             for k in range(d):
                 speed += v[i, k] * v[i, k]
-            lead = ahead * home[i, d + 1] / sqrt(speed)
+            lead = ahead * home[i, d + 1] / sqrt(speed) if speed > 0.0 else 0.0
             for k in range(d):
                 home[i, k] = x[i, k] + v[i, k] * (now - leg[i, 2 * d] + lead)
                 far[0] |= length[k] > 0.0 and not -0.25 * length[k] < home[i, k] - box_low[k] < 1.25 * length[k]
@@ -286,34 +310,47 @@ def run(
             move_out(axes, i, links, pool, lists, head)
             move_in(axes, i, home, links, level, around, found, pool, lists, top, head, low, per, cells, corners, length)
             counts[HOMES] += 1
+            if logging and state[i, MINE] == OWN:
+                note_home(i, log)
         elif j < 0:
             wall = -1 - j
             lossy = wall_restitution[wall] * wall_keep[wall] < 1.0
-            easy = lossy and moment + t - last[i] < soft
-            turn(axes, leg, ids, met, stuck, turns, last, i, t, j, moment)
+            easy = lossy and moment + t - reals[i, LAST] < soft
+            turn(axes, leg, state, reals, i, t, j, moment)
             move_leg(axes, leg, i, t)
+            mine = state[i, MINE] == OWN
             if easy:
                 mirror(axes, v, i, wall, normal)
-                note(spared, counts, ids[i], j)
+                if mine:
+                    note(spared, counts, moment + t, state[i, ID], j)
             else:
                 bounce(axes, v, i, wall, normal, wall_restitution, wall_keep)
-            counts[WALL_HITS] += 1
-        elif slot[i, STAMP] == turns[j]:
+            counts[WALL_HITS] += mine
+            if logging:
+                note_leg(axes, leg, leg_words, state, i, log)
+        elif slot[i, STAMP] == state[j, TURNS]:
+            if logging:
+                remember(axes, leg, state, j, log)
             todo[1] = j
             pending = 2
-            if ids[j] < ids[i]:
+            if state[j, ID] < state[i, ID]:
                 i, j = j, i
-            easy = restitution * keep < 1.0 and moment + t - max(last[i], last[j]) < soft
-            turn(axes, leg, ids, met, stuck, turns, last, i, t, ids[j], moment)
-            turn(axes, leg, ids, met, stuck, turns, last, j, t, ids[i], moment)
+            easy = restitution * keep < 1.0 and moment + t - max(reals[i, LAST], reals[j, LAST]) < soft
+            turn(axes, leg, state, reals, i, t, state[j, ID], moment)
+            turn(axes, leg, state, reals, j, t, state[i, ID], moment)
+            mine = state[i, MINE] == OWN
             if easy:
-                virial[i] += collide(axes, leg, w, i, j, t, 1.0, 1.0, length)
-                note(spared, counts, ids[i], ids[j])
+                reals[i, VIRIAL] += collide(axes, leg, home, i, j, t, 1.0, 1.0, length)
+                if mine:
+                    note(spared, counts, moment + t, state[i, ID], state[j, ID])
             else:
-                virial[i] += collide(axes, leg, w, i, j, t, restitution, keep, length)
-            counts[COLLISIONS] += 1
+                reals[i, VIRIAL] += collide(axes, leg, home, i, j, t, restitution, keep, length)
+            counts[COLLISIONS] += mine
+            if logging:
+                note_leg(axes, leg, leg_words, state, i, log)
+                note_leg(axes, leg, leg_words, state, j, log)
             if stop[0]:
-                stop[1], stop[2], stopped[0] = ids[i], ids[j], t
+                stop[1], stop[2], stopped[0] = state[i, ID], state[j, ID], t
                 return 0
 
 
@@ -328,42 +365,72 @@ def mirror(axes, v, i, wall, normal):
 
 
 @lean
-def note(spared, counts, one, other):
+def note(spared, counts, t, one, other):
     """One more contact that took no energy; the first ones by name."""
     if counts[SPARED] < len(spared):
-        spared[counts[SPARED], 0] = one
-        spared[counts[SPARED], 1] = other
+        spared[counts[SPARED], 0], spared[counts[SPARED], 1], spared[counts[SPARED], 2] = t, one, other
     counts[SPARED] += 1
 
 
 @njit(cache=True)
-def set_out(axes, leg, x, v, radius):
-    """Legs from (x, v) at time 0."""
+def set_out(axes, leg, state, reals, x, v, radius, contacted, virial, seat):
+    """Own rows on legs from (x, v) at time 0; particle r is row seat[r].
+
+    Returns (moved, speed2): did anyone change a position or radius since `arrive`, and the largest square of a speed, inf if
+    anything is not finite.
+    """
     d = len(axes)
-    for i in range(len(x)):
+    moved = False
+    fastest = 0.0
+    for r in range(len(x)):
+        i = seat[r]
+        speed = 0.0
         for k in range(d):
-            leg[i, k] = x[i, k]
-            leg[i, d + k] = v[i, k]
+            moved |= leg[i, k] != x[r, k]
+            leg[i, k] = x[r, k]
+            leg[i, d + k] = v[r, k]
+            speed += v[r, k] * v[r, k] + 0.0 * x[r, k]
+        moved |= leg[i, 2 * d + 1] != radius[r]
+        fastest = max(fastest, speed) if speed < np.inf else np.inf
         leg[i, 2 * d] = 0.0
-        leg[i, 2 * d + 1] = radius[i]
+        state[i, MET], state[i, STUCK], state[i, HISTORY] = NOBODY, 0, 0
+        reals[i, LAST] = contacted[r]
+        reals[i, VIRIAL] = virial[r] if len(virial) else 0.0
+    return moved, fastest
 
 
 @njit(cache=True)
-def arrive(axes, leg, x, v, stuck, h, home, length, lower):
-    """Positions and velocities at time h, back in a periodic box with their homes. Returns the rows that were squeezed."""
+def arrive(axes, leg, state, h, home, length, lower):
+    """All rows to time h, back in a periodic box with their homes. Returns how many own ones were squeezed."""
     d = len(axes)
     squeezed = 0
-    for i in range(len(x)):
-        if stuck[i] >= PATIENCE:
-            squeezed += 1
+    for i in range(len(leg)):
+        if state[i, MINE] == NOT_HERE:
+            continue
+        if state[i, STUCK] >= PATIENCE:
+            squeezed += state[i, MINE] == OWN
             leg[i, 2 * d] = h  # it stays where its last contact was
         for k in range(d):
-            v[i, k] = leg[i, d + k]
             at = leg[i, k] + leg[i, d + k] * (h - leg[i, 2 * d])
             if length[k] > 0.0 and not lower[k] <= at < lower[k] + length[k]:
                 inside = lower[k] + (at - lower[k]) % length[k]
                 inside = inside if inside < lower[k] + length[k] else lower[k]
                 home[i, k] += inside - at
                 at = inside
-            x[i, k] = at
+            leg[i, k] = at
+        leg[i, 2 * d] = 0.0
     return squeezed
+
+
+@njit(cache=True)
+def hand_over(axes, leg, reals, x, v, contacted, virial, seat):
+    """Particles as their rows are."""
+    d = len(axes)
+    for r in range(len(x)):
+        i = seat[r]
+        for k in range(d):
+            x[r, k] = leg[i, k]
+            v[r, k] = leg[i, d + k]
+        contacted[r] = reals[i, LAST]
+        if len(virial):
+            virial[r] = reals[i, VIRIAL]

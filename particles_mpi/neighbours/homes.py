@@ -24,7 +24,7 @@ class Homes:
         self.shell_width = 0.0
 
     def settle(self, x: Array, radius: Array, w: Array) -> None:
-        """New homes and lists, with shells as wide as serves the density found."""
+        """New homes and lists, with shells as wide as serves the density found (`shell_width`)."""
         n, d = x.shape
         movable = radius[w > 0.0].max(initial=0.0)
         largest = self.largest_shell(float(radius.max(initial=0.0) + movable))
@@ -51,26 +51,33 @@ class Homes:
         periodic = self.length[self.length > 0.0]
         return float(periodic.min() - 2.0 * diameter) / 8.0 if len(periodic) else np.inf
 
-    def build(self, x: Array, radius: Array, w: Array) -> None:
-        """Homes at x, shells of the present width, cells and lists."""
+    def build(self, x: Array, radius: Array, w: Array, spare: int = 0) -> None:
+        """Homes at x, shells of the present width, cells and lists; and room for `spare` rows more."""
         n, d = x.shape
+        rows = n + spare
         floor_ = 64.0 * np.finfo(float).eps * float(np.abs(x).max(initial=0.0))
-        self.home = aligned(n, 8 * ((d + 5 + 7) // 8))
+        self.home = aligned(rows, 8 * ((d + 5 + 7) // 8))
         self.links = self.home.view(np.int32)
-        shell = self.home[:, d + 1] = np.where(w > 0.0, max(self.shell_width, floor_), 0.0)
-        size = self.home[:, d] = radius + shell
-        self.home[:, d + 2] = w
-        self.grid, self.level = grids(x, size, (self.lower, self.upper), self.length)
-        self.lists = np.zeros((n, 4), np.int32)
-        self.lists[:, BEGIN], self.lists[:, ROOM] = np.arange(n) * PLACES, PLACES
-        self.top = np.array([n * PLACES])
+        self.shell = max(self.shell_width, floor_)
+        shell = self.home[:n, d + 1] = np.where(w > 0.0, self.shell, 0.0)
+        size = self.home[:n, d] = radius + shell
+        self.home[:n, d + 2] = w
+        self.level = np.zeros(rows, np.int8)
+        self.grid, self.level[:n] = grids(x, size, (self.lower, self.upper), self.length)
+        self.lists = np.zeros((rows, 4), np.int32)
+        self.lists[:, BEGIN], self.lists[:, ROOM] = np.arange(rows) * PLACES, PLACES
+        self.top = np.array([rows * PLACES])
         self.head = np.full(self.grid[3][-1], -1, np.int32)
-        pool = np.empty(n * (PLACES + PLACES // 2) + 64, np.int32)
-        self.around = np.empty(n + 2, np.int32)
+        pool = np.empty(rows * (PLACES + PLACES // 2) + 64, np.int32)
+        self.around = np.empty(rows + 2, np.int32)
         self.pool = settle_all(
             (0,) * d, x, self.home, self.links, self.level, pool, self.lists, self.top, self.head, self.grid, self.length,
             self.around,
         )  # fmt: skip
+
+    def enlarge(self, short: int) -> None:
+        """A pool with at least `short` places more."""
+        self.pool = np.concatenate((self.pool, np.empty(short + len(self.pool), np.int32)))
 
 
 def aligned(rows: int, width: int) -> Array:

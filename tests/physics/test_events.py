@@ -202,7 +202,7 @@ def test_shells_leave_no_trace_in_the_bits():
     for width in (None, 0.01, 0.5):
         sim = Simulation(crowd(3, False, restitution=0.8))
         if width:
-            sim.near.homes.shell_width = width
+            sim.near.whole.engine.homes.shell_width = width
             sim.near.homes.settle = lambda x, radius, w, homes=sim.near.homes: homes.build(x, radius, w)
         sim.run()
         final.append(by_id(sim))

@@ -1,0 +1,112 @@
+"""Rows on straight legs, their homes, and the queue of their next events: what the kernels of `events` work on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from particles_mpi.collide.events import AHEAD, COLLISIONS, HOMES, WALL_HITS, arrive, hand_over, run, set_out
+from particles_mpi.collide.log import GHOST, ID, LAST, MINE, NOT_HERE, OWN, VIRIAL, Log
+from particles_mpi.collide.planes import Planes
+from particles_mpi.collide.queue import NOTHING, SLOT
+from particles_mpi.neighbours.homes import Homes, aligned
+from particles_mpi.particles import Array, Particles
+
+CONTACTS = 1.0  # expected in a bucket of the queue
+NAMED = 64  # contacts without loss that are remembered by name
+
+
+class Engine:
+    """Computes contacts in order of time among the rows it was given by `settle`: own ones, and ghosts that others own.
+
+    A drift is `set_out`, `begin`, `run` once or more, and `arrive`, `hand_over`. `counts` are those of own rows since `begin`,
+    `stopped` and `stop` what `run` stopped for, `spared` the (time, id, id or wall) of the first contacts that took no energy.
+    """
+
+    def __init__(self, box: tuple[Array, Array, Array], loss: tuple[float, float], soft: float, planes: Planes):
+        self.lower, _, self.length = box
+        self.restitution, self.keep = loss
+        self.soft, self.planes = soft, planes
+        self.axes = (0,) * len(self.length)
+        self.homes = Homes(box)
+        self.counts = np.zeros(4, np.int64)
+        self.events = 0  # in the last drift
+        self.ahead, self.moved = 0.0, 0
+        self.stop, self.stopped = np.zeros(3, np.int64), np.zeros(1)
+        self.spared = np.empty((NAMED, 3))
+        self.pending = 0
+
+    def settle(self, p: Particles, owned: int, spare: int = 0) -> None:
+        """Rows of p, the first `owned` of them own ones; `homes` were built for them, with `spare` rows."""
+        n, d = p.position.shape
+        rows = n + spare
+        self.leg = aligned(rows, 2 * d + 2)
+        self.leg[:n, :d], self.leg[:n, 2 * d + 1] = p.position, p.radius
+        self.state = aligned(rows, 8).view(np.int64)
+        self.reals = self.state.view(np.float64)
+        self.state[:] = 0
+        self.state[:n, ID], self.state[:n, MINE] = p.id, GHOST
+        self.state[:owned, MINE] = OWN
+        self.reals[:n, LAST] = p.contacted
+        if "virial" in p.arrays:
+            self.reals[:n, VIRIAL] = p.virial
+        self.slot = np.full((rows, SLOT), NOTHING, np.int32)
+        self.todo = np.empty(2 * rows + 2, np.int32)
+        self.log = Log(rows, d)
+        self.moved = 0
+
+    def set_out(self, p: Particles, seat: Array) -> tuple[bool, float]:
+        """Own rows on their way: (did anyone move them, largest square of a speed)."""
+        virial = p.arrays.get("virial", np.empty(0))
+        moved, speed2 = set_out(
+            self.axes, self.leg, self.state, self.reals, p.position, p.velocity, p.radius, p.contacted, virial, seat
+        )
+        return bool(moved), float(speed2)
+
+    def begin(self, h: float) -> None:
+        """An empty queue for a drift over h; all rows are to find their next events."""
+        here = np.flatnonzero(self.state[:, MINE] != NOT_HERE)
+        self.todo[: len(here)] = here
+        self.pending = len(here)
+        self.slot[:, 0] = NOTHING
+        self.buckets = int(min(max(self.events / CONTACTS, 64), 4 * len(here) + 64))
+        self.heads = np.full(self.buckets, -1, np.int32)
+        self.h = h
+        self.clock, self.far = np.zeros(1, np.int64), np.zeros(1, np.bool_)
+        self.counts[:] = 0
+        self.stopped[0] = h
+        d = len(self.axes)
+        self.scribble = np.empty(d), np.empty(d)
+
+    def run(self, now: float, until: float, moment: float) -> None:
+        """All events from `now` to `until`."""
+        homes, planes = self.homes, self.planes
+        walls = planes.point, planes.normal, planes.lower, planes.upper, planes.oblique
+        when = self.slot.view(np.float64)
+        queue = self.slot, when, self.heads, self.buckets / self.h, self.clock, self.far, *self.scribble
+        log = self.log.arrays()
+        pending, self.pending = self.pending, 0
+        while True:
+            short = run(
+                self.axes, self.leg, self.leg.view(np.int64), self.state, self.reals, self.h, now, until, moment, self.length,
+                homes.pool, homes.lists, homes.top, homes.home, homes.links, homes.level, homes.head, homes.grid,
+                walls, planes.restitution, planes.keep, self.restitution, self.keep, self.soft, queue, self.counts, self.spared,
+                self.ahead, self.lower, homes.around, self.todo, pending, self.stop, self.stopped, log,
+            )  # fmt: skip
+            if not short:
+                return
+            homes.enlarge(short)
+            pending = 0
+
+    def arrive(self) -> int:
+        """All rows to the end of the drift. Returns how many own ones were squeezed."""
+        squeezed = arrive(self.axes, self.leg, self.state, float(self.stopped[0]), self.homes.home, self.length, self.lower)
+        counts = self.counts
+        self.moved += int(counts[HOMES])
+        self.events = int(counts[COLLISIONS] + counts[WALL_HITS] + counts[HOMES])
+        self.ahead = AHEAD / (1.0 + 2.0 * counts[COLLISIONS] / max(counts[HOMES], 1))
+        return int(squeezed)
+
+    def hand_over(self, p: Particles, seat: Array) -> None:
+        """Particle r of p as row seat[r] is."""
+        virial = p.arrays.get("virial", np.empty(0))
+        hand_over(self.axes, self.leg, self.reals, p.position, p.velocity, p.contacted, virial, seat)

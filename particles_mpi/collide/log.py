@@ -1,0 +1,104 @@
+"""The state of a row besides its leg, and the log of rows that something happened to, so that it can be undone or told.
+
+A row of `state` (n, 8) int64, one line of the cache, is (id, met, turns, stuck, history, mine, last, virial), the last two
+float64 and seen through `reals`: whom it met last, how often it was turned (which tells others that what they foresaw of it
+is void), contacts in a row without time passing, a hash of all its legs in this drift, whether this rank answers for it,
+when its last contact was, and the sum of its -r.dp.
+
+A record of a row is (leg without R, met, stuck, history, last, virial), as float64 or, through `words`, int64.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from particles_mpi.lean import lean
+from particles_mpi.particles import Array
+
+ID, MET, TURNS, STUCK, HISTORY, MINE, LAST, VIRIAL = range(8)
+NOT_HERE, GHOST, OWN = 0, 1, 2  # values of MINE: a free row, another rank answers for it, this one does
+ODD = -7046029254386353131  # an odd number with many bits, to multiply with
+
+
+def record_width(dimension: int) -> int:
+    """Numbers in a record."""
+    return 2 * dimension + 6
+
+
+class Log:
+    """Rows in the order in which something first happened to them in the present window, and what they were before.
+
+    `window` (1,) is the number of the window, 0 while nobody needs a log; `mark` (n,) the last one a row was noted in.
+    `fastest` (1,) is the largest square of a speed that a contact gave. `moved`: own rows that got new homes.
+    """
+
+    def __init__(self, rows: int, dimension: int):
+        self.window, self.count, self.fastest = np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1)
+        self.mark, self.rows = np.zeros(rows, np.int64), np.empty(rows, np.int32)
+        self.saved = np.empty((rows, record_width(dimension)))
+        self.moved, self.movers, self.is_mover = np.zeros(1, np.int64), np.empty(rows, np.int32), np.zeros(rows, np.bool_)
+
+    def arrays(self) -> tuple[Array, ...]:
+        """What the kernels take."""
+        return (
+            self.window, self.mark, self.rows, self.count, self.saved, self.saved.view(np.int64), self.fastest,
+            self.moved, self.movers, self.is_mover,
+        )  # fmt: skip
+
+
+@njit(cache=True, inline="always")
+def save_row(axes, leg, state, i, out, words, at):
+    """The record of row i to row `at` of `out`."""
+    d = len(axes)
+    for k in range(2 * d + 1):
+        out[at, k] = leg[i, k]
+    words[at, 2 * d + 1], words[at, 2 * d + 2], words[at, 2 * d + 3] = state[i, MET], state[i, STUCK], state[i, HISTORY]
+    words[at, 2 * d + 4], words[at, 2 * d + 5] = state[i, LAST], state[i, VIRIAL]
+
+
+@njit(cache=True, inline="always")
+def load_row(axes, leg, state, i, out, words, at):
+    """Row i as row `at` of `out` says. What others foresaw of it is void."""
+    d = len(axes)
+    for k in range(2 * d + 1):
+        leg[i, k] = out[at, k]
+    state[i, MET], state[i, STUCK], state[i, HISTORY] = words[at, 2 * d + 1], words[at, 2 * d + 2], words[at, 2 * d + 3]
+    state[i, LAST], state[i, VIRIAL] = words[at, 2 * d + 4], words[at, 2 * d + 5]
+    state[i, TURNS] += 1
+
+
+@lean
+def remember(axes, leg, state, i, log):
+    """Something is about to happen to row i."""
+    window, mark, rows, count, saved, words, _, _, _, _ = log
+    if mark[i] != window[0]:
+        mark[i] = window[0]
+        rows[count[0]] = i
+        save_row(axes, leg, state, i, saved, words, count[0])
+        count[0] += 1
+
+
+@lean
+def note_leg(axes, leg, leg_words, state, i, log):
+    """Row i has begun a new leg: into its history, and was it ever so fast?"""
+    d = len(axes)
+    fastest = log[6]
+    speed = 0.0
+    h = state[i, HISTORY] ^ state[i, MET]
+    for k in range(d):
+        speed += leg[i, d + k] * leg[i, d + k]
+        h = (h ^ leg_words[i, d + k]) * ODD
+        h ^= h >> 29
+    state[i, HISTORY] = (h ^ leg_words[i, 2 * d]) * ODD
+    fastest[0] = max(fastest[0], speed)
+
+
+@lean
+def note_home(i, log):
+    """Row i has a new home."""
+    moved, movers, is_mover = log[7], log[8], log[9]
+    if not is_mover[i]:
+        is_mover[i] = True
+        movers[moved[0]] = i
+        moved[0] += 1
