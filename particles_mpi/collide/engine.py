@@ -8,10 +8,11 @@ from particles_mpi.collide.events import AHEAD, COLLISIONS, HOMES, WALL_HITS, ar
 from particles_mpi.collide.log import GHOST, ID, LAST, MINE, NOT_HERE, OWN, VIRIAL, Log
 from particles_mpi.collide.planes import Planes
 from particles_mpi.collide.queue import NOTHING, SLOT
-from particles_mpi.neighbours.homes import Homes, aligned
+from particles_mpi.neighbours.homes import Homes, aligned, enlarged
 from particles_mpi.particles import Array, Particles
 
 CONTACTS = 1.0  # expected in a bucket of the queue
+SETTLED = 8  # new homes a row, on average; then all are sorted in space and settled again
 NAMED = 64  # contacts without loss that are remembered by name
 
 
@@ -55,12 +56,12 @@ class Engine:
         self.moved = 0
 
     def set_out(self, p: Particles, seat: Array) -> tuple[bool, float]:
-        """Own rows on their way: (did anyone move them, largest square of a speed)."""
+        """Own rows on their way: (did anyone move them, largest speed)."""
         virial = p.arrays.get("virial", np.empty(0))
-        moved, speed2 = set_out(
+        moved, speed = set_out(
             self.axes, self.leg, self.state, self.reals, p.position, p.velocity, p.radius, p.contacted, virial, seat
         )
-        return bool(moved), float(speed2)
+        return bool(moved), float(speed)
 
     def begin(self, h: float) -> None:
         """An empty queue for a drift over h; all rows are to find their next events."""
@@ -105,6 +106,19 @@ class Engine:
         self.events = int(counts[COLLISIONS] + counts[WALL_HITS] + counts[HOMES])
         self.ahead = AHEAD / (1.0 + 2.0 * counts[COLLISIONS] / max(counts[HOMES], 1))
         return int(squeezed)
+
+    def grow(self) -> Array:
+        """Twice as many rows; returns the new ones, which are free."""
+        rows, d = len(self.leg), len(self.axes)
+        self.leg = enlarged(self.leg, aligned(2 * rows, 2 * d + 2))
+        self.state = enlarged(self.state, aligned(2 * rows, 8).view(np.int64))
+        self.state[rows:] = 0
+        self.reals = self.state.view(np.float64)
+        self.slot = enlarged(self.slot, np.full((2 * rows, SLOT), NOTHING, np.int32))
+        self.todo = enlarged(self.todo, np.empty(4 * rows + 2, np.int32))
+        self.log.grow()
+        self.homes.grow()
+        return np.arange(rows, 2 * rows, dtype=np.int32)
 
     def hand_over(self, p: Particles, seat: Array) -> None:
         """Particle r of p as row seat[r] is."""

@@ -10,11 +10,14 @@ there is too little to divide, every rank computes everything (`Whole`). The bit
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
-from particles_mpi.collide.engine import NAMED, Engine
+from particles_mpi.collide.engine import NAMED, SETTLED, Engine
 from particles_mpi.collide.events import COLLISIONS, SPARED, WALL_HITS
 from particles_mpi.collide.planes import Planes, no_planes
+from particles_mpi.collide.windows import Windows, not_finite
 from particles_mpi.errors import StoppedError
 from particles_mpi.neighbours.cells import bounds, order_in_space
 from particles_mpi.parallel.ranks import Ranks
@@ -23,7 +26,8 @@ from particles_mpi.parallel.store import Store
 from particles_mpi.particles import Array, Particles
 from particles_mpi.timers import Timers
 
-SETTLED = 8  # new homes a particle, on average; then all are sorted in space and settled again
+LEAST = 2000  # particles a rank; with fewer, space is not divided
+LONGEST_REST = 64  # drifts
 CHANGING = ("position", "velocity", "contacted", "virial")
 
 
@@ -41,23 +45,38 @@ class Event:
         timers: Timers,
     ):
         self.ranks, self.soft = ranks, soft
-        rules = box, loss, soft, planes or no_planes(particles.dimension)
-        self.whole = Whole(particles, ranks, Engine(*rules), timers)
-        self.migrated = self.ghost_rows = 0
+        self.particles, self.box, self.timers = particles, box, timers
+        self.rules = box, loss, soft, planes or no_planes(particles.dimension)
+        self.divided = ranks.size > 1 and ranks.total(len(particles))[0] >= LEAST * ranks.size
         self.eased = 0
         self.first_eased: tuple[float, Array] = np.inf, np.empty((0, 3))  # moment of a step, (time, id, id or wall) there
+        self.resting, self.rest = 0, 1  # drifts that every rank computes as a whole, after windows that did not pay
+        self.stop, self.stopped = np.array([0, -1, -1]), np.zeros(1)
+
+    @cached_property
+    def whole(self) -> Whole:
+        return Whole(self.particles, self.ranks, Engine(*self.rules), self.timers)
+
+    @cached_property
+    def windows(self) -> Windows:
+        return Windows(self.particles, self.ranks, Engine(*self.rules), self.box, self.timers)
+
+    @property
+    def parts(self) -> list[Whole | Windows]:
+        """Those in use."""
+        return [self.__dict__[name] for name in ("whole", "windows") if name in self.__dict__]
 
     @property
     def searches(self) -> int:
-        return self.whole.searches
+        return sum(part.searches for part in self.parts)
 
     @property
-    def stop(self) -> Array:
-        return self.whole.engine.stop
+    def migrated(self) -> int:
+        return self.windows.migrated if self.divided else 0
 
     @property
-    def stopped(self) -> Array:
-        return self.whole.engine.stopped
+    def ghost_rows(self) -> int:
+        return self.windows.ghost_rows if self.divided else 0
 
     def drift(self, h: float, moment: float, stop: bool = False) -> Array:
         """x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
@@ -65,9 +84,21 @@ class Event:
         `moment`: the time at which the drift begins. With `stop` it ends with the first collision of two particles, after
         `self.stopped[0]` (h if there is none), and `self.stop[1:]` are their ids, the lower one first, or -1.
         """
-        engine = self.whole.engine
+        if self.divided and not stop:
+            if self.resting:
+                self.resting -= 1
+            else:
+                happened = self.windows.drift(h, moment)
+                if happened is not None:
+                    self.rest = 1
+                    self.remember(moment, self.windows.engine)
+                    return happened
+                self.resting = self.rest
+                self.rest = min(2 * self.rest, LONGEST_REST)
         happened = self.whole.drift(h, moment, stop)
-        if self.ranks.is_root and engine.counts[SPARED]:  # all ranks saw the same
+        engine = self.whole.engine
+        self.stop, self.stopped = engine.stop, engine.stopped
+        if self.ranks.is_root:  # all ranks saw the same
             self.remember(moment, engine)
         return happened * self.ranks.is_root
 
@@ -75,7 +106,7 @@ class Event:
         """How many contacts took no energy, and which were the first."""
         eased = int(engine.counts[SPARED])
         self.eased += eased
-        if not len(self.first_eased[1]):
+        if eased and not len(self.first_eased[1]):
             self.first_eased = moment, engine.spared[:eased].copy()
 
     def remarks(self) -> list[str]:
@@ -103,7 +134,7 @@ class Whole:
     """Every rank has all particles during a drift and computes all contacts: as fast as one rank, and nothing to agree on."""
 
     def __init__(self, particles: Particles, ranks: Ranks, engine: Engine, timers: Timers):
-        self.engine, self.timers = engine, timers
+        self.engine, self.ranks, self.timers = engine, ranks, timers
         self.replica = Replica(particles, ranks, [name for name in CHANGING if name in particles.arrays])
         self.particles = self.replica.everyone
         self.store = Store(self.particles)
@@ -119,9 +150,9 @@ class Whole:
             if self.version != p.version or engine.moved > SETTLED * len(p):
                 self.settle()
         with self.timers("search"):
-            moved, speed2 = engine.set_out(p, self.seat)
-            if not np.isfinite(speed2):
-                raise StoppedError(not_finite(p, moment))
+            moved, speed = engine.set_out(p, self.seat)
+            if not np.isfinite(speed):
+                raise StoppedError(not_finite(self.ranks, p, moment))
             if moved:
                 self.settle()
                 engine.set_out(p, self.seat)
@@ -147,10 +178,3 @@ class Whole:
         self.seat = np.arange(len(p), dtype=np.int32)
         self.version = p.version
         self.searches += 1
-
-
-def not_finite(p: Particles, moment: float) -> str:
-    """Whose position or velocity is not finite, or too large for its square to be."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        bad = p.id[~np.isfinite((p.velocity**2).sum(axis=1) + p.position.sum(axis=1))]
-    return f"t = {moment:g}: particle {bad.min(initial=2**62)} has a position or velocity that is not finite"

@@ -251,7 +251,7 @@ def run(
     walls, wall_restitution, wall_keep, restitution, keep, soft, queue, counts, spared, ahead, box_low, around, todo, pending,
     stop, stopped, log,
 ):  # fmt: skip
-    """All events from `now` to `until`, in order, of a drift over h that began at `moment`. `soft`: the duration t_c of a contact.
+    """All events from `now` to `until`, in order, of a drift over h that began at `moment`. `soft`: duration t_c of a contact.
 
     With stop[0] it ends after the first collision, whose time goes to `stopped` and ids to stop[1:].
     Returns 0, or how many places the pool is short of: then call again with a larger one.
@@ -376,7 +376,7 @@ def note(spared, counts, t, one, other):
 def set_out(axes, leg, state, reals, x, v, radius, contacted, virial, seat):
     """Own rows on legs from (x, v) at time 0; particle r is row seat[r].
 
-    Returns (moved, speed2): did anyone change a position or radius since `arrive`, and the largest square of a speed, inf if
+    Returns (moved, speed): did anyone change a position or radius since `arrive`, and the largest speed, inf if
     anything is not finite.
     """
     d = len(axes)
@@ -396,7 +396,7 @@ def set_out(axes, leg, state, reals, x, v, radius, contacted, virial, seat):
         state[i, MET], state[i, STUCK], state[i, HISTORY] = NOBODY, 0, 0
         reals[i, LAST] = contacted[r]
         reals[i, VIRIAL] = virial[r] if len(virial) else 0.0
-    return moved, fastest
+    return moved, sqrt(fastest)
 
 
 @njit(cache=True)

@@ -29,15 +29,22 @@ def record_width(dimension: int) -> int:
 class Log:
     """Rows in the order in which something first happened to them in the present window, and what they were before.
 
-    `window` (1,) is the number of the window, 0 while nobody needs a log; `mark` (n,) the last one a row was noted in.
+    `window` (1,) is the number of the window, 0 while nobody needs a log; `mark` (n, 2) the last one a row was noted in, and
+    at which place.
     `fastest` (1,) is the largest square of a speed that a contact gave. `moved`: own rows that got new homes.
     """
 
     def __init__(self, rows: int, dimension: int):
         self.window, self.count, self.fastest = np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1)
-        self.mark, self.rows = np.zeros(rows, np.int64), np.empty(rows, np.int32)
+        self.mark, self.rows = np.zeros((rows, 2), np.int64), np.empty(rows, np.int32)
         self.saved = np.empty((rows, record_width(dimension)))
         self.moved, self.movers, self.is_mover = np.zeros(1, np.int64), np.empty(rows, np.int32), np.zeros(rows, np.bool_)
+
+    def grow(self) -> None:
+        """For twice as many rows."""
+        for name in ("mark", "rows", "saved", "movers", "is_mover"):
+            old = getattr(self, name)
+            setattr(self, name, np.concatenate((old, np.zeros_like(old))))
 
     def arrays(self) -> tuple[Array, ...]:
         """What the kernels take."""
@@ -72,8 +79,8 @@ def load_row(axes, leg, state, i, out, words, at):
 def remember(axes, leg, state, i, log):
     """Something is about to happen to row i."""
     window, mark, rows, count, saved, words, _, _, _, _ = log
-    if mark[i] != window[0]:
-        mark[i] = window[0]
+    if mark[i, 0] != window[0]:
+        mark[i, 0], mark[i, 1] = window[0], count[0]
         rows[count[0]] = i
         save_row(axes, leg, state, i, saved, words, count[0])
         count[0] += 1

@@ -22,6 +22,7 @@ class Homes:
     def __init__(self, box: tuple[Array, Array, Array]):
         self.lower, self.upper, self.length = box
         self.shell_width = 0.0
+        self.share = 1.0  # all rows of the box, in those that are here
 
     def settle(self, x: Array, radius: Array, w: Array) -> None:
         """New homes and lists, with shells as wide as serves the density found (`shell_width`)."""
@@ -63,7 +64,7 @@ class Homes:
         size = self.home[:n, d] = radius + shell
         self.home[:n, d + 2] = w
         self.level = np.zeros(rows, np.int8)
-        self.grid, self.level[:n] = grids(x, size, (self.lower, self.upper), self.length)
+        self.grid, self.level[:n] = grids(x, size, (self.lower, self.upper), self.length, self.share)
         self.lists = np.zeros((rows, 4), np.int32)
         self.lists[:, BEGIN], self.lists[:, ROOM] = np.arange(rows) * PLACES, PLACES
         self.top = np.array([rows * PLACES])
@@ -79,9 +80,27 @@ class Homes:
         """A pool with at least `short` places more."""
         self.pool = np.concatenate((self.pool, np.empty(short + len(self.pool), np.int32)))
 
+    def grow(self) -> None:
+        """Room for twice as many rows."""
+        rows, width = self.home.shape
+        self.home = enlarged(self.home, aligned(2 * rows, width))
+        self.links = self.home.view(np.int32)
+        self.level = enlarged(self.level, np.zeros(2 * rows, np.int8))
+        self.lists = enlarged(self.lists, np.zeros((2 * rows, 4), np.int32))
+        self.enlarge(rows * PLACES)
+        self.lists[rows:, BEGIN], self.lists[rows:, ROOM] = self.top[0] + np.arange(rows) * PLACES, PLACES
+        self.top += rows * PLACES
+        self.around = np.empty(2 * rows + 2, np.int32)
+
 
 def aligned(rows: int, width: int) -> Array:
     """Room for rows of numbers that begin where lines of the cache (64 bytes) do: eight to a row are read at once."""
     room = np.empty(rows * width + 8)
     first = -room.ctypes.data // 8 % 8
     return room[first : first + rows * width].reshape(rows, width)
+
+
+def enlarged(old: Array, new: Array) -> Array:
+    """The new array, with the rows of the old one in front."""
+    new[: len(old)] = old
+    return new

@@ -34,11 +34,11 @@ MARGIN = 1.0 + 1e-9  # on distances between homes, far above round-off
 Grid = tuple[Array, Array, Array, Array, Array]
 
 
-def grids(x: Array, reach: Array, box: tuple[Array, Array], length: Array) -> tuple[Grid, Array]:
+def grids(x: Array, reach: Array, box: tuple[Array, Array], length: Array, share: float = 1.0) -> tuple[Grid, Array]:
     """(grid, level of each row) for homes x (n, d): grid = (low (3,), per (levels, 3), cells (levels, 3), first, caps (levels,)).
 
-    `box`: the corners of the region; open axes of it may be infinite, then the rows decide. Places outside belong to the
-    outermost cells, or to their image where the axis is periodic.
+    `box`: the corners of the region; open axes of it may be infinite, then the rows decide. It may hold
+    `share` times as many rows as these. Places outside belong to the outermost cells, or to their image if the axis is periodic.
     """
     g = min(x.shape[1], GRIDDED)
     low, high = (np.array(side[:g], float) for side in box)
@@ -59,7 +59,7 @@ def grids(x: Array, reach: Array, box: tuple[Array, Array], length: Array) -> tu
             caps[step] = reach[rows].max()
             extent = np.maximum(high - low, 1e-300)
             side = max(WIDTH * float(caps[step]), float(extent.max()) * 1e-5, 1e-300)
-            while np.prod(np.floor(extent / side) + 1.0) > max(2 * len(rows), 64):
+            while np.prod(np.floor(extent / side) + 1.0) > max(2 * len(rows) * share, 64):
                 side *= 1.25
             count = np.maximum(np.floor(extent / side), 1.0)
             cells[step, :g] = count.astype(np.int64)
@@ -68,6 +68,19 @@ def grids(x: Array, reach: Array, box: tuple[Array, Array], length: Array) -> tu
     corner = np.zeros(GRIDDED)
     corner[:g] = low
     return (corner, per, cells, first, caps), level
+
+
+@njit(cache=True)
+def level_of(reach, caps):
+    """The level for one row more, of this reach; the widest one may have to hold wider rows than it was made for."""
+    widest = 0
+    for step in range(len(caps)):
+        if caps[step] >= reach:
+            return step
+        if caps[step] >= 0.0:
+            widest = step
+    caps[widest] = reach
+    return widest
 
 
 @lean

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from math import prod
 
 import numpy as np
@@ -45,6 +45,22 @@ def rows_of_everyone(ranks: Ranks, arrays: dict[str, Array]) -> dict[str, Array]
     n = len(next(iter(arrays.values())))
     rows, counts = np.tile(np.arange(n), ranks.size), np.full(ranks.size, n, np.int32)
     return send_rows(ranks, arrays, rows, counts)[0]
+
+
+def swap(ranks: Ranks, others: Sequence[int], outgoing: Sequence[Array]) -> Array:
+    """One message of float64 to each of the other ranks, all of which do the same; returns theirs, one after the other."""
+    comm = ranks.comm
+    requests = [comm.Isend([message, MPI.DOUBLE], dest=p) for p, message in zip(others, outgoing, strict=True)]
+    ranks.messages += len(requests)
+    status = MPI.Status()
+    messages = [(comm.Mprobe(source=p, status=status), status.Get_count(MPI.DOUBLE)) for p in others]
+    incoming = np.empty(sum(size for _, size in messages))
+    at = 0
+    for message, size in messages:
+        message.Recv([incoming[at : at + size], MPI.DOUBLE])
+        at += size
+    MPI.Request.Waitall(requests)
+    return incoming
 
 
 def columns(words: Array, count: int, like: dict[str, Array]) -> Iterator[tuple[str, Array]]:

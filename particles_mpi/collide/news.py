@@ -1,0 +1,335 @@
+"""What ranks tell one another after a window of mode `event`, and how they check it: kernels of `windows`.
+
+A message is a series of float64 (seen through `words` as int64), each part beginning with what it is and an id:
+
+- TOUCHED: the record (`log`) of a row to which something happened, to all who hold it as a ghost.
+- NEW: the record, R, 1/m and home of a row that comes near the receiver's region.
+- YOURS: rank and place of the particle's fields, home, and who holds it, of a row that the receiver owns from now on.
+- DROPPED: a row that has gone away from the receiver's region.
+"""
+
+from __future__ import annotations
+
+from math import floor
+
+import numpy as np
+from numba import njit
+
+from particles_mpi.collide.contact import NOBODY
+from particles_mpi.collide.log import (
+    GHOST,
+    HISTORY,
+    ID,
+    MET,
+    MINE,
+    NOT_HERE,
+    OWN,
+    STUCK,
+    TURNS,
+    load_row,
+    save_row,
+)
+from particles_mpi.collide.queue import take
+from particles_mpi.neighbours.shells import level_of, move_in, move_out, neighbours, room_for
+
+TOUCHED, NEW, YOURS, DROPPED = range(4)
+
+
+@njit(cache=True)
+def width_of(kind, d, masks):
+    """Numbers in a part of a message."""
+    record = 2 * d + 6
+    if kind == TOUCHED:
+        return 2 + record
+    if kind == NEW:
+        return 2 + record + 2 + d
+    if kind == YOURS:
+        return 2 + 2 + d + masks
+    return 2
+
+
+@njit(cache=True)
+def gap2(axes, at, i, low, high, length, origin):
+    """Square of the distance of place at[i] from the box (low, high), or from its nearest periodic image."""
+    total = 0.0
+    for k in range(len(axes)):
+        y = at[i, k]
+        if length[k] > 0.0:
+            y -= floor((y - origin[k]) / length[k]) * length[k]
+        gap = max(low[k] - y, y - high[k], 0.0)
+        if length[k] > 0.0:
+            gap = min(gap, max(low[k] - y - length[k], 0.0, y + length[k] - high[k]))
+            gap = min(gap, max(low[k] - y + length[k], 0.0, y - length[k] - high[k]))
+        total += gap * gap
+    return total
+
+
+@njit(cache=True)
+def holds(masks, i, rank):
+    """Is the bit of a rank set in row i?"""
+    return (masks[i, rank >> 6] >> (rank & 63)) & 1 == 1
+
+
+@njit(cache=True)
+def mark_holders(axes, home, rows, ranks, low, high, length, origin, depth, masks):
+    """masks[p]: which of the ranks must know row rows[p]: those whose region is within depth + R + shell of its home."""
+    d = len(axes)
+    for p in range(len(rows)):
+        i = rows[p]
+        reach = depth + home[i, d]
+        masks[p] = 0
+        for rank in ranks:
+            if gap2(axes, home, i, low[rank], high[rank], length, origin) <= reach * reach:
+                masks[p, rank >> 6] |= np.int64(1) << (rank & 63)
+
+
+@njit(cache=True)
+def plan_moves(axes, home, log, rank, ranks, low, high, length, origin, depth, tree, wanted, owner):
+    """For the own rows that got new homes: who must know them, and the rank whose region the home is in. Returns how many."""
+    axis, cut, below, above = tree
+    moved, movers = log[7][0], log[8][: log[7][0]]
+    mark_holders(axes, home, movers, ranks, low, high, length, origin, depth, wanted)
+    for m in range(moved):
+        node = 0 if len(axis) else -1
+        while node >= 0:
+            k = axis[node]
+            y = home[movers[m], k]
+            if length[k] > 0.0:
+                y -= floor((y - origin[k]) / length[k]) * length[k]
+            node = below[node] if y < cut[node] else above[node]
+        owner[m] = -1 - node
+        wanted[m, rank >> 6] |= np.int64(1) << (rank & 63)  # it stays here for now, as a ghost if not as an own row
+    return moved
+
+
+@njit(cache=True)
+def pack_motion(axes, leg, state, told, rank, out, words):
+    """(id, x, v) of own rows that the rank holds; returns the length. `out` has room for all."""
+    d = len(axes)
+    size = 0
+    for i in range(len(leg)):
+        if state[i, MINE] == OWN and holds(told, i, rank):
+            words[size] = state[i, ID]
+            for k in range(2 * d):
+                out[size + 1 + k] = leg[i, k]
+            size += 1 + 2 * d
+    return size
+
+
+@njit(cache=True)
+def unpack_motion(axes, leg, state, row_of, message, words):
+    """What pack_motion wrote: ghosts on legs from time 0."""
+    d = len(axes)
+    for at in range(0, len(message), 1 + 2 * d):
+        i = row_of[words[at]]
+        for k in range(2 * d):
+            leg[i, k] = message[at + 1 + k]
+        leg[i, 2 * d] = 0.0
+        state[i, MET], state[i, STUCK], state[i, HISTORY] = NOBODY, 0, 0
+
+
+@njit(cache=True)
+def turned(axes, state, i, log, p):
+    """Has row i, at place p of the log, got a new leg, or only a new home?"""
+    return log[5][p, 2 * len(axes) + 3] != state[i, HISTORY]
+
+
+@njit(cache=True)
+def pack_news(axes, leg, state, home, told, holder, log, wanted, owner, rank, out, words):
+    """All that the rank must hear of own rows; returns the length. `wanted`, `owner`: of the movers of the log, in order."""
+    d = len(axes)
+    rows, count, moved, movers = log[2], log[3], log[7], log[8]
+    record = 2 * d + 6
+    size = 0
+    for p in range(count[0]):
+        i = rows[p]
+        if state[i, MINE] == OWN and holds(told, i, rank) and turned(axes, state, i, log, p):
+            words[size], words[size + 1] = TOUCHED, state[i, ID]
+            part = out[size + 2 : size + 2 + record].reshape(1, record)
+            save_row(axes, leg, state, i, part, words[size + 2 : size + 2 + record].reshape(1, record), 0)
+            size += 2 + record
+    for m in range(moved[0]):
+        i = movers[m]
+        if holds(wanted, m, rank) and not holds(told, i, rank):
+            words[size], words[size + 1] = NEW, state[i, ID]
+            part = out[size + 2 : size + 2 + record].reshape(1, record)
+            save_row(axes, leg, state, i, part, words[size + 2 : size + 2 + record].reshape(1, record), 0)
+            size += 2 + record
+            out[size], out[size + 1] = leg[i, 2 * d + 1], home[i, d + 2]
+            for k in range(d):
+                out[size + 2 + k] = home[i, k]
+            size += 2 + d
+        if owner[m] == rank:
+            words[size], words[size + 1] = YOURS, state[i, ID]
+            words[size + 2], words[size + 3] = holder[i, 0], holder[i, 1]
+            for k in range(d):
+                out[size + 4 + k] = home[i, k]
+            for b in range(told.shape[1]):
+                words[size + 4 + d + b] = wanted[m, b]
+            size += 4 + d + told.shape[1]
+    for m in range(moved[0]):
+        i = movers[m]
+        if holds(told, i, rank) and not holds(wanted, m, rank):
+            words[size], words[size + 1] = DROPPED, state[i, ID]
+            size += 2
+    return size
+
+
+@njit(cache=True)
+def matters(axes, leg, i, log, begin, place, low, high, length, origin, reach):
+    """May row i, wherever it went in the window that began at `begin`, have met an own row? `place` (1, d) is for scribbling."""
+    d = len(axes)
+    window, mark, saved = log[0], log[1], log[4]
+    noted = mark[i, 0] == window[0]
+    for k in range(d):
+        if noted:
+            p = mark[i, 1]
+            place[0, k] = saved[p, k] + saved[p, d + k] * (begin - saved[p, 2 * d])
+        else:
+            place[0, k] = leg[i, k] + leg[i, d + k] * (begin - leg[i, 2 * d])
+    within = reach + leg[i, 2 * d + 1]
+    return gap2(axes, place, 0, low, high, length, origin) <= within * within
+
+
+@njit(cache=True)
+def check(axes, leg, state, row_of, log, heard, begin, low, high, length, origin, reach, message, words, masks):
+    """Is there a ghost that matters and had another history at its owner?
+
+    `message`: all that arrived; notes which rows it tells of in `heard`. Of the others nothing happened at their owners.
+    """
+    d = len(axes)
+    place = np.empty((1, d))
+    window = log[0][0]
+    wrong = False
+    at = 0
+    while at < len(message):
+        if words[at] == TOUCHED:
+            i = row_of[words[at + 1]]
+            heard[i] = window
+            if words[at + 2 + 2 * d + 3] != state[i, HISTORY]:
+                wrong |= matters(axes, leg, i, log, begin, place, low, high, length, origin, reach)
+        at += width_of(words[at], d, masks)
+    rows, count = log[2], log[3]
+    for p in range(count[0]):
+        i = rows[p]
+        if state[i, MINE] == GHOST and heard[i] != window and turned(axes, state, i, log, p):
+            wrong |= matters(axes, leg, i, log, begin, place, low, high, length, origin, reach)
+    return wrong
+
+
+@njit(cache=True)
+def undo(axes, leg, state, log, todo):
+    """All rows as they were before the window; returns how many are to look for their next events anew."""
+    rows, count, saved, words = log[2], log[3], log[4], log[5]
+    for p in range(count[0]):
+        load_row(axes, leg, state, rows[p], saved, words, p)
+        todo[p] = rows[p]
+    return count[0]
+
+
+@njit(cache=True)
+def correct(axes, leg, state, row_of, log, heard, message, words, told, wanted, owner, rank, todo):
+    """Ghosts that went another way than at their owners are put right, and movers belong to the rank that their homes are in.
+
+    Returns how many rows are to look for their next events anew.
+    """
+    d = len(axes)
+    record = 2 * d + 6
+    pending = 0
+    at = 0
+    while at < len(message):
+        if words[at] == TOUCHED:
+            i = row_of[words[at + 1]]
+            if words[at + 2 + 2 * d + 3] != state[i, HISTORY]:
+                part = message[at + 2 : at + 2 + record].reshape(1, record)
+                load_row(axes, leg, state, i, part, words[at + 2 : at + 2 + record].reshape(1, record), 0)
+                todo[pending] = i
+                pending += 1
+        at += width_of(words[at], d, told.shape[1])
+    window, rows, count, saved, saved_words = log[0][0], log[2], log[3], log[4], log[5]
+    for p in range(count[0]):
+        i = rows[p]
+        if state[i, MINE] == GHOST and heard[i] != window and turned(axes, state, i, log, p):
+            load_row(axes, leg, state, i, saved, saved_words, p)
+            todo[pending] = i
+            pending += 1
+    moved, movers, is_mover = log[7], log[8], log[9]
+    for m in range(moved[0]):
+        i = movers[m]
+        is_mover[i] = False
+        told[i] = wanted[m]
+        if owner[m] != rank:
+            state[i, MINE] = GHOST
+    moved[0] = 0
+    return pending
+
+
+@njit(cache=True)
+def admit(
+    axes, leg, state, slot, heads, row_of, homes, grid, level, shell, length, told, holder, free, free_count, todo, counts,
+    message, words, at,
+):  # fmt: skip
+    """NEW, YOURS and DROPPED of a message, from place `at` on.
+
+    free[:free_count[0]]: rows that are not in use. counts = (rows added to todo, rows that changed owner). Returns
+    (place, short): the end and 0, or the place of the part for which the pool is short of so many places, or for which there
+    is no free row (-1); then enlarge and call again from there.
+    """
+    d = len(axes)
+    record = 2 * d + 6
+    masks = told.shape[1]
+    home, links, lists, pool, top, head, around = homes
+    low, per, cells, corners, caps = grid
+    while at < len(message):
+        kind, name = words[at], words[at + 1]
+        if kind in (NEW, YOURS):
+            i = row_of[name]
+            fresh = kind == NEW and i < 0
+            if fresh:
+                if free_count[0] == 0:
+                    return at, -1
+                i = free[free_count[0] - 1]
+                leg[i, 2 * d + 1] = message[at + 2 + record]
+                home[i, d + 2] = message[at + 3 + record]
+            begin = at + (4 + record if kind == NEW else 4)
+            if fresh or kind == YOURS:
+                before = home[i].copy()
+                for k in range(d):
+                    home[i, k] = message[begin + k]
+                if fresh:
+                    home[i, d + 1] = shell if home[i, d + 2] > 0.0 else 0.0
+                    home[i, d] = leg[i, 2 * d + 1] + home[i, d + 1]
+                found = neighbours(axes, i, home, links, head, low, per, cells, corners, caps, length, True, around)
+                short = top[0] + room_for(i, around, found, lists) - len(pool)
+                if short > 0:
+                    home[i] = before
+                    return at, short
+                if fresh:
+                    free_count[0] -= 1
+                    row_of[name] = i
+                    state[i, ID], state[i, MINE] = name, GHOST
+                    part = message[at + 2 : at + 2 + record].reshape(1, record)
+                    load_row(axes, leg, state, i, part, words[at + 2 : at + 2 + record].reshape(1, record), 0)
+                    level[i] = level_of(home[i, d], caps)
+                else:
+                    move_out(axes, i, links, pool, lists, head)
+                move_in(axes, i, home, links, level, around, found, pool, lists, top, head, low, per, cells, corners, length)
+                todo[counts[0]] = i
+                counts[0] += 1
+            if kind == YOURS:
+                state[i, MINE] = OWN
+                holder[i, 0], holder[i, 1] = words[at + 2], words[at + 3]
+                for b in range(masks):
+                    told[i, b] = words[at + 4 + d + b]
+                counts[1] += 1
+        elif kind == DROPPED:
+            i = row_of[name]
+            take(slot, heads, i)
+            move_out(axes, i, links, pool, lists, head)
+            state[i, MINE] = NOT_HERE
+            state[i, TURNS] += 1
+            row_of[name] = -1
+            free[free_count[0]] = i
+            free_count[0] += 1
+        at += width_of(kind, d, masks)
+    return at, 0
