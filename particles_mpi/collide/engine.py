@@ -72,7 +72,7 @@ class Engine:
         self.buckets = int(min(max(self.events / CONTACTS, 64), 4 * len(here) + 64))
         self.heads = np.full(self.buckets, -1, np.int32)
         self.h = h
-        self.clock, self.far = np.zeros(1, np.int64), np.zeros(1, np.bool_)
+        self.clock, self.far = np.zeros(1, np.int64), np.zeros(2, np.bool_)  # far: flights of many boxes, and squeezed rows
         self.counts[:] = 0
         self.stopped[0] = h
         d = len(self.axes)

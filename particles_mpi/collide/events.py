@@ -29,13 +29,13 @@ from particles_mpi.collide.log import (
     remember,
 )
 from particles_mpi.collide.planes import bounce, may_hit, wall_contact
-from particles_mpi.collide.queue import LEAVING, NOTHING, PARTNER, STAMP, WHEN, before_other, first, put, take
-from particles_mpi.lean import lean
+from particles_mpi.collide.queue import LEAVING, NEXT, NOTHING, PARTNER, STAMP, WHEN, before_other, first, put, take
+from particles_mpi.lean import lean, prefetch
 from particles_mpi.neighbours.shells import BEGIN, COUNT, move_in, move_out, neighbours, room_for
 
 COLLISIONS, WALL_HITS, SPARED, HOMES = 0, 1, 2, 3  # what `counts` counts
 PATIENCE = 1000  # contacts in a row without time passing; past it a particle is squeezed, and waits for the next step
-EARLY = 3  # buckets
+EARLY, SOON, NEXT_ONES = 6, 4, 2  # buckets
 AHEAD = 0.8  # of the shell: a new home lies that far ahead where flights are longer than shells
 
 
@@ -202,11 +202,11 @@ def next_event(
             if (
                 t != NEVER
                 and (t < best or partner == NOTHING or before_other(i, j, i, partner, state))
-                and state[j, STUCK] < PATIENCE
+                and not (far[1] and state[j, STUCK] >= PATIENCE)
                 and not (
-                    state[i, MET] == state[j, ID]
+                    leg[i, 2 * d] == leg[j, 2 * d]
+                    and state[i, MET] == state[j, ID]
                     and state[j, MET] == state[i, ID]
-                    and leg[i, 2 * d] == leg[j, 2 * d]
                     and nearest_image(d, r, length)
                 )
             ):
@@ -237,12 +237,45 @@ def next_event(
 
 
 @lean
-def turn(axes, leg, state, reals, i, t, partner, moment):
+def turn(axes, leg, state, reals, i, t, partner, moment, far):
     """Row i is about to begin a new leg at time t: what must be remembered of it."""
     state[i, STUCK] = state[i, STUCK] + 1 if t == leg[i, 2 * len(axes)] else 0
+    far[1] |= state[i, STUCK] >= PATIENCE
     state[i, MET] = partner
     state[i, TURNS] += 1
     reals[i, LAST] = moment + t
+
+
+@lean
+def fetch(axes, leg, state, slot, lists, pool, home, heads, clock):
+    """What the next events will need comes to the cache while this one is worked on: rows, then lists, then neighbours."""
+    last = len(heads) - 1
+    i = np.int64(heads[min(clock[0] + EARLY, last)])
+    if i >= 0:
+        prefetch(slot, i)
+        prefetch(lists, i)
+        prefetch(leg, i)
+        prefetch(state, i)
+        prefetch(home, i)
+    i = np.int64(heads[min(clock[0] + SOON, last)])
+    if i >= 0:
+        prefetch(pool, lists[i, BEGIN])
+        prefetch(slot, slot[i, NEXT])
+        j = np.int64(slot[i, PARTNER])
+        if j >= 0:
+            prefetch(slot, j)
+            prefetch(lists, j)
+            prefetch(leg, j)
+            prefetch(state, j)
+            prefetch(home, j)
+    i = np.int64(heads[min(clock[0] + NEXT_ONES, last)])
+    if i >= 0:
+        for p in range(np.uint64(lists[i, BEGIN]), np.uint64(lists[i, BEGIN] + lists[i, COUNT])):
+            prefetch(leg, pool[p])
+        j = np.int64(slot[i, PARTNER])
+        if j >= 0:
+            for p in range(np.uint64(lists[j, BEGIN]), np.uint64(lists[j, BEGIN] + lists[j, COUNT])):
+                prefetch(leg, pool[p])
 
 
 @lean
@@ -282,9 +315,7 @@ def run(
             if partner != NOTHING:
                 put(slot, when, heads, per_time, clock, i, t, partner, state[partner, TURNS] if partner >= 0 else 0)
             continue
-        soon = np.int64(heads[min(clock[0] + EARLY, len(heads) - 1)])
-        if soon >= 0:  # what its event will need comes to the cache while this one is worked on
-            u[0] = leg[soon, 0] + home[soon, 0] + pool[lists[soon, BEGIN]] + state[soon, ID]
+        fetch(axes, leg, state, slot, lists, pool, home, heads, clock)
         i = first(slot, when, heads, clock, state)
         if i < 0 or when[i, WHEN] >= until:
             return 0
@@ -316,7 +347,7 @@ def run(
             wall = -1 - j
             lossy = wall_restitution[wall] * wall_keep[wall] < 1.0
             easy = lossy and moment + t - reals[i, LAST] < soft
-            turn(axes, leg, state, reals, i, t, j, moment)
+            turn(axes, leg, state, reals, i, t, j, moment, far)
             move_leg(axes, leg, i, t)
             mine = state[i, MINE] == OWN
             if easy:
@@ -336,8 +367,8 @@ def run(
             if state[j, ID] < state[i, ID]:
                 i, j = j, i
             easy = restitution * keep < 1.0 and moment + t - max(reals[i, LAST], reals[j, LAST]) < soft
-            turn(axes, leg, state, reals, i, t, state[j, ID], moment)
-            turn(axes, leg, state, reals, j, t, state[i, ID], moment)
+            turn(axes, leg, state, reals, i, t, state[j, ID], moment, far)
+            turn(axes, leg, state, reals, j, t, state[i, ID], moment, far)
             mine = state[i, MINE] == OWN
             if easy:
                 reals[i, VIRIAL] += collide(axes, leg, home, i, j, t, 1.0, 1.0, length)

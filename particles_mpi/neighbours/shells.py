@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 
 from particles_mpi.collide.contact import boxes_between
-from particles_mpi.lean import lean
+from particles_mpi.lean import lean, prefetch
 from particles_mpi.particles import Array
 
 GRIDDED = 3  # axes with cells
@@ -159,6 +159,7 @@ def neighbours(axes, i, home, links, head, low, per, cells, first, caps, length,
                 for c in range(m2):
                     c2 = f2 + c if f2 + c < cells[step, 2] else f2 + c - cells[step, 2]
                     j = head[np.uint64(first[step] + (c0 * cells[step, 1] + c1) * cells[step, 2] + c2)]
+                    prefetch(home, j)  # for -1 it asks in vain
                     around[np.uint64(waiting)] = j
                     waiting += j >= 0
     # Each is taken from the front, the next one in its cell is put behind: without a branch the memory answers many at once.
@@ -168,6 +169,7 @@ def neighbours(axes, i, home, links, head, low, per, cells, first, caps, length,
         j = np.uint64(around[np.uint64(p)])
         p += 1
         after = links[j, 2 * d + AFTER]
+        prefetch(home, after)
         around[np.uint64(waiting)] = after
         waiting += after >= 0
         around[np.uint64(found)] = j
@@ -216,6 +218,10 @@ def move_in(axes, i, home, links, level, around, found, pool, lists, top, head, 
 def move_out(axes, i, links, pool, lists, head):
     """Row i leaves its cell and all lists."""
     d = len(axes)
+    for p in range(lists[i, BEGIN], lists[i, BEGIN] + lists[i, COUNT]):
+        prefetch(lists, pool[p])
+    for p in range(lists[i, BEGIN], lists[i, BEGIN] + lists[i, COUNT]):
+        prefetch(pool, lists[pool[p], BEGIN])
     for p in range(lists[i, BEGIN], lists[i, BEGIN] + lists[i, COUNT]):
         unlisted(pool, lists, pool[p], i)
     lists[i, COUNT] = 0
