@@ -207,6 +207,9 @@ class Job:
         traffic = self.traffic()
         self.screen.phases(timers, steps, sim.total)
         remarks = sim.remarks()
+        if traffic.get("windows"):
+            windows, redone = traffic["windows"], traffic["windows_redone"]
+            self.screen.say(f"{windows} windows of time verified by the ranks, {redone} redone ({100 * redone / windows:.1f} %)")
         for remark in remarks:
             self.screen.say(remark)
         with failing_together(self.ranks, f"cannot write {self.folder / 'run.json'}"):
@@ -226,6 +229,9 @@ class Job:
         counted |= {"messages": self.ranks.messages, "ghost_rows": near.ghost_rows if near else 0}
         totals = self.ranks.total(np.array(list(counted.values()), np.int64))
         result = dict(zip(counted, totals.tolist(), strict=True))
+        windows = getattr(near, "windows_redone", None)
+        if windows:
+            result |= {"windows": windows[0], "windows_redone": windows[1]}
         return result | {"reductions": self.ranks.reductions, "pair_searches": near.searches if near else 0}
 
     def write_json(self, timers: dict[str, Any], counts: dict[str, int], remarks: list[str]) -> None:

@@ -16,8 +16,7 @@ from numba.extending import intrinsic
 lean: Any = njit(cache=True, _nrt=False)  # type: ignore[call-overload]
 
 
-@intrinsic
-def prefetch(typing: Any, array: Any, row: Any) -> Any:
+def _prefetch(typing: Any, array: Any, row: Any) -> Any:
     """Ask for the beginning of array[row] to be in the cache soon, without waiting for it."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -35,3 +34,6 @@ def prefetch(typing: Any, array: Any, row: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(array, row), generate
+
+
+prefetch: Any = intrinsic(_prefetch)

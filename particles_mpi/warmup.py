@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from time import perf_counter
 
+from particles_mpi.collide.event import Event
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.scene import Scene
 from particles_mpi.simulation import Simulation
@@ -35,11 +36,13 @@ def main() -> None:
                 tiny(d, False, {"uniform_gravity": None, "walls": None, "collisions": None, "friction": {"strength": 0.1}}),
                 tiny(d, True, {"collisions": None, "drag": {"rate": 0.1}}),
                 tiny(d, False, {"uniform_gravity": None, "walls": None}),
-                *[tiny(d, p, {"collisions": {"mode": "event"}, "walls": None}) for p in (False, True) if ranks is alone],
+                *[tiny(d, p, {"collisions": {"mode": "event"}, "walls": None}) for p in (False, True)],
                 tiny(d, False, {"uniform_gravity": None}),
             ]
             for scene in scenes:
                 sim = Simulation(scene, ranks.comm)
+                if ranks is world and isinstance(sim.near, Event):
+                    sim.near.divided = sim.near.windows.always = ranks.size > 1
                 sim.run()
                 sim.measure()
     if world.is_root:

@@ -69,7 +69,7 @@ class Engine:
         self.todo[: len(here)] = here
         self.pending = len(here)
         self.slot[:, 0] = NOTHING
-        self.buckets = int(min(max(self.events / CONTACTS, 64), 4 * len(here) + 64))
+        self.buckets = int(min(max(self.events / CONTACTS, len(here)), 4 * len(here))) + 64
         self.heads = np.full(self.buckets, -1, np.int32)
         self.h = h
         self.clock, self.far = np.zeros(1, np.int64), np.zeros(2, np.bool_)  # far: flights of many boxes, and squeezed rows

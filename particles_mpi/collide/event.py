@@ -75,6 +75,11 @@ class Event:
         return self.windows.migrated if self.divided else 0
 
     @property
+    def windows_redone(self) -> tuple[int, int] | None:
+        """Windows of time so far, and how many of them were undone; None where space was never divided."""
+        return (self.windows.count, self.windows.redone) if "windows" in self.__dict__ else None
+
+    @property
     def ghost_rows(self) -> int:
         return self.windows.ghost_rows if self.divided else 0
 

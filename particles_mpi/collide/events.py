@@ -341,7 +341,7 @@ def run(
             move_out(axes, i, links, pool, lists, head)
             move_in(axes, i, home, links, level, around, found, pool, lists, top, head, low, per, cells, corners, length)
             counts[HOMES] += 1
-            if logging and state[i, MINE] == OWN:
+            if logging and state[i, MINE] >= OWN:
                 note_home(i, log)
         elif j < 0:
             wall = -1 - j
@@ -349,7 +349,7 @@ def run(
             easy = lossy and moment + t - reals[i, LAST] < soft
             turn(axes, leg, state, reals, i, t, j, moment, far)
             move_leg(axes, leg, i, t)
-            mine = state[i, MINE] == OWN
+            mine = state[i, MINE] >= OWN
             if easy:
                 mirror(axes, v, i, wall, normal)
                 if mine:
@@ -369,7 +369,7 @@ def run(
             easy = restitution * keep < 1.0 and moment + t - max(reals[i, LAST], reals[j, LAST]) < soft
             turn(axes, leg, state, reals, i, t, state[j, ID], moment, far)
             turn(axes, leg, state, reals, j, t, state[i, ID], moment, far)
-            mine = state[i, MINE] == OWN
+            mine = state[i, MINE] >= OWN
             if easy:
                 reals[i, VIRIAL] += collide(axes, leg, home, i, j, t, 1.0, 1.0, length)
                 if mine:
@@ -439,7 +439,7 @@ def arrive(axes, leg, state, h, home, length, lower):
         if state[i, MINE] == NOT_HERE:
             continue
         if state[i, STUCK] >= PATIENCE:
-            squeezed += state[i, MINE] == OWN
+            squeezed += state[i, MINE] >= OWN
             leg[i, 2 * d] = h  # it stays where its last contact was
         for k in range(d):
             at = leg[i, k] + leg[i, d + k] * (h - leg[i, 2 * d])

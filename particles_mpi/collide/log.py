@@ -17,7 +17,12 @@ from particles_mpi.lean import lean
 from particles_mpi.particles import Array
 
 ID, MET, TURNS, STUCK, HISTORY, MINE, LAST, VIRIAL = range(8)
-NOT_HERE, GHOST, OWN = 0, 1, 2  # values of MINE: a free row, another rank answers for it, this one does
+NOT_HERE, GHOST, OWN, KNOWN = (
+    0,
+    1,
+    2,
+    3,
+)  # values of MINE: a free row; another rank answers for it; this one does, and others know it
 ODD = -7046029254386353131  # an odd number with many bits, to multiply with
 
 
@@ -31,7 +36,8 @@ class Log:
 
     `window` (1,) is the number of the window, 0 while nobody needs a log; `mark` (n, 2) the last one a row was noted in, and
     at which place.
-    `fastest` (1,) is the largest square of a speed that a contact gave. `moved`: own rows that got new homes.
+    `fastest` (1,) is the largest square of a speed that a contact gave. `moved`: own rows that got new homes. `border`: places
+    of the rows that more than one rank knows.
     """
 
     def __init__(self, rows: int, dimension: int):
@@ -39,10 +45,11 @@ class Log:
         self.mark, self.rows = np.zeros((rows, 2), np.int64), np.empty(rows, np.int32)
         self.saved = np.empty((rows, record_width(dimension)))
         self.moved, self.movers, self.is_mover = np.zeros(1, np.int64), np.empty(rows, np.int32), np.zeros(rows, np.bool_)
+        self.shared, self.border = np.zeros(1, np.int64), np.empty(rows, np.int32)
 
     def grow(self) -> None:
         """For twice as many rows."""
-        for name in ("mark", "rows", "saved", "movers", "is_mover"):
+        for name in ("mark", "rows", "saved", "movers", "is_mover", "border"):
             old = getattr(self, name)
             setattr(self, name, np.concatenate((old, np.zeros_like(old))))
 
@@ -50,7 +57,7 @@ class Log:
         """What the kernels take."""
         return (
             self.window, self.mark, self.rows, self.count, self.saved, self.saved.view(np.int64), self.fastest,
-            self.moved, self.movers, self.is_mover,
+            self.moved, self.movers, self.is_mover, self.shared, self.border,
         )  # fmt: skip
 
 
@@ -78,10 +85,13 @@ def load_row(axes, leg, state, i, out, words, at):
 @lean
 def remember(axes, leg, state, i, log):
     """Something is about to happen to row i."""
-    window, mark, rows, count, saved, words, _, _, _, _ = log
+    window, mark, rows, count, saved, words, _, _, _, _, shared, border = log
     if mark[i, 0] != window[0]:
         mark[i, 0], mark[i, 1] = window[0], count[0]
         rows[count[0]] = i
+        if state[i, MINE] != OWN:
+            border[shared[0]] = count[0]
+            shared[0] += 1
         save_row(axes, leg, state, i, saved, words, count[0])
         count[0] += 1
 

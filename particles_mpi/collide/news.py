@@ -20,6 +20,7 @@ from particles_mpi.collide.log import (
     GHOST,
     HISTORY,
     ID,
+    KNOWN,
     MET,
     MINE,
     NOT_HERE,
@@ -30,6 +31,7 @@ from particles_mpi.collide.log import (
     save_row,
 )
 from particles_mpi.collide.queue import take
+from particles_mpi.lean import prefetch
 from particles_mpi.neighbours.shells import level_of, move_in, move_out, neighbours, room_for
 
 TOUCHED, NEW, YOURS, DROPPED = range(4)
@@ -71,6 +73,16 @@ def holds(masks, i, rank):
 
 
 @njit(cache=True)
+def who(told, i, rank):
+    """OWN, or KNOWN if another rank than this one holds row i."""
+    others = told[i, rank >> 6] & ~(np.int64(1) << (rank & 63))
+    for b in range(told.shape[1]):
+        if b != rank >> 6:
+            others |= told[i, b]
+    return KNOWN if others != 0 else OWN
+
+
+@njit(cache=True)
 def mark_holders(axes, home, rows, ranks, low, high, length, origin, depth, masks):
     """masks[p]: which of the ranks must know row rows[p]: those whose region is within depth + R + shell of its home."""
     d = len(axes)
@@ -86,18 +98,28 @@ def mark_holders(axes, home, rows, ranks, low, high, length, origin, depth, mask
 @njit(cache=True)
 def plan_moves(axes, home, log, rank, ranks, low, high, length, origin, depth, tree, wanted, owner):
     """For the own rows that got new homes: who must know them, and the rank whose region the home is in. Returns how many."""
+    d = len(axes)
     axis, cut, below, above = tree
-    moved, movers = log[7][0], log[8][: log[7][0]]
-    mark_holders(axes, home, movers, ranks, low, high, length, origin, depth, wanted)
+    moved, movers = log[7][0], log[8]
     for m in range(moved):
-        node = 0 if len(axis) else -1
-        while node >= 0:
-            k = axis[node]
-            y = home[movers[m], k]
-            if length[k] > 0.0:
-                y -= floor((y - origin[k]) / length[k]) * length[k]
-            node = below[node] if y < cut[node] else above[node]
-        owner[m] = -1 - node
+        prefetch(home, movers[m])
+    for m in range(moved):
+        i = movers[m]
+        owner[m] = rank
+        reach = depth + home[i, d]
+        inside = True
+        for k in range(d):
+            inside &= low[rank, k] + reach < home[i, k] < high[rank, k] - reach
+        if not inside:
+            mark_holders(axes, home, movers[m : m + 1], ranks, low, high, length, origin, depth, wanted[m : m + 1])
+            node = 0 if len(axis) else -1
+            while node >= 0:
+                k = axis[node]
+                y = home[i, k]
+                if length[k] > 0.0:
+                    y -= floor((y - origin[k]) / length[k]) * length[k]
+                node = below[node] if y < cut[node] else above[node]
+            owner[m] = -1 - node
         wanted[m, rank >> 6] |= np.int64(1) << (rank & 63)  # it stays here for now, as a ghost if not as an own row
     return moved
 
@@ -108,7 +130,7 @@ def pack_motion(axes, leg, state, told, rank, out, words):
     d = len(axes)
     size = 0
     for i in range(len(leg)):
-        if state[i, MINE] == OWN and holds(told, i, rank):
+        if state[i, MINE] == KNOWN and holds(told, i, rank):
             words[size] = state[i, ID]
             for k in range(2 * d):
                 out[size + 1 + k] = leg[i, k]
@@ -138,12 +160,16 @@ def turned(axes, state, i, log, p):
 def pack_news(axes, leg, state, home, told, holder, log, wanted, owner, rank, out, words):
     """All that the rank must hear of own rows; returns the length. `wanted`, `owner`: of the movers of the log, in order."""
     d = len(axes)
-    rows, count, moved, movers = log[2], log[3], log[7], log[8]
+    rows, moved, movers, shared, border = log[2], log[7], log[8], log[10], log[11]
     record = 2 * d + 6
     size = 0
-    for p in range(count[0]):
+    for p in border[: shared[0]]:
+        prefetch(state, rows[p])
+        prefetch(told, rows[p])
+        prefetch(leg, rows[p])
+    for p in border[: shared[0]]:
         i = rows[p]
-        if state[i, MINE] == OWN and holds(told, i, rank) and turned(axes, state, i, log, p):
+        if state[i, MINE] == KNOWN and holds(told, i, rank) and turned(axes, state, i, log, p):
             words[size], words[size + 1] = TOUCHED, state[i, ID]
             part = out[size + 2 : size + 2 + record].reshape(1, record)
             save_row(axes, leg, state, i, part, words[size + 2 : size + 2 + record].reshape(1, record), 0)
@@ -201,6 +227,16 @@ def check(axes, leg, state, row_of, log, heard, begin, low, high, length, origin
     place = np.empty((1, d))
     window = log[0][0]
     wrong = False
+    for step in range(2):  # first to the cache
+        at = 0
+        while at < len(message):
+            if words[at] == TOUCHED:
+                if step == 0:
+                    prefetch(row_of, words[at + 1])
+                else:
+                    prefetch(state, row_of[words[at + 1]])
+                    prefetch(heard, row_of[words[at + 1]])
+            at += width_of(words[at], d, masks)
     at = 0
     while at < len(message):
         if words[at] == TOUCHED:
@@ -209,8 +245,8 @@ def check(axes, leg, state, row_of, log, heard, begin, low, high, length, origin
             if words[at + 2 + 2 * d + 3] != state[i, HISTORY]:
                 wrong |= matters(axes, leg, i, log, begin, place, low, high, length, origin, reach)
         at += width_of(words[at], d, masks)
-    rows, count = log[2], log[3]
-    for p in range(count[0]):
+    rows, shared, border = log[2], log[10], log[11]
+    for p in border[: shared[0]]:
         i = rows[p]
         if state[i, MINE] == GHOST and heard[i] != window and turned(axes, state, i, log, p):
             wrong |= matters(axes, leg, i, log, begin, place, low, high, length, origin, reach)
@@ -246,8 +282,8 @@ def correct(axes, leg, state, row_of, log, heard, message, words, told, wanted, 
                 todo[pending] = i
                 pending += 1
         at += width_of(words[at], d, told.shape[1])
-    window, rows, count, saved, saved_words = log[0][0], log[2], log[3], log[4], log[5]
-    for p in range(count[0]):
+    window, rows, saved, saved_words, shared, border = log[0][0], log[2], log[4], log[5], log[10], log[11]
+    for p in border[: shared[0]]:
         i = rows[p]
         if state[i, MINE] == GHOST and heard[i] != window and turned(axes, state, i, log, p):
             load_row(axes, leg, state, i, saved, saved_words, p)
@@ -258,8 +294,7 @@ def correct(axes, leg, state, row_of, log, heard, message, words, told, wanted, 
         i = movers[m]
         is_mover[i] = False
         told[i] = wanted[m]
-        if owner[m] != rank:
-            state[i, MINE] = GHOST
+        state[i, MINE] = who(told, i, rank) if owner[m] == rank else GHOST
     moved[0] = 0
     return pending
 
@@ -317,10 +352,10 @@ def admit(
                 todo[counts[0]] = i
                 counts[0] += 1
             if kind == YOURS:
-                state[i, MINE] = OWN
                 holder[i, 0], holder[i, 1] = words[at + 2], words[at + 3]
                 for b in range(masks):
                     told[i, b] = words[at + 4 + d + b]
+                state[i, MINE] = KNOWN  # by the rank that had it, at least
                 counts[1] += 1
         elif kind == DROPPED:
             i = row_of[name]

@@ -11,15 +11,21 @@ from particles_mpi.parallel.exchange import in_id_order
 
 folder = Path(sys.argv[2])
 for name, tables in json.loads(Path(sys.argv[1]).read_text()).items():
+    windows = tables.pop("windows", False)
     scene = Scene.from_dict(tables)
     sim = Simulation(scene)
+    if windows and sim.ranks.size > 1:  # divide space however few there are
+        sim.near.divided = sim.near.windows.always = True
     rows = []
     for _ in range(scene.steps):
         sim.step()
         rows.append(list(sim.measure().values()))
     counts = sim.ranks.total(np.array([sim.totals[name] for name in ("collisions", "wall_hits", "missed")]))
     traffic = sim.ranks.total(np.array([sim.ranks.messages, sim.totals["exchanges"], sim.near.ghost_rows if sim.near else 0]))
+    windows = np.array(getattr(sim.near, "windows_redone", None) or (0, 0))
     frame = in_id_order(sim.ranks, sim.particles.arrays, sim.total, 1)
     if sim.ranks.is_root:
         assert (frame["id"] == np.arange(sim.total)).all()  # a permutation: nobody lost, nobody twice
-        np.savez(folder / f"{name}.{sim.ranks.size}.npz", counts=counts, rows=np.array(rows), traffic=traffic, **frame)
+        np.savez(
+            folder / f"{name}.{sim.ranks.size}.npz", counts=counts, rows=np.array(rows), traffic=traffic, windows=windows, **frame
+        )
