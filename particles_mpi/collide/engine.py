@@ -83,7 +83,9 @@ class Engine:
         homes, planes = self.homes, self.planes
         walls = planes.point, planes.normal, planes.lower, planes.upper, planes.oblique
         when = self.slot.view(np.float64)
-        queue = self.slot, when, self.heads, self.buckets / self.h, self.clock, self.far, *self.scribble
+        per_time = self.buckets / self.h
+        self.clock[0] = min(int(now * per_time), self.buckets - 1)  # nothing is left from before
+        queue = self.slot, when, self.heads, per_time, self.clock, self.far, *self.scribble
         log = self.log.arrays()
         pending, self.pending = self.pending, 0
         while True:

@@ -245,7 +245,7 @@ class Windows:
             wrong, fastest2, given = self.ranks.largest(np.array([wrong, log.fastest[0], given], float))
         with self.timers("ghosts"):
             if wrong or np.sqrt(fastest2) * length > self.stray:
-                self.undo(begin, before)
+                self.undo(before)
                 return False
             self.given = int(given)
             self.longest = min(self.longest, 0.9 * self.stray / np.sqrt(fastest2)) if fastest2 > 0.0 else self.longest
@@ -284,12 +284,11 @@ class Windows:
             self.high[me], self.length, self.lower, self.reach, message, message.view(np.int64), self.told.shape[1],
         )  # fmt: skip
 
-    def undo(self, begin: float, before: Array) -> None:
-        """All rows as they were at `begin`."""
+    def undo(self, before: Array) -> None:
+        """All rows and counts as they were when the window began."""
         engine = self.engine
         engine.pending = undo(engine.axes, engine.leg, engine.state, engine.log.arrays(), engine.todo)
         engine.counts[:] = before
-        engine.clock[0] = int(begin * engine.buckets / engine.h)
         self.redone += 1
 
     def accept(self, message: Array, wanted: Array, owner: Array) -> None:
