@@ -1,4 +1,4 @@
-"""Speed, as tables: `python tests/benchmarks/speed.py headline|flat|ranks|walls|events|start|frames|all [--runs 5]`.
+"""Speed, as tables: `python tests/benchmarks/speed.py headline|flat|ranks|walls|events|event_ranks|start|frames|all [--runs 5]`.
 
 Each case is run several times, the settings in turn, and the median and range are printed and written to
 out/benchmarks/CASE.csv. Shared machines are noisy: compare medians of one call, not of two.
@@ -110,6 +110,28 @@ def events():
     return {f"N = {n}": lambda n=n, s=s: rate(n, s) for n, s in {4_000: 200, 32_000: 25, 108_000: 8}.items()}
 
 
+def event_ranks():
+    """mode event, 100 000 hard spheres at packing 0.30, thousand collisions a second; and windows redone, %"""
+
+    def rate(r, periodic):
+        side = (100_000 * pi / 6 / 0.30) ** (1 / 3)
+        tables = {
+            "dimension": 3,
+            "box": {"lower": [0.0] * 3, "upper": [side] * 3, "periodic": periodic},
+            "time": {"step": 0.3, "steps": 10},
+            "particles": [
+                {"count": 100_000, "position": "lattice", "velocity": {"temperature": 1.0}, "radius": 0.5, "mass": 1.0}
+            ],
+            "effects": {"collisions": {"mode": "event"}} | ({} if periodic else {"walls": {}}),
+        }
+        said = told(tables, r, 2, 3)
+        if said["windows"]:
+            print("  {} windows, {} redone".format(*said["windows"]))
+        return said["collisions"] / said["seconds"] / 1e3
+
+    return {f"{r} ranks, {'periodic' if p else 'walls'}": lambda r=r, p=p: rate(r, p) for p in (True, False) for r in (1, 2)}
+
+
 def start():
     """whole process of a run of one step of headline.toml, seconds"""
     text = (SCENES / "headline.toml").read_text().replace("steps = 500", "steps = 1").replace("every = 500", "every = 1")
@@ -142,7 +164,7 @@ output = {every = 1, checkpoint_every = 8, formats = ["hdf5"]}
     return {f"{r} ranks": lambda r=r: once(r) for r in (1, 2)}
 
 
-CASES = {f.__name__: f for f in (headline, flat, ranks, walls, events, start, frames)}
+CASES = {f.__name__: f for f in (headline, flat, ranks, walls, events, event_ranks, start, frames)}
 
 
 def main():
@@ -165,7 +187,7 @@ def main():
             ratio = median(b / a for a, b in zip(figures[base], values, strict=True))
             rows.append([label, median(values), min(values), max(values), ratio])
             _, middle, low, high, _ = rows[-1]
-            print(f"  {label:14} median {middle:9.3f}   range {low:.3f} .. {high:.3f}   to the first: {ratio:.3f}")
+            print(f"  {label:18} median {middle:9.3f}   range {low:.3f} .. {high:.3f}   to the first: {ratio:.3f}")
         with (folder / f"{name}.csv").open("w", newline="") as file:
             csv.writer(file).writerows([["setting", "median", "min", "max", "median of paired ratios to the first"], *rows])
 

@@ -26,4 +26,5 @@ for _ in range(steps):
 seconds = comm.allreduce(perf_counter() - begin, MPI.MAX)
 met = comm.allreduce(sim.totals["collisions"] - met)
 if comm.rank == 0:
-    print(json.dumps({"seconds": seconds, "particles": sim.total, "steps": steps, "ranks": comm.size, "collisions": met}))
+    said = {"seconds": seconds, "particles": sim.total, "steps": steps, "ranks": comm.size, "collisions": met}
+    print(json.dumps(said | {"windows": getattr(sim.near, "windows_redone", None)}))

@@ -125,7 +125,15 @@ SCENES |= {
         effects={"collisions": {"mode": "event"}},
     ),
 }
-WINDOWS = [name for name in SCENES if SCENES[name]["effects"].get("collisions", {}).get("mode") == "event"]
+LARGE = "fluid large enough to divide"
+SCENES[LARGE] = dict(
+    dimension=3,
+    box={"lower": [0, 0, 0], "upper": [28, 28, 28], "periodic": True},
+    time={"step": 0.05, "steps": 3},
+    particles=[{"count": 12000, "position": "lattice", "velocity": {"temperature": 1.0}, "radius": 0.5}],
+    effects={"collisions": {"mode": "event"}},
+)
+WINDOWS = [name for name in SCENES if SCENES[name]["effects"].get("collisions", {}).get("mode") == "event" and name != LARGE]
 SCENES |= {f"{name}: in windows": SCENES[name] | {"windows": True} for name in WINDOWS}
 RANKS = (1, 2, 3, 4, 7, 8)
 
@@ -155,6 +163,14 @@ def test_windows_were_verified(results, name):
     windows, redone = results[f"{name}: in windows", 4]["windows"]
     assert windows > 0 and redone < windows
     assert not results[name, 4]["windows"].any()  # too few particles to divide, unless they must
+
+
+@pytest.mark.parametrize(("ranks", "divided"), [(1, False), (2, True), (4, True), (8, False)])
+def test_space_is_divided_where_that_pays(results, ranks, divided):
+    """2000 particles a rank at least; and few windows are redone."""
+    windows, redone = results[LARGE, ranks]["windows"]
+    assert (windows > 0) == divided
+    assert redone <= 0.1 * windows
 
 
 @pytest.mark.parametrize("name", SCENES)

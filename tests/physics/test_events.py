@@ -154,7 +154,7 @@ def test_pressure_of_the_hard_sphere_fluid(density, z):
         sim.step()
     measured = 2.0 * (sim.totals["collisions"] - before) / n / (sim.time - start)
     temperature = n / (n - 1)  # of 3 (N - 1) degrees of freedom
-    assert 1.0 + measured * np.sqrt(np.pi / temperature) / 6.0 == pytest.approx(z, rel=0.003 + 2.0 / n)
+    assert 1.0 + measured * np.sqrt(np.pi / temperature) / 6.0 == pytest.approx(z, rel=0.003)
 
 
 def crowd(d, periodic, **collisions):
