@@ -59,7 +59,8 @@ def ghosts(pairs: bool, event: bool, ranks: int) -> str:
     """Which particles of others a rank holds."""
     if not pairs or ranks == 1:
         return "none"
-    return "all particles, on every rank" if event else "particles that may meet those of another rank before the next search"
+    layers = "about three layers of particles around each region, or all on every rank where that is no less work"
+    return layers if event else "particles that may meet those of another rank before the next search"
 
 
 def advice(scene: Scene, particles: Particles) -> list[str]:
@@ -71,7 +72,7 @@ def advice(scene: Scene, particles: Particles) -> list[str]:
         share = speed * h / (2.0 * float(radius.min()))
         if scene.effects["collisions"].mode == "event":
             lines.append(f"the fastest particle crosses {share:.2g} of the smallest diameter in a step, any number will do")
-            lines.append("mode event takes about 2 us a contact besides: longer steps cost less, more ranks do not help")
+            lines.append("mode event takes about 2 us a contact besides: longer steps cost less")
         else:
             lines.append(f"the fastest particle crosses {share:.2g} of the smallest diameter in a step (at most 1)")
     if "drag" in scene.effects and scene.time.integrator == "taylor":

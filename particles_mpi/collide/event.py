@@ -102,6 +102,8 @@ class Event:
                 self.rest = min(2 * self.rest, LONGEST_REST)
         happened = self.whole.drift(h, moment, stop)
         engine = self.whole.engine
+        if self.divided:
+            self.windows.engine.events = engine.events // self.ranks.size  # what a rank has to expect
         self.stop, self.stopped = engine.stop, engine.stopped
         if self.ranks.is_root:  # all ranks saw the same
             self.remember(moment, engine)

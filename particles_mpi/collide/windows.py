@@ -40,8 +40,8 @@ from particles_mpi.timers import Timers
 STRAY = 0.125  # of a shell: how far a row may get in a window
 DEPTH = 1.2  # mean diameters of ghosts beyond those that own particles can meet: wrong histories have to come through them
 CROWDED = 0.75  # of all particles on one rank, ghosts included: then each may as well compute everything
-FASTER, SLOWER = 1.012, 0.6  # what success and failure do to the length of a window: in balance about 2.5 % fail
-START, GROWING = 0.25, 1.5  # of the longest window: the first one; and how it grows until one fails
+FASTER, SLOWER = 1.015, 0.6  # what success and failure do to the length of a window: in balance about 3 % fail
+START, GROWING = 0.25, 1.2  # of the longest window: the first one; and how it grows until one fails
 MOST_TRIES = 8  # of a window, each of half the length; then contacts follow one another in no time (touching spheres)
 WORTH = 10  # contacts a window and rank, or windows are not worth their messages
 UNTRIED = 1000  # windows a step at most where the number of contacts is not known yet
@@ -73,7 +73,7 @@ class Windows:
         if self.crowded and not self.always:
             return None
         self.longest = 0.9 * self.stray / speed if speed > 0.0 else np.inf
-        if h / self.longest > (self.events / self.ranks.size / WORTH if self.events else UNTRIED) and not self.always:
+        if h / self.longest > (self.events / WORTH if self.events else UNTRIED) and not self.always:
             return None
         self.window = min(self.window or START * self.longest, self.longest)
         with self.timers("ghosts"):

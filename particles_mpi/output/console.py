@@ -15,7 +15,7 @@ from particles_mpi.plan import duration, size
 PHASES = {
     "forces": "sum of forces",
     "kick": "velocities, friction, drag",
-    "agree": "agree on next pass (waits)",
+    "agree": "agree with others (waits)",
     "ghosts": "ghosts: fetch, refresh",
     "migrate": "migrate, balance",
     "pairs": "find candidate pairs",
