@@ -104,7 +104,7 @@ class Event:
         engine = self.whole.engine
         if self.divided:
             self.windows.engine.events = engine.events // self.ranks.size  # what a rank has to expect
-        self.stop, self.stopped = engine.stop, engine.stopped
+        self.stop[:], self.stopped[:] = engine.stop, engine.stopped
         if self.ranks.is_root:  # all ranks saw the same
             self.remember(moment, engine)
         return happened * self.ranks.is_root
