@@ -203,7 +203,6 @@ def test_shells_leave_no_trace_in_the_bits():
         sim = Simulation(crowd(3, False, restitution=0.8))
         if width:
             sim.near.whole.engine.homes.shell_width = width
-            sim.near.whole.engine.homes.settle = lambda x, radius, w, homes=sim.near.homes: homes.build(x, radius, w)
         sim.run()
         final.append(by_id(sim))
     for x, v in final[1:]:
