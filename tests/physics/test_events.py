@@ -202,7 +202,9 @@ def test_shells_leave_no_trace_in_the_bits():
     for width in (None, 0.01, 0.5):
         sim = Simulation(crowd(3, False, restitution=0.8))
         if width:
-            sim.near.whole.engine.homes.shell_width = width
+            homes = sim.near.whole.engine.homes
+            homes.shell_width = width
+            homes.settle = homes.build
         sim.run()
         final.append(by_id(sim))
     for x, v in final[1:]:
