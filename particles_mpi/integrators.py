@@ -7,20 +7,23 @@ with dissipation too, needs one force evaluation, and stays stable for any drag 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
 from numba import njit
 
 from particles_mpi.particles import Array, Particles
+from particles_mpi.timers import Timers
+
+Forces = Callable[[], Array | None]  # accelerations (n, d) at the positions of this moment, or None
+Drift = Callable[[float], None]  # positions over a time
 
 
 class Integrator(Protocol):
-    """What a step does to velocities before and after the drift. `a`: accelerations at the positions of that moment."""
+    """Advances particles by a step of length h, calling for forces and drifts as it needs them. Collective."""
 
-    def open(self, particles: Particles, a: Array | None, h: float) -> None: ...
-
-    def close(self, particles: Particles, a: Array | None, h: float) -> None: ...
+    def advance(self, particles: Particles, h: float, forces: Forces, drift: Drift, timers: Timers) -> None: ...
 
 
 class Leapfrog:
@@ -30,13 +33,17 @@ class Leapfrog:
         self.drag, self.friction = drag, friction
         self.known: tuple[int, float] | None = None
 
-    def open(self, particles: Particles, a: Array | None, h: float) -> None:
-        """Velocities from n to n+1/2."""
-        self.kick(particles, a, 0.5 * h, h if a is None and self.drag is None else 0.0)
-
-    def close(self, particles: Particles, a: Array | None, h: float) -> None:
-        """Velocities from n+1/2 to n+1."""
-        self.kick(particles, a, 0.5 * h, 0.0)
+    def advance(self, particles: Particles, h: float, forces: Forces, drift: Drift, timers: Timers) -> None:
+        """v to n+1/2, x to n+1 with contacts on the way, v to n+1."""
+        with timers("forces"):
+            a = forces()
+        with timers("kick"):
+            self.kick(particles, a, 0.5 * h, h if a is None and self.drag is None else 0.0)
+        drift(h)
+        with timers("forces"):
+            a = forces()
+        with timers("kick"):
+            self.kick(particles, a, 0.5 * h, 0.0)
 
     def kick(self, particles: Particles, a: Array | None, h: float, coast: float) -> None:
         """The velocity flow over h."""
@@ -65,17 +72,43 @@ class Taylor:
     def __init__(self, drag: Any | None):
         self.drag = drag
 
-    def open(self, particles: Particles, a: Array | None, h: float) -> None:
-        """Velocities from the start of the step to its mean."""
-        rate = particles["rate"]
-        rate[:] = 0.0 if a is None else a
-        if self.drag:
-            rate -= particles["drag"][:, None] * particles.velocity
-        kick(particles.velocity, rate, 0.5 * h)
+    def advance(self, particles: Particles, h: float, forces: Forces, drift: Drift, timers: Timers) -> None:
+        """v to the mean of the step, x to its end, v to its end by the rate of its start."""
+        with timers("forces"):
+            a = forces()
+        with timers("kick"):
+            rate = particles["rate"]
+            rate[:] = 0.0 if a is None else a
+            if self.drag:
+                rate -= particles["drag"][:, None] * particles.velocity
+            kick(particles.velocity, rate, 0.5 * h)
+        drift(h)
+        with timers("kick"):
+            kick(particles.velocity, particles["rate"], 0.5 * h)
 
-    def close(self, particles: Particles, a: Array | None, h: float) -> None:
-        """Velocities from the mean of the step to its end, by the rate of its start."""
-        kick(particles.velocity, particles["rate"], 0.5 * h)
+
+class Order4:
+    """SRKN_6^b of S. Blanes and P. C. Moan, J. Comput. Appl. Math. 142, 313 (2002): fourth order, six forces a step.
+
+    Kicks and drifts by turns, symmetric and symplectic, for forces that do not depend on velocities. One drift goes back in
+    time, so nothing may happen on the way.
+    """
+
+    B = (0.0829844064174052, 0.396309801498368, -0.0390563049223486)
+    A = (0.245298957184271, 0.604872665711080)
+    KICKS = (*B, 1.0 - 2.0 * sum(B), *B[::-1])
+    DRIFTS = (*A, 0.5 - sum(A), 0.5 - sum(A), *A[::-1])
+
+    def advance(self, particles: Particles, h: float, forces: Forces, drift: Drift, timers: Timers) -> None:
+        """Seven kicks, six drifts between them."""
+        for stage, weight in enumerate(self.KICKS):
+            if stage:
+                drift(self.DRIFTS[stage - 1] * h)
+            with timers("forces"):
+                a = forces()
+            with timers("kick"):
+                if a is not None:
+                    kick(particles.velocity, a, weight * h)
 
 
 @njit(cache=True)
@@ -111,3 +144,13 @@ def wrap(x, lower, upper, length):
                 if x[i, k] < lower[k] or x[i, k] >= upper[k]:
                     y = lower[k] + (x[i, k] - lower[k]) % length[k]
                     x[i, k] = y if y < upper[k] else lower[k]
+
+
+@njit(cache=True)
+def fingerprint(x):
+    """A number that changes when somebody changes a row of x (n, d)."""
+    total = np.int64(0)
+    for number in x.reshape(-1).view(np.int64):
+        total = (total ^ number) * np.int64(-7046029254386353131)
+        total ^= total >> 29
+    return total

@@ -103,7 +103,7 @@ class Job:
             from particles_mpi.output.vtk import VtkSeries
 
             self.writers.append(VtkSeries(self.folder, self.ranks, d, sim.total, step))
-        names = columns(d, self.scene.output.observables)
+        names = columns(d, self.scene.output.observables, "mutual_gravity" in self.scene.effects)
         self.diagnostics = Diagnostics(self.folder / "diagnostics.csv", self.ranks, names, step)
 
     def _frame(self) -> dict[str, Array]:

@@ -16,6 +16,7 @@ COST = {
     "drag": 4.0,
     "friction": 25.0,
     "walls": 8.0,
+    "mutual_gravity": 1.2,  # a source
     "collisions": 90.0,
 }
 DRIFT = 3.0
@@ -29,7 +30,8 @@ def plan(scene: Scene, particles: Particles, ranks: int) -> dict[str, Any]:
     runs = []
     for name in scene.effects:
         effect = import_module(f"particles_mpi.effects.{name}").Effect
-        runs.append({"effect": name, "role": effect.role, "law": effect.formula, "ns_per_particle_step": COST.get(name, 10.0)})
+        each = COST.get(name, 10.0) * (n * ranks if name == "mutual_gravity" else 1)
+        runs.append({"effect": name, "role": effect.role, "law": effect.formula, "ns_per_particle_step": each})
     pairs = "collisions" in scene.effects
     event = pairs and scene.effects["collisions"].mode == "event"
     row = sum(column.nbytes for column in particles.arrays.values()) / max(n, 1)

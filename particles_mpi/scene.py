@@ -19,10 +19,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from particles_mpi.errors import SceneError
 
-NOT_YET = {
-    "mutual_gravity": "effects.mutual_gravity: not available in this version",
-    "order4": 'time.integrator: "order4" is not available in this version; use "leapfrog"',
-}
+NEEDS_FREE_PATHS = ("collisions", "walls", "drag", "friction")  # effects that only leapfrog and taylor know
 
 
 class Model(BaseModel):
@@ -120,12 +117,15 @@ class Time(Model):
     step: Annotated[float, Field(gt=0.0)]
     end: Annotated[float, Field(ge=0.0)] | None = None
     steps: Annotated[int, Field(ge=0)] | None = None
-    integrator: Literal["leapfrog", "order4", "taylor"] = "leapfrog"
+    integrator: Literal["leapfrog", "order4", "taylor", "adaptive"] = "leapfrog"
+    tolerance: Annotated[float, Field(gt=0.0, le=1e-3)] = 1e-9
 
     @model_validator(mode="after")
     def _one_end(self) -> Time:
         if (self.end is None) == (self.steps is None):
             raise ValueError("time.steps: give one of time.end and time.steps")
+        if "tolerance" in self.model_fields_set and self.integrator != "adaptive":
+            raise ValueError('time.tolerance: only with integrator "adaptive"')
         if self.end is not None and not self.end / self.step < 1e15:
             raise ValueError(f"time.end: {self.end:g} is too many steps of {self.step:g}")
         return self
@@ -166,8 +166,6 @@ def _effects(value: Any) -> dict[str, Any]:
         raise ValueError("must be tables [effects.NAME]")
     validated, names = {}, effect_names()
     for name, keys in value.items():
-        if name in NOT_YET:
-            raise ValueError(NOT_YET[name])
         if name not in names:
             raise ValueError(f"effects.{name}: unknown effect{_suggest(name, names)}")
         options = importlib.import_module(f"particles_mpi.effects.{name}").Options
@@ -250,8 +248,13 @@ class Scene(Model):
     @model_validator(mode="after")
     def _consistent(self) -> Scene:
         d, faults = self.dimension, []
-        if self.time.integrator == "order4":
-            faults.append(NOT_YET["order4"])
+        if self.time.integrator in ("order4", "adaptive"):
+            reason = "goes back in time between kicks" if self.time.integrator == "order4" else "needs smooth paths"
+            faults += [
+                f'time.integrator: "{self.time.integrator}" {reason}, which {name} does not allow; use "leapfrog"'
+                for name in NEEDS_FREE_PATHS
+                if name in self.effects
+            ]
         if self.time.integrator == "taylor" and "friction" in self.effects:
             faults.append('time.integrator: "taylor" knows no friction; use "leapfrog"')
         if self.box:

@@ -13,7 +13,7 @@ import numpy as np
 from particles_mpi import state
 from particles_mpi.diagnostics import measure
 from particles_mpi.errors import SceneError, StoppedError
-from particles_mpi.integrators import Integrator, Leapfrog, Taylor, free_drift, wrap
+from particles_mpi.integrators import Integrator, Leapfrog, Order4, Taylor, fingerprint, free_drift, wrap
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, Array, Particles
 from particles_mpi.populate import populate
@@ -71,13 +71,27 @@ class Simulation:
         self.walls, self.collisions = effects.get("walls"), effects.get("collisions")
         drag, friction = effects.get("drag"), effects.get("friction")
         self.dissipation = [name for name in ("drag", "friction") if name in effects]
-        self.integrator: Integrator = Taylor(drag) if scene.time.integrator == "taylor" else Leapfrog(drag, friction)
+        self.integrator = self._integrator(drag, friction)
+        for force in self.forces.values():
+            if hasattr(force, "enter"):
+                force.enter(ranks, self.total)
         self.accelerations: Array | None = None
-        self.known = -1  # version of the rows that the accelerations belong to
+        self.known = -1, 0  # version and fingerprint of the rows that the accelerations belong to
         self.near: Any = None
         self.contacts: Any = None
         if self.collisions:
             self._enter_collisions(self.collisions)
+
+    def _integrator(self, drag: Any, friction: Any) -> Integrator:
+        """The one that the scene names."""
+        name = self.scene.time.integrator
+        if name == "order4":
+            return Order4()
+        if name == "adaptive":
+            from particles_mpi.adaptive import Adaptive
+
+            return Adaptive(self.ranks, self.scene.time.tolerance)
+        return Taylor(drag) if name == "taylor" else Leapfrog(drag, friction)
 
     def _enter_collisions(self, c: Any) -> None:
         """Only a scene with pairs loads a collision operator, the one it names, and its search for neighbours."""
@@ -105,21 +119,12 @@ class Simulation:
 
     def step(self, collisions: bool = True) -> None:
         """Advance by one step; `collisions=False` lets particles pass through one another and through walls. Collective."""
-        self.advance(self.h, lambda: self.drift(self.h, collisions))
+        self.advance(self.h, lambda h: self.drift(h, collisions))
         self.steps_done += 1
 
-    def advance(self, h: float, drift: Callable[[], None]) -> None:
-        """Kick, drift, kick over h."""
-        p = self.particles
-        with self.timers("forces"):
-            a = self.sum_forces()  # at x(n)
-        with self.timers("kick"):
-            self.integrator.open(p, a, h)  # v at n+1/2
-        drift()  # x at n+1; contacts happen here
-        with self.timers("forces"):
-            a = self.sum_forces()  # at x(n+1)
-        with self.timers("kick"):
-            self.integrator.close(p, a, h)  # v at n+1
+    def advance(self, h: float, drift: Callable[[float], None]) -> None:
+        """One step of the integrator over h."""
+        self.integrator.advance(self.particles, h, self.sum_forces, drift, self.timers)
         for name in self.dissipation:
             self.count(name, 2)
 
@@ -137,7 +142,7 @@ class Simulation:
         for _ in range(MOST_TRIES):
             totals, calls = self.totals.copy(), self.calls.copy()
             before = None if free else self.particles.select(np.arange(len(self.particles)))
-            self.advance(h, lambda: self.drift(self.h, True, stop=True))
+            self.advance(h, lambda _: self.drift(self.h, True, stop=True))
             reached, met_none = float(self.near.stopped[0]), met[1] < 0
             if met_none and h == self.h:
                 self.steps_done += 1
@@ -176,18 +181,22 @@ class Simulation:
                 wrap(p.position, self.lower, self.upper, self.length)
 
     def sum_forces(self) -> Array | None:
-        """Accelerations (n, d) at the present positions, or None without forces; constant ones are summed once."""
+        """Accelerations (n, d) at the present positions, or None without forces; summed anew if anyone moved. Collective."""
         if not self.forces:
             return None
         p = self.particles
-        if self.known == p.version and all(f.constant for f in self.forces.values()):
+        known = p.version, 0 if all(f.constant for f in self.forces.values()) else fingerprint(p.position)
+        same = known == self.known
+        if any(hasattr(f, "enter") for f in self.forces.values()):  # what one rank does not know, none does
+            same = bool(self.ranks.smallest(same)[0])
+        if same:
             return self.accelerations
         a = np.zeros_like(p.velocity)
         for name, force in self.forces.items():
             force.add(p, a)
             self.count(name)
         a[p.fixed != 0] = 0.0
-        self.accelerations, self.known = a, p.version
+        self.accelerations, self.known = a, known
         return a
 
     def count(self, effect: str, calls: int = 1) -> None:
@@ -199,7 +208,7 @@ class Simulation:
 
         With `output.observables` also those of `observables`: rates are over the time since the last call.
         """
-        potentials = [f.potential(self.particles) for f in self.forces.values() if hasattr(f, "potential")]
+        potentials = {name: f.potential(self.particles) for name, f in self.forces.items() if hasattr(f, "potential")}
         row = measure(self.ranks, self.particles, potentials)
         if self.scene.output.observables:
             from particles_mpi.observables import observe

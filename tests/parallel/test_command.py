@@ -110,7 +110,7 @@ def test_a_folder_that_holds_a_run_is_refused(scene, tmp_path):
         ("min = 0.1, max = 0.5", "min = 0.0, max = 0.0", "particles[0].mass"),
         ("step = 0.01", "step = 0.2", "time.step"),
         ("count = 40", "count = 4000", "particles[0].position"),
-        ("steps = 40", 'steps = 40\nintegrator = "order4"', "not available"),
+        ("steps = 40", 'steps = 40\nintegrator = "order4"', "goes back in time between kicks"),
         ("restitution = 0.9", "restitution = 0.9\ndamping = 0.1", "effects.walls.restitution"),
         ("dimension = 2", "dimension = 3", "box.lower"),
         ("steps = 40", "", "time.steps"),

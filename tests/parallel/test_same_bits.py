@@ -12,6 +12,8 @@ BOX3 = {"lower": [0, 0, 0], "upper": [4, 4, 4]}
 MIXED = {"radius": {"min": 0.05, "max": 0.15}, "mass": {"min": 0.1, "max": 0.5}, "velocity": {"speed": {"min": 0.1, "max": 3.0}}}
 GRAVITY = {"acceleration": [0, 0, -9.80665]}
 
+CLOUD = np.random.default_rng(5).standard_normal((90, 3)).tolist()
+
 SCENES = {
     "marbles": dict(
         dimension=3,
@@ -83,12 +85,47 @@ SCENES = {
         particles=[{"position": [[0.0], [1.0], [2.0]], "velocity": [[1.0], [0.0], [-1.0]], "radius": 0.1}],
         effects={"collisions": {}},
     ),
+    "cluster, fixed and without mass": dict(
+        dimension=3,
+        G=1.0,
+        time={"step": 0.01, "steps": 20},
+        particles=[
+            {"position": [[0.0, 0.0, 0.0], [3.0, 0.0, 0.0]], "mass": 2.0, "fixed": True},
+            {"position": CLOUD[:60], "velocity": {"speed": 0.3}, "mass": {"min": 0.01, "max": 0.1}},
+            {"position": CLOUD[60:], "velocity": {"speed": 0.3}, "mass": 0.0},
+        ],
+        effects={"mutual_gravity": {"softening": 0.05}},
+    ),
+    "colliding cluster": dict(
+        dimension=2,
+        G=1.0,
+        time={"step": 0.01, "steps": 60},
+        particles=[
+            {"position": [[0.7 * (k % 8), 0.7 * (k // 8)] for k in range(60)], "radius": 0.2, "mass": {"min": 0.5, "max": 1.0}}
+        ],
+        effects={"mutual_gravity": {}, "collisions": {"restitution": 0.5}},
+    ),
+    "order4": dict(
+        dimension=2,
+        G=1.0,
+        time={"step": 0.01, "steps": 20, "integrator": "order4"},
+        particles=[{"position": [[1.0, 0.0], [-1.0, 0.1], [0.0, 2.0], [0.3, -2.0]], "velocity": {"speed": 0.5}, "mass": 1.0}],
+        effects={"mutual_gravity": {}},
+    ),
+    "adaptive": dict(
+        dimension=2,
+        G=1.0,
+        time={"step": 0.5, "steps": 4, "integrator": "adaptive"},
+        particles=[{"position": [[1.0, 3.0], [-2.0, -1.0], [1.0, -1.0]], "mass": [3.0, 4.0, 5.0]}],
+        effects={"mutual_gravity": {}},
+    ),
     "no particles": dict(
         dimension=2, box={"lower": [0, 0], "upper": [4, 4]}, time={"step": 0.05, "steps": 3},
         particles=[{"count": 0, "position": "random", "radius": 0.1}], effects={"collisions": {}, "walls": {}},
     ),
 }  # fmt: skip
 EVENTS = (
+    "colliding cluster",
     "dense periodic gas",
     "half periodic, drag, acceleration, fixed",
     "oblique planes, open space",
@@ -180,5 +217,7 @@ def test_only_pairs_are_worth_a_message(results, name):
     if "collisions" in SCENES[name]["effects"] and particles:
         assert results[name, 1]["counts"][0] > 0
         assert traffic[0] > 0
+    elif "mutual_gravity" in SCENES[name]["effects"]:
+        assert traffic[0] > 0 and traffic[1] == 0
     else:
         assert not traffic.any()

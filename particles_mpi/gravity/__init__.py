@@ -1,0 +1,1 @@
+"""Mutual attraction: who pulls whom, and how hard."""

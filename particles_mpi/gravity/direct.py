@@ -1,0 +1,59 @@
+"""Attraction summed over all pairs. Plain arrays.
+
+Every target adds up its sources in the order of their ids, one after the other, so that its sum has the same bits however
+the sources are cut into blocks. The compiled loop runs over the targets of a tile at a time, which needs no other order.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+from numba import njit
+
+TILE = 64  # targets whose coordinates and sums stay in the nearest cache
+
+
+@njit(cache=True, error_model="numpy")
+def attract(axes, x, source, mass, softening2, total):
+    """total (n, d) += sum_j m_j r_j/(r_j^2 + softening2)^(3/2), r_j = source_j - x.
+
+    A source at the very place of a target, like itself, adds nothing.
+    """
+    d = len(axes)
+    at, sums = np.empty((d, TILE)), np.empty((d, TILE))
+    for first in range(0, len(x), TILE):
+        count = min(TILE, len(x) - first)
+        for t in range(TILE):
+            for k in range(d):  # the places behind the last target repeat it
+                at[k, t] = x[first + min(t, count - 1), k]
+                sums[k, t] = total[first + min(t, count - 1), k]
+        for j in range(len(source)):
+            m = mass[j]
+            for t in range(TILE):
+                r2 = softening2
+                for k in range(d):
+                    r = source[j, k] - at[k, t]
+                    r2 += r * r
+                pull = m / (r2 * sqrt(r2))
+                pull = pull if r2 > 0.0 else 0.0
+                for k in range(d):
+                    sums[k, t] += pull * (source[j, k] - at[k, t])
+        for t in range(count):
+            for k in range(d):
+                total[first + t, k] = sums[k, t]
+
+
+@njit(cache=True, error_model="numpy")
+def add_potential(axes, x, ids, source, mass, source_ids, softening2, total):
+    """total (n,) -= sum_j m_j/(r_j^2 + softening2)^(1/2) over all sources but itself and those at its very place."""
+    for i in range(len(x)):
+        u = total[i]
+        for j in range(len(source)):
+            r2 = 0.0
+            for k in range(len(axes)):
+                r = source[j, k] - x[i, k]
+                r2 += r * r
+            distance = sqrt(r2 + softening2)
+            u -= mass[j] / distance if distance > 0.0 and ids[i] != source_ids[j] else 0.0
+        total[i] = u

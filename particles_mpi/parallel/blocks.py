@@ -1,0 +1,51 @@
+"""All particles on every rank, a block at a time, in the order of their ids: for sums over all pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from mpi4py import MPI
+
+from particles_mpi.parallel.exchange import in_id_order
+from particles_mpi.parallel.ranks import Ranks
+from particles_mpi.particles import Array
+
+
+def blocks(ranks: Ranks, columns: dict[str, Array], total: int) -> Iterator[dict[str, Array]]:
+    """The rows of all ranks in id order, cut into a block a rank; `columns` (with "id") hold float64 or int64. Collective.
+
+    The next block is on its way while the caller works on one; a rank holds two at a time, O(N/P) rows.
+    """
+    if ranks.size == 1 and (np.diff(columns["id"]) > 0).all():
+        yield columns
+        return
+    mine = in_id_order(ranks, columns, total, ranks.size)
+    if ranks.size == 1:
+        yield mine
+        return
+    widths = {name: int(np.prod(column.shape[1:])) for name, column in columns.items()}
+    firsts = [-(-rank * total // ranks.size) for rank in range(ranks.size + 1)]
+
+    def start(rank: int) -> tuple[Array, MPI.Request]:
+        rows = firsts[rank + 1] - firsts[rank]
+        if rank == ranks.rank:
+            parts = [mine[name].reshape(rows, -1).view(np.float64) for name in columns]
+            buffer = np.concatenate([part.ravel() for part in parts])
+        else:
+            buffer = np.empty(rows * sum(widths.values()))
+        ranks.messages += rank == ranks.rank
+        return buffer, ranks.comm.Ibcast([buffer, MPI.DOUBLE], root=rank)
+
+    coming = start(0)
+    for rank in range(ranks.size):
+        buffer, request = coming
+        request.Wait()
+        if rank + 1 < ranks.size:
+            coming = start(rank + 1)
+        rows, begin, block = firsts[rank + 1] - firsts[rank], 0, {}
+        for name, column in columns.items():
+            end = begin + rows * widths[name]
+            block[name] = buffer[begin:end].view(column.dtype).reshape(rows, *column.shape[1:])
+            begin = end
+        yield block
