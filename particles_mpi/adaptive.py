@@ -66,6 +66,14 @@ def _legendre(n: int, t: Array) -> tuple[Array, Array]:
     return now, slope
 
 
+def combine(weights: Array, at: Array) -> Array:
+    """sum_j weights[j] at[j], one after the other: a BLAS product has other bits for another number of rows."""
+    total = weights[0] * at[0]
+    for weight, a in zip(weights[1:], at[1:], strict=True):
+        total += weight * a
+    return np.asarray(total)
+
+
 class Adaptive:
     """Order 15, with steps of its own choice; `substeps` counts those taken, `rejected` those that were too long."""
 
@@ -105,12 +113,12 @@ class Adaptive:
                 largest = 0.0
                 before, change = change, 0.0
                 for i in range(1, NODES):
-                    x[:] = x0 + (h * self.c[i] * v0 + h * h * np.tensordot(self.twice[i], at, 1))
+                    x[:] = x0 + (h * self.c[i] * v0 + h * h * combine(self.twice[i], at))
                     new = self.forces(forces, x)
                     change = max(change, float(np.abs(new - at[i]).max(initial=0.0)))
                     largest = max(largest, float(np.abs(new).max(initial=0.0)))
                     at[i] = new
-                top = np.abs(np.tensordot(self.lagrange[:, -1], at, 1)).max(initial=0.0)
+                top = np.abs(combine(self.lagrange[:, -1], at)).max(initial=0.0)
                 largest, change, top = self.ranks.largest(np.array([largest, change, top]))
                 if not change > SETTLED * largest or (change >= before and change < 1e-10 * largest):
                     break
@@ -123,8 +131,8 @@ class Adaptive:
         if factor < SAFE:
             x[:] = x0
         else:
-            x[:] = x0 + (h * v0 + h * h * np.tensordot(self.twice_end, at, 1))
-            v[:] = v0 + h * np.tensordot(self.once_end, at, 1)
+            x[:] = x0 + (h * v0 + h * h * combine(self.twice_end, at))
+            v[:] = v0 + h * combine(self.once_end, at)
         return h * float(np.clip(factor, SHRINK, GROW))
 
     def guess(self, a: Array, h: float) -> Array:
@@ -133,9 +141,8 @@ class Adaptive:
             return np.repeat(a[None], NODES, axis=0)
         at, length, begin = self.before
         moments = begin + self.c * (h / length)
-        guess = np.tensordot((moments[:, None] ** np.arange(NODES)) @ self.lagrange.T, at, 1)
-        guess[0] = a
-        return guess
+        weights = (moments[:, None] ** np.arange(NODES)) @ self.lagrange.T
+        return np.stack([a, *(combine(row, at) for row in weights[1:])])
 
     def forces(self, forces: Forces, x: Array) -> Array:
         """Accelerations at the present positions, none where there are none."""

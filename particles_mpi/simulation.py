@@ -188,7 +188,7 @@ class Simulation:
         known = p.version, 0 if all(f.constant for f in self.forces.values()) else fingerprint(p.position)
         same = known == self.known
         if any(hasattr(f, "enter") for f in self.forces.values()):  # what one rank does not know, none does
-            same = bool(self.ranks.smallest(same)[0])
+            same = bool(self.ranks.smallest(float(same))[0])
         if same:
             return self.accelerations
         a = np.zeros_like(p.velocity)

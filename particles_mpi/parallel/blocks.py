@@ -7,23 +7,24 @@ from collections.abc import Iterator
 import numpy as np
 from mpi4py import MPI
 
-from particles_mpi.parallel.exchange import in_id_order
+from particles_mpi.parallel.exchange import in_id_order, rows_of_everyone
 from particles_mpi.parallel.ranks import Ranks
-from particles_mpi.particles import Array
+from particles_mpi.particles import Array, rows_of
+
+FEW = 10_000  # rows that are sent to all in one message
 
 
 def blocks(ranks: Ranks, columns: dict[str, Array], total: int) -> Iterator[dict[str, Array]]:
     """The rows of all ranks in id order, cut into a block a rank; `columns` (with "id") hold float64 or int64. Collective.
 
-    The next block is on its way while the caller works on one; a rank holds two at a time, O(N/P) rows.
+    A few are one block. Else the next block is on its way while the caller works on one; a rank holds two at a time, O(N/P) rows.
     """
-    if ranks.size == 1 and (np.diff(columns["id"]) > 0).all():
-        yield columns
+    if ranks.size == 1 or total <= FEW:
+        everyone = columns if ranks.size == 1 else rows_of_everyone(ranks, columns)
+        ids = everyone["id"]
+        yield everyone if (ids[1:] > ids[:-1]).all() else rows_of(everyone, np.argsort(ids))
         return
     mine = in_id_order(ranks, columns, total, ranks.size)
-    if ranks.size == 1:
-        yield mine
-        return
     widths = {name: int(np.prod(column.shape[1:])) for name, column in columns.items()}
     firsts = [-(-rank * total // ranks.size) for rank in range(ranks.size + 1)]
 

@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from particles_mpi import Scene, Simulation
+from particles_mpi.parallel import blocks
 from particles_mpi.parallel.exchange import in_id_order
 
 folder = Path(sys.argv[2])
 for name, tables in json.loads(Path(sys.argv[1]).read_text()).items():
     windows = tables.pop("windows", False)
+    blocks.FEW = tables.pop("few", blocks.FEW)
     scene = Scene.from_dict(tables)
     sim = Simulation(scene)
     if windows and sim.ranks.size > 1:  # divide space however few there are

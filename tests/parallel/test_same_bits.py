@@ -115,7 +115,7 @@ SCENES = {
     "adaptive": dict(
         dimension=2,
         G=1.0,
-        time={"step": 0.5, "steps": 4, "integrator": "adaptive"},
+        time={"step": 0.1, "steps": 2, "integrator": "adaptive"},
         particles=[{"position": [[1.0, 3.0], [-2.0, -1.0], [1.0, -1.0]], "mass": [3.0, 4.0, 5.0]}],
         effects={"mutual_gravity": {}},
     ),
@@ -170,6 +170,7 @@ SCENES[LARGE] = dict(
     particles=[{"count": 12000, "position": "lattice", "velocity": {"temperature": 1.0}, "radius": 0.5}],
     effects={"collisions": {"mode": "event"}},
 )
+SCENES["cluster, in blocks"] = SCENES["cluster, fixed and without mass"] | {"few": 0}
 WINDOWS = [name for name in SCENES if SCENES[name]["effects"].get("collisions", {}).get("mode") == "event" and name != LARGE]
 SCENES |= {f"{name}: in windows": SCENES[name] | {"windows": True} for name in WINDOWS}
 RANKS = (1, 2, 3, 4, 7, 8)
