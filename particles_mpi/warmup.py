@@ -16,7 +16,7 @@ def tiny(dimension: int, periodic: bool, effects: dict[str, object], integrator:
     """A few particles that meet one another, walls and periodic faces within two steps."""
     d = dimension
     acceleration = [0.0] * (d - 1) + [-1.0]
-    available = {"uniform_gravity": {"acceleration": acceleration}, "walls": {}, "collisions": {}}
+    available = {"uniform_gravity": {"acceleration": acceleration}, "walls": {}, "collisions": {}, "mutual_gravity": {}}
     return Scene(
         dimension=d,
         box={"lower": [0.0] * d, "upper": [4.0] * d, "periodic": periodic},
@@ -37,7 +37,7 @@ def main() -> None:
                 tiny(d, True, {"collisions": None, "drag": {"rate": 0.1}}),
                 tiny(d, False, {"uniform_gravity": None, "walls": None}),
                 *[tiny(d, p, {"collisions": {"mode": "event"}, "walls": None}) for p in (False, True)],
-                tiny(d, False, {"uniform_gravity": None}),
+                tiny(d, False, {"uniform_gravity": None, "mutual_gravity": None}),
             ]
             for scene in scenes:
                 sim = Simulation(scene, ranks.comm)

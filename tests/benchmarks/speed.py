@@ -1,4 +1,4 @@
-"""Speed, as tables: `python tests/benchmarks/speed.py headline|flat|ranks|walls|events|event_ranks|start|frames|all [--runs 5]`.
+"""Speed, as tables: `python tests/benchmarks/speed.py CASE|all [--runs 5]`; `--help` lists the cases.
 
 Each case is run several times, the settings in turn, and the median and range are printed and written to
 out/benchmarks/CASE.csv. Shared machines are noisy: compare medians of one call, not of two.
@@ -132,6 +132,19 @@ def event_ranks():
     return {f"{r} ranks, {'periodic' if p else 'walls'}": lambda r=r, p=p: rate(r, p) for p in (True, False) for r in (1, 2)}
 
 
+def direct():
+    """mutual gravity by direct sum, N = 4096, one core, ns a pair"""
+    tables = {
+        "dimension": 3,
+        "G": 1.0,
+        "box": {"lower": [0.0] * 3, "upper": [1.0] * 3},
+        "time": {"step": 1e-4, "steps": 30},
+        "particles": [{"count": 4096, "position": "random", "velocity": [0.0] * 3, "mass": 1.0}],
+        "effects": {"mutual_gravity": {"softening": 0.01}},
+    }
+    return {"N = 4096": lambda: steps_of(tables, 1, 5, 20) / 4096}
+
+
 def start():
     """whole process of a run of one step of headline.toml, seconds"""
     text = (SCENES / "headline.toml").read_text().replace("steps = 500", "steps = 1").replace("every = 500", "every = 1")
@@ -164,7 +177,7 @@ output = {every = 1, checkpoint_every = 8, formats = ["hdf5"]}
     return {f"{r} ranks": lambda r=r: once(r) for r in (1, 2)}
 
 
-CASES = {f.__name__: f for f in (headline, flat, ranks, walls, events, event_ranks, start, frames)}
+CASES = {f.__name__: f for f in (headline, flat, ranks, walls, events, event_ranks, direct, start, frames)}
 
 
 def main():
