@@ -21,6 +21,7 @@ from particles_mpi.particles import Array, Particles
 from particles_mpi.timers import Timers
 
 NODES = 8
+TOLERANCE = 1e-9  # of the highest coefficient over the largest acceleration, where a scene gives none
 MOST_ITERATIONS = 12
 SETTLED = 1e-16  # change of the acceleration from one iteration to the next, of the largest one
 SAFE, SHRINK, GROW = 0.25, 0.1, 4.0  # a step is taken if the next may be at least SAFE as long; bounds on the change

@@ -118,13 +118,13 @@ class Time(Model):
     end: Annotated[float, Field(ge=0.0)] | None = None
     steps: Annotated[int, Field(ge=0)] | None = None
     integrator: Literal["leapfrog", "order4", "taylor", "adaptive"] = "leapfrog"
-    tolerance: Annotated[float, Field(gt=0.0, le=1e-3)] = 1e-9
+    tolerance: Annotated[float, Field(gt=0.0, le=1e-3)] | None = None
 
     @model_validator(mode="after")
     def _one_end(self) -> Time:
         if (self.end is None) == (self.steps is None):
             raise ValueError("time.steps: give one of time.end and time.steps")
-        if "tolerance" in self.model_fields_set and self.integrator != "adaptive":
+        if self.tolerance is not None and self.integrator != "adaptive":
             raise ValueError('time.tolerance: only with integrator "adaptive"')
         if self.end is not None and not self.end / self.step < 1e15:
             raise ValueError(f"time.end: {self.end:g} is too many steps of {self.step:g}")

@@ -88,9 +88,9 @@ class Simulation:
         if name == "order4":
             return Order4()
         if name == "adaptive":
-            from particles_mpi.adaptive import Adaptive
+            from particles_mpi.adaptive import TOLERANCE, Adaptive
 
-            return Adaptive(self.ranks, self.scene.time.tolerance)
+            return Adaptive(self.ranks, self.scene.time.tolerance or TOLERANCE)
         return Taylor(drag) if name == "taylor" else Leapfrog(drag, friction)
 
     def _enter_collisions(self, c: Any) -> None:
