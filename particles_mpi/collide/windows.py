@@ -42,6 +42,7 @@ DEPTH = 1.2  # mean diameters of ghosts beyond those that own particles can meet
 CROWDED = 0.75  # of all particles on one rank, ghosts included: then each may as well compute everything
 FASTER, SLOWER = 1.015, 0.6  # what success and failure do to the length of a window: in balance about 3 % fail
 START, GROWING = 0.25, 1.2  # of the longest window: the first one; and how it grows until one fails
+LEAST = 1e-3  # of the longest window: with shorter ones it is no use
 MOST_TRIES = 8  # of a window, each of half the length; then contacts follow one another in no time (touching spheres)
 WORTH = 10  # contacts a window and rank, or windows are not worth their messages
 UNTRIED = 1000  # windows a step at most where the number of contacts is not known yet
@@ -94,8 +95,9 @@ class Windows:
                 self.window *= SLOWER if tries == 0 else 1.0  # one contact may need many tries
                 self.growing = False
                 tries += 1
-                if tries > MOST_TRIES:
+                if tries > MOST_TRIES or self.window < LEAST * self.longest:
                     self.version = -1  # rows of the engine mean nothing now; those of the particles were not touched
+                    self.window, self.growing = 0.0, True
                     return None
         with self.timers("drift"):
             squeezed = engine.arrive()
@@ -113,7 +115,7 @@ class Windows:
                 speed = fastest(engine.axes, p.position, p.velocity)
             else:
                 moved, speed = engine.set_out(p, self.seat)
-                stale = moved or engine.moved > SETTLED * len(p)
+                stale = moved or engine.moved > SETTLED * len(engine.leg)
             speed = speed if speed < np.inf else np.inf  # or it is not a number
             stale, speed, self.events = self.ranks.largest(np.array([stale, speed, engine.events], float))
             if not np.isfinite(speed):
@@ -140,9 +142,8 @@ class Windows:
         self.shell, largest = (float(value) for value in ranks.largest(mine))
         mean = float(ranks.rows_of_all(np.array([p.radius.sum()])).sum()) / max(total, 1)
         self.stray = STRAY * self.shell
-        self.reach = (
-            self.shell + 2.0 * self.stray + largest
-        ) * MARGIN  # plus R: between a region and whom its particles may meet
+        # Between a region and whom its particles may meet in a window, less the radius of that one:
+        self.reach = (self.shell + 2.0 * self.stray + largest) * MARGIN
         self.depth = (self.reach + 2.0 * max(DEPTH * mean, largest)) * MARGIN
         homes.shell_width = self.shell
         self.cut()

@@ -68,7 +68,7 @@ def test_run_and_resume_give_the_same_bits_on_any_ranks(scene, tmp_path):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     done = particles_mpi(1, "run", scene, "--output", whole)
     assert done.returncode == 0, done.stderr
-    assert "does not run: drag, friction, user_acceleration" in done.stdout and "contact times" in done.stdout
+    assert "does not run: drag, friction, mutual_gravity, user_acceleration" in done.stdout and "contact times" in done.stdout
     assert "\x1b" not in done.stdout and "\r" not in done.stdout  # plain where nobody watches
     assert particles_mpi(2, "run", scene, "--output", parts, "--steps", "20", "--quiet").stdout == ""
     done = particles_mpi(3, "run", scene, "--output", parts, "--resume", parts / "checkpoint.h5", "--quiet")
