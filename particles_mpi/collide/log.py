@@ -26,9 +26,16 @@ NOT_HERE, GHOST, OWN, KNOWN = (
 ODD = -7046029254386353131  # an odd number with many bits, to multiply with
 
 
-def record_width(dimension: int) -> int:
+@njit(cache=True, inline="always")
+def record_width(dimension):
     """Numbers in a record."""
     return 2 * dimension + 6
+
+
+@njit(cache=True, inline="always")
+def history_place(dimension):
+    """Where the history stands in a record."""
+    return 2 * dimension + 3
 
 
 class Log:

@@ -27,12 +27,15 @@ from particles_mpi.collide.log import (
     OWN,
     STUCK,
     TURNS,
+    history_place,
     load_row,
+    record_width,
     save_row,
 )
 from particles_mpi.collide.queue import take
 from particles_mpi.lean import prefetch
 from particles_mpi.neighbours.shells import level_of, move_in, move_out, neighbours, room_for
+from particles_mpi.parallel.domain import owners
 
 TOUCHED, NEW, YOURS, DROPPED = range(4)
 
@@ -40,7 +43,7 @@ TOUCHED, NEW, YOURS, DROPPED = range(4)
 @njit(cache=True)
 def width_of(kind, d, masks):
     """Numbers in a part of a message."""
-    record = 2 * d + 6
+    record = record_width(d)
     if kind == TOUCHED:
         return 2 + record
     if kind == NEW:
@@ -51,13 +54,17 @@ def width_of(kind, d, masks):
 
 
 @njit(cache=True)
+def inside(y, length, origin):
+    """The coordinate y, in the box if its axis is periodic (length > 0)."""
+    return y - floor((y - origin) / length) * length if length > 0.0 else y
+
+
+@njit(cache=True)
 def gap2(axes, at, i, low, high, length, origin):
     """Square of the distance of place at[i] from the box (low, high), or from its nearest periodic image."""
     total = 0.0
     for k in range(len(axes)):
-        y = at[i, k]
-        if length[k] > 0.0:
-            y -= floor((y - origin[k]) / length[k]) * length[k]
+        y = inside(at[i, k], length[k], origin[k])
         gap = max(low[k] - y, y - high[k], 0.0)
         if length[k] > 0.0:
             gap = min(gap, max(low[k] - y - length[k], 0.0, y + length[k] - high[k]))
@@ -97,9 +104,9 @@ def mark_holders(axes, home, rows, ranks, low, high, length, origin, depth, mask
 
 @njit(cache=True)
 def plan_moves(axes, home, log, rank, ranks, low, high, length, origin, depth, tree, wanted, owner):
-    """For the own rows that got new homes: who must know them, and the rank whose region the home is in. Returns how many."""
+    """For the own rows that got new homes: who must know them (`wanted`), and the rank whose region the home is in (`owner`)."""
     d = len(axes)
-    axis, cut, below, above = tree
+    place = np.empty((1, d))
     moved, movers = log[7][0], log[8]
     for m in range(moved):
         prefetch(home, movers[m])
@@ -107,21 +114,15 @@ def plan_moves(axes, home, log, rank, ranks, low, high, length, origin, depth, t
         i = movers[m]
         owner[m] = rank
         reach = depth + home[i, d]
-        inside = True
+        deep = True
         for k in range(d):
-            inside &= low[rank, k] + reach < home[i, k] < high[rank, k] - reach
-        if not inside:
+            deep &= low[rank, k] + reach < home[i, k] < high[rank, k] - reach
+        if not deep:
             mark_holders(axes, home, movers[m : m + 1], ranks, low, high, length, origin, depth, wanted[m : m + 1])
-            node = 0 if len(axis) else -1
-            while node >= 0:
-                k = axis[node]
-                y = home[i, k]
-                if length[k] > 0.0:
-                    y -= floor((y - origin[k]) / length[k]) * length[k]
-                node = below[node] if y < cut[node] else above[node]
-            owner[m] = -1 - node
+            for k in range(d):
+                place[0, k] = inside(home[i, k], length[k], origin[k])
+            owner[m] = owners(place, *tree)[0]
         wanted[m, rank >> 6] |= np.int64(1) << (rank & 63)  # it stays here for now, as a ghost if not as an own row
-    return moved
 
 
 @njit(cache=True)
@@ -153,7 +154,22 @@ def unpack_motion(axes, leg, state, row_of, message, words):
 @njit(cache=True)
 def turned(axes, state, i, log, p):
     """Has row i, at place p of the log, got a new leg, or only a new home?"""
-    return log[5][p, 2 * len(axes) + 3] != state[i, HISTORY]
+    return log[5][p, history_place(len(axes))] != state[i, HISTORY]
+
+
+@njit(cache=True)
+def put_record(axes, leg, state, i, out, words, at):
+    """The record of row i into a message, from place `at` on; returns where it ends."""
+    end = at + record_width(len(axes))
+    save_row(axes, leg, state, i, out[at:end].reshape(1, end - at), words[at:end].reshape(1, end - at), 0)
+    return end
+
+
+@njit(cache=True)
+def take_record(axes, leg, state, i, message, words, at):
+    """Row i as the record at place `at` of a message says."""
+    end = at + record_width(len(axes))
+    load_row(axes, leg, state, i, message[at:end].reshape(1, end - at), words[at:end].reshape(1, end - at), 0)
 
 
 @njit(cache=True)
@@ -161,7 +177,6 @@ def pack_news(axes, leg, state, home, told, holder, log, wanted, owner, rank, ou
     """All that the rank must hear of own rows; returns the length. `wanted`, `owner`: of the movers of the log, in order."""
     d = len(axes)
     rows, moved, movers, shared, border = log[2], log[7], log[8], log[10], log[11]
-    record = 2 * d + 6
     size = 0
     for p in border[: shared[0]]:
         prefetch(state, rows[p])
@@ -171,16 +186,12 @@ def pack_news(axes, leg, state, home, told, holder, log, wanted, owner, rank, ou
         i = rows[p]
         if state[i, MINE] == KNOWN and holds(told, i, rank) and turned(axes, state, i, log, p):
             words[size], words[size + 1] = TOUCHED, state[i, ID]
-            part = out[size + 2 : size + 2 + record].reshape(1, record)
-            save_row(axes, leg, state, i, part, words[size + 2 : size + 2 + record].reshape(1, record), 0)
-            size += 2 + record
+            size = put_record(axes, leg, state, i, out, words, size + 2)
     for m in range(moved[0]):
         i = movers[m]
         if holds(wanted, m, rank) and not holds(told, i, rank):
             words[size], words[size + 1] = NEW, state[i, ID]
-            part = out[size + 2 : size + 2 + record].reshape(1, record)
-            save_row(axes, leg, state, i, part, words[size + 2 : size + 2 + record].reshape(1, record), 0)
-            size += 2 + record
+            size = put_record(axes, leg, state, i, out, words, size + 2)
             out[size], out[size + 1] = leg[i, 2 * d + 1], home[i, d + 2]
             for k in range(d):
                 out[size + 2 + k] = home[i, k]
@@ -242,7 +253,7 @@ def check(axes, leg, state, row_of, log, heard, begin, low, high, length, origin
         if words[at] == TOUCHED:
             i = row_of[words[at + 1]]
             heard[i] = window
-            if words[at + 2 + 2 * d + 3] != state[i, HISTORY]:
+            if words[at + 2 + history_place(d)] != state[i, HISTORY]:
                 wrong |= matters(axes, leg, i, log, begin, place, low, high, length, origin, reach)
         at += width_of(words[at], d, masks)
     rows, shared, border = log[2], log[10], log[11]
@@ -270,15 +281,13 @@ def correct(axes, leg, state, row_of, log, heard, message, words, told, wanted, 
     Returns how many rows are to look for their next events anew.
     """
     d = len(axes)
-    record = 2 * d + 6
     pending = 0
     at = 0
     while at < len(message):
         if words[at] == TOUCHED:
             i = row_of[words[at + 1]]
-            if words[at + 2 + 2 * d + 3] != state[i, HISTORY]:
-                part = message[at + 2 : at + 2 + record].reshape(1, record)
-                load_row(axes, leg, state, i, part, words[at + 2 : at + 2 + record].reshape(1, record), 0)
+            if words[at + 2 + history_place(d)] != state[i, HISTORY]:
+                take_record(axes, leg, state, i, message, words, at + 2)
                 todo[pending] = i
                 pending += 1
         at += width_of(words[at], d, told.shape[1])
@@ -301,17 +310,17 @@ def correct(axes, leg, state, row_of, log, heard, message, words, told, wanted, 
 
 @njit(cache=True)
 def admit(
-    axes, leg, state, slot, heads, row_of, homes, grid, level, shell, length, told, holder, free, free_count, todo, counts,
+    axes, leg, state, slot, heads, row_of, homes, grid, level, shell, length, told, holder, free, free_count, todo, pending,
     message, words, at,
 ):  # fmt: skip
     """NEW, YOURS and DROPPED of a message, from place `at` on.
 
-    free[:free_count[0]]: rows that are not in use. counts = (rows added to todo, rows that changed owner). Returns
+    free[:free_count[0]]: rows that are not in use. todo[:pending[0]]: rows that are to look for their next events. Returns
     (place, short): the end and 0, or the place of the part for which the pool is short of so many places, or for which there
     is no free row (-1); then enlarge and call again from there.
     """
     d = len(axes)
-    record = 2 * d + 6
+    record = record_width(d)
     masks = told.shape[1]
     home, links, lists, pool, top, head, around = homes
     low, per, cells, corners, caps = grid
@@ -343,20 +352,18 @@ def admit(
                     free_count[0] -= 1
                     row_of[name] = i
                     state[i, ID], state[i, MINE] = name, GHOST
-                    part = message[at + 2 : at + 2 + record].reshape(1, record)
-                    load_row(axes, leg, state, i, part, words[at + 2 : at + 2 + record].reshape(1, record), 0)
+                    take_record(axes, leg, state, i, message, words, at + 2)
                     level[i] = level_of(home[i, d], caps)
                 else:
                     move_out(axes, i, links, pool, lists, head)
                 move_in(axes, i, home, links, level, around, found, pool, lists, top, head, low, per, cells, corners, length)
-                todo[counts[0]] = i
-                counts[0] += 1
+                todo[pending[0]] = i
+                pending[0] += 1
             if kind == YOURS:
                 holder[i, 0], holder[i, 1] = words[at + 2], words[at + 3]
                 for b in range(masks):
                     told[i, b] = words[at + 4 + d + b]
                 state[i, MINE] = KNOWN  # by the rank that had it, at least
-                counts[1] += 1
         elif kind == DROPPED:
             i = row_of[name]
             take(slot, heads, i)

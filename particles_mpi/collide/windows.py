@@ -295,8 +295,8 @@ class Windows:
     def accept(self, message: Array, wanted: Array, owner: Array) -> None:
         """The window is right: correct the other ghosts, and let rows come, go and change owners."""
         engine, words = self.engine, message.view(np.int64)
-        counts = np.zeros(2, np.int64)
-        counts[0] = correct(
+        pending = np.zeros(1, np.int64)
+        pending[0] = correct(
             engine.axes, engine.leg, engine.state, self.row_of, engine.log.arrays(), self.heard, message, words, self.told,
             wanted, owner, self.ranks.rank, engine.todo,
         )  # fmt: skip
@@ -306,14 +306,14 @@ class Windows:
             places = homes.home, homes.links, homes.lists, homes.pool, homes.top, homes.head, homes.around
             at, short = admit(
                 engine.axes, engine.leg, engine.state, engine.slot, engine.heads, self.row_of, places, homes.grid, homes.level,
-                self.shell, self.length, self.told, self.holder, self.free, self.free_count, engine.todo, counts, message, words,
+                self.shell, self.length, self.told, self.holder, self.free, self.free_count, engine.todo, pending, message, words,
                 at,
             )  # fmt: skip
             if short > 0:
                 homes.enlarge(short)
             elif short < 0:
                 self.grow()
-        engine.pending = int(counts[0])
+        engine.pending = int(pending[0])
 
     def grow(self) -> None:
         """More rows than there is room for came near."""

@@ -41,7 +41,6 @@ class Effect:
     fields = ()
     formula = "dv_i/dt = G sum_j m_j (x_j - x_i)/(|x_j - x_i|^2 + eps^2)^(3/2)"
     constant = False
-    mutual = True
 
     def __init__(self, options: Options, scene: Scene):
         self.G = scene.G if options.G is None else options.G
