@@ -1,0 +1,144 @@
+"""Attraction from a tree: groups of targets collect cells that are far and particles that are near, then add them up.
+
+A cell is far from a group if its radius, seen from the nearest place of the group's box, is below the opening angle:
+RADIUS < angle * distance (the criterion of J. Salmon and M. Warren, J. Comput. Phys. 111, 136 (1994)). With an angle of at
+most 1 no cell is far from a particle of its own. Far cells act by mass and quadrupole: with u from target to centre,
+rho^2 = u^2 + eps^2, second moments S, trace T, Q = u.S.u
+
+    potential = -(M/rho + (3 Q/rho^2 - T)/(2 rho^3)),     a = u (M/rho^3 + (15 Q/(2 rho^2) - 3 T/2)/rho^5) - 3 S u/rho^5,
+
+the expansion of -m/rho to second order, which is exact for the softened law too.
+
+The compiler may add up in vectors here: in an order that depends on how many sources a list has, never on the ranks.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from particles_mpi.gravity.octree import CENTER, MASS, RADIUS, SECOND
+
+CELLS, PARTICLES = 256, 512  # sources that are added up at a time: they stay in the nearest cache
+FAR, NEAR, VISIT = 1.7, 1.0, 12.0  # work of a far cell and a near particle for a target, of a node for a group: to balance ranks
+
+summing: Any = njit(cache=True, _nrt=False, error_model="numpy", fastmath={"reassoc", "nsz", "contract"})  # type: ignore[call-overload]
+walking: Any = njit(cache=True, _nrt=False, error_model="numpy")  # type: ignore[call-overload]
+
+
+@summing
+def add_particles(near, n, x, y, z, own, softening2, total, t):
+    """total[t] += acceleration and potential by the first n columns of near (4, .): place, mass; column `own` is the target."""
+    ax, ay, az, potential = 0.0, 0.0, 0.0, 0.0
+    for j in range(n):
+        u, v, w = near[0, j] - x, near[1, j] - y, near[2, j] - z
+        r2 = softening2 + u * u + v * v + w * w
+        q = 1.0 / sqrt(r2)
+        q = q if r2 > 0.0 and j != own else 0.0
+        m = near[3, j] * q
+        f = m * q * q
+        ax, ay, az, potential = ax + f * u, ay + f * v, az + f * w, potential - m
+    total[t, 0] += ax
+    total[t, 1] += ay
+    total[t, 2] += az
+    total[t, 3] += potential
+
+
+@summing
+def add_cells(far, n, x, y, z, softening2, total, t):
+    """The same by the first n columns of far (11, .): centre, mass, 3 S, 3 T/2."""
+    ax, ay, az, potential = 0.0, 0.0, 0.0, 0.0
+    for j in range(n):
+        u, v, w = far[0, j] - x, far[1, j] - y, far[2, j] - z
+        q = 1.0 / sqrt(softening2 + u * u + v * v + w * w)
+        q2 = q * q
+        q3 = q * q2
+        q5 = q3 * q2
+        su = far[4, j] * u + far[5, j] * v + far[6, j] * w
+        sv = far[5, j] * u + far[7, j] * v + far[8, j] * w
+        sw = far[6, j] * u + far[8, j] * v + far[9, j] * w
+        bulge = (su * u + sv * v + sw * w) * q2  # 3 Q/rho^2
+        trace = far[10, j]
+        f = far[3, j] * q3 + q5 * (2.5 * bulge - trace)
+        ax, ay, az = ax + f * u - q5 * su, ay + f * v - q5 * sv, az + f * w - q5 * sw
+        potential -= far[3, j] * q + q3 * (0.5 * bulge - trace / 3.0)
+    total[t, 0] += ax
+    total[t, 1] += ay
+    total[t, 2] += az
+    total[t, 3] += potential
+
+
+@njit(cache=True)
+def walk(groups, skip, first, count, cells, x, mass, begin, angle, softening2):
+    """Acceleration, potential and work of the groups' rows, (rows, 5), for G = 1.
+
+    Nodes: skip, first row and number of rows of an open leaf, cells. Rows: x (., 3), mass; those of groups start at row `begin`.
+    """
+    result = np.zeros((groups[-1, 1] if len(groups) else 0, 5))
+    far, near = np.empty((11, CELLS)), np.empty((4, PARTICLES))
+    for g in range(len(groups)):
+        add_sources(groups[g, 0], groups[g, 1], skip, first, count, cells, x, mass, begin, angle, softening2, far, near, result)
+    return result
+
+
+@walking
+def add_sources(begin, end, skip, first, count, cells, x, mass, offset, angle, softening2, far, near, result):
+    """All sources of one group: rows begin ... end of the result, which are rows offset + ... of x."""
+    lx, ly, lz = x[offset + begin, 0], x[offset + begin, 1], x[offset + begin, 2]
+    hx, hy, hz = lx, ly, lz
+    for p in range(offset + begin, offset + end):
+        lx, ly, lz = min(lx, x[p, 0]), min(ly, x[p, 1]), min(lz, x[p, 2])
+        hx, hy, hz = max(hx, x[p, 0]), max(hy, x[p, 1]), max(hz, x[p, 2])
+    angle2 = angle * angle
+    n_far, n_near, all_far, all_near, visits = 0, 0, 0, 0, 0
+    own, column = -1, 0  # the first row of the group among those in `near`, and its place there
+    node = 0
+    while node < len(skip):
+        visits += 1
+        cx, cy, cz = cells[node, CENTER], cells[node, CENTER + 1], cells[node, CENTER + 2]
+        dx, dy, dz = max(lx - cx, cx - hx, 0.0), max(ly - cy, cy - hy, 0.0), max(lz - cz, cz - hz, 0.0)
+        if angle2 * (dx * dx + dy * dy + dz * dz) > cells[node, RADIUS] * cells[node, RADIUS]:
+            if n_far == CELLS:
+                flush_far(far, n_far, x, begin, end, offset, softening2, result)
+                all_far, n_far = all_far + n_far, 0
+            far[0, n_far], far[1, n_far], far[2, n_far], far[3, n_far] = cx, cy, cz, cells[node, MASS]
+            for e in range(6):
+                far[4 + e, n_far] = 3.0 * cells[node, SECOND + e]
+            far[10, n_far] = 0.5 * (far[4, n_far] + far[7, n_far] + far[9, n_far])
+            n_far += 1
+            node = skip[node]
+            continue
+        for p in range(first[node], first[node] + count[node]):
+            if n_near == PARTICLES:
+                flush_near(near, n_near, x, begin, end, offset, own, column, softening2, result)
+                all_near, n_near, own = all_near + n_near, 0, -1
+            if own < 0 and offset + begin <= p < offset + end:
+                own, column = p, n_near
+            near[0, n_near], near[1, n_near], near[2, n_near], near[3, n_near] = x[p, 0], x[p, 1], x[p, 2], mass[p]
+            n_near += 1
+        node += 1
+    flush_far(far, n_far, x, begin, end, offset, softening2, result)
+    flush_near(near, n_near, x, begin, end, offset, own, column, softening2, result)
+    work = FAR * (all_far + n_far) + NEAR * (all_near + n_near) + VISIT * visits / (end - begin)
+    for t in range(begin, end):
+        result[t, 4] = work
+
+
+@walking
+def flush_far(far, n, x, begin, end, offset, softening2, result):
+    """The first n cells of the list act on the whole group."""
+    for t in range(begin, end):
+        p = offset + t
+        add_cells(far, n, x[p, 0], x[p, 1], x[p, 2], softening2, result, t)
+
+
+@walking
+def flush_near(near, n, x, begin, end, offset, own, column, softening2, result):
+    """The first n particles of the list act on the whole group, but none on itself."""
+    for t in range(begin, end):
+        p = offset + t
+        itself = column + p - own if own >= 0 else -1
+        add_particles(near, n, x[p, 0], x[p, 1], x[p, 2], itself, softening2, result, t)
