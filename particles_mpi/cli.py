@@ -94,7 +94,7 @@ def check(scene: SceneFile) -> None:
         particles, warnings = populate(described)
     except SceneError as error:
         raise SceneError([f"{scene}: {fault}" for fault in error.faults]) from None
-    Screen(root(), False).plan(described.title, plan(described, particles, MPI.COMM_WORLD.Get_size()), warnings)
+    Screen(root(), False).plan(described.title, plan(described, particles, len(particles), MPI.COMM_WORLD.Get_size()), warnings)
     if root():
         print("valid")
 

@@ -58,18 +58,10 @@ class Job:
         self.told_to_stop = False
         self.since = np.array(sim.reported, np.int64)
         self.screen = Screen(self.ranks.is_root, quiet)
-        self.plan = plan(self.scene, sim.particles, self.ranks.size)
-        self._count_plan()
+        self.plan = plan(self.scene, sim.particles, sim.total, self.ranks.size)
+        self.plan["fixed"] = int(self.ranks.total(self.plan["fixed"])[0])
         self._prepare(overwrite)
         self._open()
-
-    def _count_plan(self) -> None:
-        """The plan was made from this rank's rows: make it the whole run's."""
-        rows = max(len(self.sim.particles), 1)
-        self.plan["particles"] = self.sim.total
-        self.plan["fixed"] = int(self.ranks.total(self.plan["fixed"])[0])
-        for key in ("memory_bytes", "output_bytes", "predicted_seconds"):
-            self.plan[key] = self.plan[key] * self.sim.total / rows
 
     def _prepare(self, overwrite: bool) -> None:
         """The output folder: ours to fill, or a refusal before anything is written."""

@@ -16,30 +16,33 @@ COST = {
     "drag": 4.0,
     "friction": 25.0,
     "walls": 8.0,
-    "mutual_gravity": 1.2,  # a source
     "collisions": 90.0,
 }
 DRIFT = 3.0
+FORCES = {"leapfrog": 1, "taylor": 1, "order4": 6, "adaptive": 40}  # evaluations a step; those of the adaptive one vary
 
 
-def plan(scene: Scene, particles: Particles, ranks: int) -> dict[str, Any]:
-    """The plan as plain data: for the screen, and for `run.json`."""
+def plan(scene: Scene, particles: Particles, total: int, ranks: int) -> dict[str, Any]:
+    """The plan as plain data: for the screen, and for `run.json`. `particles`: some or all of the `total`."""
     from importlib import import_module
 
     n, d = len(particles), scene.dimension
     runs = []
-    for name in scene.effects:
+    for name, options in scene.effects.items():
         effect = import_module(f"particles_mpi.effects.{name}").Effect
-        each = COST.get(name, 10.0) * (n * ranks if name == "mutual_gravity" else 1)
-        runs.append({"effect": name, "role": effect.role, "law": effect.formula, "ns_per_particle_step": each})
+        row = {"effect": name, "role": effect.role, "law": effect.formula, "ns_per_particle_step": COST.get(name, 10.0)}
+        if hasattr(options, "choice"):
+            choice = options.choice(scene, total)
+            row |= {"ns_per_particle_step": choice.cost * FORCES[scene.time.integrator], "how": choice.words}
+        runs.append(row)
     pairs = "collisions" in scene.effects
     event = pairs and scene.effects["collisions"].mode == "event"
-    row = sum(column.nbytes for column in particles.arrays.values()) / max(n, 1)
+    row_bytes = sum(column.nbytes for column in particles.arrays.values()) / max(n, 1)
     frame = 8 * (3 + 3 + 3) + 8
     frames = scene.steps // scene.output.every + 1
-    seconds = scene.steps * n * (DRIFT + sum(r["ns_per_particle_step"] for r in runs)) * 1e-9 / min(ranks, 2)
+    seconds = scene.steps * total * (DRIFT + sum(r["ns_per_particle_step"] for r in runs)) * 1e-9 / min(ranks, 2)
     return {
-        "particles": n,
+        "particles": total,
         "fixed": int(np.count_nonzero(particles.fixed)),
         "dimension": d,
         "steps": scene.steps,
@@ -49,9 +52,9 @@ def plan(scene: Scene, particles: Particles, ranks: int) -> dict[str, Any]:
         "not_run": [name for name in effect_names() if name not in scene.effects],
         "ghosts": ghosts(pairs, event, ranks),
         "ranks": ranks,
-        "memory_bytes": int(n * (row + (350 if pairs else 50))),
+        "memory_bytes": int(total * (row_bytes + (350 if pairs else 50))),
         "frames": frames,
-        "output_bytes": int(frames * n * frame * len(scene.output.formats)),
+        "output_bytes": int(frames * total * frame * len(scene.output.formats)),
         "predicted_seconds": seconds,
         "advice": advice(scene, particles),
     }

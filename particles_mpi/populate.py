@@ -18,6 +18,7 @@ import numpy as np
 from particles_mpi.errors import SceneError
 from particles_mpi.particles import ALWAYS, FIELDS, Array, Particles, shape
 from particles_mpi.placement import JAMMED, MOST_TRIES, RandomAddition, Room, lattice, packing
+from particles_mpi.plummer import plummer_places, plummer_velocities
 from particles_mpi.scene import Population, Scene
 from particles_mpi.start_checks import check_start, listed, periodic_length
 
@@ -237,6 +238,9 @@ class Populator:
                     )
                 else:
                     x[rows] = places
+            elif isinstance(population.position, dict) and "plummer" in population.position:
+                random = self.random(number, "position")
+                x[rows] = plummer_places(random, population.position["plummer"], self.arrays["mass"][rows])
             else:
                 self.fill(number, "position", self.files.get((number, "position"), population.position))
         self.stop_if_faulty()
@@ -275,6 +279,13 @@ class Populator:
         v, d = self.arrays["velocity"][rows], self.scene.dimension
         fixed = self.arrays["fixed"][rows] != 0
         if value is None or not len(v):
+            return
+        if value == "equilibrium":
+            gravity = self.scene.effects["mutual_gravity"]
+            G = self.scene.G if gravity.G is None else gravity.G
+            x, mass = self.arrays["position"][rows], self.arrays["mass"][rows]
+            v[:] = plummer_velocities(self.random(number, "velocity"), x, population.position["plummer"], mass, G)
+            v[fixed] = 0.0
             return
         if isinstance(value, list) or "file" in value:
             self.fill(number, "velocity", self.files.get((number, "velocity"), value))

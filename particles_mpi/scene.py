@@ -53,14 +53,20 @@ def _ordered(value: dict[str, float]) -> None:
         raise ValueError(f"min {value['min']} is above max {value['max']}")
 
 
+def _plummer(value: Any) -> bool:
+    return isinstance(value, dict) and set(value) == {"plummer"} and _number(value["plummer"]) and value["plummer"] > 0
+
+
 def _position(value: Any) -> Any:
-    if value in ("random", "lattice") or _points(value) or _file(value):
+    if value in ("random", "lattice") or _points(value) or _file(value) or _plummer(value):
         return value
-    raise ValueError('must be "random", "lattice", a list of points [[x, y, ...], ...] or {file = "start.csv"}')
+    raise ValueError(
+        'must be "random", "lattice", a list of points [[x, y, ...], ...], {plummer = scale length > 0} or {file = "start.csv"}'
+    )
 
 
 def _velocity(value: Any) -> Any:
-    if _points(value) or _numbers(value) or _file(value):
+    if value == "equilibrium" or _points(value) or _numbers(value) or _file(value):
         return value
     if isinstance(value, dict) and set(value) == {"temperature"} and _number(value["temperature"]) and value["temperature"] >= 0:
         return value
@@ -72,8 +78,8 @@ def _velocity(value: Any) -> Any:
             _ordered(speed)
             return value
     raise ValueError(
-        "must be [vx, vy, ...], a list of these, {speed = s}, {speed = {min = a, max = b}}, {temperature = T} (all >= 0)"
-        ' or {file = "start.csv"}'
+        "must be [vx, vy, ...], a list of these, {speed = s}, {speed = {min = a, max = b}}, {temperature = T} (all >= 0),"
+        ' {file = "start.csv"} or, with position = {plummer = a}, "equilibrium"'
     )
 
 
@@ -284,6 +290,13 @@ class Scene(Model):
                 faults.append(f'{key}.count: needed with position = "{position}"')
             if self.box is None:
                 faults.append(f'{key}.position: "{position}" needs a [box]')
+        plummer = _plummer(position)
+        if plummer and population.count is None:
+            faults.append(f"{key}.count: needed with position = {{plummer = a}}")
+        if plummer and d != 3:
+            faults.append(f"{key}.position: a Plummer sphere needs dimension 3")
+        if velocity == "equilibrium" and not (plummer and "mutual_gravity" in self.effects):
+            faults.append(f'{key}.velocity: "equilibrium" needs position = {{plummer = a}} and [effects.mutual_gravity]')
         for name, value in (("position", position), ("velocity", velocity), ("acceleration", population.acceleration)):
             if _points(value):
                 faults += [f for i, row in enumerate(value) for f in _vector(f"{key}.{name}[{i}]", row, d)]

@@ -38,6 +38,7 @@ def main() -> None:
                 tiny(d, False, {"uniform_gravity": None, "walls": None}),
                 *[tiny(d, p, {"collisions": {"mode": "event"}, "walls": None}) for p in (False, True)],
                 tiny(d, False, {"uniform_gravity": None, "mutual_gravity": None}),
+                tiny(d, False, {"mutual_gravity": {"method": "tree"}}),
             ]
             for scene in scenes:
                 sim = Simulation(scene, ranks.comm)

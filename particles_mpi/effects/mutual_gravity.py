@@ -2,36 +2,50 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
+from particles_mpi.gravity.choice import TREES, Choice, choose
 from particles_mpi.gravity.direct import add_potential, attract
+from particles_mpi.integrators import fingerprint
 from particles_mpi.parallel.blocks import blocks
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import Array, Particles
 from particles_mpi.scene import Model, Scene
 
+ACCURACY = 1e-3
+
 
 class Options(Model):
     """`G`, by default the scene's; `softening` eps (length): the force of a Plummer sphere of that size (Aarseth 1963).
 
-    `method`: "direct", the sum over all pairs.
+    `method`: "direct", the sum over all pairs; "tree", Barnes and Hut's with quadrupoles and `opening_angle`, the radius of
+    a cell over its distance; "auto", whichever costs less for a median relative error of the forces of `accuracy`.
     """
 
     G: Annotated[float, Field(ge=0.0)] | None = None
     softening: Annotated[float, Field(ge=0.0)] = 0.0
-    method: Literal["direct", "tree"] = "direct"
-    opening_angle: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
+    method: Literal["direct", "tree", "auto"] = "direct"
+    opening_angle: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
+    accuracy: Annotated[float, Field(gt=0.0, le=0.1)] | None = None
 
     def faults(self, scene: Scene) -> list[str]:
         faults = []
-        if self.method == "tree":
-            faults.append('method: "tree" is not available in this version; use "direct"')
+        if self.method == "tree" and scene.dimension not in TREES:
+            faults.append(f'method: there is no tree in dimension {scene.dimension}; use "direct"')
+        if self.opening_angle is not None and self.method != "tree":
+            faults.append('opening_angle: only with method "tree"')
+        if self.accuracy is not None and self.method != "auto":
+            faults.append('accuracy: only with method "auto"')
         if any(scene.periodic):
             faults.append("method: no images of a periodic box attract one another here; use a box that is not periodic, or none")
         return faults
+
+    def choice(self, scene: Scene, total: int) -> Choice:
+        """How the sum is done for `total` particles, and what it costs."""
+        return choose(self.method, self.opening_angle or 0.5, self.accuracy or ACCURACY, scene.dimension, total)
 
 
 class Effect:
@@ -43,29 +57,82 @@ class Effect:
     constant = False
 
     def __init__(self, options: Options, scene: Scene):
+        self.options, self.scene = options, scene
         self.G = scene.G if options.G is None else options.G
         self.softening2 = options.softening**2
-        self.axes = (0,) * scene.dimension
 
     def enter(self, ranks: Ranks, total: int) -> None:
         """Whose particles attract: all `total` of them, on these ranks."""
-        self.ranks, self.total = ranks, total
+        angle = self.options.choice(self.scene, total).angle
+        self.sum: Any = DirectSum(ranks, total, self.softening2)
+        if angle is not None:
+            self.sum = TreeSum(ranks, self.scene.dimension, angle, self.softening2)
 
     def add(self, particles: Particles, acceleration: Array) -> None:
         """acceleration (n, d) += that of all sources. Collective."""
-        columns = {name: particles[name] for name in ("id", "position", "mass")}
-        pull = np.zeros_like(acceleration)
-        for block in blocks(self.ranks, columns, self.total):
-            attract(self.axes, particles.position, block["position"], block["mass"], self.softening2, pull)
-        acceleration += self.G * pull
+        acceleration += self.G * self.sum.pull(particles)
 
     def potential(self, particles: Particles) -> Array:
         """Half of each pair's energy, all of it where the partner is fixed, whose own share nobody counts; (n,). Collective."""
-        columns = {name: particles[name] for name in ("id", "position")}
-        columns["mass"] = particles.mass * np.where(particles.fixed != 0, 1.0, 0.5)
-        total = np.zeros(len(particles))
+        return self.G * particles.mass * self.sum.potential(particles)
+
+
+class DirectSum:
+    """Over all pairs, for G = 1."""
+
+    def __init__(self, ranks: Ranks, total: int, softening2: float):
+        self.ranks, self.total, self.softening2 = ranks, total, softening2
+
+    def pull(self, particles: Particles) -> Array:
+        """Accelerations (n, d). Collective."""
+        columns = {name: particles[name] for name in ("id", "position", "mass")}
+        pull, axes = np.zeros_like(particles.position), (0,) * particles.dimension
         for block in blocks(self.ranks, columns, self.total):
-            add_potential(
-                self.axes, particles.position, particles.id, block["position"], block["mass"], block["id"], self.softening2, total
-            )
-        return self.G * particles.mass * total
+            attract(axes, particles.position, block["position"], block["mass"], self.softening2, pull)
+        return pull
+
+    def potential(self, p: Particles) -> Array:
+        """Potential (n,), that of movable sources by half. Collective."""
+        columns = {"id": p.id, "position": p.position, "mass": halved(p)}
+        total, axes = np.zeros(len(p)), (0,) * p.dimension
+        for block in blocks(self.ranks, columns, self.total):
+            add_potential(axes, p.position, p.id, block["position"], block["mass"], block["id"], self.softening2, total)
+        return total
+
+
+class TreeSum:
+    """By a tree, for G = 1."""
+
+    def __init__(self, ranks: Ranks, dimension: int, angle: float, softening2: float):
+        from particles_mpi.gravity.tree import Tree
+
+        self.ranks, self.tree = ranks, Tree(ranks, dimension, angle, softening2)
+        self.version, self.work = -1, np.ones(0)
+        self.known: tuple[int, int] | None = None  # version and fingerprint of the rows that `depth` belongs to
+        self.depth = np.zeros(0)
+
+    def pull(self, particles: Particles) -> Array:
+        """Accelerations (n, d). Collective."""
+        result = self.sum(particles, particles.mass)
+        self.known, self.depth = (particles.version, fingerprint(particles.position)), result[:, 3]
+        return result[:, : particles.dimension]
+
+    def potential(self, p: Particles) -> Array:
+        """Potential (n,), that of movable sources by half: half that of the last `pull` if none is fixed or moved. Collective."""
+        known = self.known == (p.version, fingerprint(p.position)) and not p.fixed.any()
+        if self.ranks.smallest(float(known))[0]:
+            return 0.5 * self.depth
+        return self.sum(p, halved(p))[:, 3]
+
+    def sum(self, p: Particles, mass: Array) -> Array:
+        """What the tree gives, with the work of each row from the last time, as long as rows are the same."""
+        if self.version != p.version:
+            self.version, self.work = p.version, np.ones(len(p))
+        result = self.tree.attract(p.id, p.position, mass, self.work)
+        self.work = result[:, 4]
+        return result
+
+
+def halved(p: Particles) -> Array:
+    """Masses, those of movable particles by half: each of a pair then has its share of the energy."""
+    return p.mass * np.where(p.fixed != 0, 1.0, 0.5)

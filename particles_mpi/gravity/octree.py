@@ -134,7 +134,7 @@ def skips(level, roots):
 
 @njit(cache=True)
 def moments(skip, count, x, mass):
-    """cells (n, WIDTH) and bounds (n, 6), lowest and highest corner, of a rank's own nodes; particles x (rows, 3), mass (rows,)."""
+    """cells (n, WIDTH) and bounds (n, 6), lowest and highest corner, of a rank's own nodes with particles x (., 3), mass."""
     n = len(skip)
     cells, bounds = np.zeros((n, WIDTH)), np.empty((n, 6))
     last = len(x)

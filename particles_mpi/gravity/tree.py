@@ -12,7 +12,7 @@ import numpy as np
 from particles_mpi.gravity.essential import around, assemble, essential, fill, quantiles, sample, snap
 from particles_mpi.gravity.octree import divide, levels, moments, morton, skips, sort_ties
 from particles_mpi.gravity.walk import walk
-from particles_mpi.parallel.exchange import by_destination, rows_of_everyone, send_rows
+from particles_mpi.parallel.exchange import rows_of_everyone, send_rows
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import Array
 
@@ -69,7 +69,7 @@ class Tree:
         return snap(cuts, self.ranks.total(around(keys, cuts, self.dimension)), self.dimension)
 
     def of_my_keys(self, keys: Array, x: Array, mass: Array, low: int, high: int) -> Array:
-        """The result (n, 5) of the particles of this rank, in the order of keys, which are all those in low ... high. Collective."""
+        """The result (n, 5) of this rank's particles, in the order of keys: all those with keys low ... high. Collective."""
         ranks, d = self.ranks, self.dimension
         level, count, groups, branches = divide(keys, d, low, high)
         roots = branches[:, 0].copy()
@@ -102,7 +102,7 @@ class Tree:
     def gather(
         self, nodes: dict[str, Array], rows: dict[str, Array], skip: Array, bounds: Array, rank: Array
     ) -> tuple[dict[str, Array], dict[str, Array], int]:
-        """The nodes and rows of all ranks that matter here, in the order of keys, and where this rank's rows begin. Collective."""
+        """Nodes and rows of all ranks that matter here, in the order of keys, and where this rank's rows begin. Collective."""
         ranks = self.ranks
         parts = []
         for p in range(ranks.size):

@@ -66,6 +66,8 @@ class Screen:
         table = Table("runs", "law", "about ns a particle-step", box=None, padding=(0, 2, 0, 2))
         for row in plan["effects"]:
             table.add_row(row["effect"], row["law"], f"{row['ns_per_particle_step']:.0f}")
+            if "how" in row:
+                table.add_row("", row["how"], "")
         table.add_row("drift", "dx/dt = v", "3")
         say(table)
         say(f"  does not run: {', '.join(plan['not_run']) or 'nothing left out'}")

@@ -145,6 +145,36 @@ def direct():
     return {"N = 4096": lambda: steps_of(tables, 1, 5, 20) / 4096}
 
 
+def sphere(n, gravity, steps):
+    """A Plummer sphere in equilibrium."""
+    return {
+        "dimension": 3,
+        "G": 1.0,
+        "time": {"step": 1e-4, "steps": steps},
+        "particles": [{"count": n, "position": {"plummer": 1.0}, "velocity": "equilibrium", "mass": 1.0 / n}],
+        "effects": {"mutual_gravity": gravity},
+    }
+
+
+def tree():
+    """mutual gravity by tree at a median force error of 1.5e-4, Plummer sphere, one core, microseconds a particle"""
+
+    def once(n):
+        return steps_of(sphere(n, {"method": "tree", "opening_angle": 0.45}, 4), 1, 1, 3) / 1e3
+
+    return {f"N = {n}": lambda n=n: once(n) for n in (10_000, 100_000, 1_000_000)}
+
+
+def gravity_ranks():
+    """mutual gravity, Plummer sphere of 100 000, microseconds a particle-step"""
+
+    def once(method, r):
+        gravity = {"method": method} | ({"opening_angle": 0.45} if method == "tree" else {})
+        return steps_of(sphere(100_000, gravity, 4), r, 1, 3 if method == "tree" else 1) / 1e3
+
+    return {f"{method}, {r} ranks": lambda m=method, r=r: once(m, r) for method in ("tree", "direct") for r in (1, 2)}
+
+
 def start():
     """whole process of a run of one step of headline.toml, seconds"""
     text = (SCENES / "headline.toml").read_text().replace("steps = 500", "steps = 1").replace("every = 500", "every = 1")
@@ -177,7 +207,7 @@ output = {every = 1, checkpoint_every = 8, formats = ["hdf5"]}
     return {f"{r} ranks": lambda r=r: once(r) for r in (1, 2)}
 
 
-CASES = {f.__name__: f for f in (headline, flat, ranks, walls, events, event_ranks, direct, start, frames)}
+CASES = {f.__name__: f for f in (headline, flat, ranks, walls, events, event_ranks, direct, tree, gravity_ranks, start, frames)}
 
 
 def main():

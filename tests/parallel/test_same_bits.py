@@ -119,6 +119,25 @@ SCENES = {
         particles=[{"position": [[1.0, 3.0], [-2.0, -1.0], [1.0, -1.0]], "mass": [3.0, 4.0, 5.0]}],
         effects={"mutual_gravity": {}},
     ),
+    "cluster by tree, fixed and without mass": dict(
+        dimension=3,
+        G=1.0,
+        time={"step": 0.01, "steps": 2},
+        particles=[
+            {"count": 2000, "position": {"plummer": 1.0}, "velocity": "equilibrium", "mass": 0.001},
+            {"position": CLOUD[:60], "mass": {"min": 0.0, "max": 0.1}, "fixed": True},
+            {"position": [*CLOUD[60:], *[CLOUD[60]] * 200], "velocity": {"speed": 0.3}, "mass": 0.0},
+        ],
+        effects={"mutual_gravity": {"softening": 0.05, "method": "tree", "opening_angle": 0.7}},
+    ),
+    "colliding discs by quadtree": dict(
+        dimension=2,
+        G=1.0,
+        box={"lower": [0, 0], "upper": [40, 30]},
+        time={"step": 0.01, "steps": 4},
+        particles=[{"count": 1500, "position": "random", "radius": {"min": 0.1, "max": 0.2}, "velocity": {"speed": 3.0}}],
+        effects={"mutual_gravity": {"method": "auto", "accuracy": 0.01}, "collisions": {}, "walls": {}},
+    ),
     "no particles": dict(
         dimension=2, box={"lower": [0, 0], "upper": [4, 4]}, time={"step": 0.05, "steps": 3},
         particles=[{"count": 0, "position": "random", "radius": 0.1}], effects={"collisions": {}, "walls": {}},
