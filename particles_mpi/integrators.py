@@ -27,10 +27,10 @@ class Integrator(Protocol):
 
 
 class Leapfrog:
-    """Kick - drift - kick with exact dissipation in the kicks (Strang splitting)."""
+    """Kick - drift - kick with exact dissipation in the kicks (Strang splitting); `rest` keeps slow contacts after each kick."""
 
-    def __init__(self, drag: Any | None, friction: Any | None):
-        self.drag, self.friction = drag, friction
+    def __init__(self, drag: Any | None, friction: Any | None, rest: Any | None):
+        self.drag, self.friction, self.rest = drag, friction, rest
         self.known: tuple[int, float] | None = None
 
     def advance(self, particles: Particles, h: float, forces: Forces, drift: Drift, timers: Timers) -> None:
@@ -39,11 +39,15 @@ class Leapfrog:
             a = forces()
         with timers("kick"):
             self.kick(particles, a, 0.5 * h, h if a is None and self.drag is None else 0.0)
+        if self.rest:
+            self.rest.keep(particles, a, h)
         drift(h)
         with timers("forces"):
             a = forces()
         with timers("kick"):
             self.kick(particles, a, 0.5 * h, 0.0)
+        if self.rest:
+            self.rest.keep(particles, a, h)
 
     def kick(self, particles: Particles, a: Array | None, h: float, coast: float) -> None:
         """The velocity flow over h."""

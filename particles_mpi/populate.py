@@ -43,11 +43,21 @@ def fields_of(scene: Scene) -> list[str]:
     extra = {name for effect in scene.effects for name in effect_class(effect).fields}
     if scene.time.integrator == "taylor":
         extra.add("rate")
-    if "collisions" in scene.effects and scene.effects["collisions"].mode == "event":
+    if "collisions" in scene.effects and (scene.effects["collisions"].mode == "event" or keeps_contacts(scene)):
         extra.add("contacted")
     if scene.output.observables:
         extra.add("virial")
+    if keeps_contacts(scene):
+        extra.add("supported")
     return [name for name in FIELDS if name in ALWAYS or name in extra]
+
+
+def keeps_contacts(scene: Scene) -> bool:
+    """Are there forces that press particles together or onto walls, and contacts that take energy?"""
+    if scene.time.integrator != "leapfrog" or not any(effect_class(name).role == "force" for name in scene.effects):
+        return False
+    contacts = [effect_class(name)(scene.effects[name], scene) for name in ("collisions", "walls") if name in scene.effects]
+    return any(contact.lossy for contact in contacts)
 
 
 def effect_class(name: str) -> Any:

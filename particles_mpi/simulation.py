@@ -91,16 +91,31 @@ class Simulation:
             from particles_mpi.adaptive import TOLERANCE, Adaptive
 
             return Adaptive(self.ranks, self.scene.time.tolerance or TOLERANCE)
-        return Taylor(drag) if name == "taylor" else Leapfrog(drag, friction)
+        return Taylor(drag) if name == "taylor" else Leapfrog(drag, friction, self._rest())
+
+    def _rest(self) -> Any:
+        """Who keeps contacts that last, where forces and losses can make one last."""
+        if "supported" not in self.particles.arrays:
+            return None
+        from particles_mpi.collide.planes import no_planes
+        from particles_mpi.collide.rest import Rest
+
+        pairs = self.collisions is not None and self.collisions.lossy
+        planes = self.walls.planes if self.walls else no_planes(self.scene.dimension)
+        uniform = all(getattr(force, "uniform", False) for force in self.forces.values())
+        return Rest(self.ranks, self.length, pairs, planes, uniform, self.timers)
 
     def _enter_collisions(self, c: Any) -> None:
         """Only a scene with pairs loads a collision operator, the one it names, and its search for neighbours."""
         planes = self.walls.planes if self.walls else None
         box, loss = (self.lower, self.upper, self.length), (c.restitution, c.keep)
-        if c.options.mode == "event":
+        exact: Any = None
+        if "contacted" in self.particles.arrays:
             from particles_mpi.collide.event import Event
 
-            self.near = self.contacts = Event(self.particles, self.ranks, box, loss, c.soft, planes, self.timers)
+            exact = Event(self.particles, self.ranks, box, loss, c.soft, planes, self.timers)
+        if c.options.mode == "event":
+            self.near = self.contacts = exact
             return
         from particles_mpi.collide.planes import no_planes
         from particles_mpi.collide.rewind import Rewind
@@ -109,7 +124,7 @@ class Simulation:
         walls = planes or no_planes(self.scene.dimension)
         kicked = bool(self.forces or self.dissipation)
         self.near = Neighbourhood(self.particles, self.ranks, box, (walls.point, walls.normal), kicked, self.timers)
-        self.contacts = Rewind(self.near, loss, c.options.passes, planes, self.timers)
+        self.contacts = Rewind(self.near, loss, c.options.passes, planes, self.timers, exact)
 
     @property
     def time(self) -> float:

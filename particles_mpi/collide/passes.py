@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from particles_mpi.collide.contact import NEVER, NOBODY, contact_time, may_come_near, meet, move_to, nearest
+from particles_mpi.collide.contact import NEVER, NOBODY, contact_time, may_come_near, meet, move_to, nearest, separation
 from particles_mpi.collide.planes import bounce, bounce_until, may_hit, wall_contact
 
 
@@ -89,6 +89,22 @@ def find_wall_hits(
                 time[found] = t
                 found += 1
     return found
+
+
+@njit(cache=True)
+def deepest(axes, x, v, s, radius, a, b, time, length):
+    """The largest overlap of the pairs among the hits when they meet, in smaller radii: somebody came in between too late."""
+    most = 0.0
+    for p in range(len(a)):
+        i = a[p]
+        j = b[p]
+        if j >= 0:
+            r2 = 0.0
+            for k in range(len(axes)):
+                r = separation(x, v, s, i, j, k, time[p], length)
+                r2 += r * r
+            most = max(most, (radius[i] + radius[j] - r2**0.5) / min(radius[i], radius[j]))
+    return most
 
 
 @njit(cache=True)

@@ -4,7 +4,8 @@ In a pass each candidate pair, and each particle near a wall, gets the time of i
 contact takes place if it is, for both partners, the earliest under the total order (time, pair before wall, lower id,
 higher id or wall). That rule looks only at the two partners' own contacts, so the owners of the partners come to the same
 decision on any number of ranks: they publish which contact is first for their particles, and each changes its copy of both
-partners by the same arithmetic. What is left after the last pass is counted as missed.
+partners by the same arithmetic. What is left after the last pass is counted as missed. Where forces press particles
+together, which would then sink into one another and get hot, such a drift is done again by the operator `event`.
 
 Legs are searched over the whole drift, not only for an overlap at its end: a pair that meets and separates within one step,
 or is past its closest approach at the end, collides like any other, so one contact is exact at every step length.
@@ -14,13 +15,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from particles_mpi.collide.passes import choose, find_contacts, find_wall_hits, finish_walls, take_place
+from particles_mpi.collide.event import Event
+from particles_mpi.collide.passes import choose, deepest, find_contacts, find_wall_hits, finish_walls, take_place
 from particles_mpi.collide.planes import Planes, no_planes
 from particles_mpi.neighbours.pairs import Neighbourhood
 from particles_mpi.particles import Array
 from particles_mpi.timers import Timers
 
 NONE = np.empty(0)
+LATE = 1e-6  # of a radius: an overlap that is no round-off
 
 
 class TooFarError(Exception):
@@ -30,11 +33,24 @@ class TooFarError(Exception):
         self.travel = travel
 
 
+class TooDenseError(Exception):
+    """More contacts than the passes can put in order."""
+
+
 class Rewind:
     """Drifts particles that collide with one another, and with walls if there are any."""
 
-    def __init__(self, near: Neighbourhood, loss: tuple[float, float], passes: int, planes: Planes | None, timers: Timers):
-        self.near, self.passes, self.timers = near, passes, timers
+    def __init__(
+        self,
+        near: Neighbourhood,
+        loss: tuple[float, float],
+        passes: int,
+        planes: Planes | None,
+        timers: Timers,
+        exact: Event | None,
+    ):
+        self.near, self.passes, self.timers, self.exact = near, passes, timers, exact
+        self.redone = 0  # drifts, by `exact`
         self.restitution, self.keep = loss
         self.walls = planes is not None
         self.planes = planes or no_planes(len(near.axes))
@@ -42,7 +58,7 @@ class Rewind:
     def drift(self, h: float, moment: float) -> Array:
         """x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
 
-        `moment`, when the drift begins, is of no concern to this operator.
+        `moment`: when the drift begins, for `exact`, which takes over where that is given and contacts are left at the end.
 
         If a collision throws a particle further than the candidates reach, the drift is undone, candidates are sought with
         a longer reach, and it is done again: the result is that of a reach long enough from the start.
@@ -54,6 +70,12 @@ class Rewind:
             try:
                 counts = self.contacts(all_, h)
                 break
+            except TooDenseError:
+                assert self.exact
+                self.undo(all_)
+                all_.distrust()
+                self.redone += 1
+                return self.exact.drift(h, moment)
             except TooFarError as far:
                 self.undo(all_)
                 travel = max(far.travel, 1.2 * travel)
@@ -71,10 +93,13 @@ class Rewind:
             with self.timers("search"):
                 hits = self.find(all_, h, left == self.passes)
             with self.timers("agree"):
-                mine = np.array([len(hits[0]), needed, all_.concern_others(hits)], float)
-                waiting, needed, shared = all_.ranks.largest(mine)
+                late = self.exact is not None and left < self.passes and self.late(all_, hits)
+                mine = np.array([len(hits[0]), needed, all_.concern_others(hits), late], float)
+                waiting, needed, shared, late = all_.ranks.largest(mine)
             if needed:
                 raise TooFarError(float(needed))
+            if self.exact and (late or (waiting and not left)):
+                raise TooDenseError
             if not waiting:
                 break
             if not left:
@@ -90,6 +115,10 @@ class Rewind:
                 break
             needed = self.one_pass(all_, hits, h, counts, bool(shared))
         return counts
+
+    def late(self, all_: Neighbourhood, hits: tuple[Array, Array, Array]) -> bool:
+        """Do partners meet that already overlap? Passes go forward in time for each particle, but not for all together."""
+        return float(deepest(all_.axes, all_.x, all_.v, all_.s, all_.radius, *hits, all_.length)) > LATE
 
     def find(self, all_: Neighbourhood, h: float, everything: bool) -> tuple[Array, Array, Array]:
         """The hits on the present legs: all of them, or those of rows that are live."""

@@ -48,4 +48,5 @@ class Effect:
     def __init__(self, options: Options, scene: Scene):
         self.options = options
         self.restitution, self.keep = loss(options.restitution, options.damping)
+        self.lossy = self.restitution < 1.0 or self.keep < 1.0
         self.soft = SOFT * scene.time.step if options.contact_duration is None else options.contact_duration

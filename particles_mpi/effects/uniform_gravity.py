@@ -23,6 +23,7 @@ class Effect:
     fields = ()
     formula = "dv/dt = g"
     constant = True
+    uniform = True
 
     def __init__(self, options: Options, scene: Scene):
         self.g = np.array(options.acceleration, float)

@@ -15,6 +15,7 @@ from particles_mpi.plan import duration, size
 PHASES = {
     "forces": "sum of forces",
     "kick": "velocities, friction, drag",
+    "rest": "contacts that last",
     "agree": "agree with others (waits)",
     "ghosts": "ghosts: fetch, refresh",
     "migrate": "migrate, balance",

@@ -1,0 +1,104 @@
+"""Contacts that stay: spheres that forces press onto walls and one another come to rest there, and do not sink or rattle.
+
+A sphere that bounces lower and lower under a force would meet the wall more and more often, and never stop. Here a contact
+whose next bounce would be over within a step or so is *kept*: after every kick velocities become those nearest to them, in
+kinetic energy, with which no kept contact closes by more than its gap in a step (`projection`). That takes energy or none,
+for to be at rest is always allowed; it moves nothing, and faster contacts, with their restitution, it leaves to the drift.
+
+Involved are few, as a rule: those that were supported before, those near walls, and those near these. All ranks work them
+out together, in the order of ids, so that results do not depend on the ranks.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from particles_mpi.collide.kept import HELD, SLOW, close_by_test, contacts, near_walls, within
+from particles_mpi.collide.planes import Planes
+from particles_mpi.collide.projection import project
+from particles_mpi.neighbours.candidates import touching
+from particles_mpi.parallel.exchange import rows_of_everyone
+from particles_mpi.parallel.ranks import Ranks
+from particles_mpi.particles import Array, Particles, row_dot, rows_of
+from particles_mpi.timers import Timers
+
+PRECISE = 1e-9  # of the slow speed: approach that does not matter
+FEW = 64  # rows: so many look for partners among all others
+
+
+class Rest:
+    """Keeps the slow contacts of particles: with one another if `pairs`, and with those of the planes that take energy.
+
+    `uniform`: all forces give all particles the same acceleration, so that free ones never press onto one another.
+    """
+
+    def __init__(self, ranks: Ranks, length: Array, pairs: bool, planes: Planes, uniform: bool, timers: Timers):
+        self.ranks, self.length, self.pairs, self.uniform, self.timers = ranks, length, pairs, uniform, timers
+        lossy = (planes.restitution < 1.0) | (planes.keep < 1.0)
+        self.walls = planes.lower, planes.upper, planes.oblique, planes.point[lossy], planes.normal[lossy]
+        self.axes = (0,) * len(length)
+
+    def keep(self, p: Particles, a: Array, h: float) -> None:
+        """After a kick in a step of h by accelerations a (n, d): velocities that keep slow contacts, in place. Collective."""
+        with self.timers("rest"):
+            involved = np.arange(len(p))
+            if self.uniform or not self.pairs:
+                state = p.position, p.velocity, a, p.radius, p.fixed, p["supported"]
+                involved = near_walls(self.axes, *state, h, *self.walls)
+            if not self.ranks.total(len(involved))[0]:
+                return
+            rows = self.rows(p, a, h, involved)
+            if self.pairs:
+                rows = rows_of_everyone(self.ranks, rows)
+                if self.uniform:
+                    joining = rows_of_everyone(self.ranks, self.joining(p, a, h, rows, involved))
+                    rows = {name: np.concatenate((column, joining[name])) for name, column in rows.items()}
+                rows = rows_of(rows, np.argsort(rows["id"]))
+            v, held = self.solve(rows, h)
+            mine = rows["rank"] == self.ranks.rank
+            p.velocity[rows["row"][mine]] = v[mine]
+            p["supported"][rows["row"][mine]] = held[mine]
+
+    def rows(self, p: Particles, a: Array, h: float, which: Array) -> dict[str, Array]:
+        """What all must know of our rows `which`; `wide` is the radius and the widest slow gap."""
+        rows = rows_of({name: p[name] for name in ("id", "position", "velocity", "radius", "supported")}, which)
+        push = SLOW * h * a[which]
+        w = np.divide(1.0, p.mass[which], out=np.zeros(len(which)), where=p.fixed[which] == 0)
+        wide = rows["radius"] + HELD * h * np.sqrt(row_dot(push, push))
+        return rows | {"push": push, "wide": wide, "w": w, "row": which, "rank": np.full(len(which), self.ranks.rank)}
+
+    def joining(self, p: Particles, a: Array, h: float, rows: dict[str, Array], known: Array) -> dict[str, Array]:
+        """Those of our rows, but for the `known`, that touch one of `rows`, give or take a slow gap."""
+        low, high = np.full(len(self.axes), -np.inf), np.full(len(self.axes), np.inf)
+        for k in np.flatnonzero(self.length == 0.0):
+            low[k] = (rows["position"][:, k] - rows["wide"]).min()
+            high[k] = (rows["position"][:, k] + rows["wide"]).max()
+        near = self.rows(p, a, h, within(self.axes, p.position, p.radius, a, h, low, high, known))
+        first, second = self.close({name: np.concatenate((rows[name], near[name])) for name in ("id", "position", "wide", "w")})
+        n = len(rows["id"])
+        joins = np.concatenate((second[(first < n) & (second >= n)], first[(second < n) & (first >= n)]))
+        return rows_of(near, np.unique(joins - n))
+
+    def close(self, rows: dict[str, Array]) -> tuple[Array, Array]:
+        """Pairs of rows that are no further apart than a slow gap."""
+        if len(rows["id"]) <= FEW:
+            return close_by_test(rows["position"], rows["wide"], rows["w"], self.length)
+        return touching(rows["position"], rows["wide"], rows["w"], rows["id"], self.length)
+
+    def solve(self, rows: dict[str, Array], h: float) -> tuple[Array, Array]:
+        """(velocities, which are supported) of rows in order of ids."""
+        none = np.empty(0, np.int32)
+        first, second = self.close(rows) if self.pairs else (none, none)
+        order = np.lexsort((second, first))
+        held = rows["supported"] | (rows["w"] == 0.0)
+        v = rows["velocity"].copy()
+        a, b, normal, may_close, share, inertia, speed = contacts(
+            self.axes, rows["position"], v, rows["push"], rows["radius"], rows["w"], held, first[order], second[order], h,
+            self.length, *self.walls[3:],
+        )  # fmt: skip
+        closing = project(self.axes, v, a, b, normal, may_close, share, inertia, PRECISE * float(speed.max(initial=0.0)))
+        held[:] = 0
+        pressed = closing > 0.0
+        held[a[pressed]] = 1
+        held[b[pressed & (b >= 0)]] = 1
+        return v, held
