@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 MOST_ROUNDS = 200
+FLAT = 1e-13
 
 
 @njit(cache=True)
@@ -64,14 +65,15 @@ def follow_gradients(axes, v, a, b, normal, may_close, share, inertia, tolerance
                     given[i] = 0.0
         for c in pressed:
             give(axes, given, a[c], b[c], normal, share, c, way[c])
-        curvature, longest = 0.0, np.inf  # along the way, and where the first contact would pull
+        curvature, size, longest = 0.0, 0.0, np.inf  # along the way, and where the first contact would pull
         for c in pressed:
             curvature += inertia[c] * way[c] * relative(axes, given, a[c], b[c], normal, c)
+            size += inertia[c] * way[c] ** 2
             if way[c] < 0.0:
                 longest = min(longest, -closing[c] / way[c])
-        if not curvature > 0.0:
+        if not curvature > FLAT * size:  # round-off: nothing along this way changes
             return
-        length = slope / curvature
+        length = min(slope / curvature, longest)
         before, slope, worst = slope, 0.0, 0.0
         for c in pressed:
             new = max(closing[c] + length * way[c], 0.0)
@@ -80,7 +82,7 @@ def follow_gradients(axes, v, a, b, normal, may_close, share, inertia, tolerance
             closing[c] = new
             slope += inertia[c] * excess[c] ** 2
             worst = max(worst, abs(excess[c]))
-        if length > longest or worst <= 0.1 * tolerance:
+        if length == longest or worst <= 0.1 * tolerance:
             return
         for c in pressed:
             way[c] = slope / before * way[c] - excess[c]

@@ -130,6 +130,17 @@ SCENES = {
         ],
         effects={"mutual_gravity": {"softening": 0.05, "method": "tree", "opening_angle": 0.7}},
     ),
+    "discs that come to rest": dict(
+        dimension=2,
+        box={"lower": [0, 0], "upper": [4, 20]},
+        time={"step": 0.01, "steps": 150},
+        particles=[{"count": 40, "position": "random", "radius": {"min": 0.2, "max": 0.4}, "mass": {"min": 0.1, "max": 5.0}}],
+        effects={
+            "uniform_gravity": {"acceleration": [0.5, -9.81]},
+            "collisions": {"restitution": 0.3},
+            "walls": {"restitution": 0.3},
+        },
+    ),
     "colliding discs by quadtree": dict(
         dimension=2,
         G=1.0,
@@ -144,6 +155,7 @@ SCENES = {
     ),
 }  # fmt: skip
 EVENTS = (
+    "discs that come to rest",
     "colliding cluster",
     "dense periodic gas",
     "half periodic, drag, acceleration, fixed",
