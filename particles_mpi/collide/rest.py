@@ -22,7 +22,7 @@ from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import Array, Particles, row_dot, rows_of
 from particles_mpi.timers import Timers
 
-PRECISE = 1e-9  # of the slow speed: approach that does not matter
+PRECISE = 1e-7  # of the slow speed: approach that does not matter
 FEW = 64  # rows: so many look for partners among all others
 
 

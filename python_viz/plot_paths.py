@@ -1,0 +1,86 @@
+"""Draw where particles went: the paths of a few, or the places of many at the last frame, seen along the last axis.
+
+One panel a run. Up to 30 particles are drawn as paths, that end in a dot; more as they stand at the end, as spheres where
+they have radii, else as points that are brighter where they are many. `--span` leaves out what is further from the middle.
+
+example:
+    python python_viz/plot_paths.py out/figure_eight out/solar_system --save gravity.png
+draws the paths of both into gravity.png
+"""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection
+from run_files import Frame, Trajectory, finish, new_parser, parse, save_path, spaced, title_of
+
+FEW = 30
+COLUMNS = 3
+COLORS = plt.get_cmap("tab10")
+
+
+def plot_few(axes: Axes, frames: list[Frame]) -> None:
+    """A path a particle, and where it is at the end."""
+    places = np.array([frame.position for frame in frames])
+    for i in range(places.shape[1]):
+        color = COLORS(i % 10)
+        axes.plot(places[:, i, 0], places[:, i, 1], lw=0.8, color=color)
+        axes.plot(*places[-1, i, :2], "o", ms=5, color=color)
+
+
+def plot_spheres(axes: Axes, frame: Frame) -> None:
+    """Spheres from above, the lower ones first and darker."""
+    order = np.argsort(frame.position[:, -1])
+    height = np.linspace(0.25, 0.95, len(order))
+    size = 2.0 * frame.radius[order]
+    spheres = EllipseCollection(size, size, 0.0, units="xy", offsets=frame.position[order, :2], transOffset=axes.transData)
+    spheres.set(facecolors=plt.get_cmap("copper")(height), edgecolors="#2a1a10", linewidths=0.3)
+    axes.add_collection(spheres)
+
+
+def plot_points(axes: Axes, frame: Frame) -> None:
+    """Many points, on black."""
+    axes.set_facecolor("black")
+    axes.plot(frame.position[:, 0], frame.position[:, 1], ".", ms=1.5, mew=0, color="#ffe8c0", alpha=0.6)
+
+
+def plot(axes: Axes, run: Path, span: float) -> None:
+    """One run."""
+    trajectory = Trajectory(run)
+    last = trajectory[-1]
+    middle, half = np.zeros(2), 0.0
+    if len(last.position) <= FEW:
+        plot_few(axes, [trajectory[k] for k in range(len(trajectory))])
+        axes.margins(0.08)
+    else:
+        plot_spheres(axes, last) if last.radius.any() else plot_points(axes, last)
+        away = np.abs(last.position[:, :2] - np.median(last.position[:, :2], axis=0)).max(axis=1) + last.radius
+        middle = np.median(last.position[:, :2], axis=0)
+        half = 1.05 * float(np.quantile(away, 1.0 if last.radius.any() else span))
+        axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
+    axes.set_aspect("equal", adjustable="datalim" if not half else "box")
+    axes.set_title(title_of(run), loc="left", fontsize=10)
+    axes.text(0.99, 0.01, f"{spaced(len(last.position))} at t = {last.time:g}", transform=axes.transAxes, ha="right", fontsize=8,
+              color="white" if len(last.position) > FEW and not last.radius.any() else "black")  # fmt: skip
+    axes.tick_params(labelsize=7)
+
+
+def main() -> None:
+    parser = new_parser(__doc__)
+    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN_DIR")
+    parser.add_argument("--span", type=float, default=0.97, metavar="PART", help="part of many points that is shown")
+    options = parse(parser)
+    columns = min(len(options.runs), COLUMNS)
+    rows = -(-len(options.runs) // columns)
+    figure, panels = plt.subplots(rows, columns, figsize=(3.6 * columns, 3.5 * rows), squeeze=False, layout="constrained")
+    for axes, run in zip(panels.flat, options.runs, strict=False):
+        plot(axes, run, options.span)
+    for axes in panels.flat[len(options.runs) :]:
+        axes.remove()
+    finish(figure, save_path(options.save, options.runs[0], "paths.png"), options.show)
+
+
+if __name__ == "__main__":
+    main()
