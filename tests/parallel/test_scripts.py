@@ -13,7 +13,7 @@ def script(name, *arguments):
     return run_ranks(1, ROOT / "python_viz" / name, *arguments)
 
 
-def gas(folder, name, step, **collisions):
+def gas(folder, name, step, frames=False, **collisions):
     n, side = 256, (256 / 0.6) ** (1 / 3)
     text = f"""
 dimension = 3
@@ -34,7 +34,7 @@ mass = 1.0
 [effects.collisions]
 {"".join(f"{key} = {json.dumps(value)}" + chr(10) for key, value in collisions.items())}
 [output]
-formats = []
+formats = {json.dumps(["hdf5"] if frames else [])}
 observables = true
 diagnostics_every = {max(1, round(0.4 / step))}
 """
@@ -43,6 +43,16 @@ diagnostics_every = {max(1, round(0.4 / step))}
     done = run_ranks(1, "-m", "particles_mpi", "run", scene, "--output", output, "--quiet")
     assert done.returncode == 0, done.stderr
     return output
+
+
+def test_paths_of_a_few_and_places_of_many(tmp_path):
+    few = run_ranks(1, "-m", "particles_mpi", "run", ROOT / "particles_mpi" / "scenes" / "figure_eight.toml", "--output",
+                    tmp_path / "few", "--steps", 300, "--quiet")  # fmt: skip
+    assert few.returncode == 0, few.stderr
+    many = gas(tmp_path, "many", 1.0, frames=True, mode="event")
+    done = script("plot_paths.py", tmp_path / "few", many, "--save", tmp_path / "paths.png")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "paths.png").stat().st_size > 20_000
 
 
 def test_rewind_against_event(tmp_path):
