@@ -13,7 +13,7 @@ DIMENSIONS = (3, 2)
 
 
 def tiny(dimension: int, periodic: bool, effects: dict[str, object], integrator: str = "leapfrog") -> Scene:
-    """A few particles that meet one another, walls and periodic faces within two steps."""
+    """A few particles that meet one another, walls and periodic faces within two steps; one lies on the floor."""
     d = dimension
     acceleration = [0.0] * (d - 1) + [-1.0]
     available = {"uniform_gravity": {"acceleration": acceleration}, "walls": {}, "collisions": {}, "mutual_gravity": {}}
@@ -21,7 +21,10 @@ def tiny(dimension: int, periodic: bool, effects: dict[str, object], integrator:
         dimension=d,
         box={"lower": [0.0] * d, "upper": [4.0] * d, "periodic": periodic},
         time={"step": 0.01, "steps": 2, "integrator": integrator},
-        particles=[{"count": 4, "position": "random", "velocity": {"speed": 10.0}, "radius": 0.2, "mass": 1.0}],
+        particles=[
+            {"position": [[2.0] * (d - 1) + [0.2]], "radius": 0.2, "mass": 1.0},
+            {"count": 4, "position": "random", "velocity": {"speed": 10.0}, "radius": 0.2, "mass": 1.0},
+        ],
         effects={name: keys or available[name] for name, keys in effects.items()},
     )
 
@@ -30,10 +33,12 @@ def main() -> None:
     """Every kernel in two and three dimensions: a dimension a rank, then those of ghosts, together."""
     begin = perf_counter()
     world, alone = Ranks(), Ranks.alone()
+    lossy: dict[str, object] = {"walls": {"restitution": 0.5}, "collisions": {"restitution": 0.5}}
     for ranks, dimensions in ((alone, DIMENSIONS[world.rank :: world.size]), (world, DIMENSIONS)):
         for d in dimensions:
             scenes = [
-                tiny(d, False, {"uniform_gravity": None, "walls": None, "collisions": None, "friction": {"strength": 0.1}}),
+                tiny(d, False, {"uniform_gravity": None, "friction": {"strength": 0.1}} | lossy),
+                tiny(d, False, {"mutual_gravity": None} | lossy),
                 tiny(d, True, {"collisions": None, "drag": {"rate": 0.1}}),
                 tiny(d, False, {"uniform_gravity": None, "walls": None}),
                 *[tiny(d, p, {"collisions": {"mode": "event"}, "walls": None}) for p in (False, True)],

@@ -24,6 +24,7 @@ from particles_mpi.timers import Timers
 
 NONE = np.empty(0)
 LATE = 1e-6  # of a radius: an overlap that is no round-off
+CROWDED = 3  # passes, after which that is no matter of two who soon move apart
 
 
 class TooFarError(Exception):
@@ -93,7 +94,7 @@ class Rewind:
             with self.timers("search"):
                 hits = self.find(all_, h, left == self.passes)
             with self.timers("agree"):
-                late = self.exact is not None and left < self.passes and self.late(all_, hits)
+                late = self.exact is not None and self.passes - left >= CROWDED and self.late(all_, hits)
                 mine = np.array([len(hits[0]), needed, all_.concern_others(hits), late], float)
                 waiting, needed, shared, late = all_.ranks.largest(mine)
             if needed:
