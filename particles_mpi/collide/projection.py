@@ -9,6 +9,7 @@ from numba import njit
 
 MOST_ROUNDS = 200
 FLAT = 1e-13
+RESTARTS = 6
 
 
 @njit(cache=True)
@@ -52,40 +53,91 @@ def relax(axes, v, a, b, normal, may_close, share, closing, c):
 
 @njit(cache=True)
 def follow_gradients(axes, v, a, b, normal, may_close, share, inertia, tolerance, closing, pressed, excess, way, given):
-    """Conjugate gradients for the pressed contacts, all of which are to close as fast as they may; ends when one would pull."""
+    """Conjugate gradients for the pressed contacts, all of which are to close as fast as they may.
+
+    Where one would pull it is let go, and the others begin anew, a few times. Never more energy than before.
+    """
+    for _ in range(RESTARTS):
+        count = 0
+        for c in pressed:
+            if closing[c] > 0.0:
+                pressed[count] = c
+                count += 1
+        pressed = pressed[:count]
+        if not descend(axes, v, a, b, normal, may_close, share, inertia, tolerance, closing, pressed, excess, way, given):
+            return
+
+
+@njit(cache=True)
+def descend(axes, v, a, b, normal, may_close, share, inertia, tolerance, closing, pressed, excess, way, given):
+    """Conjugate gradients until all is done or a contact had to be let go; returns whether it had."""
     slope = 0.0
     for c in pressed:
         excess[c] = may_close[c] + relative(axes, v, a[c], b[c], normal, c)
         way[c] = -excess[c]
         slope += inertia[c] * excess[c] ** 2
     for _ in range(len(pressed)):
-        for c in pressed:
-            for i in (a[c], b[c]):
-                if i >= 0:
-                    given[i] = 0.0
+        clear(given, a, b, pressed)
+        curvature, size, longest = 0.0, 0.0, np.inf  # along the way, and where the first contact would pull
         for c in pressed:
             give(axes, given, a[c], b[c], normal, share, c, way[c])
-        curvature, size, longest = 0.0, 0.0, np.inf  # along the way, and where the first contact would pull
         for c in pressed:
             curvature += inertia[c] * way[c] * relative(axes, given, a[c], b[c], normal, c)
             size += inertia[c] * way[c] ** 2
             if way[c] < 0.0:
                 longest = min(longest, -closing[c] / way[c])
-        if not curvature > FLAT * size:  # round-off: nothing along this way changes
-            return
-        length = min(slope / curvature, longest)
+        length = slope / curvature if curvature > FLAT * size else np.inf
+        if length >= longest:  # as far as that, or all who would pull let go, if that is better still
+            if length < np.inf and let_go(axes, v, a, b, normal, share, inertia, closing, pressed, excess, way, given, length):
+                return True
+            length = longest
+        if not length < np.inf:
+            return False
         before, slope, worst = slope, 0.0, 0.0
+        clear(given, a, b, pressed)
         for c in pressed:
-            new = max(closing[c] + length * way[c], 0.0)
-            excess[c] += length * relative(axes, given, a[c], b[c], normal, c)
-            give(axes, v, a[c], b[c], normal, share, c, new - closing[c])
-            closing[c] = new
+            give(axes, given, a[c], b[c], normal, share, c, length * way[c])
+        for c in pressed:
+            closing[c] = max(closing[c] + length * way[c], 0.0)
+            excess[c] += relative(axes, given, a[c], b[c], normal, c)
+            give(axes, v, a[c], b[c], normal, share, c, length * way[c])
             slope += inertia[c] * excess[c] ** 2
             worst = max(worst, abs(excess[c]))
-        if length == longest or worst <= 0.1 * tolerance:
-            return
+        if length == longest:
+            return True
+        if worst <= 0.1 * tolerance:
+            return False
         for c in pressed:
             way[c] = slope / before * way[c] - excess[c]
+    return False
+
+
+@njit(cache=True)
+def let_go(axes, v, a, b, normal, share, inertia, closing, pressed, excess, way, given, length):
+    """The whole length of the way, but no contact pulls; only if that is downhill: returns whether it was."""
+    clear(given, a, b, pressed)
+    for c in pressed:
+        give(axes, given, a[c], b[c], normal, share, c, max(length * way[c], -closing[c]))
+    change = 0.0
+    for c in pressed:
+        step = max(length * way[c], -closing[c])
+        change += inertia[c] * step * (excess[c] + 0.5 * relative(axes, given, a[c], b[c], normal, c))
+    if not change < 0.0:
+        return False
+    for c in pressed:
+        step = max(length * way[c], -closing[c])
+        closing[c] = closing[c] + step
+        give(axes, v, a[c], b[c], normal, share, c, step)
+    return True
+
+
+@njit(cache=True)
+def clear(given, a, b, pressed):
+    """No velocity for the partners of the pressed contacts."""
+    for c in pressed:
+        given[a[c]] = 0.0
+        if b[c] >= 0:
+            given[b[c]] = 0.0
 
 
 @njit(cache=True)
