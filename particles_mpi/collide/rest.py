@@ -39,13 +39,13 @@ class Rest:
         self.axes = (0,) * len(length)
 
     def keep(self, p: Particles, a: Array, h: float) -> None:
-        """After a kick in a step of h by accelerations a (n, d): velocities that keep slow contacts, in place. Collective."""
+        """After a kick by accelerations a (n, d) in a step of h: velocities that keep slow contacts. Collective with pairs."""
         with self.timers("rest"):
             involved = np.arange(len(p))
             if self.uniform or not self.pairs:
                 state = p.position, p.velocity, a, p.radius, p.fixed, p["supported"]
                 involved = near_walls(self.axes, *state, h, *self.walls)
-            if not self.ranks.total(len(involved))[0]:
+            if not (self.ranks.total(len(involved))[0] if self.pairs else len(involved)):
                 return
             rows = self.rows(p, a, h, involved)
             if self.pairs:
