@@ -11,6 +11,7 @@ from math import log10
 
 PAIR = 1.2  # ns of a pair in the direct sum
 WORK = 1.4  # ns of a particle on a list of the tree, which a group adds up
+BUILD = 400.0  # ns a particle: keys, cells, walks
 ERROR, SLOPE = 6e-3, 3.5  # error = ERROR * angle^SLOPE
 SMALLEST = 0.1  # opening angle, below which a tree is no use
 TREES = (1, 2, 3)  # dimensions that have trees
@@ -47,4 +48,4 @@ def choose(method: str, angle: float, accuracy: float, dimension: int, total: in
 def tree_cost(angle: float, total: int) -> float:
     """ns a particle: lists grow with the logarithm of the number of particles, and never beyond all of them."""
     lists = 450.0 + 357.0 * angle**-2.2 * max(log10(max(total, 1)) - 2.8, 0.0)
-    return WORK * min(lists, 450.0 + total)
+    return BUILD + WORK * min(lists, 450.0 + total)
