@@ -35,8 +35,8 @@ class Options(Model):
         faults = []
         if self.method == "tree" and scene.dimension not in TREES:
             faults.append(f'method: there is no tree in dimension {scene.dimension}; use "direct"')
-        if self.opening_angle is not None and self.method != "tree":
-            faults.append('opening_angle: only with method "tree"')
+        if self.opening_angle is not None and self.method == "auto":
+            faults.append('opening_angle: method "auto" chooses it; give accuracy')
         if self.accuracy is not None and self.method != "auto":
             faults.append('accuracy: only with method "auto"')
         if any(scene.periodic):

@@ -189,12 +189,12 @@ def test_auto_takes_what_costs_less_and_says_so():
     ("gravity", "dimension", "fault"),
     [
         ({"method": "tree"}, 4, 'method: there is no tree in dimension 4; use "direct"'),
-        ({"opening_angle": 0.5}, 3, 'opening_angle: only with method "tree"'),
+        ({"method": "auto", "opening_angle": 0.5}, 3, 'opening_angle: method "auto" chooses it; give accuracy'),
         ({"method": "tree", "accuracy": 1e-3}, 3, 'accuracy: only with method "auto"'),
         ({"method": "tree", "opening_angle": 1.5}, 3, "opening_angle: must be less than or equal to 1"),
     ],
 )
-def test_faults(gravity, dimension, fault):
+def test_mutual_gravity_faults(gravity, dimension, fault):
     with pytest.raises(SceneError, match=f"effects.mutual_gravity.{fault}"):
         scene(gravity, dimension=dimension, particles=[{"position": [[0.0] * dimension]}])
 
