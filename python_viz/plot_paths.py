@@ -50,14 +50,14 @@ def plot(axes: Axes, run: Path, span: float) -> None:
     """One run."""
     trajectory = Trajectory(run)
     last = trajectory[-1]
-    middle, half = np.zeros(2), 0.0
+    half = 0.0
     if len(last.position) <= FEW:
         plot_few(axes, [trajectory[k] for k in range(len(trajectory))])
         axes.margins(0.08)
     else:
         plot_spheres(axes, last) if last.radius.any() else plot_points(axes, last)
-        away = np.abs(last.position[:, :2] - np.median(last.position[:, :2], axis=0)).max(axis=1) + last.radius
         middle = np.median(last.position[:, :2], axis=0)
+        away = np.abs(last.position[:, :2] - middle).max(axis=1) + last.radius
         half = 1.05 * float(np.quantile(away, 1.0 if last.radius.any() else span))
         axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
     axes.set_aspect("equal", adjustable="datalim" if not half else "box")

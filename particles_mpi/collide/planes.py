@@ -29,6 +29,11 @@ class Planes:
     upper: Array
     oblique: bool
 
+    @property
+    def lossy(self) -> Array:
+        """Which of them take energy, (w,)."""
+        return (self.restitution < 1.0) | (self.keep < 1.0)
+
     def arrays(self) -> tuple[Array | bool, ...]:
         return self.point, self.normal, self.restitution, self.keep, self.lower, self.upper, self.oblique
 

@@ -34,8 +34,7 @@ class Rest:
 
     def __init__(self, ranks: Ranks, length: Array, pairs: bool, planes: Planes, uniform: bool, timers: Timers):
         self.ranks, self.length, self.pairs, self.uniform, self.timers = ranks, length, pairs, uniform, timers
-        lossy = (planes.restitution < 1.0) | (planes.keep < 1.0)
-        self.walls = planes.lower, planes.upper, planes.oblique, planes.point[lossy], planes.normal[lossy]
+        self.walls = planes.lower, planes.upper, planes.oblique, planes.point[planes.lossy], planes.normal[planes.lossy]
         self.axes = (0,) * len(length)
 
     def keep(self, p: Particles, a: Array, h: float) -> None:

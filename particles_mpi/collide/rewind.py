@@ -13,14 +13,18 @@ or is past its closest approach at the end, collides like any other, so one cont
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from particles_mpi.collide.event import Event
 from particles_mpi.collide.passes import choose, deepest, find_contacts, find_wall_hits, finish_walls, take_place
 from particles_mpi.collide.planes import Planes, no_planes
 from particles_mpi.neighbours.pairs import Neighbourhood
 from particles_mpi.particles import Array
 from particles_mpi.timers import Timers
+
+if TYPE_CHECKING:
+    from particles_mpi.collide.event import Event
 
 NONE = np.empty(0)
 LATE = 1e-6  # of a radius: an overlap that is no round-off
@@ -51,7 +55,6 @@ class Rewind:
         exact: Event | None,
     ):
         self.near, self.passes, self.timers, self.exact = near, passes, timers, exact
-        self.redone = 0  # drifts, by `exact`
         self.restitution, self.keep = loss
         self.walls = planes is not None
         self.planes = planes or no_planes(len(near.axes))
@@ -75,7 +78,6 @@ class Rewind:
                 assert self.exact
                 self.undo(all_)
                 all_.distrust()
-                self.redone += 1
                 return self.exact.drift(h, moment)
             except TooFarError as far:
                 self.undo(all_)

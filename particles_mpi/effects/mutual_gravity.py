@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -64,8 +64,10 @@ class Effect:
     def enter(self, ranks: Ranks, total: int) -> None:
         """Whose particles attract: all `total` of them, on these ranks."""
         angle = self.options.choice(self.scene, total).angle
-        self.sum: Any = DirectSum(ranks, total, self.softening2)
-        if angle is not None:
+        self.sum: DirectSum | TreeSum
+        if angle is None:
+            self.sum = DirectSum(ranks, total, self.softening2)
+        else:
             self.sum = TreeSum(ranks, self.scene.dimension, angle, self.softening2)
 
     def add(self, particles: Particles, acceleration: Array) -> None:

@@ -88,7 +88,7 @@ class Effect:
 
     def __init__(self, options: Options, scene: Scene):
         self.planes = planes_of(options, scene)
-        self.lossy = bool(((self.planes.restitution < 1.0) | (self.planes.keep < 1.0)).any())
+        self.lossy = bool(self.planes.lossy.any())
 
     def drift(self, particles: Particles, h: float) -> int:
         """Drift over h with walls alone; returns the number of wall hits. Purely local: no particle needs another."""
