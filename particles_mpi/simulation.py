@@ -71,6 +71,7 @@ class Simulation:
         self.walls, self.collisions = effects.get("walls"), effects.get("collisions")
         drag, friction = effects.get("drag"), effects.get("friction")
         self.dissipation = [name for name in ("drag", "friction") if name in effects]
+        self.rest = self._rest()
         self.integrator = self._integrator(drag, friction)
         for force in self.forces.values():
             if hasattr(force, "enter"):
@@ -91,7 +92,7 @@ class Simulation:
             from particles_mpi.adaptive import TOLERANCE, Adaptive
 
             return Adaptive(self.ranks, self.scene.time.tolerance or TOLERANCE)
-        return Taylor(drag) if name == "taylor" else Leapfrog(drag, friction, self._rest())
+        return Taylor(drag) if name == "taylor" else Leapfrog(drag, friction, self.rest)
 
     def _rest(self) -> Any:
         """Who keeps contacts that last, where forces and losses can make one last."""
@@ -134,11 +135,13 @@ class Simulation:
 
     def step(self, collisions: bool = True) -> None:
         """Advance by one step; `collisions=False` lets particles pass through one another and through walls. Collective."""
-        self.advance(self.h, lambda h: self.drift(h, collisions))
+        self.advance(self.h, lambda h: self.drift(h, collisions), collisions)
         self.steps_done += 1
 
-    def advance(self, h: float, drift: Callable[[float], None]) -> None:
+    def advance(self, h: float, drift: Callable[[float], None], contacts: bool = True) -> None:
         """One step of the integrator over h."""
+        if self.rest:
+            self.rest.awake = contacts
         self.integrator.advance(self.particles, h, self.sum_forces, drift, self.timers)
         for name in self.dissipation:
             self.count(name, 2)

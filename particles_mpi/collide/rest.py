@@ -36,9 +36,12 @@ class Rest:
         self.ranks, self.length, self.pairs, self.uniform, self.timers = ranks, length, pairs, uniform, timers
         self.walls = planes.lower, planes.upper, planes.oblique, planes.point[planes.lossy], planes.normal[planes.lossy]
         self.axes = (0,) * len(length)
+        self.awake = True  # else particles pass through one another and through walls
 
     def keep(self, p: Particles, a: Array, h: float) -> None:
         """After a kick by accelerations a (n, d) in a step of h: velocities that keep slow contacts. Collective with pairs."""
+        if not self.awake:
+            return
         with self.timers("rest"):
             involved = np.arange(len(p))
             if self.uniform or not self.pairs:

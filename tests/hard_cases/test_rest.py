@@ -48,6 +48,17 @@ def test_a_ball_comes_to_rest(mode, e):
     assert lowest >= 0.05 - 1e-12 and place[0, 1] == pytest.approx(0.05, abs=1e-5)
 
 
+@pytest.mark.parametrize("mode", [None, *MODES])
+def test_a_step_without_collisions_keeps_no_contact(mode):
+    """Free fall through the floor and through the ball below, for one step; the next is one with contacts again."""
+    sim = column(mode, 0.5, 2 if mode else 1, 0, apart=1.0)
+    for _ in range(50):
+        sim.step()
+    assert np.abs(sim.particles.velocity).max() < 1e-7
+    sim.step(collisions=False)
+    np.testing.assert_allclose(sim.particles.velocity[:, 1], -9.81 * 0.005, atol=1e-7)
+
+
 def test_an_elastic_ball_never_rests():
     assert "supported" not in column("event", 1.0, 1, 0).particles.arrays
 
