@@ -173,7 +173,7 @@ class Job:
         sim = self.sim
         with sim.timers("checkpoint"):
             about = sim.about()
-            state: dict[str, Any] = {name: json.dumps(about[name]) for name in ("moment", "observed", "totals", "scene")}
+            state: dict[str, Any] = {name: json.dumps(about[name]) for name in ("moment", "observed", "totals", "kept", "scene")}
             state |= {"step": about["step"], "time": sim.time, "reported": json.dumps(self.since.tolist())}
             checkpoint.save(
                 self.folder / "checkpoint.h5", self.ranks, sim.particles.arrays, sim.total, self.scene.dimension, state

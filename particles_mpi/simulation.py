@@ -104,7 +104,7 @@ class Simulation:
         pairs = self.collisions is not None and self.collisions.lossy
         planes = self.walls.planes if self.walls else no_planes(self.scene.dimension)
         uniform = all(getattr(force, "uniform", False) for force in self.forces.values())
-        return Rest(self.ranks, self.length, pairs, planes, uniform, self.timers)
+        return Rest(self.ranks, self.total, self.length, pairs, planes, uniform, self.timers)
 
     def _enter_collisions(self, c: Any) -> None:
         """Only a scene with pairs loads a collision operator, the one it names, and its search for neighbours."""
@@ -115,6 +115,8 @@ class Simulation:
             from particles_mpi.collide.event import Event
 
             exact = Event(self.particles, self.ranks, box, loss, c.soft, planes, self.timers)
+            if self.rest and self.rest.pairs:
+                exact.hold = lambda h: self.rest.hold(self.particles, self.sum_forces(), h)
         if c.options.mode == "event":
             self.near = self.contacts = exact
             return
@@ -271,7 +273,9 @@ class Simulation:
 
         arrays, saved = load(Path(path))
         scene = Scene.from_dict(json.loads(saved["scene"]))
-        about = {name: json.loads(saved[name]) for name in ("moment", "observed", "totals")} | {"step": int(saved["step"])}
+        about = {name: json.loads(saved[name]) for name in ("moment", "observed", "totals", "kept")} | {
+            "step": int(saved["step"])
+        }
         sim = cls._restored(scene, Ranks(comm), Particles(scene.dimension, arrays), about)
         sim.reported = json.loads(saved["reported"])
         return sim
@@ -291,7 +295,8 @@ class Simulation:
         """Clock, counts over all ranks, and scene, as plain data: what a state is besides its particles. Collective."""
         totals = self.ranks.total(np.array([self.totals[name] for name in COUNTS])).tolist()
         clock = {"step": self.steps_done, "moment": self.moment, "observed": self.observed}
-        return {**clock, "totals": totals, "scene": self.scene.to_dict()}
+        kept = [column.tolist() for column in self.rest.memory] if self.rest else []
+        return {**clock, "totals": totals, "kept": kept, "scene": self.scene.to_dict()}
 
     @classmethod
     def _restored(cls, scene: Scene, ranks: Ranks, everyone: Particles, about: dict[str, Any]) -> Simulation:
@@ -301,6 +306,8 @@ class Simulation:
         sim.steps_done = about["step"]
         sim.moment = about["moment"][0], about["moment"][1]
         sim.observed = list(about["observed"])
+        if sim.rest:
+            sim.rest.memory = np.array(about["kept"][0], np.int64), np.array(about["kept"][1], float)
         if ranks.is_root:  # counts are sums over ranks: one rank carries those from before
             sim.totals.update(zip(COUNTS, about["totals"], strict=True))
         return sim

@@ -13,6 +13,7 @@ from numba import njit
 
 NOBODY = -(2**62)  # "last met" before the first contact of a drift; partners are ids >= 0, walls -1, -2, ...
 NEVER = inf
+PRESSED, CROWD = 1, 2  # values of the field `supported`: pressed onto something by forces; one of many that collapse
 
 
 def loss(restitution: float | None, damping: float | None) -> tuple[float, float]:

@@ -13,6 +13,7 @@ from particles_mpi.particles import Array, Particles
 
 CONTACTS = 1.0  # expected in a bucket of the queue
 SETTLED = 8  # new homes a row, on average; then all are sorted in space and settled again
+NEVER_CROWDED = 2**31
 NAMED = 64  # contacts without loss that are remembered by name
 
 
@@ -35,6 +36,7 @@ class Engine:
         self.stop, self.stopped = np.zeros(3, np.int64), np.zeros(1)
         self.spared = np.empty((NAMED, 3))
         self.pending = 0
+        self.crowded = NEVER_CROWDED
 
     def settle(self, p: Particles, owned: int, spare: int = 0) -> None:
         """Rows of p, the first `owned` of them own ones; `homes` were built for them, with `spare` rows."""
@@ -93,7 +95,7 @@ class Engine:
                 self.axes, self.leg, self.leg.view(np.int64), self.state, self.reals, self.h, now, until, moment, self.length,
                 homes.pool, homes.lists, homes.top, homes.home, homes.links, homes.level, homes.head, homes.grid,
                 walls, planes.restitution, planes.keep, self.restitution, self.keep, self.soft, queue, self.counts, self.spared,
-                self.ahead, self.lower, homes.around, self.todo, pending, self.stop, self.stopped, log,
+                self.ahead, self.lower, homes.around, self.todo, pending, self.stop, self.stopped, self.crowded, log,
             )  # fmt: skip
             if not short:
                 return
@@ -124,5 +126,8 @@ class Engine:
 
     def hand_over(self, p: Particles, seat: Array) -> None:
         """Particle r of p as row seat[r] is."""
-        virial = p.arrays.get("virial", np.empty(0))
-        hand_over(self.axes, self.leg, self.reals, p.position, p.velocity, p.contacted, virial, seat)
+        virial, supported = p.arrays.get("virial", np.empty(0)), p.arrays.get("supported", np.empty(0, np.uint8))
+        hand_over(
+            self.axes, self.leg, self.state, self.reals, p.position, p.velocity, p.contacted, virial, supported,
+            self.crowded, seat,
+        )  # fmt: skip

@@ -10,25 +10,30 @@ there is too little to divide, every rank computes everything (`Whole`). The bit
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
 
-from particles_mpi.collide.engine import NAMED, SETTLED, Engine
+from particles_mpi.collide.contact import CROWD
+from particles_mpi.collide.engine import NAMED, NEVER_CROWDED, SETTLED, Engine
 from particles_mpi.collide.events import COLLISIONS, SPARED, WALL_HITS
 from particles_mpi.collide.planes import Planes, no_planes
 from particles_mpi.collide.windows import Windows, not_finite
 from particles_mpi.errors import StoppedError
 from particles_mpi.neighbours.cells import bounds, order_in_space
+from particles_mpi.parallel.exchange import rows_of_everyone
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.parallel.replica import Replica
 from particles_mpi.parallel.store import Store
-from particles_mpi.particles import Array, Particles
+from particles_mpi.particles import Array, Particles, rows_of
 from particles_mpi.timers import Timers
 
 LEAST = 2000  # particles a rank; with fewer, space is not divided
 LONGEST_REST = 64  # drifts
-CHANGING = ("position", "velocity", "contacted", "virial")
+CROWDED = 8  # quick contacts in a drift; then a particle is one of a crowd that collapses
+ROUNDS = 3
+CHANGING = ("position", "velocity", "contacted", "virial", "supported")
 
 
 class Event:
@@ -50,8 +55,10 @@ class Event:
         self.divided = ranks.size > 1 and ranks.total(len(particles))[0] >= LEAST * ranks.size
         self.eased = 0
         self.first_eased: tuple[float, Array] = np.inf, np.empty((0, 3))  # moment of a step, (time, id, id or wall) there
+        self.crowded_steps = 0
         self.resting, self.rest = 0, 1  # drifts that every rank computes as a whole, after windows that did not pay
         self.stop, self.stopped = np.array([0, -1, -1]), np.zeros(1)
+        self.hold: Callable[[float], None] | None = None  # a crowd's contacts, where forces press: see rest
 
     @cached_property
     def whole(self) -> Whole:
@@ -89,10 +96,38 @@ class Event:
         `moment`: the time at which the drift begins. With `stop` it ends with the first collision of two particles, after
         `self.stopped[0]` (h if there is none), and `self.stop[1:]` are their ids, the lower one first, or -1.
         """
+        if self.hold is None or stop:
+            return self.drift_once(h, moment, stop, NEVER_CROWDED)
+        for left in range(ROUNDS, -1, -1):
+            before, told = self.particles.select(np.arange(len(self.particles))), (self.eased, self.first_eased)
+            happened = self.drift_once(h, moment, False, CROWDED if left else NEVER_CROWDED)
+            if not left or not self.ranks.largest(float((self.particles["supported"] == CROWD).any()))[0]:
+                break
+            self.undo(before)
+            self.eased, self.first_eased = told
+            self.hold(h)
+            self.crowded_steps += left == ROUNDS
+        return happened
+
+    def undo(self, before: Particles) -> None:
+        """Everyone as before the drift. Collective."""
+        p = self.particles
+        moved = self.ranks.largest(float(not np.array_equal(p.id, before.id)))[0]
+        names = ["id", *(name for name in CHANGING if name in p.arrays and name != "supported")]
+        rows = {name: before[name] for name in names}
+        if moved:
+            rows = rows_of_everyone(self.ranks, rows)
+            rows = rows_of(rows, np.argsort(rows["id"])[p.id])
+        for name in names:
+            p[name][:] = rows[name]
+
+    def drift_once(self, h: float, moment: float, stop: bool, crowded: int) -> Array:
+        """The same; particles with `crowded` quick contacts have no more."""
         if self.divided and not stop:
             if self.resting:
                 self.resting -= 1
             else:
+                self.windows.engine.crowded = crowded
                 happened = self.windows.drift(h, moment)
                 if happened is not None:
                     self.rest = 1
@@ -100,6 +135,7 @@ class Event:
                     return happened
                 self.resting = self.rest
                 self.rest = min(2 * self.rest, LONGEST_REST)
+        self.whole.engine.crowded = crowded
         happened = self.whole.drift(h, moment, stop)
         engine = self.whole.engine
         if self.divided:
@@ -120,8 +156,11 @@ class Event:
         """What a user should be told at the end. Collective."""
         told = self.ranks.gathered((self.eased, *self.first_eased))
         eased = sum(number for number, _, _ in told)
+        crowds = []
+        if self.crowded_steps:
+            crowds = [f"collapsing crowds: in {self.crowded_steps} steps some contacts took all of the approach, as if e = 0"]
         if not eased:
-            return []
+            return crowds
         moment = min(moment for _, moment, _ in told)
         first = sorted(tuple(row) for _, begin, rows in told if begin == moment for row in rows)
         pairs = [(int(a), int(b)) for _, a, b in first[:NAMED]]
@@ -132,8 +171,9 @@ class Event:
         ids, walls = [str(k) for k in sorted(cluster) if k >= 0], [str(-1 - k) for k in sorted(cluster) if k < 0]
         where = f"particles {', '.join(ids)}" + (f" and wall {', '.join(walls)}" if walls else "")
         return [
+            *crowds,
             f"inelastic collapse: {eased} contacts within {self.soft:.3g} of the last one took no energy, "
-            f"the first in the step from t = {moment:g} among {where}"
+            f"the first in the step from t = {moment:g} among {where}",
         ]
 
 

@@ -12,7 +12,7 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-from particles_mpi.collide.contact import NEVER, NOBODY, boxes_between, may_come_near
+from particles_mpi.collide.contact import CROWD, NEVER, NOBODY, boxes_between, may_come_near
 from particles_mpi.collide.log import (
     HISTORY,
     ID,
@@ -34,7 +34,9 @@ from particles_mpi.lean import lean, prefetch
 from particles_mpi.neighbours.shells import BEGIN, COUNT, move_in, move_out, neighbours, room_for
 
 COLLISIONS, WALL_HITS, SPARED, HOMES = 0, 1, 2, 3  # what `counts` counts
-PATIENCE = 1000  # contacts in a row without time passing; past it a particle is squeezed, and waits for the next step
+NO_TIME = 2**32  # STUCK counts contacts in a row without time passing in units of this, and below it quick ones of the drift
+PATIENCE = 1000 * NO_TIME  # past it a particle is squeezed, and waits for the next step
+QUICK = 0.01  # of a drift: a contact so soon after the last one is quick
 EARLY, SOON, NEXT_ONES = 6, 4, 2  # buckets
 AHEAD = 0.8  # of the shell: a new home lies that far ahead where flights are longer than shells
 
@@ -237,9 +239,15 @@ def next_event(
 
 
 @lean
-def turn(axes, leg, state, reals, i, t, partner, moment, far):
-    """Row i is about to begin a new leg at time t: what must be remembered of it."""
-    state[i, STUCK] = state[i, STUCK] + 1 if t == leg[i, 2 * len(axes)] else 0
+def turn(axes, leg, state, reals, i, t, partner, moment, quickly, crowded, far):
+    """Row i is about to begin a new leg at time t: what must be remembered of it. Crowded rows wait as squeezed ones do."""
+    if t != leg[i, 2 * len(axes)]:
+        state[i, STUCK] %= NO_TIME
+    else:
+        state[i, STUCK] += NO_TIME
+    state[i, STUCK] += moment + t - reals[i, LAST] <= quickly
+    if state[i, STUCK] % NO_TIME >= crowded and state[i, STUCK] < PATIENCE:
+        state[i, STUCK] += PATIENCE
     far[1] |= state[i, STUCK] >= PATIENCE
     state[i, MET] = partner
     state[i, TURNS] += 1
@@ -282,10 +290,11 @@ def fetch(axes, leg, state, slot, lists, pool, home, heads, clock):
 def run(
     axes, leg, leg_words, state, reals, h, now, until, moment, length, pool, lists, top, home, links, level, head, grid,
     walls, wall_restitution, wall_keep, restitution, keep, soft, queue, counts, spared, ahead, box_low, around, todo, pending,
-    stop, stopped, log,
+    stop, stopped, crowded, log,
 ):  # fmt: skip
     """All events from `now` to `until`, in order, of a drift over h that began at `moment`. `soft`: duration t_c of a contact.
 
+    Rows with `crowded` quick contacts have no more in this drift.
     With stop[0] it ends after the first collision, whose time goes to `stopped` and ids to stop[1:].
     Returns 0, or how many places the pool is short of: then call again with a larger one.
 
@@ -347,7 +356,7 @@ def run(
             wall = -1 - j
             lossy = wall_restitution[wall] * wall_keep[wall] < 1.0
             easy = lossy and moment + t - reals[i, LAST] < soft
-            turn(axes, leg, state, reals, i, t, j, moment, far)
+            turn(axes, leg, state, reals, i, t, j, moment, QUICK * h, crowded, far)
             move_leg(axes, leg, i, t)
             mine = state[i, MINE] >= OWN
             if easy:
@@ -367,8 +376,8 @@ def run(
             if state[j, ID] < state[i, ID]:
                 i, j = j, i
             easy = restitution * keep < 1.0 and moment + t - max(reals[i, LAST], reals[j, LAST]) < soft
-            turn(axes, leg, state, reals, i, t, state[j, ID], moment, far)
-            turn(axes, leg, state, reals, j, t, state[i, ID], moment, far)
+            turn(axes, leg, state, reals, i, t, state[j, ID], moment, QUICK * h, crowded, far)
+            turn(axes, leg, state, reals, j, t, state[i, ID], moment, QUICK * h, crowded, far)
             mine = state[i, MINE] >= OWN
             if easy:
                 reals[i, VIRIAL] += collide(axes, leg, home, i, j, t, 1.0, 1.0, length)
@@ -454,7 +463,7 @@ def arrive(axes, leg, state, h, home, length, lower):
 
 
 @njit(cache=True)
-def hand_over(axes, leg, reals, x, v, contacted, virial, seat):
+def hand_over(axes, leg, state, reals, x, v, contacted, virial, supported, crowded, seat):
     """Particles as their rows are."""
     d = len(axes)
     for r in range(len(x)):
@@ -465,3 +474,5 @@ def hand_over(axes, leg, reals, x, v, contacted, virial, seat):
         contacted[r] = reals[i, LAST]
         if len(virial):
             virial[r] = reals[i, VIRIAL]
+        if len(supported) and state[i, STUCK] % NO_TIME >= crowded:
+            supported[r] = CROWD

@@ -1,143 +1,66 @@
 """Velocities that let no contact close: the inelastic law of J. J. Moreau (Comput. Methods Appl. Mech. Eng. 177, 329 (1999)).
 
 Of contact c: rows a[c] and b[c], which is negative for a wall; its normal[c] towards a; may_close[c], the speed at which it may
-close; share[c], what part of its closing speed each partner gives up. Plain arrays.
+close; share[c], what part of its closing speed each partner gives up; inertia[c], 1/(1/m_a + 1/m_b). Plain arrays.
 """
 
 import numpy as np
 from numba import njit
 
 MOST_ROUNDS = 200
+BETTER = 1e-2  # than after a sweep: what a call makes of approach that is left, for the next one begins there
 FLAT = 1e-13
 RESTARTS = 6
 
 
 @njit(cache=True)
-def project(axes, v, a, b, normal, may_close, share, inertia, tolerance):
+def project(axes, v, a, b, normal, may_close, share, inertia, tolerance, guess):
     """Velocities nearest to v, in kinetic energy, at which no contact closes faster than it may; in place. What each took.
 
     A quadratic programme, solved as by J. More and G. Toraldo (SIAM J. Optim. 1, 93 (1991)): Gauss-Seidel sweeps find which
-    contacts are pressed, conjugate gradients their share, until one of them would pull. `inertia`: 1/(1/m_a + 1/m_b).
+    contacts are pressed, conjugate gradients their share, until one of them would pull. `guess`: what each may take, to
+    begin with. Few contacts are done with after a sweep or two; for many the matrix is worth its while.
     """
-    closing = np.zeros(len(a))  # approach that a contact has taken from its partners
-    pressed, excess, way = np.empty(len(a), np.int64), np.empty(len(a)), np.empty(len(a))
-    given = np.zeros_like(v)
-    for _ in range(MOST_ROUNDS):
-        worst = 0.0
-        for c in range(len(a)):
-            worst = max(worst, relax(axes, v, a, b, normal, may_close, share, closing, c))
-        if worst <= tolerance:
-            break
-        for c in range(len(a) - 1, -1, -1):
-            relax(axes, v, a, b, normal, may_close, share, closing, c)
-        count = 0
-        for c in range(len(a)):
-            if closing[c] > 0.0:
-                pressed[count] = c
-                count += 1
-        follow_gradients(
-            axes, v, a, b, normal, may_close, share, inertia, tolerance, closing, pressed[:count], excess, way, given
-        )
+    closing = begin(axes, v, a, b, normal, may_close, share, inertia, guess)
+    first = sweep(axes, v, a, b, normal, may_close, share, closing)
+    if first > tolerance:
+        tolerance = max(tolerance, BETTER * first)
+        if sweep(axes, v, a, b, normal, may_close, share, closing) > tolerance:
+            before = closing.copy()
+            solve(axes, v, a, b, normal, may_close, share, inertia, tolerance, closing)
+            for c in range(len(a)):
+                give(axes, v, a[c], b[c], normal, share, c, closing[c] - before[c])
+            sweep(axes, v, a, b, normal, may_close, share, closing)  # away with the round-off
     return closing
 
 
 @njit(cache=True)
-def relax(axes, v, a, b, normal, may_close, share, closing, c):
-    """Let contact c close as fast as it may, but not pull; returns the change."""
-    new = max(closing[c] - may_close[c] - relative(axes, v, a[c], b[c], normal, c), 0.0)
-    change = new - closing[c]
-    closing[c] = new
-    give(axes, v, a[c], b[c], normal, share, c, change)
-    return abs(change)
+def begin(axes, v, a, b, normal, may_close, share, inertia, guess):
+    """Approach that each contact has taken from its partners: the guess, if that is better than none at all."""
+    start = v.copy()
+    for c in range(len(a)):
+        give(axes, v, a[c], b[c], normal, share, c, guess[c])
+    gain = 0.0  # of the dual problem: sum of impulse (what it still took at the start and takes now, on average)
+    for c in range(len(a)):
+        mean = 0.5 * (relative(axes, start, a[c], b[c], normal, c) + relative(axes, v, a[c], b[c], normal, c))
+        gain -= inertia[c] * guess[c] * (mean + may_close[c])
+    if gain >= 0.0:
+        return guess.copy()
+    v[:] = start
+    return np.zeros(len(a))
 
 
 @njit(cache=True)
-def follow_gradients(axes, v, a, b, normal, may_close, share, inertia, tolerance, closing, pressed, excess, way, given):
-    """Conjugate gradients for the pressed contacts, all of which are to close as fast as they may.
-
-    Where one would pull it is let go, and the others begin anew, a few times. Never more energy than before.
-    """
-    for _ in range(RESTARTS):
-        count = 0
-        for c in pressed:
-            if closing[c] > 0.0:
-                pressed[count] = c
-                count += 1
-        pressed = pressed[:count]
-        if not descend(axes, v, a, b, normal, may_close, share, inertia, tolerance, closing, pressed, excess, way, given):
-            return
-
-
-@njit(cache=True)
-def descend(axes, v, a, b, normal, may_close, share, inertia, tolerance, closing, pressed, excess, way, given):
-    """Conjugate gradients until all is done or a contact had to be let go; returns whether it had."""
-    slope = 0.0
-    for c in pressed:
-        excess[c] = may_close[c] + relative(axes, v, a[c], b[c], normal, c)
-        way[c] = -excess[c]
-        slope += inertia[c] * excess[c] ** 2
-    for _ in range(len(pressed)):
-        clear(given, a, b, pressed)
-        curvature, size, longest = 0.0, 0.0, np.inf  # along the way, and where the first contact would pull
-        for c in pressed:
-            give(axes, given, a[c], b[c], normal, share, c, way[c])
-        for c in pressed:
-            curvature += inertia[c] * way[c] * relative(axes, given, a[c], b[c], normal, c)
-            size += inertia[c] * way[c] ** 2
-            if way[c] < 0.0:
-                longest = min(longest, -closing[c] / way[c])
-        length = slope / curvature if curvature > FLAT * size else np.inf
-        if length >= longest:  # as far as that, or all who would pull let go, if that is better still
-            if length < np.inf and let_go(axes, v, a, b, normal, share, inertia, closing, pressed, excess, way, given, length):
-                return True
-            length = longest
-        if not length < np.inf:
-            return False
-        before, slope, worst = slope, 0.0, 0.0
-        clear(given, a, b, pressed)
-        for c in pressed:
-            give(axes, given, a[c], b[c], normal, share, c, length * way[c])
-        for c in pressed:
-            closing[c] = max(closing[c] + length * way[c], 0.0)
-            excess[c] += relative(axes, given, a[c], b[c], normal, c)
-            give(axes, v, a[c], b[c], normal, share, c, length * way[c])
-            slope += inertia[c] * excess[c] ** 2
-            worst = max(worst, abs(excess[c]))
-        if length == longest:
-            return True
-        if worst <= 0.1 * tolerance:
-            return False
-        for c in pressed:
-            way[c] = slope / before * way[c] - excess[c]
-    return False
-
-
-@njit(cache=True)
-def let_go(axes, v, a, b, normal, share, inertia, closing, pressed, excess, way, given, length):
-    """The whole length of the way, but no contact pulls; only if that is downhill: returns whether it was."""
-    clear(given, a, b, pressed)
-    for c in pressed:
-        give(axes, given, a[c], b[c], normal, share, c, max(length * way[c], -closing[c]))
-    change = 0.0
-    for c in pressed:
-        step = max(length * way[c], -closing[c])
-        change += inertia[c] * step * (excess[c] + 0.5 * relative(axes, given, a[c], b[c], normal, c))
-    if not change < 0.0:
-        return False
-    for c in pressed:
-        step = max(length * way[c], -closing[c])
-        closing[c] = closing[c] + step
-        give(axes, v, a[c], b[c], normal, share, c, step)
-    return True
-
-
-@njit(cache=True)
-def clear(given, a, b, pressed):
-    """No velocity for the partners of the pressed contacts."""
-    for c in pressed:
-        given[a[c]] = 0.0
-        if b[c] >= 0:
-            given[b[c]] = 0.0
+def sweep(axes, v, a, b, normal, may_close, share, closing):
+    """Each contact in turn closes as fast as it may, but does not pull; returns the largest change."""
+    worst = 0.0
+    for c in range(len(a)):
+        new = max(closing[c] - may_close[c] - relative(axes, v, a[c], b[c], normal, c), 0.0)
+        change = new - closing[c]
+        closing[c] = new
+        give(axes, v, a[c], b[c], normal, share, c, change)
+        worst = max(worst, abs(change))
+    return worst
 
 
 @njit(cache=True)
@@ -156,3 +79,144 @@ def give(axes, v, i, j, normal, share, c, change):
         v[i, k] += share[c, 0] * change * normal[c, k]
         if j >= 0:
             v[j, k] -= share[c, 1] * change * normal[c, k]
+
+
+@njit(cache=True)
+def solve(axes, v, a, b, normal, may_close, share, inertia, tolerance, closing):
+    """All contacts together; only `closing` changes. In y = sqrt(inertia) closing the programme is min y A y/2 - f y, y >= 0."""
+    scale = np.sqrt(inertia)
+    matrix = coupling(axes, len(v), a, b, normal, share, inertia, scale)
+    y, f = scale * closing, np.empty(len(a))
+    for c in range(len(a)):
+        f[c] = y[c] + row(matrix, y, c) - scale[c] * (may_close[c] + relative(axes, v, a[c], b[c], normal, c))
+    pressed, excess = np.empty(len(a), np.int64), np.empty(len(a))
+    way, clipped, bent = np.zeros(len(a)), np.zeros(len(a)), np.empty(len(a))
+    for _ in range(MOST_ROUNDS):
+        worst = 0.0
+        for c in range(len(a)):
+            new = max(f[c] - row(matrix, y, c), 0.0)
+            worst = max(worst, abs(new - y[c]) / scale[c])
+            y[c] = new
+        if worst <= tolerance:
+            break
+        for c in range(len(a) - 1, -1, -1):
+            y[c] = max(f[c] - row(matrix, y, c), 0.0)
+        for _ in range(RESTARTS):
+            count = 0
+            for c in range(len(a)):
+                way[c], clipped[c] = 0.0, 0.0
+                if y[c] > 0.0:
+                    pressed[count] = c
+                    count += 1
+            if not descend(matrix, f, scale, tolerance, y, pressed[:count], excess, way, bent, clipped):
+                break
+    for c in range(len(a)):
+        closing[c] = y[c] / scale[c]
+
+
+@njit(cache=True)
+def coupling(axes, rows, a, b, normal, share, inertia, scale):
+    """A without its diagonal, which is 1: (where the rows begin, columns, values)."""
+    begins = np.zeros(rows + 1, np.int64)  # contacts of each row of particles
+    for c in range(len(a)):
+        begins[a[c] + 1] += share[c, 0] > 0.0
+        if b[c] >= 0:
+            begins[b[c] + 1] += share[c, 1] > 0.0
+    most = 0
+    for i in range(rows):
+        most += begins[i + 1] ** 2
+        begins[i + 1] += begins[i]
+    at, of = begins[:-1].copy(), np.empty(begins[rows], np.int64)
+    for c in range(len(a)):
+        if share[c, 0] > 0.0:
+            of[at[a[c]]] = c
+            at[a[c]] += 1
+        if b[c] >= 0 and share[c, 1] > 0.0:
+            of[at[b[c]]] = c
+            at[b[c]] += 1
+    starts, columns, values = np.zeros(len(a) + 1, np.int64), np.empty(most, np.int32), np.empty(most)
+    found = 0
+    for c in range(len(a)):
+        for side in range(2):
+            i = a[c] if side == 0 else b[c]
+            if i < 0 or share[c, side] == 0.0:
+                continue
+            weight = share[c, side] / inertia[c] * scale[c] * (1.0 if side == 0 else -1.0)
+            for p in range(begins[i], begins[i + 1]):
+                e = of[p]
+                if e != c:
+                    along = 0.0
+                    for k in range(len(axes)):
+                        along += normal[c, k] * normal[e, k]
+                    columns[found] = e
+                    values[found] = weight * scale[e] * (along if a[e] == i else -along)
+                    found += 1
+        starts[c + 1] = found
+    return starts, columns[:found], values[:found]
+
+
+@njit(cache=True, fastmath={"reassoc", "contract"}, inline="always")
+def row(matrix, y, c):
+    """(A y)_c without the diagonal."""
+    starts, columns, values = matrix
+    total = 0.0
+    for p in range(starts[c], starts[c + 1]):
+        total += values[p] * y[columns[p]]
+    return total
+
+
+@njit(cache=True)
+def descend(matrix, f, scale, tolerance, y, pressed, excess, way, bent, clipped):
+    """Conjugate gradients for the pressed contacts, until all is done or one had to be let go; returns whether one had.
+
+    `way` and `clipped` are 0 for the others. Never uphill.
+    """
+    slope = 0.0
+    for c in pressed:
+        excess[c] = y[c] + row(matrix, y, c) - f[c]
+        slope += excess[c] ** 2
+    for c in pressed:
+        way[c] = -excess[c]
+    for _ in range(len(pressed)):
+        curvature, size, longest = 0.0, 0.0, np.inf  # along the way, and where the first contact would pull
+        for c in pressed:
+            bent[c] = way[c] + row(matrix, way, c)
+            curvature += way[c] * bent[c]
+            size += way[c] ** 2
+            if way[c] < 0.0:
+                longest = min(longest, -y[c] / way[c])
+        length = slope / curvature if curvature > FLAT * size else np.inf
+        if length >= longest:  # as far as that, or all who would pull let go, if that is better still
+            if length < np.inf and let_go(matrix, y, pressed, excess, way, clipped, length):
+                return True
+            length = longest
+        if not length < np.inf:
+            return False
+        before, slope, worst = slope, 0.0, 0.0
+        for c in pressed:
+            y[c] = max(y[c] + length * way[c], 0.0)
+            excess[c] += length * bent[c]
+            slope += excess[c] ** 2
+            worst = max(worst, abs(excess[c]) / scale[c])
+        if length == longest:
+            return True
+        if worst <= 0.1 * tolerance:
+            return False
+        for c in pressed:
+            way[c] = slope / before * way[c] - excess[c]
+    return False
+
+
+@njit(cache=True)
+def let_go(matrix, y, pressed, excess, way, clipped, length):
+    """The whole length of the way, but no contact pulls; only if that is downhill: returns whether it was."""
+    change = 0.0
+    for c in pressed:
+        clipped[c] = max(length * way[c], -y[c])
+    for c in pressed:
+        change += clipped[c] * (excess[c] + 0.5 * (clipped[c] + row(matrix, clipped, c)))
+    if not change < 0.0:
+        return False
+    for c in pressed:
+        y[c] += clipped[c]
+    return True

@@ -5,6 +5,10 @@ whose next bounce would be over within a step or so is *kept*: after every kick 
 kinetic energy, with which no kept contact closes by more than its gap in a step (`projection`). That takes energy or none,
 for to be at rest is always allowed; it moves nothing, and faster contacts, with their restitution, it leaves to the drift.
 
+*Crowds.* A sphere that hits a pile sets all of it rattling, without end: every contact of it would take place hundreds of times
+in a step. A drift in which particles have many contacts within a hundredth of it is therefore done again, after `hold`: there
+they and all that touch them keep their contacts at any speed, as if e = 0, which is what many contacts with e < 1 come to.
+
 Involved are few, as a rule: those that were supported before, those near walls, and those near these. All ranks work them
 out together, in the order of ids, so that results do not depend on the ranks.
 """
@@ -13,7 +17,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from particles_mpi.collide.kept import HELD, SLOW, close_by_test, contacts, near_walls, within
+from particles_mpi.collide.contact import PRESSED
+from particles_mpi.collide.kept import HELD, SLOW, close_by_test, contacts, near_walls, spread, within
 from particles_mpi.collide.planes import Planes
 from particles_mpi.collide.projection import project
 from particles_mpi.neighbours.candidates import touching
@@ -23,6 +28,7 @@ from particles_mpi.particles import Array, Particles, row_dot, rows_of
 from particles_mpi.timers import Timers
 
 PRECISE = 1e-7  # of the slow speed: approach that does not matter
+NOTHING = np.empty(0, np.int64), np.empty(0)
 FEW = 64  # rows: so many look for partners among all others
 
 
@@ -32,8 +38,10 @@ class Rest:
     `uniform`: all forces give all particles the same acceleration, so that free ones never press onto one another.
     """
 
-    def __init__(self, ranks: Ranks, length: Array, pairs: bool, planes: Planes, uniform: bool, timers: Timers):
-        self.ranks, self.length, self.pairs, self.uniform, self.timers = ranks, length, pairs, uniform, timers
+    def __init__(self, ranks: Ranks, total: int, length: Array, pairs: bool, planes: Planes, uniform: bool, timers: Timers):
+        self.ranks, self.total, self.length = ranks, total, length
+        self.pairs, self.uniform, self.timers = pairs, uniform, timers
+        self.memory = NOTHING
         self.walls = planes.lower, planes.upper, planes.oblique, planes.point[planes.lossy], planes.normal[planes.lossy]
         self.axes = (0,) * len(length)
         self.awake = True  # else particles pass through one another and through walls
@@ -50,16 +58,26 @@ class Rest:
             if not (self.ranks.total(len(involved))[0] if self.pairs else len(involved)):
                 return
             rows = self.rows(p, a, h, involved)
+            rows["supported"] = np.minimum(rows["supported"], PRESSED)
             if self.pairs:
                 rows = rows_of_everyone(self.ranks, rows)
                 if self.uniform:
                     joining = rows_of_everyone(self.ranks, self.joining(p, a, h, rows, involved))
                     rows = {name: np.concatenate((column, joining[name])) for name, column in rows.items()}
                 rows = rows_of(rows, np.argsort(rows["id"]))
-            v, held = self.solve(rows, h)
-            mine = rows["rank"] == self.ranks.rank
-            p.velocity[rows["row"][mine]] = v[mine]
-            p["supported"][rows["row"][mine]] = held[mine]
+            self.memory = self.solve(p, rows, h, self.near(rows, self.pairs), self.memory)
+
+    def hold(self, p: Particles, a: Array, h: float) -> None:
+        """As `keep`, but contacts with those that are CROWD, and with all who touch them, are kept at any speed. Collective."""
+        with self.timers("rest"):
+            rows = self.rows(p, a, h, np.arange(len(p)))
+            rows = rows_of_everyone(self.ranks, rows)
+            rows = rows_of(rows, np.argsort(rows["id"]))
+            touch = rows["wide"]
+            fast = rows["radius"] + h * np.sqrt(row_dot(rows["velocity"], rows["velocity"]))
+            first, second = self.near(rows | {"wide": np.maximum(touch, fast)}, True)
+            spread(self.axes, rows["position"], touch, first, second, self.length, rows["supported"])
+            self.solve(p, rows, h, (first, second), NOTHING)
 
     def rows(self, p: Particles, a: Array, h: float, which: Array) -> dict[str, Array]:
         """What all must know of our rows `which`; `wide` is the radius and the widest slow gap."""
@@ -76,31 +94,54 @@ class Rest:
             low[k] = (rows["position"][:, k] - rows["wide"]).min()
             high[k] = (rows["position"][:, k] + rows["wide"]).max()
         near = self.rows(p, a, h, within(self.axes, p.position, p.radius, a, h, low, high, known))
-        first, second = self.close({name: np.concatenate((rows[name], near[name])) for name in ("id", "position", "wide", "w")})
+        first, second = self.near(
+            {name: np.concatenate((rows[name], near[name])) for name in ("id", "position", "wide", "w")}, True
+        )
         n = len(rows["id"])
         joins = np.concatenate((second[(first < n) & (second >= n)], first[(second < n) & (first >= n)]))
         return rows_of(near, np.unique(joins - n))
 
-    def close(self, rows: dict[str, Array]) -> tuple[Array, Array]:
-        """Pairs of rows that are no further apart than a slow gap."""
+    def near(self, rows: dict[str, Array], pairs: bool) -> tuple[Array, Array]:
+        """Pairs of rows that are no further apart than their widths, in order."""
+        if not pairs:
+            return np.empty(0, np.int32), np.empty(0, np.int32)
         if len(rows["id"]) <= FEW:
             return close_by_test(rows["position"], rows["wide"], rows["w"], self.length)
-        return touching(rows["position"], rows["wide"], rows["w"], rows["id"], self.length)
-
-    def solve(self, rows: dict[str, Array], h: float) -> tuple[Array, Array]:
-        """(velocities, which are supported) of rows in order of ids."""
-        none = np.empty(0, np.int32)
-        first, second = self.close(rows) if self.pairs else (none, none)
+        first, second = touching(rows["position"], rows["wide"], rows["w"], rows["id"], self.length)
         order = np.lexsort((second, first))
-        held = rows["supported"] | (rows["w"] == 0.0)
-        v = rows["velocity"].copy()
+        return first[order], second[order]
+
+    def solve(
+        self, p: Particles, rows: dict[str, Array], h: float, near: tuple[Array, Array], memory: tuple[Array, Array]
+    ) -> tuple[Array, Array]:
+        """Velocities of rows (in order of ids) that keep their contacts, into p. What these took: the `memory` of the next call."""
+        held = np.maximum(rows["supported"], rows["w"] == 0.0)
+        v = rows["velocity"]
         a, b, normal, may_close, share, inertia, speed = contacts(
-            self.axes, rows["position"], v, rows["push"], rows["radius"], rows["w"], held, first[order], second[order], h,
+            self.axes, rows["position"], v, rows["push"], rows["radius"], rows["w"], held, *near, h,
             self.length, *self.walls[3:],
         )  # fmt: skip
-        closing = project(self.axes, v, a, b, normal, may_close, share, inertia, PRECISE * float(speed.max(initial=0.0)))
-        held[:] = 0
+        walls = len(self.walls[3])
+        others = np.where(b >= 0, rows["id"][np.maximum(b, 0)] + walls, -1 - b)
+        names = rows["id"][a] * (self.total + walls) + others
+        closing = project(
+            self.axes, v, a, b, normal, may_close, share, inertia, PRECISE * float(speed.max(initial=0.0)), recall(names, memory)
+        )
         pressed = closing > 0.0
-        held[a[pressed]] = 1
-        held[b[pressed & (b >= 0)]] = 1
-        return v, held
+        held[:] = 0
+        held[a[pressed]] = PRESSED
+        held[b[pressed & (b >= 0)]] = PRESSED
+        mine = rows["rank"] == self.ranks.rank
+        p.velocity[rows["row"][mine]] = v[mine]
+        p["supported"][rows["row"][mine]] = held[mine]
+        order = np.argsort(names[pressed])
+        return names[pressed][order], closing[pressed][order]
+
+
+def recall(names: Array, memory: tuple[Array, Array]) -> Array:
+    """What contacts of these names took when last remembered, 0 for new ones."""
+    known, closing = memory
+    if not len(known):
+        return np.zeros(len(names))
+    at = np.minimum(np.searchsorted(known, names), len(known) - 1)
+    return np.where(known[at] == names, closing[at], 0.0)

@@ -56,6 +56,7 @@ class Rewind:
     ):
         self.near, self.passes, self.timers, self.exact = near, passes, timers, exact
         self.restitution, self.keep = loss
+        self.dense_steps = 0
         self.walls = planes is not None
         self.planes = planes or no_planes(len(near.axes))
 
@@ -78,6 +79,7 @@ class Rewind:
                 assert self.exact
                 self.undo(all_)
                 all_.distrust()
+                self.dense_steps += 1
                 return self.exact.drift(h, moment)
             except TooFarError as far:
                 self.undo(all_)
@@ -86,6 +88,14 @@ class Rewind:
         with self.timers("drift"):
             all_.advance(h)
         return counts
+
+    def remarks(self) -> list[str]:
+        """What a user should be told at the end. Collective."""
+        if not self.dense_steps:
+            return []
+        assert self.exact
+        dense = f"{self.dense_steps} steps had more contacts than passes put in order: those were done in order of time"
+        return [dense, *self.exact.remarks()]
 
     def contacts(self, all_: Neighbourhood, h: float) -> Array:
         """All passes; leaves each row at the start of its last leg. Returns (collisions, wall hits, missed) of this rank."""
