@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import traceback
+from enum import StrEnum
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated, Any
@@ -97,6 +98,29 @@ def check(scene: SceneFile) -> None:
     Screen(root(), False).plan(described.title, plan(described, particles, len(particles), MPI.COMM_WORLD.Get_size()), warnings)
     if root():
         print("valid")
+
+
+class Study(StrEnum):
+    """What `study` can show."""
+
+    hard_cases = "hard-cases"
+
+
+@app.command()
+def study(
+    what: Annotated[Study, typer.Argument(help="hard-cases: what goes wrong in naive programs, and what must hold here.")],
+    only: Annotated[str | None, typer.Option(metavar="TEXT", help="Only cases with this in their name, long ones too.")] = None,
+    full: Annotated[bool, typer.Option("--full", help="Also the cases that take many minutes: beds of 10 000.")] = False,
+    output: Annotated[Path | None, typer.Option(metavar="FILE.json", help="The outcomes as JSON.")] = None,
+) -> None:
+    """Measure the program itself, here and now; exit code 3 if something that must hold does not.
+
+    Example:   mpirun -n 2 particles-mpi study hard-cases --only column
+    """
+    from particles_mpi.study.hard_cases.report import study as run_catalogue
+
+    if not run_catalogue(only, full, output):
+        raise StoppedError("hard cases: not all that must hold does")
 
 
 @app.command()

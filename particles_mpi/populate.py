@@ -19,11 +19,10 @@ from particles_mpi.errors import SceneError
 from particles_mpi.particles import ALWAYS, FIELDS, Array, Particles, shape
 from particles_mpi.placement import JAMMED, MOST_TRIES, RandomAddition, Room, lattice, packing
 from particles_mpi.plummer import plummer_places, plummer_velocities
-from particles_mpi.scene import Population, Scene
+from particles_mpi.scene import LARGEST, Population, Scene
 from particles_mpi.start_checks import check_start, listed, periodic_length
 
 STREAMS = {name: k for k, name in enumerate(("position", "velocity", "speed", "radius", "mass", "drag"))}
-LARGEST = 1e100  # beyond it squares and products overflow
 
 
 def populate(scene: Scene) -> tuple[Particles, list[str]]:

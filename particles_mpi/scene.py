@@ -19,6 +19,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from particles_mpi.errors import SceneError
 
+LARGEST = 1e100
 NEEDS_FREE_PATHS = ("collisions", "walls", "drag", "friction")  # effects that only leapfrog and taylor know
 
 
@@ -29,7 +30,13 @@ class Model(BaseModel):
 
 
 def _number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 1e100
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return False
+    if not abs(value) <= LARGEST:
+        raise ValueError(
+            f"{value} is not a number between -{LARGEST:g} and {LARGEST:g}, beyond which squares and products overflow"
+        )
+    return True
 
 
 def _numbers(value: Any) -> bool:

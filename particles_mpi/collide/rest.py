@@ -114,7 +114,7 @@ class Rest:
     def solve(
         self, p: Particles, rows: dict[str, Array], h: float, near: tuple[Array, Array], memory: tuple[Array, Array]
     ) -> tuple[Array, Array]:
-        """Velocities of rows (in order of ids) that keep their contacts, into p. What these took: the `memory` of the next call."""
+        """Velocities of rows (in order of ids) that keep their contacts, into p. What these took, the next `memory`."""
         held = np.maximum(rows["supported"], rows["w"] == 0.0)
         v = rows["velocity"]
         a, b, normal, may_close, share, inertia, speed = contacts(

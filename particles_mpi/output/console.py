@@ -100,6 +100,22 @@ class Screen:
 
         return update
 
+    def count(self, what: str, number: int) -> Callable[[str], None]:
+        """Begin a progress bar over so many of them; returns what to call with the name of each as it begins."""
+        if not self.loud or not self.console.is_terminal:
+            return lambda name: None
+        self.progress = Progress(
+            MofNCompleteColumn(), BarColumn(), TimeRemainingColumn(), TextColumn("{task.fields[name]}"), console=self.console
+        )
+        task = self.progress.add_task(what, total=number, completed=-1, name="")
+        self.progress.start()
+
+        def advance(name: str) -> None:
+            assert self.progress
+            self.progress.update(task, advance=1, name=name)
+
+        return advance
+
     def stop(self) -> None:
         """End the progress bar, on any way out."""
         if self.progress:

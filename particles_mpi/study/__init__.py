@@ -1,0 +1,1 @@
+"""What accuracy costs, and what stays right in hard cases: `particles-mpi study`."""

@@ -1,0 +1,103 @@
+"""Mutual gravity: close encounters, and very many orbits."""
+
+from math import log, sqrt
+
+import numpy as np
+from numba import njit
+
+from particles_mpi.integrators import free_drift, kick
+from particles_mpi.study.hard_cases import Bench, case
+
+ORBITS, STEPS = 1_000_000, 50
+
+
+def encounter(bench: Bench, integrator: str, softening: float, periods: float, substeps: int) -> tuple[float, float]:
+    """(largest, last) relative change of the energy of two masses on an orbit of e = 0.999, sampled 200 times."""
+    d = bench.dimension
+    away, speed = 1.999, sqrt(2.0 * (1.0 / 1.999 - 0.5))
+    sim = bench.simulate(
+        G=1.0,
+        time={"step": 2.0 * np.pi * periods / 200.0 / substeps, "steps": 1, "integrator": integrator},
+        particles=[
+            {"position": [[away / 2] + [0.0] * (d - 1)], "velocity": [0.0, speed / 2] + [0.0] * (d - 2), "mass": 0.5},
+            {"position": [[-away / 2] + [0.0] * (d - 1)], "velocity": [0.0, -speed / 2] + [0.0] * (d - 2), "mass": 0.5},
+        ],
+        effects={"mutual_gravity": {"softening": softening}},
+    )
+    start, worst = sim.measure()["total_energy"], 0.0
+    for _ in range(200):
+        for _ in range(substeps):
+            sim.step()
+        last = abs(sim.measure()["total_energy"] / start - 1.0)
+        worst = max(worst, last)
+    return worst, last
+
+
+@case("close encounter, e = 0.999, not softened", "thrown out of the system", "`adaptive`: energy within 1e-10", modes=(None,))
+def close_encounter(bench: Bench) -> tuple[str, bool]:
+    worst, _ = encounter(bench, "adaptive", 0.0, 2.0, 1)
+    return f"energy within {worst:.0e} over 2 periods", worst <= 1e-10
+
+
+@case("close encounter, e = 0.999, softening 0.05", "thrown out", "`leapfrog`: within 5 %, and back", modes=(None,))
+def softened_encounter(bench: Bench) -> tuple[str, bool]:
+    worst, last = encounter(bench, "leapfrog", 0.05, 1.0, 20)
+    return f"energy within {worst:.1e}, {last:.0e} after the period", worst <= 5e-2 and last <= 1e-4
+
+
+@njit(cache=True)
+def circle(orbits, steps, compensated):
+    """Energy errors of a circular orbit after 10, 100, ... orbits of leapfrog, `steps` an orbit: the program's kick and drift.
+
+    The radius is that of the leapfrog's own circle, so that all that is left is round-off. `compensated`: positions by
+    Kahan's sum.
+    """
+    h = 2.0 * np.pi / steps
+    x, v, a = np.array([[1.0, 0.0]]), np.array([[0.0, 1.0]]), np.empty((1, 2))
+    lost, way = np.zeros((1, 2)), np.empty((1, 2))
+    v[0, 1] = np.sqrt(1.0 - 0.25 * h * h)  # x(h) has the same length then
+    sums, count, mark = np.zeros(8), 0, 10
+    start, total = 0.0, 0.0
+    for orbit in range(1, orbits + 1):
+        total = 0.0
+        for _ in range(steps):
+            r2 = x[0, 0] ** 2 + x[0, 1] ** 2
+            for k in range(2):
+                a[0, k] = -x[0, k] / (r2 * np.sqrt(r2))
+            kick(v, a, 0.5 * h)
+            if compensated:
+                for k in range(2):
+                    way[0, k] = v[0, k] * h - lost[0, k]
+                    new = x[0, k] + way[0, k]
+                    lost[0, k] = (new - x[0, k]) - way[0, k]
+                    x[0, k] = new
+            else:
+                free_drift(x, v, h)
+            r2 = x[0, 0] ** 2 + x[0, 1] ** 2
+            for k in range(2):
+                a[0, k] = -x[0, k] / (r2 * np.sqrt(r2))
+            kick(v, a, 0.5 * h)
+            total += 0.5 * (v[0, 0] ** 2 + v[0, 1] ** 2) - 1.0 / np.sqrt(r2)
+        if orbit == 1:
+            start = total
+        if orbit == mark:
+            sums[count] = abs(total / start - 1.0)
+            count += 1
+            mark *= 10
+    return sums[:count]
+
+
+@case(
+    "1e6 Kepler orbits of 50 steps",
+    "energy drifts in proportion to time",
+    "within 1e-10; grows as the root of time (Brouwer)",
+    modes=(None,),
+    dimensions=(2,),
+)
+def many_orbits(bench: Bench) -> tuple[str, bool]:
+    plain, kahan = circle(ORBITS, STEPS, False), circle(ORBITS, STEPS, True)
+    power = log(plain[-1] / plain[2]) / log(ORBITS / 1000.0)
+    return (
+        f"{plain[-1]:.0e} after 1e6 (1e3: {plain[2]:.0e}; power {power:.1f}); compensated {kahan[-1]:.0e}",
+        bool(plain.max() <= 1e-10),
+    )
