@@ -88,8 +88,9 @@ def load(path: Path, rows: slice = slice(None)) -> tuple[dict[str, Array], dict[
                 raise SceneError(f"{path}: not a checkpoint of this version of particles_mpi")
             total, dimension = attributes["total"], attributes["dimension"]
             arrays = {}
-            for name, dataset in file["particles"].items():
-                ours = name in FIELDS
+            stored = file["particles"]
+            for name in sorted(stored, key=lambda n: list(FIELDS).index(n) if n in FIELDS else len(FIELDS)):  # as at the start
+                dataset, ours = stored[name], name in FIELDS
                 if dataset.shape[:1] != (total,) or (
                     ours and (dataset.shape != shape(name, total, dimension) or dataset.dtype != FIELDS[name].dtype)
                 ):
