@@ -1,3 +1,10 @@
-from particles_mpi.cli import main
+"""The program: signals first, so that none finds it with half of its imports done and leaves a traceback."""
 
-main()
+from particles_mpi.interrupt import leave_at_once
+
+leave_at_once()
+
+from particles_mpi.cli import main  # noqa: E402
+
+if __name__ == "__main__":
+    main()

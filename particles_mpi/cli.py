@@ -13,7 +13,7 @@ import typer
 from mpi4py import MPI
 from rich.console import Console
 
-from particles_mpi.errors import SceneError, StoppedError
+from particles_mpi.errors import Interrupted, SceneError, StoppedError
 
 STARTED = perf_counter()
 app = typer.Typer(
@@ -54,6 +54,7 @@ def run(
     Example:   mpirun -n 2 particles-mpi run my.toml --output out/my --steps 100
     """
     from particles_mpi.job import Job
+    from particles_mpi.output.folder import changed
     from particles_mpi.scene import Scene
     from particles_mpi.simulation import Simulation
 
@@ -61,8 +62,11 @@ def run(
     described = Scene.load(scene)
     if resume:
         sim = Simulation.resume(resume)
-        if sim.scene.to_dict()["particles"] != described.to_dict()["particles"]:
-            raise SceneError(f"--resume: {resume} is of another scene than {scene}")
+        other = [f"{scene}: {key}: not as in {resume}, which goes on with the scene that it began with"
+                 for key in changed(sim.scene.to_dict(), described.to_dict())]  # fmt: skip
+        if other:
+            raise SceneError(other)
+        sim.scene = described  # it may end later, or write more often
     else:
         sim = Simulation(described)
     folder = output or Path("out") / scene.stem
@@ -145,8 +149,6 @@ def seconds(text: str) -> float:
 
 def main() -> None:
     """Run the command; a fault that all ranks found ends them together, one that only this rank found ends all."""
-    from particles_mpi.job import Interrupted
-
     try:
         app(standalone_mode=False, prog_name="particles-mpi")
         code: Any = 0
@@ -157,8 +159,6 @@ def main() -> None:
                 Console(stderr=True, highlight=False, markup=False, soft_wrap=True).print(f"particles-mpi: {line}")
     except typer.Exit as error:
         code = error.exit_code
-    except KeyboardInterrupt:
-        code = 130
     except SystemExit as error:
         code = error.code or 0
     except BaseException as error:

@@ -1,4 +1,6 @@
-"""The two ways in which a run ends early, and their exit codes."""
+"""The three ways in which a run ends early, and their exit codes."""
+
+from particles_mpi.interrupt import EXIT_CODE
 
 
 class SceneError(ValueError):
@@ -15,3 +17,9 @@ class StoppedError(RuntimeError):
     """The run stopped itself: a state that has lost its meaning, or a file that cannot be written (exit code 3)."""
 
     exit_code = 3
+
+
+class Interrupted(Exception):
+    """Stopped by a signal or the wall-time limit, after writing a checkpoint."""
+
+    exit_code = EXIT_CODE

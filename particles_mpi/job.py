@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
-import shutil
-import signal
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
@@ -15,24 +12,19 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.diagnostics import columns
-from particles_mpi.errors import SceneError
-from particles_mpi.output import checkpoint, failing_together
+from particles_mpi.errors import Interrupted, SceneError, StoppedError
+from particles_mpi.interrupt import Request
+from particles_mpi.output import checkpoint, failing_together, replacing
 from particles_mpi.output.console import Screen
 from particles_mpi.output.diagnostics_csv import Diagnostics
+from particles_mpi.output.folder import claim
 from particles_mpi.parallel.ranks import library
 from particles_mpi.particles import Array, field
 from particles_mpi.plan import plan
 from particles_mpi.simulation import COUNTS, Simulation
 
-OURS = ("trajectory.vtkhdf", "particles.pvd", "vtk", "checkpoint.h5", "diagnostics.csv", "run.json", "plots")
-LOOK_EVERY = 10  # steps between two looks whether a rank was told to stop
+SHOW_EVERY = 10  # steps between two moves of the progress bar
 LIBRARIES = ("numpy", "numba", "mpi4py", "h5py", "meshio", "particles-mpi")
-
-
-class Interrupted(Exception):
-    """Stopped by a signal or the wall-time limit, after writing a checkpoint."""
-
-    exit_code = 130
 
 
 class Job:
@@ -53,50 +45,35 @@ class Job:
         self.sim, self.folder, self.resumed = sim, folder, resumed
         self.scene, self.ranks = sim.scene, sim.ranks
         self.last = self.scene.steps if steps is None else steps
-        self.wall_time, self.began = wall_time, perf_counter()
-        self.setup_began = self.began if setup_began is None else setup_began
-        self.told_to_stop = False
+        self.setup_began = perf_counter() if setup_began is None else setup_began
         self.since = np.array(sim.reported, np.int64)
         self.screen = Screen(self.ranks.is_root, quiet)
         self.plan = plan(self.scene, sim.particles, sim.total, self.ranks.size)
         self.plan["fixed"] = int(self.ranks.total(self.plan["fixed"])[0])
-        self._prepare(overwrite)
+        self.request = Request(self.ranks, self.setup_began, wall_time)  # from here on a signal must not leave half a file
+        self.continues = claim(folder, self.ranks, self.scene.to_dict(), resumed, overwrite)
+        self.written = sim.written if self.continues else {"row": -1, "frame": -1}
         self._open()
 
-    def _prepare(self, overwrite: bool) -> None:
-        """The output folder: ours to fill, or a refusal before anything is written."""
-        fault = None
-        if self.ranks.is_root:
-            held = [name for name in OURS if (self.folder / name).exists()]
-            if held and not overwrite and not self.resumed:
-                fault = f"--output: {self.folder} already holds a run ({', '.join(held)}); use --overwrite or --resume"
-        fault = self.ranks.from_root(fault)
-        if fault:
-            raise SceneError(fault)
-        with failing_together(self.ranks, f"cannot write into {self.folder}"):
-            if self.ranks.is_root:
-                self.folder.mkdir(parents=True, exist_ok=True)
-                for name in OURS if not self.resumed else ():
-                    path = self.folder / name
-                    shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
-
     def _open(self) -> None:
-        """The writers that the scene asks for."""
+        """The writers that the scene asks for; all have looked at their files before the first one changes its own."""
         sim, d = self.sim, self.scene.dimension
-        step = sim.steps_done if self.resumed else None
+        step = sim.steps_done if self.continues else None
+        last = self.written.get("frame"), self.written.get("row")
         self.writers: list[Any] = []
         if "hdf5" in self.scene.output.formats:
             from particles_mpi.output.trajectory import Trajectory
 
-            self.writers.append(
-                Trajectory(self.folder / "trajectory.vtkhdf", self.ranks, list(self._frame()), d, sim.total, step)
-            )
+            path = self.folder / "trajectory.vtkhdf"
+            self.writers.append(Trajectory(path, self.ranks, list(self._frame()), d, sim.total, step, last[0]))
         if "vtk" in self.scene.output.formats:
             from particles_mpi.output.vtk import VtkSeries
 
-            self.writers.append(VtkSeries(self.folder, self.ranks, d, sim.total, step))
+            self.writers.append(VtkSeries(self.folder, self.ranks, d, sim.total, step, last[0]))
         names = columns(d, self.scene.output.observables, "mutual_gravity" in self.scene.effects)
-        self.diagnostics = Diagnostics(self.folder / "diagnostics.csv", self.ranks, names, step)
+        self.diagnostics = Diagnostics(self.folder / "diagnostics.csv", self.ranks, names, step, last[1])
+        for writer in (*self.writers, self.diagnostics):
+            writer.open()
 
     def _frame(self) -> dict[str, Array]:
         """The fields that a frame shows; `fixed` only where something is."""
@@ -106,8 +83,6 @@ class Job:
     def run(self) -> None:
         """To the last step, or to a signal."""
         sim, output = self.sim, self.scene.output
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: setattr(self, "told_to_stop", True))
         self.screen.plan(self.scene.title, self.plan, sim.warnings)
         setup = perf_counter() - self.setup_began
         begin, done = perf_counter(), sim.steps_done
@@ -118,7 +93,9 @@ class Job:
             if not self.resumed:
                 row = self.report()
                 self.write_frame()
-            while sim.steps_done < self.last and not stopped:
+            elif not self.continues:
+                self.save()  # what is in this folder begins here
+            while sim.steps_done < self.last and not (stopped := self.request.made(sim.steps_done)):
                 sim.step()
                 n, final = sim.steps_done, sim.steps_done == self.last
                 if n % output.diagnostics_every == 0 or final:
@@ -127,25 +104,23 @@ class Job:
                     self.write_frame()
                 if n % output.checkpoint_every == 0 or final:
                     self.save()
-                if n % LOOK_EVERY == 0:
-                    stopped = self.must_stop()
+                if n % SHOW_EVERY == 0:
                     show(n, row)
             if stopped:
                 self.save()
             show(sim.steps_done, row)
+            self.close()
+            self.finish(setup, perf_counter() - begin, sim.steps_done - done)
+        except (SceneError, StoppedError):  # on all ranks; after any other error to close a file would wait for those without it
+            self.close()
+            raise
         finally:
             self.screen.stop()
-            self.close()
-        self.finish(setup, perf_counter() - begin, sim.steps_done - done)
+            self.request.close()
         if stopped:
             raise Interrupted(
                 f"stopped at step {sim.steps_done} of {self.last}; continue with --resume {self.folder / 'checkpoint.h5'}"
             )
-
-    def must_stop(self) -> bool:
-        """Was any rank told to stop, or is the time up?"""
-        late = self.wall_time is not None and perf_counter() - self.began > self.wall_time
-        return bool(self.ranks.largest(float(self.told_to_stop or late))[0])
 
     def report(self) -> dict[str, Any]:
         """One row of diagnostics.csv: the state, and what happened since the row before."""
@@ -159,6 +134,7 @@ class Job:
             self.since = totals
             row = {"step": sim.steps_done, "time": sim.time, "particles": sim.total, **state, **since, "imbalance": imbalance}
             self.diagnostics.write(row)
+            self.written["row"] = sim.steps_done
         return {**row, "collisions_so_far": int(totals[0])}
 
     def write_frame(self) -> None:
@@ -167,6 +143,7 @@ class Job:
             frame = self._frame()
             for writer in self.writers:
                 writer.write(self.sim.steps_done, self.sim.time, frame)
+            self.written["frame"] = self.sim.steps_done
 
     def save(self) -> None:
         """The exact state; replaces the checkpoint before."""
@@ -175,6 +152,7 @@ class Job:
             about = sim.about()
             state: dict[str, Any] = {name: json.dumps(about[name]) for name in ("moment", "observed", "totals", "kept", "scene")}
             state |= {"step": about["step"], "time": sim.time, "reported": json.dumps(self.since.tolist())}
+            state["written"] = json.dumps(self.written)
             checkpoint.save(
                 self.folder / "checkpoint.h5", self.ranks, sim.particles.arrays, sim.total, self.scene.dimension, state
             )
@@ -242,6 +220,5 @@ class Job:
             "remarks": remarks,
             "counts": {"steps": sim.steps_done, **counts},
         }
-        part = self.folder / "run.json.tmp"
-        part.write_text(json.dumps(text, indent=2) + "\n")
-        os.replace(part, self.folder / "run.json")
+        with replacing(self.folder / "run.json") as part:
+            part.write_text(json.dumps(text, indent=2) + "\n")

@@ -120,6 +120,10 @@ class Populator:
             self.faults.append("seed: must be below 2^64")
         if self.scene.box is not None and max(map(abs, self.scene.box.lower + self.scene.box.upper)) > LARGEST:
             self.faults.append(f"box: a number is beyond {LARGEST:g}")
+        elif self.scene.box is not None:
+            edges = np.subtract(self.scene.box.upper, self.scene.box.lower)
+            if not 1.0 / LARGEST < edges.prod() < inf:
+                self.faults.append(f"box: its volume {edges.prod():g} is too small or too large to count with")
 
     def check_memory(self, counts: list[int]) -> None:
         """A count with a zero too many should be a fault, and not a killed process."""

@@ -129,7 +129,7 @@ class Time(Model):
 
     step: Annotated[float, Field(gt=0.0)]
     end: Annotated[float, Field(ge=0.0)] | None = None
-    steps: Annotated[int, Field(ge=0)] | None = None
+    steps: Annotated[int, Field(ge=0, lt=10**15)] | None = None
     integrator: Literal["leapfrog", "order4", "taylor", "adaptive"] = "leapfrog"
     tolerance: Annotated[float, Field(gt=0.0, le=1e-3)] | None = None
 
@@ -147,7 +147,7 @@ class Time(Model):
 class Population(Model):
     """Particles that are described together; ids run through the populations in order, from 0."""
 
-    count: Annotated[int, Field(ge=0)] | None = None
+    count: Annotated[int, Field(ge=0, le=10**18)] | None = None
     position: Annotated[Any, BeforeValidator(_position)]
     velocity: Annotated[Any, BeforeValidator(_velocity)] = None
     radius: Scalar = 0.0
@@ -176,11 +176,11 @@ def effect_names() -> list[str]:
 def _effects(value: Any) -> dict[str, Any]:
     """Validate each `[effects.NAME]` by the Options of `effects/NAME.py`; an effect that is not named is not imported."""
     if not isinstance(value, dict):
-        raise ValueError("must be tables [effects.NAME]")
+        raise ValueError("effects: must be tables [effects.NAME]")
     validated, names = {}, effect_names()
     for name, keys in value.items():
         if name not in names:
-            raise ValueError(f"effects.{name}: unknown effect{_suggest(name, names)}")
+            raise ValueError(f"{_key(('effects', name))}: unknown effect{_suggest(name, names)}")
         options = importlib.import_module(f"particles_mpi.effects.{name}").Options
         try:
             validated[name] = options.model_validate(keys)
@@ -228,7 +228,7 @@ class Scene(Model):
             tables = tomllib.loads(path.read_text(encoding="utf-8"))
         except OSError as error:
             raise SceneError(f"{path}: cannot be read ({error.strerror})") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        except (ValueError, RecursionError) as error:  # also bytes that are no text, numbers of thousands of digits
             raise SceneError(f"{path}: not a TOML file: {error}") from None
         try:
             return cls.from_dict(tables, path.parent)
@@ -355,7 +355,8 @@ def _faults(error: ValidationError, model: type[BaseModel], prefix: tuple[Any, .
             faults += [f"{_key(location)}: {text}"] if named else text.splitlines()
         else:
             given = item.get("input")
-            shown = f" (got {given!r})" if isinstance(given, str | int | float | bool) else ""
+            short = isinstance(given, str | float | bool) or (isinstance(given, int) and abs(given) < 10**20)
+            shown = f" (got {given!r})" if short else ""
             message = item["msg"].replace("Input should be", "must be").replace("Input", "input")
             faults.append(f"{_key(location)}: {message}{shown}")
     return faults

@@ -54,6 +54,7 @@ class Simulation:
         self.moment = 0.0, 0  # (time, steps done) that the clock counts from
         self.totals = dict.fromkeys(COUNTS, 0)
         self.reported = [0] * len(COUNTS)  # sums over ranks at the last row of diagnostics
+        self.written: dict[str, int] = {}  # steps of the last row of diagnostics and of the last frame
         self.observed = [0.0, 0.0, 0.0]  # time, collisions and virial when the observables were last looked at
         self.calls: dict[str, int] = {}
         first, last = (len(everyone) * (ranks.rank + k) // ranks.size for k in (0, 1))
@@ -277,7 +278,7 @@ class Simulation:
             "step": int(saved["step"])
         }
         sim = cls._restored(scene, Ranks(comm), Particles(scene.dimension, arrays), about)
-        sim.reported = json.loads(saved["reported"])
+        sim.reported, sim.written = json.loads(saved["reported"]), json.loads(saved["written"])
         return sim
 
     def attach(self, name: str, values: Array) -> None:

@@ -15,6 +15,7 @@ from particles_mpi.scene import Scene
 
 SHOWN = 5  # particles or pairs named in a fault
 MOST_SWEEPS = 1000
+MOST_CROSSINGS = 1e4  # of the box in a step
 TOUCH = 1e-12  # relative overlap that still counts as touching
 
 
@@ -34,7 +35,7 @@ def pair_names(first: Array, second: Array) -> list[str]:
 
 def check_start(scene: Scene, particles: Particles, room: Room | None) -> tuple[list[str], list[str]]:
     """(faults, warnings) of particles whose row is their id; overlaps that the scene allows are pushed apart in place."""
-    faults = check_places(scene, particles, room)
+    faults = check_places(scene, particles, room) + check_crossings(scene, particles)
     warnings: list[str] = []
     if "collisions" in scene.effects and not faults and len(particles):
         faults, warnings = check_step(scene, particles)
@@ -64,6 +65,21 @@ def check_places(scene: Scene, particles: Particles, room: Room | None) -> list[
                     f"effects.walls.planes[{w}]: {listed(out)} not fully inside the wall at ({where[0]}) with normal ({where[1]})"
                 )
     return faults
+
+
+def check_crossings(scene: Scene, particles: Particles) -> list[str]:
+    """Who would meet so many others, or walls, in one step that the step would never end."""
+    if scene.box is None or not {"walls", "collisions"} & scene.effects.keys():
+        return []
+    edge, dt = min(hi - lo for lo, hi in zip(scene.box.lower, scene.box.upper, strict=True)), scene.time.step
+    pull = np.abs(particles.arrays.get("acceleration", np.zeros((1, 1)))).max(axis=1)
+    if "uniform_gravity" in scene.effects:
+        pull = pull + max(map(abs, scene.effects["uniform_gravity"].acceleration))
+    speed = np.abs(particles.velocity).max(axis=1) + dt * pull
+    fast = np.flatnonzero((particles.fixed == 0) & ~(speed * dt <= MOST_CROSSINGS * edge))
+    if not len(fast):
+        return []
+    return [f"time.step: {listed(fast)} would cross the box more than {MOST_CROSSINGS:g} times in a step of {dt:g}"]
 
 
 def check_step(scene: Scene, particles: Particles) -> tuple[list[str], list[str]]:

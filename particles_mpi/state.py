@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from particles_mpi.errors import SceneError
+from particles_mpi.output import failing_together, replacing
 from particles_mpi.parallel.exchange import rows_of_everyone
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, Array, Particles, rows_of
@@ -57,12 +57,12 @@ def save_json(path: Path, ranks: Ranks, particles: Particles, about: dict[str, A
     Replaced as a whole: at every moment `path` is the previous file or this one.
     """
     all_ = everyone(ranks, particles)
-    if not ranks.is_root:
-        return
     columns = {name: {"dtype": str(column.dtype), "values": _plain(column)} for name, column in all_.arrays.items()}
-    part = path.with_name(path.name + ".tmp")
-    part.write_text(json.dumps({"format": FORMAT, **about, "particles": columns}, indent=indent, allow_nan=False) + "\n")
-    os.replace(part, path)
+    text = json.dumps({"format": FORMAT, **about, "particles": columns}, indent=indent, allow_nan=False) + "\n"
+    with failing_together(ranks, f"cannot write {path}"):
+        if ranks.is_root:
+            with replacing(path) as part:
+                part.write_text(text)
 
 
 def _plain(column: Array) -> list[Any]:

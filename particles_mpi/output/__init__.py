@@ -1,4 +1,8 @@
-"""What a run leaves on disk: frames (HDF5 and VTK), checkpoints, diagnostics; and the two things all writers share."""
+"""What a run leaves on disk: frames (HDF5 and VTK), checkpoints, diagnostics; and what all writers share.
+
+A writer of a run to be continued first looks (its constructor, which changes nothing) and then cuts (`open`): what is wrong
+with one file of a folder is found before another is touched.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from particles_mpi.errors import StoppedError
+from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, Array
 
@@ -19,17 +23,50 @@ from particles_mpi.particles import FIELDS, Array
 def failing_together(ranks: Ranks, task: str) -> Iterator[None]:
     """Run a block that touches files; what the file system refuses on any rank is a StoppedError on all. Collective.
 
-    `task` begins the message: "cannot write out/particles.pvd at step 100". A block may hold at most one collective
-    call, its last: a rank that failed before one would leave the others waiting in it.
+    `task` begins the message: "cannot write out/particles.pvd at step 100". A SceneError stays one, on all ranks. A block may
+    hold at most one collective call, its last: a rank that failed before one would leave the others waiting in it.
     """
-    failure = None
+    failure: tuple[type[Exception], str] | None = None
     try:
         yield
+    except SceneError as error:
+        failure = SceneError, str(error)
     except (OSError, RuntimeError, ValueError, KeyError) as error:  # h5py raises all four for what is wrong with a file
-        failure = f"{task}: {_reason(error)}" + (f" (rank {ranks.rank})" if ranks.size > 1 else "")
-    failures = [text for text in ranks.gathered(failure) if text]
-    if failures:
-        raise StoppedError(failures[0])
+        failure = StoppedError, f"{task}: {_reason(error)}" + (f" (rank {ranks.rank})" if ranks.size > 1 else "")
+    for kind, text in filter(None, ranks.gathered(failure)):
+        raise kind(text)
+
+
+@contextmanager
+def continuing(path: Path) -> Iterator[None]:
+    """Read what a run left behind, in order to go on with it; whatever is wrong with the file is a SceneError that names it."""
+    try:
+        yield
+    except Exception as error:  # damaged files raise anything
+        raise SceneError(f"{path}: cannot be continued: {_reason(error)}") from None
+
+
+def check_last(steps: list[int], resume_step: int, last: int | None) -> None:
+    """Is `last` the last of the steps up to `resume_step` that a file holds? It was so when the checkpoint was written."""
+    if sorted(set(steps)) != steps:
+        raise ValueError("its steps are not in order")
+    found = steps[-1] if steps else -1
+    if last is not None and found != last:
+        raise ValueError(
+            f"it should hold step {last}, and up to step {resume_step} " + (f"ends at {found}" if steps else "is empty")
+        )
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A name to write a file under, which becomes `path` when it is whole: at every moment `path` is the old file or the new."""
+    part = path.with_name(path.name + ".tmp")
+    try:
+        yield part
+        os.replace(part, path)
+    except BaseException:
+        part.unlink(missing_ok=True)  # half a file helps nobody, least of all on a full disk
+        raise
 
 
 def _reason(error: Exception) -> str:

@@ -1,24 +1,29 @@
 """The exact state of a run in one small HDF5 file, replaced as a whole: a restart continues with the same bits.
 
 - /particles/<field>: (N,) or (N, d), in id order, every bit as it was (NaN, -0.0 and subnormals too)
-- @particles_mpi_checkpoint = 1, @total, @dimension, and the attributes given: step, time, scene text, counts
+- @particles_mpi_checkpoint = 2, @total, @dimension, and the attributes given: step, time, scene text, counts
+
+Behind the HDF5 file stands a line with its length and CRC-32, which HDF5 does not look at: a file that was cut short, or of
+which a bit has changed, is never read as a state.
 """
 
 from __future__ import annotations
 
 import os
+import zlib
 from pathlib import Path
 from typing import Any
 
 import h5py
 
 from particles_mpi.errors import SceneError
-from particles_mpi.output import failing_together, sync_folder
+from particles_mpi.output import failing_together, replacing, sync_folder
 from particles_mpi.parallel.exchange import in_id_order
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, Array, shape
 
-MARK, FORMAT = "particles_mpi_checkpoint", 1
+MARK, FORMAT = "particles_mpi_checkpoint", 2
+BLOCK = 2**24  # bytes read at once
 
 
 def save(path: Path, ranks: Ranks, arrays: dict[str, Array], total: int, dimension: int, attributes: dict[str, Any]) -> None:
@@ -34,32 +39,58 @@ def save(path: Path, ranks: Ranks, arrays: dict[str, Array], total: int, dimensi
 
 
 def _replace(path: Path, rows: dict[str, Array], attributes: dict[str, Any]) -> None:
-    part = path.with_name(path.name + ".tmp")
-    with h5py.File(part, "w", locking=False) as file:
-        for name, values in rows.items():
-            file[f"particles/{name}"] = values
-        for name, value in attributes.items():
-            file.attrs[name] = value
-    with open(part, "rb") as written:  # on the disk before it takes the name, or a power cut leaves an empty file of that name
-        os.fsync(written.fileno())
-    os.replace(part, path)
+    with replacing(path) as part:
+        with h5py.File(part, "w", locking=False) as file:
+            for name, values in rows.items():
+                file[f"particles/{name}"] = values
+            for name, value in attributes.items():
+                file.attrs[name] = value
+        seal = _seal(part, part.stat().st_size)
+        with open(part, "ab") as written:
+            written.write(seal)
+            written.flush()
+            os.fsync(written.fileno())  # on the disk before it takes the name, or a power cut leaves an empty file of that name
     sync_folder(path.parent)
+
+
+def _seal(path: Path, length: int) -> bytes:
+    """The line behind a file whose first `length` bytes are the checkpoint."""
+    crc, left = 0, length
+    with open(path, "rb") as file:
+        while left and (block := file.read(min(BLOCK, left))):
+            crc, left = zlib.crc32(block, crc), left - len(block)
+    return f"\n{MARK} {length:20d} {crc:08x}\n".encode()
+
+
+def _check_seal(path: Path) -> None:
+    """Is it a checkpoint, and as it was written? HDF5 itself may crash on a file that is not."""
+    size = len(_seal(path, 0))
+    with open(path, "rb") as file:
+        length = file.seek(0, os.SEEK_END) - size
+        file.seek(max(length, 0))
+        found = file.read()
+    if length < 0 or not found.startswith(f"\n{MARK} ".encode()):
+        raise SceneError(f"{path}: not a checkpoint of this version of particles_mpi, or cut short")
+    if found != _seal(path, length):
+        raise SceneError(f"{path}: damaged: it is not what was written (CRC-32)")
 
 
 def load(path: Path, rows: slice = slice(None)) -> tuple[dict[str, Array], dict[str, Any]]:
     """(arrays of the rows in id order, attributes with the types they were saved with). Any rank, not collective.
 
-    Raises SceneError, one line, for a file that is missing, cut short or no checkpoint.
+    Raises SceneError, one line, for a file that is missing, cut short, damaged or no checkpoint.
     """
     try:
+        _check_seal(Path(path))
         with h5py.File(path, "r", locking=False) as file:
             attributes = {name: value.item() if hasattr(value, "item") else value for name, value in file.attrs.items()}
             if attributes.pop(MARK, None) != FORMAT:
                 raise SceneError(f"{path}: not a checkpoint of this version of particles_mpi")
             total, dimension = attributes["total"], attributes["dimension"]
             arrays = {}
-            for name, dataset in file["particles"].items():
-                ours = name in FIELDS
+            stored = file["particles"]
+            for name in sorted(stored, key=lambda n: list(FIELDS).index(n) if n in FIELDS else len(FIELDS)):  # as at the start
+                dataset, ours = stored[name], name in FIELDS
                 if dataset.shape[:1] != (total,) or (
                     ours and (dataset.shape != shape(name, total, dimension) or dataset.dtype != FIELDS[name].dtype)
                 ):

@@ -3,33 +3,40 @@
 from __future__ import annotations
 
 import csv
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import IO
 
-from particles_mpi.output import failing_together
+from particles_mpi.output import check_last, continuing, failing_together, replacing
 from particles_mpi.parallel.ranks import Ranks
 
 
 class Diagnostics:
     """Writer of the table; rank 0 writes, every method is collective.
 
-    columns: the header, `step` first. With `resume_step`, rows of steps up to that one stay. Raises StoppedError on all ranks
-    if the file system refuses, or if the table to be continued has other columns.
+    columns: the header, `step` first. With `resume_step`, rows of steps up to that one stay, and the last of them must be that
+    of `last`, the last one written when the checkpoint was. Raises SceneError on all ranks for a table that cannot be
+    continued, before anything is changed, and StoppedError if the file system refuses.
     """
 
-    def __init__(self, path: Path, ranks: Ranks, columns: list[str], resume_step: int | None = None):
+    def __init__(self, path: Path, ranks: Ranks, columns: list[str], resume_step: int | None = None, last: int | None = None):
         self.path, self.ranks, self.columns = Path(path), ranks, list(columns)
         self.file: IO[str] | None = None
-        with failing_together(ranks, f"cannot prepare {path}"):
-            if ranks.is_root:
-                rows = [] if resume_step is None or not self.path.exists() else self._kept(resume_step)
-                part = self.path.with_name(self.path.name + ".tmp")
-                self.file = part.open("w", newline="")
-                csv.writer(self.file, lineterminator="\n").writerows([self.columns, *rows])
-                self.file.flush()
-                os.replace(part, self.path)  # the open file keeps its place under the new name
+        self.rows: list[list[str]] = []
+        with failing_together(ranks, f"cannot read {path}"):
+            if ranks.is_root and resume_step is not None and self.path.exists():
+                with continuing(self.path):
+                    self.rows = self._kept(resume_step, last)
+
+    def open(self) -> None:
+        """Make the table, or cut it."""
+        with failing_together(self.ranks, f"cannot prepare {self.path}"):
+            if self.ranks.is_root:
+                with replacing(self.path) as part:
+                    self.file = part.open("w", newline="")  # keeps its place under the new name
+                    csv.writer(self.file, lineterminator="\n").writerows([self.columns, *self.rows])
+                    self.file.flush()
+                self.rows = []
 
     def write(self, values: Mapping[str, float | int | str]) -> None:
         """Append a row, `values` by column; floats with the fewest digits that give the same bits back."""
@@ -45,10 +52,26 @@ class Diagnostics:
             self.file.close()
             self.file = None
 
-    def _kept(self, resume_step: int) -> list[list[str]]:
-        """The whole rows of steps up to one; a killed run may have left half a line."""
-        with self.path.open(newline="") as lines:
-            header, *rows = list(csv.reader(lines)) or [[]]
-        if header != self.columns:
+    def _kept(self, resume_step: int, last: int | None) -> list[list[str]]:
+        """The whole rows of steps up to one; what a killed run left behind its last checkpoint may be half a line."""
+        header, *lines = self.path.read_text(encoding="utf-8").splitlines(keepends=True) or [""]
+        if header.rstrip("\n").split(",") != self.columns:
             raise ValueError("it has other columns than the run to be continued")
-        return [row for row in rows if len(row) == len(header) and all(row) and int(row[0]) <= resume_step]
+        rows: list[list[str]] = []
+        for number, line in enumerate(lines, 2):
+            cells = line.rstrip("\n").split(",")
+            if not line.endswith("\n") or (cells[0].isdigit() and int(cells[0]) > resume_step):
+                break
+            if len(cells) != len(self.columns) or not cells[0].isdigit() or not all(_is_number(cell) for cell in cells):
+                raise ValueError(f"line {number} is no row of it")
+            rows.append(cells)
+        check_last([int(row[0]) for row in rows], resume_step, last)
+        return rows
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

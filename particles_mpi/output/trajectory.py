@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 
 from particles_mpi.errors import StoppedError
-from particles_mpi.output import failing_together, frame_arrays, frame_columns
+from particles_mpi.output import check_last, continuing, failing_together, frame_arrays, frame_columns, replacing
 from particles_mpi.parallel.exchange import in_id_order
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, Array, field
@@ -29,9 +29,10 @@ STEPS_CHUNK = 1024  # frames
 class Trajectory:
     """Writer of `trajectory.vtkhdf`; every method is collective.
 
-    path: the file, made anew unless `resume_step_count` is given: then frames of steps up to that one are kept, later ones
-    cut, and writing goes on behind them. particles_fields: names in FIELDS, those not meant for frames are skipped.
-    total: N, the particles of all ranks; their ids are 0..N-1. Raises StoppedError on all ranks if the file system refuses.
+    path: the file, made anew unless there is one and `resume_step` is given: then frames of steps up to that one are kept, the
+    last of which must be of step `last`, later ones cut, and writing goes on behind them. particles_fields: names in FIELDS,
+    those not meant for frames are skipped. total: N, the particles of all ranks; their ids are 0..N-1. Raises SceneError on all
+    ranks for a file that cannot be continued, before anything is changed, and StoppedError if the file system refuses.
     """
 
     def __init__(
@@ -41,7 +42,8 @@ class Trajectory:
         particles_fields: list[str],
         dimension: int,
         total: int,
-        resume_step_count: int | None = None,
+        resume_step: int | None = None,
+        last: int | None = None,
     ):
         self.path, self.ranks, self.dimension, self.total = Path(path), ranks, dimension, total
         self.fields = [name for name in particles_fields if field(name).output]
@@ -52,22 +54,30 @@ class Trajectory:
         self.columns: dict[str, Any] = {}
         self.failed = False
         self.frames = 0
-        with failing_together(ranks, f"cannot prepare {path}"):
-            if ranks.is_root:  # layout is made, and cut, by one process: cheaper, and nothing collective can go wrong
-                self.frames = self._prepare(resume_step_count)
+        self.continued = False
+        with failing_together(ranks, f"cannot read {path}"):
+            if ranks.is_root and resume_step is not None and self.path.exists():
+                with continuing(self.path):
+                    self.frames, self.continued = self._look(resume_step, last), True
         self.frames = ranks.from_root(self.frames)
-        with failing_together(ranks, f"cannot open {path}"):
+        self.collective = h5py.h5p.create(h5py.h5p.DATASET_XFER)
+        if self.parallel:
+            self.collective.set_dxpl_mpio(h5py.h5fd.MPIO_COLLECTIVE)
+
+    def open(self) -> None:
+        """Make the file, or cut it, and open it on all ranks that write."""
+        with failing_together(self.ranks, f"cannot prepare {self.path}"):
+            if self.ranks.is_root:  # layout is made, and cut, by one process: cheaper, and nothing collective can go wrong
+                self._prepare()
+        with failing_together(self.ranks, f"cannot open {self.path}"):
             if self.parallel:
-                self.file = h5py.File(self.path, "r+", driver="mpio", comm=ranks.comm)
-            elif ranks.is_root:
+                self.file = h5py.File(self.path, "r+", driver="mpio", comm=self.ranks.comm)
+            elif self.ranks.is_root:
                 self.file = h5py.File(self.path, "r+", locking=False)  # no lock: viewers may look at a running job
         if self.file is not None:
             group = self.file["VTKHDF"]
             self.steps = {name: group["Steps"][name] for name in _steps_layout()}
             self.columns = {name: group[place] for name, place in self._places().items()}
-        self.collective = h5py.h5p.create(h5py.h5p.DATASET_XFER)
-        if self.parallel:
-            self.collective.set_dxpl_mpio(h5py.h5fd.MPIO_COLLECTIVE)
 
     def write(self, step: int, time: float, arrays: dict[str, Array]) -> None:
         """Append a frame. `arrays`: this rank's owned rows in any order, at least the fields given at the start."""
@@ -142,14 +152,35 @@ class Trajectory:
         names = [column for field in self.fields for column in frame_columns(field, self.dimension)]
         return {name: name if name == "Points" else f"PointData/{name}" for name in names}
 
-    def _prepare(self, resume_step: int | None) -> int:
-        """Make the file, or cut it behind a step; returns the frames in it. Not collective."""
-        if resume_step is not None and self.path.exists():
-            with h5py.File(self.path, "r+", locking=False) as file:
-                return self._cut(file["VTKHDF"], resume_step)
-        with h5py.File(self.path, "w", locking=False) as file:
-            self._create(file)
-        return 0
+    def _prepare(self) -> None:
+        """Make the file, or cut it behind the frames that stay. Not collective."""
+        if not self.continued:
+            with replacing(self.path) as part, h5py.File(part, "w", locking=False) as file:
+                self._create(file)
+            return
+        with h5py.File(self.path, "r+", locking=False) as file:
+            group = file["VTKHDF"]
+            group["Steps"].attrs.modify("NSteps", np.int64(self.frames))
+            file.flush()
+            for name in _steps_layout():
+                group["Steps"][name].resize(self.frames, axis=0)
+            for place in self._places().values():
+                group[place].resize(self.frames * self.total, axis=0)
+
+    def _look(self, resume_step: int, last: int | None) -> int:
+        """How many frames stay of what a run left behind. Not collective."""
+        with h5py.File(self.path, "r", locking=False) as file:
+            group = file["VTKHDF"]
+            steps = group["Steps"]
+            held = {"Points"} | {f"PointData/{name}" for name in group["PointData"]}
+            if int(group["NumberOfPoints"][0]) != self.total or held != set(self._places().values()):
+                raise ValueError("it holds other particles or fields than the run to be continued")
+            numbers = [int(n) for n in steps["Step"][: int(steps.attrs["NSteps"])]]
+            kept = [n for n in numbers if n <= resume_step]
+            if numbers[: len(kept)] != kept or any(len(group[place]) < len(kept) * self.total for place in held):
+                raise ValueError("it does not hold all of its frames")
+            check_last(kept, resume_step, last)
+            return len(kept)
 
     def _create(self, file: Any) -> None:
         group = file.create_group("VTKHDF")
@@ -172,22 +203,6 @@ class Trajectory:
         for place in self._places().values():
             if place != "Points":  # all columns start where the points do: hard links to one dataset
                 steps[place.replace("PointData/", "PointDataOffsets/")] = steps["PointOffsets"]
-
-    def _cut(self, group: Any, resume_step: int) -> int:
-        """Drop the frames of later steps and what a killed run left behind its last whole frame."""
-        steps = group["Steps"]
-        held = {"Points"} | {f"PointData/{name}" for name in group["PointData"]}
-        if int(group["NumberOfPoints"][0]) != self.total or held != set(self._places().values()):
-            raise StoppedError("it holds other particles or fields than the run to be continued")
-        numbers = steps["Step"][: int(steps.attrs["NSteps"])]
-        frames = int(np.searchsorted(numbers, resume_step, side="right"))
-        steps.attrs.modify("NSteps", np.int64(frames))
-        group.file.flush()
-        for name in _steps_layout():
-            steps[name].resize(frames, axis=0)
-        for place in held:
-            group[place].resize(frames * self.total, axis=0)
-        return frames
 
 
 def _leave() -> None:

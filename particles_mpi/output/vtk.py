@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from particles_mpi.output import failing_together, frame_arrays
+from particles_mpi.output import check_last, continuing, failing_together, frame_arrays, replacing
 from particles_mpi.parallel.exchange import in_id_order
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import Array, field
@@ -22,18 +21,37 @@ class VtkSeries:
     """Writer of one .vtu a frame, and of the .pvd that gives them times; every method is collective.
 
     folder: the output folder of the run. With `resume_step`, frames of steps up to that one stay listed, later ones are
-    deleted; otherwise the series begins anew. Raises StoppedError on all ranks if the file system refuses.
+    deleted, and the last that stays must be of step `last`; otherwise the series begins anew. Raises SceneError on all ranks
+    for a listing that cannot be continued, before anything is changed, and StoppedError if the file system refuses.
     """
 
-    def __init__(self, folder: Path, ranks: Ranks, dimension: int, total: int, resume_step: int | None = None):
+    def __init__(
+        self,
+        folder: Path,
+        ranks: Ranks,
+        dimension: int,
+        total: int,
+        resume_step: int | None = None,
+        last: int | None = None,
+    ):
         self.folder, self.ranks, self.dimension, self.total = Path(folder), ranks, dimension, total
         self.listing = self.folder / "particles.pvd"
         self.frames: dict[int, str] = {}  # step → time as written
-        with failing_together(ranks, f"cannot prepare {self.listing}"):
-            if ranks.is_root:
+        with failing_together(ranks, f"cannot read {self.listing}"):
+            if ranks.is_root and resume_step is not None and self.listing.exists():
+                with continuing(self.listing):
+                    self._look(resume_step, last)
+
+    def open(self) -> None:
+        """Make the folder, or cut the series."""
+        with failing_together(self.ranks, f"cannot prepare {self.listing}"):
+            if self.ranks.is_root:
                 (self.folder / "vtk").mkdir(parents=True, exist_ok=True)
-                if resume_step is not None and self.listing.exists():
-                    self._cut(resume_step)
+                if self.frames:
+                    self._write_listing()
+                for path in (self.folder / "vtk").glob("particles_*.vtu"):  # a killed run may not have listed its last
+                    if path.name not in {Path(self._name(step)).name for step in self.frames}:
+                        path.unlink()
 
     def write(self, step: int, time: float, arrays: dict[str, Array]) -> None:
         """Add a frame. `arrays`: this rank's owned rows in any order, (n,) or (n, d); fields not meant for frames are skipped."""
@@ -42,9 +60,8 @@ class VtkSeries:
         path = self.folder / self._name(step)
         with failing_together(self.ranks, f"cannot write {path} at step {step}"):
             if self.ranks.is_root:
-                part = path.with_suffix(".tmp")
-                _write_vtu(part, frame_arrays(rows, self.dimension))
-                os.replace(part, path)  # a killed run never leaves half a frame
+                with replacing(path) as part:
+                    _write_vtu(part, frame_arrays(rows, self.dimension))
                 self.frames[step] = repr(float(time))
                 self._write_listing()
 
@@ -54,30 +71,22 @@ class VtkSeries:
 
     def _write_listing(self) -> None:
         lines = [f'    <DataSet timestep="{time}" part="0" file="{self._name(step)}"/>\n' for step, time in self.frames.items()]
-        part = self.listing.with_suffix(".tmp")
-        part.write_text(
-            '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n  <Collection>\n'
-            + "".join(lines)
-            + "  </Collection>\n</VTKFile>\n"
-        )
-        os.replace(part, self.listing)
+        with replacing(self.listing) as part:
+            part.write_text(
+                '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n  <Collection>\n'
+                + "".join(lines)
+                + "  </Collection>\n</VTKFile>\n"
+            )
 
-    def _cut(self, resume_step: int) -> None:
-        """Take over the frames listed up to a step, and delete the later ones."""
-        try:
-            entries = ElementTree.parse(self.listing).iter("DataSet")
-        except ElementTree.ParseError as error:
-            raise ValueError(f"not a .pvd listing: {error}") from None
-        for entry in entries:
-            numbers = re.findall(r"_(\d+)\.vtu$", entry.get("file", ""))
+    def _look(self, resume_step: int, last: int | None) -> None:
+        """The frames listed up to a step."""
+        for entry in ElementTree.parse(self.listing).iter("DataSet"):
+            numbers = re.findall(r"^vtk/particles_(\d+)\.vtu$", entry.get("file", ""))
             if not numbers:
                 raise ValueError(f"it lists {entry.get('file')!r}, which this program did not write")
-            self.frames[int(numbers[0])] = entry.get("timestep", "0")
-        later = [step for step in self.frames if step > resume_step]
-        self.frames = {step: time for step, time in self.frames.items() if step <= resume_step}
-        self._write_listing()
-        for step in later:
-            (self.folder / self._name(step)).unlink(missing_ok=True)
+            if int(numbers[0]) <= resume_step:
+                self.frames[int(numbers[0])] = repr(float(entry.get("timestep", "")))
+        check_last(list(self.frames), resume_step, last)
 
 
 def _write_vtu(path: Path, columns: dict[str, Array]) -> None:

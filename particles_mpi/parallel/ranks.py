@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import sys
+from types import TracebackType
 from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
+from particles_mpi.errors import StoppedError
 from particles_mpi.particles import Array
 
 
@@ -18,6 +21,8 @@ class Ranks:
         self.rank, self.size = self.comm.Get_rank(), self.comm.Get_size()
         self.messages = 0
         self.reductions = 0
+        if self.size > 1 and sys.excepthook is sys.__excepthook__:
+            sys.excepthook = end_all
 
     @classmethod
     def alone(cls) -> Ranks:
@@ -66,6 +71,13 @@ class Ranks:
     def gathered(self, value: Any) -> list[Any]:
         """The small Python objects of all ranks, on every rank."""
         return [value] if self.size == 1 else self.comm.allgather(value)
+
+
+def end_all(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """What nobody caught on this rank ends all: the others would wait for it for ever."""
+    sys.__excepthook__(kind, error, trace)
+    sys.stderr.flush()
+    MPI.COMM_WORLD.Abort(getattr(error, "exit_code", StoppedError.exit_code))
 
 
 def library() -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from particles_mpi.errors import StoppedError
+from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.output import checkpoint
 from particles_mpi.output.diagnostics_csv import Diagnostics
 from particles_mpi.output.trajectory import Trajectory
@@ -69,10 +69,14 @@ def main() -> None:
     try:
         trajectory = Trajectory(options.folder / "trajectory.vtkhdf", ranks, list(FIELDS), d, n, options.resume)
         diagnostics = Diagnostics(options.folder / "diagnostics.csv", ranks, ["step", "time", "particles"], options.resume)
+        writers = [trajectory, diagnostics]
         if not options.no_vtk:
             from particles_mpi.output.vtk import VtkSeries
 
             series = VtkSeries(options.folder, ranks, d, n, options.resume)
+            writers.append(series)
+        for writer in writers:
+            writer.open()
         begin = 0 if options.resume is None else options.resume + EVERY
         for step in range(begin, begin + EVERY * options.frames, EVERY):
             rows = owned(ranks, frame_of(step, n, d), step)
@@ -96,10 +100,10 @@ def main() -> None:
                 os.kill(os.getpid(), signal.SIGKILL)
         diagnostics.close()
         trajectory.close()
-    except StoppedError as stopped:
+    except (SceneError, StoppedError) as stopped:
         print(f"STOPPED {ranks.rank} {stopped}", flush=True)
         ranks.comm.Barrier()  # mpirun ends all as soon as one has left
-        raise SystemExit(3) from None
+        raise SystemExit(stopped.exit_code) from None
 
 
 if __name__ == "__main__":

@@ -1,0 +1,160 @@
+"""Runs that are killed, and what must be left of them. `python tests/parallel/killing.py 100` does it a hundred times."""
+
+import contextlib
+import csv
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import h5py
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+from particles_mpi.output import checkpoint
+from tests.conftest import IMPATIENT, MPI_ENVIRONMENT, ROOT
+
+SCENE = """
+dimension = 2
+seed = 5
+[box]
+lower = [0, 0]
+upper = [4, 4]
+[time]
+step = 0.01
+steps = 600
+[[particles]]
+count = 40
+position = "random"
+velocity = {speed = 2.0}
+radius = 0.1
+mass = {min = 0.1, max = 0.5}
+[effects.collisions]
+mode = "event"
+restitution = 0.9
+contact_duration = 1e-3
+[effects.walls]
+restitution = 0.9
+[effects.uniform_gravity]
+acceleration = [0, -9.81]
+[effects.drag]
+rate = 0.1
+[output]
+every = 2
+checkpoint_every = 3
+diagnostics_every = 1
+observables = true
+"""
+
+
+def start(ranks, *arguments, patience="0"):
+    """The program on some ranks, not waited for; `patience` (s) that Open MPI has with ranks after it was told to stop."""
+    environment = MPI_ENVIRONMENT | os.environ | {"PYTHONPATH": str(ROOT), **dict.fromkeys(IMPATIENT, patience)}
+    command = ["mpirun", "-n", ranks, sys.executable, "-m", "particles_mpi", *arguments]
+    pipe = subprocess.PIPE
+    return subprocess.Popen(list(map(str, command)), cwd=ROOT, env=environment, stdout=pipe, stderr=pipe, text=True)
+
+
+def ranks_of(launcher):
+    """Process ids of the ranks that an mpirun started."""
+    lists = [path.read_text().split() for path in Path(f"/proc/{launcher.pid}/task").glob("*/children")]
+    return [int(pid) for pids in lists for pid in pids]
+
+
+def kill(launcher, one=None):
+    """-9, at once and all of them; or `one` rank, after which mpirun must end the others."""
+    if one is None:
+        launcher.send_signal(signal.SIGSTOP)  # so that it starts no more
+    ranks = ranks_of(launcher)
+    for pid in [*ranks, launcher.pid] if one is None else ranks[: one + 1][-1:]:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+    over = launcher.poll() == 0  # before anybody was killed
+    launcher.communicate(timeout=60)
+    assert launcher.returncode != 0 or over
+
+
+def contents(folder):
+    """All that a run has written and that must not depend on how it came there; frames as a list of bytes."""
+    with h5py.File(folder / "trajectory.vtkhdf", locking=False) as file:
+        group = file["VTKHDF"]
+        count, total = int(group["Steps"].attrs["NSteps"]), int(group["NumberOfPoints"][0])
+        names = ["Points", *(f"PointData/{name}" for name in sorted(group["PointData"]))]
+        frames = [
+            (float(group["Steps/Values"][k]), *(group[name][k * total : (k + 1) * total].tobytes() for name in names))
+            for k in range(count)
+        ]
+    lines = (folder / "diagnostics.csv").read_text().splitlines(keepends=True)
+    table = list(csv.reader(line for line in lines if line.endswith("\n")))
+    kept = [k for k, name in enumerate(table[0]) if name not in ("exchanges", "imbalance")]  # those tell of ranks
+    listing = [line for line in (folder / "particles.pvd").read_text().splitlines() if "timestep" in line]
+    series = [(line, (folder / line.split('"')[5]).read_bytes()) for line in listing]
+    return {"frames": frames, "rows": [[row[k] for k in kept] for row in table], "series": series}
+
+
+def final_state(folder):
+    """Of its last checkpoint."""
+    arrays, about = checkpoint.load(folder / "checkpoint.h5")
+    return {name: array.tobytes() for name, array in arrays.items()}, about["step"], about["time"], about["observed"]
+
+
+def check_killed(folder, whole):
+    """Whatever is there can be read, and is the beginning of the whole run. Returns the step of the checkpoint, if any."""
+    if (folder / "particles.pvd").exists():  # there since the first frame
+        found = contents(folder)
+        for name, entries in found.items():
+            assert entries == whole[name][: len(entries)], name
+    if not (folder / "checkpoint.h5").exists():
+        return None
+    step = checkpoint.load(folder / "checkpoint.h5")[1]["step"]
+    assert len(found["frames"]) > step // 2 and len(found["rows"]) > step + 1
+    return step
+
+
+def inode(path):
+    """Changes when a file is replaced."""
+    return path.stat().st_ino if path.exists() else 0
+
+
+def kill_and_resume(folder, scene, whole, kills, chance):
+    """A run to its end through so many kills; returns the steps at which it went on."""
+    steps = []
+    for number in range(kills + 1):
+        step = check_killed(folder, whole) if folder.exists() else None
+        steps.append(step)
+        way = ["--overwrite"] if step is None else ["--resume", folder / "checkpoint.h5"]
+        before = {name: inode(folder / name) for name in ("diagnostics.csv", "checkpoint.h5")}
+        launcher = start(chance.choice([1, 2]), "run", scene, "--output", folder, *way, "--quiet")
+        if number == kills:
+            _, told = launcher.communicate(timeout=100)
+            assert launcher.returncode == 0, told
+            return steps
+        # in the set-up; while files are made or cut, and the first steps; amid frames and checkpoints
+        name, patience = chance.choice([(None, 3.0), ("diagnostics.csv", 0.3), ("checkpoint.h5", 0.6), ("checkpoint.h5", 0.6)])
+        while name and launcher.poll() is None and inode(folder / name) == before[name]:
+            time.sleep(0.001)
+        time.sleep(chance.uniform(0.0, patience))
+        kill(launcher, chance.choice([None, None, 0, 1]))
+    return steps
+
+
+def main():
+    wanted, done, chance = int(sys.argv[1]), 0, random.Random(int(sys.argv[2]))
+    with tempfile.TemporaryDirectory() as name:
+        scene, whole = Path(name) / "scene.toml", Path(name) / "whole"
+        scene.write_text(SCENE)
+        assert start(1, "run", scene, "--output", whole).wait() == 0
+        expected = contents(whole)
+        while done < wanted:
+            folder = Path(name) / str(done)
+            steps = kill_and_resume(folder, scene, expected, 10, chance)
+            assert contents(folder) == expected and final_state(folder) == final_state(whole)
+            done += 10
+            print(done, "kills, nothing lost; went on at", steps, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,214 @@
+"""Stopped, killed, or out of disk: what was written stays, and a run that goes on has the bits of one that never stopped."""
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from conftest import ROOT, run_ranks
+
+sys.path.insert(0, str(Path(__file__).parent))
+import killing
+from killing import contents, final_state, kill_and_resume, ranks_of, start
+
+pytestmark = pytest.mark.parallel
+SLOW = killing.SCENE.replace("steps = 600", "steps = 100000000")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """(scene, folder of its uninterrupted run)."""
+    folder = tmp_path_factory.mktemp("whole")
+    (folder / "scene.toml").write_text(killing.SCENE)
+    launcher = start(1, "run", folder / "scene.toml", "--output", folder / "run", "--quiet")
+    _, told = launcher.communicate(timeout=100)
+    assert launcher.returncode == 0, told
+    return folder / "scene.toml", folder / "run"
+
+
+def particles_mpi(ranks, *arguments):
+    return run_ranks(ranks, "-m", "particles_mpi", *arguments)
+
+
+def everything(folder):
+    """Every byte below a folder."""
+    return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def test_killed_ten_times_the_run_has_the_same_bits(whole, tmp_path):
+    scene, run = whole
+    kill_and_resume(tmp_path / "o", scene, contents(run), 10, random.Random(os.urandom(8)))
+    assert contents(tmp_path / "o") == contents(run) and final_state(tmp_path / "o") == final_state(run)
+    assert not list((tmp_path / "o").rglob("*.tmp"))
+
+
+def scenes():
+    """Every effect, integrator and operator; those whose state is more than positions and velocities above all."""
+    box = {"lower": [0, 0], "upper": [4, 4]}
+    gas = {"count": 30, "position": "random", "velocity": {"speed": 2.0}, "radius": 0.1, "mass": {"min": 0.1, "max": 0.5}}
+    output = {"every": 4, "checkpoint_every": 7, "diagnostics_every": 3, "observables": True}
+    down, pull = {"acceleration": [0, -9.81]}, {"G": 0.1, "softening": 0.1}
+    pushed = {**gas, "acceleration": [0.5, 0], "drag": 0.3}
+    full = {"walls": {"restitution": 0.9}, "uniform_gravity": down, "drag": {}, "user_acceleration": {}, "mutual_gravity": pull}
+    row = [[0.5 + 0.21 * k, 0.5] for k in range(8)]
+    base = {"dimension": 2, "seed": 3, "box": box, "time": {"step": 0.01, "steps": 40}, "output": output}
+    still = {"position": [[1.0, 0.1 + 0.2 * k] for k in range(8)], "radius": 0.1, "velocity": [0, -0.01]}
+    cloud = {"count": 20, "position": {"plummer": 1.0}, "velocity": "equilibrium", "mass": 0.02}
+    open_ = {k: v for k, v in base.items() if k != "box"} | {"dimension": 3, "particles": [cloud]}
+    return {
+        "rewind": {**base, "particles": [pushed], "effects": {**full, "collisions": {"restitution": 0.8}}},
+        "event": {
+            **base,
+            "particles": [pushed],
+            "effects": {**full, "collisions": {"mode": "event", "restitution": 0.8}, "friction": {"strength": 0.01}},
+        },
+        "clocks": {  # inelastic collapse: the memory of the last contact decides
+            **base,
+            "particles": [
+                {"position": row, "radius": 0.1},
+                {"position": [[3.5, 0.5]], "radius": 0.1, "velocity": [-20, 0]},
+                {"position": [[0.3, 2.5]], "radius": 0.2, "fixed": True},
+            ],
+            "effects": {"collisions": {"mode": "event", "restitution": 0.1, "contact_duration": 5e-3}, "walls": {}},
+        },
+        "resting": {
+            **base,
+            "particles": [still],
+            "effects": {"collisions": {"restitution": 0.5}, "walls": {"restitution": 0.5}, "uniform_gravity": down},
+        },
+        "periodic": {**base, "box": {**box, "periodic": True}, "particles": [gas], "effects": {"collisions": {"damping": 0.1}}},
+        "taylor": {**base, "time": {"step": 0.01, "steps": 40, "integrator": "taylor"}, "particles": [pushed], "effects": full},
+        "tree": {**open_, "effects": {"mutual_gravity": {**pull, "method": "tree"}}},
+        "order4": {**open_, "time": {"step": 0.01, "steps": 12, "integrator": "order4"}, "effects": {"mutual_gravity": pull}},
+        "adaptive": {**open_, "time": {"step": 0.02, "steps": 12, "integrator": "adaptive"}, "effects": {"mutual_gravity": pull}},
+    }
+
+
+def test_resume_on_other_ranks_has_the_same_bits_for_every_effect(tmp_path):
+    (tmp_path / "scenes.json").write_text(json.dumps(scenes()))
+    script = "tests/parallel/stop_and_go.py", tmp_path / "scenes.json"
+    for ranks, *how in ((2, "whole"), (3, "parts", 9), (1, "parts", "resume")):
+        done = run_ranks(ranks, *script, tmp_path / how[0], *how[1:], timeout=200)
+        assert done.returncode == 0, done.stderr[-2000:]
+    for name in scenes():
+        a, b = contents(tmp_path / "whole" / name), contents(tmp_path / "parts" / name)
+        assert a == b and len(a["frames"]) > 3, name
+        assert final_state(tmp_path / "whole" / name) == final_state(tmp_path / "parts" / name), name
+
+
+@pytest.mark.parametrize(
+    ("number", "to", "after", "patience"),
+    [
+        (signal.SIGTERM, "rank", "checkpoint.h5", "1"),
+        (signal.SIGINT, "mpirun", "checkpoint.h5", "3"),
+        (signal.SIGTERM, "mpirun", "set-up", "0"),
+        (signal.SIGINT, "rank", "set-up", "0"),
+    ],
+)
+def test_a_signal_at_any_time_leaves_a_checkpoint_or_nothing(tmp_path, number, to, after, patience):
+    scene, out = tmp_path / "scene.toml", tmp_path / "o"
+    scene.write_text(SLOW)
+    launcher = start(2, "run", scene, "--output", out, patience=patience)
+    while len(ranks_of(launcher)) < 2 or (after != "set-up" and not (out / after).exists()):
+        assert launcher.poll() is None
+        time.sleep(0.01)
+    time.sleep(random.uniform(0.3, 1.0))  # until Python is awake
+    launcher.send_signal(number) if to == "mpirun" else os.kill(ranks_of(launcher)[1], number)
+    _, told = launcher.communicate(timeout=60)
+    assert "Traceback" not in told
+    assert launcher.returncode == (130 if to == "rank" else 1), told  # Open MPI's own code where it was told itself
+    if after != "set-up":
+        assert "continue with --resume" in told
+    if not out.exists():
+        return
+    assert not list(out.rglob("*.tmp"))
+    done = particles_mpi(1, "run", scene, "--output", out, "--resume", out / "checkpoint.h5", "--wall-time", "0")
+    assert done.returncode == 130, done.stderr
+
+
+def test_a_run_goes_on_in_its_own_folder_only(whole, tmp_path):
+    scene, run = whole
+    other, out = tmp_path / "other.toml", tmp_path / "o"
+    other.write_text(killing.SCENE.replace("seed = 5", "seed = 6"))
+    assert particles_mpi(1, "run", other, "--output", out, "--steps", 20, "--quiet").returncode == 0
+    before = everything(out)
+    done = particles_mpi(2, "run", scene, "--resume", run / "checkpoint.h5", "--output", out, "--overwrite", "--steps", 1)
+    assert done.returncode == 0 and (out / "checkpoint.h5").exists()  # asked for
+    for path, text in before.items():
+        path.write_bytes(text)
+    done = particles_mpi(2, "run", scene, "--resume", run / "checkpoint.h5", "--output", out)
+    assert done.returncode == 2 and "holds another run" in done.stderr and everything(out) == before, done.stderr
+    other.write_text(killing.SCENE.replace("restitution = 0.9", "restitution = 0.8"))
+    done = particles_mpi(2, "run", other, "--resume", run / "checkpoint.h5", "--output", tmp_path / "new")
+    assert done.returncode == 2 and not (tmp_path / "new").exists()
+    assert "effects.collisions.restitution: not as in" in done.stderr and "effects.walls.restitution" in done.stderr
+
+
+def test_a_later_end_is_gone_on_to(whole, tmp_path):
+    scene, _ = whole
+    short, out = tmp_path / "scene.toml", tmp_path / "o"
+    short.write_text(killing.SCENE.replace("steps = 600", "steps = 30"))
+    assert particles_mpi(2, "run", short, "--output", out, "--quiet").returncode == 0
+    assert particles_mpi(1, "run", scene, "--output", out, "--resume", out / "checkpoint.h5", "--quiet").returncode == 0
+    assert contents(out) == contents(whole[1]) and final_state(out) == final_state(whole[1])
+
+
+def test_full_disk_leaves_a_checkpoint_to_go_on_from(whole, tmp_path):
+    scene, run = whole
+    out = tmp_path / "o"
+    command = [sys.executable, "-m", "particles_mpi", "run", str(scene), "--output", str(out), "--quiet"]
+    limited = ["mpirun", "-n", "2", "sh", "-c", 'ulimit -f 800; exec "$@"', "sh", *command]
+    environment = killing.MPI_ENVIRONMENT | os.environ | killing.IMPATIENT
+    done = subprocess.run(limited, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=100)
+    assert done.returncode == 3 and "Traceback" not in done.stderr, done.stderr
+    assert f"cannot write {out}" in done.stderr and "File too large" in done.stderr and "at step" in done.stderr
+    assert killing.check_killed(out, contents(run)) > 100
+    done = particles_mpi(1, "run", scene, "--output", out, "--resume", out / "checkpoint.h5", "--quiet")
+    assert done.returncode == 0, done.stderr
+    assert contents(out) == contents(run) and final_state(out) == final_state(run)
+
+
+@pytest.mark.parametrize("below", ["file", "proc", "long"])
+def test_a_folder_that_cannot_be_written_is_one_line(whole, tmp_path, below):
+    (tmp_path / "file").write_text("text")
+    folder = {"file": tmp_path / "file" / "o", "proc": Path("/proc/self/o"), "long": tmp_path / ("x" * 300)}[below]
+    done = particles_mpi(2, "run", whole[0], "--output", folder, "--quiet")
+    assert done.returncode == 3 and f"{folder}: " in done.stderr and "Traceback" not in done.stderr, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("fault", "code", "says"),
+    [
+        ("raise", 3, "ZeroDivisionError"),
+        ("nan", 3, "on rank 1 has a position or velocity that is not finite"),
+    ],
+)
+def test_what_goes_wrong_on_one_rank_ends_all(tmp_path, fault, code, says):
+    done = run_ranks(2, "tests/parallel/one_rank_fails.py", tmp_path / "o", fault)
+    assert done.returncode == code and says in done.stderr, done.stderr
+    assert killing.check_killed(tmp_path / "o", contents(tmp_path / "o")) == 9
+
+
+def test_damaged_files_are_refused_before_anything_is_touched(whole, tmp_path):
+    scene, run = whole
+    out = tmp_path / "o"
+    shutil.copytree(run, out)
+    for name, damage, says in (
+        ("checkpoint.h5", lambda old: old[: len(old) // 2], "cut short"),
+        ("trajectory.vtkhdf", lambda old: old[: len(old) // 2], "cannot be continued"),
+        ("diagnostics.csv", lambda old: old[: len(old) // 2], "it should hold step 600"),
+    ):
+        old = (out / name).read_bytes()
+        (out / name).write_bytes(damage(old))
+        before = everything(out)
+        done = particles_mpi(2, "run", scene, "--output", out, "--resume", out / "checkpoint.h5")
+        assert done.returncode == 2 and f"{out / name}: " in done.stderr and says in done.stderr, done.stderr
+        assert len([line for line in done.stderr.splitlines() if line.startswith("particles-mpi")]) == 1
+        assert everything(out) == before
+        (out / name).write_bytes(old)
