@@ -19,6 +19,10 @@ class StoppedError(RuntimeError):
     exit_code = 3
 
 
+class StateError(StoppedError):
+    """A state that has lost its meaning: a particle is lost, astray, or not a number."""
+
+
 class Interrupted(Exception):
     """Stopped by a signal or the wall-time limit, after writing a checkpoint."""
 

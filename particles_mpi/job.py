@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.diagnostics import columns
-from particles_mpi.errors import Interrupted, SceneError, StoppedError
+from particles_mpi.errors import Interrupted, SceneError, StateError, StoppedError
 from particles_mpi.interrupt import Request
 from particles_mpi.output import checkpoint, failing_together, replacing
 from particles_mpi.output.console import Screen
@@ -21,7 +21,7 @@ from particles_mpi.output.folder import claim
 from particles_mpi.parallel.ranks import library
 from particles_mpi.particles import Array, field
 from particles_mpi.plan import plan
-from particles_mpi.simulation import COUNTS, Simulation
+from particles_mpi.simulation import COUNTS, WATCH_EVERY, Simulation
 
 SHOW_EVERY = 10  # steps between two moves of the progress bar
 LIBRARIES = ("numpy", "numba", "mpi4py", "h5py", "meshio", "particles-mpi")
@@ -98,6 +98,8 @@ class Job:
             while sim.steps_done < self.last and not (stopped := self.request.made(sim.steps_done)):
                 sim.step()
                 n, final = sim.steps_done, sim.steps_done == self.last
+                if final or any(n % k == 0 for k in (WATCH_EVERY, output.every, output.checkpoint_every)):
+                    sim.watch()
                 if n % output.diagnostics_every == 0 or final:
                     row = self.report()
                 if n % output.every == 0:
@@ -111,6 +113,9 @@ class Job:
             show(sim.steps_done, row)
             self.close()
             self.finish(setup, perf_counter() - begin, sim.steps_done - done)
+        except StateError as error:
+            self.close()
+            raise StateError(f"{error}; {self.keep_for_inspection(str(error))}") from None
         except (SceneError, StoppedError):  # on all ranks; after any other error to close a file would wait for those without it
             self.close()
             raise
@@ -156,6 +161,12 @@ class Job:
             checkpoint.save(
                 self.folder / "checkpoint.h5", self.ranks, sim.particles.arrays, sim.total, self.scene.dimension, state
             )
+
+    def keep_for_inspection(self, error: str) -> str:
+        """All rows as they are, and what is wrong with them, in a file of its own; says where."""
+        path = self.folder / "stopped.h5"
+        checkpoint.dump(path, self.ranks, self.sim.particles.arrays, {"step": self.sim.steps_done, "error": error})
+        return f"all rows are in {path}, the last checkpoint is untouched"
 
     def close(self) -> None:
         """Close every file."""

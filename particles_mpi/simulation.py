@@ -12,16 +12,18 @@ import numpy as np
 
 from particles_mpi import state
 from particles_mpi.diagnostics import measure
-from particles_mpi.errors import SceneError, StoppedError
+from particles_mpi.errors import SceneError, StateError
 from particles_mpi.integrators import Integrator, Leapfrog, Order4, Taylor, fingerprint, free_drift, wrap
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, Array, Particles
 from particles_mpi.populate import populate
 from particles_mpi.scene import Scene
 from particles_mpi.timers import Timers
+from particles_mpi.watchdog import Watchdog, not_finite
 
 CLOSE = 1e-14  # of a step: how well a step that ends with a contact must know its own length
 MOST_TRIES = 60
+WATCH_EVERY = 10  # steps
 COUNTS = ("collisions", "wall_hits", "missed", "exchanges")
 
 
@@ -72,6 +74,9 @@ class Simulation:
         self.walls, self.collisions = effects.get("walls"), effects.get("collisions")
         drag, friction = effects.get("drag"), effects.get("friction")
         self.dissipation = [name for name in ("drag", "friction") if name in effects]
+        held = self.walls.planes if self.walls else None
+        planes = (held.point, held.normal) if held else (np.empty((0, d)), np.empty((0, d)))
+        self.watchdog = Watchdog(ranks, self.total, planes, self.lower, self.length)
         self.rest = self._rest()
         self.integrator = self._integrator(drag, friction)
         for force in self.forces.values():
@@ -138,7 +143,10 @@ class Simulation:
 
     def step(self, collisions: bool = True) -> None:
         """Advance by one step; `collisions=False` lets particles pass through one another and through walls. Collective."""
-        self.advance(self.h, lambda h: self.drift(h, collisions), collisions)
+        try:
+            self.advance(self.h, lambda h: self.drift(h, collisions), collisions)
+        except StateError as error:
+            raise StateError(f"step {self.steps_done + 1}: {error}") from None
         self.steps_done += 1
 
     def advance(self, h: float, drift: Callable[[float], None], contacts: bool = True) -> None:
@@ -238,30 +246,25 @@ class Simulation:
             volume = float(np.prod(self.upper - self.lower)) if self.scene.box else np.nan
             row |= observe(self.ranks, self.particles, volume, self.time, collisions, self.observed)
         if not np.isfinite(row["kinetic"]):
-            self.stop_for_numbers()
+            raise StateError(not_finite(self.ranks, self.particles, f"step {self.steps_done}"))
         return row
 
     def remarks(self) -> list[str]:
         """What happened that a user should know of, a line each. Collective."""
         return self.contacts.remarks() if hasattr(self.contacts, "remarks") else []
 
-    def stop_for_numbers(self) -> None:
-        """A velocity or position is not finite: say whose, on all ranks."""
-        p = self.particles
-        bad = p.id[~(np.isfinite(p.velocity).all(axis=1) & np.isfinite(p.position).all(axis=1))]
-        found = [(rank, int(ids[0])) for rank, ids in enumerate(self.ranks.gathered(bad[:1])) if len(ids)]
-        if not found:  # finite, but squares to infinity
-            raise StoppedError(f"step {self.steps_done}: the kinetic energy is too large for a float64")
-        rank, particle = found[0]
-        raise StoppedError(
-            f"step {self.steps_done}: particle {particle} on rank {rank} has a position or velocity that is not finite"
-        )
+    def watch(self) -> None:
+        """Raises StateError if a particle is lost, astray or not a number. Collective; cheap."""
+        with self.timers("watchdog"):
+            self.watchdog.look(self.particles, self.steps_done)
 
     def run(self, output: str | Path | None = None, quiet: bool = True, **options: Any) -> None:
         """Step to the end of the scene; with `output` (a folder) write everything the scene asks for. Collective."""
         if output is None:
             while self.steps_done < self.scene.steps:
                 self.step()
+                if self.steps_done % WATCH_EVERY == 0 or self.steps_done == self.scene.steps:
+                    self.watch()
             return
         from particles_mpi.job import Job
 

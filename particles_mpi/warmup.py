@@ -51,6 +51,8 @@ def main() -> None:
                     sim.near.divided = sim.near.windows.always = ranks.size > 1
                 sim.run()
                 sim.measure()
+                if sim.rest and sim.rest.pairs:
+                    sim.rest.hold(sim.particles, sim.sum_forces(), sim.h)
     if world.is_root:
         print(f"kernels compiled in {perf_counter() - begin:.0f} s")
 

@@ -19,8 +19,8 @@ from particles_mpi.collide.contact import CROWD
 from particles_mpi.collide.engine import NAMED, NEVER_CROWDED, SETTLED, Engine
 from particles_mpi.collide.events import COLLISIONS, SPARED, WALL_HITS
 from particles_mpi.collide.planes import Planes, no_planes
-from particles_mpi.collide.windows import Windows, not_finite
-from particles_mpi.errors import StoppedError
+from particles_mpi.collide.windows import Windows
+from particles_mpi.errors import StateError
 from particles_mpi.neighbours.cells import bounds, order_in_space
 from particles_mpi.parallel.exchange import rows_of_everyone
 from particles_mpi.parallel.ranks import Ranks
@@ -28,6 +28,7 @@ from particles_mpi.parallel.replica import Replica
 from particles_mpi.parallel.store import Store
 from particles_mpi.particles import Array, Particles, rows_of
 from particles_mpi.timers import Timers
+from particles_mpi.watchdog import not_finite
 
 LEAST = 2000  # particles a rank; with fewer, space is not divided
 LONGEST_REST = 64  # drifts
@@ -199,7 +200,7 @@ class Whole:
         with self.timers("search"):
             moved, speed = engine.set_out(p, self.seat)
             if not np.isfinite(speed):
-                raise StoppedError(not_finite(self.ranks, p, moment))
+                raise StateError(not_finite(self.ranks, p, f"t = {moment:g}"))
             if moved:
                 self.settle()
                 engine.set_out(p, self.seat)

@@ -26,7 +26,7 @@ from particles_mpi.collide.news import (
     undo,
     unpack_motion,
 )
-from particles_mpi.errors import StoppedError
+from particles_mpi.errors import StateError
 from particles_mpi.neighbours.cells import bounds, order_in_space
 from particles_mpi.neighbours.paths import fastest
 from particles_mpi.neighbours.shells import MARGIN
@@ -36,6 +36,7 @@ from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.parallel.store import Store
 from particles_mpi.particles import Array, Particles, field
 from particles_mpi.timers import Timers
+from particles_mpi.watchdog import not_finite
 
 STRAY = 0.125  # of a shell: how far a row may get in a window
 DEPTH = 1.2  # mean diameters of ghosts beyond those that own particles can meet: wrong histories have to come through them
@@ -119,7 +120,7 @@ class Windows:
             speed = speed if speed < np.inf else np.inf  # or it is not a number
             stale, speed, self.events = self.ranks.largest(np.array([stale, speed, engine.events], float))
             if not np.isfinite(speed):
-                raise StoppedError(not_finite(self.ranks, p, moment))
+                raise StateError(not_finite(self.ranks, p, f"t = {moment:g}"))
             if not stale:
                 break
             self.settle()
@@ -338,11 +339,3 @@ class Windows:
         self.migrated += self.store.migrate(ranks, owner)
         self.seat = self.row_of[p.id]
         self.version = p.version
-
-
-def not_finite(ranks: Ranks, p: Particles, moment: float) -> str:
-    """Whose position or velocity is not finite, or too large for its square to be. Collective."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        bad = p.id[~np.isfinite((p.velocity**2).sum(axis=1) + p.position.sum(axis=1))]
-    first = int(ranks.smallest(bad.min(initial=2**62))[0])
-    return f"t = {moment:g}: particle {first} has a position or velocity that is not finite"

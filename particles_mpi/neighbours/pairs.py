@@ -13,7 +13,7 @@ import numpy as np
 
 from particles_mpi.collide.contact import NOBODY
 from particles_mpi.collide.passes import end_legs, fingerprint
-from particles_mpi.errors import StoppedError
+from particles_mpi.errors import StateError, StoppedError
 from particles_mpi.integrators import wrap
 from particles_mpi.neighbours.candidates import Candidates
 from particles_mpi.neighbours.cells import GRIDDED, bounds, order_in_space, spacing
@@ -27,6 +27,7 @@ from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.parallel.store import Store
 from particles_mpi.particles import Array, Particles, field
 from particles_mpi.timers import Timers
+from particles_mpi.watchdog import not_finite
 
 SORT_EVERY = 2  # searches; between two sorts in space the rows keep their order, which changes slowly
 SLACK = 0.2  # how far rows may get over the border of their rank's box, in paths of the fastest one
@@ -128,7 +129,7 @@ class Neighbourhood:
         table = self.ranks.rows_of_all(mine)  # of all in one message
         total, speed, largest = table[:, 0].sum(), table[:, 1].max(), 2.0 * float(table[:, 2].max())
         if not np.isfinite(table[:, 1:3]).all():
-            raise StoppedError("a position, velocity or radius is not a finite number")
+            raise StateError(not_finite(self.ranks, particles, "in a drift"))
         mean = 2.0 * float(table[:, 3].sum()) / max(total, 1.0)
         apart = spacing(table[:, 5 : 5 + d].min(axis=0), table[:, 5 + d :].max(axis=0), int(total)) if total else 1.0
         half = 0.5 * max(0.25 * mean, 0.05 * apart)

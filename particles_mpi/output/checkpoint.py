@@ -15,10 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+import numpy as np
 
 from particles_mpi.errors import SceneError
 from particles_mpi.output import failing_together, replacing, sync_folder
-from particles_mpi.parallel.exchange import in_id_order
+from particles_mpi.parallel.exchange import in_id_order, rows_of_everyone
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, Array, shape
 
@@ -36,6 +37,17 @@ def save(path: Path, ranks: Ranks, arrays: dict[str, Array], total: int, dimensi
     with failing_together(ranks, f"cannot write {path} at step {attributes.get('step', '?')}"):
         if ranks.is_root:
             _replace(Path(path), rows, {MARK: FORMAT, "total": total, "dimension": dimension} | attributes)
+
+
+def dump(path: Path, ranks: Ranks, arrays: dict[str, Array], attributes: dict[str, Any]) -> None:
+    """Rows of all ranks as they are, however wrong, and the `rank` that holds each: not to go on from. Collective."""
+    rows = rows_of_everyone(ranks, arrays | {"rank": np.full(len(arrays["id"]), ranks.rank)})
+    with failing_together(ranks, f"cannot write {path}"):
+        if ranks.is_root:
+            with replacing(path) as part, h5py.File(part, "w", locking=False) as file:
+                for name, values in rows.items():
+                    file[f"particles/{name}"] = values
+                file.attrs.update(attributes)
 
 
 def _replace(path: Path, rows: dict[str, Array], attributes: dict[str, Any]) -> None:

@@ -28,6 +28,7 @@ PHASES = {
     "diagnostics": "diagnostics",
     "output": "frames",
     "checkpoint": "checkpoints",
+    "watchdog": "watchdog",
     "other": "everything else",
 }
 

@@ -12,7 +12,7 @@ from particles_mpi.errors import SceneError
 from particles_mpi.output import checkpoint, failing_together
 from particles_mpi.parallel.ranks import Ranks
 
-OURS = ("trajectory.vtkhdf", "particles.pvd", "vtk", "checkpoint.h5", "diagnostics.csv", "run.json", "plots")
+OURS = ("trajectory.vtkhdf", "particles.pvd", "vtk", "checkpoint.h5", "diagnostics.csv", "run.json", "stopped.h5", "plots")
 FREE = (
     "title",
     "output.every",

@@ -1,0 +1,98 @@
+"""Is every particle still there, a number, and where it may be? Asked every few steps: it costs next to nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from particles_mpi.errors import StateError
+from particles_mpi.parallel.ranks import Ranks
+from particles_mpi.particles import Array, Particles
+
+NAMED = 10  # ids in a message
+ROUND_OFF = 1e-9
+
+
+class Watchdog:
+    """Knows how many particles there are (ids 0 ... total-1), the walls that hold them, and the periodic box."""
+
+    def __init__(self, ranks: Ranks, total: int, planes: tuple[Array, Array], lower: Array, length: Array):
+        self.ranks, self.total, self.planes = ranks, total, planes
+        self.lower, self.length = lower, length
+        ids = np.arange(total)
+        self.tally = tally(ids)
+
+    def look(self, p: Particles, step: int) -> None:
+        """Raises StateError on all ranks, with ids, step and rank, if something is wrong. Collective."""
+        numbers, astray, wall = amiss(p.position, p.velocity, p.fixed, *self.planes, self.lower, self.length)
+        sums = self.ranks.total(np.array([*tally(p.id), numbers >= 0, astray >= 0]))
+        if (sums[:3] != self.tally).any():
+            raise StateError(f"step {step}: {self.who_is_lost(p)}")
+        if sums[3]:
+            raise StateError(not_finite(self.ranks, p, f"step {step}"))
+        if sums[4]:
+            mine = None
+            if astray >= 0:
+                where = f"beyond wall {wall}" if wall >= 0 else "outside the periodic box"
+                place = ", ".join(f"{x:.6g}" for x in p.position[astray])
+                mine = f"step {step}: particle {p.id[astray]} on rank {self.ranks.rank} is {where}, at ({place})"
+            raise StateError(next(text for text in self.ranks.gathered(mine) if text))
+
+    def who_is_lost(self, p: Particles) -> str:
+        """Which ids are missing, and which are there twice. Collective."""
+        everyone = self.ranks.gathered(p.id.copy())
+        ids = np.concatenate(everyone)
+        known = np.bincount(ids[(ids >= 0) & (ids < self.total)], minlength=self.total)
+        twice = np.flatnonzero(known > 1)
+        held = [f"{i} on ranks {', '.join(str(r) for r, of in enumerate(everyone) if i in of)}" for i in twice[:NAMED]]
+        told = [f"particles {first_of(np.flatnonzero(known == 0))} are lost"] if (known == 0).any() else []
+        told += [f"there more than once: {'; '.join(held)}"] if len(twice) else []
+        return "; ".join(told) or f"unknown ids {first_of(ids[(ids < 0) | (ids >= self.total)])}"
+
+
+def first_of(ids: Array) -> str:
+    """The first ids as a text."""
+    return ", ".join(map(str, ids[:NAMED])) + (f" and {len(ids) - NAMED} more" if len(ids) > NAMED else "")
+
+
+def tally(ids: Array) -> Array:
+    """(3,) sums that tell a permutation of the ids from anything that happens by mistake; they may wrap around."""
+    with np.errstate(over="ignore"):
+        return np.array([len(ids), ids.sum(dtype=np.int64), (ids * ids).sum(dtype=np.int64)])
+
+
+def not_finite(ranks: Ranks, p: Particles, when: str) -> str:
+    """Whose position or velocity is not finite, or too large for its square to be. Collective."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        bad = p.id[~np.isfinite((p.velocity**2).sum(axis=1) + p.position.sum(axis=1))]
+    found = [(int(ids.min()), rank) for rank, ids in enumerate(ranks.gathered(bad)) if len(ids)]
+    if not found:
+        return f"{when}: velocities are too large for the sum of their squares"
+    particle, rank = min(found)
+    return f"{when}: particle {particle} on rank {rank} has a position or velocity that is not finite"
+
+
+@njit(cache=True)
+def amiss(x, v, fixed, point, normal, lower, length):
+    """(first row that is not finite, first row beyond a wall or a periodic face, which wall); -1 for none."""
+    numbers, astray, at = -1, -1, -1
+    for i in range(len(x)):
+        sums, size = 0.0, 0.0
+        for k in range(x.shape[1]):
+            sums += x[i, k] * 0.0 + v[i, k] * 0.0
+            size += abs(x[i, k])
+            beyond = x[i, k] < lower[k] or x[i, k] > lower[k] + length[k]
+            if length[k] > 0.0 and beyond and astray < 0:
+                astray = i
+        if sums != 0.0 and numbers < 0:
+            numbers = i
+        if fixed[i] or astray >= 0:
+            continue
+        for w in range(len(point)):
+            distance, scale = 0.0, size
+            for k in range(x.shape[1]):
+                distance += (x[i, k] - point[w, k]) * normal[w, k]
+                scale += abs(point[w, k])
+            if distance < -ROUND_OFF * scale and astray < 0:
+                astray, at = i, w
+    return numbers, astray, at
