@@ -108,6 +108,24 @@ def deepest(axes, x, v, s, radius, a, b, time, length):
 
 
 @njit(cache=True)
+def deepest_at(axes, x, v, s, radius, first, second, supported, end, length):
+    """The largest overlap at time `end` of candidate pairs with a supported own row (the first rows), in smaller radii."""
+    most = 0.0
+    for p in range(len(first)):
+        i = first[p]
+        j = second[p]
+        if not (i < len(supported) and supported[i]) and not (j < len(supported) and supported[j]):
+            continue
+        r2 = 0.0
+        for k in range(len(axes)):
+            r = separation(x, v, s, i, j, k, end, length)
+            r2 += r * r
+        if r2 < (radius[i] + radius[j]) ** 2:
+            most = max(most, (radius[i] + radius[j] - r2**0.5) / min(radius[i], radius[j]))
+    return most
+
+
+@njit(cache=True)
 def prefer(row, t, wall, low, high, choice, best):
     """Make (t, wall or pair, low, high) the choice of `row` if it comes before what is chosen; `best` holds (t, low, high)."""
     if choice[row] != NOBODY:

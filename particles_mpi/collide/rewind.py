@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from particles_mpi.collide.passes import choose, deepest, find_contacts, find_wall_hits, finish_walls, take_place
+from particles_mpi.collide.passes import choose, deepest, deepest_at, find_contacts, find_wall_hits, finish_walls, take_place
 from particles_mpi.collide.planes import Planes, no_planes
 from particles_mpi.neighbours.pairs import Neighbourhood
 from particles_mpi.particles import Array
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 NONE = np.empty(0)
 LATE = 1e-6  # of a radius: an overlap that is no round-off
+DEEP = 0.5e-3  # of a radius: an overlap at the end of a drift, which nobody may keep
 CROWDED = 3  # passes, after which that is no matter of two who soon move apart
 
 
@@ -114,6 +115,8 @@ class Rewind:
             if self.exact and (late or (waiting and not left)):
                 raise TooDenseError
             if not waiting:
+                if self.passes - left >= 2 and self.exact and self.overlapping(all_, h):
+                    raise TooDenseError
                 break
             if not left:
                 a, b, _ = hits
@@ -132,6 +135,16 @@ class Rewind:
     def late(self, all_: Neighbourhood, hits: tuple[Array, Array, Array]) -> bool:
         """Do partners meet that already overlap? Passes go forward in time for each particle, but not for all together."""
         return float(deepest(all_.axes, all_.x, all_.v, all_.s, all_.radius, *hits, all_.length)) > LATE
+
+    def overlapping(self, all_: Neighbourhood, h: float) -> bool:
+        """Does a supported particle overlap with another in the end, because a pass was late? Collective.
+
+        In a pile that would add up; others soon move apart.
+        """
+        near = all_.near
+        pairs = near.first[: near.pairs], near.second[: near.pairs], all_.particles["supported"]
+        most = deepest_at(all_.axes, all_.x, all_.v, all_.s, all_.radius, *pairs, h, all_.length)
+        return float(all_.ranks.largest(most)[0]) > DEEP
 
     def find(self, all_: Neighbourhood, h: float, everything: bool) -> tuple[Array, Array, Array]:
         """The hits on the present legs: all of them, or those of rows that are live."""

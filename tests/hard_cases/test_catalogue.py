@@ -9,7 +9,7 @@ from particles_mpi.study.hard_cases import catalogue, examine, settings
 from particles_mpi.study.hard_cases.report import where
 
 CASES = list(settings([one for one in catalogue() if not one.long]))
-SPREAD = "on borders|crossing many|one rank's corner|three particles|cradle|overlap at|squeezed|bed of 250"
+SPREAD = "on borders|crossing many|one rank's corner|three particles|overlap at|squeezed"
 
 
 @pytest.mark.parametrize(("one", "mode", "dimension"), CASES, ids=[f"{c.name}, {where(m, d)}" for c, m, d in CASES])

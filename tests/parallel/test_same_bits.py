@@ -141,6 +141,13 @@ SCENES = {
             "walls": {"restitution": 0.3},
         },
     ),
+    "a heap that collapses in crowds": dict(
+        dimension=3,
+        box={"lower": [0, 0, 0], "upper": [0.6, 0.6, 1.6]},
+        time={"step": 0.005, "steps": 80},
+        particles=[{"count": 120, "position": "random", "radius": {"min": 0.045, "max": 0.05}}],
+        effects={"uniform_gravity": GRAVITY, "collisions": {"restitution": 0.5}, "walls": {"restitution": 0.5}},
+    ),
     "colliding discs by quadtree": dict(
         dimension=2,
         G=1.0,
@@ -156,6 +163,7 @@ SCENES = {
 }  # fmt: skip
 EVENTS = (
     "discs that come to rest",
+    "a heap that collapses in crowds",
     "colliding cluster",
     "dense periodic gas",
     "half periodic, drag, acceleration, fixed",

@@ -6,8 +6,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-from rich.table import Table
-
 from particles_mpi.errors import SceneError
 from particles_mpi.output.console import Screen
 from particles_mpi.parallel.ranks import Ranks
@@ -24,22 +22,35 @@ def chosen(only: str | None, full: bool) -> list[Case]:
 
 
 def study(only: str | None, full: bool, into: Path | None, comm: Any = None) -> bool:
-    """The table, and whether all that must hold does. `into`: the outcomes as JSON. Collective."""
+    """The table, row by row as cases end, and whether all that must hold does. `into`: the outcomes as JSON. Collective."""
     ranks = Ranks(comm)
-    screen, outcomes = Screen(ranks.is_root, False), []
+    screen, outcomes, before = Screen(ranks.is_root, False), [], None
     todo = list(settings(chosen(only, full)))
     advance = screen.count("cases", len(todo))
     for one, mode, dimension in todo:
+        if one is not before:
+            screen.say(f"[bold]{one.name}[/bold]\n  naive programs: {one.naive}\n  must hold: {one.must}")
+            before = one
         advance(f"{one.name} {where(mode, dimension)}")
         outcomes.append(examine(one, mode, dimension, comm))
+        screen.say(line(outcomes[-1], ranks.size))
     screen.stop()
-    screen.say(table(outcomes, ranks.size))
     failed = [outcome for outcome in outcomes if not outcome.passed]
     bits = f", each with the bits of one rank on {ranks.size}" if ranks.size > 1 else ""
     screen.say(f"{len(outcomes) - len(failed)} of {len(outcomes)} hold{bits}")
     if into and ranks.is_root:
         into.write_text(json.dumps([plain(outcome) for outcome in outcomes], indent=1) + "\n")
     return not failed
+
+
+def line(outcome: Outcome, ranks: int) -> str:
+    """A row of the table: where, pass or fail, what was measured."""
+    verdict = (
+        "pass"
+        if outcome.passed
+        else ("[red]FAIL[/red]" if not outcome.holds else f"[red]FAIL[/red], other bits on {ranks} ranks")
+    )
+    return f"  {where(outcome.mode, outcome.dimension):<10} {verdict}   {outcome.measured}"
 
 
 def where(mode: str | None, dimension: int) -> str:
@@ -52,16 +63,3 @@ def plain(outcome: Outcome) -> dict[str, Any]:
     one = outcome.case
     told = {"case": one.name, "naive": one.naive, "must": one.must, "mode": outcome.mode, "dimension": outcome.dimension}
     return told | {"measured": outcome.measured, "holds": outcome.holds, "same_bits": outcome.same_bits}
-
-
-def table(outcomes: list[Outcome], ranks: int) -> Table:
-    """A row for each mode and dimension; case, what naive programs do, and what must hold are told once."""
-    shown = Table("case", "naive programs", "must hold", "where", "measured", "", box=None, padding=(0, 2, 0, 0), pad_edge=False)
-    before = None
-    for outcome in outcomes:
-        one = outcome.case
-        told = (one.name, one.naive, one.must) if one is not before else ("", "", "")
-        verdict = "pass" if outcome.passed else ("FAIL" if not outcome.holds else f"FAIL: other bits on {ranks} ranks")
-        shown.add_row(*told, where(outcome.mode, outcome.dimension), outcome.measured, verdict)
-        before = one
-    return shown
