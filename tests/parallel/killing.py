@@ -25,7 +25,7 @@ lower = [0, 0]
 upper = [4, 4]
 [time]
 step = 0.01
-steps = 600
+steps = 400
 [[particles]]
 count = 40
 position = "random"
@@ -64,17 +64,33 @@ def ranks_of(launcher):
     return [int(pid) for pids in lists for pid in pids]
 
 
-def kill(launcher, one=None):
-    """-9, at once and all of them; or `one` rank, after which mpirun must end the others."""
-    if one is None:
-        launcher.send_signal(signal.SIGSTOP)  # so that it starts no more
-    ranks = ranks_of(launcher)
-    for pid in [*ranks, launcher.pid] if one is None else ranks[: one + 1][-1:]:
+def finish(launcher):
+    """What it says on stderr until it ends; a hang is a failure, and leaves nobody behind."""
+    try:
+        return launcher.communicate(timeout=100)[1]
+    except subprocess.TimeoutExpired:
+        kill(launcher)
+        raise
+
+
+def kill(launcher):
+    """-9, at once and all of them."""
+    launcher.send_signal(signal.SIGSTOP)  # so that it starts no more
+    for pid in [*ranks_of(launcher), launcher.pid]:
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)
-    over = launcher.poll() == 0  # before anybody was killed
-    launcher.communicate(timeout=60)
-    assert launcher.returncode != 0 or over
+    launcher.communicate()
+
+
+def kill_one(launcher, rank):
+    """-9 to one rank: mpirun must end the others, and say so."""
+    ranks = ranks_of(launcher)
+    if launcher.poll() is not None or not ranks:
+        return kill(launcher)
+    with contextlib.suppress(ProcessLookupError):  # it ended by itself just now
+        os.kill(ranks[rank % len(ranks)], signal.SIGKILL)
+        finish(launcher)
+        assert launcher.returncode != 0
 
 
 def contents(folder):
@@ -129,7 +145,7 @@ def kill_and_resume(folder, scene, whole, kills, chance):
         before = {name: inode(folder / name) for name in ("diagnostics.csv", "checkpoint.h5")}
         launcher = start(chance.choice([1, 2]), "run", scene, "--output", folder, *way, "--quiet")
         if number == kills:
-            _, told = launcher.communicate(timeout=100)
+            told = finish(launcher)
             assert launcher.returncode == 0, told
             return steps
         # in the set-up; while files are made or cut, and the first steps; amid frames and checkpoints
@@ -137,7 +153,10 @@ def kill_and_resume(folder, scene, whole, kills, chance):
         while name and launcher.poll() is None and inode(folder / name) == before[name]:
             time.sleep(0.001)
         time.sleep(chance.uniform(0.0, patience))
-        kill(launcher, chance.choice([None, None, 0, 1]))
+        if chance.random() < 0.5:
+            kill(launcher)
+        else:
+            kill_one(launcher, chance.randrange(2))
     return steps
 
 

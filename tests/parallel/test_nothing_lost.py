@@ -18,7 +18,7 @@ import killing
 from killing import contents, final_state, kill_and_resume, ranks_of, start
 
 pytestmark = pytest.mark.parallel
-SLOW = killing.SCENE.replace("steps = 600", "steps = 100000000")
+SLOW = killing.SCENE.replace("steps = 400", "steps = 100000000")
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def whole(tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
     (folder / "scene.toml").write_text(killing.SCENE)
     launcher = start(1, "run", folder / "scene.toml", "--output", folder / "run", "--quiet")
-    _, told = launcher.communicate(timeout=100)
+    told = killing.finish(launcher)
     assert launcher.returncode == 0, told
     return folder / "scene.toml", folder / "run"
 
@@ -57,7 +57,7 @@ def scenes():
     pushed = {**gas, "acceleration": [0.5, 0], "drag": 0.3}
     full = {"walls": {"restitution": 0.9}, "uniform_gravity": down, "drag": {}, "user_acceleration": {}, "mutual_gravity": pull}
     row = [[0.5 + 0.21 * k, 0.5] for k in range(8)]
-    base = {"dimension": 2, "seed": 3, "box": box, "time": {"step": 0.01, "steps": 40}, "output": output}
+    base = {"dimension": 2, "seed": 3, "box": box, "time": {"step": 0.01, "steps": 24}, "output": output}
     still = {"position": [[1.0, 0.1 + 0.2 * k] for k in range(8)], "radius": 0.1, "velocity": [0, -0.01]}
     cloud = {"count": 20, "position": {"plummer": 1.0}, "velocity": "equilibrium", "mass": 0.02}
     open_ = {k: v for k, v in base.items() if k != "box"} | {"dimension": 3, "particles": [cloud]}
@@ -83,7 +83,7 @@ def scenes():
             "effects": {"collisions": {"restitution": 0.5}, "walls": {"restitution": 0.5}, "uniform_gravity": down},
         },
         "periodic": {**base, "box": {**box, "periodic": True}, "particles": [gas], "effects": {"collisions": {"damping": 0.1}}},
-        "taylor": {**base, "time": {"step": 0.01, "steps": 40, "integrator": "taylor"}, "particles": [pushed], "effects": full},
+        "taylor": {**base, "time": {"step": 0.01, "steps": 24, "integrator": "taylor"}, "particles": [pushed], "effects": full},
         "tree": {**open_, "effects": {"mutual_gravity": {**pull, "method": "tree"}}},
         "order4": {**open_, "time": {"step": 0.01, "steps": 12, "integrator": "order4"}, "effects": {"mutual_gravity": pull}},
         "adaptive": {**open_, "time": {"step": 0.02, "steps": 12, "integrator": "adaptive"}, "effects": {"mutual_gravity": pull}},
@@ -120,7 +120,7 @@ def test_a_signal_at_any_time_leaves_a_checkpoint_or_nothing(tmp_path, number, t
         time.sleep(0.01)
     time.sleep(random.uniform(0.3, 1.0))  # until Python is awake
     launcher.send_signal(number) if to == "mpirun" else os.kill(ranks_of(launcher)[1], number)
-    _, told = launcher.communicate(timeout=60)
+    told = killing.finish(launcher)
     assert "Traceback" not in told
     assert launcher.returncode == (130 if to == "rank" else 1), told  # Open MPI's own code where it was told itself
     if after != "set-up":
@@ -153,7 +153,7 @@ def test_a_run_goes_on_in_its_own_folder_only(whole, tmp_path):
 def test_a_later_end_is_gone_on_to(whole, tmp_path):
     scene, _ = whole
     short, out = tmp_path / "scene.toml", tmp_path / "o"
-    short.write_text(killing.SCENE.replace("steps = 600", "steps = 30"))
+    short.write_text(killing.SCENE.replace("steps = 400", "steps = 30"))
     assert particles_mpi(2, "run", short, "--output", out, "--quiet").returncode == 0
     assert particles_mpi(1, "run", scene, "--output", out, "--resume", out / "checkpoint.h5", "--quiet").returncode == 0
     assert contents(out) == contents(whole[1]) and final_state(out) == final_state(whole[1])
@@ -202,7 +202,7 @@ def test_damaged_files_are_refused_before_anything_is_touched(whole, tmp_path):
     for name, damage, says in (
         ("checkpoint.h5", lambda old: old[: len(old) // 2], "cut short"),
         ("trajectory.vtkhdf", lambda old: old[: len(old) // 2], "cannot be continued"),
-        ("diagnostics.csv", lambda old: old[: len(old) // 2], "it should hold step 600"),
+        ("diagnostics.csv", lambda old: old[: len(old) // 2], "it should hold step 400"),
     ):
         old = (out / name).read_bytes()
         (out / name).write_bytes(damage(old))
