@@ -74,6 +74,9 @@ class Simulation:
         self.walls, self.collisions = effects.get("walls"), effects.get("collisions")
         drag, friction = effects.get("drag"), effects.get("friction")
         self.dissipation = [name for name in ("drag", "friction") if name in effects]
+        if self.walls:
+            steady = [force.g for force in self.forces.values() if getattr(force, "uniform", False)]
+            self.walls.planes = self.walls.planes.under(sum(steady, np.zeros(d)))
         held = self.walls.planes if self.walls else None
         planes = (held.point, held.normal) if held else (np.empty((0, d)), np.empty((0, d)))
         self.watchdog = Watchdog(ranks, self.total, planes, self.lower, self.length)
@@ -151,6 +154,7 @@ class Simulation:
 
     def advance(self, h: float, drift: Callable[[float], None], contacts: bool = True) -> None:
         """One step of the integrator over h."""
+        self.middle = 0.5 * h
         if self.rest:
             self.rest.awake = contacts
         self.integrator.advance(self.particles, h, self.sum_forces, drift, self.timers)
@@ -190,14 +194,15 @@ class Simulation:
         p = self.particles
         if contacts and self.collisions:
             migrated = self.near.migrated
-            found = self.contacts.drift(h, self.time, stop=True) if stop else self.contacts.drift(h, self.time)
+            stopping = {"stop": True} if stop else {}
+            found = self.contacts.drift(h, self.time, self.middle, **stopping)
             happened = [*found, self.near.migrated - migrated]
             self.count("collisions")
             if self.walls:
                 self.count("walls")
         elif contacts and self.walls:
             with self.timers("walls"):
-                happened = [0, self.walls.drift(p, h), 0, 0]
+                happened = [0, self.walls.drift(p, h, self.middle), 0, 0]
             self.count("walls")
         else:
             with self.timers("drift"):

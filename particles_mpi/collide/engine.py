@@ -36,7 +36,7 @@ class Engine:
         self.stop, self.stopped = np.zeros(3, np.int64), np.zeros(1)
         self.spared = np.empty((NAMED, 3))
         self.pending = 0
-        self.crowded = NEVER_CROWDED
+        self.crowded, self.middle = NEVER_CROWDED, 0.0
 
     def settle(self, p: Particles, owned: int, spare: int = 0) -> None:
         """Rows of p, the first `owned` of them own ones; `homes` were built for them, with `spare` rows."""
@@ -94,7 +94,8 @@ class Engine:
             short = run(
                 self.axes, self.leg, self.leg.view(np.int64), self.state, self.reals, self.h, now, until, moment, self.length,
                 homes.pool, homes.lists, homes.top, homes.home, homes.links, homes.level, homes.head, homes.grid,
-                walls, planes.restitution, planes.keep, self.restitution, self.keep, self.soft, queue, self.counts, self.spared,
+                walls, planes.restitution, planes.keep, planes.pull, self.middle, self.restitution, self.keep, self.soft, queue,
+                self.counts, self.spared,
                 self.ahead, self.lower, homes.around, self.todo, pending, self.stop, self.stopped, self.crowded, log,
             )  # fmt: skip
             if not short:

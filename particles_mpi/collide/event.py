@@ -91,12 +91,14 @@ class Event:
     def ghost_rows(self) -> int:
         return self.windows.ghost_rows if self.divided else 0
 
-    def drift(self, h: float, moment: float, stop: bool = False) -> Array:
+    def drift(self, h: float, moment: float, middle: float, stop: bool = False) -> Array:
         """x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
 
-        `moment`: the time at which the drift begins. With `stop` it ends with the first collision of two particles, after
-        `self.stopped[0]` (h if there is none), and `self.stop[1:]` are their ids, the lower one first, or -1.
+        `moment`: the time at which the drift begins; `middle`: when the middle of the step is, from there.
+        With `stop` it ends with the first collision of two particles, after `self.stopped[0]` (h if there is none), and
+        `self.stop[1:]` are their ids, the lower one first, or -1.
         """
+        self.middle = middle
         if self.hold is None or stop:
             return self.drift_once(h, moment, stop, NEVER_CROWDED)
         for left in range(ROUNDS, -1, -1):
@@ -128,7 +130,7 @@ class Event:
             if self.resting:
                 self.resting -= 1
             else:
-                self.windows.engine.crowded = crowded
+                self.windows.engine.crowded, self.windows.engine.middle = crowded, self.middle
                 happened = self.windows.drift(h, moment)
                 if happened is not None:
                     self.rest = 1
@@ -136,7 +138,7 @@ class Event:
                     return happened
                 self.resting = self.rest
                 self.rest = min(2 * self.rest, LONGEST_REST)
-        self.whole.engine.crowded = crowded
+        self.whole.engine.crowded, self.whole.engine.middle = crowded, self.middle
         happened = self.whole.drift(h, moment, stop)
         engine = self.whole.engine
         if self.divided:

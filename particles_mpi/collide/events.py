@@ -289,8 +289,8 @@ def fetch(axes, leg, state, slot, lists, pool, home, heads, clock):
 @lean
 def run(
     axes, leg, leg_words, state, reals, h, now, until, moment, length, pool, lists, top, home, links, level, head, grid,
-    walls, wall_restitution, wall_keep, restitution, keep, soft, queue, counts, spared, ahead, box_low, around, todo, pending,
-    stop, stopped, crowded, log,
+    walls, wall_restitution, wall_keep, pull, middle, restitution, keep, soft, queue, counts, spared, ahead, box_low, around,
+    todo, pending, stop, stopped, crowded, log,
 ):  # fmt: skip
     """All events from `now` to `until`, in order, of a drift over h that began at `moment`. `soft`: duration t_c of a contact.
 
@@ -360,11 +360,11 @@ def run(
             move_leg(axes, leg, i, t)
             mine = state[i, MINE] >= OWN
             if easy:
-                mirror(axes, v, i, wall, normal)
+                bounce(axes, v, i, wall, normal, 1.0, 1.0, pull[wall] * (t - middle))
                 if mine:
                     note(spared, counts, moment + t, state[i, ID], j)
             else:
-                bounce(axes, v, i, wall, normal, wall_restitution, wall_keep)
+                bounce(axes, v, i, wall, normal, wall_restitution[wall], wall_keep[wall], pull[wall] * (t - middle))
             counts[WALL_HITS] += mine
             if logging:
                 note_leg(axes, leg, leg_words, state, i, log)
@@ -392,16 +392,6 @@ def run(
             if stop[0]:
                 stop[1], stop[2], stopped[0] = state[i, ID], state[j, ID], t
                 return 0
-
-
-@lean
-def mirror(axes, v, i, wall, normal):
-    """A wall contact that takes no energy."""
-    speed = 0.0
-    for k in range(len(axes)):
-        speed += v[i, k] * normal[wall, k]
-    for k in range(len(axes)):
-        v[i, k] -= 2.0 * speed * normal[wall, k]
 
 
 @lean

@@ -165,7 +165,7 @@ def choose(ids, owned, a, b, time, choice, best):
 @njit(cache=True)
 def take_place(
     axes, x, v, s, met, w, ids, owned, a, b, time, choice, restitution, keep, length,
-    normal, wall_restitution, wall_keep, live, touched, log, log_x, log_v, logged, counts, virial,
+    normal, wall_restitution, wall_keep, pull, middle, live, touched, log, log_x, log_v, logged, counts, virial,
 ):  # fmt: skip
     """Let the hits that both partners chose take place; returns (rows in `touched`, owned rows in the log of starts).
 
@@ -183,7 +183,8 @@ def take_place(
                 continue
             logged = remember(x, v, met, i, owned, log, log_x, log_v, logged)
             move_to(axes, x, v, s, i, time[p])
-            bounce(axes, v, i, -1 - j, normal, wall_restitution, wall_keep)
+            wall = -1 - j
+            bounce(axes, v, i, wall, normal, wall_restitution[wall], wall_keep[wall], pull[wall] * (time[p] - middle))
             met[i] = j
             counts[1] += 1
             continue
@@ -227,13 +228,13 @@ def remember(x, v, met, i, owned, log, log_x, log_v, logged):
 
 
 @njit(cache=True)
-def finish_walls(axes, x, v, s, met, radius, a, b, h, point, normal, restitution, keep):
+def finish_walls(axes, x, v, s, met, radius, a, b, h, point, normal, restitution, keep, pull, middle):
     """Take the rows of the wall hits through all their wall contacts, blind to other particles; returns the number."""
     hits = 0
     for p in range(len(a)):
         if b[p] < 0:
             i = a[p]
-            hits += bounce_until(axes, x, v, s, met[i], i, radius[i], h, point, normal, restitution, keep)
+            hits += bounce_until(axes, x, v, s, met[i], i, radius[i], h, point, normal, restitution, keep, pull, middle)
     return hits
 
 

@@ -61,15 +61,16 @@ class Rewind:
         self.walls = planes is not None
         self.planes = planes or no_planes(len(near.axes))
 
-    def drift(self, h: float, moment: float) -> Array:
+    def drift(self, h: float, moment: float, middle: float) -> Array:
         """x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
 
-        `moment`: when the drift begins, for `exact`, which takes over where that is given and contacts are left at the end.
+        `moment`: when the drift begins, for `exact`, which takes over where that is given and contacts are left at the end;
+        `middle`: when the middle of the step is, from there.
 
         If a collision throws a particle further than the candidates reach, the drift is undone, candidates are sought with
         a longer reach, and it is done again: the result is that of a reach long enough from the start.
         """
-        all_ = self.near
+        all_, self.middle = self.near, middle
         all_.prepare(h)
         travel = 0.0
         while True:
@@ -81,7 +82,7 @@ class Rewind:
                 self.undo(all_)
                 all_.distrust()
                 self.dense_steps += 1
-                return self.exact.drift(h, moment)
+                return self.exact.drift(h, moment, middle)
             except TooFarError as far:
                 self.undo(all_)
                 travel = max(far.travel, 1.2 * travel)
@@ -126,8 +127,9 @@ class Rewind:
                     all_.note(a[b < 0])
                     point, normal, restitution, keep, *_ = self.planes.arrays()
                     counts[1] += finish_walls(
-                        all_.axes, all_.x, all_.v, all_.s, all_.met, all_.radius, a, b, h, point, normal, restitution, keep
-                    )
+                        all_.axes, all_.x, all_.v, all_.s, all_.met, all_.radius, a, b, h, point, normal, restitution, keep,
+                        self.planes.pull, self.middle,
+                    )  # fmt: skip
                 break
             needed = self.one_pass(all_, hits, h, counts, bool(shared))
         return counts
@@ -178,6 +180,7 @@ class Rewind:
             all_.touches, all_.logged = take_place(
                 all_.axes, all_.x, all_.v, all_.s, all_.met, all_.w, all_.ids, all_.owned, *hits, all_.choice,
                 self.restitution, self.keep, all_.length, self.planes.normal, self.planes.restitution, self.planes.keep,
+                self.planes.pull, self.middle,
                 all_.live, all_.touched, all_.log, all_.log_x, all_.log_v, all_.logged, counts, self.virial,
             )  # fmt: skip
         if shared:

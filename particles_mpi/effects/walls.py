@@ -76,7 +76,7 @@ def planes_of(options: Options, scene: Scene) -> Planes:
         else:
             upper[k] = min(upper[k], x[k])
     e, keep = (np.array(column, float) for column in zip(*losses, strict=True)) if losses else (np.empty(0), np.empty(0))
-    return Planes(point, normal, e, keep, lower, upper, bool(oblique.any()))
+    return Planes(point, normal, e, keep, lower, upper, bool(oblique.any()), np.zeros(len(point)))
 
 
 class Effect:
@@ -90,7 +90,9 @@ class Effect:
         self.planes = planes_of(options, scene)
         self.lossy = bool(self.planes.lossy.any())
 
-    def drift(self, particles: Particles, h: float) -> int:
-        """Drift over h with walls alone; returns the number of wall hits. Purely local: no particle needs another."""
+    def drift(self, particles: Particles, h: float, middle: float) -> int:
+        """Drift over h with walls alone, the middle of the step being there; returns the number of wall hits. Purely local."""
         axes = (0,) * particles.dimension
-        return drift_with_walls(axes, particles.position, particles.velocity, particles.radius, h, *self.planes.arrays())
+        p, walls = particles, self.planes
+        geometry = *walls.arrays(), walls.pull
+        return drift_with_walls(axes, p.position, p.velocity, p.radius, h, *geometry, middle)  # type: ignore[call-arg]
