@@ -74,9 +74,8 @@ class Simulation:
         self.walls, self.collisions = effects.get("walls"), effects.get("collisions")
         drag, friction = effects.get("drag"), effects.get("friction")
         self.dissipation = [name for name in ("drag", "friction") if name in effects]
-        if self.walls:
-            steady = [force.g for force in self.forces.values() if getattr(force, "uniform", False)]
-            self.walls.planes = self.walls.planes.under(sum(steady, np.zeros(d)))
+        steady = [force.g for force in self.forces.values() if getattr(force, "uniform", False)]
+        self.g: Array = sum(steady, np.zeros(d))
         held = self.walls.planes if self.walls else None
         planes = (held.point, held.normal) if held else (np.empty((0, d)), np.empty((0, d)))
         self.watchdog = Watchdog(ranks, self.total, planes, self.lower, self.length)
@@ -123,7 +122,7 @@ class Simulation:
         if "contacted" in self.particles.arrays:
             from particles_mpi.collide.event import Event
 
-            exact = Event(self.particles, self.ranks, box, loss, c.soft, planes, self.timers)
+            exact = Event(self.particles, self.ranks, box, loss, c.soft, planes, self.g, self.timers)
             if self.rest and self.rest.pairs:
                 exact.hold = lambda h: self.rest.hold(self.particles, self.sum_forces(), h)
         if c.options.mode == "event":
@@ -136,7 +135,7 @@ class Simulation:
         walls = planes or no_planes(self.scene.dimension)
         kicked = bool(self.forces or self.dissipation)
         self.near = Neighbourhood(self.particles, self.ranks, box, (walls.point, walls.normal), kicked, self.timers)
-        self.contacts = Rewind(self.near, loss, c.options.passes, planes, self.timers, exact)
+        self.contacts = Rewind(self.near, loss, c.options.passes, planes, self.g, self.timers, exact)
 
     @property
     def time(self) -> float:
@@ -202,7 +201,7 @@ class Simulation:
                 self.count("walls")
         elif contacts and self.walls:
             with self.timers("walls"):
-                happened = [0, self.walls.drift(p, h, self.middle), 0, 0]
+                happened = [0, self.walls.drift(p, h, self.g, self.middle), 0, 0]
             self.count("walls")
         else:
             with self.timers("drift"):

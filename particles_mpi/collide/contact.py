@@ -110,7 +110,23 @@ def move_to(axes, x, v, s, i, t):
 
 
 @njit(cache=True)
-def meet(axes, x, v, s, w, i, j, t, restitution, keep, length):
+def to_take(speed, lead, restitution):
+    """What a contact takes from a leg's normal speed (negative: approaching): (1+e) times the speed at the moment of contact.
+
+    On a leg the velocity is that of the middle of the step; at the contact a uniform acceleration g has added `lead` = g.n
+    (t - h/2) to it. If that is what is reflected, an elastic contact with something fixed changes no energy, whenever it is:
+    over the step the energy changes by (V'-V).((V'+V)/2 + g (t - h/2)) as the leg's velocity changes from V to V'. With the
+    leg's own it would, by up to m g h V. A leg so slow that it would have come outwards then, or leave inwards, is reflected
+    as it is.
+    """
+    real = speed + lead
+    if lead != 0.0 and (real >= 0.0 or -restitution * real - lead < 0.0):
+        real = speed
+    return (1.0 + restitution) * real
+
+
+@njit(cache=True)
+def meet(axes, x, v, s, w, i, j, t, restitution, keep, length, g, later):
     """Collide rows i and j at time t; w = 1/m, 0 where fixed. In place on x, v, s; returns the virial -r.dp.
 
     v_i -= (1+e) (w_i/(w_i+w_j)) (k.v_r) k and the opposite for j, k the unit normal at the instant of contact; then the
@@ -118,16 +134,22 @@ def meet(axes, x, v, s, w, i, j, t, restitution, keep, length):
     """
     move_to(axes, x, v, s, i, t)
     move_to(axes, x, v, s, j, t)
+    falls = (1.0 if w[i] > 0.0 else 0.0) - (
+        1.0 if w[j] > 0.0 else 0.0
+    )  # only beside a fixed partner does an acceleration of all matter
     r2 = 0.0
     approach = 0.0
+    lead = 0.0
     for k in range(len(axes)):
         r = separation(x, v, s, i, j, k, t, length)
         r2 += r * r
         approach += r * (v[i, k] - v[j, k])
+        lead += later * falls * g[k] * r
+    take = to_take(approach, lead, restitution)
     # coincident centres have no normal, and never get here: their approach r.v is not below zero
-    impulse = (1.0 + restitution) * approach / (r2 * (w[i] + w[j]))
+    impulse = take / (r2 * (w[i] + w[j]))
     for k in range(len(axes)):
         r = separation(x, v, s, i, j, k, t, length)
         v[i, k] = keep * (v[i, k] - impulse * w[i] * r)
         v[j, k] = keep * (v[j, k] + impulse * w[j] * r)
-    return -(1.0 + restitution) * approach / (w[i] + w[j])
+    return -take / (w[i] + w[j])

@@ -24,7 +24,7 @@ class Engine:
     `stopped` and `stop` what `run` stopped for, `spared` the (time, id, id or wall) of the first contacts that took no energy.
     """
 
-    def __init__(self, box: tuple[Array, Array, Array], loss: tuple[float, float], soft: float, planes: Planes):
+    def __init__(self, box: tuple[Array, Array, Array], loss: tuple[float, float], soft: float, planes: Planes, g: Array):
         self.lower, _, self.length = box
         self.restitution, self.keep = loss
         self.soft, self.planes = soft, planes
@@ -36,7 +36,7 @@ class Engine:
         self.stop, self.stopped = np.zeros(3, np.int64), np.zeros(1)
         self.spared = np.empty((NAMED, 3))
         self.pending = 0
-        self.crowded, self.middle = NEVER_CROWDED, 0.0
+        self.crowded, self.middle, self.g = NEVER_CROWDED, 0.0, g
 
     def settle(self, p: Particles, owned: int, spare: int = 0) -> None:
         """Rows of p, the first `owned` of them own ones; `homes` were built for them, with `spare` rows."""
@@ -94,7 +94,7 @@ class Engine:
             short = run(
                 self.axes, self.leg, self.leg.view(np.int64), self.state, self.reals, self.h, now, until, moment, self.length,
                 homes.pool, homes.lists, homes.top, homes.home, homes.links, homes.level, homes.head, homes.grid,
-                walls, planes.restitution, planes.keep, planes.pull, self.middle, self.restitution, self.keep, self.soft, queue,
+                walls, planes.restitution, planes.keep, self.g, self.middle, self.restitution, self.keep, self.soft, queue,
                 self.counts, self.spared,
                 self.ahead, self.lower, homes.around, self.todo, pending, self.stop, self.stopped, self.crowded, log,
             )  # fmt: skip

@@ -48,11 +48,12 @@ class Event:
         loss: tuple[float, float],
         soft: float,
         planes: Planes | None,
+        g: Array,
         timers: Timers,
     ):
         self.ranks, self.soft = ranks, soft
         self.particles, self.box, self.timers = particles, box, timers
-        self.rules = box, loss, soft, planes or no_planes(particles.dimension)
+        self.rules = box, loss, soft, planes or no_planes(particles.dimension), g
         self.divided = ranks.size > 1 and ranks.total(len(particles))[0] >= LEAST * ranks.size
         self.eased = 0
         self.first_eased: tuple[float, Array] = np.inf, np.empty((0, 3))  # moment of a step, (time, id, id or wall) there

@@ -12,7 +12,7 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-from particles_mpi.collide.contact import CROWD, NEVER, NOBODY, boxes_between, may_come_near
+from particles_mpi.collide.contact import CROWD, NEVER, NOBODY, boxes_between, may_come_near, to_take
 from particles_mpi.collide.log import (
     HISTORY,
     ID,
@@ -139,26 +139,32 @@ def move_leg(axes, leg, i, t):
 
 
 @lean
-def collide(axes, leg, home, i, j, t, restitution, keep, length):
+def collide(axes, leg, home, i, j, t, restitution, keep, length, g, later):
     """The contact of rows i and j at time t: `contact.meet` on legs. Returns its virial, -r.dp."""
     d = len(axes)
     own, other = home[i, d + 2], home[j, d + 2]  # inverse masses
     move_leg(axes, leg, i, t)
     move_leg(axes, leg, j, t)
+    falls = (1.0 if own > 0.0 else 0.0) - (
+        1.0 if other > 0.0 else 0.0
+    )  # only beside a fixed partner does an acceleration of all matter
     r2 = 0.0
     approach = 0.0
+    lead = 0.0
     for k in range(d):
         r = leg[i, k] - leg[j, k]
         r -= boxes_between(r, length[k])
         r2 += r * r
         approach += r * (leg[i, d + k] - leg[j, d + k])
-    virial = -(1.0 + restitution) * approach / (own + other)
+        lead += later * falls * g[k] * r
+    take = to_take(approach, lead, restitution)
+    virial = -take / (own + other)
     if d == 1:  # there is one normal, even for points, whose distance is none
-        push = (1.0 + restitution) * (leg[i, 1] - leg[j, 1]) / (own + other)
+        push = (leg[i, 1] - leg[j, 1]) * (1.0 + restitution if lead == 0.0 else take / approach) / (own + other)
         leg[i, 1] = keep * (leg[i, 1] - push * own)
         leg[j, 1] = keep * (leg[j, 1] + push * other)
         return virial
-    impulse = (1.0 + restitution) * approach / (r2 * (own + other))
+    impulse = take / (r2 * (own + other))
     for k in range(d):
         r = leg[i, k] - leg[j, k]
         r -= boxes_between(r, length[k])
@@ -289,7 +295,7 @@ def fetch(axes, leg, state, slot, lists, pool, home, heads, clock):
 @lean
 def run(
     axes, leg, leg_words, state, reals, h, now, until, moment, length, pool, lists, top, home, links, level, head, grid,
-    walls, wall_restitution, wall_keep, pull, middle, restitution, keep, soft, queue, counts, spared, ahead, box_low, around,
+    walls, wall_restitution, wall_keep, g, middle, restitution, keep, soft, queue, counts, spared, ahead, box_low, around,
     todo, pending, stop, stopped, crowded, log,
 ):  # fmt: skip
     """All events from `now` to `until`, in order, of a drift over h that began at `moment`. `soft`: duration t_c of a contact.
@@ -360,11 +366,11 @@ def run(
             move_leg(axes, leg, i, t)
             mine = state[i, MINE] >= OWN
             if easy:
-                bounce(axes, v, i, wall, normal, 1.0, 1.0, pull[wall] * (t - middle))
+                bounce(axes, v, i, wall, normal, 1.0, 1.0, g, t - middle)
                 if mine:
                     note(spared, counts, moment + t, state[i, ID], j)
             else:
-                bounce(axes, v, i, wall, normal, wall_restitution[wall], wall_keep[wall], pull[wall] * (t - middle))
+                bounce(axes, v, i, wall, normal, wall_restitution[wall], wall_keep[wall], g, t - middle)
             counts[WALL_HITS] += mine
             if logging:
                 note_leg(axes, leg, leg_words, state, i, log)
@@ -380,11 +386,11 @@ def run(
             turn(axes, leg, state, reals, j, t, state[i, ID], moment, QUICK * h, crowded, far)
             mine = state[i, MINE] >= OWN
             if easy:
-                reals[i, VIRIAL] += collide(axes, leg, home, i, j, t, 1.0, 1.0, length)
+                reals[i, VIRIAL] += collide(axes, leg, home, i, j, t, 1.0, 1.0, length, g, t - middle)
                 if mine:
                     note(spared, counts, moment + t, state[i, ID], state[j, ID])
             else:
-                reals[i, VIRIAL] += collide(axes, leg, home, i, j, t, restitution, keep, length)
+                reals[i, VIRIAL] += collide(axes, leg, home, i, j, t, restitution, keep, length, g, t - middle)
             counts[COLLISIONS] += mine
             if logging:
                 note_leg(axes, leg, leg_words, state, i, log)

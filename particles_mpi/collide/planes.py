@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
-from particles_mpi.collide.contact import NOBODY, move_to
+from particles_mpi.collide.contact import NOBODY, move_to, to_take
 from particles_mpi.particles import Array
 
 MOST_BOUNCES = 1000  # of one particle in one step; past it (a wedge without end) it waits where it is for the next step
@@ -28,11 +28,6 @@ class Planes:
     lower: Array
     upper: Array
     oblique: bool
-    pull: Array  # (w,), see `under`
-
-    def under(self, g: Array) -> Planes:
-        """The same walls where a uniform acceleration g acts: `pull` is its component along each normal."""
-        return replace(self, pull=self.normal @ g)
 
     @property
     def lossy(self) -> Array:
@@ -85,46 +80,39 @@ def wall_contact(axes, x, v, start, i, radius, met, h, point, normal):
 
 
 @njit(cache=True)
-def bounce(axes, v, i, w, normal, restitution, keep, lead):
-    """The velocity at the moment of contact is reflected: v -= (1+e)(v.n) n, then times keep.
-
-    On a leg v is that of the middle of the step; at the contact it has `lead` = g.n (t - h/2) more along the normal, under a
-    uniform acceleration g. With that an elastic bounce changes no energy, at any moment of the step: along n the leg arrives
-    with -u and leaves with u - 2 lead, which changes v^2/2 at the end of the step by as much as -g.x. Without, each bounce
-    would be off by up to g u h. A leg so slow that it would arrive outwards, or leave inwards, is reflected as it is.
-    """
-    speed = 0.0
+def bounce(axes, v, i, w, normal, restitution, keep, g, later):
+    """The velocity at the moment of contact is reflected: v -= (1+e)(v.n) n, then times keep. See `contact.to_take`."""
+    speed, lead = 0.0, 0.0
     for k in range(len(axes)):
         speed += v[i, k] * normal[w, k]
-    after = -keep * restitution * (speed + lead) - lead
-    if speed + lead >= 0.0 or after < 0.0:
-        after = -keep * restitution * speed
+        lead += later * g[k] * normal[w, k]
+    after = speed - to_take(speed, lead, restitution)
     for k in range(len(axes)):
-        v[i, k] = keep * (v[i, k] - speed * normal[w, k]) + after * normal[w, k]
+        v[i, k] = keep * ((v[i, k] - speed * normal[w, k]) + after * normal[w, k])
 
 
 @njit(cache=True)
-def bounce_until(axes, x, v, s, met, i, radius, h, point, normal, restitution, keep, pull, middle):
+def bounce_until(axes, x, v, s, met, i, radius, h, point, normal, restitution, keep, g, middle):
     """Take row i through all its wall contacts up to time h, at most MOST_BOUNCES; returns their number."""
     for hits in range(MOST_BOUNCES):
         t, w = wall_contact(axes, x, v, s[i], i, radius, met, h, point, normal)
         if w < 0:
             return hits
         move_to(axes, x, v, s, i, t)
-        bounce(axes, v, i, w, normal, restitution[w], keep[w], pull[w] * (t - middle))
+        bounce(axes, v, i, w, normal, restitution[w], keep[w], g, t - middle)
         met = -1 - w
     s[i] = h  # stays inside, at the last contact
     return MOST_BOUNCES
 
 
 @njit(cache=True)
-def drift_with_walls(axes, x, v, radius, h, point, normal, restitution, keep, lower, upper, oblique, pull, middle):
+def drift_with_walls(axes, x, v, radius, h, point, normal, restitution, keep, lower, upper, oblique, g, middle):
     """x += v h, reflected by walls on the way. In place on x, v (n, d); returns the number of hits."""
     hits = 0
     s = np.zeros(len(x))  # when the last leg began
     for i in range(len(x)):
         if may_hit(axes, x, v, 0.0, i, radius[i], h, lower, upper, oblique):
-            hits += bounce_until(axes, x, v, s, NOBODY, i, radius[i], h, point, normal, restitution, keep, pull, middle)
+            hits += bounce_until(axes, x, v, s, NOBODY, i, radius[i], h, point, normal, restitution, keep, g, middle)
         for k in range(len(axes)):
             x[i, k] += v[i, k] * (h - s[i])
     return hits
@@ -133,4 +121,4 @@ def drift_with_walls(axes, x, v, radius, h, point, normal, restitution, keep, lo
 def no_planes(dimension: int) -> Planes:
     """No walls at all, for kernels that always take some."""
     none, open_ = np.empty(0), np.full(dimension, np.inf)
-    return Planes(np.empty((0, dimension)), np.empty((0, dimension)), none, none, -open_, open_, False, none)
+    return Planes(np.empty((0, dimension)), np.empty((0, dimension)), none, none, -open_, open_, False)

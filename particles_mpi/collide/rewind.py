@@ -52,11 +52,13 @@ class Rewind:
         loss: tuple[float, float],
         passes: int,
         planes: Planes | None,
+        g: Array,
         timers: Timers,
         exact: Event | None,
     ):
         self.near, self.passes, self.timers, self.exact = near, passes, timers, exact
         self.restitution, self.keep = loss
+        self.g = g  # the uniform part of all accelerations
         self.dense_steps = 0
         self.walls = planes is not None
         self.planes = planes or no_planes(len(near.axes))
@@ -128,7 +130,7 @@ class Rewind:
                     point, normal, restitution, keep, *_ = self.planes.arrays()
                     counts[1] += finish_walls(
                         all_.axes, all_.x, all_.v, all_.s, all_.met, all_.radius, a, b, h, point, normal, restitution, keep,
-                        self.planes.pull, self.middle,
+                        self.g, self.middle,
                     )  # fmt: skip
                 break
             needed = self.one_pass(all_, hits, h, counts, bool(shared))
@@ -180,7 +182,7 @@ class Rewind:
             all_.touches, all_.logged = take_place(
                 all_.axes, all_.x, all_.v, all_.s, all_.met, all_.w, all_.ids, all_.owned, *hits, all_.choice,
                 self.restitution, self.keep, all_.length, self.planes.normal, self.planes.restitution, self.planes.keep,
-                self.planes.pull, self.middle,
+                self.g, self.middle,
                 all_.live, all_.touched, all_.log, all_.log_x, all_.log_v, all_.logged, counts, self.virial,
             )  # fmt: skip
         if shared:

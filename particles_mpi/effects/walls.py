@@ -8,7 +8,7 @@ import numpy as np
 
 from particles_mpi.collide.contact import loss
 from particles_mpi.collide.planes import Planes, drift_with_walls
-from particles_mpi.particles import Particles
+from particles_mpi.particles import Array, Particles
 from particles_mpi.scene import Fraction, Model, Scene
 
 
@@ -76,7 +76,7 @@ def planes_of(options: Options, scene: Scene) -> Planes:
         else:
             upper[k] = min(upper[k], x[k])
     e, keep = (np.array(column, float) for column in zip(*losses, strict=True)) if losses else (np.empty(0), np.empty(0))
-    return Planes(point, normal, e, keep, lower, upper, bool(oblique.any()), np.zeros(len(point)))
+    return Planes(point, normal, e, keep, lower, upper, bool(oblique.any()))
 
 
 class Effect:
@@ -90,9 +90,8 @@ class Effect:
         self.planes = planes_of(options, scene)
         self.lossy = bool(self.planes.lossy.any())
 
-    def drift(self, particles: Particles, h: float, middle: float) -> int:
-        """Drift over h with walls alone, the middle of the step being there; returns the number of wall hits. Purely local."""
+    def drift(self, particles: Particles, h: float, g: Array, middle: float) -> int:
+        """Drift over h with walls alone, under g, in a step with that `middle`; returns the number of wall hits. Purely local."""
         axes = (0,) * particles.dimension
-        p, walls = particles, self.planes
-        geometry = *walls.arrays(), walls.pull
-        return drift_with_walls(axes, p.position, p.velocity, p.radius, h, *geometry, middle)  # type: ignore[call-arg]
+        p = particles
+        return drift_with_walls(axes, p.position, p.velocity, p.radius, h, *self.planes.arrays(), g, middle)  # type: ignore[call-arg]

@@ -176,3 +176,27 @@ def test_rate_of_a_dense_gas_is_that_of_the_hard_sphere_fluid():
 def carnahan_starling(packing: float) -> float:
     """Z by Carnahan and Starling, J. Chem. Phys. 51, 635 (1969); within 0.1 % of reference/ at this density."""
     return (1 + packing + packing**2 - packing**3) / (1 - packing) ** 3
+
+
+@pytest.mark.parametrize("mode", ["rewind", "event"])
+@pytest.mark.parametrize("step", [0.01, 0.003])
+def test_a_ball_among_pegs_keeps_its_energy_at_any_step(mode, step):
+    """Elastic contacts with fixed spheres and walls under gravity, wherever in a step they are."""
+    sim = Simulation(
+        Scene(
+            dimension=2,
+            box={"lower": [-2, -2], "upper": [2, 8]},
+            time={"step": step, "end": 10.0},
+            particles=[
+                {"position": [[0.0, 0.0], [1.2, 0.3], [-1.2, 0.3]], "radius": 0.5, "fixed": True},
+                {"position": [[0.05, 1.5]], "radius": 0.3},
+            ],
+            effects={"uniform_gravity": {"acceleration": [0, -9.81]}, "walls": {}, "collisions": {"mode": mode}},
+        )
+    )
+    start, worst = sim.measure()["total_energy"], 0.0
+    while sim.steps_done < sim.scene.steps:
+        sim.step()
+        worst = max(worst, abs(sim.measure()["total_energy"] / start - 1.0))
+    assert sim.totals["collisions"] > 15
+    assert worst <= 1e-13
