@@ -14,23 +14,53 @@ RESTARTS = 6
 
 
 @njit(cache=True)
-def project(axes, v, a, b, normal, may_close, share, inertia, tolerance, guess):
+def project(axes, v, a, b, normal, may_close, share, inertia, tolerance, guess, better):
     """Velocities nearest to v, in kinetic energy, at which no contact closes faster than it may; in place. What each took.
 
     A quadratic programme, solved as by J. More and G. Toraldo (SIAM J. Optim. 1, 93 (1991)): Gauss-Seidel sweeps find which
     contacts are pressed, conjugate gradients their share, until one of them would pull. `guess`: what each may take, to
-    begin with. Few contacts are done with after a sweep or two; for many the matrix is worth its while.
+    begin with; `better`: how much better than after a sweep is enough. Few contacts are done with after a sweep or two; for
+    many the matrix is worth its while.
     """
     closing = begin(axes, v, a, b, normal, may_close, share, inertia, guess)
     first = sweep(axes, v, a, b, normal, may_close, share, closing)
     if first > tolerance:
-        tolerance = max(tolerance, BETTER * first)
+        tolerance = max(tolerance, better * first)
         if sweep(axes, v, a, b, normal, may_close, share, closing) > tolerance:
             before = closing.copy()
             solve(axes, v, a, b, normal, may_close, share, inertia, tolerance, closing)
             for c in range(len(a)):
                 give(axes, v, a[c], b[c], normal, share, c, closing[c] - before[c])
             sweep(axes, v, a, b, normal, may_close, share, closing)  # away with the round-off
+    return closing
+
+
+@njit(cache=True)
+def project_each(axes, v, a, b, normal, may_close, share, inertia, tolerance):
+    """The same for rows that touch walls alone, one by one, so that a row's bits do not depend on who else is here.
+
+    Contacts of a row stand together; `tolerance` is that of each contact.
+    """
+    closing, first = np.empty(len(a)), 0
+    while first < len(a):
+        last = first + 1
+        while last < len(a) and a[last] == a[first]:
+            last += 1
+        of = slice(first, last)
+        closing[of] = project(
+            axes,
+            v,
+            a[of],
+            b[of],
+            normal[of],
+            may_close[of],
+            share[of],
+            inertia[of],
+            tolerance[of].max(),
+            np.zeros(last - first),
+            0.0,
+        )
+        first = last
     return closing
 
 

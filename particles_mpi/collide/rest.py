@@ -20,7 +20,7 @@ import numpy as np
 from particles_mpi.collide.contact import PRESSED
 from particles_mpi.collide.kept import HELD, SLOW, close_by_test, contacts, near_walls, spread, within
 from particles_mpi.collide.planes import Planes
-from particles_mpi.collide.projection import project
+from particles_mpi.collide.projection import BETTER, project, project_each
 from particles_mpi.neighbours.candidates import touching
 from particles_mpi.parallel.exchange import rows_of_everyone
 from particles_mpi.parallel.ranks import Ranks
@@ -121,21 +121,39 @@ class Rest:
             self.axes, rows["position"], v, rows["push"], rows["radius"], rows["w"], held, *near, h,
             self.length, *self.walls[3:],
         )  # fmt: skip
+        if not self.pairs:  # each rank by itself, and nothing to remember
+            closing = project_each(self.axes, v, a, b, normal, may_close, share, inertia, PRECISE * speed)
+            self.give_back(p, rows, v, a, b, closing > 0.0)
+            return NOTHING
         walls = len(self.walls[3])
         others = np.where(b >= 0, rows["id"][np.maximum(b, 0)] + walls, -1 - b)
         names = rows["id"][a] * (self.total + walls) + others
         closing = project(
-            self.axes, v, a, b, normal, may_close, share, inertia, PRECISE * float(speed.max(initial=0.0)), recall(names, memory)
+            self.axes,
+            v,
+            a,
+            b,
+            normal,
+            may_close,
+            share,
+            inertia,
+            PRECISE * float(speed.max(initial=0.0)),
+            recall(names, memory),
+            BETTER,
         )
         pressed = closing > 0.0
-        held[:] = 0
+        self.give_back(p, rows, v, a, b, pressed)
+        order = np.argsort(names[pressed])
+        return names[pressed][order], closing[pressed][order]
+
+    def give_back(self, p: Particles, rows: dict[str, Array], v: Array, a: Array, b: Array, pressed: Array) -> None:
+        """To our particles: velocities v of `rows`, and who is supported, having one of the pressed contacts."""
+        held = np.zeros(len(v), np.uint8)
         held[a[pressed]] = PRESSED
         held[b[pressed & (b >= 0)]] = PRESSED
         mine = rows["rank"] == self.ranks.rank
         p.velocity[rows["row"][mine]] = v[mine]
         p["supported"][rows["row"][mine]] = held[mine]
-        order = np.argsort(names[pressed])
-        return names[pressed][order], closing[pressed][order]
 
 
 def recall(names: Array, memory: tuple[Array, Array]) -> Array:

@@ -149,7 +149,7 @@ def test_projection(drawn):
     closing = np.zeros(len(a))
     for _ in range(12):  # a call makes a hundredth of what is left, and the next one begins there
         v[:] = before
-        closing = project((0, 0, 0), v, a, b, normal, may_close, share, 1.0 / (w[a] + of_b), 1e-10, closing)
+        closing = project((0, 0, 0), v, a, b, normal, may_close, share, 1.0 / (w[a] + of_b), 1e-10, closing, 1e-2)
     speeds = np.array([relative((0, 0, 0), v, a[c], b[c], normal, c) for c in range(len(a))])
     assert (closing >= 0.0).all()
     few = len(a) <= 3 * n  # as many as rigid spheres have; with more their shares are not unique, and convergence is slow

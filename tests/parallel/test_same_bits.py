@@ -141,6 +141,18 @@ SCENES = {
             "walls": {"restitution": 0.3},
         },
     ),
+    "balls that come to rest in a wedge": dict(
+        dimension=2,
+        time={"step": 0.01, "steps": 150},
+        particles=[{"position": [[0.3 * (k % 5) - 0.6, 1.5 + 0.1 * k] for k in range(20)], "radius": {"min": 0.05, "max": 0.3}}],
+        effects={
+            "uniform_gravity": {"acceleration": [0.0, -9.81]},
+            "walls": {
+                "restitution": 0.3,
+                "planes": [{"point": [0, 0], "normal": [1, 0.8]}, {"point": [0, 0], "normal": [-1, 0.7]}],
+            },
+        },
+    ),
     "a heap that collapses in crowds": dict(
         dimension=3,
         box={"lower": [0, 0, 0], "upper": [0.6, 0.6, 1.6]},
