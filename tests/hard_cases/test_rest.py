@@ -125,6 +125,28 @@ def test_a_pile_of_its_own_gravity(mode):
     assert np.abs([energies[-1][f"momentum_{k}"] for k in "xyz"]).max() < 1e-9
 
 
+def test_a_heap_that_is_rained_upon_does_not_rattle():
+    """Counted work: without crowds 150 spheres make hundreds of contacts each in a step, as the first ones hit the heap."""
+    sim = Simulation(
+        Scene(
+            dimension=3,
+            seed=1,
+            box={"lower": [0.0] * 3, "upper": [0.5, 0.5, 2.5]},
+            time={"step": 0.005, "steps": 160},
+            particles=[{"count": 150, "position": "random", "radius": {"min": 0.045, "max": 0.05}}],
+            effects={
+                "uniform_gravity": {"acceleration": [0.0, 0.0, -9.81]},
+                "walls": {"restitution": 0.5},
+                "collisions": {"mode": "event", "restitution": 0.5},
+            },
+        )
+    )
+    sim.run()
+    assert sim.measure()["kinetic"] < 0.05 * 150 * 9.81 * 0.5
+    assert sim.totals["collisions"] + sim.totals["wall_hits"] < 100 * 150
+    assert "collapsing crowds" in sim.remarks()[0]
+
+
 problems = st.tuples(st.integers(0, 2**32), st.integers(1, 30), st.integers(1, 60))
 
 
