@@ -226,6 +226,9 @@ class Populator:
             value = LARGEST * 2.0
             self.arrays[name][rows] = value
         self.refuse(f"particles[{number}].{name}", rows, np.abs(self.arrays[name][rows]) > LARGEST, f"beyond {LARGEST:g} for")
+        if name == "mass":  # 1/m must be a number too
+            light = (self.arrays[name][rows] > 0.0) & (self.arrays[name][rows] < 1.0 / LARGEST)
+            self.refuse(f"particles[{number}].mass", rows, light, f"below {1.0 / LARGEST:g} for")
 
     def refuse(self, key: str, rows: slice, bad: Array, why: str) -> None:
         """A fault that names the particles of `rows` that are `bad` (n,) or (n, d)."""

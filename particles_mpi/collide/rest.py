@@ -83,7 +83,7 @@ class Rest:
         """What all must know of our rows `which`; `wide` is the radius and the widest slow gap."""
         rows = rows_of({name: p[name] for name in ("id", "position", "velocity", "radius", "supported")}, which)
         push = SLOW * h * a[which]
-        w = np.divide(1.0, p.mass[which], out=np.zeros(len(which)), where=p.fixed[which] == 0)
+        w = p.inverse_mass[which]
         wide = rows["radius"] + HELD * h * np.sqrt(row_dot(push, push))
         return rows | {"push": push, "wide": wide, "w": w, "row": which, "rank": np.full(len(which), self.ranks.rank)}
 
