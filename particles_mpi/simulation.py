@@ -236,6 +236,19 @@ class Simulation:
         """Calls of each effect, for `run.json`."""
         self.calls[effect] = self.calls.get(effect, 0) + calls
 
+    def work(self) -> dict[str, int]:
+        """What has been computed so far, over all ranks, in units that no machine changes. Collective.
+
+        forces: evaluations of all accelerations; interactions: of pairs, or of what a tree puts in their place; pair_tests:
+        contact times of two spheres in mode rewind; events: contacts with spheres and walls.
+        """
+        mine = [getattr(getattr(force, "sum", None), "interactions", 0) for force in self.forces.values()]
+        tests = getattr(self.near, "pair_tests", 0)
+        events = self.totals["collisions"] + self.totals["wall_hits"]
+        interactions, tests, events = self.ranks.total(np.array([sum(mine), tests, events], np.int64)).tolist()
+        forces = max((self.calls.get(name, 0) for name in self.forces), default=0)
+        return {"forces": forces, "interactions": interactions, "pair_tests": tests, "events": events}
+
     def measure(self) -> dict[str, float]:
         """Energies, momentum, largest speed of all particles: the same bits on any number of ranks. Collective.
 

@@ -84,6 +84,7 @@ class DirectSum:
 
     def __init__(self, ranks: Ranks, total: int, softening2: float):
         self.ranks, self.total, self.softening2 = ranks, total, softening2
+        self.interactions = 0  # so far
 
     def pull(self, particles: Particles) -> Array:
         """Accelerations (n, d). Collective."""
@@ -91,6 +92,7 @@ class DirectSum:
         pull, axes = np.zeros_like(particles.position), (0,) * particles.dimension
         for block in blocks(self.ranks, columns, self.total):
             attract(axes, particles.position, block["position"], block["mass"], self.softening2, pull)
+        self.interactions += len(particles) * self.total
         return pull
 
     def potential(self, p: Particles) -> Array:

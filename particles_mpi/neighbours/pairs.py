@@ -62,7 +62,7 @@ class Neighbourhood:
         self.store = Store(particles)
         self.mine: Array | None = None
         self.box: Any = None  # bounds of the owned rows at the last search
-        self.searches = self.migrated = self.ghost_rows = self.expected = 0
+        self.searches = self.migrated = self.ghost_rows = self.expected = self.pair_tests = 0
         self.rhythm = Rhythm()
 
     def prepare(self, h: float) -> None:
@@ -238,6 +238,7 @@ class Neighbourhood:
             self.left_at = fingerprint(self.axes, self.mine, self.v)
         self.near.time += h
         self.rhythm.step(self.near.pairs)
+        self.pair_tests += self.near.pairs
 
     def distrust(self) -> None:
         """Ghosts are not what their owners have: search before the next drift."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from time import sleep
 from types import TracebackType
 from typing import Any
 
@@ -11,6 +13,8 @@ from mpi4py import MPI
 
 from particles_mpi.errors import StoppedError
 from particles_mpi.particles import Array
+
+NAP = 0.005  # seconds between two looks of a rank that waits asleep
 
 
 class Ranks:
@@ -53,6 +57,35 @@ class Ranks:
     def smallest(self, values: Any) -> Array:
         """Element-wise minimum over ranks."""
         return self._reduce(values, MPI.MIN)
+
+    def wait_for_all(self) -> None:
+        """Until every rank has come here."""
+        if self.size > 1:
+            self.comm.Barrier()
+
+    def wait_asleep(self) -> None:
+        """The same, without keeping a core busy meanwhile."""
+        if self.size > 1:
+            arrived = self.comm.Ibarrier()
+            while not arrived.Test():
+                sleep(NAP)
+
+    def of_root_alone(self, work: Callable[[], Any]) -> Any:
+        """What `work()` gives on rank 0, where it is called while the others sleep, and None on those. Collective.
+
+        An error there is raised on all.
+        """
+        value, error = None, None
+        if self.is_root:
+            try:
+                value = work()
+            except Exception as raised:
+                error = raised
+        self.wait_asleep()
+        error = self.from_root(error)
+        if error is not None:
+            raise error
+        return value
 
     def rows_of_all(self, row: Array) -> Array:
         """A row of numbers (any shape) from each rank, as a table (ranks, *shape) on all of them."""
