@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import traceback
-from enum import StrEnum
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated, Any
@@ -12,6 +11,7 @@ from typing import Annotated, Any
 import typer
 from mpi4py import MPI
 from rich.console import Console
+from typer.core import TyperGroup
 
 from particles_mpi.errors import Interrupted, SceneError, StoppedError
 
@@ -104,22 +104,58 @@ def check(scene: SceneFile) -> None:
         print("valid")
 
 
-class Study(StrEnum):
-    """What `study` can show."""
+class Studies(TyperGroup):
+    """`study SCENE.toml` is `study accuracy SCENE.toml`."""
 
-    hard_cases = "hard-cases"
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, ["accuracy", *args] if args and args[0].endswith(".toml") else args)
 
 
-@app.command()
-def study(
-    what: Annotated[Study, typer.Argument(help="hard-cases: what goes wrong in naive programs, and what must hold here.")],
+study = typer.Typer(
+    cls=Studies,
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+    help="""Measure the program itself, here and now: what accuracy costs, what a scene needs, how it scales, what stays right.
+
+    [bold]study SCENE.toml[/bold] is short for [bold]study accuracy SCENE.toml[/bold].""",
+)
+app.add_typer(study, name="study")
+
+Folder = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for report, pictures and CSV files.")]
+Quick = Annotated[bool, typer.Option("--quick", help="A look within a minute: fewer settings, short samples.")]
+
+
+@study.command("accuracy")
+def accuracy(
+    scene: Annotated[Path | None, typer.Argument(metavar="[SCENE.toml]", help="A scene of yours; else the built-in set.")] = None,
+    only: Annotated[str, typer.Option(metavar="LETTERS", help="Only these experiments of the built-in set, as in AC.")] = "",
+    quick: Quick = False,
+    output: Folder = None,
+) -> None:
+    """What accuracy costs: error against seconds and work, for a scene or the built-in problems.
+
+    A orbits, B close encounters, C hard-sphere fluid, D tree, F softening, G drag and friction, H effects on and off.
+
+    Example:   ./run.sh study accuracy --quick
+    """
+    from particles_mpi.scene import Scene
+    from particles_mpi.study.run import accuracy as measure
+
+    described = Scene.load(scene) if scene else None
+    if described and only:
+        raise SceneError("--only: chooses among the built-in experiments, not with a scene")
+    measure(described, only, quick, output or Path("out/study") / (scene.stem if scene else "accuracy"))
+
+
+@study.command("hard-cases")
+def hard_cases(
     only: Annotated[str | None, typer.Option(metavar="TEXT", help="Only cases with this in their name, long ones too.")] = None,
     full: Annotated[bool, typer.Option("--full", help="Also the cases that take many minutes: beds of 10 000.")] = False,
     output: Annotated[Path | None, typer.Option(metavar="FILE.json", help="The outcomes as JSON.")] = None,
 ) -> None:
-    """Measure the program itself, here and now; exit code 3 if something that must hold does not.
+    """What goes wrong in naive programs, and what must hold here; exit code 3 if something does not.
 
-    Example:   mpirun -n 2 particles-mpi study hard-cases --only column
+    Example:   ./run.sh study hard-cases --only column
     """
     from particles_mpi.study.hard_cases.report import study as run_catalogue
 

@@ -124,8 +124,9 @@ class Rewind:
             if not left:
                 a, b, _ = hits
                 counts[2] = np.count_nonzero((b >= 0) & (a < all_.owned))
-                all_.distrust()  # walls that are blind to others turn rows which are ghosts elsewhere
                 if self.walls:
+                    if all_.halo:
+                        all_.distrust()  # walls that are blind to others turn rows which are ghosts elsewhere
                     all_.note(a[b < 0])
                     point, normal, restitution, keep, *_ = self.planes.arrays()
                     counts[1] += finish_walls(

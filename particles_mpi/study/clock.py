@@ -21,7 +21,7 @@ SAMPLES, SAMPLE = 7, 0.2  # samples of a setting; least seconds of one
 
 @dataclass(frozen=True)
 class Seconds:
-    """Of one step: median and quartiles over the samples."""
+    """Of one step (or evaluation of the forces): median and quartiles over the samples."""
 
     median: float
     low: float
@@ -36,30 +36,32 @@ class Seconds:
 class Watch:
     """Times the steps of one setting.
 
-    `begin` gives a simulation at the start (collective), which is timed over `steps` steps and then begun anew. `whole`: its
-    steps differ so much that only whole runs are samples.
+    `begin` gives a simulation at the start (collective), which is timed over `steps` steps and then begun anew. `by_forces`:
+    steps differ, so seconds are those of one evaluation of the forces.
     """
 
     ranks: Ranks
     begin: Callable[[], Simulation]
     steps: int
-    whole: bool = False
+    by_forces: bool = False
     sim: Simulation | None = None
     left: int = 0
     samples: list[float] = field(default_factory=list)
 
     def sample(self, least: float) -> float:
         """Seconds of a step over at least `least` seconds; the slowest rank's. Collective."""
-        clocked, done, stride = 0.0, 0, 1
-        while clocked < least or (self.whole and self.left):
+        clocked, steps, units, stride = 0.0, 0, 0, 1
+        while clocked < least:
             if self.sim is None or not self.left:
                 self.sim, self.left = self.begin(), self.steps
-            stride = self.left if self.whole else min(stride, self.left)
+            stride = min(stride, self.left)
+            before = self.sim.work()["forces"] if self.by_forces else 0
             clocked += self.clock(self.sim, stride)
-            done += stride
+            units += self.sim.work()["forces"] - before if self.by_forces else stride
+            steps += stride
             self.left -= stride
-            stride = max(1, int(min((least - clocked) * done / clocked, 4.0 * done)) + 1) if clocked > 0.0 else 4 * done
-        return clocked / done
+            stride = max(1, int(min((least - clocked) * steps / max(clocked, 1e-9), 4.0 * steps)) + 1)
+        return clocked / units
 
     def clock(self, sim: Simulation, steps: int) -> float:
         """Seconds that the slowest rank takes for the steps."""

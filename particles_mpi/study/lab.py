@@ -13,6 +13,7 @@ from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.study.clock import SAMPLE, SAMPLES, Seconds, Watch, time_in_turns
 
 Errors = dict[str, float]
+ROUND_OFF = 1e-13  # errors below it say nothing of an order
 
 
 @dataclass
@@ -21,7 +22,8 @@ class Setting:
 
     `curve`: the settings that lie on one line of the plot; `knob`: the value that changes along it, and `finer` whether it
     grows as errors shrink. `begin` gives a simulation at the start, `errors` runs one to the end and tells how wrong it is
-    (both collective; the same bits every time). `steps`: of the whole run, by which seconds are told.
+    (both collective; the same bits every time). `steps`: of the whole run; `by_forces`: they differ, so evaluations of the
+    forces are timed; `told`: seconds are told of so many steps, not of the whole run.
     """
 
     curve: str
@@ -29,7 +31,8 @@ class Setting:
     begin: Callable[[], Simulation]
     steps: int
     errors: Callable[[Simulation], Errors]
-    whole: bool = False
+    by_forces: bool = False
+    told: int = 0
     more: dict[str, Any] = field(default_factory=dict)
 
 
@@ -105,12 +108,13 @@ class Lab:
             before = sim.work()
             errors.append(setting.errors(sim))
             work.append({what: count - before[what] for what, count in sim.work().items()})
-        watches = [Watch(self.ranks, setting.begin, setting.steps, setting.whole) for setting in settings]
+        watches = [Watch(self.ranks, setting.begin, setting.steps, setting.by_forces) for setting in settings]
         time_in_turns(watches, self.samples, self.least, lambda: told(f"{name}: time"))
         self.screen.stop()
         rows = []
         for setting, wrong, watch, done in zip(settings, errors, watches, work, strict=True):
-            rows.append(Row(setting, wrong, {}, watch.seconds.of(setting.steps), done))
+            units = setting.told or (done["forces"] if setting.by_forces else setting.steps)
+            rows.append(Row(setting, wrong, {}, watch.seconds.of(units), done))
         for curve in dict.fromkeys(setting.curve for setting in settings):
             observe_orders([row for row in rows if row.setting.curve == curve])
         return rows
@@ -121,7 +125,7 @@ def observe_orders(rows: list[Row]) -> None:
     for before, row in zip([None, *rows], rows, strict=False):
         for name, error in row.errors.items():
             row.orders[name] = nan
-            if before and before.errors[name] > 0.0 and error > 0.0 and before.setting.knob != row.setting.knob:
+            if before and min(before.errors[name], error) > ROUND_OFF and before.setting.knob != row.setting.knob:
                 row.orders[name] = log(before.errors[name] / error) / log(before.setting.knob / row.setting.knob)
 
 

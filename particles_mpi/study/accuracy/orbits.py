@@ -37,7 +37,7 @@ def settings(
 
     def one(curve: str, knob: float, n: int, integrator: str, tolerance: float | None = None) -> Setting:
         scene = gravity(tables, period / n, n * periods, integrator, tolerance)
-        return Setting(curve, knob, lambda: lab.simulate(scene), n * periods, errors)
+        return Setting(curve, knob, lambda: lab.simulate(scene), n * periods, errors, integrator == "adaptive")
 
     for integrator, regimes in REGIMES.items():
         for n in regimes[lab.quick]:

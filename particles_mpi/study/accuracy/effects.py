@@ -1,0 +1,137 @@
+"""H: effects on and off. What each costs, that an absent one costs nothing, and that one without strength changes no bit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from particles_mpi import Simulation, state
+from particles_mpi.integrators import free_drift, kick
+from particles_mpi.scene import effect_names
+from particles_mpi.study.lab import Errors, Experiment, Lab, Row, Setting
+
+N, QUICK_N, STEP, LONG = 100_000, 20_000, 1e-3, 1000
+FEW, STEPS = 300, 40  # particles and steps for the comparison of bits
+PROGRAM, BARE = "uniform_gravity", "its kernels, bare"
+ON: dict[str, dict[str, Any]] = {  # each alone, or with what it needs
+    "uniform_gravity": {"acceleration": [0.0, 0.0, -9.81]},
+    "user_acceleration": {},
+    "drag": {"rate": 0.2},
+    "friction": {"strength": 0.01},
+    "walls": {"restitution": 0.9},
+    "collisions": {"restitution": 0.9},
+}
+OFF: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # effects, and what particles need, so that nothing happens
+    "uniform_gravity": ({"acceleration": [0.0, 0.0, 0.0]}, {}),
+    "user_acceleration": ({}, {"acceleration": [0.0, 0.0, 0.0]}),
+    "drag": ({"rate": 0.0}, {}),
+    "friction": ({"strength": 0.0}, {}),
+    "mutual_gravity": ({"G": 0.0, "softening": 0.01}, {}),
+    "collisions": ({}, {}),  # of points: no two of them meet
+}
+ERRORS = {
+    "calls": "calls of all effects that the scene does not name, over the whole run",
+    "messages": "messages between ranks in the steps",
+    "bits": "numbers that differ when the effect is named with a coefficient of 0, of a run without it",
+}
+
+
+def gas(n: int, effects: dict[str, Any], radius: float = 0.0, steps: int = LONG, **more: Any) -> dict[str, Any]:
+    """Particles all over a box."""
+    side = 4.0 * (n / 32000) ** (1 / 3)  # the density of the headline
+    spheres = {"count": n, "position": "random", "velocity": {"speed": 0.5}, "radius": radius, "mass": 0.3, **more}
+    return {
+        "dimension": 3,
+        "box": {"lower": [0.0] * 3, "upper": [side] * 3},
+        "time": {"step": STEP, "steps": steps},
+        "particles": [spheres],
+        "effects": effects,
+    }
+
+
+class BareLoop:
+    """The kernels of a leapfrog under a constant acceleration, without a program around them; steps like a simulation."""
+
+    def __init__(self, sim: Simulation):
+        p = sim.particles
+        self.x, self.v, self.h = p.position.copy(), p.velocity.copy(), sim.h
+        self.a = np.tile(sim.g, (len(p), 1))
+
+    def step(self) -> None:
+        kick(self.v, self.a, 0.5 * self.h)
+        free_drift(self.x, self.v, self.h)
+        kick(self.v, self.a, 0.5 * self.h)
+
+    def work(self) -> dict[str, int]:
+        return {}
+
+
+def bits_that_differ(lab: Lab, name: str) -> int:
+    """Between a run without the effect and one where it is named without strength."""
+    options, more = OFF[name]
+    falling = {"walls": {"restitution": 0.9}} | ({"uniform_gravity": ON["uniform_gravity"]} if name != "uniform_gravity" else {})
+    ends = []
+    for effects, own in ((falling, {}), (falling | {name: options}, more)):
+        sim = lab.simulate(gas(FEW, effects, 0.0, STEPS, **own) | {"time": {"step": 0.05, "steps": STEPS}})
+        sim.run()
+        p = state.everyone(sim.ranks, sim.particles)
+        ends.append(np.concatenate([p.position, p.velocity]).view(np.int64))
+    return int(np.count_nonzero(ends[0] != ends[1]))
+
+
+def errors(lab: Lab, name: str, sim: Simulation) -> Errors:
+    """Some steps: what was called, what was sent."""
+    if isinstance(sim, BareLoop):
+        return dict.fromkeys(ERRORS, 0.0)
+    sim.step()
+    messages = sim.ranks.messages
+    for _ in range(10):
+        sim.step()
+    absent = sum(sim.calls.get(other, 0) for other in effect_names() if other not in sim.scene.effects)
+    sent = int(sim.ranks.total(sim.ranks.messages - messages)[0])
+    differ = bits_that_differ(lab, name) if name in OFF else 0
+    return {"calls": float(absent), "messages": float(sent), "bits": float(differ)}
+
+
+def settings(lab: Lab) -> Iterator[Setting]:
+    """Nothing, each effect alone, all of them; and one without the program around it."""
+    n = QUICK_N if lab.quick else N
+
+    def one(curve: str, effects: dict[str, Any]) -> Setting:
+        tables = gas(n, effects, 0.01 if "collisions" in effects else 0.0)
+        if "user_acceleration" in effects:
+            tables["particles"][0]["acceleration"] = [0.0, 0.0, -1.0]
+        start = lab.simulate(tables)
+        return Setting(curve, float(n), start.copy, LONG, partial(errors, lab, curve), told=1)
+
+    yield one("nothing", {})
+    for name, options in ON.items():
+        yield one(name, {name: options})
+    own = "user_acceleration"  # forces that are not the same everywhere make every pair one that may rest
+    yield one(f"all but {own}", {name: options for name, options in ON.items() if name != own})
+    yield one("all of these", ON)
+    start = lab.simulate(gas(n, {PROGRAM: ON[PROGRAM]}))
+    yield Setting(BARE, float(n), lambda: BareLoop(start), LONG, partial(errors, lab, BARE), told=1)
+
+
+def answers(rows: list[Row]) -> list[str]:
+    """What each costs, and what is left of the claim that an absent effect costs nothing."""
+    cost = {row.setting.curve: row.seconds.median / row.setting.knob * 1e9 for row in rows}
+    over = cost[PROGRAM] / cost[BARE] - 1.0
+    absent = sum(row.errors["calls"] for row in rows)
+    differ = sum(row.errors["bits"] for row in rows)
+    each = ", ".join(f"{name} {ns:.1f}" for name, ns in cost.items() if name != BARE)
+    return [
+        f"nanoseconds a particle-step: {each}",
+        f"effects not named: {absent:.0f} calls; the loop around the kernels of uniform_gravity takes {over:+.1%} of their time",
+        f"effects named without strength: {differ:.0f} of all numbers differ from a run without them",
+    ]
+
+
+def measure(lab: Lab) -> list[Experiment]:
+    rows = lab.measure("effects", list(settings(lab)))
+    reference = "itself: the same scene without the effect, the same kernels without the program"
+    return [Experiment("H", "Effects on and off, a step", "particles", ERRORS, reference, rows, answers=answers(rows))]
