@@ -12,7 +12,6 @@ from particles_mpi.study import plots, report, tables
 from particles_mpi.study.clock import Seconds, Watch, time_in_turns
 from particles_mpi.study.lab import Experiment, Lab, Row, Setting, observe_orders, slope
 
-
 ORDER = []
 
 
