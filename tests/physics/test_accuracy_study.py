@@ -1,0 +1,100 @@
+"""The built-in experiments: figures of theory and of reference/, and the same errors to the bit each time."""
+
+import numpy as np
+import pytest
+
+from particles_mpi.study.accuracy import encounters, experiments, fluid, losses, orbits
+from particles_mpi.study.lab import Lab, slope
+
+
+@pytest.fixture(scope="module")
+def lab():
+    return Lab(quick=True, samples=1)
+
+
+@pytest.fixture(scope="module")
+def found(lab):
+    """Orbits and losses, by key."""
+    return {one.key: one for key in "AG" for one in experiments(key)[key](lab)}
+
+
+def test_orders_of_the_integrators(found):
+    """Leapfrog 2.0 +- 0.05, order4 4.0 +- 0.1 in the energy (reference/README.md), where steps are short enough."""
+    kepler = found["A1"]
+    assert slope(kepler.curve("leapfrog")[-2:], "energy") == pytest.approx(2.0, abs=0.05)
+    assert slope(kepler.curve("leapfrog")[-2:], "place") == pytest.approx(2.0, abs=0.05)
+    assert slope(found["A2"].curve("leapfrog")[-2:], "energy") == pytest.approx(2.0, abs=0.05)
+
+
+def test_order4(lab):
+    """With the steps of the full study, errors only."""
+    fall = {"position": [[0.5, 0.0], [0.0, 0.0]], "velocity": [[0.0, 3.0**0.5], [0.0, 0.0]], "mass": [0.0, 1.0]}
+    errors = []
+    for n in (200, 400):
+        scene = orbits.gravity({"particles": [fall]}, 2 * np.pi / n, 2 * n, "order4")
+        errors.append(orbits.run(lab.simulate(scene), orbits.of_planet))
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.1)
+
+
+def test_the_ellipse_is_that_of_kepler():
+    """Where Kepler's equation can be solved by hand: pericentre, apocentre, and u = pi/2."""
+    np.testing.assert_allclose(orbits.place_on_ellipse(0.0), (0.5, 0.0), atol=1e-15)
+    np.testing.assert_allclose(orbits.place_on_ellipse(np.pi), (-1.5, 0.0), atol=1e-14)
+    np.testing.assert_allclose(orbits.place_on_ellipse(20 * np.pi + np.pi / 2 - 0.5), (-0.5, 0.75**0.5), atol=1e-13)
+
+
+def test_losses(found):
+    """reference/README.md: linear drag; leapfrog of second order with the velocity exact, taylor of first order."""
+    np.testing.assert_allclose(losses.thrown(0.5)[0], (12.642411176571, -1.793178094996), rtol=1e-12)
+    drag = found["G1"]
+    assert slope(drag.curve("leapfrog"), "place") == pytest.approx(2.0, abs=0.05)
+    assert slope(drag.curve("taylor"), "place") == pytest.approx(1.0, abs=0.05)
+    assert max(row.errors["velocity"] for row in drag.curve("leapfrog")) < 1e-12
+    assert slope(found["G3"].curve("leapfrog"), "place") == pytest.approx(2.0, abs=0.05)
+
+
+def test_sliding_keeps_what_it_should():
+    """Friction of the weight: |v| - v_y stays as it is, so it falls at half the speed in the end (reference/README.md)."""
+    for t in (0.5, 20.0):
+        _, v = losses.sliding(t)
+        assert np.hypot(*v) - v[1] == pytest.approx(10.0, abs=1e-10)
+    np.testing.assert_allclose(v, (0.0, -5.0), atol=1e-10)
+
+
+def test_the_same_study_twice(lab, found):
+    again = {one.key: one for key in "AG" for one in experiments(key)[key](lab)}
+    for key, one in found.items():
+        assert [row.errors for row in one.rows] == [row.errors for row in again[key].rows]
+        assert [row.work for row in one.rows] == [row.work for row in again[key].rows]
+
+
+def test_close_encounters(lab):
+    (one,) = encounters.measure(lab)
+    fixed = [row.errors["t = 10"] for row in one.rows if row.setting.curve != "adaptive"]
+    assert min(fixed) > 0.1 and max(row.errors["t = 10"] for row in one.curve("adaptive")) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("density", "z"),
+    [(0.2, 1.55361), (0.4, 2.52162), (0.5, 3.26941), (0.6, 4.29498), (0.7, 5.72696), (0.8, 7.77009), (0.9, 10.76274)],
+)
+def test_equation_of_state(density, z):
+    """reference/README.md, the figures of Kolafa, Labik and Malijevsky."""
+    assert fluid.compressibility(density * np.pi / 6) == pytest.approx(z, rel=6e-4)
+
+
+@pytest.mark.parametrize(("moment", "passes", "least"), [(0.1, 10, 0.98), (0.3, 10, 0.98), (1.0, 10, 0.965)])
+def test_rewind_against_the_step(lab, moment, passes, least):
+    """reference/README.md: (Z - 1)/(Z_ref - 1) at packing 0.30 is 1.00, 1.00, 0.98 at Gamma dt = 0.1, 0.3, 1.0, or better."""
+    spheres = fluid.melted(lab, 0.30, 2000)
+    rate = fluid.collision_rate(0.30)
+    scene = fluid.fluid(0.30, 2000, moment / rate, round(40 / moment), spheres, passes=passes)
+    errors = fluid.errors(0.30, lab.simulate(scene))
+    assert errors["Z - 1"] < 1.0 - least + 2.0 * errors["noise"]
+    assert errors["rate"] < 1.0 - least + 2.0 * errors["noise"]
+
+
+def test_absent_effects(lab):
+    (one,) = experiments("H")["H"](lab)
+    for row in one.rows:
+        assert row.errors == {"calls": 0.0, "messages": 0.0, "bits": 0.0}, row.setting.curve
