@@ -118,11 +118,17 @@ def pack_legs(rows, touched, x, v, s, met, out, words):
 
 @njit(cache=True)
 def unpack_legs(first, message, words, live, x, v, s, met, touched, count):
-    """What pack_legs wrote; rows whose leg is news become live and touched."""
+    """What pack_legs wrote; rows whose leg is news become live and touched.
+
+    Two who overlap may meet again in no time, after one of them met another: then only the velocity tells the legs apart.
+    """
     d = x.shape[1]
     for m in range(0, len(message), 3 + 2 * d):
         i = first + words[m]
-        if (met[i] != words[m + 1] or s[i] != message[m + 2]) and not live[i]:
+        news = met[i] != words[m + 1] or s[i] != message[m + 2]
+        for k in range(d):
+            news |= v[i, k] != message[m + 3 + d + k]
+        if news and not live[i]:
             live[i] = True
             touched[count] = i
             count += 1

@@ -34,6 +34,13 @@ SCENES = {
         particles=[{"count": 512, "position": "lattice", "velocity": {"temperature": 1.0}, "radius": 0.5}],
         effects={"collisions": {"passes": 4}},
     ),
+    "dense periodic gas, a collision of each in a step": dict(
+        dimension=3,
+        box={"lower": [0, 0, 0], "upper": [9.6, 9.6, 9.6], "periodic": True},
+        time={"step": 0.1, "steps": 250},
+        particles=[{"count": 512, "position": "lattice", "velocity": {"temperature": 1.0}, "radius": 0.5}],
+        effects={"collisions": {}},
+    ),
     "half periodic, drag, acceleration, fixed": dict(
         dimension=2,
         box={"lower": [0, 0], "upper": [10, 10], "periodic": [True, False]},

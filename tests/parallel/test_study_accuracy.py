@@ -1,0 +1,67 @@
+"""`study accuracy` as users start it: the same errors on one rank and on two, files that others can read, exit codes."""
+
+import csv
+import json
+
+import pytest
+from conftest import run_ranks
+
+pytestmark = pytest.mark.parallel
+
+
+def study(ranks, *arguments):
+    return run_ranks(ranks, "-m", "particles_mpi", "study", *arguments, timeout=280)
+
+
+@pytest.fixture(scope="module")
+def reports(tmp_path_factory):
+    """Folders of the quick study of fluid, losses and effects on one rank and on two."""
+    folders = {}
+    for ranks in (1, 2):
+        folders[ranks] = tmp_path_factory.mktemp(f"on{ranks}") / "study"
+        done = study(ranks, "accuracy", "--quick", "--only", "CGH", "--output", folders[ranks])
+        assert done.returncode == 0, done.stderr
+        assert "what ten times more accuracy costs" in done.stdout and "report.html" in done.stdout
+    return folders
+
+
+def test_errors_are_the_same_on_any_number_of_ranks(reports):
+    told = {ranks: json.loads((folder / "study.json").read_text())["experiments"] for ranks, folder in reports.items()}
+    assert [e["key"] for e in told[1]] == ["C2", "G1", "G2", "G3", "H"]
+    for one, two in zip(told[1], told[2], strict=True):
+        for a, b in zip(one["rows"], two["rows"], strict=True):
+            if one["key"] == "H":  # messages are between ranks
+                a["errors"].pop("messages"), b["errors"].pop("messages")
+            assert (a["setting"], a["knob"], a["errors"]) == (b["setting"], b["knob"], b["errors"])
+
+
+def test_an_effect_alone_sends_nothing(reports):
+    effects = json.loads((reports[2] / "study.json").read_text())["experiments"][-1]
+    assert all(row["errors"]["calls"] == 0 == row["errors"]["bits"] for row in effects["rows"])
+    sent = {row["setting"]: row["errors"]["messages"] for row in effects["rows"]}
+    assert {name for name, count in sent.items() if count} <= {"collisions", "all but user_acceleration", "all of these"}
+
+
+def test_files(reports):
+    with (reports[2] / "C2.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert {row["setting"] for row in rows} == {"event", "rewind, 10 passes", "rewind, 1 pass"}
+    assert all(float(row["first quartile"]) <= float(row["seconds"]) <= float(row["third quartile"]) for row in rows)
+    page = (reports[2] / "report.html").read_text()
+    assert page.count("<svg") == 5 and "http://" not in page.replace("http://www.w3.org", "").replace(
+        "http://purl.org", ""
+    ).replace("http://creativecommons.org", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (("accuracy", "--only", "AX"), "--only: there is no experiment X; there are A, B, C, D, F, G, H"),
+        (("accuracy", "none.toml"), "none.toml: cannot be read"),
+        (("none.toml",), "none.toml: cannot be read"),
+        (("nothing",), "nothing"),
+    ],
+)
+def test_faults(arguments, line):
+    done = study(1, *arguments)
+    assert done.returncode == 2 and line in done.stderr and "Traceback" not in done.stderr
