@@ -43,7 +43,7 @@ def main() -> None:
                 tiny(d, False, {"uniform_gravity": None, "walls": None}),
                 *[tiny(d, p, {"collisions": {"mode": "event"}, "walls": None}) for p in (False, True)],
                 tiny(d, False, {"uniform_gravity": None, "mutual_gravity": None}),
-                tiny(d, False, {"mutual_gravity": {"method": "tree"}}),
+                *[tiny(d, False, {"mutual_gravity": {"method": "tree", "multipole": m}}) for m in ("quadrupole", "monopole")],
             ]
             for scene in scenes:
                 sim = Simulation(scene, ranks.comm)

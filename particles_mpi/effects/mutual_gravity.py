@@ -21,14 +21,16 @@ ACCURACY = 1e-3
 class Options(Model):
     """`G`, by default the scene's; `softening` eps (length): the force of a Plummer sphere of that size (Aarseth 1963).
 
-    `method`: "direct", the sum over all pairs; "tree", Barnes and Hut's with quadrupoles and `opening_angle`, the radius of
-    a cell over its distance; "auto", whichever costs less for a median relative error of the forces of `accuracy`.
+    `method`: "direct", the sum over all pairs; "tree", Barnes and Hut's with `opening_angle`, the radius of a cell over its
+    distance, and a `multipole`, what cells act by: "quadrupole", which includes the mass, or "monopole", the mass alone;
+    "auto", whichever costs less for a median relative error of the forces of `accuracy`, with quadrupoles.
     """
 
     G: Annotated[float, Field(ge=0.0)] | None = None
     softening: Annotated[float, Field(ge=0.0)] = 0.0
     method: Literal["direct", "tree", "auto"] = "direct"
     opening_angle: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
+    multipole: Literal["quadrupole", "monopole"] = "quadrupole"
     accuracy: Annotated[float, Field(gt=0.0, le=0.1)] | None = None
 
     def faults(self, scene: Scene) -> list[str]:
@@ -39,13 +41,16 @@ class Options(Model):
             faults.append('opening_angle: method "auto" chooses it; give accuracy')
         if self.accuracy is not None and self.method != "auto":
             faults.append('accuracy: only with method "auto"')
+        if self.multipole == "monopole" and self.method != "tree":
+            faults.append('multipole: "monopole" only with method "tree"')
         if any(scene.periodic):
             faults.append("method: no images of a periodic box attract one another here; use a box that is not periodic, or none")
         return faults
 
     def choice(self, scene: Scene, total: int) -> Choice:
         """How the sum is done for `total` particles, and what it costs."""
-        return choose(self.method, self.opening_angle or 0.5, self.accuracy or ACCURACY, scene.dimension, total)
+        angle, accuracy = self.opening_angle or 0.5, self.accuracy or ACCURACY
+        return choose(self.method, angle, accuracy, scene.dimension, total, self.multipole)
 
 
 class Effect:
@@ -68,7 +73,8 @@ class Effect:
         if angle is None:
             self.sum = DirectSum(ranks, total, self.softening2)
         else:
-            self.sum = TreeSum(ranks, self.scene.dimension, angle, self.softening2)
+            quadrupoles = self.options.multipole == "quadrupole"
+            self.sum = TreeSum(ranks, self.scene.dimension, angle, self.softening2, quadrupoles)
 
     def add(self, particles: Particles, acceleration: Array) -> None:
         """acceleration (n, d) += that of all sources. Collective."""
@@ -107,10 +113,11 @@ class DirectSum:
 class TreeSum:
     """By a tree, for G = 1."""
 
-    def __init__(self, ranks: Ranks, dimension: int, angle: float, softening2: float):
+    def __init__(self, ranks: Ranks, dimension: int, angle: float, softening2: float, quadrupoles: bool):
         from particles_mpi.gravity.tree import Tree
 
-        self.ranks, self.tree = ranks, Tree(ranks, dimension, angle, softening2)
+        self.ranks, self.tree = ranks, Tree(ranks, dimension, angle, softening2, quadrupoles)
+        self.interactions = 0  # so far
         self.version, self.work = -1, np.ones(0)
         self.known: tuple[int, int] | None = None  # version and fingerprint of the rows that `depth` belongs to
         self.depth = np.zeros(0)
@@ -118,6 +125,7 @@ class TreeSum:
     def pull(self, particles: Particles) -> Array:
         """Accelerations (n, d). Collective."""
         result = self.sum(particles, particles.mass)
+        self.interactions += self.tree.interactions
         self.known, self.depth = (particles.version, fingerprint(particles.position)), result[:, 3]
         return result[:, : particles.dimension]
 

@@ -21,17 +21,22 @@ SMALLEST = -900  # power of two of the side of a cube, whatever lies in it
 
 
 class Tree:
-    """For particles in `dimension` (1, 2 or 3) on some ranks: `angle` is the opening angle, `softening2` eps^2."""
+    """For particles in `dimension` (1, 2 or 3) on some ranks: `angle` is the opening angle, `softening2` eps^2.
 
-    def __init__(self, ranks: Ranks, dimension: int, angle: float, softening2: float):
+    Far cells act by mass and, with `quadrupoles`, by second moments. `interactions`: particles and cells that this rank added
+    up in the last call, over all its targets, themselves included.
+    """
+
+    def __init__(self, ranks: Ranks, dimension: int, angle: float, softening2: float, quadrupoles: bool = True):
         self.ranks, self.dimension, self.angle, self.softening2 = ranks, dimension, angle, softening2
+        self.quadrupoles, self.interactions = quadrupoles, 0
 
     def attract(self, ids: Array, position: Array, mass: Array, work: Array) -> Array:
         """Acceleration, potential and work for G = 1, (n, 5), of this rank's particles by those of all; nan if one is not finite.
 
         `work` (n,): a guess of each particle's share, that of the last time, or ones. Collective.
         """
-        ranks, d = self.ranks, self.dimension
+        ranks, d, self.interactions = self.ranks, self.dimension, 0
         x = np.zeros((len(position), 3))
         x[:, :d] = position
         ends = np.full(7, -np.inf)
@@ -97,7 +102,9 @@ class Tree:
         bounds[place] = everyone["bounds"]
         fill(source, skip, cells, bounds)
         first = np.cumsum(count) - count
-        return walk(groups, skip, first, count, cells, rows["position"], rows["mass"], offset, self.angle, self.softening2)
+        arrays = groups, skip, first, count, cells, rows["position"], rows["mass"]
+        result, self.interactions = walk(*arrays, offset, self.angle, self.softening2, self.quadrupoles)
+        return result
 
     def gather(
         self, nodes: dict[str, Array], rows: dict[str, Array], skip: Array, bounds: Array, rank: Array

@@ -7,7 +7,7 @@ rho^2 = u^2 + eps^2, second moments S, trace T, Q = u.S.u
 
     potential = -(M/rho + (3 Q/rho^2 - T)/(2 rho^3)),     a = u (M/rho^3 + (15 Q/(2 rho^2) - 3 T/2)/rho^5) - 3 S u/rho^5,
 
-the expansion of -m/rho to second order, which is exact for the softened law too.
+the expansion of -m/rho to second order, which is exact for the softened law too; or by mass alone, as a particle would.
 
 The compiler may add up in vectors here: in an order that depends on how many sources a list has, never on the ranks.
 """
@@ -72,21 +72,24 @@ def add_cells(far, n, x, y, z, softening2, total, t):
 
 
 @njit(cache=True)
-def walk(groups, skip, first, count, cells, x, mass, begin, angle, softening2):
-    """Acceleration, potential and work of the groups' rows, (rows, 5), for G = 1.
+def walk(groups, skip, first, count, cells, x, mass, begin, angle, softening2, quadrupoles):
+    """Acceleration, potential and work of the groups' rows, (rows, 5), for G = 1; and the number of interactions.
 
     Nodes: skip, first row and number of rows of an open leaf, cells. Rows: x (., 3), mass; those of groups start at row `begin`.
     """
-    result = np.zeros((groups[-1, 1] if len(groups) else 0, 5))
+    result, interactions = np.zeros((groups[-1, 1] if len(groups) else 0, 5)), 0
     far, near = np.empty((11, CELLS)), np.empty((4, PARTICLES))
     for g in range(len(groups)):
-        add_sources(groups[g, 0], groups[g, 1], skip, first, count, cells, x, mass, begin, angle, softening2, far, near, result)
-    return result
+        tree, lists = (skip, first, count, cells), (far, near)
+        sources = add_sources(groups[g], tree, x, mass, begin, angle, softening2, quadrupoles, lists, result)
+        interactions += sources * (groups[g, 1] - groups[g, 0])
+    return result, interactions
 
 
 @walking
-def add_sources(begin, end, skip, first, count, cells, x, mass, offset, angle, softening2, far, near, result):
-    """All sources of one group: rows begin ... end of the result, which are rows offset + ... of x."""
+def add_sources(group, tree, x, mass, offset, angle, softening2, quadrupoles, lists, result):
+    """All sources of one group: rows begin ... end of the result, which are rows offset + ... of x. Returns how many they are."""
+    (begin, end), (skip, first, count, cells), (far, near) = group, tree, lists
     lx, ly, lz = x[offset + begin, 0], x[offset + begin, 1], x[offset + begin, 2]
     hx, hy, hz = lx, ly, lz
     for p in range(offset + begin, offset + end):
@@ -102,12 +105,13 @@ def add_sources(begin, end, skip, first, count, cells, x, mass, offset, angle, s
         dx, dy, dz = max(lx - cx, cx - hx, 0.0), max(ly - cy, cy - hy, 0.0), max(lz - cz, cz - hz, 0.0)
         if angle2 * (dx * dx + dy * dy + dz * dz) > cells[node, RADIUS] * cells[node, RADIUS]:
             if n_far == CELLS:
-                flush_far(far, n_far, x, begin, end, offset, softening2, result)
+                flush_far(far, n_far, x, begin, end, offset, softening2, quadrupoles, result)
                 all_far, n_far = all_far + n_far, 0
             far[0, n_far], far[1, n_far], far[2, n_far], far[3, n_far] = cx, cy, cz, cells[node, MASS]
-            for e in range(6):
-                far[4 + e, n_far] = 3.0 * cells[node, SECOND + e]
-            far[10, n_far] = 0.5 * (far[4, n_far] + far[7, n_far] + far[9, n_far])
+            if quadrupoles:
+                for e in range(6):
+                    far[4 + e, n_far] = 3.0 * cells[node, SECOND + e]
+                far[10, n_far] = 0.5 * (far[4, n_far] + far[7, n_far] + far[9, n_far])
             n_far += 1
             node = skip[node]
             continue
@@ -120,19 +124,24 @@ def add_sources(begin, end, skip, first, count, cells, x, mass, offset, angle, s
             near[0, n_near], near[1, n_near], near[2, n_near], near[3, n_near] = x[p, 0], x[p, 1], x[p, 2], mass[p]
             n_near += 1
         node += 1
-    flush_far(far, n_far, x, begin, end, offset, softening2, result)
+    flush_far(far, n_far, x, begin, end, offset, softening2, quadrupoles, result)
     flush_near(near, n_near, x, begin, end, offset, own, column, softening2, result)
-    work = FAR * (all_far + n_far) + NEAR * (all_near + n_near) + VISIT * visits / (end - begin)
+    all_far, all_near = all_far + n_far, all_near + n_near
+    work = (FAR if quadrupoles else NEAR) * all_far + NEAR * all_near + VISIT * visits / (end - begin)
     for t in range(begin, end):
         result[t, 4] = work
+    return all_far + all_near
 
 
 @walking
-def flush_far(far, n, x, begin, end, offset, softening2, result):
+def flush_far(far, n, x, begin, end, offset, softening2, quadrupoles, result):
     """The first n cells of the list act on the whole group."""
     for t in range(begin, end):
         p = offset + t
-        add_cells(far, n, x[p, 0], x[p, 1], x[p, 2], softening2, result, t)
+        if quadrupoles:
+            add_cells(far, n, x[p, 0], x[p, 1], x[p, 2], softening2, result, t)
+        else:
+            add_particles(far, n, x[p, 0], x[p, 1], x[p, 2], -1, softening2, result, t)
 
 
 @walking

@@ -137,6 +137,16 @@ SCENES = {
         ],
         effects={"mutual_gravity": {"softening": 0.05, "method": "tree", "opening_angle": 0.7}},
     ),
+    "cluster by tree of monopoles": dict(
+        dimension=3,
+        G=1.0,
+        time={"step": 0.01, "steps": 2},
+        particles=[
+            {"count": 2000, "position": {"plummer": 1.0}, "velocity": "equilibrium", "mass": 0.001},
+            {"position": CLOUD, "mass": {"min": 0.0, "max": 0.1}, "fixed": True},
+        ],
+        effects={"mutual_gravity": {"method": "tree", "opening_angle": 0.8, "multipole": "monopole"}},
+    ),
     "discs that come to rest": dict(
         dimension=2,
         box={"lower": [0, 0], "upper": [4, 20]},

@@ -14,8 +14,8 @@ from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.plummer import plummer_places
 
 
-def by_tree(x, mass, angle, softening=0.0):
-    tree = Tree(Ranks.alone(), x.shape[1], angle, softening**2)
+def by_tree(x, mass, angle, softening=0.0, quadrupoles=True):
+    tree = Tree(Ranks.alone(), x.shape[1], angle, softening**2, quadrupoles)
     return tree.attract(np.arange(len(x)), x, mass, np.ones(len(x)))
 
 
@@ -49,6 +49,69 @@ def test_accuracy_on_a_plummer_sphere(sphere, angle, median, most):
     assert np.median(error) <= median
     assert np.quantile(error, 0.99) <= most
     assert error.max() < 0.42  # physics.md: the worst particle at angle 1 if its own cell may be far
+
+
+@pytest.mark.parametrize(("angle", "median"), [(0.3, 3.1e-4), (0.5, 1.3e-3), (0.7, 3.5e-3), (1.0, 1.1e-2)])
+def test_accuracy_of_monopoles(sphere, angle, median):
+    """Medians: at most physics.md's for monopoles, at least a third of them, since angles are those of whole groups here.
+
+    Quadrupoles are closer at the same angle.
+    """
+    x, mass, exact = sphere
+    mono, quad = (np.median(errors(by_tree(x, mass, angle, quadrupoles=q)[::10, :3], exact)) for q in (False, True))
+    assert median / 3.0 <= mono <= median
+    assert quad < 0.8 * mono
+
+
+def test_a_monopole_acts_as_a_particle_in_the_centre_of_mass():
+    """Seen from afar a ball is one cell: with the symmetry of the cube and so without quadrupole it acts as from its middle."""
+    corners = np.array([[i, j, k] for i in (-1.0, 1.0) for j in (-1.0, 1.0) for k in (-1.0, 1.0)])
+    x = np.concatenate([3.0 + size * corners for size in np.linspace(0.1, 1.0, 32)] + [[[60.0, 30.0, -20.0]]])
+    mass = np.append(np.full(256, 1.0 / 64.0), 0.0)
+    for softening in (0.0, 3.0):
+        mono, quad = (by_tree(x, mass, 0.9, softening, q)[-1] for q in (False, True))
+        r = 3.0 - x[-1]
+        rho = np.sqrt(r @ r + softening**2)
+        np.testing.assert_allclose(mono[:4], [*(4.0 * r / rho**3), -4.0 / rho], rtol=1e-14)
+        if softening == 0.0:  # a softened sphere is not a point
+            np.testing.assert_allclose(mono[:4], quad[:4], rtol=1e-13)
+
+
+def test_monopoles_keep_the_momentum_as_well_as_they_are_accurate(sphere):
+    """Forces of cells have no reaction: the sum over all is below the median error, that of all cells opened is round-off."""
+    x, mass, _ = sphere
+    x, mass = x[:2000], mass[:2000]
+    for angle, bound in ((0.7, 3e-3), (1e-3, 1e-14)):
+        force = mass[:, None] * by_tree(x, mass, angle, quadrupoles=False)[:, :3]
+        assert np.abs(force.sum(axis=0)).max() <= bound * np.abs(force).sum()
+
+
+@pytest.mark.parametrize("quadrupoles", [True, False])
+def test_interactions_are_counted(quadrupoles):
+    """All pairs where every cell is open; two cells of which one is far: its own and that cell, for each particle."""
+    x = np.random.default_rng(4).random((600, 3))
+    tree = Tree(Ranks.alone(), 3, 1e-3, 0.0, quadrupoles)
+    tree.attract(np.arange(600), x, np.ones(600), np.ones(600))
+    assert tree.interactions == 600**2
+    x = np.concatenate((x[:100], x[100:160] + 1000.0))
+    tree = Tree(Ranks.alone(), 3, 0.5, 0.0, quadrupoles)
+    tree.attract(np.arange(160), x, np.ones(160), np.ones(160))
+    assert tree.interactions == 100 * (100 + 1) + 60 * (60 + 1)
+
+
+def test_work_of_a_simulation_counts_interactions_of_forces_only():
+    """Direct: N^2 an evaluation. Tree: fewer, and as many again in the next one. Diagnostics are not work."""
+    for method, most in (("direct", 3000**2), ("tree", 0.5 * 3000**2)):
+        sim = Simulation(scene({"method": method}))
+        sim.sum_forces()
+        first = sim.work()["interactions"]
+        assert 0 < first <= most and (method == "tree" or first == most)
+        sim.particles.position[0] += 1e-9
+        sim.measure()
+        assert sim.work()["interactions"] == first
+        sim.sum_forces()
+        assert sim.work()["interactions"] == pytest.approx(2 * first, rel=1e-3)
+        assert sim.work()["forces"] == 2
 
 
 @pytest.mark.parametrize("d", [1, 2, 3])
@@ -178,6 +241,8 @@ def test_auto_takes_what_costs_less_and_says_so():
     assert many.angle == pytest.approx(0.6, abs=0.02)
     assert "tree" in many.words and "median error of 0.001" in many.words and "times the work" in many.words
     assert choose("auto", 0.5, 1e-3, 4, 100_000).angle is None
+    quad, mono = (choose("tree", 0.5, 1e-3, 3, 100_000, multipole) for multipole in ("quadrupole", "monopole"))
+    assert mono.cost < quad.cost and mono.words == quad.words + ", monopoles"
     mass = np.full(5000, 1.0 / 5000)
     x = plummer_places(np.random.default_rng(3), 1.0, mass)
     for accuracy in (1e-4, 1e-3, 5e-3):  # what it promises
@@ -191,6 +256,9 @@ def test_auto_takes_what_costs_less_and_says_so():
         ({"method": "tree"}, 4, 'method: there is no tree in dimension 4; use "direct"'),
         ({"method": "auto", "opening_angle": 0.5}, 3, 'opening_angle: method "auto" chooses it; give accuracy'),
         ({"method": "tree", "accuracy": 1e-3}, 3, 'accuracy: only with method "auto"'),
+        ({"multipole": "monopole"}, 3, 'multipole: "monopole" only with method "tree"'),
+        ({"method": "auto", "multipole": "monopole"}, 3, 'multipole: "monopole" only with method "tree"'),
+        ({"method": "tree", "multipole": "octupole"}, 3, "multipole: must be 'quadrupole' or 'monopole'"),
         ({"method": "tree", "opening_angle": 1.5}, 3, "opening_angle: must be less than or equal to 1"),
     ],
 )

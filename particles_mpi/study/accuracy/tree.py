@@ -1,0 +1,174 @@
+"""D: the tree. Opening angle against error of the force, with and without quadrupoles, and where the direct sum is cheaper."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache
+from math import exp, inf, log, nan
+from typing import Any
+
+import numpy as np
+
+from particles_mpi import Simulation, state
+from particles_mpi.gravity.choice import choose
+from particles_mpi.parallel.exchange import rows_of_everyone
+from particles_mpi.particles import Array
+from particles_mpi.study.lab import Errors, Experiment, Lab, Row, Setting
+
+SIZES, QUICK = (500, 2000, 8000, 32_000), (500, 2000)
+ANGLES = (1.0, 0.7, 0.5, 0.35)
+DIRECT, TREES = "direct sum", {"quadrupole": "quadrupoles", "monopole": "monopoles"}
+WANTED = 1e-3  # median error at which trees and direct sum are compared
+STEP = 1e-6  # dynamical times: every step has new positions, and an evaluation of all forces
+TARGETS = 100  # whose forces are summed once more with more digits
+ERRORS = {
+    "median": "median of |da|/|a| over all particles",
+    "99 %": "99th percentile of |da|/|a|",
+}
+BY_PARTICLE = {  # median errors at angles 1, 0.7, 0.5 where each particle walks by itself, N = 20 000
+    "monopole": "1.1e-2, 3.5e-3, 1.3e-3",
+    "quadrupole": "7.5e-3, 1.6e-3, 4.3e-4",
+}
+
+
+def sphere(n: int, gravity: dict[str, Any]) -> dict[str, Any]:
+    """Plummer's sphere of n particles, in equilibrium."""
+    return {
+        "dimension": 3,
+        "G": 1.0,
+        "time": {"step": STEP, "steps": 1},
+        "particles": [{"count": n, "position": {"plummer": 1.0}, "velocity": "equilibrium", "mass": 1.0 / n}],
+        "effects": {"mutual_gravity": gravity},
+    }
+
+
+def settings(lab: Lab, n: int) -> Iterator[Setting]:
+    """The direct sum, whose forces are the reference of the others, and trees from coarse to fine.
+
+    A step holds one evaluation of the forces, besides it two kicks and a drift, some 10 ns a particle. A simulation goes on
+    where it is from sample to sample: an evaluation costs the same there.
+    """
+    exact: list[Array] = []  # accelerations of this rank's particles
+
+    def of_direct(sim: Simulation) -> Errors:
+        exact.append(accelerations(sim))
+        return summary(round_off(sim, exact[0]))
+
+    def of_tree(sim: Simulation) -> Errors:
+        return summary(rows_of_everyone(sim.ranks, {"wrong": relative(accelerations(sim), exact[0])})["wrong"])
+
+    def one(curve: str, angle: float, gravity: dict[str, Any]) -> Setting:
+        begin = cache(lambda: lab.simulate(sphere(n, gravity)))
+        return Setting(curve, angle, begin, 1, of_direct if curve == DIRECT else of_tree)
+
+    yield one(DIRECT, 0.0, {"method": "direct"})
+    for multipole, curve in TREES.items():
+        for angle in ANGLES:
+            yield one(curve, angle, {"method": "tree", "opening_angle": angle, "multipole": multipole})
+
+
+def accelerations(sim: Simulation) -> Array:
+    """Of this rank's particles. Collective."""
+    a = sim.sum_forces()
+    assert a is not None
+    return a
+
+
+def relative(a: Array, exact: Array) -> Array:
+    """|a - exact|/|exact|, row by row."""
+    return np.sqrt(((a - exact) ** 2).sum(axis=1) / (exact**2).sum(axis=1)).astype(float)
+
+
+def summary(wrong: Array) -> Errors:
+    return {"median": float(np.median(wrong)), "99 %": float(np.quantile(wrong, 0.99))}
+
+
+def round_off(sim: Simulation, a: Array) -> Array:
+    """Relative errors of some accelerations, against sums in extended precision. Collective."""
+    everyone = state.everyone(sim.ranks, sim.particles)
+    arrived = rows_of_everyone(sim.ranks, {"id": sim.particles.id, "a": a})
+    a = arrived["a"][np.argsort(arrived["id"], kind="stable")]
+    x, some = everyone.position.astype(np.longdouble), np.arange(0, len(a), max(1, len(a) // TARGETS))
+    exact = np.empty((len(some), 3), np.longdouble)
+    for k, i in enumerate(some):
+        r = x - x[i]
+        r2 = (r * r).sum(axis=1)
+        r2[i] = inf
+        exact[k] = ((everyone.mass / (r2 * np.sqrt(r2)))[:, None] * r).sum(axis=0)
+    return relative(a[some], exact)
+
+
+def seconds_of(row: Row) -> float:
+    return row.seconds.median
+
+
+def at_error(rows: Sequence[Row], error: float, cost: Callable[[Row], float] = seconds_of) -> float:
+    """Cost of a tree with this median error: between its settings, in logarithms; of the coarsest if that is better; or nan."""
+    order = sorted(rows, key=lambda row: row.errors["median"])
+    if error < order[0].errors["median"]:
+        return nan
+    return exp(np.interp(log(error), [log(row.errors["median"]) for row in order], [log(cost(row)) for row in order]))
+
+
+def compared(found: Experiment) -> Iterator[str]:
+    """What the same error costs by monopoles, by quadrupoles, and by the direct sum, which is always better."""
+    direct, trees = found.curve(DIRECT)[0].seconds.median, [found.curve(curve) for curve in TREES.values()]
+    finest = max(min(row.errors["median"] for row in rows) for rows in trees)
+    for error in sorted({WANTED, finest}, reverse=True):
+        quad, mono = (at_error(rows, error) for rows in trees)
+        if quad > 0.0 and mono > 0.0:
+            work = [at_error(rows, error, lambda row: row.work["interactions"]) for rows in trees]
+            yield (
+                f"a median error of {error:.1e} takes {1e3 * quad:.3g} ms by quadrupoles; by monopoles {mono / quad:.2f} times"
+                f" that and {work[1] / work[0]:.2f} times the interactions; by the direct sum {direct / quad:.2f} times that"
+            )
+
+
+def crossover(found: Sequence[Experiment], curve: str) -> float:
+    """N above which a tree of median error WANTED costs less than the direct sum, between sizes in logarithms.
+
+    0 if it does at all of them, inf if at none.
+    """
+    gain = [log(seconds_of(e.curve(DIRECT)[0]) / at_error(e.curve(curve), WANTED)) for e in found]
+    sizes = [log(e.rows[0].setting.more["N"]) for e in found]
+    if not gain[-1] > 0.0:
+        return inf
+    k = max((k for k in range(len(gain)) if not gain[k] > 0.0), default=-1)  # the last size at which the direct sum is cheaper
+    return 0.0 if k < 0 else exp(np.interp(0.0, gain[k : k + 2], sizes[k : k + 2]))
+
+
+def crossovers(found: Sequence[Experiment], ranks: int) -> Iterator[str]:
+    """Where trees begin to pay, as measured and as the plan believes."""
+    sizes = [e.rows[0].setting.more["N"] for e in found]
+    planned = next(n for n in range(100, 10**6, 10) if choose("auto", 0.5, WANTED, 3, n).angle is not None)
+    for curve in TREES.values():
+        n = crossover(found, curve)
+        where = {0.0: f"at N = {sizes[0]} already", inf: f"not yet at N = {sizes[-1]}"}.get(n, f"from N = {n:.0f} on")
+        tree = f"a tree of {curve} with a median error of {WANTED:.0e}"
+        yield f"{tree} costs less than the direct sum {where}, on {ranks} rank{'s' if ranks > 1 else ''}"
+    yield f"the cost model of check and of method auto, quadrupoles on one rank: from N = {planned} on"
+
+
+def experiment(lab: Lab, k: int, n: int) -> Experiment:
+    """All settings for n particles."""
+    every = list(settings(lab, n))
+    for setting in every:
+        setting.more["N"] = n
+    rows = lab.measure(f"tree, N = {n}", every)
+    own = rows[0].errors
+    reference = f"the direct sum in float64, itself within {own['median']:.1e} (median), {own['99 %']:.1e} of extended precision"
+    title = f"One evaluation of the forces in a Plummer sphere of {n}"
+    return Experiment(f"D{k}", title, "opening angle", ERRORS, reference, rows, floor=own["99 %"])
+
+
+def measure(lab: Lab) -> list[Experiment]:
+    sizes = QUICK if lab.quick else SIZES
+    found = [experiment(lab, k + 1, n) for k, n in enumerate(sizes)]
+    for one in found:
+        one.answers = list(compared(one))
+    found[-1].answers += crossovers(found, lab.ranks.size)
+    for multipole, curve in TREES.items():
+        seen = ", ".join(f"{row.errors['median']:.1e}" for row in found[-1].curve(curve)[:3])
+        other = f"where each particle walks by itself, N = 20 000: {BY_PARTICLE[multipole]}"
+        found[-1].answers.append(f"{curve} at angles 1, 0.7, 0.5: median {seen}; {other}")
+    return found
