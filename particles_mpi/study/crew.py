@@ -57,12 +57,18 @@ class Crew(Watch):
         return told
 
 
+def divides(sim: Simulation) -> bool:
+    """Does each rank compute its part of space? Mode event puts all on every rank where that is no less work."""
+    return bool(getattr(sim.near, "divided", True))
+
+
 def gauges(sim: Simulation) -> dict[str, float]:
     """All that counts up in a simulation, on this rank."""
     ranks, near = sim.ranks, sim.near
+    searching = near and divides(sim) and "mutual_gravity" not in sim.forces
     counted = {
         "rows": ranks.rows,
-        "fetches": near.searches if near and "mutual_gravity" not in sim.forces else sim.steps_done,
+        "fetches": near.searches if searching else sim.steps_done,
         "ghost_rows": near.ghost_rows if near else 0,
         "messages": ranks.messages,
         "reductions": ranks.reductions,

@@ -21,7 +21,7 @@ from scipy.optimize import brentq, nnls
 NETWORK_LATENCY = 2e-6  # seconds of a short message between two nodes, Infiniband
 NETWORK_BANDWIDTH = 1e10  # bytes a second of a rank
 ASSUMPTIONS = (
-    "work: {growth}; it is shared as evenly as measured, and memory is as fast as here however many ranks a node has",
+    "work: {growth}; {share}, and memory is as fast as here however many ranks a node has",
     "rows: the layer around a block of space stays as thick, blocks are those of bisection, one row costs what it costs here",
     "messages: one stage of a reduction, or a message to one neighbour, costs what it costs here; searches are as frequent",
     "between nodes (more than {ranks} ranks): {latency:.0f} us at least a message, {bandwidth:.0f} GB/s a rank; no other traffic",
@@ -51,16 +51,24 @@ class Point:
 
 @dataclass(frozen=True)
 class Law:
-    """How work and traffic of a scene grow. `edges`: of its space, of volume 1; `everyone`: a rank fetches all particles."""
+    """How work and traffic of a scene grow. `edges`: of its space, of volume 1.
+
+    `everyone`: a rank fetches all particles, and unless the work is `shared` does with them what all others do.
+    """
 
     growth: str
     edges: tuple[float, ...]
     periodic: tuple[bool, ...]
     everyone: bool = False
+    shared: bool = True
 
     def work(self, particles: float) -> float:
         """Units that all ranks together have to do in a step."""
         return particles * {"N": 1.0, "N log N": log2(max(particles, 2)), "N^2": particles}[self.growth]
+
+    def share(self, particles: float, ranks: int) -> float:
+        """Units that one of the ranks has to do."""
+        return self.work(particles) / (ranks if self.shared else 1)
 
     def rate(self, particles: float, ranks: int, seconds: float) -> float:
         """Units that a rank does in a second; over that of one rank alone it is the efficiency.
@@ -153,7 +161,7 @@ class Model:
             row, latency = row + self.row_bytes / NETWORK_BANDWIDTH, max(latency, NETWORK_LATENCY)
         return {
             "fixed": self.fixed,
-            "work": (self.imbalance if ranks > 1 else 1.0) * self.each * self.law.work(particles) / ranks,
+            "work": (self.imbalance if ranks > 1 else 1.0) * self.each * self.law.share(particles, ranks),
             "rows": row * self.traffic.rows(particles, ranks),
             "latency": latency * self.traffic.stages(ranks),
         }
@@ -174,7 +182,10 @@ class Model:
     @property
     def assumptions(self) -> list[str]:
         network = {"latency": NETWORK_LATENCY * 1e6, "bandwidth": NETWORK_BANDWIDTH * 1e-9}
-        return [line.format(growth=self.law.growth, ranks=self.measured, **network) for line in ASSUMPTIONS]
+        share = (
+            "shared as evenly as measured" if self.law.shared else "all of it on every rank, as long as ranks do not divide space"
+        )
+        return [line.format(growth=self.law.growth, share=share, ranks=self.measured, **network) for line in ASSUMPTIONS]
 
 
 def fit(points: Sequence[Point], law: Law, row_bytes: float) -> Model:
@@ -182,7 +193,7 @@ def fit(points: Sequence[Point], law: Law, row_bytes: float) -> Model:
     traffic = count([p for p in points if p.ranks > 1], law)
     timed = [p for p in points if not p.oversubscribed]
     several = [p for p in timed if p.ranks > 1]
-    computing = [[1.0, law.work(p.particles) / p.ranks, traffic.rows(p.particles, p.ranks)] for p in timed]
+    computing = [[1.0, law.share(p.particles, p.ranks), traffic.rows(p.particles, p.ranks)] for p in timed]
     fixed, each, row = costs(computing, [p.own for p in timed])
     talkers = [p for p in several if p.talk > 0.0]  # none where the phases do not tell talk from work
     talking = [[traffic.rows(p.particles, p.ranks), traffic.stages(p.ranks)] for p in talkers]

@@ -23,7 +23,7 @@ from particles_mpi.populate import fields_of
 from particles_mpi.scene import Scene
 from particles_mpi.simulation import Simulation
 from particles_mpi.study.clock import SAMPLE, SAMPLES, time_in_turns
-from particles_mpi.study.crew import Crew
+from particles_mpi.study.crew import Crew, divides
 from particles_mpi.study.grown import edges, grown
 from particles_mpi.study.performance_model import Law, Point, fit
 from particles_mpi.study.scaling_result import Curve, Result, report
@@ -60,9 +60,8 @@ class Scaling:
         told = screen.count("scaling", len(crews) * (1 + SAMPLES))
         time_in_turns(list(crews.values()), SAMPLES, self.least, lambda: told("scaling: time"))
         screen.stop()
-        self.replicated = any(
-            count > 1 and not getattr(crew.sim.near, "divided", True) for (_, count), crew in crews.items() if crew.sim
-        )
+        parts = [crew.sim for (_, count), crew in crews.items() if crew.sim and count > 1]
+        self.divided = not parts or any(divides(sim) for sim in parts)
         return {setting: self.point(crew, setting[1]) for setting, crew in crews.items()}
 
     def crew(self, scene: Scene, ranks: Ranks | None) -> Crew:
@@ -95,11 +94,11 @@ class Scaling:
 
     def law(self, total: int) -> Law:
         """How work and traffic of the scene grow; it has `total` particles."""
-        scene, growth, everyone = self.scene, "N", self.replicated
+        scene, growth, everyone = self.scene, "N", not self.divided
         if "mutual_gravity" in scene.effects:
             tree = scene.effects["mutual_gravity"].choice(scene, total).angle is not None
             growth, everyone = ("N log N", False) if tree else ("N^2", True)
-        return Law(growth, edges(scene), tuple(scene.periodic), everyone)
+        return Law(growth, edges(scene), tuple(scene.periodic), everyone, self.divided)
 
     def row_bytes(self) -> int:
         """Of a ghost, as it is sent."""

@@ -137,12 +137,13 @@ def say_model(result: Result, screen: Screen) -> None:
     screen.say(f"[bold]{result.origin}[/bold]")
     traffic = model.traffic
     screen.say(
-        f"  t = {model.fixed * 1e6:.3g} us + {model.imbalance:.2f} x {model.each * 1e9:.3g} ns x work/P"
+        f"  t = {model.fixed * 1e6:.3g} us + {model.imbalance:.2f} x {model.each * 1e9:.3g} ns x work{'/P' * model.law.shared}"
         f" + {model.row * 1e6:.3g} us x rows + {model.latency * 1e6:.3g} us x stages; work = {model.law.growth}"
     )
     layer = "all particles" if model.law.everyone else f"a layer of {traffic.thickness:.2g} mean distances"
+    fetched = f"rows of {layer} fetched {traffic.fetches:.2g} times" if traffic.thickness else "no rows fetched"
     screen.say(
-        f"  counted in a step: rows of {layer} fetched {traffic.fetches:.2g} times, {traffic.messages:.2g} messages to"
+        f"  counted in a step: {fetched}, {traffic.messages:.2g} messages to"
         f" each neighbour, {traffic.reductions:.2g} reductions, {traffic.all_to_alls:.2g} exchanges of all with all"
     )
     table = right("ranks", *(curve.name for curve in result.curves))

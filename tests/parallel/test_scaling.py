@@ -6,6 +6,8 @@ import os
 import pytest
 from conftest import run_ranks
 
+from particles_mpi.study.performance_model import Law
+
 pytestmark = pytest.mark.parallel
 FILES = {"scaling.csv", "scaling_model.csv", "scaling.png", "scaling.svg"}
 
@@ -54,9 +56,14 @@ def test_ranks_without_a_core_are_marked(tmp_path):
     ranks = 2 * len(os.sched_getaffinity(0))
     said = scaled(ranks, tmp_path, "gas")
     assert said.count(f"{ranks}, oversubscribed") == 4  # in two tables of two curves
-    marked = {row["ranks"]: row["oversubscribed"] for row in table(tmp_path / "scaling.csv")}
+    rows = table(tmp_path / "scaling.csv")
+    marked = {row["ranks"]: row["oversubscribed"] for row in rows}
     assert marked["1"] == "0" and marked[str(ranks)] == "1"
     assert "hollow: oversubscribed" in (tmp_path / "scaling.svg").read_text()
+    law = Law("N", (1.0, 1.0, 1.0), (False, False, False))  # ghosts lie in a layer as thick on two ranks as on all
+    counted = [(row, float(row["rows"]) / float(row["fetches"])) for row in rows if row["ranks"] in ("2", str(ranks))]
+    layers = [law.thickness(int(row["particles"]), int(row["ranks"]), fetched) for row, fetched in counted]
+    assert max(layers) < 2.0 * min(layers), layers
 
 
 def test_listed_particles_have_no_weak_scaling(tmp_path):

@@ -134,6 +134,14 @@ def test_the_model_finds_the_costs_it_was_made_from(growth):
     assert found.seconds(1e6, 512) == pytest.approx(made.seconds(1e6, 512), rel=1e-6)
 
 
+def test_work_that_is_not_shared_does_not_shrink():
+    made = synthetic(replace(CUBE, everyone=True, shared=False))
+    assert made.parts(1000, 64)["work"] == made.parts(1000, 1)["work"]
+    found = fit([measured(made, *pair) for pair in [(500, 1), (1000, 1), (1000, 2), (2000, 2)]], made.law, 80.0)
+    assert found.each == pytest.approx(made.each) and found.row == pytest.approx(made.row)
+    assert "on every rank" in found.assumptions[0] and "evenly" in synthetic().assumptions[0]
+
+
 def test_ranks_that_share_cores_are_counted_and_not_timed():
     made = synthetic()
     points = [measured(made, *pair) for pair in [(4000, 1), (32_000, 1), (32_000, 2), (64_000, 2)]]
