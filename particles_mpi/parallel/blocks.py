@@ -25,6 +25,8 @@ def blocks(ranks: Ranks, columns: dict[str, Array], total: int) -> Iterator[dict
         yield everyone if (ids[1:] > ids[:-1]).all() else rows_of(everyone, np.argsort(ids))
         return
     mine = in_id_order(ranks, columns, total, ranks.size)
+    ranks.all_to_alls += 1
+    ranks.rows += total - len(mine["id"])
     widths = {name: int(np.prod(column.shape[1:])) for name, column in columns.items()}
     firsts = [-(-rank * total // ranks.size) for rank in range(ranks.size + 1)]
 

@@ -24,6 +24,8 @@ def send_rows(ranks: Ranks, arrays: dict[str, Array], rows: Array, counts: Array
     arriving = np.empty_like(counts)
     ranks.comm.Alltoall(counts, arriving)
     ranks.messages += int((counts > 0).sum())
+    ranks.all_to_alls += 1
+    ranks.rows += int(arriving.sum() - arriving[ranks.rank])
     row_size = sum(column.dtype.itemsize * prod(column.shape[1:]) for column in arrays.values())
     to, of = (-(row_size * numbers.astype(np.int64) // -WORD) for numbers in (counts, arriving))
     outgoing, incoming = np.empty(to.sum(), np.int64), np.empty(of.sum(), np.int64)

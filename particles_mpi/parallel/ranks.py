@@ -18,13 +18,18 @@ NAP = 0.005  # seconds between two looks of a rank that waits asleep
 
 
 class Ranks:
-    """Thin over a communicator: on one rank nothing is sent, and every message and reduction is counted for `run.json`."""
+    """Thin over a communicator: on one rank nothing is sent, and every message and reduction is counted for `run.json`.
+
+    `rows`: that came from other ranks; `all_to_alls`: exchanges in which every rank may have something for every other.
+    """
 
     def __init__(self, comm: MPI.Comm | None = None):
         self.comm = MPI.COMM_WORLD if comm is None else comm
         self.rank, self.size = self.comm.Get_rank(), self.comm.Get_size()
         self.messages = 0
         self.reductions = 0
+        self.all_to_alls = 0
+        self.rows = 0
         if self.size > 1 and sys.excepthook is sys.__excepthook__:
             sys.excepthook = end_all
 
@@ -32,6 +37,11 @@ class Ranks:
     def alone(cls) -> Ranks:
         """This rank by itself."""
         return cls(MPI.COMM_SELF)
+
+    def first(self, count: int) -> Ranks | None:
+        """The first `count` of these, with a communicator of their own; None on the others. Collective."""
+        comm = self.comm.Split(0 if self.rank < count else MPI.UNDEFINED, self.rank)
+        return None if comm == MPI.COMM_NULL else Ranks(comm)
 
     @property
     def is_root(self) -> bool:

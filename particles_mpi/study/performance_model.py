@@ -1,0 +1,226 @@
+"""A model of the seconds of a step, t(N, P): fitted where it was measured, a guess elsewhere. Plain numbers.
+
+    t = fixed + imbalance * each * work(N)/P + row * rows(N, P) + latency * stages(P)
+
+work(N): N, N log2 N (tree) or N^2 (direct sum). rows: particles of others that a rank fetches in a step, those within
+a layer around its block of space. stages: messages one after the other: one to each neighbour, log2 P for a reduction,
+P - 1 for an exchange in which every rank may send to every other (Alltoallv, pairwise). The costs come from the phases, by
+non-negative least squares of relative errors (Lawson and Hanson 1974); the numbers of rows, messages and reductions are counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from math import ceil, log2, prod
+from statistics import median
+
+import numpy as np
+from scipy.optimize import brentq, nnls
+
+NETWORK_LATENCY = 2e-6  # seconds of a short message between two nodes, Infiniband
+NETWORK_BANDWIDTH = 1e10  # bytes a second of a rank
+ASSUMPTIONS = (
+    "work: {growth}; {share}, and memory is as fast as here however many ranks a node has",
+    "rows: the layer around a block of space stays as thick, blocks are those of bisection, one row costs what it costs here",
+    "messages: one stage of a reduction, or a message to one neighbour, costs what it costs here; searches are as frequent",
+    "between nodes (more than {ranks} ranks): {latency:.0f} us at least a message, {bandwidth:.0f} GB/s a rank; no other traffic",
+    "not in it: cutting space anew, output, set-up, noise of the operating system, which grows with the number of ranks",
+)
+
+
+@dataclass(frozen=True)
+class Point:
+    """One scene on so many ranks, measured. Seconds and counts are those of a step; counts also of one rank, on average.
+
+    own: what a rank computes, mean and `slowest`; talk: in phases that communicate, the rank that waits least.
+    """
+
+    particles: int
+    ranks: int
+    seconds: float
+    low: float
+    high: float
+    own: float
+    slowest: float
+    talk: float
+    counts: dict[str, float]
+    phases: dict[str, float] = field(default_factory=dict)
+    oversubscribed: bool = False
+
+
+@dataclass(frozen=True)
+class Law:
+    """How work and traffic of a scene grow. `edges`: of its space, of volume 1.
+
+    `everyone`: a rank fetches all particles, and unless the work is `shared` does with them what all others do.
+    """
+
+    growth: str
+    edges: tuple[float, ...]
+    periodic: tuple[bool, ...]
+    everyone: bool = False
+    shared: bool = True
+
+    def work(self, particles: float) -> float:
+        """Units that all ranks together have to do in a step."""
+        return particles * {"N": 1.0, "N log N": log2(max(particles, 2)), "N^2": particles}[self.growth]
+
+    def share(self, particles: float, ranks: int) -> float:
+        """Units that one of the ranks has to do."""
+        return self.work(particles) / (ranks if self.shared else 1)
+
+    def rate(self, particles: float, ranks: int, seconds: float) -> float:
+        """Units that a rank does in a second; over that of one rank alone it is the efficiency.
+
+        T1/(P TP) at a fixed size, T1/TP at a fixed size of a rank where work is in proportion to particles.
+        """
+        return self.work(particles) / (ranks * seconds)
+
+    def cuts(self, ranks: int) -> list[float]:
+        """Blocks along each axis, the longest edge halved again and again; between two powers of two as if in between."""
+        blocks, left = [1.0] * len(self.edges), float(ranks)
+        while left > 1.0:
+            k = max(range(len(blocks)), key=lambda axis: self.edges[axis] / blocks[axis])
+            blocks[k] *= min(left, 2.0)
+            left /= 2.0
+        return blocks
+
+    def sides(self, ranks: int) -> list[float]:
+        """Sides of a block along each axis on which it has a neighbour, 0 to 2, mean over the ranks."""
+        return [
+            min(2.0, 4.0 * (1.0 - 1.0 / n)) if wraps else 2.0 * (1.0 - 1.0 / n)
+            for n, wraps in zip(self.cuts(ranks), self.periodic, strict=True)
+        ]
+
+    def neighbours(self, ranks: int) -> float:
+        """Ranks that a rank has something to tell, mean: corners count."""
+        return min(ranks - 1.0, prod(1.0 + side for side in self.sides(ranks)) - 1.0)
+
+    def rows(self, particles: float, ranks: int, thickness: float) -> float:
+        """Rows that a rank fetches at a time; the layer is `thickness` mean distances between particles thick."""
+        if self.everyone:
+            return thickness * (particles - particles / ranks)
+        lengths = [edge * particles ** (1.0 / len(self.edges)) for edge in self.edges]
+        blocks = zip(lengths, self.cuts(ranks), self.sides(ranks), strict=True)
+        return prod(min(length, length / n + thickness * side) for length, n, side in blocks) - particles / ranks
+
+    def thickness(self, particles: float, ranks: int, rows: float) -> float:
+        """Of the layer that holds so many rows."""
+        if self.everyone:
+            return rows / (particles - particles / ranks)
+        most = max(self.edges) * particles ** (1.0 / len(self.edges))
+        if rows <= 0.0 or self.rows(particles, ranks, most) <= rows:
+            return most if rows > 0.0 else 0.0
+        return float(brentq(lambda t: self.rows(particles, ranks, t) - rows, 0.0, most))
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """What is sent. `fetches` of rows, `messages` to one neighbour, `reductions` and `all_to_alls`: in a step, of a rank."""
+
+    law: Law
+    thickness: float
+    fetches: float
+    messages: float
+    reductions: float
+    all_to_alls: float
+
+    def rows(self, particles: float, ranks: int) -> float:
+        """That a rank fetches in a step."""
+        return self.fetches * self.law.rows(particles, ranks, self.thickness) if ranks > 1 else 0.0
+
+    def stages(self, ranks: int) -> float:
+        """Messages of a rank in a step, one after the other."""
+        depth = ceil(log2(ranks))
+        at_once = self.messages * self.law.neighbours(ranks) + self.reductions * depth
+        return at_once + self.all_to_alls * (depth + ranks - 1)
+
+
+@dataclass(frozen=True)
+class Model:
+    """Costs in seconds: `fixed` a step, `each` a unit of work, `row`, `latency` a stage. `imbalance`: slowest over mean.
+
+    `measured`: ranks up to which it was fitted, in one machine; beyond, the network's latency and bandwidth come in.
+    """
+
+    law: Law
+    traffic: Traffic
+    fixed: float
+    each: float
+    row: float
+    latency: float
+    imbalance: float
+    measured: int
+    row_bytes: float
+
+    def parts(self, particles: float, ranks: int) -> dict[str, float]:
+        """Seconds of a step, term by term."""
+        row, latency = self.row, self.latency
+        if ranks > self.measured:
+            row, latency = row + self.row_bytes / NETWORK_BANDWIDTH, max(latency, NETWORK_LATENCY)
+        return {
+            "fixed": self.fixed,
+            "work": (self.imbalance if ranks > 1 else 1.0) * self.each * self.law.share(particles, ranks),
+            "rows": row * self.traffic.rows(particles, ranks),
+            "latency": latency * self.traffic.stages(ranks),
+        }
+
+    def seconds(self, particles: float, ranks: int) -> float:
+        """Of a step."""
+        return sum(self.parts(particles, ranks).values())
+
+    def efficiency(self, particles: float, ranks: int, alone: float) -> float:
+        """Against `alone` particles on one rank."""
+        one = self.law.rate(alone, 1, self.seconds(alone, 1))
+        return self.law.rate(particles, ranks, self.seconds(particles, ranks)) / one
+
+    def residual(self, point: Point) -> float:
+        """(model - measured) / measured."""
+        return self.seconds(point.particles, point.ranks) / point.seconds - 1.0
+
+    @property
+    def assumptions(self) -> list[str]:
+        network = {"latency": NETWORK_LATENCY * 1e6, "bandwidth": NETWORK_BANDWIDTH * 1e-9}
+        share = (
+            "shared as evenly as measured" if self.law.shared else "all of it on every rank, as long as ranks do not divide space"
+        )
+        return [line.format(growth=self.law.growth, share=share, ranks=self.measured, **network) for line in ASSUMPTIONS]
+
+
+def fit(points: Sequence[Point], law: Law, row_bytes: float) -> Model:
+    """The model of what was measured; counts also from ranks that shared a core, seconds only from those that did not."""
+    traffic = count([p for p in points if p.ranks > 1], law)
+    timed = [p for p in points if not p.oversubscribed]
+    several = [p for p in timed if p.ranks > 1]
+    computing = [[1.0, law.share(p.particles, p.ranks), traffic.rows(p.particles, p.ranks)] for p in timed]
+    fixed, each, row = costs(computing, [p.own for p in timed])
+    talkers = [p for p in several if p.talk > 0.0]  # none where the phases do not tell talk from work
+    talking = [[traffic.rows(p.particles, p.ranks), traffic.stages(p.ranks)] for p in talkers]
+    row_sent, latency = costs(talking, [p.talk for p in talkers]) if talkers else (0.0, 0.0)
+    imbalance = typical([p.slowest / p.own for p in several], 1.0)
+    return Model(law, traffic, fixed, each, row + row_sent, latency, imbalance, max(p.ranks for p in timed), row_bytes)
+
+
+def count(points: Sequence[Point], law: Law) -> Traffic:
+    """What was sent: the layer's thickness from all points, the rest from the most ranks, from where it changes least."""
+    widest = [p for p in points if p.ranks == max(q.ranks for q in points)]
+    layers = [law.thickness(p.particles, p.ranks, p.counts["rows"] / p.counts["fetches"]) for p in points if p.counts["fetches"]]
+    messages = [p.counts["messages"] / law.neighbours(p.ranks) for p in widest]
+    fetches, reductions, all_to_alls = (
+        typical([p.counts[name] for p in widest]) for name in ("fetches", "reductions", "all_to_alls")
+    )
+    return Traffic(law, typical(layers), fetches, typical(messages), reductions, all_to_alls)
+
+
+def typical(values: Sequence[float], of_none: float = 0.0) -> float:
+    return median(values) if values else of_none
+
+
+def costs(units: Sequence[Sequence[float]], seconds: Sequence[float]) -> list[float]:
+    """None negative, with the least sum of squares of the relative errors of `seconds` (all > 0) = units . costs."""
+    table = np.array(units, float) / np.array(seconds, float)[:, None]
+    scale = np.sqrt((table**2).sum(axis=0))
+    scale[scale == 0.0] = 1.0
+    found, _ = nnls(table / scale, np.ones(len(table)))
+    return (found / scale).tolist()

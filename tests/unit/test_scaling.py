@@ -1,0 +1,179 @@
+"""`study scaling`: the scenes of weak scaling, what efficiency is, and that the model finds the costs it was made from."""
+
+from dataclasses import replace
+from math import log2
+
+import numpy as np
+import pytest
+
+from particles_mpi import Scene, SceneError
+from particles_mpi.populate import populate
+from particles_mpi.study.grown import edges, grown
+from particles_mpi.study.performance_model import NETWORK_LATENCY, Law, Model, Point, Traffic, fit
+from particles_mpi.study.scaling import HEADLINE, rank_counts, settings, unable_to_grow
+from particles_mpi.study.scaling_result import Curve, Result
+
+CUBE = Law("N", (1.0, 1.0, 1.0), (False, False, False))
+
+
+def gas(**population):
+    table = {"count": 300, "position": "random", "velocity": {"speed": 1.0}, "radius": 0.02, "mass": 1.0} | population
+    floor = {"planes": [{"point": [2.0, 1.0, 1.0], "normal": [0.0, 0.0, 1.0]}]}
+    return Scene(
+        dimension=3,
+        seed=3,
+        box={"lower": [1.0, 1.0, 1.0], "upper": [3.0, 2.0, 2.5]},
+        time={"step": 0.01, "steps": 10},
+        particles=[table],
+        effects={"collisions": {}, "walls": floor},
+    )
+
+
+@pytest.mark.parametrize("position", ["random", "lattice"])
+def test_a_grown_gas_has_the_same_density_and_radii(position):
+    scene = gas(position=position)
+    large = grown(scene, 4)
+    (small_rows, _), (rows, warnings) = populate(scene), populate(large)
+    assert len(rows) == 4 * len(small_rows) and not warnings and (rows.radius == 0.02).all()
+    sides, before = (np.subtract(s.box.upper, s.box.lower) for s in (large, scene))
+    assert np.isclose(np.prod(sides), 4 * np.prod(before)) and np.allclose(sides / before, 4 ** (1 / 3))
+    assert large.box.lower == scene.box.lower and edges(large) == pytest.approx(edges(scene))
+    assert large.effects["walls"].planes[0].point == pytest.approx([1.0 + 4 ** (1 / 3), 1.0, 1.0])  # half-way, as before
+    assert grown(scene, 1) == scene
+
+
+def test_a_grown_cluster_keeps_density_and_mass_of_a_star():
+    tables = {
+        "dimension": 3,
+        "G": 1.0,
+        "time": {"step": 0.01, "steps": 1},
+        "particles": [{"count": 100, "position": {"plummer": 2.0}, "velocity": "equilibrium", "mass": 0.01}],
+        "effects": {"mutual_gravity": {}},
+    }
+    large = grown(Scene.from_dict(tables), 8)
+    assert large.particles[0].count == 800 and large.particles[0].mass == 0.01
+    assert large.particles[0].position == {"plummer": pytest.approx(4.0)}
+
+
+@pytest.mark.parametrize(
+    "population, key",
+    [
+        ({"count": None, "position": [[1.5, 1.5, 1.7], [2.5, 1.5, 1.7]]}, "position"),
+        ({"count": None, "position": {"file": "start.csv"}}, "position"),
+        ({"velocity": [[0.0, 0.0, 1.0]] * 300}, "velocity"),
+        ({"radius": [0.02] * 300}, "radius"),
+        ({"fixed": [True] * 300}, "fixed"),
+    ],
+)
+def test_what_is_listed_has_no_weak_scaling(population, key):
+    scene = gas(**population)
+    with pytest.raises(SceneError, match=rf"particles\[0\]\.{key}: "):
+        grown(scene, 2)
+    assert len(unable_to_grow(scene)) == 1
+    assert settings(scene, [1, 2], [1.0], False) == [(1.0, 1), (1.0, 2)]
+
+
+def test_which_settings_are_measured():
+    assert rank_counts(1) == [1] and rank_counts(6) == [1, 2, 4, 6] and rank_counts(8) == [1, 2, 4, 8]
+    assert not unable_to_grow(gas(velocity=[0.0, 0.0, 1.0]))  # one vector for all
+    assert settings(gas(), [1, 2], [1.0], True) == [(1.0, 1), (1.0, 2), (2.0, 2)]
+    assert settings(Scene.load(HEADLINE), [1, 2], [1.0, 8.0], True)[-2:] == [(2.0, 2), (1 / 8, 1)]
+
+
+def test_blocks_and_their_neighbours():
+    assert [CUBE.cuts(p) for p in (1, 2, 4, 8)] == [[1, 1, 1], [2, 1, 1], [2, 2, 1], [2, 2, 2]]
+    assert [CUBE.neighbours(p) for p in (1, 2, 4, 8)] == [0, 1, 3, 7]
+    assert 25 < CUBE.neighbours(1 << 21) <= 26
+    assert np.prod(CUBE.cuts(6)) == pytest.approx(6)
+    assert Law("N", (4.0, 0.5, 0.5), (False,) * 3).cuts(4) == [4, 1, 1]  # a channel is cut across
+    round_ = Law("N", (1.0, 1.0, 1.0), (True,) * 3)
+    assert round_.sides(2) == [2, 0, 0] and round_.neighbours(2) == 1
+
+
+def test_ghost_rows_are_those_of_a_layer():
+    n, t = 32_000, 0.7
+    assert CUBE.rows(n, 2, t) == pytest.approx(n ** (2 / 3) * t)  # one face of the cube
+    edge = n ** (1 / 3) / 4
+    assert CUBE.rows(n, 64, t) == pytest.approx((edge + 1.5 * t) ** 3 - edge**3)  # of four blocks the outer two have one side
+    assert CUBE.rows(n, 2, 1e9) == pytest.approx(n / 2)  # all others, at most
+    for ranks in (2, 3, 8, 64):
+        assert CUBE.thickness(n, ranks, CUBE.rows(n, ranks, t)) == pytest.approx(t)
+    everyone = replace(CUBE, everyone=True)
+    assert everyone.rows(1000, 4, 1.0) == 750 and everyone.thickness(1000, 4, 1500.0) == 2
+
+
+def measured(model, particles, ranks, factor=1.0):
+    """The point that the model would give on a machine `factor` times as slow."""
+    traffic, parts = model.traffic, model.parts(particles, ranks)
+    talk = parts["latency"] + 0.75 * parts["rows"]
+    own = parts["fixed"] + parts["work"] / (model.imbalance if ranks > 1 else 1.0) + 0.25 * parts["rows"]
+    slowest = own * (model.imbalance if ranks > 1 else 1.0)
+    counts = {name: getattr(traffic, name) for name in ("fetches", "reductions", "all_to_alls")}
+    counts |= {"messages": traffic.messages * traffic.law.neighbours(ranks), "rows": traffic.rows(particles, ranks)}
+    if ranks == 1:
+        counts = dict.fromkeys(counts, 0.0)
+    seconds = factor * sum(parts.values())
+    return Point(particles, ranks, seconds, seconds, seconds, factor * own, factor * slowest, factor * talk, counts)
+
+
+def synthetic(law=CUBE):
+    return Model(law, Traffic(law, 0.8, 0.15, 3.0, 5.0, 0.25), 1e-4, 7e-8, 3e-7, 8e-6, 1.0, 4, 80.0)
+
+
+@pytest.mark.parametrize("growth", ["N", "N log N", "N^2"])
+def test_the_model_finds_the_costs_it_was_made_from(growth):
+    made = synthetic(replace(CUBE, growth=growth))
+    pairs = [(4000, 1), (32_000, 1), (32_000, 2), (64_000, 2), (32_000, 4), (128_000, 4)]
+    points = [measured(made, *pair) for pair in pairs]
+    found = fit(points, made.law, made.row_bytes)
+    for name in ("fixed", "each", "row", "latency", "imbalance"):
+        assert getattr(found, name) == pytest.approx(getattr(made, name), rel=1e-6), name
+    for name in ("thickness", "fetches", "messages", "reductions", "all_to_alls"):
+        assert getattr(found.traffic, name) == pytest.approx(getattr(made.traffic, name), rel=1e-6), name
+    assert max(abs(found.residual(p)) for p in points) < 1e-6
+    assert found.seconds(1e6, 512) == pytest.approx(made.seconds(1e6, 512), rel=1e-6)
+
+
+def test_work_that_is_not_shared_does_not_shrink():
+    made = synthetic(replace(CUBE, everyone=True, shared=False))
+    assert made.parts(1000, 64)["work"] == made.parts(1000, 1)["work"]
+    found = fit([measured(made, *pair) for pair in [(500, 1), (1000, 1), (1000, 2), (2000, 2)]], made.law, 80.0)
+    assert found.each == pytest.approx(made.each) and found.row == pytest.approx(made.row)
+    assert "on every rank" in found.assumptions[0] and "evenly" in synthetic().assumptions[0]
+
+
+def test_ranks_that_share_cores_are_counted_and_not_timed():
+    made = synthetic()
+    points = [measured(made, *pair) for pair in [(4000, 1), (32_000, 1), (32_000, 2), (64_000, 2)]]
+    crowded = replace(measured(made, 32_000, 4, factor=20.0), oversubscribed=True)
+    found = fit([*points, crowded], made.law, made.row_bytes)
+    assert found.each == pytest.approx(made.each) and found.latency == pytest.approx(made.latency)
+    assert found.measured == 2
+    lonely = fit([*points[:2], crowded], made.law, made.row_bytes)  # no core for a second rank: counts alone
+    assert lonely.latency == 0.0 and lonely.traffic.reductions == 5.0
+    assert lonely.parts(32_000, 64)["latency"] == pytest.approx(NETWORK_LATENCY * lonely.traffic.stages(64))
+
+
+def test_what_the_model_must_say_in_the_limits():
+    made = synthetic()
+    assert made.parts(32_000, 1)["rows"] == made.parts(32_000, 1)["latency"] == 0.0
+    t = [made.seconds(32_000, p) for p in (1, 2, 4, 8)]
+    assert t == sorted(t, reverse=True) and made.seconds(32_000, 1024) > made.seconds(32_000, 64)  # latency wins in the end
+    assert made.efficiency(32_000, 1, 32_000) == 1.0
+    assert made.efficiency(64 * 32_000, 64, 32_000) > made.efficiency(32_000, 64, 32_000)
+    assert any("memory" in line for line in made.assumptions) and "(more than 4 ranks)" in " ".join(made.assumptions)
+
+
+def test_efficiency_is_what_the_course_calls_so():
+    def point(particles, ranks, seconds):
+        return Point(particles, ranks, seconds, seconds, seconds, seconds, seconds, 0.0, {})
+
+    one = point(1000, 1, 8.0)
+    strong, weak = Curve("strong", False, [one, point(1000, 4, 2.5)]), Curve("weak", True, [one, point(4000, 4, 10.0)])
+    result = Result("", CUBE, [strong, weak], [], None, [], False)
+    assert result.efficiency(strong, one) == 1.0
+    assert result.efficiency(strong, strong.points[1]) == pytest.approx(8.0 / (4 * 2.5))  # T1 / (P TP)
+    assert result.efficiency(weak, weak.points[1]) == pytest.approx(8.0 / 10.0)  # T1 / TP
+    assert strong.particles(4) == 1000 and weak.particles(4) == 4000
+    tree = replace(result, law=replace(CUBE, growth="N log N"))
+    assert tree.efficiency(weak, weak.points[1]) == pytest.approx(0.8 * log2(4000) / log2(1000))
