@@ -147,6 +147,22 @@ def accuracy(
     measure(described, only, quick, output or Path("out/study") / (scene.stem if scene else "accuracy"))
 
 
+@study.command("scaling")
+def scaling(
+    scene: Annotated[Path | None, typer.Argument(metavar="[SCENE.toml]", help="A scene of yours; else headline.toml.")] = None,
+    quick: Quick = False,
+    output: Folder = None,
+) -> None:
+    """Strong and weak scaling over 1, 2, 4 ... ranks of this start, phases, and a model of more ranks.
+
+    Example:   RANKS=4 ./run.sh study scaling my.toml
+    """
+    from particles_mpi.scene import Scene
+    from particles_mpi.study.scaling import scale
+
+    scale(Scene.load(scene) if scene else None, output or Path("out/study/scaling") / (scene.stem if scene else ""), quick)
+
+
 @study.command("hard-cases")
 def hard_cases(
     only: Annotated[str | None, typer.Option(metavar="TEXT", help="Only cases with this in their name, long ones too.")] = None,
