@@ -81,7 +81,8 @@ def gravities(start: Start) -> list[tuple[str, Changes]]:
     """The direct sum, and trees where they are less work."""
     if "mutual_gravity" not in start.scene.effects:
         return [("", {})]
-    options, found = start.scene.effects["mutual_gravity"], []
+    options = start.scene.effects["mutual_gravity"]
+    found: list[tuple[str, Changes]] = []
     if start.scene.dimension in TREES:
         own = [options.opening_angle or 0.5] if options.method == "tree" else []
         for angle in sorted({*ANGLES, *own}, reverse=True):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf, isfinite, log
+from math import inf, isfinite, log, log2, log10
 from time import perf_counter
 
 from particles_mpi import Scene
@@ -69,7 +69,7 @@ class Search:
             before = sim.work()
             track = follow(self.start, sim, patience)
         except (SceneError, StoppedError) as error:
-            why = f"gave up after {patience:.2g} s" if isinstance(error, TooLongError) else str(error).splitlines()[0]
+            why = "dearer than others, or no time left" if isinstance(error, TooLongError) else str(error).splitlines()[0]
             self.refused[f"{curve.name}, {curve.words(fineness)}"] = why
             return None
         work = {what: count - before[what] for what, count in sim.work().items()}
@@ -148,8 +148,16 @@ class Search:
         return [trial for trial in found if trial.seconds <= max(DEARER * quickest, LITTLE)]
 
 
-def first(curve: Curve, tolerance: float) -> float:
-    """Where the search on a curve begins."""
+def first(curve: Curve, search: Search, own: Trial | None) -> float:
+    """Where the search on a curve begins: by what is known of the scene as it is, and of orders."""
+    tolerance = search.tolerance
     if curve.adaptive:
-        return float(10.0 ** min(max(round(-log(tolerance) / log(10.0) / 2.0) + 2, 3), 9))
-    return float(max(curve.start.scene.steps, LOOKS))
+        return float(10.0 ** min(max(round(-0.5 * log10(tolerance)) + 2, 3), 9))
+    steps = float(max(curve.start.scene.steps, LOOKS))
+    order = {"leapfrog": 2, "order4": 4}.get(curve.integrator, 1)
+    if "collisions" in curve.start.scene.effects:
+        return steps
+    if own and own.curve.integrator == curve.integrator and 0.0 < own.errors[search.error] < 1.0:
+        better = log2(own.errors[search.error] / tolerance) / order
+        return steps * 2.0 ** min(max(round(better), -6), 6)
+    return steps / 4.0 if order == 4 else steps

@@ -170,7 +170,7 @@ def by_order_15(start: Start, seconds: float) -> Yardstick | None:
     """Reference by `adaptive`, where paths are smooth; None where it does not get through."""
     try:
         probe = start.simulate(adaptive(start, TIGHT, LOOKS * min(start.scene.time.step, start.duration)))
-        found = affordable(start, 4.0 * rate(start, probe, 0.02 * seconds, 2.0), seconds)
+        found = affordable(start, 3.0 * rate(start, probe, 0.02 * seconds, 2.0), seconds)
         while True:
             try:
                 tight = follow(start, start.simulate(adaptive(start, TIGHT, found.span)), 0.5 * seconds)
