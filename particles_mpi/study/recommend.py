@@ -13,7 +13,7 @@ from rich.table import Table
 from particles_mpi import Scene
 from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.output.console import Screen
-from particles_mpi.study.candidates import curves, own
+from particles_mpi.study.candidates import Curve, curves, own
 from particles_mpi.study.clock import Seconds, Watch, time_in_turns
 from particles_mpi.study.lab import Errors, Lab
 from particles_mpi.study.search import Search, Trial, first
@@ -24,6 +24,7 @@ from particles_mpi.study.yardstick import Yardstick, observables, reference
 
 BUDGET = 60.0  # seconds of measuring, about: a third each for the reference, the search, and times
 WORK = {"forces": "force sums", "interactions": "interactions", "pair_tests": "pair tests", "events": "contacts"}
+LOST = 0.05  # error of the scene as it is, from which nothing can be concluded
 SHORT = 0.05  # seconds of a run that is begun anew so often that short samples must do
 
 
@@ -76,11 +77,11 @@ def found(start: Start, tolerance: float, error: str, seconds: float) -> Recomme
     lab, began = start.lab, perf_counter()
     told = lab.screen.count("recommend", 5)
     told("reference")
-    yardstick = reference(start, seconds)
+    yardstick = reference(start, seconds, error)
     error = chosen(yardstick, tolerance, error)
     search = Search(start, yardstick, error, tolerance * share(yardstick, error), seconds / 3.0)
     mine = search.attempt(*own(start))
-    for curve in in_order(start, search):
+    for curve in in_order(start, lost=mine is None or mine.errors[error] > LOST):
         told(f"search: {curve.name}")
         search.along(curve, first(curve, search, mine))
     lab.screen.stop()
@@ -109,9 +110,10 @@ def share(yardstick: Yardstick, error: str) -> float:
     return yardstick.part if error == "state" else 1.0
 
 
-def in_order(start: Start, search: Search) -> Any:
-    """Curves, those of few steps first: what is reached cheaply early cuts the others short."""
-    order = {"adaptive": 1, "order4": 0, "leapfrog": 2, "taylor": 3}
+def in_order(start: Start, lost: bool) -> list[Curve]:
+    """Curves, first those that are likely the cheapest: what is reached early cuts the others short. `lost`: as it is the scene
+    is so wrong that only `adaptive` is sure to get through."""
+    order = {"order4": 1, "adaptive": 0 if lost else 2, "leapfrog": 3, "taylor": 4}
     return sorted(curves(start), key=lambda curve: order[curve.integrator])
 
 
@@ -183,7 +185,8 @@ def report(screen: Screen, found: Recommendation) -> None:
         )
     works = [name for name in WORK if any(trial.work[name] for trial in found.trials)]
     table = Table("setting", *yard.names, "seconds", *(WORK[name] for name in works), box=None, padding=(0, 2, 0, 2))
-    table.columns[0].no_wrap = True
+    for column in table.columns:
+        column.no_wrap = True
     times = {id(one.trial): one.seconds for one in found.timed}
     for trial in sorted(found.trials, key=lambda t: (t.curve.name, t.fineness)):
         s = times.get(id(trial))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, isfinite, log, log2, log10
 from time import perf_counter
 
@@ -16,7 +16,9 @@ from particles_mpi.study.yardstick import Yardstick
 
 MARGIN = 0.85  # of the tolerance: what a refined step aims at
 TRIES = 3  # of refinement
+CLOSE = 2.0  # times the seconds of the quickest, as they were seen once: those are timed well
 DEARER = 3.0  # times the seconds of the best: where a curve is given up
+MOST_REFUSALS = 5  # of settings of a curve, one after the other
 LITTLE = 0.2  # seconds that are no reason to give anything up
 COARSEST, FINEST = 1e3, 1e11  # 1/tolerance of `adaptive`
 STALLED = 1.15  # a finer setting whose error is not smaller by this: something else limits it
@@ -46,6 +48,7 @@ class Search:
         self.start, self.yardstick, self.error, self.tolerance = start, yardstick, error, tolerance
         self.trials: list[Trial] = []
         self.refused: dict[str, str] = {}  # why settings were not tried, or curves not followed
+        self.too_long = False  # was the last one that was refused
         self.best, self.seconds, self.began = inf, seconds, perf_counter()
 
     def reached(self, errors: Errors) -> bool:
@@ -65,11 +68,16 @@ class Search:
         part = self.yardstick.part
         try:
             scene = curve.scene(fineness, part)
+            for known in self.trials:
+                if known.scene == scene:  # the scene as it is, by another name
+                    self.trials.append(replace(known, curve=curve, fineness=fineness))
+                    return self.trials[-1]
             sim = self.start.simulate(scene)
             before = sim.work()
             track = follow(self.start, sim, patience)
         except (SceneError, StoppedError) as error:
-            why = "dearer than others, or no time left" if isinstance(error, TooLongError) else str(error).splitlines()[0]
+            self.too_long = isinstance(error, TooLongError)
+            why = "dearer than others, or no time left" if self.too_long else str(error).splitlines()[0]
             self.refused[f"{curve.name}, {curve.words(fineness)}"] = why
             return None
         work = {what: count - before[what] for what, count in sim.work().items()}
@@ -111,9 +119,8 @@ class Search:
             self.refused[curve.name] = f"reaches no better than tolerance {1.0 / FINEST:.0e}"
             return False
         if last is None:
-            if sum(name.startswith(curve.name) for name in self.refused) > 4:
-                return False
-            return self.left() > 0.0
+            tries = sum(name.startswith(curve.name) for name in self.refused)
+            return not self.too_long and tries < MOST_REFUSALS and self.left() > 0.0
         next_ = last.seconds * (1.0 if curve.adaptive else curve.ratio)
         if next_ > max(DEARER * self.best, LITTLE) or next_ > self.left():
             self.refused[curve.name] = "dearer than others" if isfinite(self.best) else "no time to try shorter steps"
@@ -145,7 +152,7 @@ class Search:
             else:
                 found += sorted(good, key=lambda t: t.seconds)[:2]
         quickest = min((trial.seconds for trial in found), default=inf)
-        return [trial for trial in found if trial.seconds <= max(DEARER * quickest, LITTLE)]
+        return [trial for trial in found if trial.seconds <= max(CLOSE * quickest, LITTLE)]
 
 
 def first(curve: Curve, search: Search, own: Trial | None) -> float:

@@ -131,13 +131,16 @@ def adaptive(start: Start, tolerance: float, duration: float) -> Scene:
     return variant(start.scene, time, exact(start))
 
 
-def reference(start: Start, seconds: float) -> Yardstick:
-    """The yardstick of a scene, in about a third of the seconds given; of its first part if that is too little. Collective."""
+def reference(start: Start, seconds: float, error: str = "") -> Yardstick:
+    """The yardstick of a scene, in about a third of the seconds given; of its first part if that is too little. Collective.
+
+    `error`: the only one that matters; the energy of the start needs no better solution.
+    """
     if start.total == 0 or start.scene.steps == 0:
         raise SceneError("particles: nothing moves in this scene: there is nothing to measure")
     began, ranks = perf_counter(), start.lab.ranks
     seconds = SHARE * seconds
-    if start.conserves and not start.contacts and start.total > MOST_PARTICLES:
+    if start.conserves and not start.contacts and start.forces and (error == "energy" or start.total > MOST_PARTICLES):
         found = conserved(start, seconds)
     else:
         found = (by_order_15(start, seconds) if start.free else None) or by_steps(start, seconds)
@@ -263,13 +266,15 @@ def settle(found: Yardstick, track: Track, parted: float, wrong: float) -> None:
 
 
 def conserved(start: Start, seconds: float) -> Yardstick:
-    """Too many for a better reference: the energy, which must not change, as long as the scene's own steps are affordable."""
+    """The energy alone, which must not change: as long as the scene's own steps are affordable some times over."""
     probe = start.simulate(start.scene)
-    found = affordable(start, 8.0 * rate(start, probe, 0.1 * seconds), seconds)
+    row = probe.measure()
+    found = affordable(start, 8.0 * rate(start, probe, 0.05 * seconds), seconds)
     found.kind, found.reference = "energy", "the energy of the start"
-    found.why = f"places are not compared for more than {MOST_PARTICLES} particles"
-    found.scale = abs(start.simulate(start.scene).measure()["total_energy"])
-    found.floors["energy"] = ROUND_OFF * sqrt(start.total)
+    found.why = "round-off of a sum"
+    energy, kinetic = abs(row["total_energy"]), row["kinetic"]
+    found.scale = energy if energy > 0.01 * kinetic else kinetic
+    found.floors = {"energy": ROUND_OFF * max(sqrt(start.total), 10.0)} if found.scale > 0.0 else {}
     return found
 
 
