@@ -36,9 +36,9 @@ class Curve:
         return 10.0 if self.adaptive else 2.0
 
     @property
-    def steady(self) -> bool:
-        """Does a run cost in proportion to its steps? Contacts are found at a price that depends on the step."""
-        return "collisions" not in self.start.scene.effects and not self.adaptive
+    def monotone(self) -> bool:
+        """Is a finer setting a dearer one? Contacts are found at a price that depends on the step in other ways."""
+        return "collisions" not in self.start.scene.effects
 
     def steps(self, fineness: float, part: float) -> int:
         """Of a part of the run; `adaptive` only stops where a frame is written."""

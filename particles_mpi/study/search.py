@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import inf, isfinite, log, log2, log10
 from time import perf_counter
@@ -89,6 +90,7 @@ class Search:
 
     def along(self, curve: Curve, fineness: float) -> None:
         """Bracket the tolerance by factors from a first setting on, then go to where it is just reached. Collective."""
+        self.warm_up(curve, fineness)
         fine = self.attempt(curve, fineness, self.patience())
         coarse: Trial | None = None
         while fine is None or not self.reached(fine.errors):
@@ -108,6 +110,12 @@ class Search:
             fine, coarse = (next_, None) if self.reached(next_.errors) else (fine, next_)
         if self.yardstick.kind != "ensemble":  # which step is just enough chance decides there
             self.refine(coarse, fine)
+
+    def warm_up(self, curve: Curve, fineness: float) -> None:
+        """A step that nobody times: kernels are compiled or loaded in it. Collective."""
+        if not curve.adaptive:  # a step of which is a frame; it has no kernels of its own
+            with suppress(SceneError, StoppedError):
+                self.start.simulate(curve.scene(fineness, self.yardstick.part)).step()
 
     def stalled(self, coarse: Trial, fine: Trial) -> bool:
         """Does a finer setting not help?"""
@@ -147,7 +155,7 @@ class Search:
         found = []
         for curve in {id(trial.curve): trial.curve for trial in self.trials}.values():
             good = [t for t in self.trials if t.curve is curve and self.reached(t.errors)]
-            if curve.steady:
+            if curve.monotone:
                 found += sorted(good, key=lambda t: t.fineness)[:1]
             else:
                 found += sorted(good, key=lambda t: t.seconds)[:2]

@@ -43,7 +43,7 @@ class Start:
 
     def __init__(self, lab: Lab, scene: Scene):
         self.lab, self.scene = lab, scene
-        self.particles, _ = populate(scene)
+        self.particles, self.warnings = populate(scene)
         self.total = len(self.particles)
         effects = {name: effect_class(name) for name in scene.effects}
         self.contacts = bool({"collisions", "walls"} & effects.keys())
