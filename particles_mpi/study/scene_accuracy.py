@@ -8,12 +8,11 @@ from particles_mpi import Scene
 from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.study.candidates import Curve, curves, own
 from particles_mpi.study.clock import Watch, time_in_turns
-from particles_mpi.study.lab import Experiment, Lab, Row, Setting
+from particles_mpi.study.lab import Experiment, Lab, Row, Setting, observe_orders
 from particles_mpi.study.recommend import BUDGET, WORK
 from particles_mpi.study.search import Search, Trial
 from particles_mpi.study.starts import FEW, Start, variant
-from particles_mpi.study.tracks import follow
-from particles_mpi.study.yardstick import Yardstick, reference
+from particles_mpi.study.yardstick import reference
 
 LADDER = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # times the steps of the scene
 QUICK = (0.5, 1.0, 2.0)
@@ -50,7 +49,7 @@ def settings(start: Start, seconds: float) -> Experiment:
                 break
             search.attempt(curve, knob, search.left())
     chosen = [trial for trial in search.trials if all(e == e for e in trial.errors.values())]
-    rows = lab.measure(start.scene.title or "scene", [setting(search, trial) for trial in chosen])
+    rows = clocked(start, chosen)
     answers += (
         [f"reference: {yardstick.reference}; order seen: {yardstick.order:.2f}"] if yardstick.order == yardstick.order else []
     )
@@ -70,16 +69,27 @@ MEANING = {
 }
 
 
-def setting(search: Search, trial: Trial) -> Setting:
-    """A trial, to be measured again: errors have the same bits."""
-    start, yardstick = search.start, search.yardstick
+def clocked(start: Start, trials: list[Trial]) -> list[Row]:
+    """Trials as rows, with their times and the orders seen. Collective."""
+    lab = start.lab
+    told = lab.screen.count("time", len(trials) * (1 + lab.samples))
+    chosen = [setting(start, trial) for trial in trials]
+    watches = [Watch(lab.ranks, one.begin, one.steps, one.whole) for one in chosen]
+    time_in_turns(watches, lab.samples, lab.least, lambda: told("time"))
+    lab.screen.stop()
+    rows = []
+    for one, trial, watch in zip(chosen, trials, watches, strict=True):
+        rows.append(Row(one, trial.errors, {}, watch.seconds.of(one.steps), trial.work))
+    for curve in dict.fromkeys(one.curve for one in chosen):
+        observe_orders([row for row in rows if row.setting.curve == curve])
+    return rows
+
+
+def setting(start: Start, trial: Trial) -> Setting:
+    """A trial as a setting of an experiment."""
     knob = 1.0 / trial.fineness if trial.curve.adaptive else trial.scene.time.step
-    return Setting(trial.curve.name, knob, lambda: start.simulate(trial.scene), trial.scene.steps,
-                   lambda sim: trial.errors | yardstick_errors(yardstick, sim), trial.curve.adaptive)  # fmt: skip
-
-
-def yardstick_errors(yardstick: Yardstick, sim: object) -> dict[str, float]:
-    return yardstick.errors(follow(yardstick.start, sim))  # type: ignore[arg-type]
+    begin = lambda: start.simulate(trial.scene)  # noqa: E731
+    return Setting(trial.curve.name, knob, begin, trial.scene.steps, lambda sim: trial.errors, trial.curve.adaptive)
 
 
 def effects(start: Start) -> Experiment:

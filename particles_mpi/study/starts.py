@@ -58,11 +58,11 @@ class Start:
         """Do all integrators apply: nothing but forces that depend on places?"""
         return not self.contacts and not self.dissipates
 
-    def simulate(self, scene: Scene, shifted: int = 0, duration: float = 0.0) -> Simulation:
+    def simulate(self, scene: Scene, shifted: int = 0, duration: float = 0.0, amount: float = SHIFT) -> Simulation:
         """The start in a variant of the scene. Collective. SceneError if it cannot run.
 
-        `shifted`: the number of a start that is displaced by SHIFT of the size of what moves, where that leaves no overlap,
-        and otherwise by so much of the velocities; `duration` of what follows tells how fast something at rest is.
+        `shifted`: the number of a start that is displaced by `amount` of the size of what moves, where that leaves no
+        overlap, and otherwise by so much of the velocities; `duration` of what follows tells how fast something at rest is.
         """
         p = self.particles
         arrays = {name: p[name].copy() for name in fields_of(scene) if name in p.arrays and name not in STATELESS}
@@ -76,10 +76,10 @@ class Start:
         if faults:
             raise SceneError(faults)
         if shifted:
-            self.displace(everyone, shifted, duration)
+            self.displace(everyone, shifted, duration, amount)
         return Simulation(scene, comm=self.lab.comm, start=everyone)
 
-    def displace(self, p: Particles, number: int, duration: float) -> None:
+    def displace(self, p: Particles, number: int, duration: float, amount: float) -> None:
         """Move every movable particle a little, by random numbers keyed by `number` and its id."""
         shift = np.random.Generator(np.random.Philox(key=number)).uniform(-1.0, 1.0, p.position.shape)
         shift[p.fixed != 0] = 0.0
@@ -87,9 +87,9 @@ class Start:
         size = spread(x) or spread(x, np.zeros(p.dimension)) or 1.0
         speed = float(np.sqrt((v**2).sum(axis=1).mean())) if self.total else 0.0
         if self.contacts:
-            v += SHIFT * (speed or size / (duration or 1.0)) * shift
+            v += amount * (speed or size / (duration or 1.0)) * shift
         else:
-            x += SHIFT * size * shift
+            x += amount * size * shift
 
 
 def spread(x: Array, center: Array | None = None) -> float:

@@ -30,6 +30,8 @@ ROUND_OFF = 1e-15  # of places, a step and more
 TIGHT, LOOSE = 1e-9, 1e-7  # tolerances of `adaptive`; tighter ones lead no further where masses meet closely
 GAIN = 0.01  # errors of the tight one over those of the loose one, at most: they fall as the power 15/7
 SATURATED = 1e-2  # of the size: a displaced start that ends so far away has nothing to do with the start any more
+WILD = 1e4  # growth from which spheres that collide are a gas: another order of contacts is as good as this one
+APART = 1e-4  # of the size or the speed: members of an ensemble, which soon have nothing to do with one another
 MOST_PARTICLES = 3000  # for which a reference is computed by the direct sum, over all pairs
 FINE, LEVELS = 4, 9  # reference of a chaotic scene: steps that much shorter; of others: halvings at most
 MEMBERS = 8  # of an ensemble
@@ -200,7 +202,7 @@ def by_steps(start: Start, seconds: float) -> Yardstick:
     found.size = motion(start, first) or 1.0
     parted = apart(first.places, moved.places, found.length)
     found.growth = parted / (SHIFT * found.size)
-    if found.growth * SHIFT < SATURATED:
+    if found.growth < (WILD if "collisions" in start.scene.effects else SATURATED / SHIFT):
         best, wrong, last = converge(found, first, steps, 0.5 * seconds)
         if wrong < SATURATED * found.size:
             settle(found, last, parted, wrong)
@@ -283,7 +285,7 @@ def ensemble(found: Yardstick, first: Track, coarse: int, steps: int) -> Yardsti
     start, members = found.start, MEMBERS // 2 if found.start.lab.quick else MEMBERS
     found.kind = "ensemble"
     scene = steady(start, steps, found.span)
-    runs = [follow(start, start.simulate(scene, number, found.span)) for number in range(members)]
+    runs = [follow(start, start.simulate(scene, number, found.span, APART)) for number in range(members)]
     values = [observables(run) for run in runs]
     for name in values[0]:
         column = np.array([value[name] for value in values])
@@ -298,5 +300,5 @@ def ensemble(found: Yardstick, first: Track, coarse: int, steps: int) -> Yardsti
         found.compare_energies(first)
     kinds = "event" if "collisions" in start.scene.effects else "leapfrog"
     found.reference = f"{kinds}, steps of 1/{steps // coarse}, mean of {members} runs"
-    found.why = f"chaos: {members} runs from starts {SHIFT:g} apart differ by so much"
+    found.why = f"chaos: {members} runs from starts {APART:g} apart differ by so much"
     return found
