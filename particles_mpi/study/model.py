@@ -22,7 +22,7 @@ MOST = 3.0  # seconds that errors may take where four steps take long; more is n
 MOST_PROBED = 1000  # steps
 OUTLIER = 10.0  # times the median: a step in which something was compiled
 LOST = 15.0  # collisions of a particle, after which its place means nothing: round-off has grown to the size of it
-PUBLISHED = 0.21, 0.30, -1.2, 10  # of what `rewind` loses: at this packing, its power, passes beyond which nothing is known
+PUBLISHED = 0.063, 10  # of what `rewind` loses, and passes beyond which nothing is known
 KNOWN = 0.1, 0.5  # packings that the fit is good for
 
 
@@ -72,14 +72,13 @@ def probe(start: Start) -> tuple[float, int, float]:
 
 
 def lost(rate: float, step: float, packing: float, passes: int) -> float:
-    """Share of collisions that `rewind` misses: y/(1 + y), y = 0.21 (packing/0.30)^-1.2 (Gamma dt)^2 / passes.
+    """Share of collisions that `rewind` misses: y/(1 + y), y = 0.063 (Gamma dt)^2 / (packing passes).
 
     A fit to what is published for a fluid: at packing 0.30, Gamma dt = 0.3 and 1.0, one pass loses 2 and 17 %, ten 0 and 2 %; at
     0.45, Gamma dt = 0.85 and 2.8: 8 and 53 %, 1 and 9 %. Within a factor of two or so.
     """
-    strength, at, power, most = PUBLISHED
-    packing = min(max(packing, KNOWN[0]), KNOWN[1])
-    y = strength * (packing / at) ** power * (rate * step) ** 2 / min(passes, most)
+    strength, most = PUBLISHED
+    y = strength * (rate * step) ** 2 / (min(max(packing, KNOWN[0]), KNOWN[1]) * min(passes, most))
     return float(y / (1.0 + y))
 
 

@@ -23,7 +23,7 @@ from particles_mpi.study.tuned import Tables, tuned, written
 from particles_mpi.study.yardstick import Yardstick, observables, reference
 
 BUDGET = 60.0  # seconds of measuring, about: a third each for the reference, the search, and times
-WORK = {"forces": "force sums", "interactions": "interactions", "pair_tests": "pair tests", "events": "contacts"}
+WORK = {"forces": "forces", "interactions": "pairs", "pair_tests": "tests", "events": "contacts"}
 LOST = 0.05  # error of the scene as it is, from which nothing can be concluded
 SHORT = 0.05  # seconds of a run that is begun anew so often that short samples must do
 
@@ -61,14 +61,17 @@ class Recommendation:
     dropped: list[str] = field(default_factory=list)
 
 
-def recommend(lab: Lab, scene: Scene, tolerance: float, error: str = "", seconds: float = BUDGET) -> Recommendation:
-    """Find it. Collective; a few bodies are computed on rank 0 alone. SceneError if the tolerance cannot be measured."""
+def recommend(lab: Lab, scene: Scene, tolerance: float, error: str = "", seconds: float = BUDGET) -> Recommendation | None:
+    """Find it. Collective; a few bodies are computed on rank 0 alone, and other ranks get None.
+
+    SceneError if the tolerance cannot be measured, StoppedError if nothing in these seconds reaches it.
+    """
     if not 0.0 < tolerance < 1.0:
         raise SceneError(f"--tolerance {tolerance:g}: must be above 0 and below 1")
     start = Start(lab, scene)
     if start.total > FEW or lab.ranks.size == 1:
         return found(start, tolerance, error, seconds)
-    result: Recommendation = lab.ranks.of_root_alone(lambda: found(Start(lab.alone(), scene), tolerance, error, seconds))
+    result: Recommendation | None = lab.ranks.of_root_alone(lambda: found(Start(lab.alone(), scene), tolerance, error, seconds))
     return result
 
 
@@ -184,7 +187,7 @@ def report(screen: Screen, found: Recommendation) -> None:
             f"a reference of all of it would take too long; {error} is held to {found.tolerance * share(yard, error):.2g} there"
         )
     works = [name for name in WORK if any(trial.work[name] for trial in found.trials)]
-    table = Table("setting", *yard.names, "seconds", *(WORK[name] for name in works), box=None, padding=(0, 2, 0, 2))
+    table = Table("setting", *yard.names, "seconds", *(WORK[name] for name in works), box=None, padding=(0, 1, 0, 1))
     for column in table.columns:
         column.no_wrap = True
     times = {id(one.trial): one.seconds for one in found.timed}
@@ -208,15 +211,16 @@ def report(screen: Screen, found: Recommendation) -> None:
 
 def recommend_scene(
     path: Path, tolerance: float, error: str = "", output: Path | None = None, seconds: float = BUDGET, comm: Any = None
-) -> Recommendation:
+) -> Recommendation | None:
     """What `study recommend` does: find it, tell it, write the tuned scene (to NAME.tuned.toml by default). Collective."""
     scene = Scene.load(path)
     lab = Lab(comm)
     lab.screen = Screen(lab.ranks.is_root, False)
     found = recommend(lab, scene, tolerance, error, seconds)
-    report(lab.screen, found)
     target = output or path.with_suffix(".tuned.toml")
-    lab.ranks.of_root_alone(lambda: save(found, path, target))
+    if found:
+        report(lab.screen, found)
+    lab.ranks.of_root_alone(lambda: save(found, path, target) if found else None)
     lab.screen.say(f"written: {target}")
     return found
 

@@ -18,7 +18,7 @@ from particles_mpi.study.yardstick import Yardstick
 MARGIN = 0.85  # of the tolerance: what a refined step aims at
 TRIES = 3  # of refinement
 CLOSE = 2.0  # times the seconds of the quickest, as they were seen once: those are timed well
-DEARER = 3.0  # times the seconds of the best: where a curve is given up
+DEARER = 2.0  # times the seconds of the best: where a curve is given up
 MOST_REFUSALS = 5  # of settings of a curve, one after the other
 LITTLE = 0.2  # seconds that are no reason to give anything up
 COARSEST, FINEST = 1e3, 1e11  # 1/tolerance of `adaptive`
@@ -62,7 +62,7 @@ class Search:
 
     def patience(self) -> float:
         """Seconds that a trial may take: with no setting that reaches the tolerance all that are left."""
-        return min(max(self.left(), LITTLE), max(2.0 * DEARER * self.best, 5.0 * LITTLE))
+        return min(max(self.left(), LITTLE), max(3.0 * self.best, 5.0 * LITTLE))
 
     def attempt(self, curve: Curve, fineness: float, patience: float = inf) -> Trial | None:
         """Try a setting; None where it is refused, or stops, or takes too long. Collective."""

@@ -27,8 +27,7 @@ from particles_mpi.study.starts import SHIFT, Start, spread, variant
 from particles_mpi.study.tracks import LOOKS, TooLongError, Track, apart, extrapolated, follow, whole
 
 ROUND_OFF = 1e-15  # of places, a step and more
-TIGHT, LOOSE = 1e-9, 1e-7  # tolerances of `adaptive`; tighter ones lead no further where masses meet closely
-GAIN = 0.01  # errors of the tight one over those of the loose one, at most: they fall as the power 15/7
+TIGHT, LOOSE = 1e-9, 1e-7  # tolerances of `adaptive`: both lead to round-off, of which their difference is a sample
 SATURATED = 1e-2  # of the size: a displaced start that ends so far away has nothing to do with the start any more
 WILD = 1e4  # growth from which spheres that collide are a gas: another order of contacts is as good as this one
 APART = 1e-4  # of the size or the speed: members of an ensemble, which soon have nothing to do with one another
@@ -187,7 +186,7 @@ def by_order_15(start: Start, seconds: float) -> Yardstick | None:
     except StoppedError:
         return None
     found.reference = f"adaptive, tolerance {TIGHT:g}"
-    settle(found, tight, apart(loose.places, moved.places, found.length), GAIN * apart(tight.places, loose.places, found.length))
+    settle(found, tight, apart(loose.places, moved.places, found.length), apart(tight.places, loose.places, found.length))
     return found
 
 
@@ -219,11 +218,15 @@ def converge(found: Yardstick, first: Track, steps: int, seconds: float) -> tupl
     """(places and energies at steps of length zero, how far they may be off, the last run), by halving steps."""
     start, began = found.start, perf_counter()
     floor = max(found.growth, 1.0) * ROUND_OFF * found.size
-    tracks, column, wrong, took = [first], [packed(first, first, found.length)], np.inf, 0.0
-    while len(column) < 3 or (len(column) <= LEVELS and wrong > floor and 3.0 * took < seconds):
+    tracks, column, took = [first], [packed(first, first, found.length)], 0.0
+    best, wrong, better = column[0], np.inf, True
+    while len(column) < 3 or (len(column) <= LEVELS and wrong > floor and better and 3.0 * took < seconds):
         tracks.append(follow(start, start.simulate(steady(start, steps * 2 ** len(column), found.span))))
         column.append(packed(tracks[-1], first, found.length))
-        best, wrong = extrapolated(column)
+        value, change = extrapolated(column)
+        better = change < 0.5 * wrong  # if not, round-off or corners are all that is left
+        if change <= wrong:
+            best, wrong = value, change
         took = float(start.lab.ranks.largest(perf_counter() - began)[0])
     one, two = (apart(a.places, b.places, found.length) for a, b in pairwise(tracks[:3]))
     found.order = float(np.log2(one / two)) if two > floor else nan
