@@ -69,16 +69,21 @@ def recommend(lab: Lab, scene: Scene, tolerance: float, error: str = "", seconds
     if not 0.0 < tolerance < 1.0:
         raise SceneError(f"--tolerance {tolerance:g}: must be above 0 and below 1")
     start = Start(lab, scene)
-    if start.total > FEW or lab.ranks.size == 1:
-        return found(start, tolerance, error, seconds)
-    result: Recommendation | None = lab.ranks.of_root_alone(lambda: found(Start(lab.alone(), scene), tolerance, error, seconds))
-    return result
+    try:
+        if start.total > FEW or lab.ranks.size == 1:
+            return found(start, tolerance, error, seconds)
+        result: Recommendation | None = lab.ranks.of_root_alone(
+            lambda: found(Start(lab.alone(), scene), tolerance, error, seconds)
+        )
+        return result
+    finally:
+        lab.screen.stop()
 
 
 def found(start: Start, tolerance: float, error: str, seconds: float) -> Recommendation:
     """The same, on the ranks of the start's lab."""
     lab, began = start.lab, perf_counter()
-    told = lab.screen.count("recommend", 5)
+    told = lab.screen.count("recommend", 1 + len(curves(start)))
     told("reference")
     yardstick = reference(start, seconds, error)
     error = chosen(yardstick, tolerance, error)
