@@ -85,21 +85,26 @@ def run(
 
 @app.command()
 def check(scene: SceneFile) -> None:
-    """Validate a scene and print its plan, without running it: 0 valid, 2 invalid (one line a fault).
+    """Validate a scene, print its plan, and predict from a few steps what it costs and how wrong it is: 0 valid, 2 invalid.
 
     Example:   particles-mpi check my.toml
     """
     from particles_mpi.output.console import Screen
     from particles_mpi.plan import plan
-    from particles_mpi.populate import populate
     from particles_mpi.scene import Scene
+    from particles_mpi.study.lab import Lab
+    from particles_mpi.study.model import predict
+    from particles_mpi.study.starts import Start
 
-    described = Scene.load(scene)
+    described, screen = Scene.load(scene), Screen(root(), False)
     try:
-        particles, warnings = populate(described)
+        start = Start(Lab(), described)
     except SceneError as error:
         raise SceneError([f"{scene}: {fault}" for fault in error.faults]) from None
-    Screen(root(), False).plan(described.title, plan(described, particles, len(particles), MPI.COMM_WORLD.Get_size()), warnings)
+    about = plan(described, start.particles, start.total, MPI.COMM_WORLD.Get_size())
+    screen.plan(described.title, about | {"predicted_seconds": None}, start.warnings)
+    for line in predict(start).lines:
+        screen.say(f"  {line}")
     if root():
         print("valid")
 

@@ -44,8 +44,9 @@ class Simulation:
     Raises SceneError for a scene that cannot be run and StoppedError when a state has lost its meaning, on all ranks.
     """
 
-    def __init__(self, scene: Scene, comm: Any = None):
-        particles, self.warnings = populate(scene)
+    def __init__(self, scene: Scene, comm: Any = None, start: Particles | None = None):
+        """`start`: all particles in id order on every rank, with the fields that the scene needs, instead of its own."""
+        particles, self.warnings = populate(scene) if start is None else (start, [])
         self._assemble(scene, Ranks(comm), particles)
 
     def _assemble(self, scene: Scene, ranks: Ranks, everyone: Particles) -> None:

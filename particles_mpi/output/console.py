@@ -73,8 +73,9 @@ class Screen:
         table.add_row("drift", "dx/dt = v", "3")
         say(table)
         say(f"  does not run: {', '.join(plan['not_run']) or 'nothing left out'}")
+        seconds = plan["predicted_seconds"]
         say(f"  ghosts: {plan['ghosts']}; memory about {size(plan['memory_bytes'])}; output {plan['frames']} frames, about "
-            f"{size(plan['output_bytes'])}; about {duration(plan['predicted_seconds'])}")  # fmt: skip
+            f"{size(plan['output_bytes'])}{'' if seconds is None else f'; about {duration(seconds)}'}")  # fmt: skip
         for line in plan["advice"]:
             say(f"  step: {line}")
         for line in warnings:

@@ -131,12 +131,13 @@ def test_check_finds_the_same_faults(scene):
 
 
 def test_every_shipped_scene_is_valid(capsys):
-    """`check` prints a plan for each, and runs none."""
+    """`check` prints a plan and a prediction for each, and runs none to its end."""
     scenes = sorted((ROOT / "particles_mpi" / "scenes").glob("*.toml"))
     assert len(scenes) >= 6
     for path in scenes:
         check(path)
-        assert "valid" in capsys.readouterr().out
+        told = capsys.readouterr().out
+        assert "valid" in told and "predicted error: " in told and "ms a step, measured over " in told
 
 
 def test_interrupt_writes_a_checkpoint(scene, tmp_path):

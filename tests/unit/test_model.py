@@ -1,0 +1,55 @@
+"""What `check` predicts, against what is published or follows from the order."""
+
+import pytest
+
+from particles_mpi import Scene
+from particles_mpi.study.lab import Lab
+from particles_mpi.study.model import lost, predict
+from particles_mpi.study.starts import Start
+
+PUBLISHED = [  # packing, Gamma dt, passes, share of collisions that is lost
+    (0.30, 0.1, 10, 0.00), (0.30, 0.3, 10, 0.00), (0.30, 1.0, 10, 0.02), (0.30, 0.1, 1, 0.00), (0.30, 0.3, 1, 0.02),
+    (0.30, 1.0, 1, 0.17), (0.45, 0.28, 10, 0.00), (0.45, 0.85, 10, 0.01), (0.45, 2.8, 10, 0.09), (0.45, 0.28, 1, 0.01),
+    (0.45, 0.85, 1, 0.08), (0.45, 2.8, 1, 0.53),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("packing", "collisions", "passes", "share"), PUBLISHED)
+def test_what_rewind_loses_is_as_published(packing, collisions, passes, share):
+    assert lost(collisions, 1.0, packing, passes) == pytest.approx(share, abs=0.015)
+
+
+def scene(integrator="leapfrog", **effects):
+    time = {"step": 0.01, "steps": 200, "integrator": integrator}
+    particles = [{"position": [[0.0, 0.0]], "velocity": [4.0, 4.0]}]
+    return Scene(
+        dimension=2, time=time, particles=particles, effects={"uniform_gravity": {"acceleration": [0, -9.81]}, **effects}
+    )
+
+
+@pytest.mark.parametrize(("integrator", "order"), [("leapfrog", "2.0"), ("taylor", "1.0")])
+def test_the_order_of_the_step_is_seen(integrator, order):
+    (seconds, error) = predict(Start(Lab(), scene(integrator, drag={"rate": 0.5}))).lines
+    assert "on 1 rank, output not counted" in seconds and "ms a step" in seconds
+    assert f"order {order}" in error
+
+
+def test_what_is_exact_is_said_to_be():
+    assert "round-off only" in predict(Start(Lab(), scene())).lines[1]
+
+
+def test_contacts_and_chaos():
+    box = {"lower": [0.0] * 3, "upper": [6.0] * 3, "periodic": True}
+    gas = {"count": 120, "position": "random", "velocity": {"temperature": 1.0}, "radius": 0.5, "mass": 1.0}
+    told = {}
+    for mode in ("rewind", "event"):
+        time, effects = {"step": 0.01, "steps": 1000}, {"collisions": {"mode": mode}}
+        told[mode] = predict(Start(Lab(), Scene(dimension=3, box=box, time=time, particles=[gas], effects=effects))).lines
+    assert "of the rate of collisions" in told["rewind"][1] and "packing 0.29, passes 10" in told["rewind"][1]
+    assert "contacts are exact in mode event" in told["event"][1]
+    assert all("places mean nothing" in lines[2] for lines in told.values())
+
+
+def test_a_scene_without_steps_or_particles_has_nothing_to_predict():
+    empty = Scene(dimension=2, time={"step": 0.1, "steps": 0}, particles=[{"position": [[0.0, 0.0]]}])
+    assert predict(Start(Lab(), empty)).lines == ["predicted: nothing happens"]
