@@ -152,6 +152,25 @@ def accuracy(
     measure(described, only, quick, output or Path("out/study") / (scene.stem if scene else "accuracy"))
 
 
+@study.command("recommend")
+def recommend(
+    scene: SceneFile,
+    tolerance: Annotated[float, typer.Option(help="Error that is allowed, relative.")],
+    error: Annotated[str, typer.Option(metavar="NAME", help="Of what: state, energy, ... (default: the strictest).")] = "",
+    output: Annotated[
+        Path | None, typer.Option(metavar="TUNED.toml", help="The tuned scene; NAME.tuned.toml if not given.")
+    ] = None,
+    seconds: Annotated[float, typer.Option(min=1.0, help="About how long to measure.")] = 60.0,
+) -> None:
+    """The cheapest setting of a scene that reaches a tolerance: measured, verified at half the step, written as a scene.
+
+    Example:   ./run.sh study recommend my.toml --tolerance 1e-6
+    """
+    from particles_mpi.study.recommend import recommend_scene
+
+    recommend_scene(scene, tolerance, error, output, seconds)
+
+
 @study.command("scaling")
 def scaling(
     scene: Annotated[Path | None, typer.Argument(metavar="[SCENE.toml]", help="A scene of yours; else headline.toml.")] = None,

@@ -152,10 +152,10 @@ def clocked(start: Start, trials: list[Trial], yardstick: Yardstick) -> list[Tim
     watches = []
     for trial in trials:
         begin = lambda scene=trial.scene: start.simulate(scene)  # noqa: E731
-        watches.append(Watch(lab.ranks, begin, trial.scene.steps, whole=trial.curve.adaptive))
+        watches.append(Watch(lab.ranks, begin, trial.scene.steps, by_forces=trial.curve.adaptive))
     time_in_turns(watches, lab.samples, min(lab.least, SHORT) if quick else lab.least)
-    steps = [trial.scene.steps / yardstick.part for trial in trials]
-    return [Timed(trial, watch.seconds.of(round(n))) for trial, watch, n in zip(trials, watches, steps, strict=True)]
+    units = [(trial.work["forces"] if trial.curve.adaptive else trial.scene.steps) / yardstick.part for trial in trials]
+    return [Timed(trial, watch.seconds.of(round(n))) for trial, watch, n in zip(trials, watches, units, strict=True)]
 
 
 def verified(search: Search, trial: Trial) -> tuple[Errors, float]:

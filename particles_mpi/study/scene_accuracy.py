@@ -74,12 +74,13 @@ def clocked(start: Start, trials: list[Trial]) -> list[Row]:
     lab = start.lab
     told = lab.screen.count("time", len(trials) * (1 + lab.samples))
     chosen = [setting(start, trial) for trial in trials]
-    watches = [Watch(lab.ranks, one.begin, one.steps, one.whole) for one in chosen]
+    watches = [Watch(lab.ranks, one.begin, one.steps, one.by_forces) for one in chosen]
     time_in_turns(watches, lab.samples, lab.least, lambda: told("time"))
     lab.screen.stop()
     rows = []
     for one, trial, watch in zip(chosen, trials, watches, strict=True):
-        rows.append(Row(one, trial.errors, {}, watch.seconds.of(one.steps), trial.work))
+        units = trial.work["forces"] if one.by_forces else one.steps
+        rows.append(Row(one, trial.errors, {}, watch.seconds.of(units), trial.work))
     for curve in dict.fromkeys(one.curve for one in chosen):
         observe_orders([row for row in rows if row.setting.curve == curve])
     return rows
