@@ -86,7 +86,7 @@ def gravities(start: Start) -> list[tuple[str, Changes]]:
     if start.scene.dimension in TREES:
         own = [options.opening_angle or 0.5] if options.method == "tree" else []
         for angle in sorted({*ANGLES, *own}, reverse=True):
-            if tree_cost(angle, start.total) < PAIR * start.total:
+            if tree_cost(angle, start.total, "quadrupole") < PAIR * start.total:
                 changes = {"method": "tree", "opening_angle": angle, "accuracy": None}
                 found.append((f"angle {angle:g}", {"mutual_gravity": changes}))
     return [*found, ("direct sum", {"mutual_gravity": {"method": "direct", "opening_angle": None, "accuracy": None}})]

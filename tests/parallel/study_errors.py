@@ -1,4 +1,4 @@
-"""Run by test_study_scene.py on several ranks: errors of settings of a scene, to the bit; then all of `recommend` and `predict`."""
+"""Run by test_study_scene.py on several ranks: errors of settings of a scene to the bit, then `recommend` and `predict`."""
 
 import json
 import sys
