@@ -43,6 +43,9 @@ def watched() -> bool:
         return False
 
 
+WIDE = 200  # columns of a table that no terminal cuts
+
+
 class Screen:
     """Talks on rank 0, unless told to be quiet."""
 
@@ -56,6 +59,11 @@ class Screen:
     def say(self, text: Any) -> None:
         if self.loud:
             self.console.print(text)
+
+    def table(self, table: Table) -> None:
+        """A wide table; where it does not go to a terminal it may be as wide as it is."""
+        if self.loud:
+            self.console.print(table, width=None if self.console.is_terminal else WIDE, crop=False)
 
     def plan(self, title: str, plan: dict[str, Any], warnings: list[str]) -> None:
         """The plan before the run."""

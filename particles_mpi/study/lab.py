@@ -22,8 +22,8 @@ class Setting:
 
     `curve`: the settings that lie on one line of the plot; `knob`: the value that changes along it, and `finer` whether it
     grows as errors shrink. `begin` gives a simulation at the start, `errors` runs one to the end and tells how wrong it is
-    (both collective; the same bits every time). `steps`: of the whole run; `by_forces`: they differ, so evaluations of the
-    forces are timed; `told`: seconds are told of so many steps, not of the whole run.
+    (both collective; the same bits every time). `steps`: of the whole run, after which timing begins anew; `by_forces`: they
+    differ, so evaluations of the forces are timed; `told`: seconds are told of so many steps, not of the whole run.
     """
 
     curve: str

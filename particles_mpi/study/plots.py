@@ -43,7 +43,7 @@ def draw(axes: Any, found: Experiment, title: str = "") -> None:
         axes.errorbar(x, y, xerr=wide, color=COLORS[k % 8], marker=MARKERS[k % 8], ms=5, lw=1.2, capsize=2, label=curve, zorder=3)
     front = [row for row in found.front() if row.errors[error] > 0.0]
     axes.plot(*points(front, error), color="#d9b44a", lw=7, alpha=0.45, solid_capstyle="round", zorder=1, label="Pareto front")
-    axes.set(xscale="log", yscale="log", xlabel="seconds (median; bars: quartiles)", ylabel=f"error: {error}")
+    axes.set(xscale="log", yscale="log", xlabel="seconds (median; bars: quartiles)", ylabel=f"error in {error}")
     readable(axes)
     guides(axes, found, error)
     if found.floor:

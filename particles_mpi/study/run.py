@@ -39,8 +39,10 @@ def accuracy(scene: Scene | None, keys: str, quick: bool, folder: Path, comm: An
         unknown = [key for key in keys.upper() if key not in CHAPTERS]
         if unknown:
             raise SceneError(f"--only: there is no experiment {', '.join(unknown)}; there are {', '.join(CHAPTERS)}")
-        for measure in experiments(keys).values():
+        for key, measure in experiments(keys).items():
+            since = perf_counter()
             found += [tell(lab.screen, one) for one in measure(lab)]
+            lab.screen.say(f"  ({key} took {perf_counter() - since:.0f} s)")
     seconds = perf_counter() - begin
     with failing_together(ranks, f"cannot write into {folder}"):
         if ranks.is_root:
@@ -48,7 +50,7 @@ def accuracy(scene: Scene | None, keys: str, quick: bool, folder: Path, comm: An
 
             about = {**report.machine(ranks), "samples": lab.samples, "least_seconds": lab.least, "seconds": seconds}
             path = report.write(folder, title, found, about, notes)
-            lab.screen.say(ten_times(found))
+            lab.screen.table(ten_times(found))
             lab.screen.say(f"{seconds:.0f} s; all of it, with pictures: {path}   (CSV: {folder}/*.csv)")
     return found
 
@@ -63,7 +65,7 @@ def tell(screen: Screen, found: Experiment) -> Experiment:
     for row, texts in tables.cells(found):
         table.add_row(*texts, style="bold" if row in front else None)
     screen.say(f"\n[bold]{found.key}: {found.title}[/bold]   (reference: {found.reference})")
-    screen.say(table)
+    screen.table(table)
     for answer in found.answers:
         screen.say(f"  {answer}")
     return found

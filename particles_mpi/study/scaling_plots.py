@@ -75,7 +75,8 @@ def draw_times(axes: Axes, result: Result) -> None:
     axes.set(ylabel="seconds a step: median, quartiles")
     axes.set_title("strong scaling", loc="left")
     against_ranks(axes, sorted(ranks))
-    axes.legend(frameon=False, fontsize=9)
+    axes.set_ylim(top=axes.get_ylim()[1] * 8.0)  # room for the legend
+    axes.legend(frameon=False, fontsize=9, loc="upper right")
 
 
 def draw_efficiency(axes: Axes, result: Result) -> None:

@@ -60,7 +60,7 @@ def settings(start: Start, seconds: float) -> Experiment:
     words = {name: MEANING.get(name, f"{name}, relative to that of the reference") for name in yardstick.names}
     title = f"{start.scene.title or 'the scene'}, {start.total} particles"
     what = f"{yardstick.reference}; floor {floor:.1g}: {yardstick.why}"
-    return Experiment("S", title, "step (adaptive: tolerance)", words, what, rows, (), floor, answers)
+    return Experiment("S", title, "step or tolerance", words, what, rows, (), floor, answers)
 
 
 MEANING = {

@@ -11,6 +11,8 @@ from typing import Any
 
 from particles_mpi.study.lab import Experiment, Row
 
+DECADES, HOPELESS = 0.7, 100.0  # errors must fall by so many to tell what a tenth costs; a factor that is no convergence
+
 
 def number(value: float, digits: int = 2) -> str:
     """Short; whole ones as they are."""
@@ -102,7 +104,8 @@ def tenfold(found: Experiment, curve: str) -> float:
         return float("nan")
     first, last = falling[0], falling[-1]
     decades = log10(first.errors[error] / last.errors[error])
-    return float((last.seconds.median / first.seconds.median) ** (1.0 / decades)) if decades > 0.3 else float("nan")
+    factor = (last.seconds.median / first.seconds.median) ** (1.0 / max(decades, 1e-9))
+    return float(factor) if decades > DECADES and factor < HOPELESS else float("nan")
 
 
 def tenfolds(all_found: list[Experiment]) -> list[tuple[str, str, str, float]]:

@@ -70,8 +70,8 @@ def test_the_same_study_twice(lab, found):
 
 def test_close_encounters(lab):
     (one,) = encounters.measure(lab)
-    fixed = [row.errors["t = 10"] for row in one.rows if row.setting.curve != "adaptive"]
-    assert min(fixed) > 0.1 and max(row.errors["t = 10"] for row in one.curve("adaptive")) < 1e-6
+    fixed = [row.errors["place, t = 10"] for row in one.rows if row.setting.curve != "adaptive"]
+    assert min(fixed) > 0.1 and max(row.errors["place, t = 10"] for row in one.curve("adaptive")) < 1e-6
 
 
 @pytest.mark.parametrize(
@@ -91,7 +91,7 @@ def test_rewind_against_the_step(lab, moment, passes, least):
     scene = fluid.fluid(0.30, 2000, moment / rate, round(40 / moment), spheres, passes=passes)
     errors = fluid.errors(0.30, lab.simulate(scene))
     assert errors["Z - 1"] < 1.0 - least + 2.0 * errors["noise"]
-    assert errors["rate"] < 1.0 - least + 2.0 * errors["noise"]
+    assert errors["collision rate"] < 1.0 - least + 2.0 * errors["noise"]
 
 
 def test_absent_effects(lab):

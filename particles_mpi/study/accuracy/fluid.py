@@ -26,7 +26,7 @@ FASTEST = 4.8  # thermal speeds: rewind allows steps of one diameter
 KLM = (4.0, 6.0, 2.3647684, -0.8698551, 1.1062803, -1.095049, 0.637614, -0.2279397, 0.1098948, -0.00906797)
 FLOOR = 2e-3  # of what PATH collisions of N spheres tell, one standard deviation or two
 ERRORS = {
-    "rate": "|Gamma/Gamma_exact - 1|, collisions of a sphere in unit time",
+    "collision rate": "|Gamma/Gamma_exact - 1|, collisions of a sphere in unit time",
     "Z - 1": "|(Z - 1)/(Z_exact - 1) - 1|, Z by the virial",
     "noise": "standard error of the rate, from ten parts of the run",
 }
@@ -77,7 +77,7 @@ def errors(packing: float, sim: Simulation) -> Errors:
         rates.append(row["collision_rate"] / collision_rate(packing, row["temperature"]))
         virials.append((row["z_virial"] - 1.0) / (compressibility(packing) - 1.0))
     return {
-        "rate": abs(float(np.mean(rates)) - 1.0),
+        "collision rate": abs(float(np.mean(rates)) - 1.0),
         "Z - 1": abs(float(np.mean(virials)) - 1.0),
         "noise": float(np.std(rates, ddof=1)) / sqrt(BLOCKS),
     }
@@ -104,7 +104,7 @@ def settings(lab: Lab, packing: float) -> Iterator[Setting]:
 def answers(packing: float, rows: list[Row]) -> list[str]:
     """What event costs against the rewind that is as good."""
     event = rows[0]
-    good = [row for row in rows[1:] if row.errors["rate"] < FLOOR + 2.0 * row.errors["noise"]]
+    good = [row for row in rows[1:] if row.errors["collision rate"] < FLOOR + 2.0 * row.errors["noise"]]
     if not good:
         return [f"packing {packing:g}: no setting of rewind is as right as event, {event.seconds.median:.2g} s"]
     best = min(good, key=lambda row: row.seconds.median)
