@@ -13,9 +13,10 @@ import numpy as np
 from particles_mpi import Scene
 from particles_mpi.errors import StoppedError
 from particles_mpi.plan import duration
+from particles_mpi.study.reference import motion
 from particles_mpi.study.starts import Start, variant
 from particles_mpi.study.tracks import LOOKS, Track, apart, follow
-from particles_mpi.study.yardstick import ROUND_OFF, motion
+from particles_mpi.study.yardstick import ROUND_OFF
 
 PROBE, ERRORS = 0.5, 0.8  # seconds for timing, and for errors, about
 MOST = 3.0  # seconds that errors may take where four steps take long; more is not tried

@@ -16,11 +16,12 @@ from particles_mpi.output.console import Screen
 from particles_mpi.study.candidates import Curve, curves, own
 from particles_mpi.study.clock import Seconds, Watch, time_in_turns
 from particles_mpi.study.lab import Errors, Lab
+from particles_mpi.study.reference import reference
 from particles_mpi.study.search import Search, Trial, first
 from particles_mpi.study.starts import FEW, Start
 from particles_mpi.study.tracks import apart
 from particles_mpi.study.tuned import Tables, tuned, written
-from particles_mpi.study.yardstick import Yardstick, observables, reference
+from particles_mpi.study.yardstick import Yardstick, observables
 
 BUDGET = 60.0  # seconds of measuring, about: a third each for the reference, the search, and times
 WORK = {"forces": "forces", "interactions": "pairs", "pair_tests": "tests", "events": "contacts"}

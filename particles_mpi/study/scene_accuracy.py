@@ -10,9 +10,9 @@ from particles_mpi.study.candidates import Curve, curves, own
 from particles_mpi.study.clock import Watch, time_in_turns
 from particles_mpi.study.lab import Experiment, Lab, Row, Setting, observe_orders
 from particles_mpi.study.recommend import BUDGET, WORK
+from particles_mpi.study.reference import reference
 from particles_mpi.study.search import Search, Trial
 from particles_mpi.study.starts import FEW, Start, variant
-from particles_mpi.study.yardstick import reference
 
 LADDER = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # times the steps of the scene
 QUICK = (0.5, 1.0, 2.0)

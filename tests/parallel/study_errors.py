@@ -11,9 +11,9 @@ from particles_mpi.study.candidates import curves
 from particles_mpi.study.lab import Lab
 from particles_mpi.study.model import predict
 from particles_mpi.study.recommend import recommend
+from particles_mpi.study.reference import reference
 from particles_mpi.study.search import Search
 from particles_mpi.study.starts import Start
-from particles_mpi.study.yardstick import reference
 
 folder = Path(sys.argv[1])
 edge = 6.0

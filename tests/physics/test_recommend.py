@@ -8,9 +8,9 @@ from particles_mpi.errors import SceneError
 from particles_mpi.study.cases import CASES, kepler, thrown
 from particles_mpi.study.lab import Lab
 from particles_mpi.study.recommend import recommend
+from particles_mpi.study.reference import reference
 from particles_mpi.study.starts import Start
 from particles_mpi.study.tracks import extrapolated
-from particles_mpi.study.yardstick import reference
 
 PLENTY = 300.0  # seconds that measuring may take: none of these comes near it
 
