@@ -11,7 +11,7 @@ from typing import Any
 
 from particles_mpi.study.lab import Experiment, Row
 
-DECADES, HOPELESS = 0.7, 100.0  # errors must fall by so many to tell what a tenth costs; a factor that is no convergence
+DECADES, HOPELESS = 0.5, 100.0  # errors must fall by so many to tell what a tenth costs; a factor that is no convergence
 
 
 def number(value: float, digits: int = 2) -> str:
