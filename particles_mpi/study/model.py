@@ -19,8 +19,9 @@ from particles_mpi.study.tracks import LOOKS, Track, apart, follow
 from particles_mpi.study.yardstick import ROUND_OFF
 
 PROBE, ERRORS = 0.5, 0.8  # seconds for timing, and for errors, about
-MOST = 3.0  # seconds that errors may take where four steps take long; more is not tried
 MOST_PROBED = 1000  # steps
+FEWEST = 6  # steps, unless they take long: one that loads a kernel must not decide
+MOST = 3.0  # seconds that errors may take where four steps take long, and FEWEST steps; more is not tried
 OUTLIER = 10.0  # times the median: a step in which something was compiled
 LOST = 15.0  # collisions of a particle, after which its place means nothing: round-off has grown to the size of it
 PUBLISHED = 0.063, 10  # of what `rewind` loses, and passes beyond which nothing is known
@@ -60,11 +61,11 @@ def probe(start: Start) -> tuple[float, int, float]:
     sim = start.simulate(start.scene)
     ranks, spent = sim.ranks, 0.0
     took: list[float] = []
-    while spent < PROBE and len(took) < min(MOST_PROBED, start.scene.steps):
+    while (spent < PROBE or (len(took) < FEWEST and spent < MOST)) and len(took) < min(MOST_PROBED, start.scene.steps):
         began = perf_counter()
         sim.step()
         took.append(float(ranks.largest(perf_counter() - began)[0]))
-        spent += took[-1] if len(took) > 1 or took[-1] > MOST else 0.0  # kernels are loaded in the first one
+        spent += took[-1] if len(took) > 1 else 0.0  # kernels are loaded, or even compiled, in the first one
     later = np.array(took[1:] or took)
     usual = later[later <= OUTLIER * np.median(later)]
     movable = int((start.particles.fixed == 0).sum())
