@@ -237,6 +237,7 @@ def save(found: Recommendation, source: Path | None, target: Path) -> None:
     remark = (f"by study recommend: {found.error} {best.trial.errors[found.error]:.2g} (wanted: {found.tolerance:g}), "
               f"about {best.seconds.median:.2g} s on {found.ranks} rank(s)")  # fmt: skip
     try:
+        target.parent.mkdir(parents=True, exist_ok=True)
         target.write_text(written(found.tables, source, target, remark), encoding="utf-8")
     except OSError as error:
         raise SceneError(f"{target}: cannot be written ({error.strerror})") from None
