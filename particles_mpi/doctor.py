@@ -180,9 +180,13 @@ def _hdf5(alone: dict[str, Any]) -> Row:
     return Row("HDF5", "not known: MPI does not start", False, "see MPI library")
 
 
+def usable_cores() -> int | None:
+    """That this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+
+
 def _cores() -> Row:
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return Row("cores", f"{usable} for this process, {os.cpu_count()} in the machine")
+    return Row("cores", f"{usable_cores()} for this process, {os.cpu_count()} in the machine")
 
 
 def _kernels(package: Path) -> Row:

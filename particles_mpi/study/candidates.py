@@ -8,7 +8,7 @@ from typing import Any
 
 from particles_mpi import Scene
 from particles_mpi.gravity.choice import PAIR, TREES, tree_cost
-from particles_mpi.study.starts import Start, variant
+from particles_mpi.study.starts import DIRECT, Start, variant
 from particles_mpi.study.tracks import LOOKS, whole
 
 ANGLES = (1.0, 0.7, 0.5, 0.3)
@@ -89,7 +89,7 @@ def gravities(start: Start) -> list[tuple[str, Changes]]:
             if tree_cost(angle, start.total, "quadrupole") < PAIR * start.total:
                 changes = {"method": "tree", "opening_angle": angle, "accuracy": None}
                 found.append((f"angle {angle:g}", {"mutual_gravity": changes}))
-    return [*found, ("direct sum", {"mutual_gravity": {"method": "direct", "opening_angle": None, "accuracy": None}})]
+    return [*found, ("direct sum", {"mutual_gravity": DIRECT})]
 
 
 def collisions(start: Start) -> list[tuple[str, Changes]]:
@@ -111,8 +111,7 @@ def own(start: Start) -> tuple[Curve, float]:
     gravity, contact = scene.effects.get("mutual_gravity"), scene.effects.get("collisions")
     if gravity:
         angle = gravity.choice(scene, start.total).angle
-        method = {"method": "tree" if angle else "direct", "opening_angle": angle, "accuracy": None}
-        changes["mutual_gravity"] = method
+        changes["mutual_gravity"] = {"method": "tree", "opening_angle": angle, "accuracy": None} if angle else DIRECT
     if contact:
         name = f"{contact.mode}, {contact.passes} passes" if contact.mode == "rewind" else contact.mode
     from particles_mpi.adaptive import TOLERANCE

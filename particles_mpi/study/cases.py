@@ -15,11 +15,11 @@ import numpy as np
 
 from particles_mpi import Scene, Simulation, state
 from particles_mpi.particles import Array
-from particles_mpi.study.accuracy.orbits import E, gravity, place_on_ellipse
+from particles_mpi.study.accuracy.encounters import BODIES, PLACES
+from particles_mpi.study.accuracy.losses import DRAG, THROW, G
+from particles_mpi.study.accuracy.losses import thrown as flight
+from particles_mpi.study.accuracy.orbits import EIGHT, PERIOD, PLANET, gravity, place_on_ellipse
 
-EIGHT = [[0.97000435669733434, -0.24308753153583489], [-0.97000435669733434, 0.24308753153583489], [0.0, 0.0]]
-EIGHT_V = [-0.93240737144105230, -0.86473146092100096]  # of the third; the others have -1/2 of it
-BURRAU_AT_10 = (0.778480410138, 0.141392300290)  # mass 3 of the Pythagorean problem
 Z_FLUID = 4.29498  # pV/(NkT) of hard spheres at a density of 0.6 (Kolafa, Labik, Malijevsky 2004)
 
 
@@ -47,38 +47,30 @@ def away(sim: Simulation, size: float, row: int, place: Any) -> float:
 
 def kepler(tolerance: float) -> Case:
     """Two orbits of e = 0.5 in steps of a hundredth of one."""
-    fall = {
-        "position": [[1.0 - E, 0.0], [0.0, 0.0]],
-        "velocity": [[0.0, sqrt((1 + E) / (1 - E))], [0.0, 0.0]],
-        "mass": [0.0, 1.0],
-    }
-    scene = gravity({"particles": [fall]}, 2.0 * pi / 100, 200, "leapfrog")
+    scene = gravity({"particles": [PLANET]}, 2.0 * pi / 100, 200, "leapfrog")
     name = f"Kepler, e = 0.5, two orbits, {tolerance:.0e}"
     return Case(name, Scene.from_dict(scene), "state", tolerance, lambda s, size: away(s, size, 0, place_on_ellipse(s.time)))
 
 
 def eight() -> Case:
     """One period: all are back."""
-    bodies = {"position": EIGHT, "velocity": [[-0.5 * v for v in EIGHT_V]] * 2 + [EIGHT_V], "mass": 1.0}
-    scene = Scene.from_dict(gravity({"particles": [bodies]}, 6.3259139829262117 / 200, 200, "leapfrog"))
-    return Case("figure eight", scene, "state", 1e-6, lambda s, size: max(away(s, size, k, EIGHT[k]) for k in range(3)))
+    places = EIGHT["position"]
+    scene = Scene.from_dict(gravity({"particles": [EIGHT]}, PERIOD / 200, 200, "leapfrog"))
+    return Case("figure eight", scene, "state", 1e-6, lambda s, size: max(away(s, size, k, places[k]) for k in range(3)))
 
 
 def pythagorean() -> Case:
     """To t = 10, through the first close encounters."""
-    bodies = {"position": [[1.0, 3.0], [-2.0, -1.0], [1.0, -1.0]], "velocity": [0.0, 0.0], "mass": [3.0, 4.0, 5.0]}
-    tables = gravity({"particles": [bodies], "output": {"every": 1000}}, 0.01, 1000, "leapfrog")
-    return Case("Pythagorean, t = 10", Scene.from_dict(tables), "state", 1e-5, lambda s, size: away(s, size, 0, BURRAU_AT_10))
+    tables = gravity({"particles": [BODIES], "output": {"every": 1000}}, 0.01, 1000, "leapfrog")
+    return Case("Pythagorean, t = 10", Scene.from_dict(tables), "state", 1e-5, lambda s, size: away(s, size, 0, PLACES[10.0]))
 
 
 def thrown() -> Case:
     """Drag k = 0.5 and gravity."""
-    k, g, v = 0.5, np.array([0.0, -9.81]), np.array([10.0, 10.0])
-    effects = {"uniform_gravity": {"acceleration": g.tolist()}, "drag": {"rate": k}}
-    particles = [{"position": [[0.0, 0.0]], "velocity": v.tolist()}]
+    effects = {"uniform_gravity": {"acceleration": [0.0, -G]}, "drag": {"rate": DRAG}}
+    particles = [{"position": [[0.0, 0.0]], "velocity": list(THROW)}]
     scene = Scene(dimension=2, time={"step": 0.02, "steps": 100}, effects=effects, particles=particles)
-    place: Callable[[float], Array] = lambda t: (v - g / k) * (1.0 - np.exp(-k * t)) / k + g * t / k  # noqa: E731
-    return Case("thrown, drag", scene, "state", 1e-6, lambda s, size: away(s, size, 0, place(s.time)))
+    return Case("thrown, drag", scene, "state", 1e-6, lambda s, size: away(s, size, 0, flight(DRAG, s.time)[0]))
 
 
 def rubbed() -> Case:

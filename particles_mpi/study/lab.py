@@ -108,11 +108,17 @@ class Lab:
             before = sim.work()
             errors.append(setting.errors(sim))
             work.append({what: count - before[what] for what, count in sim.work().items()})
+        return self.clocked(settings, errors, work, lambda: told(f"{name}: time"))
+
+    def clocked(
+        self, settings: Sequence[Setting], errors: Sequence[Errors], work: Sequence[dict[str, int]], told: Callable[[], None]
+    ) -> list[Row]:
+        """Times of settings whose errors and work are known, by turns; ends the progress bar. Collective."""
         watches = [Watch(self.ranks, setting.begin, setting.steps, setting.by_forces) for setting in settings]
-        time_in_turns(watches, self.samples, self.least, lambda: told(f"{name}: time"))
+        time_in_turns(watches, self.samples, self.least, told)
         self.screen.stop()
         rows = []
-        for setting, wrong, watch, done in zip(settings, errors, watches, work, strict=True):
+        for setting, wrong, done, watch in zip(settings, errors, work, watches, strict=True):
             units = setting.told or (done["forces"] if setting.by_forces else setting.steps)
             rows.append(Row(setting, wrong, {}, watch.seconds.of(units), done))
         for curve in dict.fromkeys(setting.curve for setting in settings):

@@ -137,10 +137,8 @@ def finer(scene: Scene, steps: int, halvings: int) -> Scene:
 def told(start: Start, tracks: list[Track], span: float, adaptive: bool) -> list[str]:
     """Richardson: with the differences d1 of h and h/2, d2 of h/2 and h/4, the order is p = log2(d1/d2), the error of h is
     d1 2^p/(2^p - 1)."""
-    box, d = start.scene.box, start.scene.dimension
-    length = np.where(start.scene.periodic, np.subtract(box.upper, box.lower), 0.0) if box else np.zeros(d)
     size = motion(start, tracks[0]) or 1.0
-    one, two = (apart(a.places, b.places, length) / size for a, b in pairwise(tracks))
+    one, two = (apart(a.places, b.places, start.length) / size for a, b in pairwise(tracks))
     whole, where = span > 0.99 * start.duration, f"t = {span:.3g}"
     if adaptive:
         return [f"predicted error: places {max(two, ROUND_OFF):.1g} of the size of the motion at {where}, by a tighter tolerance"]

@@ -173,7 +173,7 @@ def between(search: Search, one: Trial, other: Trial) -> float:
     """How far two runs are apart, as the error is measured."""
     yardstick, error = search.yardstick, search.error
     if error == "state":
-        return apart(one.track.places, other.track.places, yardstick.length) / yardstick.size
+        return apart(one.track.places, other.track.places, yardstick.start.length) / yardstick.size
     if error == "energy":
         return abs(one.errors[error] - other.errors[error])
     first, second = observables(one.track)[error], observables(other.track)[error]

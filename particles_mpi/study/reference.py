@@ -14,7 +14,7 @@ import numpy as np
 from particles_mpi import Scene, Simulation
 from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.particles import Array
-from particles_mpi.study.starts import SHIFT, Start, spread, variant
+from particles_mpi.study.starts import DIRECT, SHIFT, Start, spread, variant
 from particles_mpi.study.tracks import LOOKS, TooLongError, Track, apart, extrapolated, follow, whole
 from particles_mpi.study.yardstick import ROUND_OFF, Yardstick, observables
 
@@ -40,7 +40,7 @@ def exact(start: Start) -> dict[str, dict[str, object] | None]:
     if "collisions" in start.scene.effects:
         changes["collisions"] = {"mode": "event", "passes": None}
     if "mutual_gravity" in start.scene.effects:
-        changes["mutual_gravity"] = {"method": "direct", "opening_angle": None, "accuracy": None, "multipole": None}
+        changes["mutual_gravity"] = DIRECT
     return changes
 
 
@@ -109,7 +109,7 @@ def by_order_15(start: Start, seconds: float) -> Yardstick | None:
     except StoppedError:
         return None
     found.reference = f"adaptive, tolerance {TIGHT:g}"
-    settle(found, tight, apart(loose.places, moved.places, found.length), apart(tight.places, loose.places, found.length))
+    settle(found, tight, apart(loose.places, moved.places, start.length), apart(tight.places, loose.places, start.length))
     return found
 
 
@@ -122,7 +122,7 @@ def by_steps(start: Start, seconds: float) -> Yardstick:
     first = follow(start, start.simulate(steady(start, steps, found.span)))
     moved = follow(start, start.simulate(steady(start, steps, found.span), 1, found.span))
     found.size = motion(start, first) or 1.0
-    parted = apart(first.places, moved.places, found.length)
+    parted = apart(first.places, moved.places, start.length)
     found.growth = parted / (SHIFT * found.size)
     if found.growth < (WILD if "collisions" in start.scene.effects else SATURATED / SHIFT):
         best, wrong, last = converge(found, first, steps, 0.5 * seconds)
@@ -141,17 +141,17 @@ def converge(found: Yardstick, first: Track, steps: int, seconds: float) -> tupl
     """(places and energies at steps of length zero, how far they may be off, the last run), by halving steps."""
     start, began = found.start, perf_counter()
     floor = max(found.growth, 1.0) * ROUND_OFF * found.size
-    tracks, column, took = [first], [packed(first, first, found.length)], 0.0
+    tracks, column, took = [first], [packed(first, first, found.start.length)], 0.0
     best, wrong, better = column[0], np.inf, True
     while len(column) < 3 or (len(column) <= LEVELS and wrong > floor and better and 3.0 * took < seconds):
         tracks.append(follow(start, start.simulate(steady(start, steps * 2 ** len(column), found.span))))
-        column.append(packed(tracks[-1], first, found.length))
+        column.append(packed(tracks[-1], first, found.start.length))
         value, change = extrapolated(column)
         better = change < 0.5 * wrong  # if not, round-off or corners are all that is left
         if change <= wrong:
             best, wrong = value, change
         took = float(start.lab.ranks.largest(perf_counter() - began)[0])
-    one, two = (apart(a.places, b.places, found.length) for a, b in pairwise(tracks[:3]))
+    one, two = (apart(a.places, b.places, found.start.length) for a, b in pairwise(tracks[:3]))
     found.order = float(np.log2(one / two)) if two > floor else nan
     kind = "event" if "collisions" in start.scene.effects else "leapfrog"
     seen = f"order {found.order:.2f}" if two > floor else "no error of the step"

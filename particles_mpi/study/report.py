@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import platform
 from datetime import datetime
 from html import escape
 from pathlib import Path
 from typing import Any
 
+from particles_mpi.doctor import usable_cores
 from particles_mpi.parallel.ranks import Ranks, library
 from particles_mpi.study import plots, tables
 from particles_mpi.study.lab import Experiment
@@ -31,11 +31,10 @@ def machine(ranks: Ranks) -> dict[str, Any]:
         name = next(
             (line.split(":")[1].strip() for line in cpuinfo.read_text().splitlines() if line.startswith("model name")), name
         )
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     when = datetime.now().astimezone().isoformat(timespec="minutes")
     return {
         "machine": name,
-        "cores": cores,
+        "cores": usable_cores(),
         "ranks": ranks.size,
         "mpi": library(),
         "python": platform.python_version(),

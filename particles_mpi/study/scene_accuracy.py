@@ -6,9 +6,9 @@ from math import nan
 
 from particles_mpi import Scene
 from particles_mpi.errors import SceneError, StoppedError
-from particles_mpi.study.candidates import Curve, curves, own
+from particles_mpi.study.candidates import curves, own
 from particles_mpi.study.clock import Watch, time_in_turns
-from particles_mpi.study.lab import Experiment, Lab, Row, Setting, observe_orders
+from particles_mpi.study.lab import Experiment, Lab, Row, Setting
 from particles_mpi.study.recommend import BUDGET, WORK
 from particles_mpi.study.reference import reference
 from particles_mpi.study.search import Search, Trial
@@ -74,16 +74,7 @@ def clocked(start: Start, trials: list[Trial]) -> list[Row]:
     lab = start.lab
     told = lab.screen.count("time", len(trials) * (1 + lab.samples))
     chosen = [setting(start, trial) for trial in trials]
-    watches = [Watch(lab.ranks, one.begin, one.steps, one.by_forces) for one in chosen]
-    time_in_turns(watches, lab.samples, lab.least, lambda: told("time"))
-    lab.screen.stop()
-    rows = []
-    for one, trial, watch in zip(chosen, trials, watches, strict=True):
-        units = trial.work["forces"] if one.by_forces else one.steps
-        rows.append(Row(one, trial.errors, {}, watch.seconds.of(units), trial.work))
-    for curve in dict.fromkeys(one.curve for one in chosen):
-        observe_orders([row for row in rows if row.setting.curve == curve])
-    return rows
+    return lab.clocked(chosen, [t.errors for t in trials], [t.work for t in trials], lambda: told("time"))
 
 
 def setting(start: Start, trial: Trial) -> Setting:
@@ -97,7 +88,7 @@ def effects(start: Start) -> Experiment:
     """Seconds of a step with all effects, and with each left out in turn, from the same start."""
     scene, lab, answers = start.scene, start.lab, []
     steps = max(4, min(scene.steps, 100))
-    curves, watches = [], []
+    names, watches = [], []
     time = scene.time.model_dump(exclude_none=True) | {"steps": steps}
     time.pop("end", None)
     for name in ["", *scene.effects]:
@@ -107,14 +98,14 @@ def effects(start: Start) -> Experiment:
         except (SceneError, StoppedError) as error:
             answers.append(f"without {name}: {str(error).splitlines()[0]}")
             continue
-        curves.append(Curve(start, f"without {name}" if name else "all effects", scene.time.integrator, {}))
+        names.append(f"without {name}" if name else "all effects")
         begin = lambda less=less: start.simulate(less)  # noqa: E731
         watches.append(Watch(lab.ranks, begin, steps))
     time_in_turns(watches, lab.samples, lab.least)
     rows, whole = [], watches[0].seconds.median if watches else nan
-    for curve, watch in zip(curves, watches, strict=True):
+    for name, watch in zip(names, watches, strict=True):
         share = 1.0 - watch.seconds.median / whole
-        one = Setting(curve.name, scene.time.step, watch.begin, 1, lambda sim: {"share": nan})
+        one = Setting(name, scene.time.step, watch.begin, 1, lambda sim: {"share": nan})
         rows.append(Row(one, {"share": share}, {"share": nan}, watch.seconds, dict.fromkeys(WORK, 0)))
     answers.append("an effect left out changes the motion too: shares need not add up to 1")
     errors = {"share": "of the seconds of a step that go when the effect does"}

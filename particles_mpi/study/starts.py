@@ -14,6 +14,7 @@ from particles_mpi.populate import effect_class, fields_of, populate, room_of
 from particles_mpi.start_checks import check_start
 from particles_mpi.study.lab import Lab
 
+DIRECT: dict[str, Any] = {"method": "direct", "opening_angle": None, "accuracy": None, "multipole": None}  # sum of forces
 SHIFT = 1e-12  # of the size of a motion: how far a displaced start is from the start
 FEW = 64  # particles that more than one rank would only slow down
 STATELESS = ("contacted", "virial", "rate", "supported")  # fields that a run fills itself
@@ -57,6 +58,12 @@ class Start:
     def free(self) -> bool:
         """Do all integrators apply: nothing but forces that depend on places?"""
         return not self.contacts and not self.dissipates
+
+    @property
+    def length(self) -> Array:
+        """Of periodic axes, 0 of others."""
+        box, d = self.scene.box, self.scene.dimension
+        return np.where(self.scene.periodic, np.subtract(box.upper, box.lower), 0.0) if box else np.zeros(d)
 
     def simulate(self, scene: Scene, shifted: int = 0, duration: float = 0.0, amount: float = SHIFT) -> Simulation:
         """The start in a variant of the scene. Collective. SceneError if it cannot run.

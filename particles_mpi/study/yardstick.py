@@ -54,7 +54,7 @@ class Yardstick:
         """How wrong a run over the span is."""
         found: Errors = {}
         if "state" in self.floors:
-            found["state"] = apart(track.places, self.places, self.length) / self.size
+            found["state"] = apart(track.places, self.places, self.start.length) / self.size
         if "energy" in self.floors:
             wrong = track.energies - track.energies[0] if self.start.conserves else track.energy - self.energy
             found["energy"] = float(np.abs(wrong).max()) / self.scale
@@ -62,12 +62,6 @@ class Yardstick:
             if name in self.means:
                 found[name] = abs(value - self.means[name]) / self.scales[name]
         return found
-
-    @property
-    def length(self) -> Array:
-        """Of periodic axes, 0 of others."""
-        box, d = self.start.scene.box, self.start.scene.dimension
-        return np.where(self.start.scene.periodic, np.subtract(box.upper, box.lower), 0.0) if box else np.zeros(d)
 
     @property
     def scales(self) -> Errors:

@@ -20,6 +20,17 @@ REGIMES = {  # steps an orbit, quick ones
     "leapfrog": ((50, 100, 200, 400, 800, 1600, 3200), (100, 200, 400)),
     "order4": ((25, 50, 100, 200, 400, 800), (50, 100, 200)),
 }
+PLANET = {  # at the pericentre, without mass; and a sun
+    "position": [[1.0 - E, 0.0], [0.0, 0.0]],
+    "velocity": [[0.0, sqrt((1 + E) / (1 - E))], [0.0, 0.0]],
+    "mass": [0.0, 1.0],
+}
+_X, _V, PERIOD = (0.97000435669733434, -0.24308753153583489), (-0.93240737144105230, -0.86473146092100096), 6.3259139829262117
+EIGHT: dict[str, Any] = {
+    "position": [list(_X), [-_X[0], -_X[1]], [0.0, 0.0]],
+    "velocity": [[-_V[0] / 2, -_V[1] / 2], [-_V[0] / 2, -_V[1] / 2], list(_V)],
+    "mass": 1.0,
+}
 
 
 def gravity(tables: dict[str, Any], step: float, steps: int, integrator: str, tolerance: float | None = None) -> dict[str, Any]:
@@ -73,18 +84,13 @@ def place_on_ellipse(t: float, e: float = E) -> Array:
 def kepler(lab: Lab) -> Experiment:
     """A planet without mass on an ellipse of eccentricity 0.5 about a sun that stands still."""
     orbits = 3 if lab.quick else ORBITS
-    fall = {
-        "position": [[1.0 - E, 0.0], [0.0, 0.0]],
-        "velocity": [[0.0, sqrt((1 + E) / (1 - E))], [0.0, 0.0]],
-        "mass": [0.0, 1.0],
-    }
 
     def errors(sim: Simulation) -> Errors:
         energy = run(sim, of_planet)
         place = state.everyone(sim.ranks, sim.particles).position[0]
         return {"energy": energy, "place": float(np.sqrt(((place - place_on_ellipse(sim.time)) ** 2).sum()))}
 
-    rows = lab.measure("Kepler", list(settings(lab, {"particles": [fall]}, 2.0 * pi, orbits, errors)))
+    rows = lab.measure("Kepler", list(settings(lab, {"particles": [PLANET]}, 2.0 * pi, orbits, errors)))
     found = Experiment(
         "A1",
         f"Kepler, e = 0.5, {orbits} orbits",
@@ -101,19 +107,13 @@ def kepler(lab: Lab) -> Experiment:
 
 def figure_eight(lab: Lab) -> Experiment:
     """Three equal masses on an eight, one period: where they were."""
-    x, v = (0.97000435669733434, -0.24308753153583489), (-0.93240737144105230, -0.86473146092100096)
-    bodies = {
-        "position": [list(x), [-x[0], -x[1]], [0.0, 0.0]],
-        "velocity": [[-v[0] / 2, -v[1] / 2], [-v[0] / 2, -v[1] / 2], list(v)],
-        "mass": 1.0,
-    }
-    period, start = 6.3259139829262117, np.array(bodies["position"])
+    start = np.array(EIGHT["position"])
 
     def errors(sim: Simulation) -> Errors:
         energy = run(sim, lambda s: s.measure()["total_energy"])
         return {"energy": energy, "place": float(np.abs(state.everyone(sim.ranks, sim.particles).position - start).max())}
 
-    rows = lab.measure("figure eight", list(settings(lab, {"particles": [bodies]}, period, 1, errors)))
+    rows = lab.measure("figure eight", list(settings(lab, {"particles": [EIGHT]}, PERIOD, 1, errors)))
     reference = "exact: after one period all are where they were (figures of Chenciner and Montgomery 2000)"
     found = Experiment("A2", "Figure eight, one period", "step or tolerance", ERRORS, reference, rows, (2.0, 4.0), 1e-14)
     found.answers = slopes(found)
