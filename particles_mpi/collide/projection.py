@@ -4,6 +4,8 @@ Of contact c: rows a[c] and b[c], which is negative for a wall; its normal[c] to
 close; share[c], what part of its closing speed each partner gives up; inertia[c], 1/(1/m_a + 1/m_b). Plain arrays.
 """
 
+from math import sqrt
+
 import numpy as np
 from numba import njit
 
@@ -11,6 +13,7 @@ MOST_ROUNDS = 200
 BETTER = 1e-2  # than after a sweep: what a call makes of approach that is left, for the next one begins there
 FLAT = 1e-13
 RESTARTS = 6
+MANY = 1 / 3  # of the contacts pressed: with fewer, the matrix leaves out those that only could be
 
 
 @njit(cache=True)
@@ -20,19 +23,40 @@ def project(axes, v, a, b, normal, may_close, share, inertia, tolerance, guess, 
     A quadratic programme, solved as by J. More and G. Toraldo (SIAM J. Optim. 1, 93 (1991)): Gauss-Seidel sweeps find which
     contacts are pressed, conjugate gradients their share, until one of them would pull. `guess`: what each may take, to
     begin with; `better`: how much better than after a sweep is enough. Few contacts are done with after a sweep or two; for
-    many the matrix is worth its while.
+    many the matrix is worth its while: that of those which were ever pressed, until a sweep of all presses no other.
     """
     closing = begin(axes, v, a, b, normal, may_close, share, inertia, guess)
     first = sweep(axes, v, a, b, normal, may_close, share, closing)
     if first > tolerance:
         tolerance = max(tolerance, better * first)
-        if sweep(axes, v, a, b, normal, may_close, share, closing) > tolerance:
-            before = closing.copy()
-            solve(axes, v, a, b, normal, may_close, share, inertia, tolerance, closing)
-            for c in range(len(a)):
+        tried, known = np.zeros(len(a), np.bool_), -1
+        working_set(tried, closing)
+        while sweep(axes, v, a, b, normal, may_close, share, closing) > tolerance:
+            of = working_set(tried, closing)
+            if len(of) == known:
+                break
+            known, before = len(of), closing.copy()
+            solve(axes, v, of, a, b, normal, may_close, share, inertia, tolerance, closing)
+            for c in of:
                 give(axes, v, a[c], b[c], normal, share, c, closing[c] - before[c])
-            sweep(axes, v, a, b, normal, may_close, share, closing)  # away with the round-off
     return closing
+
+
+@njit(cache=True)
+def working_set(tried, closing):
+    """Contacts that were pressed since the beginning, `tried` before or not; if these are many, all."""
+    count = 0
+    for c in range(len(closing)):
+        tried[c] |= closing[c] > 0.0
+        count += tried[c]
+    every = count > MANY * len(closing)
+    of, found = np.empty(len(closing), np.int64), 0
+    for c in range(len(closing)):
+        tried[c] |= every
+        if tried[c]:
+            of[found] = c
+            found += 1
+    return of[:found]
 
 
 @njit(cache=True)
@@ -112,43 +136,47 @@ def give(axes, v, i, j, normal, share, c, change):
 
 
 @njit(cache=True)
-def solve(axes, v, a, b, normal, may_close, share, inertia, tolerance, closing):
-    """All contacts together; only `closing` changes. In y = sqrt(inertia) closing the programme is min y A y/2 - f y, y >= 0."""
-    scale = np.sqrt(inertia)
-    matrix = coupling(axes, len(v), a, b, normal, share, inertia, scale)
-    y, f = scale * closing, np.empty(len(a))
-    for c in range(len(a)):
-        f[c] = y[c] + row(matrix, y, c) - scale[c] * (may_close[c] + relative(axes, v, a[c], b[c], normal, c))
-    pressed, excess = np.empty(len(a), np.int64), np.empty(len(a))
-    way, clipped, bent = np.zeros(len(a)), np.zeros(len(a)), np.empty(len(a))
+def solve(axes, v, of, a, b, normal, may_close, share, inertia, tolerance, closing):
+    """Contacts `of` together; only `closing` changes. In y = sqrt(inertia) closing the programme is min y A y/2 - f y, y >= 0."""
+    size = len(of)
+    scale, y, f = np.empty(size), np.empty(size), np.empty(size)
+    for c in range(size):
+        scale[c] = sqrt(inertia[of[c]])
+        y[c] = scale[c] * closing[of[c]]
+    matrix = coupling(axes, len(v), of, a, b, normal, share, inertia, scale)
+    for c in range(size):
+        e = of[c]
+        f[c] = y[c] + row(matrix, y, c) - scale[c] * (may_close[e] + relative(axes, v, a[e], b[e], normal, e))
+    pressed, excess = np.empty(size, np.int64), np.empty(size)
+    way, clipped, bent = np.zeros(size), np.zeros(size), np.empty(size)
     for _ in range(MOST_ROUNDS):
         worst = 0.0
-        for c in range(len(a)):
+        for c in range(size):
             new = max(f[c] - row(matrix, y, c), 0.0)
             worst = max(worst, abs(new - y[c]) / scale[c])
             y[c] = new
         if worst <= tolerance:
             break
-        for c in range(len(a) - 1, -1, -1):
+        for c in range(size - 1, -1, -1):
             y[c] = max(f[c] - row(matrix, y, c), 0.0)
         for _ in range(RESTARTS):
             count = 0
-            for c in range(len(a)):
+            for c in range(size):
                 way[c], clipped[c] = 0.0, 0.0
                 if y[c] > 0.0:
                     pressed[count] = c
                     count += 1
             if not descend(matrix, f, scale, tolerance, y, pressed[:count], excess, way, bent, clipped):
                 break
-    for c in range(len(a)):
-        closing[c] = y[c] / scale[c]
+    for c in range(size):
+        closing[of[c]] = y[c] / scale[c]
 
 
 @njit(cache=True)
-def coupling(axes, rows, a, b, normal, share, inertia, scale):
-    """A without its diagonal, which is 1: (where the rows begin, columns, values)."""
+def coupling(axes, rows, of, a, b, normal, share, inertia, scale):
+    """A for contacts `of`, without its diagonal, which is 1: (where its rows begin, columns, values)."""
     begins = np.zeros(rows + 1, np.int64)  # contacts of each row of particles
-    for c in range(len(a)):
+    for c in of:
         begins[a[c] + 1] += share[c, 0] > 0.0
         if b[c] >= 0:
             begins[b[c] + 1] += share[c, 1] > 0.0
@@ -156,32 +184,34 @@ def coupling(axes, rows, a, b, normal, share, inertia, scale):
     for i in range(rows):
         most += begins[i + 1] ** 2
         begins[i + 1] += begins[i]
-    at, of = begins[:-1].copy(), np.empty(begins[rows], np.int64)
-    for c in range(len(a)):
+    at, place = begins[:-1].copy(), np.empty(begins[rows], np.int64)
+    for p in range(len(of)):
+        c = of[p]
         if share[c, 0] > 0.0:
-            of[at[a[c]]] = c
+            place[at[a[c]]] = p
             at[a[c]] += 1
         if b[c] >= 0 and share[c, 1] > 0.0:
-            of[at[b[c]]] = c
+            place[at[b[c]]] = p
             at[b[c]] += 1
-    starts, columns, values = np.zeros(len(a) + 1, np.int64), np.empty(most, np.int32), np.empty(most)
+    starts, columns, values = np.zeros(len(of) + 1, np.int64), np.empty(most, np.int32), np.empty(most)
     found = 0
-    for c in range(len(a)):
+    for p in range(len(of)):
+        c = of[p]
         for side in range(2):
             i = a[c] if side == 0 else b[c]
             if i < 0 or share[c, side] == 0.0:
                 continue
-            weight = share[c, side] / inertia[c] * scale[c] * (1.0 if side == 0 else -1.0)
-            for p in range(begins[i], begins[i + 1]):
-                e = of[p]
-                if e != c:
-                    along = 0.0
-                    for k in range(len(axes)):
-                        along += normal[c, k] * normal[e, k]
-                    columns[found] = e
-                    values[found] = weight * scale[e] * (along if a[e] == i else -along)
-                    found += 1
-        starts[c + 1] = found
+            weight = share[c, side] / inertia[c] * scale[p] * (1.0 if side == 0 else -1.0)
+            for other in place[begins[i] : begins[i + 1]]:
+                if other == p:
+                    continue
+                e, along = of[other], 0.0
+                for k in range(len(axes)):
+                    along += normal[c, k] * normal[e, k]
+                columns[found] = other
+                values[found] = weight * scale[other] * (along if a[e] == i else -along)
+                found += 1
+        starts[p + 1] = found
     return starts, columns[:found], values[:found]
 
 

@@ -9,8 +9,9 @@ for to be at rest is always allowed; it moves nothing, and faster contacts, with
 in a step. A drift in which particles have many contacts within a hundredth of it is therefore done again, after `hold`: there
 they and all that touch them keep their contacts at any speed, as if e = 0, which is what many contacts with e < 1 come to.
 
-Involved are few, as a rule: those that were supported before, those near walls, and those near these. All ranks work them
-out together, in the order of ids, so that results do not depend on the ranks.
+Involved are few, as a rule: those that were supported before, those near walls, and those near these; where forces press free
+ones onto one another, all that touch. All ranks work them out together, in the order of ids, so that results do not depend on
+the ranks.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from particles_mpi.collide.kept import HELD, SLOW, close_by_test, contacts, near
 from particles_mpi.collide.planes import Planes
 from particles_mpi.collide.projection import BETTER, project, project_each
 from particles_mpi.neighbours.candidates import touching
+from particles_mpi.neighbours.fence import share
 from particles_mpi.parallel.exchange import rows_of_everyone
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import Array, Particles, row_dot, rows_of
@@ -29,6 +31,7 @@ from particles_mpi.timers import Timers
 
 PRECISE = 1e-7  # of the slow speed: approach that does not matter
 NOTHING = np.empty(0, np.int64), np.empty(0)
+CLOSE = 1.0 + 1e-9  # times the widths, so that ranks agree on who is near the border, whatever the round-off
 FEW = 64  # rows: so many look for partners among all others
 
 
@@ -51,10 +54,10 @@ class Rest:
         if not self.awake:
             return
         with self.timers("rest"):
-            involved = np.arange(len(p))
-            if self.uniform or not self.pairs:
-                state = p.position, p.velocity, a, p.radius, p.fixed, p["supported"]
-                involved = near_walls(self.axes, *state, h, *self.walls)
+            state = p.position, p.velocity, a, p.radius, p.fixed, p["supported"]
+            involved = near_walls(self.axes, *state, h, *self.walls)
+            if self.pairs and not self.uniform:
+                involved = np.union1d(involved, self.close(p, a, h))
             if not (self.ranks.total(len(involved))[0] if self.pairs else len(involved)):
                 return
             rows = self.rows(p, a, h, involved)
@@ -84,8 +87,25 @@ class Rest:
         rows = rows_of({name: p[name] for name in ("id", "position", "velocity", "radius", "supported")}, which)
         push = SLOW * h * a[which]
         w = p.inverse_mass[which]
-        wide = rows["radius"] + HELD * h * np.sqrt(row_dot(push, push))
-        return rows | {"push": push, "wide": wide, "w": w, "row": which, "rank": np.full(len(which), self.ranks.rank)}
+        return rows | {
+            "push": push,
+            "wide": widths(rows["radius"], push, h),
+            "w": w,
+            "row": which,
+            "rank": np.full(len(which), self.ranks.rank),
+        }
+
+    def close(self, p: Particles, a: Array, h: float) -> Array:
+        """Our rows that are no further from another, ours or not, than their widths. Collective."""
+        wide = widths(p.radius, SLOW * h * a, h)
+        known = {"id": p.id, "position": p.position, "wide": wide, "w": p.inverse_mass}
+        if self.ranks.size > 1:
+            still = p.position, np.zeros_like(p.position), CLOSE * wide
+            _, _, _, theirs, _ = share(self.ranks, known, still, 0.0, 0.0, 0.0, self.length)
+            known = {name: np.concatenate((column, theirs[name])) for name, column in known.items()}
+        first, second = touching(known["position"], known["wide"], known["w"], known["id"], self.length)
+        rows = np.concatenate((first, second))
+        return np.unique(rows[rows < len(p)])
 
     def joining(self, p: Particles, a: Array, h: float, rows: dict[str, Array], known: Array) -> dict[str, Array]:
         """Those of our rows, but for the `known`, that touch one of `rows`, give or take a slow gap."""
@@ -154,6 +174,11 @@ class Rest:
         mine = rows["rank"] == self.ranks.rank
         p.velocity[rows["row"][mine]] = v[mine]
         p["supported"][rows["row"][mine]] = held[mine]
+
+
+def widths(radius: Array, push: Array, h: float) -> Array:
+    """Of rows: two with a slow contact are no further apart than the sum of theirs."""
+    return np.asarray(radius + HELD * h * np.sqrt(row_dot(push, push)))
 
 
 def recall(names: Array, memory: tuple[Array, Array]) -> Array:

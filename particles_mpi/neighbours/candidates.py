@@ -13,6 +13,7 @@ from particles_mpi.particles import Array
 SLOWEST = 2.2  # times the mean reach: rows beyond it are fast, one in a hundred of a gas
 GIANTS = 8.0  # times the mean reach: beyond it are giants, if they are few
 FEW = 64
+EXPECTED = 6  # contacts of a sphere in a heap, twice what are needed to rest
 ALONE = 4  # times as long takes a test for a row that asks alone: its surroundings are not in the cache
 
 
@@ -147,6 +148,7 @@ class Candidates:
 
 def touching(x: Array, radius: Array, w: Array, ids: Array, length: Array) -> tuple[Array, Array]:
     """(first, second): rows of all pairs of resting spheres that touch, each once, the lower id first, not both with w = 0."""
-    none = np.empty((0, x.shape[1]))
-    c = Candidates((x, np.zeros_like(x), radius, w, ids), len(x), length, (none, none), 0.0, 0.0, 0.0, nowhere(x.shape[1]), 0)
+    n, none = len(x), np.empty((0, x.shape[1]))
+    state, walls = (x, np.zeros_like(x), radius, w, ids), (none, none)
+    c = Candidates(state, n, length, walls, 0.0, 0.0, 0.0, nowhere(x.shape[1]), EXPECTED * n)
     return c.first[: c.pairs], c.second[: c.pairs]

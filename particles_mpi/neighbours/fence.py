@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from particles_mpi.neighbours.paths import tubes_near
-from particles_mpi.parallel.exchange import starts
+from particles_mpi.neighbours.paths import tubes_box, tubes_near
+from particles_mpi.parallel.exchange import send_rows, starts
+from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import Array
 
 # own box with its slack (2, d); those of other ranks that it overlaps (m, 2, d); the rows that they hold as ghosts
@@ -31,6 +32,24 @@ def overlap(one: Array, boxes: Array, length: Array) -> Array:
     for shift in (0.0, length, -length):
         meet |= (one[0] + shift <= boxes[:, 1]) & (one[1] + shift >= boxes[:, 0])
     return np.asarray(meet.all(axis=1))
+
+
+def share(
+    ranks: Ranks,
+    arrays: dict[str, Array],
+    state: tuple[Array, Array, Array],
+    slack: float,
+    end: float,
+    half: float,
+    length: Array,
+) -> tuple[Fence, Array, Array, dict[str, Array], Array]:
+    """(fence, our rows that others need, how many each, theirs that we need, how many of each rank). Collective.
+
+    `arrays`: what is sent of a row; `state` = (x, v, radius) of the owned rows, tubes as in `paths`.
+    """
+    boxes = ranks.rows_of_all(tubes_box((0,) * len(length), *state, end, half))
+    fence, rows, counts = build(boxes, ranks.rank, slack, state, end, half, length)
+    return fence, rows, counts, *send_rows(ranks, arrays, rows, counts)
 
 
 def build(

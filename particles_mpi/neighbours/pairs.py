@@ -17,12 +17,12 @@ from particles_mpi.errors import StateError, StoppedError
 from particles_mpi.integrators import wrap
 from particles_mpi.neighbours.candidates import Candidates
 from particles_mpi.neighbours.cells import GRIDDED, bounds, order_in_space, spacing
-from particles_mpi.neighbours.fence import Fence, build, nowhere
+from particles_mpi.neighbours.fence import Fence, nowhere, share
 from particles_mpi.neighbours.ghosts import any_of, refresh, tell_choices, tell_legs, width
-from particles_mpi.neighbours.paths import fastest, tubes_box
+from particles_mpi.neighbours.paths import fastest
 from particles_mpi.neighbours.rhythm import Rhythm
 from particles_mpi.parallel.balance import Balance
-from particles_mpi.parallel.exchange import Halo, send_rows
+from particles_mpi.parallel.exchange import Halo
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.parallel.store import Store
 from particles_mpi.particles import Array, Particles, field
@@ -169,9 +169,7 @@ class Neighbourhood:
         self.halo, fence = None, nowhere(d)
         if ranks.size > 1:
             state = particles.position, particles.velocity, particles.radius
-            boxes = ranks.rows_of_all(tubes_box(self.axes, *state, end, half))
-            fence, rows, counts = build(boxes, ranks.rank, slack, state, end, half, self.length)
-            arrived, arriving = send_rows(ranks, everyone, rows, counts)
+            fence, rows, counts, arrived, arriving = share(ranks, everyone, state, slack, end, half, self.length)
             self.halo = Halo(ranks, rows, counts, arriving, self.owned, width(d))
             self.shared = np.zeros(self.owned + int(arriving.sum()), np.bool_)
             self.shared[rows] = self.shared[self.owned :] = True
