@@ -150,6 +150,11 @@ def wrap(x, lower, upper, length):
                     x[i, k] = y if y < upper[k] else lower[k]
 
 
+def places_of(particles: Particles) -> tuple[int, int]:
+    """(version, fingerprint): the same as long as nobody moved rows, or a row."""
+    return particles.version, fingerprint(particles.position)
+
+
 @njit(cache=True)
 def fingerprint(x):
     """A number that changes when somebody changes a row of x (n, d)."""

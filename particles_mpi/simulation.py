@@ -13,7 +13,7 @@ import numpy as np
 from particles_mpi import state
 from particles_mpi.diagnostics import measure
 from particles_mpi.errors import SceneError, StateError
-from particles_mpi.integrators import Integrator, Leapfrog, Order4, Taylor, fingerprint, free_drift, wrap
+from particles_mpi.integrators import Integrator, Leapfrog, Order4, Taylor, free_drift, places_of, wrap
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, Array, Particles
 from particles_mpi.populate import populate
@@ -219,7 +219,7 @@ class Simulation:
         if not self.forces:
             return None
         p = self.particles
-        known = p.version, 0 if all(f.constant for f in self.forces.values()) else fingerprint(p.position)
+        known = (p.version, 0) if all(f.constant for f in self.forces.values()) else places_of(p)
         same = known == self.known
         if any(hasattr(f, "enter") for f in self.forces.values()):  # what one rank does not know, none does
             same = bool(self.ranks.smallest(float(same))[0])

@@ -22,7 +22,7 @@ from particles_mpi.collide.contact import PRESSED
 from particles_mpi.collide.kept import HELD, SLOW, close_by_test, contacts, near_walls, spread, within
 from particles_mpi.collide.planes import Planes
 from particles_mpi.collide.projection import BETTER, project, project_each
-from particles_mpi.integrators import fingerprint
+from particles_mpi.integrators import fingerprint, places_of
 from particles_mpi.neighbours.candidates import touching
 from particles_mpi.neighbours.fence import share
 from particles_mpi.parallel.exchange import rows_of_everyone
@@ -46,7 +46,7 @@ class Rest:
         self.ranks, self.total, self.length = ranks, total, length
         self.pairs, self.uniform, self.timers = pairs, uniform, timers
         self.memory = NOTHING
-        self.looked, self.found = (-1, 0, 0), np.empty(0, np.int64)  # version and fingerprints of the rows; who is close
+        self.looked, self.found = ((-1, 0), 0), np.empty(0, np.int64)  # places, and fingerprint of widths; who is close
         self.walls = planes.lower, planes.upper, planes.oblique, planes.point[planes.lossy], planes.normal[planes.lossy]
         self.axes = (0,) * len(length)
         self.awake = True  # else particles pass through one another and through walls
@@ -99,11 +99,11 @@ class Rest:
 
     def close(self, p: Particles, a: Array, h: float) -> Array:
         """Our rows that are no further from another, ours or not, than their widths. Collective."""
-        wide = widths(p.radius, SLOW * h * a, h)
-        here = p.version, fingerprint(p.position), fingerprint(wide[:, None])
+        wide, w = widths(p.radius, SLOW * h * a, h), p.inverse_mass
+        here = places_of(p), fingerprint(np.stack((wide, w)))
         if self.ranks.smallest(float(here == self.looked))[0]:  # as at the end of the last step
             return self.found
-        known = {"id": p.id, "position": p.position, "wide": wide, "w": p.inverse_mass}
+        known = {"id": p.id, "position": p.position, "wide": wide, "w": w}
         if self.ranks.size > 1:
             still = p.position, np.zeros_like(p.position), CLOSE * wide
             _, _, _, theirs, _ = share(self.ranks, known, still, 0.0, 0.0, 0.0, self.length)

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from particles_mpi.gravity.choice import TREES, Choice, choose
 from particles_mpi.gravity.direct import add_potential, attract
-from particles_mpi.integrators import fingerprint
+from particles_mpi.integrators import places_of
 from particles_mpi.parallel.blocks import blocks
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import Array, Particles
@@ -126,12 +126,12 @@ class TreeSum:
         """Accelerations (n, d). Collective."""
         result = self.sum(particles, particles.mass)
         self.interactions += self.tree.interactions
-        self.known, self.depth = (particles.version, fingerprint(particles.position)), result[:, 3]
+        self.known, self.depth = places_of(particles), result[:, 3]
         return result[:, : particles.dimension]
 
     def potential(self, p: Particles) -> Array:
         """Potential (n,), that of movable sources by half: half that of the last `pull` if none is fixed or moved. Collective."""
-        known = self.known == (p.version, fingerprint(p.position)) and not p.fixed.any()
+        known = self.known == places_of(p) and not p.fixed.any()
         if self.ranks.smallest(float(known))[0]:
             return 0.5 * self.depth
         return self.sum(p, halved(p))[:, 3]

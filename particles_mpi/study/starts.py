@@ -11,7 +11,7 @@ from particles_mpi.errors import SceneError
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import ALWAYS, FIELDS, Array, Particles, shape
 from particles_mpi.populate import effect_class, fields_of, populate, room_of
-from particles_mpi.start_checks import check_start
+from particles_mpi.start_checks import check_start, periodic_length
 from particles_mpi.study.lab import Lab
 
 DIRECT: dict[str, Any] = {"method": "direct", "opening_angle": None, "accuracy": None, "multipole": None}  # sum of forces
@@ -62,8 +62,7 @@ class Start:
     @property
     def length(self) -> Array:
         """Of periodic axes, 0 of others."""
-        box, d = self.scene.box, self.scene.dimension
-        return np.where(self.scene.periodic, np.subtract(box.upper, box.lower), 0.0) if box else np.zeros(d)
+        return periodic_length(self.scene)
 
     def simulate(self, scene: Scene, shifted: int = 0, duration: float = 0.0, amount: float = SHIFT) -> Simulation:
         """The start in a variant of the scene. Collective. SceneError if it cannot run.
