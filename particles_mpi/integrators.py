@@ -31,7 +31,7 @@ class Leapfrog:
 
     def __init__(self, drag: Any | None, friction: Any | None, rest: Any | None):
         self.drag, self.friction, self.rest = drag, friction, rest
-        self.known: tuple[int, float] | None = None
+        self.known: tuple[int, int, float] | None = None
 
     def advance(self, particles: Particles, h: float, forces: Forces, drift: Drift, timers: Timers) -> None:
         """v to n+1/2, x to n+1 with contacts on the way, v to n+1."""
@@ -55,8 +55,8 @@ class Leapfrog:
             if a is not None:
                 kick(particles.velocity, a, h)
             return
-        if self.known != (particles.version, h):
-            self.known = particles.version, h
+        if self.known != (particles.version, particles.edition, h):
+            self.known = particles.version, particles.edition, h
             n = len(particles)
             self.factors = self.drag.factors(particles, h) if self.drag else (np.ones(n), np.full(n, h))
         decay, push = self.factors
@@ -150,9 +150,9 @@ def wrap(x, lower, upper, length):
                     x[i, k] = y if y < upper[k] else lower[k]
 
 
-def places_of(particles: Particles) -> tuple[int, int]:
-    """(version, fingerprint): the same as long as nobody moved rows, or a row."""
-    return particles.version, fingerprint(particles.position)
+def places_of(particles: Particles) -> tuple[int, ...]:
+    """(version, edition, fingerprint): the same as long as nobody moved rows, or a row, or changed one."""
+    return particles.version, particles.edition, fingerprint(particles.position)
 
 
 @njit(cache=True)

@@ -21,7 +21,7 @@ from particles_mpi.output.folder import claim
 from particles_mpi.parallel.ranks import library
 from particles_mpi.particles import Array, field
 from particles_mpi.plan import plan
-from particles_mpi.simulation import COUNTS, WATCH_EVERY, Simulation
+from particles_mpi.simulation import ABOUT, COUNTS, WATCH_EVERY, Simulation
 
 SHOW_EVERY = 10  # steps between two moves of the progress bar
 LIBRARIES = ("numpy", "numba", "mpi4py", "h5py", "meshio", "particles-mpi")
@@ -44,32 +44,38 @@ class Job:
     ):
         self.sim, self.folder, self.resumed = sim, folder, resumed
         self.scene, self.ranks = sim.scene, sim.ranks
-        self.last = self.scene.steps if steps is None else steps
+        self.limit = steps
         self.setup_began = perf_counter() if setup_began is None else setup_began
         self.since = np.array(sim.reported, np.int64)
         self.screen = Screen(self.ranks.is_root, quiet)
-        self.plan = plan(self.scene, sim.particles, sim.total, self.ranks.size)
+        self.plan = plan(self.scene, sim.rows, sim.total, self.ranks.size)
         self.plan["fixed"] = int(self.ranks.total(self.plan["fixed"])[0])
         self.request = Request(self.ranks, self.setup_began, wall_time)  # from here on a signal must not leave half a file
         self.continues = claim(folder, self.ranks, self.scene.to_dict(), resumed, overwrite)
-        self.written = sim.written if self.continues else {"row": -1, "frame": -1}
+        self.written = sim.written = sim.written if self.continues else {"row": -1, "frame": -1}
         self._open()
+
+    @property
+    def last(self) -> int:
+        """The number of the step with which the job ends."""
+        return self.sim.last_step if self.limit is None else self.limit
 
     def _open(self) -> None:
         """The writers that the scene asks for; all have looked at their files before the first one changes its own."""
         sim, d = self.sim, self.scene.dimension
         step = sim.steps_done if self.continues else None
         last = self.written.get("frame"), self.written.get("row")
+        held = self.written.get("frame_particles")
         self.writers: list[Any] = []
         if "hdf5" in self.scene.output.formats:
             from particles_mpi.output.trajectory import Trajectory
 
             path = self.folder / "trajectory.vtkhdf"
-            self.writers.append(Trajectory(path, self.ranks, list(self._frame()), d, sim.total, step, last[0]))
+            self.writers.append(Trajectory(path, self.ranks, list(self._frame()), d, sim.total, step, last[0], held))
         if "vtk" in self.scene.output.formats:
             from particles_mpi.output.vtk import VtkSeries
 
-            self.writers.append(VtkSeries(self.folder, self.ranks, d, sim.total, step, last[0]))
+            self.writers.append(VtkSeries(self.folder, self.ranks, d, step, last[0]))
         names = columns(d, self.scene.output.observables, "mutual_gravity" in self.scene.effects)
         self.diagnostics = Diagnostics(self.folder / "diagnostics.csv", self.ranks, names, step, last[1])
         for writer in (*self.writers, self.diagnostics):
@@ -77,7 +83,7 @@ class Job:
 
     def _frame(self) -> dict[str, Array]:
         """The fields that a frame shows; `fixed` only where something is."""
-        arrays = self.sim.particles.arrays
+        arrays = self.sim.rows.arrays
         return {n: a for n, a in arrays.items() if field(n).output and (n != "fixed" or self.plan["fixed"])}
 
     def run(self) -> None:
@@ -133,7 +139,7 @@ class Job:
         with sim.timers("diagnostics"):
             state = sim.measure()
             totals = self.ranks.total(np.array([sim.totals[name] for name in COUNTS]))
-            held = float(self.ranks.largest(float(len(sim.particles)))[0])
+            held = float(self.ranks.largest(float(len(sim.rows)))[0])
             since = dict(zip(COUNTS, (totals - self.since).tolist(), strict=True))
             imbalance = held * self.ranks.size / sim.total if sim.total else 1.0
             self.since = totals
@@ -145,27 +151,26 @@ class Job:
     def write_frame(self) -> None:
         """One frame in every format."""
         with self.sim.timers("output"):
+            self.sim.take_changes()
             frame = self._frame()
             for writer in self.writers:
-                writer.write(self.sim.steps_done, self.sim.time, frame)
-            self.written["frame"] = self.sim.steps_done
+                writer.write(self.sim.steps_done, self.sim.time, frame, self.sim.ids)
+            self.written |= {"frame": self.sim.steps_done, "frame_particles": self.sim.total}
 
     def save(self) -> None:
         """The exact state; replaces the checkpoint before."""
         sim = self.sim
         with sim.timers("checkpoint"):
             about = sim.about()
-            state: dict[str, Any] = {name: json.dumps(about[name]) for name in ("moment", "observed", "totals", "kept", "scene")}
+            state: dict[str, Any] = {name: json.dumps(about[name]) for name in ABOUT}
             state |= {"step": about["step"], "time": sim.time, "reported": json.dumps(self.since.tolist())}
             state["written"] = json.dumps(self.written)
-            checkpoint.save(
-                self.folder / "checkpoint.h5", self.ranks, sim.particles.arrays, sim.total, self.scene.dimension, state
-            )
+            checkpoint.save(self.folder / "checkpoint.h5", self.ranks, sim.rows.arrays, sim.ids, self.scene.dimension, state)
 
     def keep_for_inspection(self, error: str) -> str:
         """All rows as they are, and what is wrong with them, in a file of its own; says where."""
         path = self.folder / "stopped.h5"
-        checkpoint.dump(path, self.ranks, self.sim.particles.arrays, {"step": self.sim.steps_done, "error": error})
+        checkpoint.dump(path, self.ranks, self.sim.rows.arrays, {"step": self.sim.steps_done, "error": error})
         return f"all rows are in {path}, the last checkpoint is untouched"
 
     def close(self) -> None:
@@ -205,15 +210,14 @@ class Job:
 
     def traffic(self) -> dict[str, int]:
         """Sums over ranks of what was sent, and of what happened."""
-        sim, near = self.sim, self.sim.near
+        sim, here = self.sim, self.sim.counted()
         counted = {name: sim.totals[name] for name in COUNTS}
-        counted |= {"messages": self.ranks.messages, "ghost_rows": near.ghost_rows if near else 0}
+        counted |= {"messages": self.ranks.messages, "ghost_rows": here["ghost_rows"]}
         totals = self.ranks.total(np.array(list(counted.values()), np.int64))
         result = dict(zip(counted, totals.tolist(), strict=True))
-        windows = getattr(near, "windows_redone", None)
-        if windows:
-            result |= {"windows": windows[0], "windows_redone": windows[1]}
-        return result | {"reductions": self.ranks.reductions, "pair_searches": near.searches if near else 0}
+        if here["windows"]:
+            result |= {name: here[name] for name in ("windows", "windows_redone")}
+        return result | {"reductions": self.ranks.reductions, "pair_searches": here["pair_searches"]}
 
     def write_json(self, timers: dict[str, Any], counts: dict[str, int], remarks: list[str]) -> None:
         """run.json, replaced as a whole."""

@@ -42,20 +42,21 @@ FIELDS = {
 }
 USER = Field("", output=False)  # any other name: data of the user's, of any type and shape, that goes where its particle goes
 ALWAYS = ("id", "position", "velocity", "radius", "mass", "fixed")
+MEETING = ("position", "velocity", "radius", "mass", "fixed")  # fields that decide who meets whom, and with what outcome
 
 
 class Particles:
     """Rows of particles as arrays: `position[i]`, `velocity[i]`, `radius[i]`, `mass[i]`, `fixed[i]`, `id[i]`.
 
     Row order means nothing and changes from step to step; `id` tells which particle a row is. Vectors are (n, d) float64
-    in the scene's units, scalars (n,). `version` counts the times that rows were moved, so that whoever keeps something
-    by row knows when it is stale.
+    in the scene's units, scalars (n,). `version` counts the times that rows were moved, or that a user changed what decides
+    who meets whom, so that whoever keeps something by row knows when it is stale; `edition` counts all changes by a user.
     """
 
     def __init__(self, dimension: int, arrays: dict[str, Array]):
         self.dimension = dimension
         self.arrays = arrays
-        self.version = 0
+        self.version = self.edition = 0
 
     @classmethod
     def empty(cls, dimension: int, names: Iterator[str] | list[str]) -> Particles:
@@ -83,6 +84,14 @@ class Particles:
         self.arrays = arrays
         self.version += 1
 
+    def change(self, values: dict[str, Array]) -> None:
+        """New values (n, ...) of some fields. Fixed particles have no velocity: any that is given to them is taken away."""
+        for name, value in values.items():
+            self.arrays[name][...] = value
+        self.velocity[self.fixed != 0] = 0.0
+        self.edition += 1
+        self.version += not values.keys().isdisjoint(MEETING)
+
     @property
     def inverse_mass(self) -> Array:
         """1/m, and 0 for fixed particles, which nothing moves; shape (n,)."""
@@ -100,6 +109,11 @@ def field(name: str) -> Field:
 def shape(name: str, rows: int, dimension: int) -> tuple[int, ...]:
     """Shape of a field's array."""
     return (rows, dimension) if FIELDS[name].vector else (rows,)
+
+
+def default_values(name: str, rows: int, dimension: int) -> Array:
+    """What a field holds where nothing gives it a value: 0; -inf for times at which something last happened."""
+    return np.full(shape(name, rows, dimension), -np.inf if name == "contacted" else 0, FIELDS[name].dtype)
 
 
 def rows_of(arrays: dict[str, Array], rows: Array) -> dict[str, Array]:

@@ -9,17 +9,19 @@ from __future__ import annotations
 import importlib
 import os
 import warnings as python_warnings
+from collections.abc import Mapping
 from itertools import pairwise
 from math import inf
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from particles_mpi.errors import SceneError
-from particles_mpi.particles import ALWAYS, FIELDS, Array, Particles, shape
+from particles_mpi.particles import ALWAYS, FIELDS, Array, Particles, default_values
 from particles_mpi.placement import JAMMED, MOST_TRIES, RandomAddition, Room, lattice, packing
 from particles_mpi.plummer import plummer_places, plummer_velocities
-from particles_mpi.scene import LARGEST, Population, Scene
+from particles_mpi.scene import LARGEST, Population, Scene, faults_of
 from particles_mpi.start_checks import check_start, listed, periodic_length
 
 STREAMS = {name: k for k, name in enumerate(("position", "velocity", "speed", "radius", "mass", "drag"))}
@@ -32,7 +34,7 @@ def populate(scene: Scene) -> tuple[Particles, list[str]]:
     """
     try:
         with np.errstate(over="ignore", under="ignore"):
-            return Populator(scene).populate()
+            return Populator(scene, dict(enumerate(scene.particles))).populate()
     except MemoryError:
         raise SceneError("particles: not enough memory for them") from None
 
@@ -42,20 +44,21 @@ def fields_of(scene: Scene) -> list[str]:
     extra = {name for effect in scene.effects for name in effect_class(effect).fields}
     if scene.time.integrator == "taylor":
         extra.add("rate")
-    if "collisions" in scene.effects and (scene.effects["collisions"].mode == "event" or keeps_contacts(scene)):
+    keeps = keeps_contacts(scene, scene.effects)
+    if "collisions" in scene.effects and (scene.effects["collisions"].mode == "event" or keeps):
         extra.add("contacted")
     if scene.output.observables:
         extra.add("virial")
-    if keeps_contacts(scene):
+    if keeps:
         extra.add("supported")
     return [name for name in FIELDS if name in ALWAYS or name in extra]
 
 
-def keeps_contacts(scene: Scene) -> bool:
-    """Are there forces that press particles together or onto walls, and contacts that take energy?"""
-    if scene.time.integrator != "leapfrog" or not any(effect_class(name).role == "force" for name in scene.effects):
+def keeps_contacts(scene: Scene, effects: dict[str, Any]) -> bool:
+    """Are there, among these effects, forces that press particles together or onto walls, and contacts that take energy?"""
+    if scene.time.integrator != "leapfrog" or not any(effect_class(name).role == "force" for name in effects):
         return False
-    contacts = [effect_class(name)(scene.effects[name], scene) for name in ("collisions", "walls") if name in scene.effects]
+    contacts = [effect_class(name)(effects[name], scene) for name in ("collisions", "walls") if name in effects]
     return any(contact.lossy for contact in contacts)
 
 
@@ -77,37 +80,72 @@ def room_of(scene: Scene) -> Room:
     return Room(lower, upper, periodic_length(scene), point, normal, solid, solid or len(point) > 0)
 
 
-class Populator:
-    """Builds the populations one quantity after the other, and collects faults on the way."""
+def add_population(
+    scene: Scene, everyone: Particles, table: Mapping[str, Any], next_id: int, number: int
+) -> tuple[Particles, list[str]]:
+    """(all particles with those of one more population behind them, warnings); the same on every rank.
 
-    def __init__(self, scene: Scene):
-        self.scene = scene
+    `everyone`: those that are there, in id order; `table`: the keys of a `[[particles]]` table, whose values may be arrays,
+    and fields of the user's own. `number` tells this population from others, in messages and in random numbers.
+    """
+    key = f"particles[{number}]"
+    plain = {name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value for name, value in table.items()}
+    own = {name: plain.pop(name) for name in everyone.arrays.keys() - FIELDS.keys() if name in plain}
+    try:
+        population = Population.model_validate(plain)
+    except ValidationError as error:
+        raise SceneError(faults_of(error, Population, (key,))) from None
+    faults = scene.population_faults(key, population)
+    if faults:
+        raise SceneError(faults)
+    before = len(everyone)
+    with np.errstate(over="ignore", under="ignore"):
+        particles, warnings = Populator(scene, {number: population}, everyone, next_id).populate()
+    for name, value in own.items():
+        try:
+            particles[name][before:] = value
+        except ValueError:
+            raise SceneError(f"{key}.{name}: not a value for each of {len(particles) - before} particles") from None
+    return particles, warnings
+
+
+class Populator:
+    """Builds populations (by their number) one quantity after the other, and collects faults on the way.
+
+    `there`: particles that are there already, in id order; the new ones get ids from `next_id` on.
+    """
+
+    def __init__(self, scene: Scene, populations: dict[int, Population], there: Particles | None = None, next_id: int = 0):
+        self.scene, self.populations, self.there, self.next_id = scene, populations, there, next_id
         self.faults: list[str] = []
         self.files: dict[tuple[int, str], Array] = {}
 
     def populate(self) -> tuple[Particles, list[str]]:
         scene = self.scene
         self.check_numbers()
-        counts = [self.count_of(number, p) for number, p in enumerate(scene.particles)]
+        counts = [self.count_of(number, p) for number, p in self.populations.items()]
         self.stop_if_faulty()
         self.check_memory(counts)
-        ends = np.cumsum([0, *counts])
+        before = 0 if self.there is None else len(self.there)
+        ends = before + np.cumsum([0, *counts])
         n, d = int(ends[-1]), scene.dimension
-        self.arrays = {name: np.zeros(shape(name, n, d), FIELDS[name].dtype) for name in fields_of(scene)}
-        if "contacted" in self.arrays:
-            self.arrays["contacted"][:] = -inf
-        self.arrays["id"][:] = np.arange(n)
-        self.rows = [slice(int(a), int(b)) for a, b in pairwise(ends)]
-        for number, population in enumerate(scene.particles):
+        self.arrays = {name: default_values(name, n, d) for name in fields_of(scene)}
+        for name, column in self.there.arrays.items() if self.there is not None else ():
+            if name not in self.arrays:  # attached by the user
+                self.arrays[name] = np.zeros((n, *column.shape[1:]), column.dtype)
+            self.arrays[name][:before] = column
+        self.arrays["id"][before:] = self.next_id + np.arange(n - before)
+        self.rows = {number: slice(int(a), int(b)) for number, (a, b) in zip(self.populations, pairwise(ends))}
+        for number, population in self.populations.items():
             self.scalars(number, population)
         self.stop_if_faulty()
         room = room_of(scene)
         self.positions(room)
-        for number, population in enumerate(scene.particles):
+        for number, population in self.populations.items():
             self.velocities(number, population)
         self.stop_if_faulty()
         particles = Particles(d, self.arrays)
-        self.faults, warnings = check_start(scene, particles, room)
+        self.faults, warnings = check_start(scene, particles, room, before)
         self.stop_if_faulty()
         return particles, warnings
 
@@ -131,7 +169,7 @@ class Populator:
         need = total * 8 * (4 + 3 * self.scene.dimension)
         have = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
         if need > have or total > 2**31 - 1:
-            k = int(np.argmax(np.array(counts, float)))
+            k = list(self.populations)[int(np.argmax(np.array(counts, float)))]
             raise SceneError(
                 f"particles[{k}].count: {total} particles in all need {need / 1e9:.3g} GB, this machine has {have / 1e9:.3g} GB"
             )
@@ -234,13 +272,13 @@ class Populator:
         """A fault that names the particles of `rows` that are `bad` (n,) or (n, d)."""
         which = np.flatnonzero(bad.any(axis=1) if bad.ndim == 2 else bad)
         if len(which):
-            self.faults.append(f"{key}: {why} {listed(which + rows.start)}")
+            self.faults.append(f"{key}: {why} {listed(self.arrays['id'][rows][which])}")
 
     def positions(self, room: Room) -> None:
         """Lists and files first, then lattices, then random places around them, the largest spheres first."""
         x, radius, scattered = self.arrays["position"], self.arrays["radius"], []
         known = np.ones(len(x), bool)
-        for number, population in enumerate(self.scene.particles):
+        for number, population in self.populations.items():
             rows = self.rows[number]
             if population.position == "random":
                 scattered.append(number)

@@ -24,9 +24,19 @@ NEEDS_FREE_PATHS = ("collisions", "walls", "drag", "friction")  # effects that o
 
 
 class Model(BaseModel):
-    """Strict: an unknown key, or a number given as text, is a fault and not a guess."""
+    """Strict: an unknown key, or a number given as text, is a fault and not a guess. Never changed once it is made."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+
+
+class EffectOptions(Model):
+    """The keys of a table `[effects.NAME]`. An effect that is not `active` does nothing until it is switched on."""
+
+    active: bool = True
+
+    def faults(self, scene: Scene) -> list[str]:
+        """What is wrong with these options in this scene, each beginning with the key; [] if nothing is."""
+        return []
 
 
 def _number(value: Any) -> bool:
@@ -185,7 +195,7 @@ def _effects(value: Any) -> dict[str, Any]:
         try:
             validated[name] = options.model_validate(keys)
         except ValidationError as error:
-            raise ValueError("\n".join(_faults(error, options, ("effects", name)))) from None
+            raise ValueError("\n".join(faults_of(error, options, ("effects", name)))) from None
     return validated
 
 
@@ -211,7 +221,7 @@ class Scene(Model):
         try:
             super().__init__(**tables)
         except ValidationError as error:
-            raise SceneError(_faults(error, Scene)) from None
+            raise SceneError(faults_of(error, Scene)) from None
 
     @classmethod
     def from_dict(cls, tables: dict[str, Any], folder: Path = Path()) -> Scene:
@@ -239,6 +249,9 @@ class Scene(Model):
         """The tables that give this scene back; plain lists, numbers and text."""
         tables = self.model_dump(mode="json", exclude_none=True, exclude={"effects"})
         tables["effects"] = {name: o.model_dump(mode="json", exclude_none=True) for name, o in self.effects.items()}
+        for table in tables["effects"].values():
+            if table["active"]:
+                del table["active"]
         return tables
 
     def to_json(self) -> str:
@@ -249,6 +262,11 @@ class Scene(Model):
         """Which axes are periodic; none where space is open."""
         flags = self.box.periodic if self.box else False
         return flags if isinstance(flags, list) else [flags] * self.dimension
+
+    @property
+    def active(self) -> dict[str, Any]:
+        """The options of the effects that are not switched off, by name."""
+        return {name: options for name, options in self.effects.items() if options.active}
 
     @property
     def steps(self) -> int:
@@ -282,14 +300,15 @@ class Scene(Model):
         if "vtk" in self.output.formats and d > 3:
             self.output.formats.remove("vtk")
         for number, population in enumerate(self.particles):
-            faults += self._population_faults(f"particles[{number}]", population)
+            faults += self.population_faults(f"particles[{number}]", population)
         for name, options in self.effects.items():
-            faults += [f"effects.{name}.{fault}" for fault in getattr(options, "faults", lambda scene: [])(self)]
+            faults += [f"effects.{name}.{fault}" for fault in options.faults(self)]
         if faults:
             raise ValueError("\n".join(faults))
         return self
 
-    def _population_faults(self, key: str, population: Population) -> list[str]:
+    def population_faults(self, key: str, population: Population) -> list[str]:
+        """What is wrong with a population in this scene, each beginning with `key`; [] if nothing is."""
         d, faults = self.dimension, []
         position, velocity = population.position, population.velocity
         if isinstance(position, str):
@@ -340,7 +359,7 @@ def _known_keys(model: type[BaseModel], location: tuple[Any, ...]) -> list[str]:
     return [name for name in table.model_fields if name != "folder"]
 
 
-def _faults(error: ValidationError, model: type[BaseModel], prefix: tuple[Any, ...] = ()) -> list[str]:
+def faults_of(error: ValidationError, model: type[BaseModel], prefix: tuple[Any, ...] = ()) -> list[str]:
     """One line a fault: `key: what is wrong`."""
     faults = []
     for item in error.errors():

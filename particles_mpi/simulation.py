@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from importlib import import_module
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +13,14 @@ from particles_mpi import state
 from particles_mpi.diagnostics import measure
 from particles_mpi.errors import SceneError, StateError
 from particles_mpi.integrators import Integrator, Leapfrog, Order4, Taylor, free_drift, places_of, wrap
+from particles_mpi.parallel.exchange import id_range
 from particles_mpi.parallel.ranks import Ranks
-from particles_mpi.particles import FIELDS, Array, Particles
-from particles_mpi.populate import populate
+from particles_mpi.particle_view import ParticleView
+from particles_mpi.particles import FIELDS, Array, Particles, default_values
+from particles_mpi.populate import effect_class, fields_of, keeps_contacts, populate
+from particles_mpi.running_effect import RunningEffect, changed_options
 from particles_mpi.scene import Scene
+from particles_mpi.start_checks import listed, value_limits
 from particles_mpi.timers import Timers
 from particles_mpi.watchdog import Watchdog, not_finite
 
@@ -25,6 +28,7 @@ CLOSE = 1e-14  # of a step: how well a step that ends with a contact must know i
 MOST_TRIES = 60
 WATCH_EVERY = 10  # steps
 COUNTS = ("collisions", "wall_hits", "missed", "exchanges")
+ABOUT = ("step", "moment", "h", "observed", "totals", "next_id", "additions", "kept", "scene")  # what `about` tells
 
 
 def next_length(tried: list[tuple[float, float]], longest: float) -> float:
@@ -39,8 +43,12 @@ def next_length(tried: list[tuple[float, float]], longest: float) -> float:
 class Simulation:
     """A scene in motion on the ranks of a communicator.
 
-    `sim.step()` advances by `scene.time.step`, `sim.run()` to the end. `sim.particles` are this rank's rows,
-    `sim.time` and `sim.steps_done` say where it stands, `sim.totals` counts what happened on this rank since the start.
+    `sim.step()` advances by `sim.h`, `sim.run()` to the end. `sim.time` and `sim.steps_done` say where it stands, `sim.totals`
+    counts what happened on this rank since the start.
+
+    Between two steps the state belongs to the user, and what is changed counts from the next step on: the fields of
+    `sim.particles` (this rank's rows, see `ParticleView`), `sim.time`, `sim.h`, the options of `sim.effects[name]`; `sim.add`
+    and `sim.remove` change who is there. Going on is then the same, to the bit, as a new simulation of that state.
     Raises SceneError for a scene that cannot be run and StoppedError when a state has lost its meaning, on all ranks.
     """
 
@@ -49,28 +57,49 @@ class Simulation:
         particles, self.warnings = populate(scene) if start is None else (start, [])
         self._assemble(scene, Ranks(comm), particles)
 
-    def _assemble(self, scene: Scene, ranks: Ranks, everyone: Particles) -> None:
-        """Build the run around all particles (in id order on every rank), of which this rank keeps its share."""
-        self.scene, self.ranks, self.total = scene, ranks, len(everyone)
-        self.timers = Timers()
-        self.steps_done, self.h = 0, scene.time.step
+    def _assemble(self, scene: Scene, ranks: Ranks, everyone: Particles, next_id: int = 0) -> None:
+        """Build the run around all particles (in id order on every rank), of which this rank keeps its share.
+
+        `next_id`: the id of the next particle that is added, if it is larger than those that are there tell.
+        """
+        self.scene, self.ranks, self.timers = scene, ranks, Timers()
+        self.steps_done, self._h = 0, scene.time.step
         self.moment = 0.0, 0  # (time, steps done) that the clock counts from
         self.totals = dict.fromkeys(COUNTS, 0)
         self.reported = [0] * len(COUNTS)  # sums over ranks at the last row of diagnostics
         self.written: dict[str, int] = {}  # steps of the last row of diagnostics and of the last frame
         self.observed = [0.0, 0.0, 0.0]  # time, collisions and virial when the observables were last looked at
         self.calls: dict[str, int] = {}
+        self.past: dict[str, int] = {}  # work of operators that are no longer there
+        self.past_remarks: list[str] = []
+        self.additions = 0  # populations added while it ran
+        self.forces: dict[str, Any] = {}
+        self.near: Any = None
+        self.contacts: Any = None
         first, last = (len(everyone) * (ranks.rank + k) // ranks.size for k in (0, 1))
-        self.particles = everyone.select(np.arange(first, last))
+        self.rows = everyone.select(np.arange(first, last))
+        self.rows.velocity[self.rows.fixed != 0] = 0.0
+        self.particles = ParticleView(self.rows, self._check_values)
+        self.next_id = max(next_id, int(everyone.id.max(initial=-1)) + 1)
 
         d, box = scene.dimension, scene.box
         self.lower = np.array(box.lower, float) if box else np.zeros(d)
         self.upper = np.array(box.upper, float) if box else np.zeros(d)
         self.length = np.where(scene.periodic, self.upper - self.lower, 0.0)
+        self._build()
 
-        effects = {
-            name: import_module(f"particles_mpi.effects.{name}").Effect(options, scene) for name, options in scene.effects.items()
-        }
+    def _build(self) -> None:
+        """All that follows from the scene's effects and from how many particles there are. Collective."""
+        scene, ranks, p, d = self.scene, self.ranks, self.rows, self.scene.dimension
+        self.past, self.past_remarks = self.counted(), self.remarks()
+        p.version, p.edition = p.version + 1, p.edition + 1  # nothing that was known of the rows holds any longer
+        self.ids = id_range(ranks, p.id)
+        self.total = self.ids.total
+        for name in fields_of(scene):
+            if name not in p.arrays:
+                p.arrays[name] = default_values(name, len(p), d)
+        effects = {name: effect_class(name)(options, scene) for name, options in scene.active.items()}
+        self.keeps_contacts = keeps_contacts(scene, scene.active)
         self.forces = {name: e for name, e in effects.items() if e.role == "force"}
         self.walls, self.collisions = effects.get("walls"), effects.get("collisions")
         drag, friction = effects.get("drag"), effects.get("friction")
@@ -79,18 +108,18 @@ class Simulation:
         self.g: Array = sum(steady, np.zeros(d))
         held = self.walls.planes if self.walls else None
         planes = (held.point, held.normal) if held else (np.empty((0, d)), np.empty((0, d)))
-        self.watchdog = Watchdog(ranks, self.total, planes, self.lower, self.length)
+        self.watchdog = Watchdog(ranks, p.id, self.ids, planes, self.lower, self.length)
         self.rest = self._rest()
         self.integrator = self._integrator(drag, friction)
         for force in self.forces.values():
             if hasattr(force, "enter"):
-                force.enter(ranks, self.total)
+                force.enter(ranks, self.ids)
         self.accelerations: Array | None = None
-        self.known = -1, 0  # version and fingerprint of the rows that the accelerations belong to
-        self.near: Any = None
-        self.contacts: Any = None
+        self.known: tuple[int, ...] = ()  # version, edition and fingerprint of the rows that the accelerations belong to
+        self.near = self.contacts = None
         if self.collisions:
             self._enter_collisions(self.collisions)
+        self.taken = p.edition  # changes up to here are known everywhere
 
     def _integrator(self, drag: Any, friction: Any) -> Integrator:
         """The one that the scene names."""
@@ -105,7 +134,7 @@ class Simulation:
 
     def _rest(self) -> Any:
         """Who keeps contacts that last, where forces and losses can make one last."""
-        if "supported" not in self.particles.arrays:
+        if not self.keeps_contacts:
             return None
         from particles_mpi.collide.planes import no_planes
         from particles_mpi.collide.rest import Rest
@@ -113,19 +142,19 @@ class Simulation:
         pairs = self.collisions is not None and self.collisions.lossy
         planes = self.walls.planes if self.walls else no_planes(self.scene.dimension)
         uniform = all(getattr(force, "uniform", False) for force in self.forces.values())
-        return Rest(self.ranks, self.total, self.length, pairs, planes, uniform, self.timers)
+        return Rest(self.ranks, self.ids.end, self.length, pairs, planes, uniform, self.timers)
 
     def _enter_collisions(self, c: Any) -> None:
         """Only a scene with pairs loads a collision operator, the one it names, and its search for neighbours."""
         planes = self.walls.planes if self.walls else None
         box, loss = (self.lower, self.upper, self.length), (c.restitution, c.keep)
         exact: Any = None
-        if "contacted" in self.particles.arrays:
+        if c.options.mode == "event" or self.keeps_contacts:
             from particles_mpi.collide.event import Event
 
-            exact = Event(self.particles, self.ranks, box, loss, c.soft, planes, self.g, self.timers)
+            exact = Event(self.rows, self.ranks, box, loss, c.soft, planes, self.g, self.timers)
             if self.rest and self.rest.pairs:
-                exact.hold = lambda h: self.rest.hold(self.particles, self.sum_forces(), h)
+                exact.hold = lambda h: self.rest.hold(self.rows, self.sum_forces(), h)
         if c.options.mode == "event":
             self.near = self.contacts = exact
             return
@@ -135,19 +164,98 @@ class Simulation:
 
         walls = planes or no_planes(self.scene.dimension)
         kicked = bool(self.forces or self.dissipation)
-        self.near = Neighbourhood(self.particles, self.ranks, box, (walls.point, walls.normal), kicked, self.timers)
+        self.near = Neighbourhood(self.rows, self.ranks, box, (walls.point, walls.normal), kicked, self.timers)
         self.contacts = Rewind(self.near, loss, c.options.passes, planes, self.g, self.timers, exact)
 
     @property
     def time(self) -> float:
-        """The moment the state belongs to."""
+        """The moment the state belongs to. To set it changes nothing but the clock."""
         since, steps = self.moment
-        return since + (self.steps_done - steps) * self.h
+        return since + (self.steps_done - steps) * self._h
+
+    @time.setter
+    def time(self, value: float) -> None:
+        if not np.isfinite(value):
+            raise ValueError(f"time: {value} is not finite")
+        self.observed[0] += value - self.time
+        self.moment = float(value), self.steps_done
+        self._forget_contacts()
+
+    @property
+    def h(self) -> float:
+        """The length of a step, from the next one on."""
+        return self._h
+
+    @h.setter
+    def h(self, value: float) -> None:
+        if not 0.0 < value < np.inf:
+            raise ValueError(f"h: {value} is no length of a step, which is above 0")
+        self.moment = self.time, self.steps_done
+        self._h = float(value)
+        self._forget_contacts()
+
+    @property
+    def last_step(self) -> int:
+        """The number of the step with which the run ends: after `time.steps`, or nearest to `time.end`."""
+        since, steps = self.moment
+        end = self.scene.time.end
+        return self.scene.steps if end is None else steps + max(0, round((end - since) / self._h))
+
+    @property
+    def effects(self) -> dict[str, RunningEffect]:
+        """The effects of the scene by name; setting an option of one changes the run. See `RunningEffect`."""
+        return {name: RunningEffect(self, name) for name in self.scene.effects}
+
+    def change_effect(self, name: str, key: str, value: Any) -> None:
+        """Give an option of an effect another value, from the next step on; checked as in a scene file. Collective."""
+        options = changed_options(self.scene, name, key, value)
+        self.take_changes()
+        self.scene = self.scene.model_copy(update={"effects": {**self.scene.effects, name: options}})
+        if name in self.forces and key != "active":  # it is asked anew; nothing else depends on it
+            self.past = self.counted()
+            self.forces[name] = effect_class(name)(options, self.scene)
+            if hasattr(self.forces[name], "enter"):
+                self.forces[name].enter(self.ranks, self.ids)
+            self.g[:] = sum((f.g for f in self.forces.values() if getattr(f, "uniform", False)), np.zeros_like(self.g))
+            self.rows.edition += 1
+            self._forget_contacts()
+        else:
+            self._build()
+
+    def take_changes(self) -> None:
+        """What the user has written into `particles` becomes the state. Called wherever the state is used. Collective."""
+        try:
+            self.particles.collect()
+        except StateError as error:
+            raise StateError(f"step {self.steps_done + 1}: {error}") from None
+        if self.rest and self.rest.pairs and self.ranks.largest(float(self.rows.edition != self.taken))[0]:
+            self._forget_contacts()
+        self.taken = self.rows.edition
+
+    def _forget_contacts(self) -> None:
+        """What contacts carried belongs to a state that is no more. Collective."""
+        if self.rest:
+            self.rest.forget()
+        self.taken = self.rows.edition
+
+    def _check_values(self, values: dict[str, Array]) -> None:
+        """Raises StateError for values that no particle can have, naming the first that has one."""
+        p = self.rows
+        for name, allowed in value_limits(self.scene, p, values).items():
+            wrong = np.flatnonzero(~allowed)
+            if len(wrong):
+                row = wrong[p.id[wrong].argmin()]
+                raise StateError(
+                    f"particles.{name}: particle {p.id[row]} on rank {self.ranks.rank} was given {values[name][row]:g},"
+                    " which it cannot have"
+                )
 
     def step(self, collisions: bool = True) -> None:
         """Advance by one step; `collisions=False` lets particles pass through one another and through walls. Collective."""
+        self.take_changes()
         try:
-            self.advance(self.h, lambda h: self.drift(h, collisions), collisions)
+            self.particles.end()
+            self.advance(self._h, lambda h: self.drift(h, collisions), collisions)
         except StateError as error:
             raise StateError(f"step {self.steps_done + 1}: {error}") from None
         self.steps_done += 1
@@ -157,7 +265,7 @@ class Simulation:
         self.middle = 0.5 * h
         if self.rest:
             self.rest.awake = contacts
-        self.integrator.advance(self.particles, h, self.sum_forces, drift, self.timers)
+        self.integrator.advance(self.rows, h, self.sum_forces, drift, self.timers)
         for name in self.dissipation:
             self.count(name, 2)
 
@@ -170,28 +278,30 @@ class Simulation:
         """
         if not self.collisions or self.collisions.options.mode != "event":
             raise SceneError('effects.collisions.mode: step_to_collision needs "event"')
-        h, met, free = self.h, self.near.stop, not (self.forces or self.dissipation)
+        self.take_changes()
+        self.particles.end()
+        h, met, free = self._h, self.near.stop, not (self.forces or self.dissipation)
         tried: list[tuple[float, float]] = []  # (length that was kicked for, how much later the contact came)
         for _ in range(MOST_TRIES):
             totals, calls = self.totals.copy(), self.calls.copy()
-            before = None if free else self.particles.select(np.arange(len(self.particles)))
-            self.advance(h, lambda _: self.drift(self.h, True, stop=True))
+            before = None if free else self.rows.select(np.arange(len(self.rows)))
+            self.advance(h, lambda _: self.drift(self._h, True, stop=True))
             reached, met_none = float(self.near.stopped[0]), met[1] < 0
-            if met_none and h == self.h:
+            if met_none and h == self._h:
                 self.steps_done += 1
                 return None
             tried.append((h, reached - h))
-            if before is None or (not met_none and abs(reached - h) <= CLOSE * self.h):
+            if before is None or (not met_none and abs(reached - h) <= CLOSE * self._h):
                 break
-            self.particles.replace(before.arrays)
+            self.rows.replace(before.arrays)
             self.totals, self.calls = totals, calls
-            h = next_length(tried, self.h)
+            h = next_length(tried, self._h)
         self.moment = self.time + reached, self.steps_done
         return int(met[1]), int(met[2])
 
     def drift(self, h: float, contacts: bool, stop: bool = False) -> None:
         """Positions over h, with whatever they meet on the way; with `stop` to the first collision only."""
-        p = self.particles
+        p = self.rows
         if contacts and self.collisions:
             migrated = self.near.migrated
             stopping = {"stop": True} if stop else {}
@@ -208,6 +318,7 @@ class Simulation:
             with self.timers("drift"):
                 free_drift(p.position, p.velocity, h)
             happened = [0, 0, 0, 0]
+            p.version += self.collisions is not None  # what is known of neighbours does not hold any longer
         for name, number in zip(COUNTS, happened, strict=True):
             self.totals[name] += int(number)
         if self.length.any() and not (contacts and self.collisions):  # those wrap ghosts too
@@ -218,8 +329,8 @@ class Simulation:
         """Accelerations (n, d) at the present positions, or None without forces; summed anew if anyone moved. Collective."""
         if not self.forces:
             return None
-        p = self.particles
-        known = (p.version, 0) if all(f.constant for f in self.forces.values()) else places_of(p)
+        p = self.rows
+        known = (p.version, p.edition) if all(f.constant for f in self.forces.values()) else places_of(p)
         same = known == self.known
         if any(hasattr(f, "enter") for f in self.forces.values()):  # what one rank does not know, none does
             same = bool(self.ranks.smallest(float(same))[0])
@@ -237,51 +348,67 @@ class Simulation:
         """Calls of each effect, for `run.json`."""
         self.calls[effect] = self.calls.get(effect, 0) + calls
 
+    def counted(self) -> dict[str, int]:
+        """Work of this rank so far: searches for neighbours, ghosts, tests of pairs, interactions, windows of time."""
+        near, past = self.near, self.past
+        windows = getattr(near, "windows_redone", None) or (0, 0)
+        now = {
+            "interactions": sum(getattr(getattr(f, "sum", None), "interactions", 0) for f in self.forces.values()),
+            "pair_tests": getattr(near, "pair_tests", 0),
+            "pair_searches": near.searches if near else 0,
+            "ghost_rows": near.ghost_rows if near else 0,
+            "windows": windows[0],
+            "windows_redone": windows[1],
+        }
+        return {name: number + past.get(name, 0) for name, number in now.items()}
+
     def work(self) -> dict[str, int]:
         """What has been computed so far, over all ranks, in units that no machine changes. Collective.
 
         forces: evaluations of all accelerations; interactions: of pairs, or of what a tree puts in their place; pair_tests:
         contact times of two spheres in mode rewind; events: contacts with spheres and walls.
         """
-        mine = [getattr(getattr(force, "sum", None), "interactions", 0) for force in self.forces.values()]
-        tests = getattr(self.near, "pair_tests", 0)
+        counted = self.counted()
         events = self.totals["collisions"] + self.totals["wall_hits"]
-        interactions, tests, events = self.ranks.total(np.array([sum(mine), tests, events], np.int64)).tolist()
+        sums = self.ranks.total(np.array([counted["interactions"], counted["pair_tests"], events], np.int64)).tolist()
         forces = max((self.calls.get(name, 0) for name in self.forces), default=0)
-        return {"forces": forces, "interactions": interactions, "pair_tests": tests, "events": events}
+        return {"forces": forces, "interactions": sums[0], "pair_tests": sums[1], "events": sums[2]}
 
     def measure(self) -> dict[str, float]:
         """Energies, momentum, largest speed of all particles: the same bits on any number of ranks. Collective.
 
         With `output.observables` also those of `observables`: rates are over the time since the last call.
         """
-        potentials = {name: f.potential(self.particles) for name, f in self.forces.items() if hasattr(f, "potential")}
-        row = measure(self.ranks, self.particles, potentials)
+        self.take_changes()
+        p = self.rows
+        potentials = {name: f.potential(p) for name, f in self.forces.items() if hasattr(f, "potential")}
+        row = measure(self.ranks, p, potentials)
         if self.scene.output.observables:
             from particles_mpi.observables import observe
 
             collisions = int(self.ranks.total(self.totals["collisions"])[0])
             volume = float(np.prod(self.upper - self.lower)) if self.scene.box else np.nan
-            row |= observe(self.ranks, self.particles, volume, self.time, collisions, self.observed)
+            row |= observe(self.ranks, p, volume, self.time, collisions, self.observed)
         if not np.isfinite(row["kinetic"]):
-            raise StateError(not_finite(self.ranks, self.particles, f"step {self.steps_done}"))
+            raise StateError(not_finite(self.ranks, p, f"step {self.steps_done}"))
         return row
 
     def remarks(self) -> list[str]:
         """What happened that a user should know of, a line each. Collective."""
-        return self.contacts.remarks() if hasattr(self.contacts, "remarks") else []
+        return [*self.past_remarks, *(self.contacts.remarks() if hasattr(self.contacts, "remarks") else [])]
 
     def watch(self) -> None:
         """Raises StateError if a particle is lost, astray or not a number. Collective; cheap."""
+        self.take_changes()
         with self.timers("watchdog"):
-            self.watchdog.look(self.particles, self.steps_done)
+            self.watchdog.look(self.rows, self.steps_done)
 
     def run(self, output: str | Path | None = None, quiet: bool = True, **options: Any) -> None:
         """Step to the end of the scene; with `output` (a folder) write everything the scene asks for. Collective."""
         if output is None:
-            while self.steps_done < self.scene.steps:
+            while self.steps_done < self.last_step:
                 self.step()
-                if self.steps_done % WATCH_EVERY == 0 or self.steps_done == self.scene.steps:
+                if self.steps_done % WATCH_EVERY == 0 or self.steps_done == self.last_step:
                     self.watch()
             return
         from particles_mpi.job import Job
@@ -294,13 +421,50 @@ class Simulation:
         from particles_mpi.output.checkpoint import load
 
         arrays, saved = load(Path(path))
-        scene = Scene.from_dict(json.loads(saved["scene"]))
-        about = {name: json.loads(saved[name]) for name in ("moment", "observed", "totals", "kept")} | {
-            "step": int(saved["step"])
-        }
+        about = {name: json.loads(str(saved[name])) for name in ABOUT}
+        scene = Scene.from_dict(about["scene"])
         sim = cls._restored(scene, Ranks(comm), Particles(scene.dimension, arrays), about)
         sim.reported, sim.written = json.loads(saved["reported"]), json.loads(saved["written"])
         return sim
+
+    def add(self, population: Mapping[str, Any]) -> Array:
+        """Add particles: the keys of a `[[particles]]` table, or arrays under these names. Returns their ids. Collective.
+
+        All ranks give the same. Ids go on from the largest there ever was. Fields that were attached may be given too,
+        and are 0 if not. Raises SceneError, as at the start, for particles that cannot be: overlapping others, outside, ...
+        """
+        from particles_mpi.populate import add_population
+
+        self.take_changes()
+        everyone = state.everyone(self.ranks, self.rows)
+        number = len(self.scene.particles) + self.additions
+        all_, warnings = add_population(self.scene, everyone, population, self.next_id, number)
+        new = all_.select(np.arange(len(everyone), len(all_)))
+        self.warnings += warnings
+        mine = np.isin(all_.id, self.rows.id)  # the same as before, in another place if they were pushed apart
+        first, last = (len(new) * (self.ranks.rank + k) // self.ranks.size for k in (0, 1))
+        mine[len(everyone) + first : len(everyone) + last] = True
+        self.rows.replace(all_.select(np.flatnonzero(mine)).arrays)
+        self.particles.end()
+        self.next_id += len(new)
+        self.additions += 1
+        self._build()
+        return new.id
+
+    def remove(self, ids: Any) -> None:
+        """Take particles away, by their ids. Collective: a rank may name any, and they go if one rank names them.
+
+        Raises ValueError, on all ranks, for ids that no particle has.
+        """
+        self.take_changes()
+        named = np.unique(np.concatenate([np.asarray(of, np.int64).reshape(-1) for of in self.ranks.gathered(ids)]))
+        here = np.isin(self.rows.id, named)
+        if self.ranks.total(np.count_nonzero(here))[0] < len(named):
+            known = np.concatenate(self.ranks.gathered(self.rows.id[here]))
+            raise ValueError(f"remove: no {listed(np.setdiff1d(named, known))}")
+        self.rows.replace(self.rows.select(np.flatnonzero(~here)).arrays)
+        self.particles.end()
+        self._build()
 
     def attach(self, name: str, values: Array) -> None:
         """Give every particle data of the user's own: `values` (N, ...) in id order, any numeric type. Collective.
@@ -309,26 +473,30 @@ class Simulation:
         checkpoints. Nothing computes with them.
         """
         values = np.asarray(values)
-        if name in FIELDS or values.shape[:1] != (self.total,) or values.dtype.kind not in "biuf":
+        if name in FIELDS or name in dir(ParticleView) or values.shape[:1] != (self.total,) or values.dtype.kind not in "biuf":
             raise ValueError(f"attach: {name!r} must be a new name, with an array of numbers for {self.total} particles")
-        self.particles.arrays[name] = values[self.particles.id]
+        self.take_changes()
+        ids = np.sort(np.concatenate(self.ranks.gathered(self.rows.id)))
+        self.rows.arrays[name] = values[np.searchsorted(ids, self.rows.id)]
 
     def about(self) -> dict[str, Any]:
         """Clock, counts over all ranks, and scene, as plain data: what a state is besides its particles. Collective."""
+        self.take_changes()
         totals = self.ranks.total(np.array([self.totals[name] for name in COUNTS])).tolist()
-        clock = {"step": self.steps_done, "moment": self.moment, "observed": self.observed}
+        clock = {"step": self.steps_done, "moment": self.moment, "h": self._h, "observed": self.observed}
         kept = [column.tolist() for column in self.rest.memory] if self.rest else []
-        return {**clock, "totals": totals, "kept": kept, "scene": self.scene.to_dict()}
+        counts = {"totals": totals, "next_id": self.next_id, "additions": self.additions}
+        return {**clock, **counts, "kept": kept, "scene": self.scene.to_dict()}
 
     @classmethod
     def _restored(cls, scene: Scene, ranks: Ranks, everyone: Particles, about: dict[str, Any]) -> Simulation:
         sim = cls.__new__(cls)
         sim.warnings = []
-        sim._assemble(scene, ranks, everyone)
-        sim.steps_done = about["step"]
+        sim._assemble(scene, ranks, everyone, about["next_id"])
+        sim.steps_done, sim._h, sim.additions = about["step"], about["h"], about["additions"]
         sim.moment = about["moment"][0], about["moment"][1]
         sim.observed = list(about["observed"])
-        if sim.rest:
+        if sim.rest and about["kept"]:
             sim.rest.memory = np.array(about["kept"][0], np.int64), np.array(about["kept"][1], float)
         if ranks.is_root:  # counts are sums over ranks: one rank carries those from before
             sim.totals.update(zip(COUNTS, about["totals"], strict=True))
@@ -336,11 +504,13 @@ class Simulation:
 
     def copy(self) -> Simulation:
         """Another simulation in the same state. Collective."""
-        return self._restored(self.scene, self.ranks, state.everyone(self.ranks, self.particles), self.about())
+        about = self.about()
+        return self._restored(self.scene, self.ranks, state.everyone(self.ranks, self.rows), about)
 
     def to_json(self, path: str | Path, indent: int | None = None) -> None:
         """Save scene and state, exact to the bit; compact, or readable with `indent`. Collective."""
-        state.save_json(Path(path), self.ranks, self.particles, self.about(), indent)
+        about = self.about()
+        state.save_json(Path(path), self.ranks, self.rows, about, indent)
 
     @classmethod
     def from_json(cls, path: str | Path, comm: Any = None) -> Simulation:
@@ -350,16 +520,20 @@ class Simulation:
         return cls._restored(scene, Ranks(comm), Particles(scene.dimension, arrays), about)
 
     def __eq__(self, other: object) -> bool:
-        """The same scene, time and particles, to the bit. Collective."""
+        """The same scene, time, step length and particles, to the bit. Collective."""
         if not isinstance(other, Simulation):
             return NotImplemented
-        mine, theirs = (state.everyone(sim.ranks, sim.particles) for sim in (self, other))
-        return self.scene == other.scene and self.time == other.time and state.same(mine, theirs)
+        for sim in (self, other):
+            sim.take_changes()
+        mine, theirs = (state.everyone(sim.ranks, sim.rows) for sim in (self, other))
+        clocks = [(sim.time, sim.h, sim.next_id) for sim in (self, other)]
+        return self.scene == other.scene and clocks[0] == clocks[1] and state.same(mine, theirs)
 
     __hash__ = None  # type: ignore[assignment]
 
     def __str__(self) -> str:
-        return f"{self!r}\n{state.table(self.particles)}"
+        self.particles.collect()
+        return f"{self!r}\n{state.table(self.rows)}"
 
     def __repr__(self) -> str:
         return f"Simulation({self.scene.title!r}: {self.total} particles, step {self.steps_done}, time {self.time:g})"

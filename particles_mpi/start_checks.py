@@ -11,7 +11,7 @@ from numba import njit
 from particles_mpi.neighbours.candidates import touching
 from particles_mpi.particles import Array, Particles
 from particles_mpi.placement import Room
-from particles_mpi.scene import Scene
+from particles_mpi.scene import LARGEST, Scene
 
 SHOWN = 5  # particles or pairs named in a fault
 MOST_SWEEPS = 1000
@@ -33,14 +33,18 @@ def pair_names(first: Array, second: Array) -> list[str]:
     return [f"{i}-{j}" for i, j in zip(first.tolist(), second.tolist())]
 
 
-def check_start(scene: Scene, particles: Particles, room: Room | None) -> tuple[list[str], list[str]]:
-    """(faults, warnings) of particles whose row is their id; overlaps that the scene allows are pushed apart in place."""
-    faults = check_places(scene, particles, room) + check_crossings(scene, particles)
+def check_start(scene: Scene, particles: Particles, room: Room | None, before: int = 0) -> tuple[list[str], list[str]]:
+    """(faults, warnings) of particles in id order; overlaps that the scene allows are pushed apart in place.
+
+    The first `before` of them were there already: nothing is asked of them but that the others do not overlap them.
+    """
+    new = particles.select(np.arange(before, len(particles))) if before else particles
+    faults = check_places(scene, new, room) + check_crossings(scene, new)
     warnings: list[str] = []
-    if "collisions" in scene.effects and not faults and len(particles):
-        faults, warnings = check_step(scene, particles)
+    if "collisions" in scene.effects and not faults and len(new):
+        faults, warnings = check_step(scene, new)
         if not faults:
-            more_faults, more_warnings = check_overlaps(scene, particles, room)
+            more_faults, more_warnings = check_overlaps(scene, particles, room, before)
             faults, warnings = faults + more_faults, warnings + more_warnings
     return faults, warnings
 
@@ -52,7 +56,7 @@ def check_places(scene: Scene, particles: Particles, room: Room | None) -> list[
         lower, upper = np.array(scene.box.lower, float), np.array(scene.box.upper, float)
         out = np.flatnonzero(((x < lower) | (x > upper)).any(axis=1))
         if len(out):
-            faults.append(f"box: {listed(out)} outside")
+            faults.append(f"box: {listed(particles.id[out])} outside")
     if room is not None:
         movable = particles.fixed == 0
         for w, (point, normal) in enumerate(zip(room.point, room.normal, strict=True)):
@@ -62,7 +66,8 @@ def check_places(scene: Scene, particles: Particles, room: Room | None) -> list[
             if len(out):
                 where = ", ".join(f"{p:g}" for p in point), ", ".join(f"{n:g}" for n in normal)
                 faults.append(
-                    f"effects.walls.planes[{w}]: {listed(out)} not fully inside the wall at ({where[0]}) with normal ({where[1]})"
+                    f"effects.walls.planes[{w}]: {listed(particles.id[out])} not fully inside the wall at ({where[0]})"
+                    f" with normal ({where[1]})"
                 )
     return faults
 
@@ -79,7 +84,7 @@ def check_crossings(scene: Scene, particles: Particles) -> list[str]:
     fast = np.flatnonzero((particles.fixed == 0) & ~(speed * dt <= MOST_CROSSINGS * edge))
     if not len(fast):
         return []
-    return [f"time.step: {listed(fast)} would cross the box more than {MOST_CROSSINGS:g} times in a step of {dt:g}"]
+    return [f"time.step: {listed(particles.id[fast])} would cross the box more than {MOST_CROSSINGS:g} times in a step of {dt:g}"]
 
 
 def check_step(scene: Scene, particles: Particles) -> tuple[list[str], list[str]]:
@@ -90,12 +95,12 @@ def check_step(scene: Scene, particles: Particles) -> tuple[list[str], list[str]
     points = np.flatnonzero(moving & (radius == 0.0))
     event = scene.effects["collisions"].mode == "event"
     if len(points) and not (event and scene.dimension == 1):
-        warnings.append(f"particles: {listed(points)} with radius 0: points meet spheres, but never one another")
+        warnings.append(f"particles: {listed(particles.id[points])} with radius 0: points meet spheres, but never one another")
     fast = np.flatnonzero(moving & (radius > 0.0) & (speed * dt > 2.0 * radius))
     if not event and len(fast):
         safe = rounded_down(float((2.0 * radius[fast] / speed[fast]).min()))
         verb = "crosses more than its" if len(fast) == 1 else "cross more than their"
-        faults.append(f"time.step: {listed(fast)} {verb} diameter in a step of {dt:g}; use a step <= {safe:g}")
+        faults.append(f"time.step: {listed(particles.id[fast])} {verb} diameter in a step of {dt:g}; use a step <= {safe:g}")
     if event:
         return faults + small_boxes(scene, particles), warnings
     reach = 2.0 * (2.0 * float(radius.max()) + 2.0 * float(speed.max()) * dt)
@@ -122,6 +127,24 @@ def small_boxes(scene: Scene, particles: Particles) -> list[str]:
     ]
 
 
+def value_limits(scene: Scene, particles: Particles, values: dict[str, Array]) -> dict[str, Array]:
+    """Which of the values (n,) given to some fields are possible, by name. Those that are no numbers are found elsewhere."""
+    allowed: dict[str, Array] = {}
+    for name in ("radius", "drag"):
+        if name in values:
+            allowed[name] = (values[name] >= 0.0) & (values[name] <= LARGEST)
+    if {"mass", "fixed"} & values.keys():
+        mass, fixed = (values.get(name, particles[name]) for name in ("mass", "fixed"))
+        needed = np.zeros(len(mass), bool)  # something divides by it
+        if "friction" in scene.effects:
+            needed[:] = True
+        elif "collisions" in scene.effects:
+            needed |= fixed == 0
+        possible = (mass >= 1.0 / LARGEST) | ((mass == 0.0) & ~needed)
+        allowed["mass" if "mass" in values else "fixed"] = possible & (mass <= LARGEST)
+    return allowed
+
+
 def rounded_down(value: float) -> float:
     """To three digits, never up."""
     if not value > 1e-290:
@@ -130,8 +153,11 @@ def rounded_down(value: float) -> float:
     return floor(value / unit) * unit
 
 
-def overlapping(particles: Particles, length: Array) -> tuple[Array, Array, Array]:
-    """(first, second, depth): pairs of rows that overlap and are not both fixed, in order, and how deep."""
+def overlapping(particles: Particles, length: Array, before: int = 0) -> tuple[Array, Array, Array]:
+    """(first, second, depth): pairs of rows that overlap and are not both fixed, in order, and how deep.
+
+    Without pairs among the first `before` rows.
+    """
     x, radius, n = particles.position, particles.radius, len(particles)
     if n < 2 or not radius.any():
         return np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0)
@@ -143,24 +169,24 @@ def overlapping(particles: Particles, length: Array) -> tuple[Array, Array, Arra
     r -= length * np.rint(np.divide(r, length, out=np.zeros_like(r), where=length > 0.0))
     sum_of_radii = radius[first] + radius[second]
     depth = sum_of_radii - np.sqrt((r**2).sum(axis=1))
-    deep = depth > TOUCH * sum_of_radii
+    deep = (depth > TOUCH * sum_of_radii) & (np.maximum(first, second) >= before)
     return first[deep], second[deep], depth[deep]
 
 
-def check_overlaps(scene: Scene, particles: Particles, room: Room | None) -> tuple[list[str], list[str]]:
+def check_overlaps(scene: Scene, particles: Particles, room: Room | None, before: int = 0) -> tuple[list[str], list[str]]:
     """Overlapping spheres are a fault, or a warning and pushed apart where the scene allows them."""
     length = periodic_length(scene)
-    first, second, depth = overlapping(particles, length)
+    first, second, depth = overlapping(particles, length, before)
     if not len(first):
         return [], []
-    pairs = listed(pair_names(first, second), "pair")
+    pairs = listed(pair_names(particles.id[first], particles.id[second]), "pair")
     text = f"{pairs} overlap{'s' if len(first) == 1 else ''} at the start (deepest by {depth.max():.3g})"
     if not scene.effects["collisions"].allow_overlap:
         return [f"effects.collisions: {text}; move them, or set allow_overlap = true"], []
     first, second, depth = push_apart(scene, particles, room)
     warnings = [f"effects.collisions: {text}; pushed apart"]
     if len(first):
-        pairs = listed(pair_names(first, second), "pair")
+        pairs = listed(pair_names(particles.id[first], particles.id[second]), "pair")
         warnings.append(f"effects.collisions: {pairs} still overlap after {MOST_SWEEPS} sweeps (deepest by {depth.max():.3g})")
     return [], warnings
 

@@ -52,7 +52,7 @@ def main() -> None:
                 sim.run()
                 sim.measure()
                 if sim.rest and sim.rest.pairs:
-                    sim.rest.hold(sim.particles, sim.sum_forces(), sim.h)
+                    sim.rest.hold(sim.rows, sim.sum_forces(), sim.h)
     if world.is_root:
         print(f"kernels compiled in {perf_counter() - begin:.0f} s")
 

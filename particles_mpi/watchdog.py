@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from particles_mpi.errors import StateError
+from particles_mpi.parallel.exchange import IdRange
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import Array, Particles
 
@@ -14,13 +15,13 @@ ROUND_OFF = 1e-9
 
 
 class Watchdog:
-    """Knows how many particles there are (ids 0 ... total-1), the walls that hold them, and the periodic box."""
+    """Knows which particles there are, the walls that hold them, and the periodic box. Made, and asked, on all ranks."""
 
-    def __init__(self, ranks: Ranks, total: int, planes: tuple[Array, Array], lower: Array, length: Array):
-        self.ranks, self.total, self.planes = ranks, total, planes
+    def __init__(self, ranks: Ranks, ids: Array, span: IdRange, planes: tuple[Array, Array], lower: Array, length: Array):
+        """`ids` (n,): those of this rank's particles, all of which are there; `span`: where those of all ranks lie."""
+        self.ranks, self.span, self.planes = ranks, span, planes
         self.lower, self.length = lower, length
-        ids = np.arange(total)
-        self.tally = tally(ids)
+        self.tally = ranks.total(tally(ids))
 
     def look(self, p: Particles, step: int) -> None:
         """Raises StateError on all ranks, with ids, step and rank, if something is wrong. Collective."""
@@ -41,13 +42,21 @@ class Watchdog:
     def who_is_lost(self, p: Particles) -> str:
         """Which ids are missing, and which are there twice. Collective."""
         everyone = self.ranks.gathered(p.id.copy())
-        ids = np.concatenate(everyone)
-        known = np.bincount(ids[(ids >= 0) & (ids < self.total)], minlength=self.total)
-        twice = np.flatnonzero(known > 1)
+        ids, span = np.concatenate(everyone), self.span
+        odd = ids[(ids < span.first) | (ids >= span.end)]
+        if len(odd):
+            return f"unknown ids {first_of(odd)}"
+        times = np.bincount(ids - span.first, minlength=span.end - span.first)
+        twice = span.first + np.flatnonzero(times > 1)
         held = [f"{i} on ranks {', '.join(str(r) for r, of in enumerate(everyone) if i in of)}" for i in twice[:NAMED]]
-        told = [f"particles {first_of(np.flatnonzero(known == 0))} are lost"] if (known == 0).any() else []
+        missing = span.total - len(np.unique(ids))
+        told = []
+        if missing > 0 and span.total == span.end - span.first:
+            told.append(f"particles {first_of(span.first + np.flatnonzero(times == 0))} are lost")
+        elif missing > 0:  # some were removed, and nobody has kept which
+            told.append(f"{missing} particles are lost")
         told += [f"there more than once: {'; '.join(held)}"] if len(twice) else []
-        return "; ".join(told) or f"unknown ids {first_of(ids[(ids < 0) | (ids >= self.total)])}"
+        return "; ".join(told) or "other particles are there than before"
 
 
 def first_of(ids: Array) -> str:

@@ -121,7 +121,8 @@ class Event:
         rows = {name: before[name] for name in names}
         if moved:
             rows = rows_of_everyone(self.ranks, rows)
-            rows = rows_of(rows, np.argsort(rows["id"])[p.id])
+            order = np.argsort(rows["id"])
+            rows = rows_of(rows, order[np.searchsorted(rows["id"], p.id, sorter=order)])
         for name in names:
             p[name][:] = rows[name]
 

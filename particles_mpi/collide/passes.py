@@ -239,32 +239,8 @@ def finish_walls(axes, x, v, s, met, radius, a, b, h, point, normal, restitution
 
 
 @njit(cache=True)
-def print_of(bits_x, bits_v, i, d):
-    """What row i adds to the fingerprint."""
-    total = np.int64(0)
-    for k in range(d):
-        total += (bits_x[i, k] ^ i) + (bits_v[i, k] ^ ~i)
-    return total
-
-
-@njit(cache=True)
-def fingerprint(axes, x, v):
-    """A number that changes when somebody changes a row of x or v (n, d)."""
-    bits_x, bits_v = x.view(np.int64), v.view(np.int64)
-    total = np.int64(0)
-    for i in range(len(x)):
-        total += print_of(bits_x, bits_v, i, len(axes))
-    return total
-
-
-@njit(cache=True)
-def end_legs(axes, x, v, s, h, owned):
-    """From the start of the last leg to the end of the drift: x += v (h - s). Returns the fingerprint of the owned rows."""
-    bits_x, bits_v = x.view(np.int64), v.view(np.int64)
-    total = np.int64(0)
+def end_legs(axes, x, v, s, h):
+    """From the start of the last leg to the end of the drift: x += v (h - s), in place."""
     for i in range(len(x)):
         for k in range(len(axes)):
             x[i, k] += v[i, k] * (h - s[i])
-        if i < owned:
-            total += print_of(bits_x, bits_v, i, len(axes))
-    return total

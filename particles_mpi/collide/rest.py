@@ -39,17 +39,23 @@ FEW = 64  # rows: so many look for partners among all others
 class Rest:
     """Keeps the slow contacts of particles: with one another if `pairs`, and with those of the planes that take energy.
 
-    `uniform`: all forces give all particles the same acceleration, so that free ones never press onto one another.
+    `end`: above all ids. `uniform`: all forces give all particles the same acceleration, so that free ones never press onto
+    one another.
     """
 
-    def __init__(self, ranks: Ranks, total: int, length: Array, pairs: bool, planes: Planes, uniform: bool, timers: Timers):
-        self.ranks, self.total, self.length = ranks, total, length
+    def __init__(self, ranks: Ranks, end: int, length: Array, pairs: bool, planes: Planes, uniform: bool, timers: Timers):
+        self.ranks, self.end, self.length = ranks, end, length
         self.pairs, self.uniform, self.timers = pairs, uniform, timers
         self.memory = NOTHING
-        self.looked, self.found = ((-1, 0), 0), np.empty(0, np.int64)  # places, and fingerprint of widths; who is close
+        self.looked: tuple[tuple[int, ...], int] = (), 0
+        self.found = np.empty(0, np.int64)  # places, and fingerprint of widths; who is close
         self.walls = planes.lower, planes.upper, planes.oblique, planes.point[planes.lossy], planes.normal[planes.lossy]
         self.axes = (0,) * len(length)
         self.awake = True  # else particles pass through one another and through walls
+
+    def forget(self) -> None:
+        """Nothing is known of what contacts carried."""
+        self.memory = NOTHING
 
     def keep(self, p: Particles, a: Array, h: float) -> None:
         """After a kick by accelerations a (n, d) in a step of h: velocities that keep slow contacts. Collective with pairs."""
@@ -153,7 +159,7 @@ class Rest:
             return NOTHING
         walls = len(self.walls[3])
         others = np.where(b >= 0, rows["id"][np.maximum(b, 0)] + walls, -1 - b)
-        names = rows["id"][a] * (self.total + walls) + others
+        names = rows["id"][a] * (self.end + walls) + others
         closing = project(
             self.axes,
             v,

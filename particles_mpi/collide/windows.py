@@ -65,7 +65,8 @@ class Windows:
         self.window = 0.0
         self.growing = True
         self.buffers: dict[int, Array] = {}
-        self.row_of = np.full(int(ranks.total(len(particles))[0]), -1, np.int32)  # of each id here
+        self.total = int(ranks.total(len(particles))[0])
+        self.row_of = np.full(int(ranks.largest(particles.id.max(initial=-1))[0]) + 1, -1, np.int32)  # of each id here
 
     def drift(self, h: float, moment: float) -> Array | None:
         """(collisions, wall hits, missed) of this rank, or None where it cannot be done; then nothing has changed. Collective."""
@@ -138,7 +139,7 @@ class Windows:
         if n > 1:
             self.store.sort(order_in_space(p.position, bounds(p.position)))
         homes.settle(p.position, p.radius, p.inverse_mass)
-        total = len(self.row_of)
+        total = self.total
         mine = np.array([homes.shell, p.radius.max(initial=0.0)])
         self.shell, largest = (float(value) for value in ranks.largest(mine))
         mean = float(ranks.rows_of_all(np.array([p.radius.sum()])).sum()) / max(total, 1)

@@ -7,12 +7,12 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from particles_mpi.collide.contact import loss
-from particles_mpi.scene import Fraction, Model, Scene
+from particles_mpi.scene import EffectOptions, Fraction, Scene
 
 SOFT = 1e-4  # of a step: the duration of a contact, where a scene gives none
 
 
-class Options(Model):
+class Options(EffectOptions):
     """`mode`; `restitution` e (momentum is conserved) or `damping` alpha (the course's rule: it is not).
 
     `passes` a step, in mode rewind. `contact_duration` t_c, in mode event: a contact within t_c of the last one of either

@@ -5,10 +5,10 @@ import math
 import numpy as np
 
 from particles_mpi.particles import Array, Particles
-from particles_mpi.scene import Model, Scene
+from particles_mpi.scene import EffectOptions, Scene
 
 
-class Options(Model):
+class Options(EffectOptions):
     """`rate`: k (1/time) of the populations that give no `drag` of their own."""
 
     rate: float = 0.0

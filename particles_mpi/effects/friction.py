@@ -5,10 +5,10 @@ from math import sqrt
 from numba import njit
 
 from particles_mpi.particles import Array, Particles
-from particles_mpi.scene import Model, Scene
+from particles_mpi.scene import EffectOptions, Scene
 
 
-class Options(Model):
+class Options(EffectOptions):
     """`strength`: alpha, a force."""
 
     strength: float

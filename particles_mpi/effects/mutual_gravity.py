@@ -11,14 +11,15 @@ from particles_mpi.gravity.choice import TREES, Choice, choose
 from particles_mpi.gravity.direct import add_potential, attract
 from particles_mpi.integrators import places_of
 from particles_mpi.parallel.blocks import blocks
+from particles_mpi.parallel.exchange import IdRange
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import Array, Particles
-from particles_mpi.scene import Model, Scene
+from particles_mpi.scene import EffectOptions, Scene
 
 ACCURACY = 1e-3
 
 
-class Options(Model):
+class Options(EffectOptions):
     """`G`, by default the scene's; `softening` eps (length): the force of a Plummer sphere of that size (Aarseth 1963).
 
     `method`: "direct", the sum over all pairs; "tree", Barnes and Hut's with `opening_angle`, the radius of a cell over its
@@ -66,12 +67,12 @@ class Effect:
         self.G = scene.G if options.G is None else options.G
         self.softening2 = options.softening**2
 
-    def enter(self, ranks: Ranks, total: int) -> None:
-        """Whose particles attract: all `total` of them, on these ranks."""
-        angle = self.options.choice(self.scene, total).angle
+    def enter(self, ranks: Ranks, ids: IdRange) -> None:
+        """Whose particles attract: all those with `ids`, on these ranks."""
+        angle = self.options.choice(self.scene, ids.total).angle
         self.sum: DirectSum | TreeSum
         if angle is None:
-            self.sum = DirectSum(ranks, total, self.softening2)
+            self.sum = DirectSum(ranks, ids, self.softening2)
         else:
             quadrupoles = self.options.multipole == "quadrupole"
             self.sum = TreeSum(ranks, self.scene.dimension, angle, self.softening2, quadrupoles)
@@ -88,24 +89,24 @@ class Effect:
 class DirectSum:
     """Over all pairs, for G = 1."""
 
-    def __init__(self, ranks: Ranks, total: int, softening2: float):
-        self.ranks, self.total, self.softening2 = ranks, total, softening2
+    def __init__(self, ranks: Ranks, ids: IdRange, softening2: float):
+        self.ranks, self.ids, self.softening2 = ranks, ids, softening2
         self.interactions = 0  # so far
 
     def pull(self, particles: Particles) -> Array:
         """Accelerations (n, d). Collective."""
         columns = {name: particles[name] for name in ("id", "position", "mass")}
         pull, axes = np.zeros_like(particles.position), (0,) * particles.dimension
-        for block in blocks(self.ranks, columns, self.total):
+        for block in blocks(self.ranks, columns, self.ids):
             attract(axes, particles.position, block["position"], block["mass"], self.softening2, pull)
-        self.interactions += len(particles) * self.total
+        self.interactions += len(particles) * self.ids.total
         return pull
 
     def potential(self, p: Particles) -> Array:
         """Potential (n,), that of movable sources by half. Collective."""
         columns = {"id": p.id, "position": p.position, "mass": halved(p)}
         total, axes = np.zeros(len(p)), (0,) * p.dimension
-        for block in blocks(self.ranks, columns, self.total):
+        for block in blocks(self.ranks, columns, self.ids):
             add_potential(axes, p.position, p.id, block["position"], block["mass"], block["id"], self.softening2, total)
         return total
 
@@ -119,7 +120,7 @@ class TreeSum:
         self.ranks, self.tree = ranks, Tree(ranks, dimension, angle, softening2, quadrupoles)
         self.interactions = 0  # so far
         self.version, self.work = -1, np.ones(0)
-        self.known: tuple[int, int] | None = None  # version and fingerprint of the rows that `depth` belongs to
+        self.known: tuple[int, ...] = ()  # version, edition and fingerprint of the rows that `depth` belongs to
         self.depth = np.zeros(0)
 
     def pull(self, particles: Particles) -> Array:

@@ -3,10 +3,10 @@
 import numpy as np
 
 from particles_mpi.particles import Array, Particles, row_dot
-from particles_mpi.scene import Model, Scene
+from particles_mpi.scene import EffectOptions, Scene
 
 
-class Options(Model):
+class Options(EffectOptions):
     """`acceleration`: g, one component an axis (length/time^2)."""
 
     acceleration: list[float]

@@ -1,10 +1,10 @@
 """The user's own acceleration of each particle: dv/dt = a_i, constant in time unless the user changes the field."""
 
 from particles_mpi.particles import Array, Particles, row_dot
-from particles_mpi.scene import Model, Scene
+from particles_mpi.scene import EffectOptions, Scene
 
 
-class Options(Model):
+class Options(EffectOptions):
     """No keys: the accelerations stand in `[[particles]]`."""
 
 

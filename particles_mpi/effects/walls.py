@@ -9,7 +9,7 @@ import numpy as np
 from particles_mpi.collide.contact import loss
 from particles_mpi.collide.planes import Planes, drift_with_walls
 from particles_mpi.particles import Array, Particles
-from particles_mpi.scene import Fraction, Model, Scene
+from particles_mpi.scene import EffectOptions, Fraction, Model, Scene
 
 
 class Plane(Model):
@@ -21,7 +21,7 @@ class Plane(Model):
     damping: Fraction | None = None
 
 
-class Options(Model):
+class Options(EffectOptions):
     """`restitution` e, or `damping` alpha (whole velocity times sqrt(1-alpha)); `planes`, or every non-periodic box face."""
 
     restitution: Fraction | None = None

@@ -1,7 +1,7 @@
 """The exact state of a run in one small HDF5 file, replaced as a whole: a restart continues with the same bits.
 
 - /particles/<field>: (N,) or (N, d), in id order, every bit as it was (NaN, -0.0 and subnormals too)
-- @particles_mpi_checkpoint = 2, @total, @dimension, and the attributes given: step, time, scene text, counts
+- @particles_mpi_checkpoint = 3, @total, @dimension, and the attributes given: step, time, scene text, counts
 
 Behind the HDF5 file stands a line with its length and CRC-32, which HDF5 does not look at: a file that was cut short, or of
 which a bit has changed, is never read as a state.
@@ -19,24 +19,24 @@ import numpy as np
 
 from particles_mpi.errors import SceneError
 from particles_mpi.output import failing_together, replacing, sync_folder
-from particles_mpi.parallel.exchange import in_id_order, rows_of_everyone
+from particles_mpi.parallel.exchange import IdRange, in_id_order, rows_of_everyone
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, Array, shape
 
-MARK, FORMAT = "particles_mpi_checkpoint", 2
+MARK, FORMAT = "particles_mpi_checkpoint", 3
 BLOCK = 2**24  # bytes read at once
 
 
-def save(path: Path, ranks: Ranks, arrays: dict[str, Array], total: int, dimension: int, attributes: dict[str, Any]) -> None:
-    """Write the state of all ranks. Collective.
+def save(path: Path, ranks: Ranks, arrays: dict[str, Array], ids: IdRange, dimension: int, attributes: dict[str, Any]) -> None:
+    """Write the state of all ranks, whose ids lie in `ids`. Collective.
 
     `arrays`: this rank's owned rows in any order, every field a restart needs; `attributes`: numbers and texts of any length.
     At every moment `path` is the previous checkpoint or this one. Raises StoppedError on all ranks if it cannot be written.
     """
-    rows = in_id_order(ranks, arrays, total, 1)
+    rows = in_id_order(ranks, arrays, ids, 1)
     with failing_together(ranks, f"cannot write {path} at step {attributes.get('step', '?')}"):
         if ranks.is_root:
-            _replace(Path(path), rows, {MARK: FORMAT, "total": total, "dimension": dimension} | attributes)
+            _replace(Path(path), rows, {MARK: FORMAT, "total": ids.total, "dimension": dimension} | attributes)
 
 
 def dump(path: Path, ranks: Ranks, arrays: dict[str, Array], attributes: dict[str, Any]) -> None:

@@ -1,7 +1,8 @@
 """All frames of a run in one HDF5 file that ParaView opens as it is: VTKHDF PolyData, see README for the layout.
 
-One part, one identity topology for all frames, every frame N rows in id order. With parallel HDF5 each rank writes its
-block of ids; otherwise rank 0 writes what is gathered to it. The file is the same either way.
+Every frame holds the N particles of its time in id order, as one part; frames with the same N share a part, and all of them
+one identity topology. With parallel HDF5 each rank writes its stretch of ids; otherwise rank 0 writes what is gathered to it.
+The file is the same either way.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 
 from particles_mpi.errors import StoppedError
 from particles_mpi.output import check_last, continuing, failing_together, frame_arrays, frame_columns, replacing
-from particles_mpi.parallel.exchange import in_id_order
+from particles_mpi.parallel.exchange import IdRange, in_id_order
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, Array, field
 
@@ -30,9 +31,9 @@ class Trajectory:
     """Writer of `trajectory.vtkhdf`; every method is collective.
 
     path: the file, made anew unless there is one and `resume_step` is given: then frames of steps up to that one are kept, the
-    last of which must be of step `last`, later ones cut, and writing goes on behind them. particles_fields: names in FIELDS,
-    those not meant for frames are skipped. total: N, the particles of all ranks; their ids are 0..N-1. Raises SceneError on all
-    ranks for a file that cannot be continued, before anything is changed, and StoppedError if the file system refuses.
+    last of which must be of step `last` and have `held` particles (total, if not given), later ones cut, and writing goes on behind them. particles_fields: names in FIELDS,
+    those not meant for frames are skipped. total: N, the particles of all ranks at the start. Raises SceneError on all ranks for
+    a file that cannot be continued, before anything is changed, and StoppedError if the file system refuses.
     """
 
     def __init__(
@@ -44,8 +45,10 @@ class Trajectory:
         total: int,
         resume_step: int | None = None,
         last: int | None = None,
+        held: int | None = None,
     ):
-        self.path, self.ranks, self.dimension, self.total = Path(path), ranks, dimension, total
+        self.path, self.ranks, self.dimension = Path(path), ranks, dimension
+        self.parts, self.points = [total], 0  # N of each part; rows of all frames so far
         self.fields = [name for name in particles_fields if field(name).output]
         self.parallel = ranks.size > 1 and bool(h5py.get_config().mpi)
         self.writers = ranks.size if self.parallel else 1
@@ -58,8 +61,8 @@ class Trajectory:
         with failing_together(ranks, f"cannot read {path}"):
             if ranks.is_root and resume_step is not None and self.path.exists():
                 with continuing(self.path):
-                    self.frames, self.continued = self._look(resume_step, last), True
-        self.frames = ranks.from_root(self.frames)
+                    self.frames, self.continued = self._look(resume_step, last, total if held is None else held), True
+        self.frames, self.points, self.parts = ranks.from_root((self.frames, self.points, self.parts))
         self.collective = h5py.h5p.create(h5py.h5p.DATASET_XFER)
         if self.parallel:
             self.collective.set_dxpl_mpio(h5py.h5fd.MPIO_COLLECTIVE)
@@ -78,13 +81,16 @@ class Trajectory:
             group = self.file["VTKHDF"]
             self.steps = {name: group["Steps"][name] for name in _steps_layout()}
             self.columns = {name: group[place] for name, place in self._places().items()}
+            self.topology = {name: group[name] for name in _topology()}
 
-    def write(self, step: int, time: float, arrays: dict[str, Array]) -> None:
+    def write(self, step: int, time: float, arrays: dict[str, Array], ids: IdRange) -> None:
         """Append a frame. `arrays`: this rank's owned rows in any order, at least the fields given at the start."""
-        rows = in_id_order(self.ranks, {n: arrays[n] for n in self.fields}, self.total, self.writers)
-        # in_id_order gives writer p the ids from ceil(p N / writers)
-        first = self.frames * self.total - (-self.ranks.rank * self.total // self.writers)
+        rows = in_id_order(self.ranks, {n: arrays[n] for n in self.fields}, ids, self.writers)
         frame = frame_arrays(rows, self.dimension)
+        first = self.points + int(self.ranks.rows_of_all(np.array(len(rows["id"])))[: self.ranks.rank].sum())
+        if ids.total != self.parts[-1]:
+            self._attempt(step, self._append_part, ids.total)
+            self.parts.append(ids.total)
         for name in frame:
             self._attempt(step, self._append, name, first, frame[name])
         self._attempt(step, self._append_step, step, time)
@@ -93,6 +99,7 @@ class Trajectory:
         self._attempt(step, self._raise_count)
         self._attempt(step, self._flush)
         self.frames += 1
+        self.points += ids.total
 
     def close(self) -> None:
         """Close the file; the frames written are safe without it, and after a failure it stays open until the process ends."""
@@ -126,8 +133,8 @@ class Trajectory:
     def _append(self, name: str, first: int, values: Array) -> None:
         """This rank's block at row `first`. Ranks without rows select nothing, but take part: leaving them out hangs the rest."""
         dataset = self.columns[name]
-        dataset.resize((self.frames + 1) * self.total, axis=0)
-        if self.total == 0:
+        dataset.resize(self.points + self.parts[-1], axis=0)
+        if self.parts[-1] == 0:
             return
         space = dataset.id.get_space()
         memory = h5py.h5s.create_simple(values.shape)
@@ -138,6 +145,22 @@ class Trajectory:
             memory.select_none()
         dataset.id.write(memory, space, values, dxpl=self.collective)
 
+    def _append_part(self, count: int) -> None:
+        """From here on frames have `count` particles; the identity topology grows if there were never so many."""
+        for name, dataset in self.topology.items():
+            kind, what = name.split("/") if "/" in name else ("", name)
+            if what in ("Connectivity", "Offsets"):
+                extra = what == "Offsets"
+                old, new = len(dataset), count + extra
+                if kind == "Vertices" and new > old:
+                    dataset.resize(new, axis=0)
+                    if self.ranks.is_root:
+                        dataset[old:] = np.arange(old, new)
+            else:
+                dataset.resize(len(self.parts) + 1, axis=0)
+                if self.ranks.is_root:
+                    dataset[len(self.parts)] = count if kind in ("", "Vertices") else 0
+
     def _append_step(self, step: int, time: float) -> None:
         """The row of this frame in every dataset of Steps whose value is not its fill value."""
         for dataset in self.steps.values():
@@ -145,7 +168,8 @@ class Trajectory:
         if self.ranks.is_root:  # resizing is collective, writing a number is not
             self.steps["Values"][self.frames] = time
             self.steps["Step"][self.frames] = step
-            self.steps["PointOffsets"][self.frames] = self.frames * self.total
+            self.steps["PointOffsets"][self.frames] = self.points
+            self.steps["PartOffsets"][self.frames] = len(self.parts) - 1
 
     def _places(self) -> dict[str, str]:
         """Where each column of a frame stands below /VTKHDF."""
@@ -165,33 +189,42 @@ class Trajectory:
             for name in _steps_layout():
                 group["Steps"][name].resize(self.frames, axis=0)
             for place in self._places().values():
-                group[place].resize(self.frames * self.total, axis=0)
+                group[place].resize(self.points, axis=0)
+            for name in _topology():
+                if not name.endswith(("Connectivity", "Offsets")):
+                    group[name].resize(len(self.parts), axis=0)
 
-    def _look(self, resume_step: int, last: int | None) -> int:
-        """How many frames stay of what a run left behind. Not collective."""
+    def _look(self, resume_step: int, last: int | None, held: int) -> int:
+        """How many frames stay of what a run left behind, the last of them with `held` particles. Not collective."""
         with h5py.File(self.path, "r", locking=False) as file:
             group = file["VTKHDF"]
             steps = group["Steps"]
-            held = {"Points"} | {f"PointData/{name}" for name in group["PointData"]}
-            if int(group["NumberOfPoints"][0]) != self.total or held != set(self._places().values()):
-                raise ValueError("it holds other particles or fields than the run to be continued")
+            columns = {"Points"} | {f"PointData/{name}" for name in group["PointData"]}
             numbers = [int(n) for n in steps["Step"][: int(steps.attrs["NSteps"])]]
             kept = [n for n in numbers if n <= resume_step]
-            if numbers[: len(kept)] != kept or any(len(group[place]) < len(kept) * self.total for place in held):
+            parts = steps["PartOffsets"][: len(kept)]
+            sizes = group["NumberOfPoints"][:]
+            points = int(sizes[parts].sum()) if len(parts) and parts.max() < len(sizes) else 0
+            whole = numbers[: len(kept)] == kept and not (len(kept) and (parts.max() >= len(sizes) or parts.min() < 0))
+            if whole and (columns != set(self._places().values()) or (len(parts) and sizes[parts[-1]] != held)):
+                raise ValueError("it holds other particles or fields than the run to be continued")
+            if not whole or any(len(group[place]) < points for place in columns):
                 raise ValueError("it does not hold all of its frames")
             check_last(kept, resume_step, last)
+            self.points, self.parts = points, sizes[: int(parts.max(initial=0)) + 1].tolist()
             return len(kept)
 
     def _create(self, file: Any) -> None:
         group = file.create_group("VTKHDF")
         group.attrs["Version"] = np.array([2, 0], np.int64)
         group.attrs["Type"] = np.bytes_("PolyData")  # fixed length: the reader refuses variable ones
-        chunk = int(np.clip(self.total, 256, 65536))
+        total = self.parts[0]
+        chunk = int(np.clip(total, 256, 65536))
         for field_name in self.fields:
             for name, width in frame_columns(field_name, self.dimension).items():
                 _dataset(group, self._places()[name], (0, *width), FIELDS[field_name].dtype, chunk)
-        _dataset(group, "NumberOfPoints", (1,), "int64", 1, fill=self.total)
-        for kind, cells in (("Vertices", self.total), ("Lines", 0), ("Polygons", 0), ("Strips", 0)):
+        _dataset(group, "NumberOfPoints", (1,), "int64", 1, fill=total)
+        for kind, cells in (("Vertices", total), ("Lines", 0), ("Polygons", 0), ("Strips", 0)):
             _dataset(group, f"{kind}/NumberOfCells", (1,), "int64", 1, fill=cells)
             _dataset(group, f"{kind}/NumberOfConnectivityIds", (1,), "int64", 1, fill=cells)
             _dataset(group, f"{kind}/Connectivity", (cells,), "int64", chunk)[:] = np.arange(cells)
@@ -210,6 +243,13 @@ def _leave() -> None:
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(StoppedError.exit_code)
+
+
+def _topology() -> list[str]:
+    """Datasets that tell the number of points and cells of each part, and which point is which cell."""
+    kinds = ("Vertices", "Lines", "Polygons", "Strips")
+    whats = ("NumberOfCells", "NumberOfConnectivityIds", "Connectivity", "Offsets")
+    return ["NumberOfPoints", *(f"{kind}/{what}" for kind in kinds for what in whats)]
 
 
 def _steps_layout() -> dict[str, tuple[tuple[int, ...], str, int]]:

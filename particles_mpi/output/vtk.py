@@ -10,7 +10,7 @@ import meshio
 import numpy as np
 
 from particles_mpi.output import check_last, continuing, failing_together, frame_arrays, replacing
-from particles_mpi.parallel.exchange import in_id_order
+from particles_mpi.parallel.exchange import IdRange, in_id_order
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import Array, field
 
@@ -30,11 +30,10 @@ class VtkSeries:
         folder: Path,
         ranks: Ranks,
         dimension: int,
-        total: int,
         resume_step: int | None = None,
         last: int | None = None,
     ):
-        self.folder, self.ranks, self.dimension, self.total = Path(folder), ranks, dimension, total
+        self.folder, self.ranks, self.dimension = Path(folder), ranks, dimension
         self.listing = self.folder / "particles.pvd"
         self.frames: dict[int, str] = {}  # step → time as written
         with failing_together(ranks, f"cannot read {self.listing}"):
@@ -53,10 +52,10 @@ class VtkSeries:
                     if path.name not in {Path(self._name(step)).name for step in self.frames}:
                         path.unlink()
 
-    def write(self, step: int, time: float, arrays: dict[str, Array]) -> None:
+    def write(self, step: int, time: float, arrays: dict[str, Array], ids: IdRange) -> None:
         """Add a frame. `arrays`: this rank's owned rows in any order, (n,) or (n, d); fields not meant for frames are skipped."""
         shown = {name: array for name, array in arrays.items() if field(name).output}
-        rows = in_id_order(self.ranks, shown, self.total, 1)
+        rows = in_id_order(self.ranks, shown, ids, 1)
         path = self.folder / self._name(step)
         with failing_together(self.ranks, f"cannot write {path} at step {step}"):
             if self.ranks.is_root:

@@ -7,31 +7,31 @@ from collections.abc import Iterator
 import numpy as np
 from mpi4py import MPI
 
-from particles_mpi.parallel.exchange import in_id_order, rows_of_everyone
+from particles_mpi.parallel.exchange import IdRange, in_id_order, rows_of_everyone
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import Array, rows_of
 
 FEW = 10_000  # rows that are sent to all in one message
 
 
-def blocks(ranks: Ranks, columns: dict[str, Array], total: int) -> Iterator[dict[str, Array]]:
+def blocks(ranks: Ranks, columns: dict[str, Array], span: IdRange) -> Iterator[dict[str, Array]]:
     """The rows of all ranks in id order, cut into a block a rank; `columns` (with "id") hold float64 or int64. Collective.
 
     A few are one block. Else the next block is on its way while the caller works on one; a rank holds two at a time, O(N/P) rows.
     """
-    if ranks.size == 1 or total <= FEW:
+    if ranks.size == 1 or span.total <= FEW:
         everyone = columns if ranks.size == 1 else rows_of_everyone(ranks, columns)
         ids = everyone["id"]
         yield everyone if (ids[1:] > ids[:-1]).all() else rows_of(everyone, np.argsort(ids))
         return
-    mine = in_id_order(ranks, columns, total, ranks.size)
+    mine = in_id_order(ranks, columns, span, ranks.size)
     ranks.all_to_alls += 1
-    ranks.rows += total - len(mine["id"])
+    ranks.rows += span.total - len(mine["id"])
     widths = {name: int(np.prod(column.shape[1:])) for name, column in columns.items()}
-    firsts = [-(-rank * total // ranks.size) for rank in range(ranks.size + 1)]
+    counts = ranks.rows_of_all(np.array(len(mine["id"])))
 
     def start(rank: int) -> tuple[Array, MPI.Request]:
-        rows = firsts[rank + 1] - firsts[rank]
+        rows = int(counts[rank])
         if rank == ranks.rank:
             parts = [mine[name].reshape(rows, -1).view(np.float64) for name in columns]
             buffer = np.concatenate([part.ravel() for part in parts])
@@ -46,7 +46,7 @@ def blocks(ranks: Ranks, columns: dict[str, Array], total: int) -> Iterator[dict
         request.Wait()
         if rank + 1 < ranks.size:
             coming = start(rank + 1)
-        rows, begin, block = firsts[rank + 1] - firsts[rank], 0, {}
+        rows, begin, block = int(counts[rank]), 0, {}
         for name, column in columns.items():
             end = begin + rows * widths[name]
             block[name] = buffer[begin:end].view(column.dtype).reshape(rows, *column.shape[1:])

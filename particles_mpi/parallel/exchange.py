@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from math import prod
+from typing import NamedTuple
 
 import numpy as np
 from mpi4py import MPI
@@ -12,6 +13,14 @@ from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import Array, rows_of
 
 WORD = 8  # bytes; messages are counted in words, so that 2^31 of them suffice for any rank's rows
+
+
+class IdRange(NamedTuple):
+    """The ids of all particles of all ranks: from `first` up to but not including `end`, `total` of them."""
+
+    first: int
+    end: int
+    total: int
 
 
 def send_rows(ranks: Ranks, arrays: dict[str, Array], rows: Array, counts: Array) -> tuple[dict[str, Array], Array]:
@@ -89,9 +98,16 @@ def by_destination(destination: Array, size: int) -> tuple[Array, Array]:
     return np.argsort(destination, kind="stable"), counts
 
 
-def in_id_order(ranks: Ranks, arrays: dict[str, Array], total: int, writers: int) -> dict[str, Array]:
-    """Rows in id order, an equal block of ids on each of the first `writers` ranks. Collective."""
-    owner = arrays["id"] * writers // max(total, 1)
+def id_range(ranks: Ranks, ids: Array) -> IdRange:
+    """Where the ids of all ranks lie, `ids` (n,) being this rank's. Collective."""
+    low, high = (int(ids.min()), int(ids.max())) if len(ids) else (2**62, -1)
+    ends = ranks.largest(np.array([-low, high], np.int64))
+    return IdRange(max(-int(ends[0]), 0) if ends[1] >= 0 else 0, int(ends[1]) + 1, int(ranks.total(len(ids))[0]))
+
+
+def in_id_order(ranks: Ranks, arrays: dict[str, Array], ids: IdRange, writers: int) -> dict[str, Array]:
+    """Rows in id order, equal stretches of the ids on each of the first `writers` ranks. Collective."""
+    owner = (arrays["id"] - ids.first) * writers // max(ids.end - ids.first, 1)
     order, counts = by_destination(owner, ranks.size)
     arrived, _ = send_rows(ranks, arrays, order, counts)
     order = np.argsort(arrived["id"], kind="stable")

@@ -159,7 +159,7 @@ def test_only_those_that_touch_are_looked_at():
             effects={"user_acceleration": {}, "collisions": {"restitution": 0.5}},
         )
     )
-    p, wide = sim.particles, 0.05 + 5.0 * 2.0 * 0.02**2
+    p, wide = sim.rows, 0.05 + 5.0 * 2.0 * 0.02**2
     apart = p.position[:, None] - p.position[None]
     apart -= np.round(apart)
     distance = np.sqrt((apart**2).sum(axis=2)) + 9.0 * np.eye(len(p))

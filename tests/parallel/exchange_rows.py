@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from particles_mpi.parallel.exchange import by_destination, in_id_order, send_rows
+from particles_mpi.parallel.exchange import by_destination, id_range, in_id_order, send_rows
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.parallel.store import Store
 from particles_mpi.particles import Particles
@@ -49,7 +49,7 @@ for seed, total, dimension, emptied in json.loads(Path(sys.argv[1]).read_text())
         assert (shown[name][places] == column[expected]).all(), (seed, name)
 
     writers = 1 + seed % ranks.size
-    block = in_id_order(ranks, shown, total, writers)["id"]
+    block = in_id_order(ranks, shown, id_range(ranks, shown["id"]), writers)["id"]
     assert (np.concatenate(ranks.gathered(block)) == np.arange(total)).all()
     assert len(block) <= -(-total // writers)
 if ranks.is_root:

@@ -17,6 +17,7 @@ from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.output import checkpoint
 from particles_mpi.output.diagnostics_csv import Diagnostics
 from particles_mpi.output.trajectory import Trajectory
+from particles_mpi.parallel.exchange import IdRange
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, shape
 
@@ -61,6 +62,7 @@ def main() -> None:
         parser.add_argument(name, action="store_true")
     options = parser.parse_args()
     ranks, n, d = Ranks(), options.total, options.dimension
+    ids = IdRange(0, n, n)
     if options.serial:  # as if h5py had come without MPI
         config = h5py.get_config()
         h5py.get_config = lambda: type("Config", (), {"mpi": False, "track_order": config.track_order})()
@@ -73,7 +75,7 @@ def main() -> None:
         if not options.no_vtk:
             from particles_mpi.output.vtk import VtkSeries
 
-            series = VtkSeries(options.folder, ranks, d, n, options.resume)
+            series = VtkSeries(options.folder, ranks, d, options.resume)
             writers.append(series)
         for writer in writers:
             writer.open()
@@ -82,17 +84,17 @@ def main() -> None:
             rows = owned(ranks, frame_of(step, n, d), step)
             ranks.comm.Barrier()
             started = time.perf_counter()
-            trajectory.write(step, step / 3, rows)
+            trajectory.write(step, step / 3, rows, ids)
             if options.time and ranks.is_root:
                 print(f"hdf5 {1e3 * (time.perf_counter() - started):.0f} ms")
             if not options.no_vtk:
                 started = time.perf_counter()
-                series.write(step, step / 3, rows)
+                series.write(step, step / 3, rows, ids)
                 if options.time and ranks.is_root:
                     print(f"vtu {1e3 * (time.perf_counter() - started):.0f} ms")
             started = time.perf_counter()
             facts = {"step": step, "time": step / 3, "scene": "scene π " * 20000, "counts": "{}"}
-            checkpoint.save(options.folder / "checkpoint.h5", ranks, rows, n, d, facts)
+            checkpoint.save(options.folder / "checkpoint.h5", ranks, rows, ids, d, facts)
             if options.time and ranks.is_root:
                 print(f"checkpoint {1e3 * (time.perf_counter() - started):.0f} ms")
             diagnostics.write({"step": step, "time": step / 3, "particles": n})

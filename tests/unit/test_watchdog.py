@@ -48,7 +48,7 @@ FAULTS = [
 def test_what_is_wrong_is_named(harm, says):
     sim = gas()
     sim.watch()
-    harm(sim.particles)
+    harm(sim.rows)
     with pytest.raises(StoppedError, match=f"step 0: {says}"):
         sim.watch()
 

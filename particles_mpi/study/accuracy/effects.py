@@ -62,7 +62,7 @@ class Stripped:
 
     def step(self) -> None:
         """Kick, drift, kick, with the same stop watches."""
-        sim, p, h = self.sim, self.sim.particles, self.sim.h
+        sim, p, h = self.sim, self.sim.rows, self.sim.h
         for part in (self.drift, None):
             with sim.timers("forces"):
                 a = sim.sum_forces()
@@ -74,7 +74,7 @@ class Stripped:
 
     def drift(self) -> None:
         with self.sim.timers("drift"):
-            free_drift(self.sim.particles.position, self.sim.particles.velocity, self.sim.h)
+            free_drift(self.sim.rows.position, self.sim.rows.velocity, self.sim.h)
 
 
 def bits_that_differ(lab: Lab, name: str) -> int:

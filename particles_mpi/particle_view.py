@@ -1,0 +1,135 @@
+"""The particles of a rank as a user sees them: fields that may be read and changed between two steps.
+
+The program itself works on `Particles`, whose arrays it sorts, exchanges and sends to other ranks. A user gets copies of
+these arrays. What is written into a copy is compared with the original at the beginning of the next step, and taken over if
+a bit differs; so a change cannot be overlooked, and a scene whose particles nobody looks at pays nothing.
+"""
+
+from __future__ import annotations
+
+import weakref
+import zlib
+from collections.abc import Callable
+
+import numpy as np
+
+from particles_mpi.errors import StateError
+from particles_mpi.particles import Array, Particles
+
+GUARDED = 8  # arrays of earlier steps that are looked after, in case somebody writes into them
+
+
+class ParticleView:
+    """`view.position[i]`, `view["charge"]`, `len(view)`: the rows of this rank; `view.id[i]` tells which particle row i is.
+
+    Vectors are (n, d), scalars (n,). Every field but `id` may be changed: `view.velocity *= -1`, `view.mass[3] = 2.0`,
+    `view.fixed[:] = True`. The change counts from the next step on. An array belongs to the moment at which it was asked
+    for: after the next step it can only be read, and writing into a part of it that was kept is an error (StateError).
+    `view.arrays` holds all fields, to read only.
+    """
+
+    _rows: Particles
+    _check: Callable[[dict[str, Array]], None]
+    _copies: dict[str, Array]
+    _shown: dict[str, Array]  # views of the copies, so that a copy is known to be held by the user if it outlives its view
+    _earlier: list[tuple[str, weakref.ref[Array], int]]  # copies of earlier steps that the user holds, and their CRC-32
+
+    def __init__(self, rows: Particles, check: Callable[[dict[str, Array]], None]):
+        """`rows`: the particles shown; `check` raises an error for values (by name of the field) that cannot be used."""
+        vars(self).update(_rows=rows, _check=check, _copies={}, _shown={}, _earlier=[])
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __getattr__(self, name: str) -> Array:
+        if name.startswith("_") or name not in self._rows.arrays:
+            raise AttributeError(f"these particles have no field {name!r}")
+        shown: Array | None = self._shown.get(name)
+        if shown is None:
+            self._copies[name] = self._rows.arrays[name].copy()
+            shown = self._shown[name] = self._copies[name][:]
+            shown.flags.writeable = name != "id"
+        return shown
+
+    def __setattr__(self, name: str, value: Array) -> None:
+        shown = getattr(self, name)  # an unknown name is an error: data of one's own come by `attach`
+        if value is not shown:
+            shown[...] = value
+
+    def __getitem__(self, name: str) -> Array:
+        try:
+            return self.__getattr__(name)
+        except AttributeError:
+            raise KeyError(name) from None
+
+    def __setitem__(self, name: str, value: Array) -> None:
+        setattr(self, name, value)
+
+    def __repr__(self) -> str:
+        return repr(self._rows)
+
+    @property
+    def dimension(self) -> int:
+        return self._rows.dimension
+
+    @property
+    def inverse_mass(self) -> Array:
+        """1/m, and 0 for fixed particles; (n,)."""
+        self.collect()
+        return self._rows.inverse_mass
+
+    @property
+    def arrays(self) -> dict[str, Array]:
+        """All fields by name, to read only."""
+        self.collect()
+        views = {name: array[:] for name, array in self._rows.arrays.items()}
+        for view in views.values():
+            view.flags.writeable = False
+        return views
+
+    def select(self, rows: Array) -> Particles:
+        """A copy of the rows (indices), in that order."""
+        self.collect()
+        return self._rows.select(rows)
+
+    def collect(self) -> bool:
+        """Take over what the user wrote since the last call; was there anything? Afterwards the copies hold what counts."""
+        if not self._copies:
+            return False
+        held = self._rows.arrays
+        changed = {name: copy for name, copy in self._copies.items() if not same_bits(copy, held[name])}
+        if changed:
+            self._check(changed)
+            self._rows.change(changed)
+            for name, copy in self._copies.items():
+                copy[...] = held[name]
+        return bool(changed)
+
+    def end(self) -> None:
+        """The moment is over: arrays that the user has kept can no longer be changed. Raises StateError if one was."""
+        if not self._copies and not self._earlier:
+            return
+        kept = [(name, reference, crc) for name, reference, crc in self._earlier if reference() is not None]
+        for name, reference, crc in kept:
+            if crc32_of(reference) != crc:
+                raise StateError(
+                    f"particles.{name}: an array of an earlier step was written to, which has no effect;"
+                    " ask sim.particles for it anew after each step"
+                )
+        while self._shown:
+            self._shown.popitem()[1].flags.writeable = False
+        references = [(name, weakref.ref(copy)) for name, copy in self._copies.items()]
+        self._copies.clear()  # what is still there afterwards is held by the user
+        kept += [(name, reference, crc32_of(reference)) for name, reference in references if reference() is not None]
+        self._earlier[:] = kept[-GUARDED:]
+
+
+def crc32_of(reference: weakref.ref[Array]) -> int:
+    """CRC-32 of an array that may be gone, then 0."""
+    array = reference()
+    return 0 if array is None else zlib.crc32(array.data)
+
+
+def same_bits(one: Array, other: Array) -> bool:
+    """The same shape, and the same bits (-0.0 is not 0.0, and the same NaN is the same)."""
+    return one.shape == other.shape and np.array_equal(one.reshape(-1).view(np.uint8), other.reshape(-1).view(np.uint8))
