@@ -23,11 +23,14 @@ COLORS = plt.get_cmap("tab10")
 
 def plot_few(axes: Axes, frames: list[Frame]) -> None:
     """A path a particle, and where it is at the end."""
-    places = np.array([frame.position for frame in frames])
-    for i in range(places.shape[1]):
+    ids = np.unique(np.concatenate([frame.id for frame in frames]))
+    places = np.full((len(frames), len(ids), 2), np.nan)  # a path has a gap where its particle was not there
+    for k, frame in enumerate(frames):
+        places[k, np.searchsorted(ids, frame.id)] = frame.position[:, :2]
+    for i in range(len(ids)):
         color = COLORS(i % 10)
         axes.plot(places[:, i, 0], places[:, i, 1], lw=0.8, color=color)
-        axes.plot(*places[-1, i, :2], "o", ms=5, color=color)
+        axes.plot(*places[-1, i], "o", ms=5, color=color)
 
 
 def plot_spheres(axes: Axes, frame: Frame) -> None:

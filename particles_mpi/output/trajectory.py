@@ -30,10 +30,11 @@ STEPS_CHUNK = 1024  # frames
 class Trajectory:
     """Writer of `trajectory.vtkhdf`; every method is collective.
 
-    path: the file, made anew unless there is one and `resume_step` is given: then frames of steps up to that one are kept, the
-    last of which must be of step `last` and have `held` particles (total, if not given), later ones cut, and writing goes on behind them. particles_fields: names in FIELDS,
-    those not meant for frames are skipped. total: N, the particles of all ranks at the start. Raises SceneError on all ranks for
-    a file that cannot be continued, before anything is changed, and StoppedError if the file system refuses.
+    path: the file, made anew unless there is one and `resume_step` is given: then frames of steps up to that one are kept, later
+    ones cut, and writing goes on behind them; the last one kept must be of step `last` and have `held` particles (`total` if
+    that is not given). particles_fields: names in FIELDS, those not meant for frames are skipped. total: N, the particles of
+    all ranks at the start. Raises SceneError on all ranks for a file that cannot be continued, before anything is changed, and
+    StoppedError if the file system refuses.
     """
 
     def __init__(

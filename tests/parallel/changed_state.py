@@ -1,7 +1,8 @@
 """Change a simulation between two steps in every way that a user can, and compare it with new simulations of the same state.
 
-changed_state.py CASES.json FOLDER: each case is {"tables": scene, "before": steps, "changes": [[kind, seed], ...], "after": steps}.
-Prints a line for each difference, and saves the final states for comparison between numbers of ranks.
+changed_state.py CASES.json FOLDER: each case is {"tables": scene, "before": steps, "changes": [[kind, seed], ...],
+"after": steps, "divided": whether to divide space}. Prints a line for each difference, and saves the final states for
+comparison between numbers of ranks.
 """
 
 import json
