@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi import state
+from particles_mpi.collide.flow import Rates
 from particles_mpi.diagnostics import measure
 from particles_mpi.errors import SceneError, StateError
 from particles_mpi.integrators import Integrator, Leapfrog, Order4, Taylor, free_drift, places_of, wrap
@@ -74,6 +75,7 @@ class Simulation:
         self.forces = {name: e for name, e in effects.items() if e.role == "force"}
         self.walls, self.collisions = effects.get("walls"), effects.get("collisions")
         drag, friction = effects.get("drag"), effects.get("friction")
+        self.friction = float(friction.strength) if friction else 0.0
         self.dissipation = [name for name in ("drag", "friction") if name in effects]
         steady = [force.g for force in self.forces.values() if getattr(force, "uniform", False)]
         self.g: Array = sum(steady, np.zeros(d))
@@ -123,7 +125,7 @@ class Simulation:
         if "contacted" in self.particles.arrays:
             from particles_mpi.collide.event import Event
 
-            exact = Event(self.particles, self.ranks, box, loss, c.soft, planes, self.g, self.timers)
+            exact = Event(self.particles, self.ranks, box, loss, c.soft, planes, self.timers)
             if self.rest and self.rest.pairs:
                 exact.hold = lambda h: self.rest.hold(self.particles, self.sum_forces(), h)
         if c.options.mode == "event":
@@ -136,7 +138,7 @@ class Simulation:
         walls = planes or no_planes(self.scene.dimension)
         kicked = bool(self.forces or self.dissipation)
         self.near = Neighbourhood(self.particles, self.ranks, box, (walls.point, walls.normal), kicked, self.timers)
-        self.contacts = Rewind(self.near, loss, c.options.passes, planes, self.g, self.timers, exact)
+        self.contacts = Rewind(self.near, loss, c.options.passes, planes, self.timers, exact)
 
     @property
     def time(self) -> float:
@@ -195,14 +197,14 @@ class Simulation:
         if contacts and self.collisions:
             migrated = self.near.migrated
             stopping = {"stop": True} if stop else {}
-            found = self.contacts.drift(h, self.time, self.middle, **stopping)
+            found = self.contacts.drift(h, self.time, self.rates(), **stopping)
             happened = [*found, self.near.migrated - migrated]
             self.count("collisions")
             if self.walls:
                 self.count("walls")
         elif contacts and self.walls:
             with self.timers("walls"):
-                happened = [0, self.walls.drift(p, h, self.g, self.middle), 0, 0]
+                happened = [0, self.walls.drift(p, h, self.rates().of(p.arrays)), 0, 0]
             self.count("walls")
         else:
             with self.timers("drift"):
@@ -213,6 +215,14 @@ class Simulation:
         if self.length.any() and not (contacts and self.collisions):  # those wrap ghosts too
             with self.timers("drift"):
                 wrap(p.position, self.lower, self.upper, self.length)
+
+    def rates(self) -> Rates:
+        """How velocities change between the contacts of this step, for whom forces differ in the particles' fields."""
+        p = self.particles
+        if "total_acceleration" in p.arrays:
+            p["total_acceleration"][:] = self.accelerations
+        acts = bool(self.forces or self.dissipation)
+        return Rates(self.g[None, :] if acts else np.empty((0, p.dimension)), np.empty(0), self.friction, self.middle)
 
     def sum_forces(self) -> Array | None:
         """Accelerations (n, d) at the present positions, or None without forces; summed anew if anyone moved. Collective."""
