@@ -16,16 +16,17 @@ import numpy as np
 from particles_mpi.errors import StateError
 from particles_mpi.particles import Array, Particles
 
+READ_ONLY = ("id", "rate", "total_acceleration")
 GUARDED = 8  # arrays of earlier steps that are looked after, in case somebody writes into them
 
 
 class ParticleView:
     """`view.position[i]`, `view["charge"]`, `len(view)`: the rows of this rank; `view.id[i]` tells which particle row i is.
 
-    Vectors are (n, d), scalars (n,). Every field but `id` may be changed: `view.velocity *= -1`, `view.mass[3] = 2.0`,
-    `view.fixed[:] = True`. The change counts from the next step on. An array belongs to the moment at which it was asked
-    for: after the next step it can only be read, and writing into a part of it that was kept is an error (StateError).
-    `view.arrays` holds all fields, to read only.
+    Vectors are (n, d), scalars (n,). Every field may be changed but `id` and those that each step computes anew:
+    `view.velocity *= -1`, `view.mass[3] = 2.0`, `view.fixed[:] = True`. The change counts from the next step on. An array
+    belongs to the moment at which it was asked for: after the next step it can only be read, and writing into a part of it
+    that was kept is an error (StateError). `view.arrays` holds all fields, to read only.
     """
 
     _rows: Particles
@@ -48,7 +49,7 @@ class ParticleView:
         if shown is None:
             self._copies[name] = self._rows.arrays[name].copy()
             shown = self._shown[name] = self._copies[name][:]
-            shown.flags.writeable = name != "id"
+            shown.flags.writeable = name not in READ_ONLY
         return shown
 
     def __setattr__(self, name: str, value: Array) -> None:

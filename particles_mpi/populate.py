@@ -51,6 +51,9 @@ def fields_of(scene: Scene) -> list[str]:
         extra.add("virial")
     if keeps:
         extra.add("supported")
+    forces = [effect_class(effect) for effect in scene.effects if effect_class(effect).role == "force"]
+    if ("collisions" in scene.effects or "walls" in scene.effects) and not all(getattr(f, "uniform", False) for f in forces):
+        extra.add("total_acceleration")
     return [name for name in FIELDS if name in ALWAYS or name in extra]
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi import state
+from particles_mpi.collide.flow import Rates
 from particles_mpi.diagnostics import measure
 from particles_mpi.errors import SceneError, StateError
 from particles_mpi.integrators import Integrator, Leapfrog, Order4, Taylor, free_drift, places_of, wrap
@@ -103,6 +104,7 @@ class Simulation:
         self.forces = {name: e for name, e in effects.items() if e.role == "force"}
         self.walls, self.collisions = effects.get("walls"), effects.get("collisions")
         drag, friction = effects.get("drag"), effects.get("friction")
+        self.friction = float(friction.strength) if friction else 0.0
         self.dissipation = [name for name in ("drag", "friction") if name in effects]
         steady = [force.g for force in self.forces.values() if getattr(force, "uniform", False)]
         self.g: Array = sum(steady, np.zeros(d))
@@ -152,7 +154,7 @@ class Simulation:
         if c.options.mode == "event" or self.keeps_contacts:
             from particles_mpi.collide.event import Event
 
-            exact = Event(self.rows, self.ranks, box, loss, c.soft, planes, self.g, self.timers)
+            exact = Event(self.rows, self.ranks, box, loss, c.soft, planes, self.timers)
             if self.rest and self.rest.pairs:
                 exact.hold = lambda h: self.rest.hold(self.rows, self.sum_forces(), h)
         if c.options.mode == "event":
@@ -165,7 +167,7 @@ class Simulation:
         walls = planes or no_planes(self.scene.dimension)
         kicked = bool(self.forces or self.dissipation)
         self.near = Neighbourhood(self.rows, self.ranks, box, (walls.point, walls.normal), kicked, self.timers)
-        self.contacts = Rewind(self.near, loss, c.options.passes, planes, self.g, self.timers, exact)
+        self.contacts = Rewind(self.near, loss, c.options.passes, planes, self.timers, exact)
 
     @property
     def time(self) -> float:
@@ -305,14 +307,14 @@ class Simulation:
         if contacts and self.collisions:
             migrated = self.near.migrated
             stopping = {"stop": True} if stop else {}
-            found = self.contacts.drift(h, self.time, self.middle, **stopping)
+            found = self.contacts.drift(h, self.time, self.rates(), **stopping)
             happened = [*found, self.near.migrated - migrated]
             self.count("collisions")
             if self.walls:
                 self.count("walls")
         elif contacts and self.walls:
             with self.timers("walls"):
-                happened = [0, self.walls.drift(p, h, self.g, self.middle), 0, 0]
+                happened = [0, self.walls.drift(p, h, self.rates().of(p.arrays)), 0, 0]
             self.count("walls")
         else:
             with self.timers("drift"):
@@ -324,6 +326,14 @@ class Simulation:
         if self.length.any() and not (contacts and self.collisions):  # those wrap ghosts too
             with self.timers("drift"):
                 wrap(p.position, self.lower, self.upper, self.length)
+
+    def rates(self) -> Rates:
+        """How velocities change between the contacts of this step, for whom forces differ in the particles' fields."""
+        p, none = self.rows, np.empty((0, self.rows.dimension))
+        if "total_acceleration" in p.arrays:
+            p["total_acceleration"][:] = 0.0 if self.accelerations is None else self.accelerations
+        a = self.g[None, :] if self.forces or self.dissipation else none
+        return Rates(a, np.zeros(int("drag" in self.dissipation)), self.friction, self.middle)
 
     def sum_forces(self) -> Array | None:
         """Accelerations (n, d) at the present positions, or None without forces; summed anew if anyone moved. Collective."""

@@ -37,7 +37,7 @@ def same(one: Particles, other: Particles) -> bool:
 def table(particles: Particles) -> str:
     """The first particles as a table, a line each, lowest ids first."""
     order = np.argsort(particles.id)[:SHOWN]
-    names = [name for name in particles.arrays if name not in ("rate", "contacted", "virial")]
+    names = [name for name in particles.arrays if name not in ("rate", "contacted", "virial", "total_acceleration")]
     lines = [[_cell(particles[name][i]) for name in names] for i in order]
     widths = [max(len(name), *(len(line[k]) for line in lines)) if lines else len(name) for k, name in enumerate(names)]
     rows = ["  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) for line in [names, *lines]]

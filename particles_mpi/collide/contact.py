@@ -11,6 +11,8 @@ from math import inf, sqrt
 import numpy as np
 from numba import njit
 
+from particles_mpi.collide.flow import change_of, row_of
+
 NOBODY = -(2**62)  # "last met" before the first contact of a drift; partners are ids >= 0, walls -1, -2, ...
 NEVER = inf
 PRESSED, CROWD = 1, 2  # values of the field `supported`: pressed onto something by forces; one of many that collapse
@@ -110,46 +112,83 @@ def move_to(axes, x, v, s, i, t):
 
 
 @njit(cache=True)
-def to_take(speed, lead, restitution):
-    """What a contact takes from a leg's normal speed (negative: approaching): (1+e) times the speed at the moment of contact.
+def exchange(axes, v, r, i, j, own, other, t, restitution, keep, rates):
+    """The law of a contact: changes the velocities v of rows i and j, whose centres are r = x_i - x_j (d,) apart, at time t.
 
-    On a leg the velocity is that of the middle of the step; at the contact a uniform acceleration g has added `lead` = g.n
-    (t - h/2) to it. If that is what is reflected, an elastic contact with something fixed changes no energy, whenever it is:
-    over the step the energy changes by (V'-V).((V'+V)/2 + g (t - h/2)) as the leg's velocity changes from V to V'. With the
-    leg's own it would, by up to m g h V. A leg so slow that it would have come outwards then, or leave inwards, is reflected
-    as it is.
+    v_i -= (1+e) (w_i/(w_i+w_j)) (k.v_r) k and the opposite for j, k = r/|r|, w = 1/m = `own` and `other`, 0 where fixed; then
+    the course's damping multiplies both velocities by `keep` = sqrt(1-alpha) (1 with the restitution rule). Returns the
+    part of r.(v_i - v_j) that the contact took. `planes.bounce` is the same law for a wall.
     """
-    real = speed + lead
-    if lead != 0.0 and (real >= 0.0 or -restitution * real - lead < 0.0):
-        real = speed
-    return (1.0 + restitution) * real
+    approach = 0.0
+    r2 = 0.0
+    for k in range(len(axes)):
+        r2 += r[k] * r[k]
+        approach += r[k] * (v[i, k] - v[j, k])
+    if len(rates.a) > 0:
+        take = exchange_at_contact(axes, v, r, r2, i, j, own, other, t - rates.middle, restitution, keep, rates)
+        if take != 0.0:
+            return take
+    take = (1.0 + restitution) * approach
+    impulse = take / (r2 * (own + other))  # coincident centres have no normal, and never get here: they do not approach
+    for k in range(len(axes)):
+        v[i, k] = keep * (v[i, k] - impulse * own * r[k])
+        v[j, k] = keep * (v[j, k] + impulse * other * r[k])
+    return take
 
 
 @njit(cache=True)
-def meet(axes, x, v, s, w, i, j, t, restitution, keep, length, g, later):
-    """Collide rows i and j at time t; w = 1/m, 0 where fixed. In place on x, v, s; returns the virial -r.dp.
+def exchange_at_contact(axes, v, r, r2, i, j, own, other, tau, restitution, keep, rates):
+    """`exchange` of the velocities at the moment of contact, a time tau after the middle of the step: see `flow`.
 
-    v_i -= (1+e) (w_i/(w_i+w_j)) (k.v_r) k and the opposite for j, k the unit normal at the instant of contact; then the
-    course's damping multiplies both velocities by `keep` = sqrt(1-alpha) (1 with the restitution rule).
+    An elastic contact under constant forces then changes no energy, wherever in the step it is: over the step the energy
+    changes by the sum of m (V'-V).((V'+V)/2 + a tau) as legs' velocities change from V to V'. Returns 0, and changes
+    nothing, for legs so slow that they would have come outwards at the contact, or would leave it inwards.
+    """
+    a, at, to = rates.a, row_of(i, rates), row_of(j, rates)
+    v2_i, v2_j = 0.0, 0.0
+    for k in range(len(axes)):
+        v2_i += v[i, k] * v[i, k]
+        v2_j += v[j, k] * v[j, k]
+    decay_i, push_i = change_of(i, v2_i, own, tau, rates)
+    decay_j, push_j = change_of(j, v2_j, other, tau, rates)
+    real, lead = 0.0, 0.0
+    for k in range(len(axes)):
+        real += r[k] * (decay_i * v[i, k] - decay_j * v[j, k])
+        lead += (push_i * a[at, k] - push_j * a[to, k]) * r[k]
+    real += lead
+    if not real < 0.0:
+        return 0.0
+    take = (1.0 + restitution) * real
+    impulse = take / (r2 * (own + other))
+    v2_i, v2_j = 0.0, 0.0
+    for k in range(len(axes)):
+        v2_i += (keep * (decay_i * v[i, k] + push_i * a[at, k] - impulse * own * r[k])) ** 2
+        v2_j += (keep * (decay_j * v[j, k] + push_j * a[to, k] + impulse * other * r[k])) ** 2
+    back_i, pull_i = change_of(i, v2_i, own, -tau, rates)
+    back_j, pull_j = change_of(j, v2_j, other, -tau, rates)
+    back_i, back_j = keep * back_i, keep * back_j
+    left_i, left_j = back_i * push_i + pull_i, back_j * push_j + pull_j  # 0 without a loss
+    leaving = 0.0
+    for k in range(len(axes)):
+        after_i = back_i * decay_i * v[i, k] - back_i * (impulse * own * r[k]) + left_i * a[at, k]
+        after_j = back_j * decay_j * v[j, k] + back_j * (impulse * other * r[k]) + left_j * a[to, k]
+        leaving += r[k] * (after_i - after_j)
+    if leaving < 0.0 and lead != 0.0:
+        return 0.0
+    for k in range(len(axes)):
+        v[i, k] = back_i * decay_i * v[i, k] - back_i * (impulse * own * r[k]) + left_i * a[at, k]
+        v[j, k] = back_j * decay_j * v[j, k] + back_j * (impulse * other * r[k]) + left_j * a[to, k]
+    return take
+
+
+@njit(cache=True)
+def meet(axes, x, v, s, w, i, j, t, restitution, keep, length, rates, r):
+    """Collide rows i and j at time t; w = 1/m, 0 where fixed. In place on x, v, s; r (d,) is for scribbling.
+
+    Returns the virial -r.dp. `events.collide` is the same for the rows of mode event.
     """
     move_to(axes, x, v, s, i, t)
     move_to(axes, x, v, s, j, t)
-    falls = (1.0 if w[i] > 0.0 else 0.0) - (
-        1.0 if w[j] > 0.0 else 0.0
-    )  # only beside a fixed partner does an acceleration of all matter
-    r2 = 0.0
-    approach = 0.0
-    lead = 0.0
     for k in range(len(axes)):
-        r = separation(x, v, s, i, j, k, t, length)
-        r2 += r * r
-        approach += r * (v[i, k] - v[j, k])
-        lead += later * falls * g[k] * r
-    take = to_take(approach, lead, restitution)
-    # coincident centres have no normal, and never get here: their approach r.v is not below zero
-    impulse = take / (r2 * (w[i] + w[j]))
-    for k in range(len(axes)):
-        r = separation(x, v, s, i, j, k, t, length)
-        v[i, k] = keep * (v[i, k] - impulse * w[i] * r)
-        v[j, k] = keep * (v[j, k] + impulse * w[j] * r)
-    return -take / (w[i] + w[j])
+        r[k] = separation(x, v, s, i, j, k, t, length)
+    return -exchange(axes, v, r, i, j, w[i], w[j], t, restitution, keep, rates) / (w[i] + w[j])

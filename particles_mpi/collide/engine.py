@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from math import prod
+
 import numpy as np
 
 from particles_mpi.collide.events import AHEAD, COLLISIONS, HOMES, WALL_HITS, arrive, hand_over, run, set_out
+from particles_mpi.collide.flow import no_rates
 from particles_mpi.collide.log import GHOST, ID, LAST, MINE, NOT_HERE, OWN, VIRIAL, Log
 from particles_mpi.collide.planes import Planes
 from particles_mpi.collide.queue import NOTHING, SLOT
@@ -14,6 +17,7 @@ from particles_mpi.particles import Array, Particles
 CONTACTS = 1.0  # expected in a bucket of the queue
 SETTLED = 8  # new homes a row, on average; then all are sorted in space and settled again
 NEVER_CROWDED = 2**31
+DIFFERING = "total_acceleration", "drag"  # fields by which velocities change otherwise from row to row
 NAMED = 64  # contacts without loss that are remembered by name
 
 
@@ -24,7 +28,7 @@ class Engine:
     `stopped` and `stop` what `run` stopped for, `spared` the (time, id, id or wall) of the first contacts that took no energy.
     """
 
-    def __init__(self, box: tuple[Array, Array, Array], loss: tuple[float, float], soft: float, planes: Planes, g: Array):
+    def __init__(self, box: tuple[Array, Array, Array], loss: tuple[float, float], soft: float, planes: Planes):
         self.lower, _, self.length = box
         self.restitution, self.keep = loss
         self.soft, self.planes = soft, planes
@@ -36,7 +40,8 @@ class Engine:
         self.stop, self.stopped = np.zeros(3, np.int64), np.zeros(1)
         self.spared = np.empty((NAMED, 3))
         self.pending = 0
-        self.crowded, self.middle, self.g = NEVER_CROWDED, 0.0, g
+        self.crowded = NEVER_CROWDED
+        self.rates = no_rates(len(self.length))  # in this step, for whom they differ in `fields`
 
     def settle(self, p: Particles, owned: int, spare: int = 0) -> None:
         """Rows of p, the first `owned` of them own ones; `homes` were built for them, with `spare` rows."""
@@ -55,15 +60,33 @@ class Engine:
         self.slot = np.full((rows, SLOT), NOTHING, np.int32)
         self.todo = np.empty(2 * rows + 2, np.int32)
         self.log = Log(rows, d)
+        self.fields = {name: enlarged(p[name], np.zeros((rows, *p[name].shape[1:]))) for name in DIFFERING if name in p.arrays}
         self.moved = 0
 
     def set_out(self, p: Particles, seat: Array) -> tuple[bool, float]:
         """Own rows on their way: (did anyone move them, largest speed)."""
         virial = p.arrays.get("virial", np.empty(0))
+        a = p.arrays.get("total_acceleration", np.empty((0, 0)))
         moved, speed = set_out(
-            self.axes, self.leg, self.state, self.reals, p.position, p.velocity, p.radius, p.contacted, virial, seat
-        )
+            self.axes, self.leg, self.state, self.reals, self.accelerations, p.position, p.velocity, p.radius, p.contacted,
+            virial, a, seat,
+        )  # fmt: skip
         return bool(moved), float(speed)
+
+    @property
+    def accelerations(self) -> Array:
+        """Of the rows, or no row where they are the same for all."""
+        return self.fields.get("total_acceleration", np.empty((0, len(self.axes))))
+
+    @property
+    def drags(self) -> Array:
+        """Of the rows, or no row without drag."""
+        return self.fields.get("drag", np.empty(0))
+
+    @property
+    def differing(self) -> int:
+        """Numbers a row of what differs from row to row."""
+        return sum(prod(field.shape[1:]) for field in self.fields.values())
 
     def begin(self, h: float) -> None:
         """An empty queue for a drift over h; all rows are to find their next events."""
@@ -88,13 +111,13 @@ class Engine:
         per_time = self.buckets / self.h
         self.clock[0] = min(int(now * per_time), self.buckets - 1)  # nothing is left from before
         queue = self.slot, when, self.heads, per_time, self.clock, self.far, *self.scribble
-        log = self.log.arrays()
+        log, rates = self.log.arrays(), self.rates.of(self.fields)
         pending, self.pending = self.pending, 0
         while True:
             short = run(
                 self.axes, self.leg, self.leg.view(np.int64), self.state, self.reals, self.h, now, until, moment, self.length,
                 homes.pool, homes.lists, homes.top, homes.home, homes.links, homes.level, homes.head, homes.grid,
-                walls, planes.restitution, planes.keep, self.g, self.middle, self.restitution, self.keep, self.soft, queue,
+                walls, planes.restitution, planes.keep, rates, self.restitution, self.keep, self.soft, queue,
                 self.counts, self.spared,
                 self.ahead, self.lower, homes.around, self.todo, pending, self.stop, self.stopped, self.crowded, log,
             )  # fmt: skip
@@ -122,6 +145,7 @@ class Engine:
         self.slot = enlarged(self.slot, np.full((2 * rows, SLOT), NOTHING, np.int32))
         self.todo = enlarged(self.todo, np.empty(4 * rows + 2, np.int32))
         self.log.grow()
+        self.fields = {name: enlarged(old, np.zeros((2 * rows, *old.shape[1:]))) for name, old in self.fields.items()}
         self.homes.grow()
         return np.arange(rows, 2 * rows, dtype=np.int32)
 

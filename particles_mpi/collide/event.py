@@ -18,6 +18,7 @@ import numpy as np
 from particles_mpi.collide.contact import CROWD
 from particles_mpi.collide.engine import NAMED, NEVER_CROWDED, SETTLED, Engine
 from particles_mpi.collide.events import COLLISIONS, SPARED, WALL_HITS
+from particles_mpi.collide.flow import Rates
 from particles_mpi.collide.planes import Planes, no_planes
 from particles_mpi.collide.windows import Windows
 from particles_mpi.errors import StateError
@@ -34,7 +35,7 @@ LEAST = 2000  # particles a rank; with fewer, space is not divided
 LONGEST_REST = 64  # drifts
 CROWDED = 8  # quick contacts in a drift; then a particle is one of a crowd that collapses
 ROUNDS = 3
-CHANGING = ("position", "velocity", "contacted", "virial", "supported")
+CHANGING = ("position", "velocity", "contacted", "virial", "supported", "total_acceleration")
 
 
 class Event:
@@ -48,12 +49,11 @@ class Event:
         loss: tuple[float, float],
         soft: float,
         planes: Planes | None,
-        g: Array,
         timers: Timers,
     ):
         self.ranks, self.soft = ranks, soft
         self.particles, self.box, self.timers = particles, box, timers
-        self.rules = box, loss, soft, planes or no_planes(particles.dimension), g
+        self.rules = box, loss, soft, planes or no_planes(particles.dimension)
         self.divided = ranks.size > 1 and ranks.total(len(particles))[0] >= LEAST * ranks.size
         self.eased = 0
         self.first_eased: tuple[float, Array] = np.inf, np.empty((0, 3))  # moment of a step, (time, id, id or wall) there
@@ -92,14 +92,14 @@ class Event:
     def ghost_rows(self) -> int:
         return self.windows.ghost_rows if self.divided else 0
 
-    def drift(self, h: float, moment: float, middle: float, stop: bool = False) -> Array:
+    def drift(self, h: float, moment: float, rates: Rates, stop: bool = False) -> Array:
         """x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
 
-        `moment`: the time at which the drift begins; `middle`: when the middle of the step is, from there.
+        `moment`: the time at which the drift begins; `rates`: how velocities change in the step.
         With `stop` it ends with the first collision of two particles, after `self.stopped[0]` (h if there is none), and
         `self.stop[1:]` are their ids, the lower one first, or -1.
         """
-        self.middle = middle
+        self.rates = rates
         if self.hold is None or stop:
             return self.drift_once(h, moment, stop, NEVER_CROWDED)
         for left in range(ROUNDS, -1, -1):
@@ -132,7 +132,7 @@ class Event:
             if self.resting:
                 self.resting -= 1
             else:
-                self.windows.engine.crowded, self.windows.engine.middle = crowded, self.middle
+                self.windows.engine.crowded, self.windows.engine.rates = crowded, self.rates
                 happened = self.windows.drift(h, moment)
                 if happened is not None:
                     self.rest = 1
@@ -140,7 +140,7 @@ class Event:
                     return happened
                 self.resting = self.rest
                 self.rest = min(2 * self.rest, LONGEST_REST)
-        self.whole.engine.crowded, self.whole.engine.middle = crowded, self.middle
+        self.whole.engine.crowded, self.whole.engine.rates = crowded, self.rates
         happened = self.whole.drift(h, moment, stop)
         engine = self.whole.engine
         if self.divided:

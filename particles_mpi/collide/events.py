@@ -12,7 +12,7 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-from particles_mpi.collide.contact import CROWD, NEVER, NOBODY, boxes_between, may_come_near, to_take
+from particles_mpi.collide.contact import CROWD, NEVER, NOBODY, boxes_between, exchange, may_come_near
 from particles_mpi.collide.log import (
     HISTORY,
     ID,
@@ -139,38 +139,22 @@ def move_leg(axes, leg, i, t):
 
 
 @lean
-def collide(axes, leg, home, i, j, t, restitution, keep, length, g, later):
-    """The contact of rows i and j at time t: `contact.meet` on legs. Returns its virial, -r.dp."""
+def collide(axes, leg, v, home, i, j, t, restitution, keep, length, rates, r):
+    """The contact of rows i and j at time t: `contact.meet` on legs, whose velocities are v. Returns its virial, -r.dp."""
     d = len(axes)
     own, other = home[i, d + 2], home[j, d + 2]  # inverse masses
     move_leg(axes, leg, i, t)
     move_leg(axes, leg, j, t)
-    falls = (1.0 if own > 0.0 else 0.0) - (
-        1.0 if other > 0.0 else 0.0
-    )  # only beside a fixed partner does an acceleration of all matter
-    r2 = 0.0
-    approach = 0.0
-    lead = 0.0
     for k in range(d):
-        r = leg[i, k] - leg[j, k]
-        r -= boxes_between(r, length[k])
-        r2 += r * r
-        approach += r * (leg[i, d + k] - leg[j, d + k])
-        lead += later * falls * g[k] * r
-    take = to_take(approach, lead, restitution)
-    virial = -take / (own + other)
+        r[k] = leg[i, k] - leg[j, k]
+        r[k] -= boxes_between(r[k], length[k])
     if d == 1:  # there is one normal, even for points, whose distance is none
-        push = (leg[i, 1] - leg[j, 1]) * (1.0 + restitution if lead == 0.0 else take / approach) / (own + other)
-        leg[i, 1] = keep * (leg[i, 1] - push * own)
-        leg[j, 1] = keep * (leg[j, 1] + push * other)
-        return virial
-    impulse = take / (r2 * (own + other))
-    for k in range(d):
-        r = leg[i, k] - leg[j, k]
-        r -= boxes_between(r, length[k])
-        leg[i, d + k] = keep * (leg[i, d + k] - impulse * own * r)
-        leg[j, d + k] = keep * (leg[j, d + k] + impulse * other * r)
-    return virial
+        approach = r[0] * (v[i, 0] - v[j, 0])
+        r[0] = 1.0 if v[i, 0] < v[j, 0] else -1.0
+        nearing = r[0] * (v[i, 0] - v[j, 0])
+        take = exchange(axes, v, r, i, j, own, other, t, restitution, keep, rates)
+        return -((1.0 + restitution if len(rates.a) == 0 else take / nearing) * approach) / (own + other)
+    return -exchange(axes, v, r, i, j, own, other, t, restitution, keep, rates) / (own + other)
 
 
 @lean
@@ -295,7 +279,7 @@ def fetch(axes, leg, state, slot, lists, pool, home, heads, clock):
 @lean
 def run(
     axes, leg, leg_words, state, reals, h, now, until, moment, length, pool, lists, top, home, links, level, head, grid,
-    walls, wall_restitution, wall_keep, g, middle, restitution, keep, soft, queue, counts, spared, ahead, box_low, around,
+    walls, wall_restitution, wall_keep, rates, restitution, keep, soft, queue, counts, spared, ahead, box_low, around,
     todo, pending, stop, stopped, crowded, log,
 ):  # fmt: skip
     """All events from `now` to `until`, in order, of a drift over h that began at `moment`. `soft`: duration t_c of a contact.
@@ -365,12 +349,10 @@ def run(
             turn(axes, leg, state, reals, i, t, j, moment, QUICK * h, crowded, far)
             move_leg(axes, leg, i, t)
             mine = state[i, MINE] >= OWN
-            if easy:
-                bounce(axes, v, i, wall, normal, 1.0, 1.0, g, t - middle)
-                if mine:
-                    note(spared, counts, moment + t, state[i, ID], j)
-            else:
-                bounce(axes, v, i, wall, normal, wall_restitution[wall], wall_keep[wall], g, t - middle)
+            e, kept = (1.0, 1.0) if easy else (wall_restitution[wall], wall_keep[wall])
+            bounce(axes, v, i, wall, normal, e, kept, home[i, d + 2], t, rates)
+            if easy and mine:
+                note(spared, counts, moment + t, state[i, ID], j)
             counts[WALL_HITS] += mine
             if logging:
                 note_leg(axes, leg, leg_words, state, i, log)
@@ -385,12 +367,10 @@ def run(
             turn(axes, leg, state, reals, i, t, state[j, ID], moment, QUICK * h, crowded, far)
             turn(axes, leg, state, reals, j, t, state[i, ID], moment, QUICK * h, crowded, far)
             mine = state[i, MINE] >= OWN
-            if easy:
-                reals[i, VIRIAL] += collide(axes, leg, home, i, j, t, 1.0, 1.0, length, g, t - middle)
-                if mine:
-                    note(spared, counts, moment + t, state[i, ID], state[j, ID])
-            else:
-                reals[i, VIRIAL] += collide(axes, leg, home, i, j, t, restitution, keep, length, g, t - middle)
+            e, kept = (1.0, 1.0) if easy else (restitution, keep)
+            reals[i, VIRIAL] += collide(axes, leg, v, home, i, j, t, e, kept, length, rates, r)
+            if easy and mine:
+                note(spared, counts, moment + t, state[i, ID], state[j, ID])
             counts[COLLISIONS] += mine
             if logging:
                 note_leg(axes, leg, leg_words, state, i, log)
@@ -409,8 +389,8 @@ def note(spared, counts, t, one, other):
 
 
 @njit(cache=True)
-def set_out(axes, leg, state, reals, x, v, radius, contacted, virial, seat):
-    """Own rows on legs from (x, v) at time 0; particle r is row seat[r].
+def set_out(axes, leg, state, reals, acceleration, x, v, radius, contacted, virial, a, seat):
+    """Own rows on legs from (x, v) at time 0, with accelerations a where these differ; particle r is row seat[r].
 
     Returns (moved, speed): did anyone change a position or radius since `arrive`, and the largest speed, inf if
     anything is not finite.
@@ -432,6 +412,9 @@ def set_out(axes, leg, state, reals, x, v, radius, contacted, virial, seat):
         state[i, MET], state[i, STUCK], state[i, HISTORY] = NOBODY, 0, 0
         reals[i, LAST] = contacted[r]
         reals[i, VIRIAL] = virial[r] if len(virial) else 0.0
+        if len(a) > 0:
+            for k in range(d):
+                acceleration[i, k] = a[r, k]
     return moved, sqrt(fastest)
 
 

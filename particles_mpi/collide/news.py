@@ -3,7 +3,7 @@
 A message is a series of float64 (seen through `words` as int64), each part beginning with what it is and an id:
 
 - TOUCHED: the record (`log`) of a row to which something happened, to all who hold it as a ghost.
-- NEW: the record, R, 1/m and home of a row that comes near the receiver's region.
+- NEW: the record, R, 1/m, home, and the acceleration and drag where those differ, of a row that comes near the receiver's region.
 - YOURS: rank and place of the particle's fields, home, and who holds it, of a row that the receiver owns from now on.
 - DROPPED: a row that has gone away from the receiver's region.
 """
@@ -41,16 +41,22 @@ TOUCHED, NEW, YOURS, DROPPED = range(4)
 
 
 @njit(cache=True)
-def width_of(kind, d, masks):
-    """Numbers in a part of a message."""
+def width_of(kind, d, masks, more):
+    """Numbers in a part of a message; `more`: of what differs from row to row."""
     record = record_width(d)
     if kind == TOUCHED:
         return 2 + record
     if kind == NEW:
-        return 2 + record + 2 + d
+        return 2 + record + 2 + d + more
     if kind == YOURS:
         return 2 + 2 + d + masks
     return 2
+
+
+@njit(cache=True)
+def differing(axes, acceleration, drag):
+    """Numbers by which velocities change that differ from row to row: of those that have rows."""
+    return (len(axes) if len(acceleration) > 0 else 0) + (1 if len(drag) > 0 else 0)
 
 
 @njit(cache=True)
@@ -126,27 +132,36 @@ def plan_moves(axes, home, log, rank, ranks, low, high, length, origin, depth, t
 
 
 @njit(cache=True)
-def pack_motion(axes, leg, state, told, rank, out, words):
-    """(id, x, v) of own rows that the rank holds; returns the length. `out` has room for all."""
+def pack_motion(axes, leg, state, acceleration, told, rank, out, words):
+    """(id, x, v, and the acceleration if these differ) of own rows that the rank holds; returns the length.
+
+    `out` has room for all.
+    """
     d = len(axes)
+    each = 1 + (3 * d if len(acceleration) > 0 else 2 * d)
     size = 0
     for i in range(len(leg)):
         if state[i, MINE] == KNOWN and holds(told, i, rank):
             words[size] = state[i, ID]
             for k in range(2 * d):
                 out[size + 1 + k] = leg[i, k]
-            size += 1 + 2 * d
+            for k in range(each - 1 - 2 * d):
+                out[size + 1 + 2 * d + k] = acceleration[i, k]
+            size += each
     return size
 
 
 @njit(cache=True)
-def unpack_motion(axes, leg, state, row_of, message, words):
+def unpack_motion(axes, leg, state, acceleration, row_of, message, words):
     """What pack_motion wrote: ghosts on legs from time 0."""
     d = len(axes)
-    for at in range(0, len(message), 1 + 2 * d):
+    each = 1 + (3 * d if len(acceleration) > 0 else 2 * d)
+    for at in range(0, len(message), each):
         i = row_of[words[at]]
         for k in range(2 * d):
             leg[i, k] = message[at + 1 + k]
+        for k in range(each - 1 - 2 * d):
+            acceleration[i, k] = message[at + 1 + 2 * d + k]
         leg[i, 2 * d] = 0.0
         state[i, MET], state[i, STUCK], state[i, HISTORY] = NOBODY, 0, 0
 
@@ -173,7 +188,7 @@ def take_record(axes, leg, state, i, message, words, at):
 
 
 @njit(cache=True)
-def pack_news(axes, leg, state, home, told, holder, log, wanted, owner, rank, out, words):
+def pack_news(axes, leg, state, home, acceleration, drag, told, holder, log, wanted, owner, rank, out, words):
     """All that the rank must hear of own rows; returns the length. `wanted`, `owner`: of the movers of the log, in order."""
     d = len(axes)
     rows, moved, movers, shared, border = log[2], log[7], log[8], log[10], log[11]
@@ -196,6 +211,13 @@ def pack_news(axes, leg, state, home, told, holder, log, wanted, owner, rank, ou
             for k in range(d):
                 out[size + 2 + k] = home[i, k]
             size += 2 + d
+            if len(acceleration) > 0:
+                for k in range(d):
+                    out[size + k] = acceleration[i, k]
+                size += d
+            if len(drag) > 0:
+                out[size] = drag[i]
+                size += 1
         if owner[m] == rank:
             words[size], words[size + 1] = YOURS, state[i, ID]
             words[size + 2], words[size + 3] = holder[i, 0], holder[i, 1]
@@ -229,7 +251,7 @@ def matters(axes, leg, i, log, begin, place, low, high, length, origin, reach):
 
 
 @njit(cache=True)
-def check(axes, leg, state, row_of, log, heard, begin, low, high, length, origin, reach, message, words, masks):
+def check(axes, leg, state, row_of, log, heard, begin, low, high, length, origin, reach, message, words, masks, more):
     """Is there a ghost that matters and had another history at its owner?
 
     `message`: all that arrived; notes which rows it tells of in `heard`. Of the others nothing happened at their owners.
@@ -247,7 +269,7 @@ def check(axes, leg, state, row_of, log, heard, begin, low, high, length, origin
                 else:
                     prefetch(state, row_of[words[at + 1]])
                     prefetch(heard, row_of[words[at + 1]])
-            at += width_of(words[at], d, masks)
+            at += width_of(words[at], d, masks, more)
     at = 0
     while at < len(message):
         if words[at] == TOUCHED:
@@ -255,7 +277,7 @@ def check(axes, leg, state, row_of, log, heard, begin, low, high, length, origin
             heard[i] = window
             if words[at + 2 + history_place(d)] != state[i, HISTORY]:
                 wrong |= matters(axes, leg, i, log, begin, place, low, high, length, origin, reach)
-        at += width_of(words[at], d, masks)
+        at += width_of(words[at], d, masks, more)
     rows, shared, border = log[2], log[10], log[11]
     for p in border[: shared[0]]:
         i = rows[p]
@@ -275,7 +297,7 @@ def undo(axes, leg, state, log, todo):
 
 
 @njit(cache=True)
-def correct(axes, leg, state, row_of, log, heard, message, words, told, wanted, owner, rank, todo):
+def correct(axes, leg, state, row_of, log, heard, message, words, more, told, wanted, owner, rank, todo):
     """Ghosts that went another way than at their owners are put right, and movers belong to the rank that their homes are in.
 
     Returns how many rows are to look for their next events anew.
@@ -290,7 +312,7 @@ def correct(axes, leg, state, row_of, log, heard, message, words, told, wanted, 
                 take_record(axes, leg, state, i, message, words, at + 2)
                 todo[pending] = i
                 pending += 1
-        at += width_of(words[at], d, told.shape[1])
+        at += width_of(words[at], d, told.shape[1], more)
     window, rows, saved, saved_words, shared, border = log[0][0], log[2], log[4], log[5], log[10], log[11]
     for p in border[: shared[0]]:
         i = rows[p]
@@ -310,8 +332,8 @@ def correct(axes, leg, state, row_of, log, heard, message, words, told, wanted, 
 
 @njit(cache=True)
 def admit(
-    axes, leg, state, slot, heads, row_of, homes, grid, level, shell, length, told, holder, free, free_count, todo, pending,
-    message, words, at,
+    axes, leg, state, acceleration, drag, slot, heads, row_of, homes, grid, level, shell, length, told, holder, free,
+    free_count, todo, pending, message, words, at,
 ):  # fmt: skip
     """NEW, YOURS and DROPPED of a message, from place `at` on.
 
@@ -321,7 +343,7 @@ def admit(
     """
     d = len(axes)
     record = record_width(d)
-    masks = told.shape[1]
+    masks, more = told.shape[1], differing(axes, acceleration, drag)
     home, links, lists, pool, top, head, around = homes
     low, per, cells, corners, caps = grid
     while at < len(message):
@@ -353,6 +375,11 @@ def admit(
                     row_of[name] = i
                     state[i, ID], state[i, MINE] = name, GHOST
                     take_record(axes, leg, state, i, message, words, at + 2)
+                    if len(acceleration) > 0:
+                        for k in range(d):
+                            acceleration[i, k] = message[begin + d + k]
+                    if len(drag) > 0:
+                        drag[i] = message[begin + d + more - 1]
                     level[i] = level_of(home[i, d], caps)
                 else:
                     move_out(axes, i, links, pool, lists, head)
@@ -373,5 +400,5 @@ def admit(
             row_of[name] = -1
             free[free_count[0]] = i
             free_count[0] += 1
-        at += width_of(kind, d, masks)
+        at += width_of(kind, d, masks, more)
     return at, 0

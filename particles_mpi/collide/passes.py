@@ -165,7 +165,7 @@ def choose(ids, owned, a, b, time, choice, best):
 @njit(cache=True)
 def take_place(
     axes, x, v, s, met, w, ids, owned, a, b, time, choice, restitution, keep, length,
-    normal, wall_restitution, wall_keep, g, middle, live, touched, log, log_x, log_v, logged, counts, virial,
+    normal, wall_restitution, wall_keep, rates, live, touched, log, log_x, log_v, logged, counts, virial,
 ):  # fmt: skip
     """Let the hits that both partners chose take place; returns (rows in `touched`, owned rows in the log of starts).
 
@@ -174,6 +174,7 @@ def take_place(
     its virial, where that is wanted: `virial` (owned,) += -r.dp, else it is empty.
     """
     found = 0
+    r = np.empty(len(axes))
     for p in range(len(a)):
         i = a[p]
         j = b[p]
@@ -184,7 +185,7 @@ def take_place(
             logged = remember(x, v, met, i, owned, log, log_x, log_v, logged)
             move_to(axes, x, v, s, i, time[p])
             wall = -1 - j
-            bounce(axes, v, i, wall, normal, wall_restitution[wall], wall_keep[wall], g, time[p] - middle)
+            bounce(axes, v, i, wall, normal, wall_restitution[wall], wall_keep[wall], w[i], time[p], rates)
             met[i] = j
             counts[1] += 1
             continue
@@ -193,7 +194,7 @@ def take_place(
             continue
         logged = remember(x, v, met, i, owned, log, log_x, log_v, logged)
         logged = remember(x, v, met, j, owned, log, log_x, log_v, logged)
-        given = meet(axes, x, v, s, w, i, j, time[p], restitution, keep, length, g, time[p] - middle)
+        given = meet(axes, x, v, s, w, i, j, time[p], restitution, keep, length, rates, r)
         met[i] = ids[j]
         met[j] = ids[i]
         if i < owned:
@@ -228,13 +229,13 @@ def remember(x, v, met, i, owned, log, log_x, log_v, logged):
 
 
 @njit(cache=True)
-def finish_walls(axes, x, v, s, met, radius, a, b, h, point, normal, restitution, keep, g, middle):
+def finish_walls(axes, x, v, s, met, radius, w, a, b, h, point, normal, restitution, keep, rates):
     """Take the rows of the wall hits through all their wall contacts, blind to other particles; returns the number."""
     hits = 0
     for p in range(len(a)):
         if b[p] < 0:
             i = a[p]
-            hits += bounce_until(axes, x, v, s, met[i], i, radius[i], h, point, normal, restitution, keep, g, middle)
+            hits += bounce_until(axes, x, v, s, met[i], i, radius[i], w[i], h, point, normal, restitution, keep, rates)
     return hits
 
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from particles_mpi.collide.contact import NOBODY, move_to, to_take
+from particles_mpi.collide.contact import NOBODY, move_to
+from particles_mpi.collide.flow import change_of, row_of
 from particles_mpi.particles import Array
 
 MOST_BOUNCES = 1000  # of one particle in one step; past it (a wedge without end) it waits where it is for the next step
@@ -80,39 +81,80 @@ def wall_contact(axes, x, v, start, i, radius, met, h, point, normal):
 
 
 @njit(cache=True)
-def bounce(axes, v, i, w, normal, restitution, keep, g, later):
-    """The velocity at the moment of contact is reflected: v -= (1+e)(v.n) n, then times keep. See `contact.to_take`."""
-    speed, lead = 0.0, 0.0
+def bounce(axes, v, i, w, normal, restitution, keep, inverse_mass, t, rates):
+    """The law of a contact with wall w at time t: v -= (1+e)(v.n) n, then times keep. `contact.exchange` is that of a pair."""
+    speed = 0.0
     for k in range(len(axes)):
         speed += v[i, k] * normal[w, k]
-        lead += later * g[k] * normal[w, k]
-    after = speed - to_take(speed, lead, restitution)
+    if len(rates.a) > 0 and bounce_at_contact(
+        axes, v, i, w, normal, speed, restitution, keep, inverse_mass, t - rates.middle, rates
+    ):
+        return
+    after = speed - (1.0 + restitution) * speed
     for k in range(len(axes)):
         v[i, k] = keep * ((v[i, k] - speed * normal[w, k]) + after * normal[w, k])
 
 
 @njit(cache=True)
-def bounce_until(axes, x, v, s, met, i, radius, h, point, normal, restitution, keep, g, middle):
+def bounce_at_contact(axes, v, i, w, normal, speed, restitution, keep, inverse_mass, tau, rates):
+    """`bounce` of the velocity at the moment of contact, a time tau after the middle of the step: see `flow`.
+
+    `speed`: v.n of the leg. Returns False, and changes nothing, for a leg so slow that it would have come outwards at the
+    contact, or would leave it inwards.
+    """
+    a, at = rates.a, row_of(i, rates)
+    v2 = 0.0
+    for k in range(len(axes)):
+        v2 += v[i, k] * v[i, k]
+    decay, push = change_of(i, v2, inverse_mass, tau, rates)
+    lead = 0.0
+    for k in range(len(axes)):
+        lead += push * a[at, k] * normal[w, k]
+    real = decay * speed + lead
+    if not real < 0.0:
+        return False
+    take = (1.0 + restitution) * real
+    v2, along = 0.0, 0.0
+    for k in range(len(axes)):
+        v2 += (keep * (decay * v[i, k] + push * a[at, k] - take * normal[w, k])) ** 2
+        along += a[at, k] * normal[w, k]
+    back, pull = change_of(i, v2, inverse_mass, -tau, rates)
+    back *= keep
+    if back * (real - take) + pull * along < 0.0 and lead != 0.0:
+        return False
+    after = speed - take / decay
+    left = back * push + pull  # 0 without a loss
+    for k in range(len(axes)):
+        v[i, k] = back * decay * ((v[i, k] - speed * normal[w, k]) + after * normal[w, k]) + left * a[at, k]
+    return True
+
+
+@njit(cache=True)
+def bounce_until(axes, x, v, s, met, i, radius, inverse_mass, h, point, normal, restitution, keep, rates):
     """Take row i through all its wall contacts up to time h, at most MOST_BOUNCES; returns their number."""
     for hits in range(MOST_BOUNCES):
         t, w = wall_contact(axes, x, v, s[i], i, radius, met, h, point, normal)
         if w < 0:
             return hits
         move_to(axes, x, v, s, i, t)
-        bounce(axes, v, i, w, normal, restitution[w], keep[w], g, t - middle)
+        bounce(axes, v, i, w, normal, restitution[w], keep[w], inverse_mass, t, rates)
         met = -1 - w
     s[i] = h  # stays inside, at the last contact
     return MOST_BOUNCES
 
 
 @njit(cache=True)
-def drift_with_walls(axes, x, v, radius, h, point, normal, restitution, keep, lower, upper, oblique, g, middle):
-    """x += v h, reflected by walls on the way. In place on x, v (n, d); returns the number of hits."""
+def drift_with_walls(axes, x, v, radius, inverse_mass, h, point, normal, restitution, keep, lower, upper, oblique, rates):
+    """x += v h, reflected by walls on the way. In place on x, v (n, d); returns the number of hits.
+
+    `inverse_mass` (n,), or no row where nothing depends on it.
+    """
     hits = 0
     s = np.zeros(len(x))  # when the last leg began
     for i in range(len(x)):
         if may_hit(axes, x, v, 0.0, i, radius[i], h, lower, upper, oblique):
-            hits += bounce_until(axes, x, v, s, NOBODY, i, radius[i], h, point, normal, restitution, keep, g, middle)
+            w = inverse_mass[i] if len(inverse_mass) > 0 else 1.0
+            hits += bounce_until(axes, x, v, s, NOBODY, i, radius[i], w, h, point, normal, restitution, keep, rates)
         for k in range(len(axes)):
             x[i, k] += v[i, k] * (h - s[i])
     return hits

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from particles_mpi.collide.flow import Rates
 from particles_mpi.collide.passes import choose, deepest, deepest_at, find_contacts, find_wall_hits, finish_walls, take_place
 from particles_mpi.collide.planes import Planes, no_planes
 from particles_mpi.neighbours.pairs import Neighbourhood
@@ -52,28 +53,27 @@ class Rewind:
         loss: tuple[float, float],
         passes: int,
         planes: Planes | None,
-        g: Array,
         timers: Timers,
         exact: Event | None,
     ):
         self.near, self.passes, self.timers, self.exact = near, passes, timers, exact
         self.restitution, self.keep = loss
-        self.g = g  # the uniform part of all accelerations
         self.dense_steps = 0
         self.walls = planes is not None
         self.planes = planes or no_planes(len(near.axes))
 
-    def drift(self, h: float, moment: float, middle: float) -> Array:
+    def drift(self, h: float, moment: float, rates: Rates) -> Array:
         """x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
 
         `moment`: when the drift begins, for `exact`, which takes over where that is given and contacts are left at the end;
-        `middle`: when the middle of the step is, from there.
+        `rates`: how velocities change in the step.
 
         If a collision throws a particle further than the candidates reach, the drift is undone, candidates are sought with
         a longer reach, and it is done again: the result is that of a reach long enough from the start.
         """
-        all_, self.middle = self.near, middle
+        all_ = self.near
         all_.prepare(h)
+        self.rates = rates.of(all_.fields)
         travel = 0.0
         while True:
             try:
@@ -84,11 +84,12 @@ class Rewind:
                 self.undo(all_)
                 all_.distrust()
                 self.dense_steps += 1
-                return self.exact.drift(h, moment, middle)
+                return self.exact.drift(h, moment, rates)
             except TooFarError as far:
                 self.undo(all_)
                 travel = max(far.travel, 1.2 * travel)
                 all_.search(h, travel)
+                self.rates = rates.of(all_.fields)
         with self.timers("drift"):
             all_.advance(h)
         return counts
@@ -130,8 +131,8 @@ class Rewind:
                     all_.note(a[b < 0])
                     point, normal, restitution, keep, *_ = self.planes.arrays()
                     counts[1] += finish_walls(
-                        all_.axes, all_.x, all_.v, all_.s, all_.met, all_.radius, a, b, h, point, normal, restitution, keep,
-                        self.g, self.middle,
+                        all_.axes, all_.x, all_.v, all_.s, all_.met, all_.radius, all_.w, a, b, h, point, normal, restitution,
+                        keep, self.rates,
                     )  # fmt: skip
                 break
             needed = self.one_pass(all_, hits, h, counts, bool(shared))
@@ -183,8 +184,7 @@ class Rewind:
             all_.touches, all_.logged = take_place(
                 all_.axes, all_.x, all_.v, all_.s, all_.met, all_.w, all_.ids, all_.owned, *hits, all_.choice,
                 self.restitution, self.keep, all_.length, self.planes.normal, self.planes.restitution, self.planes.keep,
-                self.g, self.middle,
-                all_.live, all_.touched, all_.log, all_.log_x, all_.log_v, all_.logged, counts, self.virial,
+                self.rates, all_.live, all_.touched, all_.log, all_.log_x, all_.log_v, all_.logged, counts, self.virial,
             )  # fmt: skip
         if shared:
             with self.timers("ghosts"):

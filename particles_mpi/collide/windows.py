@@ -218,11 +218,13 @@ class Windows:
         engine = self.engine
         outgoing = []
         for rank in self.near:
-            buffer = self.buffer(rank, len(engine.leg) * (1 + 2 * len(engine.axes)))
-            size = pack_motion(engine.axes, engine.leg, engine.state, self.told, rank, buffer, buffer.view(np.int64))
+            buffer = self.buffer(rank, len(engine.leg) * (1 + 3 * len(engine.axes)))
+            size = pack_motion(
+                engine.axes, engine.leg, engine.state, engine.accelerations, self.told, rank, buffer, buffer.view(np.int64)
+            )
             outgoing.append(buffer[:size])
         message = swap(self.ranks, self.near, outgoing)
-        unpack_motion(engine.axes, engine.leg, engine.state, self.row_of, message, message.view(np.int64))
+        unpack_motion(engine.axes, engine.leg, engine.state, engine.accelerations, self.row_of, message, message.view(np.int64))
 
     def buffer(self, rank: int, size: int) -> Array:
         """Room for a message to a rank."""
@@ -271,11 +273,11 @@ class Windows:
     def news(self, rank: int, wanted: Array, owner: Array) -> Array:
         """What a rank must hear."""
         engine, log, d = self.engine, self.engine.log, len(self.length)
-        part = record_width(d) + d + 6 + self.told.shape[1]
+        part = record_width(d) + d + 6 + self.told.shape[1] + engine.differing
         buffer = self.buffer(rank, (int(log.shared[0]) + 3 * int(log.moved[0])) * part)
         size = pack_news(
-            engine.axes, engine.leg, engine.state, engine.homes.home, self.told, self.holder, log.arrays(), wanted, owner,
-            rank, buffer, buffer.view(np.int64),
+            engine.axes, engine.leg, engine.state, engine.homes.home, engine.accelerations, engine.drags, self.told, self.holder,
+            log.arrays(), wanted, owner, rank, buffer, buffer.view(np.int64),
         )  # fmt: skip
         return buffer[:size]
 
@@ -285,6 +287,7 @@ class Windows:
         return check(
             engine.axes, engine.leg, engine.state, self.row_of, engine.log.arrays(), self.heard, begin, self.low[me],
             self.high[me], self.length, self.lower, self.reach, message, message.view(np.int64), self.told.shape[1],
+            engine.differing,
         )  # fmt: skip
 
     def undo(self, before: Array) -> None:
@@ -299,17 +302,17 @@ class Windows:
         engine, words = self.engine, message.view(np.int64)
         pending = np.zeros(1, np.int64)
         pending[0] = correct(
-            engine.axes, engine.leg, engine.state, self.row_of, engine.log.arrays(), self.heard, message, words, self.told,
-            wanted, owner, self.ranks.rank, engine.todo,
+            engine.axes, engine.leg, engine.state, self.row_of, engine.log.arrays(), self.heard, message, words,
+            engine.differing, self.told, wanted, owner, self.ranks.rank, engine.todo,
         )  # fmt: skip
         at = 0
         while at < len(message):
             homes = engine.homes
             places = homes.home, homes.links, homes.lists, homes.pool, homes.top, homes.head, homes.around
             at, short = admit(
-                engine.axes, engine.leg, engine.state, engine.slot, engine.heads, self.row_of, places, homes.grid, homes.level,
-                self.shell, self.length, self.told, self.holder, self.free, self.free_count, engine.todo, pending, message, words,
-                at,
+                engine.axes, engine.leg, engine.state, engine.accelerations, engine.drags, engine.slot, engine.heads, self.row_of,
+                places, homes.grid, homes.level, self.shell, self.length, self.told, self.holder, self.free, self.free_count,
+                engine.todo, pending, message, words, at,
             )  # fmt: skip
             if short > 0:
                 homes.enlarge(short)

@@ -7,8 +7,9 @@ from math import inf
 import numpy as np
 
 from particles_mpi.collide.contact import loss
+from particles_mpi.collide.flow import Rates
 from particles_mpi.collide.planes import Planes, drift_with_walls
-from particles_mpi.particles import Array, Particles
+from particles_mpi.particles import Particles
 from particles_mpi.scene import EffectOptions, Fraction, Model, Scene
 
 
@@ -90,8 +91,8 @@ class Effect:
         self.planes = planes_of(options, scene)
         self.lossy = bool(self.planes.lossy.any())
 
-    def drift(self, particles: Particles, h: float, g: Array, middle: float) -> int:
-        """Drift over h with walls alone, under g, in a step with that `middle`; returns the number of wall hits. Purely local."""
-        axes = (0,) * particles.dimension
-        p = particles
-        return drift_with_walls(axes, p.position, p.velocity, p.radius, h, *self.planes.arrays(), g, middle)  # type: ignore[call-arg]
+    def drift(self, particles: Particles, h: float, rates: Rates) -> int:
+        """Drift over h with walls alone, while velocities change by `rates`; returns the number of wall hits. Purely local."""
+        p, axes = particles, (0,) * particles.dimension
+        w = p.inverse_mass if rates.alpha else np.empty(0)
+        return drift_with_walls(axes, p.position, p.velocity, p.radius, w, h, *self.planes.arrays(), rates)  # type: ignore[call-arg]

@@ -15,14 +15,14 @@ from particles_mpi.particles import Array
 
 
 def width(dimension: int) -> int:
-    """Numbers in the longest row of a message: place, last met, start of the leg, x, v."""
-    return 3 + 2 * dimension
+    """Numbers in the longest row of a message: place, last met, start of the leg, x, v; or x, v, acceleration."""
+    return max(3 + 2 * dimension, 3 * dimension)
 
 
-def refresh(halo: Halo, x: Array, v: Array) -> None:
-    """Ghost rows of x and v (n, d), as their owners have them."""
-    for first, message in halo.exchange(lambda rows, buffer: pack_state(rows, x, v, buffer)):
-        unpack_state(first, message, x, v)
+def refresh(halo: Halo, x: Array, v: Array, a: Array) -> None:
+    """Ghost rows of x, v and accelerations a (n, d), as their owners have them; a without rows is the same for all."""
+    for first, message in halo.exchange(lambda rows, buffer: pack_state(rows, x, v, a, buffer)):
+        unpack_state(first, message, x, v, a)
 
 
 def tell_choices(halo: Halo, choice: Array, a: Array, b: Array, marked: Array) -> None:
@@ -54,24 +54,31 @@ def any_of(marks, a, b):
 
 
 @njit(cache=True)
-def pack_state(rows, x, v, out):
-    """x and v of rows, one after the other."""
+def pack_state(rows, x, v, a, out):
+    """x and v of rows, and a if it has rows, one after the other."""
     d = x.shape[1]
-    for r in range(len(rows)):
+    size = 0
+    for i in rows:
         for k in range(d):
-            out[2 * d * r + k] = x[rows[r], k]
-            out[2 * d * r + d + k] = v[rows[r], k]
-    return 2 * d * len(rows)
+            out[size + k] = x[i, k]
+            out[size + d + k] = v[i, k]
+            if len(a) > 0:
+                out[size + 2 * d + k] = a[i, k]
+        size += 3 * d if len(a) > 0 else 2 * d
+    return size
 
 
 @njit(cache=True)
-def unpack_state(first, message, x, v):
+def unpack_state(first, message, x, v, a):
     """What pack_state wrote, to the rows from `first` on."""
     d = x.shape[1]
-    for r in range(len(message) // (2 * d)):
+    each = 3 * d if len(a) > 0 else 2 * d
+    for r in range(len(message) // each):
         for k in range(d):
-            x[first + r, k] = message[2 * d * r + k]
-            v[first + r, k] = message[2 * d * r + d + k]
+            x[first + r, k] = message[each * r + k]
+            v[first + r, k] = message[each * r + d + k]
+            if len(a) > 0:
+                a[first + r, k] = message[each * r + 2 * d + k]
 
 
 @njit(cache=True)

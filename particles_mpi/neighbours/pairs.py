@@ -31,15 +31,17 @@ from particles_mpi.watchdog import not_finite
 
 SORT_EVERY = 2  # searches; between two sorts in space the rows keep their order, which changes slowly
 SLACK = 0.2  # how far rows may get over the border of their rank's box, in paths of the fastest one
+NONE = np.empty((0, 0))
 TOO_MANY = 0.1  # of the rows left their tubes at once: a search of all is cheaper than one for each
 
 
 class Neighbourhood:
     """Who is near whom. `search` finds out, `prepare` makes sure before a drift that it still holds, `follow` after contacts.
 
-    x, v (n, d), ids, radius, w = 1/m, s, met (n,): owned rows, then ghosts. `near` holds the candidates among them.
-    `box`: (lower, upper, length) (d,), with length 0 where not periodic. `planes`: (point, normal) of the walls. `kicked`: do
-    forces or dissipation change velocities? If not, ghosts fly on by themselves, and only contacts need a message.
+    x, v (n, d), ids, radius, w = 1/m, s, met (n,): owned rows, then ghosts, and so are the arrays of `fields`. `near` holds
+    the candidates among them. `box`: (lower, upper, length) (d,), with length 0 where not periodic. `planes`: (point, normal)
+    of the walls. `kicked`: do forces or dissipation change velocities? If not, ghosts fly on by themselves, and only contacts
+    need a message.
     """
 
     def __init__(
@@ -85,7 +87,7 @@ class Neighbourhood:
         """
         if self.halo:
             with self.timers("ghosts"):
-                refresh(self.halo, self.x, self.v)
+                refresh(self.halo, self.x, self.v, self.fields.get("total_acceleration", NONE))
         if not self.searches:
             return np.inf
         with self.timers("pairs"):
@@ -172,7 +174,7 @@ class Neighbourhood:
             self.ghost_rows += len(arrived["id"])
             everyone = self.store.behind(arrived)
         self.x, self.v, self.ids, self.radius = (everyone[n] for n in ("position", "velocity", "id", "radius"))
-        self.w = Particles(d, everyone).inverse_mass
+        self.w, self.fields = Particles(d, everyone).inverse_mass, everyone
         n = len(self.x)
         self.s, self.met, self.live = np.zeros(n), np.full(n, NOBODY), np.zeros(n, np.bool_)
         self.choice, self.best = np.full(n, NOBODY), np.empty((self.owned, 3))

@@ -17,7 +17,7 @@ from particles_mpi.study.lab import Lab
 DIRECT: dict[str, Any] = {"method": "direct", "opening_angle": None, "accuracy": None, "multipole": None}  # sum of forces
 SHIFT = 1e-12  # of the size of a motion: how far a displaced start is from the start
 FEW = 64  # particles that more than one rank would only slow down
-STATELESS = ("contacted", "virial", "rate", "supported")  # fields that a run fills itself
+STATELESS = ("contacted", "virial", "rate", "supported", "total_acceleration")  # fields that a run fills itself
 
 
 def variant(scene: Scene, time: dict[str, Any], effects: dict[str, dict[str, Any] | None] | None = None) -> Scene:
