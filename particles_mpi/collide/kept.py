@@ -1,7 +1,10 @@
-"""Which contacts are slow, so that they are kept, and who has one: see `rest`. Plain arrays.
+"""Which contacts are slow, so that they are kept: see `rest`. Plain arrays.
 
-`push` (d,) of a row is the speed that forces give it in a step, times SLOW. A contact is slow below the speed at which
-pushes press the partners together, or HELD times the larger of them if one of the partners is held by somebody else.
+`push` (d,) of a row is the speed that forces give it in a step, times SLOW. What *presses* a contact is a speed of the same
+kind, and belongs to the direction of its normal n: forces and all other contacts together, if they press it; and the part of
+what contacts of its partners bear that lies along n. That of a partner is n S n with its stress S, the sum of borne n' n'
+over its contacts n'. A contact is slow below the speed that presses it, or HELD times that between those who are held. So a
+ball that rolls along a floor meets another one, or a wall, at any speed: the floor does not bear along that normal.
 """
 
 from math import sqrt
@@ -11,35 +14,24 @@ from numba import njit
 
 from particles_mpi.collide.contact import CROWD, nearest
 from particles_mpi.collide.planes import wall_distance
+from particles_mpi.collide.projection import give, relative, sweep
 
 SLOW = 2.0  # times what forces do in a step: a bounce that is over in about two steps
 HELD = 5.0  # times as fast may it be among those that are held, who would rattle between one another
 MARGIN = 1e-3  # of the widest slow gap: closer nothing gets, so that round-off makes no contact
+SWEEPS = 4  # from what contacts bore before to what they bear now
 
 
 @njit(cache=True)
-def slow_speed(pressed, widest, held, closing, fastest, gap, h):
-    """The speed below which a contact is slow, 0 if this one is not kept.
-
-    `widest`: the larger push, `pressed`: along the normal; `fastest`: the sum of the partners' speeds.
-    """
-    speed = HELD * widest if held else max(pressed, 0.0)
-    if held == CROWD:
-        return speed if gap <= max(speed, fastest) * h else 0.0
-    return speed if gap <= speed * h and abs(closing) <= speed else 0.0
-
-
-@njit(cache=True)
-def slow_wall(axes, x, v, push, radius, held, i, h, w, point, normal):
-    """(slow speed, gap) of row i, which has the given push, at wall w; a speed of 0 if it is no slow contact."""
-    pressed, all_, closing, fast2 = 0.0, 0.0, 0.0, 0.0
+def wall_push(axes, x, v, push, radius, i, w, point, normal):
+    """Of row i, which has the given push, at wall w: (push onto it, all of the push, approach, speed, gap)."""
+    pressed, push2, closing, fast2 = 0.0, 0.0, 0.0, 0.0
     for k in range(len(axes)):
         fast2 += v[i, k] * v[i, k]
         pressed -= push[k] * normal[w, k]
-        all_ += push[k] * push[k]
+        push2 += push[k] * push[k]
         closing -= v[i, k] * normal[w, k]
-    gap = wall_distance(axes, x, i, w, point, normal) - radius[i]
-    return slow_speed(pressed, sqrt(all_), held, closing, sqrt(fast2), gap, h), gap
+    return pressed, sqrt(push2), closing, sqrt(fast2), wall_distance(axes, x, i, w, point, normal) - radius[i]
 
 
 @njit(cache=True)
@@ -62,8 +54,8 @@ def near_walls(axes, x, v, a, radius, fixed, supported, h, lower, upper, oblique
                 clear &= (x[i, k] >= lower[k] + gap) & (x[i, k] <= upper[k] - gap)
             if not clear:
                 for wall in range(len(point)):
-                    speed, _ = slow_wall(axes, x, v, push, radius, 0, i, h, wall, point, normal)
-                    here |= speed > 0.0
+                    pressed, _, closing, _, gap = wall_push(axes, x, v, push, radius, i, wall, point, normal)
+                    here |= pressed > 0.0 and gap <= pressed * h and abs(closing) <= pressed
         if here:
             rows[found] = i
             found += 1
@@ -108,22 +100,26 @@ def close_by_test(x, wide, w, length):
 
 
 @njit(cache=True)
-def contacts(axes, x, v, push, radius, w, held, first, second, h, length, point, normal):
-    """All slow contacts: rows a, b (or -1 - wall), normals towards a, how fast gaps may close, shares of a and b, and so on."""
+def contacts(axes, x, v, push, radius, w, crowd, first, second, h, length, point, normal):
+    """All contacts that may be slow, or that are among a crowd: (rows a and b, or -1 - wall; normals towards a; and so on).
+
+    The rest: gap, shares of a and b, inertia, `widest` (the larger push) and approach; `crowd` tells which are kept at any
+    speed. In the order of rows with walls, then of pairs.
+    """
     d = len(axes)
     most = len(first) + len(x) * len(point)
     a, b = np.empty(most, np.int64), np.empty(most, np.int64)
-    n, may_close, share, speeds = np.empty((most, d)), np.empty(most), np.empty((most, 2)), np.empty(most)
-    inertia = np.empty(most)
+    n, gaps, share, widest = np.empty((most, d)), np.empty(most), np.empty((most, 2)), np.empty(most)
+    inertia, approach, any_speed = np.empty(most), np.empty(most), np.empty(most, np.bool_)
     made = 0
     for i in range(len(x)):
         for wall in range(len(point)):
-            speed, gap = slow_wall(axes, x, v, push[i], radius, held[i], i, h, wall, point, normal)
-            if speed > 0.0 and w[i] > 0.0:
-                a[made], b[made], speeds[made] = i, -1 - wall, speed
+            _, wide, closing, fast, gap = wall_push(axes, x, v, push[i], radius, i, wall, point, normal)
+            if w[i] > 0.0 and wide > 0.0 and gap <= max(HELD * wide, fast * crowd[i]) * h:
+                a[made], b[made], widest[made], gaps[made], approach[made] = i, -1 - wall, wide, gap, closing
                 n[made] = normal[wall]
-                may_close[made] = max(gap - MARGIN * speed * h, 0.0) / h
                 share[made, 0], share[made, 1], inertia[made] = 1.0, 0.0, 1.0 / w[i]
+                any_speed[made] = crowd[i]
                 made += 1
     for p in range(len(first)):
         i, j = first[p], second[p]
@@ -136,22 +132,72 @@ def contacts(axes, x, v, push, radius, w, held, first, second, h, length, point,
         distance = sqrt(r2)
         if not distance > 0.0 or w[i] + w[j] == 0.0:
             continue
-        pressed, closing, fast_i, fast_j = 0.0, 0.0, 0.0, 0.0
+        closing, fast_i, fast_j = 0.0, 0.0, 0.0
         for k in range(d):
             n[made, k] /= distance
-            pressed -= (push[i, k] - push[j, k]) * n[made, k]
             closing -= (v[i, k] - v[j, k]) * n[made, k]
             fast_i += v[i, k] * v[i, k]
             fast_j += v[j, k] * v[j, k]
-        gap = distance - radius[i] - radius[j]
-        speed = slow_speed(pressed, sqrt(max(of_i, of_j)), max(held[i], held[j]), closing, sqrt(fast_i) + sqrt(fast_j), gap, h)
-        if speed > 0.0:
-            a[made], b[made], speeds[made] = i, j, speed
-            may_close[made] = max(gap - MARGIN * speed * h, 0.0) / h
+        gap, wide = distance - radius[i] - radius[j], sqrt(max(of_i, of_j))
+        fast = (sqrt(fast_i) + sqrt(fast_j)) * (crowd[i] or crowd[j])
+        if wide > 0.0 and gap <= max(HELD * wide, fast) * h:
+            a[made], b[made], widest[made], gaps[made], approach[made] = i, j, wide, gap, closing
             inertia[made] = 1.0 / (w[i] + w[j])
             share[made, 0], share[made, 1] = w[i] * inertia[made], w[j] * inertia[made]
+            any_speed[made] = crowd[i] or crowd[j]
             made += 1
-    return a[:made], b[:made], n[:made], may_close[:made], share[:made], inertia[:made], speeds[:made]
+    of = slice(0, made)
+    return a[of], b[of], n[of], gaps[of], share[of], inertia[of], widest[of], approach[of], any_speed[of]
+
+
+@njit(cache=True)
+def bear(axes, v, a, b, normal, may_close, share, borne):
+    """What contacts bear under pushes v (n, d), by a few sweeps from what they bore; both in place."""
+    for c in range(len(a)):
+        give(axes, v, a[c], b[c], normal, share, c, borne[c])
+    for _ in range(SWEEPS):
+        sweep(axes, v, a, b, normal, may_close, share, borne)
+    return borne
+
+
+@njit(cache=True)
+def pressing(axes, push, a, b, normal, share, borne):
+    """The speed that presses each contact, of rows with pushes (n, d) whose contacts bear `borne`."""
+    d = len(axes)
+    left, stress = push.copy(), np.zeros((len(push), d, d))
+    for c in range(len(a)):
+        give(axes, left, a[c], b[c], normal, share, c, borne[c])
+        for k in range(d):
+            for m in range(d):
+                part = borne[c] * normal[c, k] * normal[c, m]
+                stress[a[c], k, m] += share[c, 0] * part
+                if b[c] >= 0:
+                    stress[b[c], k, m] += share[c, 1] * part
+    speeds = np.empty(len(a))
+    for c in range(len(a)):
+        along = 0.0
+        for k in range(d):
+            for m in range(d):
+                both = stress[a[c], k, m] + (stress[b[c], k, m] if b[c] >= 0 else 0.0)
+                along += normal[c, k] * normal[c, m] * both
+        others = relative(axes, left, a[c], b[c], normal, c) - borne[c]
+        speeds[c] = max(abs(others), along)
+    return speeds
+
+
+@njit(cache=True)
+def slow(pressed, held, widest, gap, closing, crowd, h):
+    """Which contacts are slow: (their indices, at which speed each may close, below which speed it is slow)."""
+    of, may_close, speeds = np.empty(len(gap), np.int64), np.empty(len(gap)), np.empty(len(gap))
+    found = 0
+    for c in range(len(gap)):
+        most = HELD * widest[c]
+        speed = min((HELD if held[c] else 1.0) * pressed[c], most)
+        if crowd[c] or (speed > 0.0 and gap[c] <= speed * h and abs(closing[c]) <= speed):
+            of[found], speeds[found] = c, most if crowd[c] else speed
+            may_close[found] = max(gap[c] - MARGIN * most * h, 0.0) / h
+            found += 1
+    return of[:found], may_close[:found], speeds[:found]
 
 
 @njit(cache=True)

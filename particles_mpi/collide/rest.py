@@ -18,8 +18,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from particles_mpi.collide.contact import PRESSED
-from particles_mpi.collide.kept import HELD, SLOW, close_by_test, contacts, near_walls, spread, within
+from particles_mpi.collide.contact import CROWD, PRESSED
+from particles_mpi.collide.kept import HELD, SLOW, bear, close_by_test, contacts, near_walls, pressing, slow, spread, within
 from particles_mpi.collide.planes import Planes
 from particles_mpi.collide.projection import BETTER, project, project_each
 from particles_mpi.integrators import fingerprint, places_of
@@ -30,7 +30,7 @@ from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import Array, Particles, row_dot, rows_of
 from particles_mpi.timers import Timers
 
-PRECISE = 1e-7  # of the slow speed: approach that does not matter
+PRECISE = 1e-11  # of the slow speed: approach that does not matter
 NOTHING = np.empty(0, np.int64), np.empty(0)
 CLOSE = 1.0 + 1e-9  # times the widths, so that ranks agree on who is near the border, whatever the round-off
 FEW = 64  # rows: so many look for partners among all others
@@ -39,12 +39,12 @@ FEW = 64  # rows: so many look for partners among all others
 class Rest:
     """Keeps the slow contacts of particles: with one another if `pairs`, and with those of the planes that take energy.
 
-    `end`: above all ids. `uniform`: all forces give all particles the same acceleration, so that free ones never press onto
+    `bound`: above all ids. `uniform`: all forces give all particles the same acceleration, so that free ones never press onto
     one another.
     """
 
-    def __init__(self, ranks: Ranks, end: int, length: Array, pairs: bool, planes: Planes, uniform: bool, timers: Timers):
-        self.ranks, self.end, self.length = ranks, end, length
+    def __init__(self, ranks: Ranks, bound: int, length: Array, pairs: bool, planes: Planes, uniform: bool, timers: Timers):
+        self.ranks, self.bound, self.length = ranks, bound, length
         self.pairs, self.uniform, self.timers = pairs, uniform, timers
         self.memory = NOTHING
         self.looked: tuple[tuple[int, ...], int] = (), 0
@@ -72,9 +72,12 @@ class Rest:
             rows["supported"] = np.minimum(rows["supported"], PRESSED)
             if self.pairs:
                 rows = rows_of_everyone(self.ranks, rows)
-                if self.uniform:
+                while self.uniform:
                     joining = rows_of_everyone(self.ranks, self.joining(p, a, h, rows, involved))
                     rows = {name: np.concatenate((column, joining[name])) for name, column in rows.items()}
+                    if len(self.memory[0]) or not len(joining["id"]):
+                        break
+                    involved = np.sort(rows["row"][rows["rank"] == self.ranks.rank])
                 rows = rows_of(rows, np.argsort(rows["id"]))
             self.memory = self.solve(p, rows, h, self.near(rows, self.pairs), self.memory)
 
@@ -147,19 +150,24 @@ class Rest:
         self, p: Particles, rows: dict[str, Array], h: float, near: tuple[Array, Array], memory: tuple[Array, Array]
     ) -> tuple[Array, Array]:
         """Velocities of rows (in order of ids) that keep their contacts, into p. What these took, the next `memory`."""
-        held = np.maximum(rows["supported"], rows["w"] == 0.0)
         v = rows["velocity"]
-        a, b, normal, may_close, share, inertia, speed = contacts(
-            self.axes, rows["position"], v, rows["push"], rows["radius"], rows["w"], held, *near, h,
+        a, b, normal, gap, share, inertia, widest, closing, crowd = contacts(
+            self.axes, rows["position"], v, rows["push"], rows["radius"], rows["w"], rows["supported"] == CROWD, *near, h,
             self.length, *self.walls[3:],
         )  # fmt: skip
+        walls = len(self.walls[3])
+        others = np.where(b >= 0, rows["id"][np.maximum(b, 0)] + walls, -1 - b)
+        names = rows["id"][a] * (self.bound + walls) + others
+        took = recall(names, self.memory)
+        supported = (rows["supported"] != 0) & (rows["w"] > 0.0)
+        held = (took > 0.0) | supported[a] | ((b >= 0) & supported[np.maximum(b, 0)])
+        pressed = self.pressed(rows["push"], a, b, normal, gap <= widest * h, share, inertia, widest, took)
+        of, may_close, speed = slow(pressed, held, widest, gap, closing, crowd, h)
+        a, b, normal, share, inertia, names = a[of], b[of], normal[of], share[of], inertia[of], names[of]
         if not self.pairs:  # each rank by itself, and nothing to remember
             closing = project_each(self.axes, v, a, b, normal, may_close, share, inertia, PRECISE * speed)
             self.give_back(p, rows, v, a, b, closing > 0.0)
             return NOTHING
-        walls = len(self.walls[3])
-        others = np.where(b >= 0, rows["id"][np.maximum(b, 0)] + walls, -1 - b)
-        names = rows["id"][a] * (self.end + walls) + others
         closing = project(
             self.axes,
             v,
@@ -173,10 +181,40 @@ class Rest:
             recall(names, memory),
             BETTER,
         )
-        pressed = closing > 0.0
-        self.give_back(p, rows, v, a, b, pressed)
-        order = np.argsort(names[pressed])
-        return names[pressed][order], closing[pressed][order]
+        kept = closing > 0.0
+        self.give_back(p, rows, v, a, b, kept)
+        order = np.argsort(names[kept])
+        return names[kept][order], closing[kept][order]
+
+    def pressed(
+        self,
+        push: Array,
+        a: Array,
+        b: Array,
+        normal: Array,
+        touch: Array,
+        share: Array,
+        inertia: Array,
+        widest: Array,
+        took: Array,
+    ) -> Array:
+        """The speed that presses each contact: by pushes of rows and what contacts bear, or by what it `took` in the last step.
+
+        Those that `touch` bear what they must for nobody to be pushed on. That is found from what they took, by a few sweeps;
+        without memory (the first step, or the state was changed) as exactly as velocities are.
+        """
+        before = 2.0 * SLOW * took  # a step's with SLOW, from half a step's
+        of = touch | (took > 0.0)
+        that = self.axes, push.copy(), a[of], b[of], normal[of], np.zeros(np.count_nonzero(of)), share[of]
+        borne = before.copy()
+        if not self.pairs:
+            borne[of] = project_each(*that, inertia[of], PRECISE * widest[of])
+        elif len(self.memory[0]):
+            borne[of] = bear(*that, before[of])
+        else:
+            tolerance = PRECISE * float(widest.max(initial=0.0))
+            borne[of] = project(*that, inertia[of], tolerance, before[of], BETTER)
+        return np.maximum(before, pressing(self.axes, push, a, b, normal, share, borne))
 
     def give_back(self, p: Particles, rows: dict[str, Array], v: Array, a: Array, b: Array, pressed: Array) -> None:
         """To our particles: velocities v of `rows`, and who is supported, having one of the pressed contacts."""
