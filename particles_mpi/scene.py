@@ -20,6 +20,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from particles_mpi.errors import SceneError
 
 LARGEST = 1e100
+TOLERANCES = 1e-12, 1e-3  # of `adaptive`, smallest and largest: below, round-off of the forces alone is more
 NEEDS_FREE_PATHS = ("collisions", "walls", "drag", "friction")  # effects that only leapfrog and taylor know
 
 
@@ -141,7 +142,7 @@ class Time(Model):
     end: Annotated[float, Field(ge=0.0)] | None = None
     steps: Annotated[int, Field(ge=0, lt=10**15)] | None = None
     integrator: Literal["leapfrog", "order4", "taylor", "adaptive"] = "leapfrog"
-    tolerance: Annotated[float, Field(gt=0.0, le=1e-3)] | None = None
+    tolerance: Annotated[float, Field(ge=TOLERANCES[0], le=TOLERANCES[1])] | None = None
 
     @model_validator(mode="after")
     def _one_end(self) -> Time:

@@ -13,6 +13,7 @@ import numpy as np
 from particles_mpi import Scene
 from particles_mpi.errors import StoppedError
 from particles_mpi.plan import duration
+from particles_mpi.scene import TOLERANCES
 from particles_mpi.study.reference import motion
 from particles_mpi.study.starts import Start, variant
 from particles_mpi.study.tracks import LOOKS, Track, apart, follow
@@ -128,7 +129,8 @@ def finer(scene: Scene, steps: int, halvings: int) -> Scene:
     if scene.time.integrator == "adaptive":
         from particles_mpi.adaptive import TOLERANCE
 
-        time["tolerance"] = (scene.time.tolerance or TOLERANCE) * 10.0 ** (1 - halvings)
+        tolerance = min(max(scene.time.tolerance or TOLERANCE, 10.0 * TOLERANCES[0]), 0.1 * TOLERANCES[1])
+        time["tolerance"] = min(max(tolerance * 10.0 ** (1 - halvings), TOLERANCES[0]), TOLERANCES[1])  # not past them by an ulp
     else:
         time |= {"step": scene.time.step / 2**halvings, "steps": steps * 2**halvings}
     return variant(scene, time)
