@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from math import isfinite
 from typing import Any
 
 from rich.console import Console
@@ -105,7 +106,10 @@ class Screen:
             assert self.progress
             speed = self.progress.tasks[0].speed
             rate = f"{speed:.0f} steps/s" if speed else ""
-            state = f"E {row['total_energy']:.6g}  collisions {row['collisions_so_far']}" if row else ""
+            name, energy = ("E", row["total_energy"]) if row else ("", 0.0)
+            if not isfinite(energy):  # a force along a periodic axis
+                name, energy = "kinetic E", row["kinetic"]
+            state = f"{name} {energy:.6g}  collisions {row['collisions_so_far']}" if row else ""
             self.progress.update(task, completed=step, rate=rate, state=state)
 
         return update
