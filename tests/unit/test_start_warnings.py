@@ -35,12 +35,12 @@ def falling(periodic, uniform=None, own=None, **population):
 
 
 @settings(max_examples=60, deadline=None)
-@given(periodic=AXES, uniform=PULL, own=st.lists(PULL, min_size=3, max_size=3))
+@given(periodic=AXES, uniform=st.none() | PULL, own=st.none() | st.lists(PULL, min_size=3, max_size=3))
 def test_an_energy_is_kept_or_not_told(periodic, uniform, own):
     """A constant force keeps kinetic + potential exactly; along a periodic axis there is no potential, which is said by key."""
     sim = Simulation(falling(periodic, uniform, own))
-    uniform_turns = any(g and p for g, p in zip(uniform, periodic, strict=True))
-    turning = [k for k, a in enumerate(own) if any(x and p for x, p in zip(a, periodic, strict=True))]
+    uniform_turns = any(g and p for g, p in zip(uniform or [0.0] * 3, periodic, strict=True))
+    turning = [k for k, a in enumerate(own or []) if any(x and p for x, p in zip(a, periodic, strict=True))]
     keys = [warning.split(":")[0].split(".")[1] for warning in sim.warnings]
     assert keys == ["uniform_gravity"] * uniform_turns + ["user_acceleration"] * bool(turning)
     assert all(str(k) in sim.warnings[-1].split("along")[0] for k in turning)
