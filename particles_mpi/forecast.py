@@ -142,8 +142,8 @@ class Pace:
         seen = self.outlook
         return Forecast(
             seconds=gone + left * step + to_write,
-            least=gone + left * step * seen.least + to_write,
-            most=gone + left * step * seen.most + to_write,
+            least=gone + left * step * seen.least + to_write / TRUST,
+            most=gone + left * step * seen.most + to_write * TRUST,
             reason=seen.reason,
             step=step,
             timed=timed,
