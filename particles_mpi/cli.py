@@ -102,8 +102,12 @@ def check(scene: SceneFile) -> None:
     except SceneError as error:
         raise SceneError([f"{scene}: {fault}" for fault in error.faults]) from None
     about = plan(described, start.particles, start.total, MPI.COMM_WORLD.Get_size())
-    screen.plan(described.title, about | {"predicted_seconds": None}, start.warnings)
-    for line in predict(start).lines:
+    screen.plan(described.title, about, start.warnings)
+    found = predict(start)
+    if found.forecast:
+        screen.forecast(found.forecast)
+        screen.shares(found.forecast)
+    for line in found.errors:
         screen.say(f"  {line}")
     if root():
         print("valid")

@@ -17,14 +17,15 @@ def measure(ranks: Ranks, particles: Particles, potentials: dict[str, Array]) ->
     """Kinetic, potential and total energy, momentum and largest speed of all movable particles. Collective.
 
     `potentials`: the potential energy (n,) of each force that has one; with mutual gravity among them also what `attracted`
-    gives. The sums are correctly rounded, so every figure is the same on any number of ranks.
+    gives. The sums are correctly rounded, so every figure is the same on any number of ranks. A potential that is not a number
+    for a movable particle makes `potential` and `total_energy` nan.
     """
     movable = particles.fixed == 0
     square = row_dot(particles.velocity, particles.velocity)
     momentum = particles.mass[:, None] * particles.velocity * movable[:, None]
     columns = [0.5 * particles.mass * square * movable]
     columns += [momentum[:, k] for k in range(particles.dimension)]
-    columns += [u * movable for u in potentials.values()]
+    columns += [np.where(movable, u, 0.0) for u in potentials.values()]
     sums = exact_sums(ranks, columns)
     potential = float(sum(sums[1 + particles.dimension :]))
     row = {"kinetic": sums[0], "potential": potential, "total_energy": sums[0] + potential}

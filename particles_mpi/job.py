@@ -13,6 +13,7 @@ import numpy as np
 
 from particles_mpi.diagnostics import columns
 from particles_mpi.errors import Interrupted, SceneError, StateError, StoppedError
+from particles_mpi.forecast import Forecast, Pace
 from particles_mpi.interrupt import Request
 from particles_mpi.output import checkpoint, failing_together, replacing
 from particles_mpi.output.console import Screen
@@ -28,7 +29,10 @@ LIBRARIES = ("numpy", "numba", "mpi4py", "h5py", "meshio", "particles-mpi")
 
 
 class Job:
-    """Runs a simulation into a folder. Collective throughout."""
+    """Runs a simulation into a folder. Collective throughout.
+
+    A `rehearsal` says nothing, and ends as soon as rank 0 has a `forecast` of how long the run would take.
+    """
 
     def __init__(
         self,
@@ -41,13 +45,16 @@ class Job:
         steps: int | None = None,
         wall_time: float | None = None,
         setup_began: float | None = None,
+        rehearsal: bool = False,
     ):
         self.sim, self.folder, self.resumed = sim, folder, resumed
         self.scene, self.ranks = sim.scene, sim.ranks
         self.limit = steps
         self.setup_began = perf_counter() if setup_began is None else setup_began
         self.since = np.array(sim.reported, np.int64)
-        self.screen = Screen(self.ranks.is_root, quiet)
+        self.rehearsal = rehearsal
+        self.forecast: Forecast | None = None
+        self.screen = Screen(self.ranks.is_root, quiet or rehearsal)
         self.plan = plan(self.scene, sim.rows, sim.total, self.ranks.size)
         self.plan["fixed"] = int(self.ranks.total(self.plan["fixed"])[0])
         self.request = Request(self.ranks, self.setup_began, wall_time)  # from here on a signal must not leave half a file
@@ -92,6 +99,7 @@ class Job:
         self.screen.plan(self.scene.title, self.plan, sim.warnings)
         setup = perf_counter() - self.setup_began
         begin, done = perf_counter(), sim.steps_done
+        pace = Pace(sim, self.last) if self.screen.loud or (self.rehearsal and self.ranks.is_root) else None
         show = self.screen.start(done, self.last)
         row: dict[str, Any] = {}
         stopped = False
@@ -112,8 +120,13 @@ class Job:
                     self.write_frame()
                 if n % output.checkpoint_every == 0 or final:
                     self.save()
+                if pace and (forecast := pace.look()) and (n < self.last or self.rehearsal):
+                    self.foretell(forecast)
                 if n % SHOW_EVERY == 0:
                     show(n, row)
+            if self.rehearsal:
+                self.close()
+                return
             if stopped:
                 self.save()
             show(sim.steps_done, row)
@@ -121,6 +134,8 @@ class Job:
             self.finish(setup, perf_counter() - begin, sim.steps_done - done)
         except StateError as error:
             self.close()
+            if self.rehearsal:
+                raise
             raise StateError(f"{error}; {self.keep_for_inspection(str(error))}") from None
         except (SceneError, StoppedError):  # on all ranks; after any other error to close a file would wait for those without it
             self.close()
@@ -132,6 +147,19 @@ class Job:
             raise Interrupted(
                 f"stopped at step {sim.steps_done} of {self.last}; continue with --resume {self.folder / 'checkpoint.h5'}"
             )
+
+    def foretell(self, forecast: Forecast) -> None:
+        """Say how long the run takes, and say it again where it turns out otherwise."""
+        if self.rehearsal:
+            self.forecast, self.request.told = forecast, True
+        elif self.forecast is None:
+            self.forecast = forecast
+            self.plan["predicted_seconds"] = forecast.seconds
+            self.plan["predicted_seconds_range"] = [forecast.least, forecast.most]
+            self.screen.forecast(forecast)
+        elif not self.forecast.least <= forecast.seconds <= self.forecast.most:
+            self.forecast = forecast
+            self.screen.forecast(forecast, again=True)
 
     def report(self) -> dict[str, Any]:
         """One row of diagnostics.csv: the state, and what happened since the row before."""

@@ -1,4 +1,7 @@
-"""What a scene will do and what it will not, before it runs: effects, ghosts, memory, output, advice on the step."""
+"""What a scene will do and what it will not, before it runs: effects, ghosts, memory, output, advice on the step.
+
+How long it takes is told by `forecast`, from its first steps.
+"""
 
 from __future__ import annotations
 
@@ -9,18 +12,6 @@ import numpy as np
 from particles_mpi.particles import Particles
 from particles_mpi.scene import Scene, effect_names
 
-# Nanoseconds a particle and step on one core of a present laptop, to tell a minute from a day; measured on the shipped scenes.
-COST = {
-    "uniform_gravity": 4.0,
-    "user_acceleration": 8.0,
-    "drag": 4.0,
-    "friction": 25.0,
-    "walls": 8.0,
-    "collisions": 90.0,
-}
-DRIFT = 3.0
-FORCES = {"leapfrog": 1, "taylor": 1, "order4": 6, "adaptive": 40}  # evaluations a step; those of the adaptive one vary
-
 
 def plan(scene: Scene, particles: Particles, total: int, ranks: int) -> dict[str, Any]:
     """The plan as plain data: for the screen, and for `run.json`. `particles`: some or all of the `total`."""
@@ -30,17 +21,15 @@ def plan(scene: Scene, particles: Particles, total: int, ranks: int) -> dict[str
     runs = []
     for name, options in scene.effects.items():
         effect = import_module(f"particles_mpi.effects.{name}").Effect
-        row = {"effect": name, "role": effect.role, "law": effect.formula, "ns_per_particle_step": COST.get(name, 10.0)}
+        row = {"effect": name, "role": effect.role, "law": effect.formula}
         if hasattr(options, "choice"):
-            choice = options.choice(scene, total)
-            row |= {"ns_per_particle_step": choice.cost * FORCES[scene.time.integrator], "how": choice.words}
+            row["how"] = options.choice(scene, total).words
         runs.append(row)
     pairs = "collisions" in scene.effects
     event = pairs and scene.effects["collisions"].mode == "event"
     row_bytes = sum(column.nbytes for column in particles.arrays.values()) / max(n, 1)
     frame = 8 * (3 + 3 + 3) + 8
     frames = scene.steps // scene.output.every + 1
-    seconds = scene.steps * total * (DRIFT + sum(r["ns_per_particle_step"] for r in runs)) * 1e-9 / min(ranks, 2)
     return {
         "particles": total,
         "fixed": int(np.count_nonzero(particles.fixed)),
@@ -55,7 +44,8 @@ def plan(scene: Scene, particles: Particles, total: int, ranks: int) -> dict[str
         "memory_bytes": int(total * (row_bytes + (350 if pairs else 50))),
         "frames": frames,
         "output_bytes": int(frames * total * frame * len(scene.output.formats)),
-        "predicted_seconds": seconds,
+        "predicted_seconds": None,  # of the loop, and between which two: known after the first steps
+        "predicted_seconds_range": None,
         "advice": advice(scene, particles),
     }
 
@@ -100,8 +90,8 @@ def size(count: float) -> str:
 
 def duration(seconds: float) -> str:
     """Seconds for people."""
-    if seconds < 1.0:
-        return "under a second"
+    if seconds < 10.0:
+        return f"{seconds:.2g} s" if seconds >= 0.01 else "0.01 s"
     if seconds < 120.0:
         return f"{seconds:.0f} s"
     if seconds < 7200.0:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from math import floor, log10
 
 import numpy as np
@@ -19,12 +19,11 @@ MOST_CROSSINGS = 1e4  # of the box in a step
 TOUCH = 1e-12  # relative overlap that still counts as touching
 
 
-def listed(names: Iterable[object], what: str = "particle") -> str:
+def listed(names: Sequence[object] | Array, what: str = "particle") -> str:
     """ "particle 3", "particles 3 and 7", "particles 0, 1, 2, 3, 4 and 12 more"."""
-    texts = [str(n) for n in names]
-    more = len(texts) - SHOWN
-    parts = [*texts[:SHOWN], f"{more} more"] if more > 0 else texts
-    return f"{what}{'s' if len(texts) > 1 else ''} " + (
+    parts, more = [str(n) for n in names[:SHOWN]], len(names) - SHOWN
+    parts += [f"{more} more"] if more > 0 else []
+    return f"{what}{'s' if len(names) > 1 else ''} " + (
         parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
     )
 
@@ -46,7 +45,54 @@ def check_start(scene: Scene, particles: Particles, room: Room | None, before: i
         if not faults:
             more_faults, more_warnings = check_overlaps(scene, particles, room, before)
             faults, warnings = faults + more_faults, warnings + more_warnings
-    return faults, warnings
+    return faults, warnings + endless_falls(scene, particles) + coincident(scene, particles)
+
+
+def endless_falls(scene: Scene, particles: Particles) -> list[str]:
+    """Warnings of forces with a component along a periodic axis: their work has no potential, for each turn takes more of it."""
+    axes = np.flatnonzero(scene.periodic)
+    drawn: list[tuple[str, Array]] = []
+    if "uniform_gravity" in scene.effects:
+        along = np.array(scene.effects["uniform_gravity"].acceleration)[axes] != 0.0
+        drawn += [("uniform_gravity.acceleration: not zero", along)]
+    if "user_acceleration" in scene.effects:
+        pushed = (particles["acceleration"][:, axes] != 0.0) & (particles.fixed == 0)[:, None]
+        who = particles.id[pushed.any(axis=1)]
+        drawn += [(f"user_acceleration: not zero for {listed(who)}", pushed.any(axis=0))] if len(who) else []
+    return [
+        f"effects.{what} along periodic {'axis' if along.sum() == 1 else 'axes'} {' and '.join(map(str, axes[along]))}:"
+        " there is no potential energy along an axis without an end; potential and total_energy will be nan"
+        for what, along in drawn
+        if along.any()
+    ]
+
+
+def coincident(scene: Scene, particles: Particles) -> list[str]:
+    """A warning of bodies at the same place that attract one another without softening: the law has no value there."""
+    gravity = scene.effects.get("mutual_gravity")
+    if gravity is None or gravity.softening > 0.0 or (scene.G if gravity.G is None else gravity.G) == 0.0:
+        return []
+    x = particles.position
+    order = np.argsort(x[:, 0], kind="stable")
+    equal = x[order[1:], 0] == x[order[:-1], 0]
+    shared = np.append(equal, False) | np.append(False, equal)  # with a neighbour in this order
+    rows = order[shared[: len(order)]]  # few or none, but for a lattice
+    rows = rows[np.lexsort((particles.id[rows], *x[rows].T))]
+    parted = (x[rows[1:]] != x[rows[:-1]]).any(axis=1)
+    begins = np.flatnonzero(np.append(True, parted)[: len(rows)])  # of those at one place
+    if not len(begins):
+        return []
+    active = np.maximum.reduceat(particles.fixed[rows] == 0, begins) & np.maximum.reduceat(particles.mass[rows] > 0.0, begins)
+    met = ~parted & np.repeat(active, np.diff(np.append(begins, len(rows))))[1:]
+    if not met.any():
+        return []
+    first, second = particles.id[rows[:-1][met]], particles.id[rows[1:][met]]
+    order = np.argsort(first)
+    pairs = pair_names(first[order], second[order])
+    return [
+        f"effects.mutual_gravity: {listed(pairs, 'pair')} {'are' if len(pairs) > 1 else 'is'} at the same place at the start:"
+        " no force acts between the two; move one, or give a softening"
+    ]
 
 
 def check_places(scene: Scene, particles: Particles, room: Room | None) -> list[str]:

@@ -20,8 +20,14 @@ RATES = {"collisions": "#5b3f8c", "wall_hits": "#3a9d6e", "missed": "#e08e1b"}
 
 
 def plot_energy(axes: Axes, rows: dict[str, np.ndarray]) -> None:
-    """Kinetic, potential and total energy; the change of the total, relative to the largest energy there was."""
+    """Kinetic, potential and total energy; the change of the total, relative to the largest energy there was.
+
+    A run with a force along a periodic axis has the kinetic energy alone.
+    """
     axes.plot(rows["time"], rows["kinetic"], color="#d1495b", label="kinetic")
+    if not np.isfinite(rows["total_energy"]).all():
+        axes.set_title("kinetic energy   (a force along a periodic axis has no potential)", loc="left")
+        return
     axes.plot(rows["time"], rows["potential"], color="#2e86ab", label="potential")
     axes.plot(rows["time"], rows["total_energy"], color="#222222", ls="--", label="total")
     total = rows["total_energy"]

@@ -1,5 +1,7 @@
 """The user's own acceleration of each particle: dv/dt = a_i, constant in time unless the user changes the field."""
 
+import numpy as np
+
 from particles_mpi.particles import Array, Particles, row_dot
 from particles_mpi.scene import EffectOptions, Scene
 
@@ -17,12 +19,17 @@ class Effect:
     constant = False  # the field is the user's to change between steps
 
     def __init__(self, options: Options, scene: Scene):
-        pass
+        self.periodic = np.array(scene.periodic)
 
     def add(self, particles: Particles, acceleration: Array) -> None:
         """acceleration (n, d) += a_i."""
         acceleration += particles["acceleration"]
 
     def potential(self, particles: Particles) -> Array:
-        """-m a_i.x of each particle, shape (n,): a constant acceleration is conservative."""
-        return -particles.mass * row_dot(particles.position, particles["acceleration"])
+        """-m a_i.x of each particle, shape (n,): a constant acceleration is conservative, but for one along a periodic axis.
+
+        That gives its particle more energy at each turn, so that its potential is not a number.
+        """
+        a = particles["acceleration"]
+        energy = -particles.mass * row_dot(particles.position, a)
+        return np.where((a[:, self.periodic] != 0.0).any(axis=1), np.nan, energy)

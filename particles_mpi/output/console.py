@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from math import isfinite
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from particles_mpi.plan import duration, size
+from particles_mpi.forecast import Forecast
+from particles_mpi.plan import size
 
 PHASES = {
     "forces": "sum of forces",
@@ -43,6 +45,7 @@ def watched() -> bool:
         return False
 
 
+LEAST = 0.05  # of a step: phases that take less are not told beforehand
 WIDE = 200  # columns of a table that no terminal cuts
 
 
@@ -73,21 +76,31 @@ class Screen:
         say(f"[bold]{title or 'untitled scene'}[/bold]: {plan['particles']} particles ({plan['fixed']} fixed) in dimension "
             f"{plan['dimension']}, {plan['steps']} steps of {plan['step']:g}, "
             f"{plan['integrator']}, {plan['ranks']} rank(s)")  # fmt: skip
-        table = Table("runs", "law", "about ns a particle-step", box=None, padding=(0, 2, 0, 2))
+        table = Table("runs", "law", box=None, padding=(0, 2, 0, 2))
         for row in plan["effects"]:
-            table.add_row(row["effect"], row["law"], f"{row['ns_per_particle_step']:.0f}")
+            table.add_row(row["effect"], row["law"])
             if "how" in row:
-                table.add_row("", row["how"], "")
-        table.add_row("drift", "dx/dt = v", "3")
+                table.add_row("", row["how"])
+        table.add_row("drift", "dx/dt = v")
         say(table)
         say(f"  does not run: {', '.join(plan['not_run']) or 'nothing left out'}")
-        seconds = plan["predicted_seconds"]
         say(f"  ghosts: {plan['ghosts']}; memory about {size(plan['memory_bytes'])}; output {plan['frames']} frames, about "
-            f"{size(plan['output_bytes'])}{'' if seconds is None else f'; about {duration(seconds)}'}")  # fmt: skip
+            f"{size(plan['output_bytes'])}")  # fmt: skip
         for line in plan["advice"]:
             say(f"  step: {line}")
         for line in warnings:
             say(f"  [yellow]warning:[/yellow] {line}")
+
+    def forecast(self, forecast: Forecast, again: bool = False) -> None:
+        """How long a run takes; `again` if that was told before, and turns out otherwise."""
+        self.say(f"  predicted{' now' if again else ''}: {forecast}")
+
+    def shares(self, forecast: Forecast) -> None:
+        """What a step consists of, the dearest phases first."""
+        total = sum(forecast.phases.values())
+        shares = sorted(((s / total, name) for name, s in forecast.phases.items() if s >= LEAST * total > 0.0), reverse=True)
+        if shares:
+            self.say(f"  of a step: {', '.join(f'{PHASES.get(name, name)} {share:.0%}' for share, name in shares)}")
 
     def start(self, done: int, steps: int) -> Callable[[int, dict[str, Any]], None]:
         """Begin the progress bar; returns what to call with (steps done, last row of diagnostics)."""
@@ -105,7 +118,10 @@ class Screen:
             assert self.progress
             speed = self.progress.tasks[0].speed
             rate = f"{speed:.0f} steps/s" if speed else ""
-            state = f"E {row['total_energy']:.6g}  collisions {row['collisions_so_far']}" if row else ""
+            name, energy = ("E", row["total_energy"]) if row else ("", 0.0)
+            if not isfinite(energy):  # a force along a periodic axis
+                name, energy = "kinetic E", row["kinetic"]
+            state = f"{name} {energy:.6g}  collisions {row['collisions_so_far']}" if row else ""
             self.progress.update(task, completed=step, rate=rate, state=state)
 
         return update

@@ -1,29 +1,34 @@
-"""What a scene will cost and how wrong it will be, before it runs: from some of its steps, timed, and from a short run three
-times over, at steps of h, h/2 and h/4. Takes about two seconds."""
+"""What a scene will cost and how wrong it will be, before it runs: its first half second is tried, output and all, and a short
+run three times over, at steps of h, h/2 and h/4. Takes about two seconds."""
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
-from math import gamma, isfinite, log2, nan, pi
-from time import perf_counter
+from math import gamma, isfinite, log2, pi
+from pathlib import Path
+from shutil import rmtree
+from tempfile import mkdtemp
 
 import numpy as np
 
 from particles_mpi import Scene
-from particles_mpi.errors import StoppedError
-from particles_mpi.plan import duration
+from particles_mpi.errors import Interrupted, StoppedError
+from particles_mpi.forecast import Forecast
+from particles_mpi.job import Job
+from particles_mpi.output import failing_together
+from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.scene import TOLERANCES
 from particles_mpi.study.reference import motion
 from particles_mpi.study.starts import Start, variant
 from particles_mpi.study.tracks import LOOKS, Track, apart, follow
 from particles_mpi.study.yardstick import ROUND_OFF
 
-PROBE, ERRORS = 0.5, 0.8  # seconds for timing, and for errors, about
-MOST_PROBED = 1000  # steps
-FEWEST = 6  # steps, unless they take long: one that loads a kernel must not decide
-MOST = 3.0  # seconds that errors may take where four steps take long, and FEWEST steps; more is not tried
-OUTLIER = 10.0  # times the median: a step in which something was compiled
+ERRORS = 0.8  # seconds for errors, about
+MOST = 3.0  # seconds that errors may take where steps take long; more is not tried
 LOST = 15.0  # collisions of a particle, after which its place means nothing: round-off has grown to the size of it
 PUBLISHED = 0.063, 10  # of what `rewind` loses, and passes beyond which nothing is known
 KNOWN = 0.1, 0.5  # packings that the fit is good for
@@ -31,47 +36,45 @@ KNOWN = 0.1, 0.5  # packings that the fit is good for
 
 @dataclass
 class Prediction:
-    """Seconds of a step, over how many it was measured; errors in `lines`, for people."""
+    """How long a run takes, unless nothing happens in it or it stops at once; and lines for people of how wrong it will be."""
 
-    step: float
-    timed: int
-    seconds: float
-    lines: list[str]
+    forecast: Forecast | None
+    errors: list[str]
 
 
 def predict(start: Start) -> Prediction:
-    """Probe a scene on these ranks. Collective; the same on all of them."""
+    """Try a scene on these ranks. Collective; the same on all of them."""
     scene, ranks = start.scene, start.lab.ranks
     if not start.total or not scene.steps:
-        return Prediction(0.0, 0, 0.0, ["predicted: nothing happens"])
+        return Prediction(None, ["predicted: nothing happens"])
     try:
-        step, timed, rate = probe(start)
-        total = duration(scene.steps * step) if scene.steps * step >= 1.0 else f"{scene.steps * step:.1g} s"
-        lines = [
-            f"predicted: {total} on {ranks.size} rank{'s' if ranks.size > 1 else ''}, output not counted"
-            f" ({step * 1e3:.3g} ms a step, measured over {timed} step{'s' if timed > 1 else ''} at the start)"
-        ]
-        lines += of_contacts(start, rate) if "collisions" in scene.effects else of_steps(start, step)
+        sim = start.simulate(scene)
+        with scratch(ranks) as folder:
+            job = Job(sim, folder, rehearsal=True)
+            job.run()
+        forecast: Forecast | None = ranks.from_root(job.forecast)
+        if forecast is None:
+            raise Interrupted("stopped before anything could be predicted")
+        rate = 2.0 * int(ranks.total(sim.totals["collisions"])[0]) / (max(int((start.particles.fixed == 0).sum()), 1) * sim.time)
+        errors = of_contacts(start, rate) if "collisions" in scene.effects else of_steps(start, forecast.step)
     except StoppedError as error:
-        return Prediction(nan, 0, nan, [f"predicted: stops within the first steps: {str(error).splitlines()[0]}"])
-    return Prediction(step, timed, scene.steps * step, lines)
+        return Prediction(None, [f"predicted: stops within the first steps: {str(error).splitlines()[0]}"])
+    return Prediction(forecast, errors)
 
 
-def probe(start: Start) -> tuple[float, int, float]:
-    """(seconds of a step on the slowest rank, steps timed, collisions of a particle in unit time). Collective."""
-    sim = start.simulate(start.scene)
-    ranks, spent = sim.ranks, 0.0
-    took: list[float] = []
-    while (spent < PROBE or (len(took) < FEWEST and spent < MOST)) and len(took) < min(MOST_PROBED, start.scene.steps):
-        began = perf_counter()
-        sim.step()
-        took.append(float(ranks.largest(perf_counter() - began)[0]))
-        spent += took[-1] if len(took) > 1 else 0.0  # kernels are loaded, or even compiled, in the first one
-    later = np.array(took[1:] or took)
-    usual = later[later <= OUTLIER * np.median(later)]
-    movable = int((start.particles.fixed == 0).sum())
-    collisions = int(ranks.total(sim.totals["collisions"])[0])
-    return float(usual.mean()), len(usual), 2.0 * collisions / (max(movable, 1) * sim.time)
+@contextmanager
+def scratch(ranks: Ranks) -> Iterator[Path]:
+    """A folder that is gone afterwards; where runs write theirs, if one may, for disks differ in speed. Collective."""
+    path = ""
+    with failing_together(ranks, "cannot write into the working directory"):
+        if ranks.is_root:
+            path = mkdtemp(prefix=".check-", dir=Path.cwd() if os.access(Path.cwd(), os.W_OK) else None)
+    folder = Path(ranks.from_root(path))
+    try:
+        yield folder
+    finally:
+        if ranks.is_root:
+            rmtree(folder, ignore_errors=True)
 
 
 def lost(rate: float, step: float, packing: float, passes: int) -> float:

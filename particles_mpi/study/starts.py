@@ -11,7 +11,7 @@ from particles_mpi.errors import SceneError
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import ALWAYS, FIELDS, Array, Particles, shape
 from particles_mpi.populate import effect_class, fields_of, populate, room_of
-from particles_mpi.start_checks import check_start, periodic_length
+from particles_mpi.start_checks import check_start, endless_falls, periodic_length
 from particles_mpi.study.lab import Lab
 
 DIRECT: dict[str, Any] = {"method": "direct", "opening_angle": None, "accuracy": None, "multipole": None}  # sum of forces
@@ -51,7 +51,7 @@ class Start:
         self.dissipates = bool({"drag", "friction"} & effects.keys())
         self.forces = [name for name, effect in effects.items() if effect.role == "force"]
         lossy = [name for name, effect in effects.items() if getattr(effect(scene.effects[name], scene), "lossy", False)]
-        self.conserves = not self.dissipates and not lossy
+        self.conserves = not self.dissipates and not lossy and not endless_falls(scene, self.particles)
         self.duration = scene.steps * scene.time.step
 
     @property

@@ -1,0 +1,113 @@
+"""Scenes that run, but not as one may think: what is said of them at the start, and that no figure means less than it says."""
+
+import csv
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from particles_mpi import Scene, Simulation
+from particles_mpi.particles import Particles
+from particles_mpi.start_checks import coincident
+
+AXES = st.lists(st.booleans(), min_size=3, max_size=3)
+PULL = st.lists(st.sampled_from([0.0, -2.0, 0.5]), min_size=3, max_size=3)
+
+
+def falling(periodic, uniform=None, own=None, **population):
+    """Three particles in a box of ten turns, ten steps: on a periodic axis with a force some turn round."""
+    effects = {} if uniform is None else {"uniform_gravity": {"acceleration": uniform}}
+    more = {} if own is None else {"acceleration": own}
+    effects |= {} if own is None else {"user_acceleration": {}}
+    places = [[0.1, 0.2, 0.3], [0.5, 0.5, 0.5], [0.9, 0.9, 0.1]]
+    return Scene(
+        dimension=3,
+        box={"lower": [0.0] * 3, "upper": [1.0] * 3, "periodic": periodic},
+        time={"step": 0.25, "steps": 10},
+        particles=[{"position": places, "velocity": [1.0, -2.0, 3.0], "mass": 2.0, **more, **population}],
+        effects=effects,
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(periodic=AXES, uniform=st.none() | PULL, own=st.none() | st.lists(PULL, min_size=3, max_size=3))
+def test_an_energy_is_kept_or_not_told(periodic, uniform, own):
+    """A constant force keeps kinetic + potential exactly; along a periodic axis there is no potential, which is said by key."""
+    sim = Simulation(falling(periodic, uniform, own))
+    uniform_turns = any(g and p for g, p in zip(uniform or [0.0] * 3, periodic, strict=True))
+    turning = [k for k, a in enumerate(own or []) if any(x and p for x, p in zip(a, periodic, strict=True))]
+    keys = [warning.split(":")[0].split(".")[1] for warning in sim.warnings]
+    assert keys == ["uniform_gravity"] * uniform_turns + ["user_acceleration"] * bool(turning)
+    assert all(str(k) in sim.warnings[-1].split("along")[0] for k in turning)
+    before = sim.measure()
+    sim.run()
+    after = sim.measure()
+    assert np.isfinite([after["kinetic"], after["momentum_x"], after["max_speed"]]).all()
+    for name in ("potential", "total_energy"):
+        assert np.isnan([before[name], after[name]]).all() == bool(sim.warnings)
+    if not sim.warnings:
+        assert after["total_energy"] == pytest.approx(before["total_energy"], rel=1e-12, abs=1e-11)
+
+
+def test_a_pull_that_comes_later_counts_and_one_on_fixed_particles_does_not():
+    sim = Simulation(falling([True, False, False], own=[0.0, 1.0, 0.0]))
+    sim.step()
+    assert not sim.warnings and np.isfinite(sim.measure()["total_energy"])
+    sim.particles["acceleration"][1, 0] = 0.5
+    assert np.isnan(sim.measure()["total_energy"])
+    still = Simulation(falling([True, False, False], own=[1.0, 0.0, 0.0], fixed=True, velocity=[0.0] * 3))
+    assert not still.warnings and still.measure()["total_energy"] == 0.0
+
+
+def test_a_run_without_a_potential_is_written_resumed_and_drawn(tmp_path):
+    sim = Simulation(falling(True, [0.0, 0.0, -2.0]))
+    sim.scene.output.diagnostics_every = sim.scene.output.checkpoint_every = 5
+    sim.run(tmp_path / "o", steps=5)
+    Simulation.resume(tmp_path / "o" / "checkpoint.h5").run(tmp_path / "o", resumed=True)
+    rows = list(csv.DictReader((tmp_path / "o" / "diagnostics.csv").read_text().splitlines()))
+    assert [(row["step"], row["potential"], row["total_energy"]) for row in rows] == [(k, "nan", "nan") for k in ("0", "5", "10")]
+    script = Path(__file__).parents[2] / "python_viz" / "plot_diagnostics.py"
+    subprocess.run([sys.executable, script, tmp_path / "o", "--save", tmp_path / "p.png"], check=True, timeout=100)
+    assert (tmp_path / "p.png").stat().st_size > 20_000
+
+
+BODY = st.tuples(st.sampled_from([(0.0, 0.0), (-0.0, 0.0), (0.0, 1.0), (1.0, 0.0)]), st.sampled_from([0.0, 1.0]), st.booleans())
+
+
+@settings(max_examples=80, deadline=None)
+@given(st.lists(BODY, max_size=7))
+def test_bodies_at_one_place_without_softening_are_named(bodies):
+    """Against all pairs: whoever shares a place with another that could pull or be pulled."""
+    scene = Scene(
+        dimension=2,
+        G=1.0,
+        time={"step": 0.1, "steps": 1},
+        particles=[{"position": [list(x)], "mass": m, "fixed": f} for x, m, f in bodies] or [{"position": [[0.0, 0.0]]}],
+        effects={"mutual_gravity": {}},
+    )
+    apart = {x: [k for k, body in enumerate(bodies) if body[0] == x] for x, _, _ in bodies}
+    groups = [g for g in apart.values() if len(g) > 1 and any(bodies[k][1] for k in g) and not all(bodies[k][2] for k in g)]
+    expected = sorted(f"{i}-{j}" for g in groups for i, j in pairwise(g))
+    warnings = Simulation(scene).warnings
+    named = sorted(word.strip(",") for word in " ".join(warnings).split() if word.replace("-", "").strip(",").isdigit())
+    assert named == expected or (len(expected) > 5 and "1 more" in warnings[0])
+    assert all(warning.startswith("effects.mutual_gravity: pair") for warning in warnings)
+    softened = scene.to_dict()
+    softened["effects"]["mutual_gravity"]["softening"] = 0.1
+    assert not Simulation(Scene.from_dict(softened)).warnings
+
+
+def test_a_lattice_is_searched_without_comparing_all_pairs():
+    """Of 100 000 rows of which all share each coordinate with hundreds; 1e10 pairs would take minutes."""
+    n = 100_000
+    grid = np.stack(np.unravel_index(np.arange(n), (50, 50, 40)), axis=1).astype(float)
+    grid[n // 2] = grid[3]
+    scene = Scene(dimension=3, G=1.0, time={"step": 0.1, "steps": 1}, particles=[], effects={"mutual_gravity": {}})
+    arrays = {"id": np.arange(n), "position": grid, "mass": np.ones(n), "fixed": np.zeros(n, np.uint8)}
+    (warning,) = coincident(scene, Particles(3, arrays))
+    assert f"pair 3-{n // 2} is at the same place" in warning
