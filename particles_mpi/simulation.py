@@ -14,6 +14,7 @@ from particles_mpi import state
 from particles_mpi.diagnostics import measure
 from particles_mpi.errors import SceneError, StateError
 from particles_mpi.integrators import Integrator, Leapfrog, Order4, Taylor, free_drift, places_of, wrap
+from particles_mpi.parallel.agreement import alike, same_on_all
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, Array, Particles
 from particles_mpi.populate import populate
@@ -46,8 +47,12 @@ class Simulation:
 
     def __init__(self, scene: Scene, comm: Any = None, start: Particles | None = None):
         """`start`: all particles in id order on every rank, with the fields that the scene needs, instead of its own."""
-        particles, self.warnings = populate(scene) if start is None else (start, [])
-        self._assemble(scene, Ranks(comm), particles)
+        ranks = Ranks(comm)
+        with alike(ranks):
+            particles, self.warnings = populate(scene) if start is None else (start, [])
+        same_on_all(ranks, scene.to_dict(), particles.arrays)
+        with alike(ranks):
+            self._assemble(scene, ranks, particles)
 
     def _assemble(self, scene: Scene, ranks: Ranks, everyone: Particles) -> None:
         """Build the run around all particles (in id order on every rank), of which this rank keeps its share."""
@@ -293,12 +298,12 @@ class Simulation:
         """The run that wrote the checkpoint, where it stood, on any number of ranks; the same bits from there on."""
         from particles_mpi.output.checkpoint import load
 
-        arrays, saved = load(Path(path))
-        scene = Scene.from_dict(json.loads(saved["scene"]))
-        about = {name: json.loads(saved[name]) for name in ("moment", "observed", "totals", "kept")} | {
-            "step": int(saved["step"])
-        }
-        sim = cls._restored(scene, Ranks(comm), Particles(scene.dimension, arrays), about)
+        ranks = Ranks(comm)
+        with alike(ranks):
+            arrays, saved = load(Path(path))
+            about = {name: json.loads(saved[name]) for name in ("moment", "observed", "totals", "kept", "scene")}
+            about["step"] = int(saved["step"])
+        sim = cls._read(ranks, arrays, about)
         sim.reported, sim.written = json.loads(saved["reported"]), json.loads(saved["written"])
         return sim
 
@@ -345,9 +350,18 @@ class Simulation:
     @classmethod
     def from_json(cls, path: str | Path, comm: Any = None) -> Simulation:
         """What `to_json` saved, on any number of ranks."""
-        arrays, about = state.load_json(Path(path))
-        scene = Scene.from_dict(about["scene"])
-        return cls._restored(scene, Ranks(comm), Particles(scene.dimension, arrays), about)
+        ranks = Ranks(comm)
+        with alike(ranks):
+            arrays, about = state.load_json(Path(path))
+        return cls._read(ranks, arrays, about)
+
+    @classmethod
+    def _read(cls, ranks: Ranks, arrays: dict[str, Array], about: dict[str, Any]) -> Simulation:
+        """The simulation of a state that every rank has read from a file: it must be the same on all."""
+        same_on_all(ranks, about, arrays)
+        with alike(ranks):
+            scene = Scene.from_dict(about["scene"])
+            return cls._restored(scene, ranks, Particles(scene.dimension, arrays), about)
 
     def __eq__(self, other: object) -> bool:
         """The same scene, time and particles, to the bit. Collective."""
