@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter, sleep
 from types import TracebackType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from mpi4py import MPI
@@ -34,7 +34,14 @@ LENGTH = 2000  # characters of a message between ranks that fail: short ones are
 SHORT = 60  # characters of a value that a line repeats
 PACKAGE = Path(__file__).parents[1]
 
-Notice = tuple[int, str, bool]  # exit code, text, is the text a traceback
+
+class Notice(NamedTuple):
+    """What a rank has to say of its end; `shared`: an error that ranks share, after which files and MPI can be closed."""
+
+    code: int
+    text: str
+    shared: bool = False
+    trace: bool = False  # is the text a traceback?
 
 
 @contextmanager
@@ -152,23 +159,22 @@ def _await(request: MPI.Request, error: Exception | None) -> None:
 
 
 def end_together(error: BaseException, whole: bool = False) -> int:
-    """Say what ended this rank, and end all. Returns the exit code if all ranks came here, otherwise does not return.
+    """Say what ended this rank, and end all. Returns the exit code if all ranks share the error, otherwise does not return.
 
     One line, or one a fault of a scene; with `whole` a traceback for what nobody expected. Where several ranks fail within
     PATIENCE, only the lowest speaks.
     """
     comm, notice = MPI.COMM_WORLD, _notice(error, whole)
     found = {0: notice} if comm.Get_size() == 1 else _notices(comm, notice)
-    lowest, together = min(found), len(found) == comm.Get_size()
-    code = found[lowest][0]
+    lowest, complete = min(found), len(found) == comm.Get_size()
+    code = found[lowest].code
     sys.stdout.flush()
     if comm.Get_rank() == lowest:
-        _, text, trace = notice
-        alone = comm.Get_size() > 1 and not (together and all(other == notice for other in found.values()))
-        before = "" if trace else f"particles-mpi: rank {lowest}: " if alone else "particles-mpi: "
-        sys.stderr.write("".join(f"{before}{line}\n" for line in text.splitlines()))
+        alone = not (complete and all(other.text[:LENGTH] == notice.text[:LENGTH] for other in found.values()))
+        before = "" if notice.trace else f"particles-mpi: rank {lowest}: " if alone else "particles-mpi: "
+        sys.stderr.write("".join(f"{before}{line}\n" for line in notice.text.splitlines()))
         sys.stderr.flush()
-    if not together:
+    if comm.Get_size() > 1 and not (complete and all(other.shared for other in found.values())):
         if comm.Get_rank() != lowest:
             sleep(PATIENCE)  # the lowest ends all, when it has spoken
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # MPICH would add a line of its own
@@ -179,18 +185,19 @@ def end_together(error: BaseException, whole: bool = False) -> int:
 def _notice(error: BaseException, whole: bool) -> Notice:
     """What a rank has to say of its end."""
     if isinstance(error, SceneError | StoppedError | Interrupted):
-        return error.exit_code, str(error)[:LENGTH], False
+        return Notice(error.exit_code, str(error), shared=True)
     if isinstance(error, KeyboardInterrupt):
-        return Interrupted.exit_code, "interrupted", False
+        return Notice(Interrupted.exit_code, "interrupted")
     if whole:
-        return StoppedError.exit_code, "".join(traceback.format_exception(error)), True
-    return StoppedError.exit_code, unexpected(error)[:LENGTH], False
+        return Notice(StoppedError.exit_code, "".join(traceback.format_exception(error)), trace=True)
+    return Notice(StoppedError.exit_code, unexpected(error))
 
 
 def _notices(comm: MPI.Comm, mine: Notice) -> dict[int, Notice]:
     """What this rank, and others that fail within PATIENCE, have to say, by rank."""
     found = {comm.Get_rank(): mine}
-    sent = [comm.isend((mine[0], mine[1][:LENGTH], mine[2]), p, TAG) for p in range(comm.Get_size()) if p not in found]
+    short = mine._replace(text=mine.text[:LENGTH])
+    sent = [comm.isend(short, p, TAG) for p in range(comm.Get_size()) if p not in found]
     status, end = MPI.Status(), perf_counter() + PATIENCE
     while len(found) < comm.Get_size() and perf_counter() < end:
         if comm.iprobe(tag=TAG, status=status):

@@ -2,8 +2,8 @@
 
 `python particles_mpi/parallel/mpirun.py LAUNCHER ARGUMENTS...`, which the mpirun of .venv/bin does. This process becomes the
 launcher, so that signals, stdin, stdout and the exit code are the launcher's own. Its stderr goes through a process beside it,
-which passes everything on at once, but for paragraphs between two lines of dashes: Open MPI's. Those that tell of an exit code
-or of MPI_Abort are left out; the one about a signal becomes one line; all others pass. No setting of Open MPI does that:
+which passes everything on at once, but for paragraphs between two lines of dashes, and lines that begin with [host:pid]: Open
+MPI's. Those that tell of an exit code or of MPI_Abort are left out; the one about a signal becomes one line; all others pass. No setting of Open MPI does that:
 `orte_execute_quiet` also hides that a rank was killed, or that there is no such program.
 """
 
@@ -22,9 +22,7 @@ KNOWN = re.compile(
     rb"|has exited due to process rank \d+ with PID \d+ on node \S+ (calling \"abort\"|exiting)"
 )
 SIGNAL = re.compile(rb"noticed that process rank (\d+) with PID \d+ on node (\S+) exited on (signal \d+ \([^)]*\))")
-STUMBLED = re.compile(
-    rb"\[[^\]]*\] \[\[[^\]]*\],\d+\] ORTE_ERROR_LOG: [^\n]* in file \S*orte/util/show_help.c at line \d+\n"
-)  # over them
+STUMBLED = re.compile(rb"\[[^\]]*\] \[\[[^\]]*\],\d+\] ORTE_ERROR_LOG: [^\n]* in file \S*orte/util/show_help.c at line \d+\n")
 COUNTED = re.compile(rb"\[[^\]]*\] \d+ more process(es)? ha(s|ve) sent help message help-mpi-api.txt / mpi-abort\n")
 ADVICE = re.compile(rb"\[[^\]]*\] Set MCA parameter \"orte_base_help_aggregate\" to 0 to see all help / error messages\n")
 
@@ -48,6 +46,12 @@ class Filter:
                     break
                 passed += self.paragraph(data[: end + len(RULE)])
                 data = data[end + len(RULE) :]
+                continue
+            if self.at_start and data[:1] == b"[" and not re.search(rb"[\r\n]", data):  # "[host:pid] ..." has to be seen whole
+                self.held = data
+                break
+            if self.at_start and data[:1] == b"\0":  # behind a paragraph of Open MPI 5
+                data = data[1:]
                 continue
             line, newline, data = data.partition(b"\n")
             passed += self.line(line + newline)

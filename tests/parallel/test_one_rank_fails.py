@@ -5,7 +5,6 @@ import os
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 from conftest import MPI_ENVIRONMENT, ROOT, run_ranks
@@ -91,9 +90,8 @@ def test_a_scene_that_is_missing_on_one_rank(scene, tmp_path, rank):
 
 
 def test_arguments_that_differ(scene, tmp_path):
-    code, said = start(
-        *(["-m", "particles_mpi", "run", scene, "--output", tmp_path / "o", *w] for w in (["--quiet"], ["--help"]))
-    )
+    program = ["-m", "particles_mpi", "run", scene, "--output", tmp_path / "o"]
+    code, said = start([*program, "--quiet"], [*program, "--help"])
     assert code == 2 and said.startswith("particles-mpi: rank 1: arguments: ") and said.count("\n") == 1, said
     assert not (tmp_path / "o").exists()
 
@@ -128,3 +126,47 @@ def test_a_rank_that_is_killed_is_told_in_one_line(scene, tmp_path):
     code, said, seconds = with_fault(tmp_path, fault, 1, "run", scene, "--output", tmp_path / "o", "--quiet")
     assert code == 137 and said.count("\n") == 1 and said.startswith("mpirun: rank 1 on ") and "signal 9" in said, said
     assert seconds < WITHIN
+
+
+def test_a_script_that_nobody_catches_errors_in(tmp_path):
+    """A SceneError of one rank is a line, and what nobody expected one traceback, of the lowest of the ranks that fail."""
+    text = "import sys\nfrom particles_mpi import Scene, Simulation\nfrom mpi4py import MPI\n"
+    one, both = tmp_path / "one.py", tmp_path / "both.py"
+    one.write_text(text + "if MPI.COMM_WORLD.rank:\n    Scene.load('none.toml')\nMPI.COMM_WORLD.Barrier()\n")
+    both.write_text(text + "1 / 0\n")
+    done = run_ranks(2, one)
+    assert done.returncode == 2
+    assert done.stderr == "particles-mpi: rank 1: none.toml: cannot be read (No such file or directory)\n"
+    done = run_ranks(2, both)
+    assert done.returncode == 3 and done.stderr.count("Traceback") == 1
+    assert done.stderr.endswith("ZeroDivisionError: division by zero\n")
+
+
+RULE = "-" * 74 + "\n"
+EXITED = (
+    f"{RULE}Primary job  terminated normally, but 1 process returned\na non-zero exit code. Per user-direction, the job has been"
+    f" aborted.\n{RULE}{RULE}mpirun detected that one or more processes exited with non-zero status, thus causing\nthe job to be"
+    f" terminated. The first process to do so was:\n\n  Process name: [[1,1],1]\n  Exit code:    2\n{RULE}"
+)
+ABORTED = (
+    f"{RULE}MPI_ABORT was invoked on rank 1 in communicator MPI_COMM_WORLD\n  Proc: [[13718,1],1]\n  Errorcode: 3\n{RULE}"
+    "[vm:7] 1 more process has sent help message help-mpi-api.txt / mpi-abort\n"
+    '[vm:7] Set MCA parameter "orte_base_help_aggregate" to 0 to see all help / error messages\n'
+)
+KILLED = f"{RULE}prterun noticed that process rank 1 with PID 8 on node vm exited on\nsignal 9 (Killed).\n{RULE}"
+MISSING = f"{RULE}mpirun was unable to find the specified executable file, and therefore\ndid not launch the job.\n{RULE}"
+OWN = "a line\n---- not a rule\nprogress 10 %\r" + "-" * 74 + " nor this\n" + "-" * 80 + "\n"
+
+
+@pytest.mark.parametrize("chunk", [1, 7, 74, 75, 10**6])
+def test_the_paragraphs_of_the_launcher_are_left_out_and_nothing_else(chunk):
+    said, passing = (OWN + EXITED + OWN + ABORTED + KILLED + MISSING + OWN + "no end").encode(), Filter()
+    passed = b"".join(passing.feed(said[k : k + chunk]) for k in range(0, len(said), chunk)) + passing.rest()
+    assert passed.decode() == f"{OWN}{OWN}mpirun: rank 1 on vm was ended by signal 9 (Killed)\n{MISSING}{OWN}no end"
+
+
+def test_what_cannot_be_a_paragraph_passes_at_once():
+    passing = Filter()
+    for text in (b"par", b"t of a line", b"\n", b"--\n", b"-" * 75, b"\n", b"x"):
+        assert passing.feed(text) == text
+    assert passing.feed(b"\n---") == b"\n" and passing.feed(b"x") == b"---x"
