@@ -2,9 +2,9 @@
 
 `python particles_mpi/parallel/mpirun.py LAUNCHER ARGUMENTS...`, which the mpirun of .venv/bin does. This process becomes the
 launcher, so that signals, stdin, stdout and the exit code are the launcher's own. Its stderr goes through a process beside it,
-which passes everything on at once, but for paragraphs between two lines of dashes, and lines that begin with [host:pid]: Open
-MPI's. Those that tell of an exit code or of MPI_Abort are left out; the one about a signal becomes one line; all others pass. No setting of Open MPI does that:
-`orte_execute_quiet` also hides that a rank was killed, or that there is no such program.
+which passes everything on at once, but for paragraphs between two lines of dashes, and lines that begin with [host:pid]: those
+are Open MPI's. The ones that tell of an exit code or of MPI_Abort are left out, the one about a signal becomes one line, all
+others pass. No setting does that: `orte_execute_quiet` also hides that a rank was killed, or that there is no such program.
 """
 
 import os
@@ -14,7 +14,8 @@ import signal
 import sys
 
 RULE = b"-" * 74 + b"\n"
-PATIENCE = 0.5  # seconds until what looks like the beginning of a paragraph passes, if it does not end
+PATIENCE = 0.5  # seconds until what looks like the beginning of a paragraph passes, if nothing follows
+LONGEST = 4000  # bytes of a paragraph; what is longer is none
 KNOWN = re.compile(
     rb"Primary job +terminated normally, but \d+ process"
     rb"|detected that one or more processes exited with non-zero status"
@@ -40,13 +41,14 @@ class Filter:
         data, self.held, passed = self.held + data, b"", b""
         while data:
             if self.at_start and (RULE.startswith(data) or data.startswith(RULE)):
-                end = data.find(RULE, len(RULE))
-                if end < 0:
+                inner, rule, rest = data[len(RULE) - 1 :].partition(b"\n" + RULE)
+                if rule:
+                    passed += self.paragraph(RULE[:-1] + inner + rule)
+                    data = rest
+                    continue
+                if len(data) < LONGEST:
                     self.held = data
                     break
-                passed += self.paragraph(data[: end + len(RULE)])
-                data = data[end + len(RULE) :]
-                continue
             if self.at_start and data[:1] == b"[" and not re.search(rb"[\r\n]", data):  # "[host:pid] ..." has to be seen whole
                 self.held = data
                 break
