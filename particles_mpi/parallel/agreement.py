@@ -93,7 +93,7 @@ def same_on_all(ranks: Ranks, tables: dict[str, Any], arrays: dict[str, Array] |
     """SceneError on all ranks if one has other tables (plain data) or arrays than rank 0: names it, and the keys. Collective."""
     if ranks.size == 1:
         return
-    digest = hashlib.blake2b(json.dumps(tables, sort_keys=True).encode())
+    digest = hashlib.blake2b(json.dumps(tables, sort_keys=True, default=str).encode())
     for name, array in (arrays or {}).items():
         digest.update(f"{name}{array.dtype}{array.shape}".encode())
         digest.update(np.ascontiguousarray(array).data)
@@ -119,7 +119,7 @@ def differing(one: Any, two: Any, key: str = "") -> Iterator[tuple[str, Any, Any
 
 def _beside(one: Any, two: Any) -> str:
     """Two values that differ, if they can be told in a line."""
-    texts = [value if isinstance(value, str) else json.dumps(value) for value in (one, two)]
+    texts = [value if isinstance(value, str) else json.dumps(value, default=str) for value in (one, two)]
     return "not as on rank 0" if max(map(len, texts)) > SHORT else f"{texts[0]}, but {texts[1]} on rank 0"
 
 
