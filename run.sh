@@ -180,7 +180,9 @@ export MKL_NUM_THREADS="${MKL_NUM_THREADS:-1}"
 export NUMBA_NUM_THREADS="${NUMBA_NUM_THREADS:-1}"
 TEXT
   [[ -n $LAUNCHER ]] || return 0
-  printf '#!/bin/sh\n. "%s/mpi.env"\nexec "%s" "$@"\n' "$VENV" "$LAUNCHER" >.venv/bin/mpirun
+  # the launcher, without its paragraphs about ranks that have said themselves why they end
+  printf '#!/bin/sh\n. "%s/mpi.env"\nexec "%s/bin/python" -IS "%s/particles_mpi/parallel/mpirun.py" "%s" "$@"\n' \
+    "$VENV" "$VENV" "$PWD" "$LAUNCHER" >.venv/bin/mpirun
   chmod +x .venv/bin/mpirun
   ln -sf mpirun .venv/bin/mpiexec
 }

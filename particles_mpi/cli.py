@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import sys
-import traceback
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated, Any
 
 import typer
 from mpi4py import MPI
-from rich.console import Console
 from typer.core import TyperGroup
 
-from particles_mpi.errors import Interrupted, SceneError, StoppedError
+from particles_mpi.errors import SceneError, StoppedError
+from particles_mpi.parallel.agreement import alike, end_together, same_on_all
+from particles_mpi.parallel.ranks import Ranks
 
 STARTED = perf_counter()
 app = typer.Typer(
@@ -55,11 +55,10 @@ def run(
     """
     from particles_mpi.job import Job
     from particles_mpi.output.folder import changed
-    from particles_mpi.scene import Scene
     from particles_mpi.simulation import Simulation
 
     limit = seconds(wall_time) if wall_time else None
-    described = Scene.load(scene)
+    described = load(scene)
     if resume:
         sim = Simulation.resume(resume)
         other = [f"{scene}: {key}: not as in {resume}, which goes on with the scene that it began with"
@@ -91,12 +90,11 @@ def check(scene: SceneFile) -> None:
     """
     from particles_mpi.output.console import Screen
     from particles_mpi.plan import plan
-    from particles_mpi.scene import Scene
     from particles_mpi.study.lab import Lab
     from particles_mpi.study.model import predict
     from particles_mpi.study.starts import Start
 
-    described, screen = Scene.load(scene), Screen(root(), False)
+    described, screen = load(scene), Screen(root(), False)
     try:
         start = Start(Lab(), described)
     except SceneError as error:
@@ -147,10 +145,9 @@ def accuracy(
 
     Example:   ./run.sh study accuracy --quick
     """
-    from particles_mpi.scene import Scene
     from particles_mpi.study.run import accuracy as measure
 
-    described = Scene.load(scene) if scene else None
+    described = load(scene) if scene else None
     if described and only:
         raise SceneError("--only: chooses among the built-in experiments, not with a scene")
     measure(described, only, quick, output or Path("out/study") / (scene.stem if scene else "accuracy"))
@@ -185,10 +182,9 @@ def scaling(
 
     Example:   RANKS=4 ./run.sh study scaling my.toml
     """
-    from particles_mpi.scene import Scene
     from particles_mpi.study.scaling import scale
 
-    scale(Scene.load(scene) if scene else None, output or Path("out/study/scaling") / (scene.stem if scene else ""), quick)
+    scale(load(scene) if scene else None, output or Path("out/study/scaling") / (scene.stem if scene else ""), quick)
 
 
 @study.command("hard-cases")
@@ -227,33 +223,35 @@ def seconds(text: str) -> float:
     return sum(p * 60.0**k for k, p in enumerate(reversed(parts)))
 
 
+def load(path: Path) -> Any:
+    """The scene of a file: the same on all ranks, or refused. Collective."""
+    from particles_mpi.scene import Scene
+
+    ranks = Ranks()
+    with alike(ranks):
+        described = Scene.load(path)
+    same_on_all(ranks, described.to_dict())
+    return described
+
+
+def words(arguments: list[str]) -> str:
+    """The command line without the names of files: those may differ from rank to rank, what is in them may not."""
+    return " ".join("FILE" if "/" in word or word.endswith((".toml", ".h5", ".json")) else word for word in arguments)
+
+
 def main() -> None:
-    """Run the command; a fault that all ranks found ends them together, one that only this rank found ends all."""
+    """Run the command; what goes wrong on any rank ends all, with one line and the exit code of the error."""
+    code: Any = 0
     try:
+        same_on_all(Ranks(), {"arguments": words(sys.argv[1:])})
         app(standalone_mode=False, prog_name="particles-mpi")
-        code: Any = 0
-    except (SceneError, StoppedError, Interrupted) as error:
-        code = error.exit_code
-        if root():
-            for line in str(error).splitlines():
-                Console(stderr=True, highlight=False, markup=False, soft_wrap=True).print(f"particles-mpi: {line}")
     except typer.Exit as error:
         code = error.exit_code
     except SystemExit as error:
         code = error.code or 0
     except BaseException as error:
-        if hasattr(error, "format_message"):  # typer's own: wrong arguments
-            code = 2
-            if root():
-                print(f"particles-mpi: {error.format_message()}", file=sys.stderr)
-        else:
-            rank = MPI.COMM_WORLD.Get_rank()
-            print(f"particles-mpi: rank {rank}: unexpected {type(error).__name__}: {error}", file=sys.stderr)
-            traceback.print_exc()
-            sys.stderr.flush()
-            if MPI.COMM_WORLD.Get_size() > 1:
-                MPI.COMM_WORLD.Abort(3)
-            code = 3
+        wrong_arguments = getattr(error, "format_message", None)  # typer's own
+        code = end_together(SceneError(wrong_arguments()) if wrong_arguments else error)
     sys.stdout.flush()
     sys.exit(code)
 

@@ -19,6 +19,7 @@ from particles_mpi.output import checkpoint, failing_together, replacing
 from particles_mpi.output.console import Screen
 from particles_mpi.output.diagnostics_csv import Diagnostics
 from particles_mpi.output.folder import claim
+from particles_mpi.parallel.agreement import come_together, same_on_all
 from particles_mpi.parallel.ranks import library
 from particles_mpi.particles import Array, field
 from particles_mpi.plan import plan
@@ -51,6 +52,8 @@ class Job:
         self.scene, self.ranks = sim.scene, sim.ranks
         self.limit = steps
         self.setup_began = perf_counter() if setup_began is None else setup_began
+        options = {"output": str(folder), "steps": self.last, "overwrite": overwrite, "resume": resumed, "wall-time": wall_time}
+        same_on_all(self.ranks, {f"--{name}": value for name, value in options.items()})
         self.since = np.array(sim.reported, np.int64)
         self.rehearsal = rehearsal
         self.forecast: Forecast | None = None
@@ -132,13 +135,11 @@ class Job:
             show(sim.steps_done, row)
             self.close()
             self.finish(setup, perf_counter() - begin, sim.steps_done - done)
-        except StateError as error:
+        except (SceneError, StoppedError) as error:
+            come_together(self.ranks, error)  # to close a file would wait for ranks that have no error
             self.close()
-            if self.rehearsal:
-                raise
-            raise StateError(f"{error}; {self.keep_for_inspection(str(error))}") from None
-        except (SceneError, StoppedError):  # on all ranks; after any other error to close a file would wait for those without it
-            self.close()
+            if isinstance(error, StateError) and not self.rehearsal:
+                raise StateError(f"{error}; {self.keep_for_inspection(str(error))}") from None
             raise
         finally:
             self.screen.stop()

@@ -14,6 +14,7 @@ from particles_mpi.collide.flow import Rates
 from particles_mpi.diagnostics import measure
 from particles_mpi.errors import SceneError, StateError
 from particles_mpi.integrators import Integrator, Leapfrog, Order4, Taylor, free_drift, places_of, wrap
+from particles_mpi.parallel.agreement import alike, same_on_all
 from particles_mpi.parallel.exchange import id_range
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particle_view import ParticleView
@@ -55,8 +56,12 @@ class Simulation:
 
     def __init__(self, scene: Scene, comm: Any = None, start: Particles | None = None):
         """`start`: all particles in id order on every rank, with the fields that the scene needs, instead of its own."""
-        particles, self.warnings = populate(scene) if start is None else (start, [])
-        self._assemble(scene, Ranks(comm), particles)
+        ranks = Ranks(comm)
+        with alike(ranks):
+            particles, self.warnings = populate(scene) if start is None else (start, [])
+        same_on_all(ranks, scene.to_dict(), particles.arrays)
+        with alike(ranks):
+            self._assemble(scene, ranks, particles)
 
     def _assemble(self, scene: Scene, ranks: Ranks, everyone: Particles, next_id: int = 0) -> None:
         """Build the run around all particles (in id order on every rank), of which this rank keeps its share.
@@ -171,7 +176,7 @@ class Simulation:
 
     @property
     def time(self) -> float:
-        """The moment the state belongs to. To set it changes nothing but the clock."""
+        """The moment the state belongs to. To set it changes nothing but the clock; all ranks set the same."""
         since, steps = self.moment
         return since + (self.steps_done - steps) * self._h
 
@@ -179,19 +184,21 @@ class Simulation:
     def time(self, value: float) -> None:
         if not np.isfinite(value):
             raise ValueError(f"time: {value} is not finite")
+        same_on_all(self.ranks, {"time": value})
         self.observed[0] += value - self.time
         self.moment = float(value), self.steps_done
         self._forget_contacts()
 
     @property
     def h(self) -> float:
-        """The length of a step, from the next one on."""
+        """The length of a step, from the next one on; all ranks set the same."""
         return self._h
 
     @h.setter
     def h(self, value: float) -> None:
         if not 0.0 < value < np.inf:
             raise ValueError(f"h: {value} is no length of a step, which is above 0")
+        same_on_all(self.ranks, {"h": value})
         self.moment = self.time, self.steps_done
         self._h = float(value)
         self._forget_contacts()
@@ -211,6 +218,7 @@ class Simulation:
     def change_effect(self, name: str, key: str, value: Any) -> None:
         """Give an option of an effect another value, from the next step on; checked as in a scene file. Collective."""
         options = changed_options(self.scene, name, key, value)
+        same_on_all(self.ranks, {"effects": {name: options.model_dump(mode="json")}})
         self.take_changes()
         self.scene = self.scene.model_copy(update={"effects": {**self.scene.effects, name: options}})
         if name in self.forces and key != "active":  # it is asked anew; nothing else depends on it
@@ -430,10 +438,11 @@ class Simulation:
         """The run that wrote the checkpoint, where it stood, on any number of ranks; the same bits from there on."""
         from particles_mpi.output.checkpoint import load
 
-        arrays, saved = load(Path(path))
-        about = {name: json.loads(str(saved[name])) for name in ABOUT}
-        scene = Scene.from_dict(about["scene"])
-        sim = cls._restored(scene, Ranks(comm), Particles(scene.dimension, arrays), about)
+        ranks = Ranks(comm)
+        with alike(ranks):
+            arrays, saved = load(Path(path))
+            about = {name: json.loads(str(saved[name])) for name in ABOUT}
+        sim = cls._read(ranks, arrays, about)
         sim.reported, sim.written = json.loads(saved["reported"]), json.loads(saved["written"])
         return sim
 
@@ -448,7 +457,9 @@ class Simulation:
         self.take_changes()
         everyone = state.everyone(self.ranks, self.rows)
         number = len(self.scene.particles) + self.additions
-        all_, warnings = add_population(self.scene, everyone, population, self.next_id, number)
+        with alike(self.ranks):
+            all_, warnings = add_population(self.scene, everyone, population, self.next_id, number)
+        same_on_all(self.ranks, {}, all_.arrays)
         new = all_.select(np.arange(len(everyone), len(all_)))
         self.warnings += warnings
         mine = np.isin(all_.id, self.rows.id)  # the same as before, in another place if they were pushed apart
@@ -525,9 +536,18 @@ class Simulation:
     @classmethod
     def from_json(cls, path: str | Path, comm: Any = None) -> Simulation:
         """What `to_json` saved, on any number of ranks."""
-        arrays, about = state.load_json(Path(path))
-        scene = Scene.from_dict(about["scene"])
-        return cls._restored(scene, Ranks(comm), Particles(scene.dimension, arrays), about)
+        ranks = Ranks(comm)
+        with alike(ranks):
+            arrays, about = state.load_json(Path(path))
+        return cls._read(ranks, arrays, about)
+
+    @classmethod
+    def _read(cls, ranks: Ranks, arrays: dict[str, Array], about: dict[str, Any]) -> Simulation:
+        """The simulation of a state that every rank has read from a file: it must be the same on all."""
+        same_on_all(ranks, about, arrays)
+        with alike(ranks):
+            scene = Scene.from_dict(about["scene"])
+            return cls._restored(scene, ranks, Particles(scene.dimension, arrays), about)
 
     def __eq__(self, other: object) -> bool:
         """The same scene, time, step length and particles, to the bit. Collective."""

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from particles_mpi.errors import SceneError, StoppedError
+from particles_mpi.parallel.agreement import raise_first, unexpected
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, Array
 
@@ -26,15 +27,16 @@ def failing_together(ranks: Ranks, task: str) -> Iterator[None]:
     `task` begins the message: "cannot write out/particles.pvd at step 100". A SceneError stays one, on all ranks. A block may
     hold at most one collective call, its last: a rank that failed before one would leave the others waiting in it.
     """
-    failure: tuple[type[Exception], str] | None = None
+    failure: Exception | None = None
     try:
         yield
     except SceneError as error:
-        failure = SceneError, str(error)
+        failure = error
     except (OSError, RuntimeError, ValueError, KeyError) as error:  # h5py raises all four for what is wrong with a file
-        failure = StoppedError, f"{task}: {_reason(error)}" + (f" (rank {ranks.rank})" if ranks.size > 1 else "")
-    for kind, text in filter(None, ranks.gathered(failure)):
-        raise kind(text)
+        failure = StoppedError(f"{task}: {_reason(error)}")
+    except Exception as error:  # also memory that is refused
+        failure = StoppedError(f"{task}: {unexpected(error)}")
+    raise_first(ranks, failure, root_reads=True)
 
 
 @contextmanager

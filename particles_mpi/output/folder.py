@@ -10,6 +10,7 @@ from typing import Any
 
 from particles_mpi.errors import SceneError
 from particles_mpi.output import checkpoint, failing_together
+from particles_mpi.parallel.agreement import differing
 from particles_mpi.parallel.ranks import Ranks
 
 OURS = ("trajectory.vtkhdf", "particles.pvd", "vtk", "checkpoint.h5", "diagnostics.csv", "run.json", "stopped.h5", "plots")
@@ -24,13 +25,9 @@ FREE = (
 )
 
 
-def changed(one: Any, two: Any, key: str = "") -> Iterator[str]:
+def changed(one: dict[str, Any], two: dict[str, Any]) -> Iterator[str]:
     """The keys in which two scenes, as tables, are not the same run: all but its end, its title and how often it writes."""
-    if isinstance(one, dict) and isinstance(two, dict):
-        for name in sorted(one.keys() | two.keys()):
-            yield from changed(one.get(name), two.get(name), f"{key}.{name}" if key else name)
-    elif one != two and key not in FREE:
-        yield key
+    return (key for key, _, _ in differing(one, two) if key not in FREE)
 
 
 def claim(folder: Path, ranks: Ranks, scene: dict[str, Any], resumed: bool, overwrite: bool) -> bool:

@@ -20,6 +20,7 @@ import numpy as np
 
 from particles_mpi.errors import StoppedError
 from particles_mpi.output import check_last, continuing, failing_together, frame_arrays, frame_columns, replacing
+from particles_mpi.output.mpi_io import told_reason
 from particles_mpi.parallel.exchange import IdRange, in_id_order
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, Array, field
@@ -111,7 +112,10 @@ class Trajectory:
     def _attempt(self, step: int, action: Callable[..., None], *arguments: Any) -> None:
         try:
             with failing_together(self.ranks, f"cannot write {self.path} at step {step}"):
-                if self.file is not None:
+                if self.parallel:
+                    with told_reason():
+                        action(*arguments)
+                elif self.file is not None:
                     action(*arguments)
         except StoppedError:
             self._abandon()

@@ -12,6 +12,7 @@ from mpi4py import MPI
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import Array, rows_of
 
+TAG = 0  # of rows; ranks that fail tell one another so with another one
 WORD = 8  # bytes; messages are counted in words, so that 2^31 of them suffice for any rank's rows
 
 
@@ -61,10 +62,10 @@ def rows_of_everyone(ranks: Ranks, arrays: dict[str, Array]) -> dict[str, Array]
 def swap(ranks: Ranks, others: Sequence[int], outgoing: Sequence[Array]) -> Array:
     """One message of float64 to each of the other ranks, all of which do the same; returns theirs, one after the other."""
     comm = ranks.comm
-    requests = [comm.Isend([message, MPI.DOUBLE], dest=p) for p, message in zip(others, outgoing, strict=True)]
+    requests = [comm.Isend([message, MPI.DOUBLE], dest=p, tag=TAG) for p, message in zip(others, outgoing, strict=True)]
     ranks.messages += len(requests)
     status = MPI.Status()
-    messages = [(comm.Mprobe(source=p, status=status), status.Get_count(MPI.DOUBLE)) for p in others]
+    messages = [(comm.Mprobe(source=p, tag=TAG, status=status), status.Get_count(MPI.DOUBLE)) for p in others]
     incoming = np.empty(sum(size for _, size in messages))
     at = 0
     for message, size in messages:
@@ -135,10 +136,10 @@ class Halo:
         """`pack(rows, buffer)` writes a message and returns its length; gives (first ghost row, message) of all that arrived."""
         comm, requests = self.ranks.comm, []
         for (p, _, _), buffer in zip(self.incoming, self.into, strict=True):
-            requests.append(comm.Irecv([buffer, MPI.DOUBLE], source=p))
+            requests.append(comm.Irecv([buffer, MPI.DOUBLE], source=p, tag=TAG))
         for (p, begin, end), buffer in zip(self.outgoing, self.out, strict=True):
             size = pack(self.rows[begin:end], buffer)
-            requests.append(comm.Isend([buffer, size, MPI.DOUBLE], dest=p))
+            requests.append(comm.Isend([buffer, size, MPI.DOUBLE], dest=p, tag=TAG))
         self.ranks.messages += len(self.outgoing)
         statuses = [MPI.Status() for _ in requests]
         MPI.Request.Waitall(requests, statuses)

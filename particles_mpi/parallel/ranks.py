@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from time import sleep
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
-from particles_mpi.errors import StoppedError
 from particles_mpi.particles import Array
 
 NAP = 0.005  # seconds between two looks of a rank that waits asleep
@@ -30,8 +27,6 @@ class Ranks:
         self.reductions = 0
         self.all_to_alls = 0
         self.rows = 0
-        if self.size > 1 and sys.excepthook is sys.__excepthook__:
-            sys.excepthook = end_all
 
     @classmethod
     def alone(cls) -> Ranks:
@@ -114,13 +109,6 @@ class Ranks:
     def gathered(self, value: Any) -> list[Any]:
         """The small Python objects of all ranks, on every rank."""
         return [value] if self.size == 1 else self.comm.allgather(value)
-
-
-def end_all(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """What nobody caught on this rank ends all: the others would wait for it for ever."""
-    sys.__excepthook__(kind, error, trace)
-    sys.stderr.flush()
-    MPI.COMM_WORLD.Abort(getattr(error, "exit_code", StoppedError.exit_code))
 
 
 def library() -> str:

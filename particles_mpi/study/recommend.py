@@ -13,6 +13,7 @@ from rich.table import Table
 from particles_mpi import Scene
 from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.output.console import Screen
+from particles_mpi.parallel.agreement import alike, same_on_all
 from particles_mpi.study.candidates import Curve, curves, own
 from particles_mpi.study.clock import Seconds, Watch, time_in_turns
 from particles_mpi.study.lab import Errors, Lab
@@ -219,8 +220,10 @@ def recommend_scene(
     path: Path, tolerance: float, error: str = "", output: Path | None = None, seconds: float = BUDGET, comm: Any = None
 ) -> Recommendation | None:
     """What `study recommend` does: find it, tell it, write the tuned scene (to NAME.tuned.toml by default). Collective."""
-    scene = Scene.load(path)
     lab = Lab(comm)
+    with alike(lab.ranks):
+        scene = Scene.load(path)
+    same_on_all(lab.ranks, scene.to_dict())
     lab.screen = Screen(lab.ranks.is_root, False)
     found = recommend(lab, scene, tolerance, error, seconds)
     target = output or path.with_suffix(".tuned.toml")

@@ -17,6 +17,7 @@ import numpy as np
 from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.output import failing_together
 from particles_mpi.output.console import Screen
+from particles_mpi.parallel.agreement import alike
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS
 from particles_mpi.populate import fields_of
@@ -123,7 +124,9 @@ def scale(scene: Scene | None, folder: Path, quick: bool, comm: Any = None) -> N
     with failing_together(ranks, f"cannot write into {folder}"):
         if ranks.is_root:
             folder.mkdir(parents=True, exist_ok=True)
-    scaling = Scaling(scene or Scene.load(HEADLINE), ranks, quick)
+    with alike(ranks):
+        scene_or_headline = scene or Scene.load(HEADLINE)
+    scaling = Scaling(scene_or_headline, ranks, quick)
     no_weak = unable_to_grow(scaling.scene)
     sizes = [1.0] if scene or quick else [1.0, float(LARGER)]
     points = scaling.measure(settings(scaling.scene, list(scaling.crews), sizes, not no_weak), screen)

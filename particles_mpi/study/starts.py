@@ -8,6 +8,7 @@ import numpy as np
 
 from particles_mpi import Scene, Simulation, state
 from particles_mpi.errors import SceneError
+from particles_mpi.parallel.agreement import alike, same_on_all
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import ALWAYS, FIELDS, Array, Particles, shape
 from particles_mpi.populate import effect_class, fields_of, populate, room_of
@@ -44,7 +45,9 @@ class Start:
 
     def __init__(self, lab: Lab, scene: Scene):
         self.lab, self.scene = lab, scene
-        self.particles, self.warnings = populate(scene)
+        with alike(lab.ranks):
+            self.particles, self.warnings = populate(scene)
+        same_on_all(lab.ranks, scene.to_dict(), self.particles.arrays)
         self.total = len(self.particles)
         effects = {name: effect_class(name) for name in scene.effects}
         self.contacts = bool({"collisions", "walls"} & effects.keys())

@@ -1,0 +1,172 @@
+"""A fault on one rank ends all of them: within ten seconds, with the exit code of the fault and one line that names the rank."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+from conftest import MPI_ENVIRONMENT, ROOT, run_ranks
+
+from particles_mpi.parallel.mpirun import Filter
+
+pytestmark = pytest.mark.parallel
+
+SCENE = """
+dimension = 2
+seed = 5
+box = {lower = [0, 0], upper = [4, 4]}
+time = {step = 0.01, steps = 40}
+particles = [{count = 40, position = "random", velocity = {speed = 2.0}, radius = 0.1}]
+effects = {collisions = {}, walls = {}}
+output = {every = 1, checkpoint_every = 5, diagnostics_every = 1}
+"""
+WITHIN = 10.0  # seconds from the fault to the end of mpirun
+DIVISION = "unexpected ZeroDivisionError: division by zero (at "
+PAIRS, TRAJECTORY = "particles_mpi/neighbours/pairs", "particles_mpi/output/trajectory"
+
+
+@pytest.fixture
+def scene(tmp_path):
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE)
+    return path
+
+
+def start(*programs):
+    """One rank of each of the programs (words after `python`); (exit code, stderr)."""
+    words = ["mpirun"]
+    for program in programs:
+        words += [":", "-n", "1", sys.executable, *map(str, program)]
+    words.pop(1)
+    environment = MPI_ENVIRONMENT | os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=100)
+    return done.returncode, done.stderr
+
+
+def with_fault(folder, fault, rank, *arguments):
+    """(exit code, stderr, seconds since the fault) of the program on two ranks."""
+    stamp = folder / "stamp"
+    program = ["tests/parallel/faulty.py", fault, rank, stamp, *arguments]
+    done = run_ranks(2, *program, timeout=100)
+    return done.returncode, done.stderr, time.time() - stamp.stat().st_mtime if stamp.exists() else 0.0
+
+
+def test_what_goes_wrong_in_the_set_up_of_one_rank_is_raised_on_all(tmp_path):
+    done = run_ranks(2, "tests/parallel/agreeing.py", tmp_path)
+    assert done.returncode == 0, done.stderr
+    told, other = json.loads(done.stdout)
+    assert {what: fault[:2] for what, fault in told.items()} == {what: fault[:2] for what, fault in other.items()}
+    expected = {
+        "scene": ("SceneError", "rank 1: ", "1/scene.toml: cannot be read (No such file"),
+        "scene on rank 0": ("SceneError", "rank 0: ", "1/scene.toml: cannot be read (No such file"),
+        "file": ("SceneError", "rank 1: particles[0].position: ", "1/none.csv cannot be read (No such file"),
+        "rows": ("SceneError", "rank 1: particles: ", "not the same values as on rank 0"),
+        "checkpoint": ("SceneError", "rank 1: ", "1/checkpoint.h5: no such checkpoint"),
+        "damaged": ("SceneError", "rank 0: ", "0/damaged.h5: damaged"),
+        "json": ("SceneError", "rank 1: ", "1/state.json: no such file"),
+        "another json": ("SceneError", "rank 1: ", "step: 3, but 4 on rank 0"),
+        "scenes": ("SceneError", "rank 1: ", "time.steps: 5, but 4 on rank 0"),
+        "option": ("SceneError", "rank 1: ", "--steps: 3, but 2 on rank 0"),
+        "memory": ("SceneError", "rank 1: ", "not enough memory"),
+        "populate": ("StoppedError", "rank 1: ", DIVISION),
+        "assemble": ("StoppedError", "rank 1: ", DIVISION),
+    }
+    assert told.keys() == expected.keys()
+    for what, (kind, begin, says) in expected.items():
+        found, text, seconds = told[what]
+        assert found == kind and text.startswith(begin) and says in text and "\n" not in text and seconds < WITHIN, text
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("rank", [0, 1])
+def test_a_scene_that_is_missing_on_one_rank(scene, tmp_path, rank):
+    out, none = tmp_path / "o", tmp_path / "none.toml"
+    programs = [["-m", "particles_mpi", "run", none if k == rank else scene, "--output", out] for k in (0, 1)]
+    code, said = start(*programs)
+    assert (code, said) == (2, f"particles-mpi: rank {rank}: {none}: cannot be read (No such file or directory)\n")
+    assert not out.exists()
+
+
+def test_arguments_that_differ(scene, tmp_path):
+    program = ["-m", "particles_mpi", "run", scene, "--output", tmp_path / "o"]
+    code, said = start([*program, "--quiet"], [*program, "--help"])
+    assert code == 2 and said.startswith("particles-mpi: rank 1: arguments: ") and said.count("\n") == 1, said
+    assert not (tmp_path / "o").exists()
+
+
+@pytest.mark.parametrize(
+    ("fault", "rank", "says"),
+    [
+        (f"{PAIRS}:Neighbourhood.__init__", 1, "simulation.py"),  # others wait for it inside the set-up
+        (f"{PAIRS}:Neighbourhood.search", 1, "rewind.py"),
+        ("particles_mpi/integrators:Leapfrog.advance", 0, "simulation.py"),
+        ("particles_mpi/integrators:Leapfrog.advance", "all", "simulation.py"),
+        (f"{TRAJECTORY}:Trajectory.write", 1, "job.py"),
+        ("particles_mpi/output/checkpoint:_replace", 0, "checkpoint.py"),
+    ],
+)
+def test_an_exception_in_any_phase_of_one_rank(scene, tmp_path, fault, rank, says):
+    code, said, seconds = with_fault(tmp_path, fault, rank, "run", scene, "--output", tmp_path / "o", "--quiet")
+    assert code == 3 and said.count("\n") == 1 and DIVISION in said and says in said and seconds < WITHIN, said
+    assert said.startswith("particles-mpi: " if rank == "all" else f"particles-mpi: rank {rank}: "), said
+    assert not list(tmp_path.rglob("*.tmp"))
+
+
+def test_a_disk_that_is_full_on_one_rank(scene, tmp_path):
+    out = tmp_path / "o"
+    code, said, seconds = with_fault(tmp_path, "full disk", 1, "run", scene, "--output", out, "--quiet")
+    assert code == 3 and said.count("\n") == 1 and seconds < WITHIN, said
+    assert said.startswith(f"particles-mpi: rank 1: cannot write {out}/trajectory.vtkhdf at step") and "File too large" in said
+
+
+def test_a_rank_that_is_killed_is_told_in_one_line(scene, tmp_path):
+    fault = "killed:particles_mpi/integrators:Leapfrog.advance"
+    code, said, seconds = with_fault(tmp_path, fault, 1, "run", scene, "--output", tmp_path / "o", "--quiet")
+    assert code == 137 and said.count("\n") == 1 and said.startswith("mpirun: rank 1 on ") and "signal 9" in said, said
+    assert seconds < WITHIN
+
+
+def test_a_script_that_nobody_catches_errors_in(tmp_path):
+    """A SceneError of one rank is a line, and what nobody expected one traceback, of the lowest of the ranks that fail."""
+    text = "import sys\nfrom particles_mpi import Scene, Simulation\nfrom mpi4py import MPI\n"
+    one, both = tmp_path / "one.py", tmp_path / "both.py"
+    one.write_text(text + "if MPI.COMM_WORLD.rank:\n    Scene.load('none.toml')\nMPI.COMM_WORLD.Barrier()\n")
+    both.write_text(text + "1 / 0\n")
+    done = run_ranks(2, one)
+    assert done.returncode == 2
+    assert done.stderr == "particles-mpi: rank 1: none.toml: cannot be read (No such file or directory)\n"
+    done = run_ranks(2, both)
+    assert done.returncode == 3 and done.stderr.count("Traceback") == 1
+    assert done.stderr.endswith("ZeroDivisionError: division by zero\n")
+
+
+RULE = "-" * 74 + "\n"
+EXITED = (
+    f"{RULE}Primary job  terminated normally, but 1 process returned\na non-zero exit code. Per user-direction, the job has been"
+    f" aborted.\n{RULE}{RULE}mpirun detected that one or more processes exited with non-zero status, thus causing\nthe job to be"
+    f" terminated. The first process to do so was:\n\n  Process name: [[1,1],1]\n  Exit code:    2\n{RULE}"
+)
+ABORTED = (
+    f"{RULE}MPI_ABORT was invoked on rank 1 in communicator MPI_COMM_WORLD\n  Proc: [[13718,1],1]\n  Errorcode: 3\n{RULE}"
+    "[vm:7] 1 more process has sent help message help-mpi-api.txt / mpi-abort\n"
+    '[vm:7] Set MCA parameter "orte_base_help_aggregate" to 0 to see all help / error messages\n'
+)
+KILLED = f"{RULE}prterun noticed that process rank 1 with PID 8 on node vm exited on\nsignal 9 (Killed).\n{RULE}"
+MISSING = f"{RULE}mpirun was unable to find the specified executable file, and therefore\ndid not launch the job.\n{RULE}"
+OWN = "a line\n---- not a rule\nprogress 10 %\r" + "-" * 74 + " nor this\n" + "-" * 80 + "\n"
+
+
+@pytest.mark.parametrize("chunk", [1, 7, 74, 75, 10**6])
+def test_the_paragraphs_of_the_launcher_are_left_out_and_nothing_else(chunk):
+    said, passing = (OWN + EXITED + OWN + ABORTED + KILLED + MISSING + OWN + "no end").encode(), Filter()
+    passed = b"".join(passing.feed(said[k : k + chunk]) for k in range(0, len(said), chunk)) + passing.rest()
+    assert passed.decode() == f"{OWN}{OWN}mpirun: rank 1 on vm was ended by signal 9 (Killed)\n{MISSING}{OWN}no end"
+
+
+def test_what_cannot_be_a_paragraph_passes_at_once():
+    passing = Filter()
+    for text in (b"par", b"t of a line", b"\n", b"--\n", b"-" * 75, b"\n", b"x"):
+        assert passing.feed(text) == text
+    assert passing.feed(b"\n---") == b"\n" and passing.feed(b"x") == b"---x"
