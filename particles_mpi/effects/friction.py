@@ -2,8 +2,7 @@
 
 from math import sqrt
 
-from numba import njit
-
+from particles_mpi.lean import inner, kernel
 from particles_mpi.particles import Array, Particles
 from particles_mpi.scene import Model, Scene
 
@@ -33,13 +32,13 @@ class Effect:
         kick_with_friction(particles.velocity, a, particles.mass, decay, push, self.strength, h, coast)
 
 
-@njit(cache=True)
+@inner
 def slowed(speed: float, loss: float) -> float:
     """Factor on a velocity of magnitude `speed` after friction took `loss` = alpha h/m of it: max(0, 1 - loss/speed)."""
     return 1.0 - loss / speed if loss < speed else 0.0
 
 
-@njit(cache=True)
+@kernel
 def kick_with_friction(v, a, mass, decay, push, strength, h, coast):
     """In place on v (n, d). See physics of `Effect`; the half-step factors are exact, the composition is second order.
 
