@@ -11,8 +11,8 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
-from numba import njit
 
+from particles_mpi.lean import kernel
 from particles_mpi.particles import Array, Particles
 from particles_mpi.timers import Timers
 
@@ -115,7 +115,7 @@ class Order4:
                     kick(particles.velocity, a, weight * h)
 
 
-@njit(cache=True)
+@kernel
 def kick(v, a, h):
     """v += a h, in place on v (n, d)."""
     for i in range(v.shape[0]):
@@ -123,7 +123,7 @@ def kick(v, a, h):
             v[i, k] += a[i, k] * h
 
 
-@njit(cache=True)
+@kernel
 def kick_with_drag(v, a, decay, push):
     """v = v decay + a push, in place on v (n, d)."""
     for i in range(v.shape[0]):
@@ -131,7 +131,7 @@ def kick_with_drag(v, a, decay, push):
             v[i, k] = v[i, k] * decay[i] + a[i, k] * push[i]
 
 
-@njit(cache=True)
+@kernel
 def free_drift(x, v, h):
     """x += v h, in place on x (n, d)."""
     for i in range(x.shape[0]):
@@ -139,7 +139,7 @@ def free_drift(x, v, h):
             x[i, k] += v[i, k] * h
 
 
-@njit(cache=True)
+@kernel
 def wrap(x, lower, upper, length):
     """Positions back into [lower, upper) on periodic axes (length > 0), in place on x (n, d)."""
     for k in range(x.shape[1]):
@@ -155,7 +155,7 @@ def places_of(particles: Particles) -> tuple[int, ...]:
     return particles.version, particles.edition, fingerprint(particles.position)
 
 
-@njit(cache=True)
+@kernel
 def fingerprint(x):
     """A number that changes when somebody changes a row of x (n, d)."""
     total = np.int64(0)

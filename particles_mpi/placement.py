@@ -7,8 +7,8 @@ from itertools import product
 from math import exp, floor, inf, lgamma, log, pi, prod
 
 import numpy as np
-from numba import njit
 
+from particles_mpi.lean import inner, kernel
 from particles_mpi.particles import Array
 
 LEVELS = 10  # classes of radius, each half as large as the one before, with a cell grid each
@@ -48,7 +48,6 @@ class RandomAddition:
 
     def __init__(self, room: Room, x: Array, radius: Array, known: Array):
         self.room, self.x, self.radius = room, x, radius
-        self.axes = (0,) * x.shape[1]
         largest = radius.max(initial=0.0)
         ratio = np.divide(largest, radius, out=np.full(len(radius), np.inf), where=radius > 0.0)
         self.level = np.clip(np.log2(ratio), 0, LEVELS - 1).astype(np.int64)
@@ -61,7 +60,7 @@ class RandomAddition:
         self.head, self.next = np.full(first[-1], -1, np.int64), np.full(len(x), -1, np.int64)
         self.grid = (reach, cells, first, room.lower, room.upper - room.lower)
         if room.solid:
-            insert(self.axes, x, known, self.level, self.head, self.next, *self.grid)
+            insert(x, known, self.level, self.head, self.next, *self.grid)
 
     def cells_of(self, count: int, side: float) -> Array:
         """Cells along three axes, of at least `side`, about two a sphere at most."""
@@ -79,25 +78,25 @@ class RandomAddition:
         order = rows[np.argsort(-self.radius[rows], kind="stable")]
         budget = 5_000_000 + 200 * len(rows)
         while placed < len(rows) and failures < MOST_TRIES and tries < budget:
-            u = random.random((min(max(len(rows) - placed, 1000), 100_000), len(self.axes)))
+            u = random.random((min(max(len(rows) - placed, 1000), 100_000), self.x.shape[1]))
             placed, failures = add_spheres(
-                self.axes, self.x, self.radius, order, placed, failures, u, room.solid, room.bounded, room.length,
+                self.x, self.radius, order, placed, failures, u, room.solid, room.bounded, room.length,
                 room.point, room.normal, self.level, self.head, self.next, *self.grid,
             )  # fmt: skip
             tries += len(u)
         return placed, tries
 
 
-@njit(cache=True)
+@inner
 def cell_at(position, lower, extent, cells):
     """The cell of a coordinate, unlimited: below 0 or from `cells` on it lies outside the box."""
     return int(np.floor((position - lower) / extent * cells))
 
 
-@njit(cache=True)
-def cells_within(axes, k, y, far, lower, extent, cells, length):
+@inner
+def cells_within(k, y, far, lower, extent, cells, length):
     """First and last cell of axis k within `far` of y: less than a box length beyond a periodic box, never beyond another."""
-    if k >= len(axes) or cells == 1:
+    if k >= len(y) or cells == 1:
         return 0, 0
     low = cell_at(y[k] - far, lower[k], extent[k], cells)
     high = cell_at(y[k] + far, lower[k], extent[k], cells)
@@ -106,31 +105,31 @@ def cells_within(axes, k, y, far, lower, extent, cells, length):
     return (0, cells - 1) if high - low >= cells else (low, high)
 
 
-@njit(cache=True)
-def insert(axes, x, rows, level, head, after, reach, cells, first, lower, extent):
+@kernel
+def insert(x, rows, level, head, after, reach, cells, first, lower, extent):
     """Enter rows into the grids of their classes."""
     for i in rows:
         c = 0
         for k in range(3):
             m = cells[level[i], k]
-            at = min(max(cell_at(x[i, k], lower[k], extent[k], m), 0), m - 1) if k < len(axes) else 0
+            at = min(max(cell_at(x[i, k], lower[k], extent[k], m), 0), m - 1) if k < x.shape[1] else 0
             c = c * m + at
         c += first[level[i]]
         after[i] = head[c]
         head[c] = i
 
 
-@njit(cache=True)
-def touches(axes, y, r, x, radius, length, head, after, reach, cells, first, lower, extent):
+@inner
+def touches(y, r, x, radius, length, head, after, reach, cells, first, lower, extent):
     """Whether a sphere of radius r at y would overlap one that has its place."""
     for which in range(len(reach)):
         far = (r + reach[which]) * (1.0 + 1e-9)
         if reach[which] < 0.0 or far == 0.0:
             continue
         m0, m1, m2 = cells[which, 0], cells[which, 1], cells[which, 2]
-        a0, a1 = cells_within(axes, 0, y, far, lower, extent, m0, length)
-        b0, b1 = cells_within(axes, 1, y, far, lower, extent, m1, length)
-        c0, c1 = cells_within(axes, 2, y, far, lower, extent, m2, length)
+        a0, a1 = cells_within(np.int64(0), y, far, lower, extent, m0, length)
+        b0, b1 = cells_within(np.int64(1), y, far, lower, extent, m1, length)
+        c0, c1 = cells_within(np.int64(2), y, far, lower, extent, m2, length)
         for a in range(a0, a1 + 1):
             row_a = (a + m0 if a < 0 else a - m0 if a >= m0 else a) * m1
             for b in range(b0, b1 + 1):
@@ -139,7 +138,7 @@ def touches(axes, y, r, x, radius, length, head, after, reach, cells, first, low
                     j = head[row + (c + m2 if c < 0 else c - m2 if c >= m2 else c)]
                     while j >= 0:
                         r2 = 0.0
-                        for k in range(len(axes)):
+                        for k in range(len(y)):
                             gap = abs(y[k] - x[j, k])
                             if length[k] > 0.0 and gap > 0.5 * length[k]:
                                 gap = length[k] - gap
@@ -150,35 +149,37 @@ def touches(axes, y, r, x, radius, length, head, after, reach, cells, first, low
     return False
 
 
-@njit(cache=True)
+@kernel
 def add_spheres(
-    axes, x, radius, order, placed, failures, u, solid, bounded, length, point, normal,
+    x, radius, order, placed, failures, u, solid, bounded, length, point, normal,
     level, head, after, reach, cells, first, lower, extent,
 ):  # fmt: skip
     """Try the points u (t, d) of the unit cube in turn; returns (spheres placed, failures in a row at the end)."""
-    y = np.zeros(len(axes))
+    d = x.shape[1]
+    y = np.zeros(d)
     for t in range(len(u)):
         if placed == len(order) or failures >= MOST_TRIES:
             break
         i = order[placed]
         r = radius[i]
         free = True
-        for k in range(len(axes)):
+        for k in range(d):
             margin = r if bounded and length[k] == 0.0 else 0.0
             y[k] = lower[k] + margin + u[t, k] * (extent[k] - 2.0 * margin)
         for w in range(len(point)):
             gap = 0.0
-            for k in range(len(axes)):
+            for k in range(d):
                 gap += (y[k] - point[w, k]) * normal[w, k]
             free = free and gap >= r * (1.0 - 1e-12)
         if free and solid:
-            free = not touches(axes, y, r, x, radius, length, head, after, reach, cells, first, lower, extent)
+            free = not touches(y, r, x, radius, length, head, after, reach, cells, first, lower, extent)
         if not free:
             failures += 1
             continue
-        x[i] = y
+        for k in range(d):
+            x[i, k] = y[k]
         if solid:
-            insert(axes, x, order[placed : placed + 1], level, head, after, reach, cells, first, lower, extent)
+            insert(x, order[placed : placed + 1], level, head, after, reach, cells, first, lower, extent)
         placed += 1
         failures = 0
     return placed, failures

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from math import floor, log10
 
 import numpy as np
-from numba import njit
 
+from particles_mpi.lean import inner, kernel
 from particles_mpi.neighbours.candidates import touching
 from particles_mpi.particles import Array, Particles
 from particles_mpi.placement import Room
@@ -259,21 +259,22 @@ def push_apart(scene: Scene, particles: Particles, room: Room | None) -> tuple[A
         first, second, depth = overlapping(particles, length)
         if not len(first):
             break
-        separate((0,) * d, x, particles.radius, w, first, second, lower, upper, length, point, normal)
+        separate(x, particles.radius, w, first, second, lower, upper, length, point, normal)
     else:
         first, second, depth = overlapping(particles, length)
     return first, second, depth
 
 
-@njit(cache=True)
-def separate(axes, x, radius, w, first, second, lower, upper, length, point, normal):
+@kernel
+def separate(x, radius, w, first, second, lower, upper, length, point, normal):
     """One sweep over the pairs, in place on x; spheres stay inside walls and box."""
-    r = np.zeros(len(axes))
+    d = x.shape[1]
+    r = np.zeros(d)
     for i, j in zip(first, second):
         if w[i] + w[j] == 0.0:
             continue
         r2 = 0.0
-        for k in range(len(axes)):
+        for k in range(d):
             r[k] = x[i, k] - x[j, k]
             if length[k] > 0.0:
                 r[k] -= length[k] * np.rint(r[k] / length[k])
@@ -285,30 +286,30 @@ def separate(axes, x, radius, w, first, second, lower, upper, length, point, nor
             continue
         if distance < 1e-9 * diameter:  # coincident centres have no direction: take one from the ids
             r2 = 0.0
-            for k in range(len(axes)):
+            for k in range(d):
                 r[k] = (i * 7919 + j * 104729 + (k + 1) * 1299709) % 1021 - 510.5
                 r2 += r[k] * r[k]
             distance = r2**0.5
-        for k in range(len(axes)):
+        for k in range(d):
             step = push * r[k] / (distance * (w[i] + w[j]))
             x[i, k] += step * w[i]
             x[j, k] -= step * w[j]
         for row in (i, j):
             if w[row] > 0.0:
-                hold_inside(axes, x, row, radius[row], lower, upper, length, point, normal)
+                hold_inside(x, row, radius[row], lower, upper, length, point, normal)
 
 
-@njit(cache=True)
-def hold_inside(axes, x, i, radius, lower, upper, length, point, normal):
+@inner
+def hold_inside(x, i, radius, lower, upper, length, point, normal):
     """Bring row i back inside each wall, and into the box."""
     for w in range(len(point)):
         gap = -radius
-        for k in range(len(axes)):
+        for k in range(x.shape[1]):
             gap += (x[i, k] - point[w, k]) * normal[w, k]
         if gap < 0.0:
-            for k in range(len(axes)):
+            for k in range(x.shape[1]):
                 x[i, k] -= gap * normal[w, k]
-    for k in range(len(axes)):
+    for k in range(x.shape[1]):
         if length[k] > 0.0:
             if x[i, k] < lower[k]:
                 x[i, k] += length[k]

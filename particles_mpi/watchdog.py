@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from particles_mpi.errors import StateError
+from particles_mpi.lean import kernel
 from particles_mpi.parallel.exchange import IdRange
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import Array, Particles
@@ -81,7 +81,7 @@ def not_finite(ranks: Ranks, p: Particles, when: str) -> str:
     return f"{when}: particle {particle} on rank {rank} has a position or velocity that is not finite"
 
 
-@njit(cache=True)
+@kernel
 def amiss(x, v, fixed, point, normal, lower, length):
     """(first row that is not finite, first row beyond a wall or a periodic face, which wall); -1 for none."""
     numbers, astray, at = -1, -1, -1

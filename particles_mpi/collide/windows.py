@@ -114,7 +114,7 @@ class Windows:
         while True:
             stale = self.version != p.version
             if stale:
-                speed = fastest(engine.axes, p.position, p.velocity)
+                speed = fastest(p.position, p.velocity)
             else:
                 moved, speed = engine.set_out(p, self.seat)
                 stale = moved or engine.moved > SETTLED * len(engine.leg)

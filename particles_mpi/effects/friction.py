@@ -2,8 +2,7 @@
 
 from math import exp, expm1, log1p, sqrt
 
-from numba import njit
-
+from particles_mpi.lean import inner, kernel
 from particles_mpi.particles import Array, Particles
 from particles_mpi.scene import EffectOptions, Scene
 
@@ -36,20 +35,20 @@ class Effect:
         kick_with_friction(particles.velocity, a, particles.mass, decay, push, self.strength, h, coast)
 
 
-@njit(cache=True)
+@inner
 def slowed(speed: float, loss: float) -> float:
     """Factor on a velocity of magnitude `speed` after friction took `loss` = alpha h/m of it: max(0, 1 - loss/speed)."""
     return 1.0 - loss / speed if loss < speed else 0.0
 
 
-@njit(cache=True)
+@inner
 def sliding_time(y, steep, away2):
     """Time in which tan(phi/2) falls by the factor e^-y, and its derivative; see `slide`."""
     slower, faster = 1.0 - steep, 1.0 + steep
     return expm1(slower * y) / slower - away2 * expm1(-faster * y) / faster, exp(slower * y) + away2 * exp(-faster * y)
 
 
-@njit(cache=True)
+@inner
 def slide(v, a, i, pull, b, decay, h):
     """dv/dt = a - b v/|v| with b < |a| = `pull`, exactly over h, between two halves of drag, each a factor `decay`. In place.
 
@@ -94,7 +93,7 @@ def slide(v, a, i, pull, b, decay, h):
         v[i, k] = decay * ((v[i, k] - along * a[i, k] / pull) * fraction + after * a[i, k] / pull)
 
 
-@njit(cache=True)
+@kernel
 def kick_with_friction(v, a, mass, decay, push, strength, h, coast):
     """In place on v (n, d). See physics of `Effect`; the half-step factors are exact, the composition is second order.
 

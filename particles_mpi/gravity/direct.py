@@ -9,12 +9,13 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from numba import njit
+
+from particles_mpi.lean import kernel
 
 TILE = 64  # targets whose coordinates and sums stay in the nearest cache
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def attract(axes, x, source, mass, softening2, total):
     """total (n, d) += sum_j m_j r_j/(r_j^2 + softening2)^(3/2), r_j = source_j - x.
 
@@ -44,7 +45,7 @@ def attract(axes, x, source, mass, softening2, total):
                 total[first + t, k] = sums[k, t]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def add_potential(axes, x, ids, source, mass, source_ids, softening2, total):
     """total (n,) -= sum_j m_j/(r_j^2 + softening2)^(1/2) over all sources but itself and those at its very place."""
     for i in range(len(x)):

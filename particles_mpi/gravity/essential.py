@@ -8,9 +8,9 @@ Put together in the order of keys they are the one tree of all particles, with b
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from particles_mpi.gravity.octree import CENTER, DEEPEST, GROUP, RADIUS, of_parts
+from particles_mpi.gravity.octree import CENTER, DEEPEST, GROUP, RADIUS, levels, of_parts
+from particles_mpi.lean import kernel
 from particles_mpi.particles import Array
 
 SAMPLES = 512  # of its keys that a rank tells
@@ -42,34 +42,29 @@ def quantiles(table: Array) -> Array:
     return keys[order][np.minimum(at, len(keys) - 1)]
 
 
-@njit(cache=True)
-def around(keys, cuts, d):
+def cells_of(cuts: Array, d: int) -> tuple[Array, Array]:
+    """First and last key of the cell of each level around each cut, (cuts, levels + 1)."""
+    deep = levels(d)
+    shift = d * (deep - np.arange(deep + 1))
+    size = np.minimum(shift, 62)
+    first = np.where(shift < 63, cuts[:, None] >> size << size, 0)
+    return first, np.where(shift < 63, first + (1 << size) - 1, np.iinfo(np.int64).max)
+
+
+def around(keys: Array, cuts: Array, d: int) -> Array:
     """How many of the sorted keys lie in the cell of each level around each cut, (cuts, levels + 1)."""
-    deep = min(63 // d, DEEPEST)
-    found = np.zeros((len(cuts), deep + 1), np.int64)
-    for c in range(len(cuts)):
-        for level in range(deep + 1):
-            shift = d * (deep - level)
-            begin = (cuts[c] >> shift) << shift if shift < 63 else np.int64(0)
-            found[c, level] = np.searchsorted(keys, begin + ((np.int64(1) << shift) - 1), "right") - np.searchsorted(keys, begin)
-    return found
+    first, last = cells_of(cuts, d)
+    return np.searchsorted(keys, last, "right") - np.searchsorted(keys, first)
 
 
-@njit(cache=True)
-def snap(cuts, found, d):
+def snap(cuts: Array, found: Array, d: int) -> Array:
     """Each cut moved to the first key of its group, which so stays whole; `found` of all ranks together."""
-    deep = min(63 // d, DEEPEST)
-    snapped = np.empty_like(cuts)
-    for c in range(len(cuts)):
-        level = 0
-        while level < deep and found[c, level] > GROUP:
-            level += 1
-        shift = d * (deep - level)
-        snapped[c] = (cuts[c] >> shift) << shift if shift < 63 else np.int64(0)
-    return snapped
+    small = found <= GROUP
+    small[:, -1] = True
+    return cells_of(cuts, d)[0][np.arange(len(cuts)), small.argmax(axis=1)]
 
 
-@njit(cache=True)
+@kernel
 def essential(skip, count, cells, boxes, angle):
     """The nodes that a rank needs whose branches lie in boxes (., 6), how many of their rows, and which.
 
@@ -77,7 +72,10 @@ def essential(skip, count, cells, boxes, angle):
     rounding keeps the order of numbers.
     """
     nodes, counts = np.empty(len(skip), np.int64), np.empty(len(skip), np.int64)
-    first = np.cumsum(count) - count
+    first, before = np.empty(len(skip), np.int64), np.int64(0)
+    for i in range(len(skip)):
+        first[i] = before
+        before += count[i]
     made, taken, node = 0, 0, 0
     while node < len(skip) and len(boxes):
         opened = False
@@ -101,7 +99,7 @@ def essential(skip, count, cells, boxes, angle):
     return nodes[:made], counts[:made], rows
 
 
-@njit(cache=True)
+@kernel
 def assemble(branch_level, branch_key, level, root, d):
     """The tree of all: (source, level, place of each branch), from the levels of the branches' nodes; each begins with a `root`.
 
@@ -128,7 +126,7 @@ def assemble(branch_level, branch_key, level, root, d):
     return source[:made], new_level[:made], place
 
 
-@njit(cache=True)
+@kernel
 def fill(source, skip, cells, bounds):
     """The moments of the cells that belong to several ranks, in place."""
     for i in range(len(source) - 1, -1, -1):

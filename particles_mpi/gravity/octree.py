@@ -13,7 +13,8 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from numba import njit
+
+from particles_mpi.lean import inner, kernel
 
 LEAF = 32  # particles of a cell that is not divided
 GROUP = 128  # particles of a cell that looks for its sources together
@@ -29,7 +30,7 @@ def levels(dimension: int) -> int:
     return min(63 // dimension, DEEPEST)
 
 
-@njit(cache=True)
+@kernel
 def morton(x, lower, scale, d):
     """Keys (n,) of positions x (n, 3) in the cube at `lower` whose side is 2^levels / scale."""
     keys = np.empty(len(x), np.int64)
@@ -45,7 +46,7 @@ def morton(x, lower, scale, d):
     return keys
 
 
-@njit(cache=True)
+@kernel
 def sort_ties(keys, ids, order):
     """Where keys[order] are equal, put `order` into the order of ids. In place."""
     for i in range(1, len(order)):
@@ -56,7 +57,7 @@ def sort_ties(keys, ids, order):
         order[j] = row
 
 
-@njit(cache=True)
+@kernel
 def divide(keys, d, low, high):
     """The cells of sorted `keys` that lie within the keys low ... high of this rank, in preorder.
 
@@ -70,7 +71,7 @@ def divide(keys, d, low, high):
     made, grouped, top = 0, 0, 0
     roots = 0
     if len(keys):
-        stack[0] = (0, len(keys), 0, 0, 0)
+        stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3], stack[0, 4] = 0, len(keys), 0, 0, 0
         top = 1
     while top:
         top -= 1
@@ -104,21 +105,24 @@ def divide(keys, d, low, high):
                     begin_row = middle + 1
                 else:
                     beyond = middle
-            stack[top] = (begin_row, end, level + 1, 1 if whole else 0, in_group)
+            stack[top, 0], stack[top, 1], stack[top, 2] = begin_row, end, level + 1
+            stack[top, 3], stack[top, 4] = 1 if whole else 0, in_group
             top += 1
             end = begin_row
     return nodes[:made, 0].copy(), nodes[:made, 1].copy(), groups[:grouped].copy(), branches[:roots].copy()
 
 
-@njit(cache=True)
+@inner
 def longer(rows):
     """The same rows with as much room again."""
     new = np.empty((2 * len(rows), rows.shape[1]), rows.dtype)
-    new[: len(rows)] = rows
+    for r in range(len(rows)):
+        for k in range(rows.shape[1]):
+            new[r, k] = rows[r, k]
     return new
 
 
-@njit(cache=True)
+@kernel
 def skips(level, roots):
     """The node after all parts of each node, from the levels of nodes in preorder; `roots`: the nodes where trees begin."""
     skip = np.empty(len(level), np.int64)
@@ -132,7 +136,7 @@ def skips(level, roots):
     return skip
 
 
-@njit(cache=True)
+@kernel
 def moments(skip, count, x, mass):
     """cells (n, WIDTH) and bounds (n, 6), lowest and highest corner, of a rank's own nodes with particles x (., 3), mass."""
     n = len(skip)
@@ -147,7 +151,7 @@ def moments(skip, count, x, mass):
     return cells, bounds
 
 
-@njit(cache=True)
+@inner
 def of_particles(cell, bound, x, mass):
     """Moments of a leaf."""
     for k in range(3):
@@ -163,12 +167,14 @@ def of_particles(cell, bound, x, mass):
         cell[RADIUS] = max(cell[RADIUS], sqrt(r2) * SAFE)
 
 
-@njit(cache=True)
+@inner
 def of_parts(i, skip, cells, bounds):
     """Moments of node i from those of its parts, in their order."""
     cell, bound = cells[i], bounds[i]
-    cell[:] = 0.0
-    bound[:] = bounds[i + 1]
+    for e in range(len(cell)):
+        cell[e] = 0.0
+    for k in range(6):
+        bound[k] = bounds[i + 1, k]
     part = i + 1
     while part < skip[i]:
         cell[MASS] += cells[part, MASS]
@@ -191,7 +197,7 @@ def of_parts(i, skip, cells, bounds):
     cell[RADIUS] = min(cell[RADIUS], sqrt(corner2) * SAFE)
 
 
-@njit(cache=True)
+@inner
 def center_of_mass(cell, bound):
     """From the sum of mass times position; the middle where there is no mass."""
     for k in range(3):
@@ -199,7 +205,7 @@ def center_of_mass(cell, bound):
         cell[CENTER + k] = cell[CENTER + k] / cell[MASS] if cell[MASS] > 0.0 else middle
 
 
-@njit(cache=True)
+@inner
 def add_second(cell, dx, dy, dz, mass):
     """Second moments of a mass at (dx, dy, dz) from the centre; returns the distance squared."""
     cell[SECOND] += mass * dx * dx

@@ -18,15 +18,15 @@ from math import sqrt
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from particles_mpi.gravity.octree import CENTER, MASS, RADIUS, SECOND
+from particles_mpi.lean import inner, kernel
 
 CELLS, PARTICLES = 256, 512  # sources that are added up at a time: they stay in the nearest cache
 FAR, NEAR, VISIT = 1.7, 1.0, 12.0  # work of a far cell and a near particle for a target, of a node for a group: to balance ranks
 
-summing: Any = njit(cache=True, _nrt=False, error_model="numpy", fastmath={"reassoc", "nsz", "contract"})  # type: ignore[call-overload]
-walking: Any = njit(cache=True, _nrt=False, error_model="numpy")  # type: ignore[call-overload]
+summing: Any = inner(_nrt=False, error_model="numpy", fastmath={"reassoc", "nsz", "contract"})
+walking: Any = inner(_nrt=False, error_model="numpy")
 
 
 @summing
@@ -71,7 +71,7 @@ def add_cells(far, n, x, y, z, softening2, total, t):
     total[t, 3] += potential
 
 
-@njit(cache=True)
+@kernel
 def walk(groups, skip, first, count, cells, x, mass, begin, angle, softening2, quadrupoles):
     """Acceleration, potential and work of the groups' rows, (rows, 5), for G = 1; and the number of interactions.
 
@@ -105,7 +105,7 @@ def add_sources(group, tree, x, mass, offset, angle, softening2, quadrupoles, li
         dx, dy, dz = max(lx - cx, cx - hx, 0.0), max(ly - cy, cy - hy, 0.0), max(lz - cz, cz - hz, 0.0)
         if angle2 * (dx * dx + dy * dy + dz * dz) > cells[node, RADIUS] * cells[node, RADIUS]:
             if n_far == CELLS:
-                flush_far(far, n_far, x, begin, end, offset, softening2, quadrupoles, result)
+                flush_far(far, np.int64(n_far), x, begin, end, offset, softening2, quadrupoles, result)
                 all_far, n_far = all_far + n_far, 0
             far[0, n_far], far[1, n_far], far[2, n_far], far[3, n_far] = cx, cy, cz, cells[node, MASS]
             if quadrupoles:
@@ -117,15 +117,15 @@ def add_sources(group, tree, x, mass, offset, angle, softening2, quadrupoles, li
             continue
         for p in range(first[node], first[node] + count[node]):
             if n_near == PARTICLES:
-                flush_near(near, n_near, x, begin, end, offset, own, column, softening2, result)
+                flush_near(near, np.int64(n_near), x, begin, end, offset, np.int64(own), np.int64(column), softening2, result)
                 all_near, n_near, own = all_near + n_near, 0, -1
             if own < 0 and offset + begin <= p < offset + end:
                 own, column = p, n_near
             near[0, n_near], near[1, n_near], near[2, n_near], near[3, n_near] = x[p, 0], x[p, 1], x[p, 2], mass[p]
             n_near += 1
         node += 1
-    flush_far(far, n_far, x, begin, end, offset, softening2, quadrupoles, result)
-    flush_near(near, n_near, x, begin, end, offset, own, column, softening2, result)
+    flush_far(far, np.int64(n_far), x, begin, end, offset, softening2, quadrupoles, result)
+    flush_near(near, np.int64(n_near), x, begin, end, offset, np.int64(own), np.int64(column), softening2, result)
     all_far, all_near = all_far + n_far, all_near + n_near
     work = (FAR if quadrupoles else NEAR) * all_far + NEAR * all_near + VISIT * visits / (end - begin)
     for t in range(begin, end):
@@ -141,7 +141,7 @@ def flush_far(far, n, x, begin, end, offset, softening2, quadrupoles, result):
         if quadrupoles:
             add_cells(far, n, x[p, 0], x[p, 1], x[p, 2], softening2, result, t)
         else:
-            add_particles(far, n, x[p, 0], x[p, 1], x[p, 2], -1, softening2, result, t)
+            add_particles(far, n, x[p, 0], x[p, 1], x[p, 2], np.int64(-1), softening2, result, t)
 
 
 @walking
@@ -149,5 +149,5 @@ def flush_near(near, n, x, begin, end, offset, own, column, softening2, result):
     """The first n particles of the list act on the whole group, but none on itself."""
     for t in range(begin, end):
         p = offset + t
-        itself = column + p - own if own >= 0 else -1
+        itself = column + p - own if own >= 0 else np.int64(-1)
         add_particles(near, n, x[p, 0], x[p, 1], x[p, 2], itself, softening2, result, t)

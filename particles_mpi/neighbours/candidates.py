@@ -97,7 +97,6 @@ class Candidates:
         point, normal = self.planes
         if len(point):
             self.walls = find_near_walls(
-                self.axes,
                 rows,
                 self.path,
                 self.end,
@@ -118,7 +117,7 @@ class Candidates:
 
     def turned(self, rows: Array, s: Array) -> Array:
         """Those of `rows` whose legs, begun at s, leave their tubes before the horizon; reorders `rows`."""
-        return rows[: turned(self.axes, self.x, self.v, s, self.path, rows, self.time, self.end, self.half, self.length)]
+        return rows[: turned(self.x, self.v, s, self.path, rows, self.time, self.end, self.half, self.length)]
 
     def follow(self, rows: Array, s: Array, h: float) -> float:
         """New paths and candidates for `rows`, on legs that began at s in the drift over h.
@@ -128,7 +127,7 @@ class Candidates:
         if not len(rows):
             return 0.0
         needed, self.end = set_out_anew(
-            self.axes, rows, self.x, self.v, s, self.home, self.path, self.seen, self.reach, self.length,
+            rows, self.x, self.v, s, self.home, self.path, self.seen, self.reach, self.length,
             self.time, h, self.end, self.half, self.bound, self.owned, self.fence,
         )  # fmt: skip
         if needed:

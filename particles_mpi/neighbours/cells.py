@@ -9,8 +9,8 @@ from __future__ import annotations
 from math import inf
 
 import numpy as np
-from numba import njit
 
+from particles_mpi.lean import inner, kernel
 from particles_mpi.particles import Array
 
 GRIDDED = 3  # axes with cells; more would cost 3^d cells to visit, and the others are tested by distance anyway
@@ -49,7 +49,7 @@ def spacing(low: Array, high: Array, n: int) -> float:
     return float(np.exp(np.log(extent).mean()) / max(n, 1) ** (1.0 / len(extent)))
 
 
-@njit(cache=True)
+@kernel
 def bounds(x):
     """(lowest, highest) coordinates of the rows of x (n, d); (inf, -inf) if n = 0."""
     low = np.full(x.shape[1], inf)
@@ -61,13 +61,13 @@ def bounds(x):
     return low, high
 
 
-@njit(cache=True)
+@inner
 def cell_along(y, origin, per, cells):
     """The cell of coordinate y on one axis; monotone in y, so that an interval of y is an interval of cells."""
     return int(min(max((y - origin) * per, 0.0), cells - 1.0))
 
 
-@njit(cache=True)
+@inner
 def cell_at(x, i, origin, per, cells):
     """The cell of row i of x (n, d)."""
     first = max(0, 3 - x.shape[1])
@@ -77,7 +77,7 @@ def cell_at(x, i, origin, per, cells):
     return c
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def sort_rows(x, level, wanted, origin, per, cells):
     """(order, start): rows of one level sorted by cell (rows in order within one), and where each cell starts among them."""
     n = len(x)
@@ -107,7 +107,7 @@ def order_in_space(x: Array, box: tuple[Array, Array]) -> Array:
     return order
 
 
-@njit(cache=True)
+@inner
 def link(i, c, head, after, before, cell_of):
     """Put row i into the list of cell c."""
     j = head[c]
@@ -117,7 +117,7 @@ def link(i, c, head, after, before, cell_of):
     head[c] = i
 
 
-@njit(cache=True)
+@inner
 def unlink(i, head, after, before, cell_of):
     """Take row i out of the list of its cell."""
     if before[i] >= 0:

@@ -47,7 +47,7 @@ def share(
 
     `arrays`: what is sent of a row; `state` = (x, v, radius) of the owned rows, tubes as in `paths`.
     """
-    boxes = ranks.rows_of_all(tubes_box((0,) * len(length), *state, end, half))
+    boxes = ranks.rows_of_all(tubes_box(*state, end, half))
     fence, rows, counts = build(boxes, ranks.rank, slack, state, end, half, length)
     return fence, rows, counts, *send_rows(ranks, arrays, rows, counts)
 
@@ -65,8 +65,7 @@ def build(
     others[rank] = False
     places = np.flatnonzero(others)
     outer = wide + slack * np.array([[-1.0] * d, [1.0] * d])
-    axes = (0,) * d
-    sent = [tubes_near(axes, *state, end, half, outer[p, 0], outer[p, 1], length) for p in places]
+    sent = [tubes_near(*state, end, half, outer[p, 0], outer[p, 1], length) for p in places]
     rows = np.concatenate([*sent, np.empty(0, np.int32)])
     counts = np.zeros(len(boxes), np.int32)
     counts[places] = [len(s) for s in sent]

@@ -6,9 +6,9 @@ After a pass a message holds only the rows to which something happened.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from particles_mpi.collide.contact import NOBODY
+from particles_mpi.lean import kernel
 from particles_mpi.neighbours.paths import place_of
 from particles_mpi.parallel.exchange import Halo
 from particles_mpi.particles import Array
@@ -44,7 +44,7 @@ def tell_legs(halo: Halo, live: Array, x: Array, v: Array, s: Array, met: Array,
     return count
 
 
-@njit(cache=True)
+@kernel
 def any_of(marks, a, b):
     """Is a row of a, or one of b that is no wall (b < 0), marked?"""
     found = False
@@ -53,7 +53,7 @@ def any_of(marks, a, b):
     return found
 
 
-@njit(cache=True)
+@kernel
 def pack_state(rows, x, v, a, out):
     """x and v of rows, and a if it has rows, one after the other."""
     d = x.shape[1]
@@ -68,7 +68,7 @@ def pack_state(rows, x, v, a, out):
     return size
 
 
-@njit(cache=True)
+@kernel
 def unpack_state(first, message, x, v, a):
     """What pack_state wrote, to the rows from `first` on."""
     d = x.shape[1]
@@ -81,7 +81,7 @@ def unpack_state(first, message, x, v, a):
                 a[first + r, k] = message[each * r + 2 * d + k]
 
 
-@njit(cache=True)
+@kernel
 def pack_choices(rows, choice, a, b, owned, marked, out):
     """(place among rows, choice) of the owned rows of the hits that are among them."""
     size = 0
@@ -98,14 +98,14 @@ def pack_choices(rows, choice, a, b, owned, marked, out):
     return size
 
 
-@njit(cache=True)
+@kernel
 def unpack_choices(first, message, choice):
     """What pack_choices wrote."""
     for m in range(0, len(message), 2):
         choice[first + message[m]] = message[m + 1]
 
 
-@njit(cache=True)
+@kernel
 def pack_legs(rows, touched, x, v, s, met, out, words):
     """(place among rows, met, s, x, v) of the touched rows that are among them; `words` is `out` as integers."""
     d = x.shape[1]
@@ -123,7 +123,7 @@ def pack_legs(rows, touched, x, v, s, met, out, words):
     return size
 
 
-@njit(cache=True)
+@kernel
 def unpack_legs(first, message, words, live, x, v, s, met, touched, count):
     """What pack_legs wrote; rows whose leg is news become live and touched.
 

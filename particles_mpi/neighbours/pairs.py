@@ -123,7 +123,7 @@ class Neighbourhood:
         self.box = low, high = bounds(x)
         work = self.rhythm.work(len(self.x), self.near.tests, self.near.asked) if self.searches else 0.0
         radius = particles.radius
-        mine = np.array([n, fastest(self.axes, x, particles.velocity), radius.max(initial=0.0), radius.sum(), work, *low, *high])
+        mine = np.array([n, fastest(x, particles.velocity), radius.max(initial=0.0), radius.sum(), work, *low, *high])
         table = self.ranks.rows_of_all(mine)  # of all in one message
         total, speed, largest = table[:, 0].sum(), table[:, 1].max(), 2.0 * float(table[:, 2].max())
         if not np.isfinite(table[:, 1:3]).all():

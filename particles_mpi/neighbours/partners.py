@@ -7,16 +7,16 @@ FAST ones and all that were turned in coarse cells of linked lists, and a few GI
 from math import inf, sqrt
 
 import numpy as np
-from numba import njit
 
 from particles_mpi.collide.contact import nearest
+from particles_mpi.lean import inner, kernel
 from particles_mpi.neighbours.cells import GRIDDED, cell_along, cell_at, link, unlink
 
 SLOW, FAST, GIANT = 0, 1, 2
 AT_ONCE = 8
 
 
-@njit(cache=True)
+@kernel
 def levels(reach, slow, fast, most):
     """(level of each row, giants, largest reach of slow rows, of fast ones): up to `slow`, up to `fast`, and beyond.
 
@@ -43,7 +43,7 @@ def levels(reach, slow, fast, most):
     return level, giants, count, caps
 
 
-@njit(cache=True)
+@kernel
 def fill_cells(seen, reach, level, order, origin, per, cells):
     """(place, entry) of the sorted cells: where each slow row is in `order`, and (seen, reach) in that order.
 
@@ -66,7 +66,7 @@ def fill_cells(seen, reach, level, order, origin, per, cells):
     return place, entry, head, after, before, cell_of
 
 
-@njit(cache=True)
+@kernel
 def move_rows(
     rows, seen, reach, level, place, entry, head, after, before, cell_of, origin, per, cells, caps, limit,
     giants, known, lowest, highest, owned, own_low, own_high,
@@ -75,7 +75,8 @@ def move_rows(
 
     Returns the number of giants.
     """
-    for i in rows:
+    for r in range(len(rows)):
+        i = np.int64(rows[r])
         for k in range(seen.shape[1]):
             lowest[k] = min(lowest[k], seen[i, k])
             highest[k] = max(highest[k], seen[i, k])
@@ -99,7 +100,7 @@ def move_rows(
     return known
 
 
-@njit(cache=True)
+@kernel
 def drop_pairs(rows, marked, first, second, count):
     """Forget the pairs of `rows` among the first `count`; marks the rows, returns how many pairs stay."""
     for i in rows:
@@ -114,7 +115,7 @@ def drop_pairs(rows, marked, first, second, count):
     return kept
 
 
-@njit(cache=True)
+@inner
 def shifts(low, high, lowest, highest, length, by):
     """Periodic images of [low, high] on one axis that meet [lowest, highest]: their shifts into `by`, returns how many."""
     count = 0
@@ -126,7 +127,7 @@ def shifts(low, high, lowest, highest, length, by):
     return count
 
 
-@njit(cache=True)
+@inner
 def cover(d, middle, extent, margin, origin, per, cells, low, high):
     """The cells that the box middle +- (extent + margin) meets: ranges low..high (3,)."""
     for m in range(max(0, 3 - d), 3):
@@ -135,7 +136,7 @@ def cover(d, middle, extent, margin, origin, per, cells, low, high):
         high[m] = cell_along(middle[k] + extent[k] + margin, origin[m], per[m], cells[m])
 
 
-@njit(cache=True)
+@inner
 def list_slow(low, high, cells, start, around):
     """Entries of the sorted cells in the ranges low..high; into `around`, returns how many.
 
@@ -155,7 +156,7 @@ def list_slow(low, high, cells, start, around):
     return listed
 
 
-@njit(cache=True)
+@inner
 def list_fast(low, high, cells, head, after, around, listed):
     """Rows in the linked lists of the cells in the ranges low..high; behind the first `listed` of `around`."""
     for c0 in range(low[0], high[0] + 1):
@@ -169,7 +170,7 @@ def list_fast(low, high, cells, head, after, around, listed):
     return listed
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inner(error_model="numpy", inline="always")
 def may_meet(axes, y, path, i, j, window, half, length):
     """Do the paths of i, at y at its start, and of j come nearer than R_i + R_j + 2 half within `window` from then?
 
@@ -196,7 +197,7 @@ def may_meet(axes, y, path, i, j, window, half, length):
     return (size > 0.0) & (r2 + t * (2.0 * ru + t * u2) <= cut * cut + 1e-12 * r2)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def find_partners(
     axes, rows, everything, marked, path, seen, reach, level, end, half, slow, fast, giants, caps,
     lowest, highest, length, owned, own_low, own_high, ids, w, around, first, second, found,
@@ -239,13 +240,13 @@ def find_partners(
         if also_fast and (not everything or level[i] == GIANT):
             tests += len(giants)
             for a in range(len(giants)):
-                j = giants[a]
+                giant = np.int64(giants[a])
                 for k in range(g):
-                    r = path[i, k] - (path[j, k] + path[j, d + k] * (path[i, 2 * d] - path[j, 2 * d]))
+                    r = path[i, k] - (path[giant, k] + path[giant, d + k] * (path[i, 2 * d] - path[giant, 2 * d]))
                     y[k] = path[i, k] + nearest(r, length[k]) - r
-                if wanted(i, j, marked, reach, owned, ids, w) and may_meet(axes, y, path, i, j, window, half, length):
+                if wanted(i, giant, marked, reach, owned, ids, w) and may_meet(axes, y, path, i, giant, window, half, length):
                     if found < len(first):
-                        first[found], second[found] = (i, j) if ids[i] < ids[j] else (j, i)
+                        first[found], second[found] = (i, giant) if ids[i] < ids[giant] else (giant, i)
                     found += 1
         for p0 in range(images[0]):
             for p1 in range(images[1]):
@@ -260,7 +261,7 @@ def find_partners(
                     cover(d, middle, extent, to_slow, origin, per, cells, low, high)
                     listed = list_slow(low, high, cells, start, around)
                     tests += listed
-                    near = 0
+                    near = np.int64(0)
                     self = np.uint64(place[i]) if level[i] == SLOW else np.uint64(len(path))
                     for p in range(listed):
                         e = np.uint64(around[np.uint64(p)])
@@ -282,17 +283,17 @@ def find_partners(
                             around[near] = j
                             near += (r2 <= (own + reach[j]) ** 2) & (i != j)
                     for p in range(near):
-                        j = np.int64(around[p])
-                        if may_meet(axes, y, path, i, np.uint64(j), window, half, length) and wanted(
-                            i, j, marked, reach, owned, ids, w
+                        other = np.int64(around[p])
+                        if may_meet(axes, y, path, i, np.uint64(other), window, half, length) and wanted(
+                            i, other, marked, reach, owned, ids, w
                         ):
                             if found < len(first):
-                                first[found], second[found] = (i, j) if ids[i] < ids[j] else (j, i)
+                                first[found], second[found] = (i, other) if ids[i] < ids[other] else (other, i)
                             found += 1
     return found, tests
 
 
-@njit(cache=True)
+@inner
 def wanted(i, j, marked, reach, owned, ids, w):
     """Is this a pair to keep, found from i?"""
     if i == j or not (i < owned or j < owned) or (w[i] == 0.0 and w[j] == 0.0):
@@ -300,7 +301,7 @@ def wanted(i, j, marked, reach, owned, ids, w):
     return not (marked[j] and (reach[j] > reach[i] or (reach[j] == reach[i] and ids[j] > ids[i])))
 
 
-@njit(cache=True)
+@kernel
 def unmark(rows, marked):
     """Take the marks off."""
     for i in rows:

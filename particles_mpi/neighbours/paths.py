@@ -13,19 +13,19 @@ never changes a result.
 from math import inf, sqrt
 
 import numpy as np
-from numba import njit
 
 from particles_mpi.collide.contact import nearest
+from particles_mpi.lean import inner, kernel
 
 
-@njit(cache=True)
-def fastest(axes, x, v):
+@kernel
+def fastest(x, v):
     """Largest speed of the rows of v; not a number if a coordinate or velocity is not finite."""
     most = 0.0
     wrong = 0.0  # or nan
     for i in range(len(v)):
         v2 = 0.0
-        for k in range(len(axes)):
+        for k in range(x.shape[1]):
             v2 += v[i, k] * v[i, k]
             wrong += x[i, k] * 0.0
         wrong += v2 * 0.0
@@ -33,7 +33,7 @@ def fastest(axes, x, v):
     return most**0.5 + wrong
 
 
-@njit(cache=True)
+@kernel
 def set_out(axes, x, v, radius, end, half, owned):
     """Of rows that all start now, at time 0: path, seen, reach, mean reach, bounds of seen (2, d), those of the first `owned`."""
     d = len(axes)
@@ -46,7 +46,7 @@ def set_out(axes, x, v, radius, end, half, owned):
     for i in range(len(x)):
         v2 = 0.0
         if i == owned:
-            own_box[:] = box
+            own_box = box.copy()
         for k in range(d):
             path[i, k] = x[i, k]
             path[i, d + k] = v[i, k]
@@ -59,11 +59,11 @@ def set_out(axes, x, v, radius, end, half, owned):
         reach[i] = radius[i] + half + sqrt(v2) * 0.5 * end
         total += reach[i]
     if owned == len(x):
-        own_box[:] = box
+        own_box = box.copy()
     return path, seen, reach, total / max(len(x), 1), box, own_box
 
 
-@njit(cache=True)
+@kernel
 def strayed(axes, x, v, path, time, h, half, length, rows):
     """Rows that a drift over h from `time` takes out of their tubes; into `rows`, returns how many."""
     d = len(axes)
@@ -80,10 +80,10 @@ def strayed(axes, x, v, path, time, h, half, length, rows):
     return found
 
 
-@njit(cache=True)
-def leaves(axes, x, v, s, path, i, time, until, half, length):
+@inner
+def leaves(x, v, s, path, i, time, until, half, length):
     """Does the leg of row i, from time + s_i on, leave its tube before `until`? Both are straight: the ends decide."""
-    d = len(axes)
+    d = x.shape[1]
     outside = False
     for t in (time + s[i], until):
         r2 = 0.0
@@ -95,21 +95,21 @@ def leaves(axes, x, v, s, path, i, time, until, half, length):
     return outside
 
 
-@njit(cache=True)
-def turned(axes, x, v, s, path, rows, time, until, half, length):
+@kernel
+def turned(x, v, s, path, rows, time, until, half, length):
     """Those of `rows` whose present leg leaves the tube before `until`; to the front of `rows`, returns how many."""
     found = 0
     for i in rows:
-        if leaves(axes, x, v, s, path, i, time, until, half, length):
+        if leaves(x, v, s, path, i, time, until, half, length):
             rows[found] = i
             found += 1
     return found
 
 
-@njit(cache=True)
-def tubes_box(axes, x, v, radius, end, half):
+@kernel
+def tubes_box(x, v, radius, end, half):
     """The box (2, d) around the tubes, spheres and all, of rows that set out now; (inf, -inf) if there are none."""
-    d = len(axes)
+    d = x.shape[1]
     box = np.empty((2, d))
     box[0], box[1] = inf, -inf
     for i in range(len(x)):
@@ -123,10 +123,10 @@ def tubes_box(axes, x, v, radius, end, half):
     return box
 
 
-@njit(cache=True)
-def tubes_near(axes, x, v, radius, end, half, low, high, length):
+@kernel
+def tubes_near(x, v, radius, end, half, low, high, length):
     """Rows, ascending, whose tubes may touch the box [low, high] or an image of it: judged axis by axis."""
-    d = len(axes)
+    d = x.shape[1]
     rows = np.empty(len(x), np.int32)
     found = 0
     for i in range(len(x)):
@@ -146,10 +146,10 @@ def tubes_near(axes, x, v, radius, end, half, low, high, length):
     return rows[:found]
 
 
-@njit(cache=True)
-def leaves_box(axes, path, i, margin, low, high):
+@inner
+def leaves_box(path, i, margin, low, high):
     """How long the path of row i stays `margin` inside the box [low, high]; below 0 if it does not start there."""
-    d = len(axes)
+    d = len(low)
     stay = inf
     for k in range(d):
         at = path[i, k]
@@ -164,10 +164,10 @@ def leaves_box(axes, path, i, margin, low, high):
     return stay
 
 
-@njit(cache=True)
-def enters_box(axes, path, i, margin, low, high, length):
+@inner
+def enters_box(path, i, margin, low, high, length):
     """When the path of row i comes within `margin` of the box [low, high] or an image of it, at the earliest; inf if never."""
-    d = len(axes)
+    d = len(low)
     begin = 0.0
     finish = inf
     for k in range(d):
@@ -192,7 +192,7 @@ def enters_box(axes, path, i, margin, low, high, length):
     return begin if begin <= finish else inf
 
 
-@njit(cache=True)
+@inner
 def place_of(row, rows):
     """Where `row` is among ascending rows, or -1."""
     low, high = 0, len(rows)
@@ -205,14 +205,14 @@ def place_of(row, rows):
     return low if low < len(rows) and rows[low] == row else -1
 
 
-@njit(cache=True, error_model="numpy")
-def set_out_anew(axes, rows, x, v, s, home, path, seen, reach, length, time, h, end, half, bound, owned, fence):
+@kernel(error_model="numpy")
+def set_out_anew(rows, x, v, s, home, path, seen, reach, length, time, h, end, half, bound, owned, fence):
     """New paths for `rows` along their present legs, in the drift over h from `time`. In place on path, seen, reach.
 
     Returns (how far from `home`, where the last search saw it, a row gets in this drift if it may not, else 0; horizon).
     Rows that could get further than `bound`, or out of their fence, until the horizon bring it nearer. See `pairs.Fence`.
     """
-    d = len(axes)
+    d = x.shape[1]
     own, others, sent, known = fence
     needed = 0.0
     for i in rows:
@@ -235,10 +235,10 @@ def set_out_anew(axes, rows, x, v, s, home, path, seen, reach, length, time, h, 
         until = max(time + h, start + (bound - now) / speed) if late > bound else inf
         if i < owned:
             margin = path[i, 2 * d + 1] + half
-            until = min(until, start + leaves_box(axes, path, i, margin, own[0], own[1]))
+            until = min(until, start + leaves_box(path, i, margin, own[0], own[1]))
             for p in range(len(others)):
                 if place_of(i, known[sent[p] : sent[p + 1]]) < 0:
-                    until = min(until, start + enters_box(axes, path, i, margin, others[p, 0], others[p, 1], length))
+                    until = min(until, start + enters_box(path, i, margin, others[p, 0], others[p, 1], length))
         if not (max(now, soon) <= bound and until >= time + h):
             needed = max(needed, now, soon) if soon == soon else inf
             continue
@@ -249,13 +249,13 @@ def set_out_anew(axes, rows, x, v, s, home, path, seen, reach, length, time, h, 
     return needed, end
 
 
-@njit(cache=True)
-def find_near_walls(axes, rows, path, end, half, owned, point, normal, marked, near, count):
+@kernel
+def find_near_walls(rows, path, end, half, owned, point, normal, marked, near, count):
     """Owned ones of `rows` whose tubes touch a wall until `end`; behind the first `count` of `near` that are not marked.
 
     Returns the number then.
     """
-    d = len(axes)
+    d = normal.shape[1]
     kept = 0
     for p in range(count):
         near[kept] = near[p]

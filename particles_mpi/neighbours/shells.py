@@ -17,10 +17,9 @@ from __future__ import annotations
 from math import floor
 
 import numpy as np
-from numba import njit
 
 from particles_mpi.collide.contact import boxes_between
-from particles_mpi.lean import lean, prefetch
+from particles_mpi.lean import inner, kernel, lean_inner, prefetch
 from particles_mpi.particles import Array
 
 GRIDDED = 3  # axes with cells
@@ -70,7 +69,7 @@ def grids(x: Array, reach: Array, box: tuple[Array, Array], length: Array, share
     return (corner, per, cells, first, caps), level
 
 
-@njit(cache=True)
+@inner
 def level_of(reach, caps):
     """The level for one row more, of this reach; the widest one may have to hold wider rows than it was made for."""
     widest = 0
@@ -83,7 +82,7 @@ def level_of(reach, caps):
     return widest
 
 
-@lean
+@lean_inner
 def along(y, reach, low, per, cells, periodic):
     """(first cell, number of cells) of the interval y +- reach on one axis; on a periodic one they may pass the end."""
     begin = floor((y - reach - low) * per)
@@ -96,7 +95,7 @@ def along(y, reach, low, per, cells, periodic):
     return np.int64(begin), np.int64(min(max(end, 0.0), cells - 1.0) - begin) + 1
 
 
-@njit(cache=True, inline="always")
+@inner(inline="always")
 def near_homes(axes, home, i, j, length, far):
     """May rows i and j touch while both are in their shells? Never both immovable."""
     d = len(axes)
@@ -112,7 +111,7 @@ def near_homes(axes, home, i, j, length, far):
     return (r2 <= reach * reach) & (i != j) & ((home[i, d + 2] > 0.0) | (home[j, d + 2] > 0.0))
 
 
-@lean
+@lean_inner
 def listed(pool, lists, top, i, j):
     """Put j into the list of i, for which there is room in the pool."""
     if lists[i, COUNT] == lists[i, ROOM]:
@@ -125,7 +124,7 @@ def listed(pool, lists, top, i, j):
     lists[i, COUNT] += 1
 
 
-@lean
+@lean_inner
 def unlisted(pool, lists, i, j):
     """Take j out of the list of i."""
     last = lists[i, BEGIN] + lists[i, COUNT] - 1
@@ -136,7 +135,7 @@ def unlisted(pool, lists, i, j):
             return
 
 
-@lean
+@lean_inner
 def neighbours(axes, i, home, links, head, low, per, cells, first, caps, length, far, around):
     """Rows in the cells that may be in touch with row i, into `around`; returns how many."""
     d = len(axes)
@@ -177,7 +176,7 @@ def neighbours(axes, i, home, links, head, low, per, cells, first, caps, length,
     return found
 
 
-@lean
+@lean_inner
 def room_for(i, around, found, lists):
     """Places that the pool needs at most to list `found` rows `around` i, and i with each of them."""
     need = np.int64(0)
@@ -192,13 +191,14 @@ def room_for(i, around, found, lists):
     return need
 
 
-@lean
+@lean_inner
 def move_in(axes, i, home, links, level, around, found, pool, lists, top, head, low, per, cells, first, length):
     """List row i with the rows `around` it, and put it into its cell."""
     d = len(axes)
     for p in range(found):
-        listed(pool, lists, top, i, around[p])
-        listed(pool, lists, top, around[p], i)
+        j = np.int64(around[p])
+        listed(pool, lists, top, i, j)
+        listed(pool, lists, top, j, i)
     step = level[i]
     c = np.int64(0)
     for m in range(min(d, 3)):
@@ -207,14 +207,14 @@ def move_in(axes, i, home, links, level, around, found, pool, lists, top, head, 
             at -= floor(at / cells[step, m]) * cells[step, m]
         c = c * cells[step, m] + np.int64(min(max(at, 0.0), cells[step, m] - 1.0))
     cell = first[step] + c
-    j = head[cell]
+    j = np.int64(head[cell])
     links[i, 2 * d + AFTER], links[i, 2 * d + BEFORE], links[i, 2 * d + CELL] = j, -1, cell
     if j >= 0:
         links[j, 2 * d + BEFORE] = i
     head[cell] = i
 
 
-@lean
+@lean_inner
 def move_out(axes, i, links, pool, lists, head):
     """Row i leaves its cell and all lists."""
     d = len(axes)
@@ -234,24 +234,25 @@ def move_out(axes, i, links, pool, lists, head):
         links[after, 2 * d + BEFORE] = before
 
 
-@njit(cache=True)
+@inner
 def larger(pool, used, need):
     """The pool, or a copy with room for `need` more places than are used."""
     if used + need <= len(pool):
         return pool
     copy = np.empty(2 * len(pool) + need, np.int32)
-    copy[:used] = pool[:used]
+    for p in range(used):
+        copy[p] = pool[p]
     return copy
 
 
-@njit(cache=True)
+@kernel
 def settle_all(axes, x, home, links, level, pool, lists, top, head, grid, length, around):
     """Homes of all rows where they are. Returns the pool."""
     low, per, cells, first, caps = grid
     for i in range(len(x)):
         for k in range(len(axes)):
             home[i, k] = x[i, k]
-        found = neighbours(axes, i, home, links, head, low, per, cells, first, caps, length, True, around)
+        found = neighbours(axes, i, home, links, head, low, per, cells, first, caps, length, np.bool_(True), around)
         pool = larger(pool, top[0], room_for(i, around, found, lists))
         move_in(axes, i, home, links, level, around, found, pool, lists, top, head, low, per, cells, first, length)
     return pool

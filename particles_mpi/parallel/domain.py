@@ -9,8 +9,8 @@ from __future__ import annotations
 from math import inf
 
 import numpy as np
-from numba import njit
 
+from particles_mpi.lean import kernel
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import Array
 
@@ -92,7 +92,7 @@ def best_cut(ranks: Ranks, x: Array, weight: float, share: float) -> tuple[int, 
     return k, right
 
 
-@njit(cache=True)
+@kernel
 def owners(x, axis, cut, below, above):
     """The rank that holds each row, by descending the tree."""
     owner = np.zeros(len(x), np.int64)

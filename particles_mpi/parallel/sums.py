@@ -9,15 +9,15 @@ from __future__ import annotations
 from math import inf, nan
 
 import numpy as np
-from numba import njit
 
+from particles_mpi.lean import kernel
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import Array
 
 DIGITS = 68  # 32 bits each, from 2^-1074 to beyond 2^1024, and one digit to hold +-inf and nan
 
 
-@njit(cache=True)
+@kernel
 def accumulate(values, digits):
     """Add float64 values (n,) to digits (68,) int64, exactly."""
     bits = values.view(np.int64)

@@ -30,7 +30,7 @@ def test_turned_rows_meet_only_rows_that_their_rank_holds(seed, d, ranks, n, per
         v *= min(1.0, 0.5 * bound / (end * np.sqrt((v**2).sum(axis=1)).max()))
     owner = np.minimum((x[:, 0] / side * ranks).astype(int), ranks - 1)
     mine = [np.flatnonzero(owner == p) for p in range(ranks)]
-    boxes = np.array([tubes_box((0,) * d, x[m], v[m], radius[m], end, half) for m in mine])
+    boxes = np.array([tubes_box(x[m], v[m], radius[m], end, half) for m in mine])
     fences = [build(boxes, p, slack, (x[m], v[m], radius[m]), end, half, length) for p, m in enumerate(mine)]
 
     turning = random.random(n) < 0.2
@@ -64,7 +64,7 @@ def test_a_turned_row_does_not_leave_the_space_that_its_rank_knows():
     x, v = np.array([[-0.1, 0.0], [5.0, 0.0], [9.0, 0.0]]), np.zeros((3, 2))
     radius, w, ids, length, end, half = np.full(3, 0.2), np.ones(3), np.arange(3), np.zeros(2), 1.0, 0.01
     a, b = np.array([0]), np.array([1, 2])
-    boxes = np.array([tubes_box((0, 0), x[m], v[m], radius[m], end, half) for m in (a, b)])
+    boxes = np.array([tubes_box(x[m], v[m], radius[m], end, half) for m in (a, b)])
     boxes[1, 0, 0] = -0.05  # some other row of the rank of B reaches there
     fence, rows, _ = build(boxes, 0, 0.1, (x[a], v[a], radius[a]), end, half, length)
     assert rows.tolist() == [0]

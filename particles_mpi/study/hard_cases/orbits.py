@@ -3,9 +3,9 @@
 from math import log, sqrt
 
 import numpy as np
-from numba import njit
 
 from particles_mpi.integrators import free_drift, kick
+from particles_mpi.lean import kernel
 from particles_mpi.study.hard_cases import Bench, case
 
 ORBITS, STEPS = 1_000_000, 50
@@ -45,7 +45,7 @@ def softened_encounter(bench: Bench) -> tuple[str, bool]:
     return f"energy within {worst:.1e}, {last:.0e} after the period", worst <= 5e-2 and last <= 1e-4
 
 
-@njit(cache=True)
+@kernel
 def circle(orbits, steps, compensated):
     """Energy errors of a circular orbit after 10, 100, ... orbits of leapfrog, `steps` an orbit: the program's kick and drift.
 
