@@ -14,6 +14,7 @@ if TYPE_CHECKING:  # signals are caught before anything that takes long is impor
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 EXIT_CODE = 130
+GRACE = 0.4  # seconds for a step to end after a signal, if it looks in between
 LOOK_STEPS, LOOK_SECONDS = 10, 0.2  # between two looks whether a rank was told to stop: whichever is less
 
 
@@ -33,10 +34,12 @@ class Request:
         self.ranks, self.told = ranks, False
         self.end = np.inf if wall_time is None else began + wall_time
         self.looked, self.step, self.next = perf_counter(), 0, 0
+        self.told_at = np.inf
         self.before = {number: signal.signal(number, self._tell) for number in SIGNALS}
+        _requests.append(self)
 
     def _tell(self, *_: object) -> None:
-        self.told = True
+        self.told, self.told_at = True, min(self.told_at, perf_counter())
 
     def made(self, step: int) -> bool:
         """Was any rank told to stop, or is the time up? Looks every few steps, all ranks at the same ones. Collective.
@@ -54,5 +57,16 @@ class Request:
 
     def close(self) -> None:
         """Signals mean again what they did before."""
+        _requests.remove(self)
         for number, handler in self.before.items():
             signal.signal(number, handler)
+
+
+_requests: list[Request] = []  # those that catch signals now
+
+
+def breathe() -> None:
+    """Called between the pieces of a long computation within a step, which ends here if a signal came some time ago."""
+    for request in _requests:
+        if perf_counter() > request.told_at + GRACE:
+            raise KeyboardInterrupt("stopped within a step that takes long: what counts is the last checkpoint")

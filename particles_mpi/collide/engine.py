@@ -6,11 +6,13 @@ from math import prod
 
 import numpy as np
 
-from particles_mpi.collide.events import AHEAD, COLLISIONS, HOMES, WALL_HITS, arrive, hand_over, run, set_out
+from particles_mpi.collide.events import AHEAD, BREATH, COLLISIONS, HOMES, STANDSTILL, WALL_HITS, arrive, hand_over, run, set_out
 from particles_mpi.collide.flow import no_rates
 from particles_mpi.collide.log import GHOST, ID, LAST, MINE, NOT_HERE, OWN, VIRIAL, Log
 from particles_mpi.collide.planes import Planes
-from particles_mpi.collide.queue import NOTHING, SLOT
+from particles_mpi.collide.queue import LEAVING, NOTHING, SLOT
+from particles_mpi.errors import StateError
+from particles_mpi.interrupt import breathe
 from particles_mpi.neighbours.homes import Homes, aligned, enlarged
 from particles_mpi.particles import Array, Particles
 
@@ -113,18 +115,35 @@ class Engine:
         queue = self.slot, when, self.heads, per_time, self.clock, self.far, *self.scribble
         log, rates = self.log.arrays(), self.rates.of(self.fields)
         pending, self.pending = self.pending, 0
+        reached = np.array([now, 0.0])
         while True:
             short = run(
                 self.axes, self.leg, self.leg.view(np.int64), self.state, self.reals, self.h, now, until, moment, self.length,
                 homes.pool, homes.lists, homes.top, homes.home, homes.links, homes.level, homes.head, homes.grid,
                 walls, planes.restitution, planes.keep, rates, self.restitution, self.keep, self.soft, queue,
                 self.counts, self.spared,
-                self.ahead, self.lower, homes.around, self.todo, pending, self.stop, self.stopped, self.crowded, log,
+                self.ahead, self.lower, homes.around, self.todo, pending, self.stop, self.stopped, self.crowded,
+                reached, log,
             )  # fmt: skip
             if not short:
                 return
-            homes.enlarge(short)
+            if short == STANDSTILL:
+                raise StateError(self.standstill(moment + reached[0]))
+            if short == BREATH:
+                breathe()
+            else:
+                homes.enlarge(short)
             pending = 0
+
+    def standstill(self, time: float) -> str:
+        """Who meets whom for ever."""
+        row, partner = int(self.todo[0]), int(self.todo[1])
+        with_ = f"particle {self.state[partner, ID]}" if partner >= 0 else f"wall {-1 - partner}"
+        with_ = "nobody, but leaves its neighbourhood" if partner == LEAVING else with_
+        return (
+            f"time stands still at t = {time:.9g}: events follow one another without end, the last one of particle"
+            f" {self.state[row, ID]} with {with_}"
+        )
 
     def arrive(self) -> int:
         """All rows to the end of the drift. Returns how many own ones were squeezed."""

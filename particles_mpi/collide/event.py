@@ -23,6 +23,7 @@ from particles_mpi.collide.planes import Planes, no_planes
 from particles_mpi.collide.windows import Windows
 from particles_mpi.errors import StateError
 from particles_mpi.neighbours.cells import bounds, order_in_space
+from particles_mpi.neighbours.paths import fastest
 from particles_mpi.parallel.exchange import rows_of_everyone
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.parallel.replica import Replica
@@ -200,6 +201,8 @@ class Whole:
             self.replica.gather()
         with self.timers("pairs"):
             if self.version != p.version or engine.moved > SETTLED * len(p):
+                if not np.isfinite(fastest(p.position, p.velocity)):
+                    raise StateError(not_finite(self.ranks, p, f"t = {moment:g}"))
                 self.settle()
         with self.timers("search"):
             moved, speed = engine.set_out(p, self.seat)

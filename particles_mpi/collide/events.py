@@ -37,6 +37,10 @@ COLLISIONS, WALL_HITS, SPARED, HOMES = 0, 1, 2, 3  # what `counts` counts
 NO_TIME = 2**32  # STUCK counts contacts in a row without time passing in units of this, and below it quick ones of the drift
 PATIENCE = 1000 * NO_TIME  # past it a particle is squeezed, and waits for the next step
 QUICK = 0.01  # of a drift: a contact so soon after the last one is quick
+BREATH, STANDSTILL = -1, -2  # what `run` returns
+PIECE = 100_000  # events, about a tenth of a second
+STANDING = 1e-9  # of a drift: time that does not count as passed
+MOST_STANDING, FEW = 2.0 * PATIENCE / NO_TIME, 100  # events a row while no time passes; more than PATIENCE ever allows
 EARLY, SOON, NEXT_ONES = 6, 4, 2  # buckets
 AHEAD = 0.8  # of the shell: a new home lies that far ahead where flights are longer than shells
 
@@ -235,7 +239,7 @@ def turn(axes, leg, state, reals, i, t, partner, moment, quickly, crowded, far):
         state[i, STUCK] %= NO_TIME
     else:
         state[i, STUCK] += NO_TIME
-    state[i, STUCK] += moment + t - reals[i, LAST] <= quickly
+    state[i, STUCK] += abs(moment + t - reals[i, LAST]) <= quickly
     if state[i, STUCK] % NO_TIME >= crowded and state[i, STUCK] < PATIENCE:
         state[i, STUCK] += PATIENCE
     far[1] |= state[i, STUCK] >= PATIENCE
@@ -280,13 +284,16 @@ def fetch(axes, leg, state, slot, lists, pool, home, heads, clock):
 def run(
     axes, leg, leg_words, state, reals, h, now, until, moment, length, pool, lists, top, home, links, level, head, grid,
     walls, wall_restitution, wall_keep, rates, restitution, keep, soft, queue, counts, spared, ahead, box_low, around,
-    todo, pending, stop, stopped, crowded, log,
+    todo, pending, stop, stopped, crowded, reached, log,
 ):  # fmt: skip
     """All events from `now` to `until`, in order, of a drift over h that began at `moment`. `soft`: duration t_c of a contact.
 
     Rows with `crowded` quick contacts have no more in this drift.
     With stop[0] it ends after the first collision, whose time goes to `stopped` and ids to stop[1:].
-    Returns 0, or how many places the pool is short of: then call again with a larger one.
+    Returns 0; or how many places the pool is short of: then call again with a larger one; or BREATH after so many events that
+    a user may have pressed Ctrl-C: then call again; or STANDSTILL, where events follow one another for ever but time does not
+    pass: todo[0] is then a row, todo[1] its partner. `reached` (2,): the last time that is further on than the one before by
+    a part STANDING of the drift, and how many events there have been since.
 
     A contact within t_c of the last one of either partner takes no energy: the TC model (Luding and McNamara, Granular
     Matter 1, 113, 1998), which keeps inelastic collapse from stopping the clock. `spared` lists the first of them.
@@ -300,6 +307,7 @@ def run(
     point, normal, lower, upper, oblique = walls
     x, v = leg[:, :d], leg[:, d : 2 * d]
     logging = log[0][0] > 0
+    events = 0
     while True:
         if pending > 0:
             pending -= 1
@@ -319,8 +327,17 @@ def run(
         if i < 0 or when[i, WHEN] >= until:
             return 0
         t = when[i, WHEN]
-        now = max(now, t)
         j = np.int64(slot[i, PARTNER])
+        reached[1] += 1.0
+        if t > reached[0] + STANDING * h:
+            reached[0], reached[1] = t, 0.0
+        elif reached[1] > MOST_STANDING * (len(leg) + FEW):
+            todo[0], todo[1] = i, j
+            return STANDSTILL
+        events += 1
+        if events > PIECE:
+            return BREATH
+        now = max(now, t)
         if logging:
             remember(axes, leg, state, i, log)
         todo[0] = i
@@ -345,7 +362,7 @@ def run(
         elif j < 0:
             wall = -1 - j
             lossy = wall_restitution[wall] * wall_keep[wall] < 1.0
-            easy = lossy and moment + t - reals[i, LAST] < soft
+            easy = lossy and abs(moment + t - reals[i, LAST]) < soft
             turn(axes, leg, state, reals, i, t, j, moment, QUICK * h, crowded, far)
             move_leg(axes, leg, i, t)
             mine = state[i, MINE] >= OWN
@@ -363,7 +380,7 @@ def run(
             pending = 2
             if state[j, ID] < state[i, ID]:
                 i, j = j, i
-            easy = restitution * keep < 1.0 and moment + t - max(reals[i, LAST], reals[j, LAST]) < soft
+            easy = restitution * keep < 1.0 and abs(moment + t - max(reals[i, LAST], reals[j, LAST])) < soft
             turn(axes, leg, state, reals, i, t, state[j, ID], moment, QUICK * h, crowded, far)
             turn(axes, leg, state, reals, j, t, state[i, ID], moment, QUICK * h, crowded, far)
             mine = state[i, MINE] >= OWN

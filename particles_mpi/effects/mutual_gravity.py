@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
 import numpy as np
@@ -10,6 +11,7 @@ from pydantic import Field
 from particles_mpi.gravity.choice import TREES, Choice, choose
 from particles_mpi.gravity.direct import add_potential, attract
 from particles_mpi.integrators import places_of
+from particles_mpi.interrupt import breathe
 from particles_mpi.parallel.blocks import blocks
 from particles_mpi.parallel.exchange import IdRange
 from particles_mpi.parallel.ranks import Ranks
@@ -17,6 +19,7 @@ from particles_mpi.particles import Array, Particles
 from particles_mpi.scene import EffectOptions, Scene
 
 ACCURACY = 1e-3
+PAIRS = 2 * 10**8  # at once
 
 
 class Options(EffectOptions):
@@ -98,7 +101,8 @@ class DirectSum:
         columns = {name: particles[name] for name in ("id", "position", "mass")}
         pull, axes = np.zeros_like(particles.position), (0,) * particles.dimension
         for block in blocks(self.ranks, columns, self.ids):
-            attract(axes, particles.position, block["position"], block["mass"], self.softening2, pull)
+            for some in pieces(len(particles), len(block["mass"])):
+                attract(axes, particles.position, block["position"][some], block["mass"][some], self.softening2, pull)
         self.interactions += len(particles) * self.ids.total
         return pull
 
@@ -107,8 +111,18 @@ class DirectSum:
         columns = {"id": p.id, "position": p.position, "mass": halved(p)}
         total, axes = np.zeros(len(p)), (0,) * p.dimension
         for block in blocks(self.ranks, columns, self.ids):
-            add_potential(axes, p.position, p.id, block["position"], block["mass"], block["id"], self.softening2, total)
+            for some in pieces(len(p), len(block["mass"])):
+                sources = block["position"][some], block["mass"][some], block["id"][some]
+                add_potential(axes, p.position, p.id, *sources, self.softening2, total)
         return total
+
+
+def pieces(targets: int, sources: int) -> Iterator[slice]:
+    """The sources in turn, as many at once as take some tenths of a second, so that Ctrl-C is heard in between."""
+    each = max(1, PAIRS // max(targets, 1))
+    for first in range(0, sources, each):
+        breathe()
+        yield slice(first, first + each)
 
 
 class TreeSum:

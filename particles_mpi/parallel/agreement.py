@@ -187,7 +187,7 @@ def _notice(error: BaseException, whole: bool) -> Notice:
     if isinstance(error, SceneError | StoppedError | Interrupted):
         return Notice(error.exit_code, str(error), shared=True)
     if isinstance(error, KeyboardInterrupt):
-        return Notice(Interrupted.exit_code, "interrupted")
+        return Notice(Interrupted.exit_code, str(error) or "interrupted")
     if whole:
         return Notice(StoppedError.exit_code, "".join(traceback.format_exception(error)), trace=True)
     return Notice(StoppedError.exit_code, unexpected(error))

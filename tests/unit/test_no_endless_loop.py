@@ -1,0 +1,93 @@
+"""The event loop ends whatever state it is given, with ids and time, and Ctrl-C is heard within a second."""
+
+import os
+import signal
+import subprocess
+import sys
+from time import sleep
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from particles_mpi import Scene, Simulation
+from particles_mpi.errors import StateError, StoppedError
+
+
+def discs(mode="event", **population):
+    particles = [{"position": [[0, 0], [1.5, 0], [3.2, 0.1]], "radius": 0.5} | population]
+    time = {"step": 0.5, "steps": 4}
+    return Simulation(Scene(dimension=2, time=time, particles=particles, effects={"collisions": {"mode": mode}}))
+
+
+def test_fixed_spheres_that_are_given_a_velocity_stay():
+    sim = discs(fixed=[True, True, False])
+    sim.particles.velocity[0] = [5.0, 0.0]
+    sim.step()
+    assert (sim.particles.velocity == 0.0).all() and (sim.particles.position[0] == 0.0).all()
+
+
+def test_particles_made_fixed_while_others_move_are_hit():
+    sim = discs(velocity=[[0, 0], [2.0, 0.0], [0.0, 0.0]])
+    sim.step()
+    sim.particles.fixed[:2] = True
+    x = sim.particles.position[:2].copy()
+    sim.particles.velocity[2] = [-4.0, 0.0]
+    sim.run()
+    assert (sim.particles.position[:2] == x).all() and sim.particles.velocity[2, 0] > 0.0
+
+
+def test_time_that_stands_still_is_told_with_ids_and_time():
+    """A particle with no room before it leaves its neighbourhood would leave it for ever."""
+    sim = discs(velocity=[[0, 0], [1.0, 0.0], [0.0, 0.0]])
+    sim.step()
+    engine = sim.near.whole.engine
+    engine.homes.home[:, 3] = 0.0  # shells
+    with pytest.raises(StateError, match=r"step 2: time stands still at t = [0-9.]+: .* particle 1 with nobody, but leaves"):
+        sim.step()
+    assert StateError.exit_code == 3
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_any_state_ends(data):
+    """Fields set to anything between two steps: the next steps end, or say in one line why not."""
+    sim = discs(data.draw(st.sampled_from(["event", "rewind"])), velocity=[[1.0, 0], [-1.0, 0.2], [0.5, -0.5]])
+    sim.step()
+    odd = st.sampled_from([0.0, -1.0, 1e-300, 1e-9, 0.5, 1.0, 3.0, 1e9, 1e30, np.inf, -np.inf, np.nan])
+    for name in ("position", "velocity", "radius", "mass", "fixed"):
+        for row in data.draw(st.lists(st.integers(0, 2), max_size=2)):
+            value = data.draw(odd)
+            sim.particles[name][row] = bool(value > 0.7) if name == "fixed" else value
+    try:
+        for _ in range(3):
+            sim.step()
+    except StoppedError as error:
+        assert len(str(error).splitlines()) == 1 and "step" in str(error)
+
+
+LONG = """
+from particles_mpi import Scene, Simulation
+sim = Simulation(Scene(dimension=2, time={"step": 1e4, "steps": 1}, box={"lower": [0, 0], "upper": [100, 100]},
+    particles=[{"count": 1000, "position": "random", "velocity": {"speed": 50.0}, "radius": 0.5}],
+    effects={"collisions": {"mode": "event"}, "walls": {}}))
+print("begins", flush=True)
+sim.run(%s)
+"""
+
+
+@pytest.mark.parametrize(("arguments", "code"), [("", -signal.SIGINT), ("FOLDER", 130)])
+def test_ctrl_c_is_heard_within_a_step(tmp_path, arguments, code):
+    """A step of very many contacts, as a user's script and as a run with files."""
+    script = LONG % (repr(str(tmp_path / "o")) if arguments else "")
+    if arguments:
+        script = script.replace("sim.run", "from particles_mpi.parallel.agreement import end_together\ntry:\n    sim.run")
+        script += "except BaseException as error:\n    raise SystemExit(end_together(error))\n"
+    process = subprocess.Popen([sys.executable, "-c", script], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == "begins\n"
+    sleep(5.0)  # into the step
+    os.kill(process.pid, signal.SIGINT)
+    said = process.communicate(timeout=20)[1]  # a second, on a machine that is not busy with something else; the step takes days
+    assert process.returncode == code, said
