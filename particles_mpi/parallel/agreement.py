@@ -62,7 +62,7 @@ def alike(ranks: Ranks) -> Iterator[None]:
             raise error
         return
     mine, worst = np.array([error is not None], np.int8), np.zeros(1, np.int8)
-    _await(ranks.comm.Iallreduce(mine, worst, MPI.MAX), error)
+    _await(ranks.comm.Iallreduce(mine, worst, MPI.MAX), error, SETUP_PATIENCE)
     if worst[0]:
         raise_first(ranks, error)
 
@@ -70,7 +70,7 @@ def alike(ranks: Ranks) -> Iterator[None]:
 def come_together(ranks: Ranks, error: SceneError | StoppedError) -> None:
     """After an error that should have come to all ranks: returns if it has, else ends all. Collective."""
     if ranks.size > 1:
-        _await(ranks.comm.Ibarrier(), error)
+        _await(ranks.comm.Ibarrier(), error, PATIENCE)
 
 
 def raise_first(ranks: Ranks, error: Exception | None, root_reads: bool = False) -> None:
@@ -146,12 +146,12 @@ def unexpected(error: BaseException) -> str:
     return name + (f": {said}" if said else "") + (f" (at {calls})" if calls else "")
 
 
-def _await(request: MPI.Request, error: Exception | None) -> None:
+def _await(request: MPI.Request, error: Exception | None, patience: float) -> None:
     """Until all ranks have come; one with an error does not wait for ever for those that may be waiting for it elsewhere."""
     if error is None:
         request.Wait()
         return
-    end = perf_counter() + SETUP_PATIENCE
+    end = perf_counter() + patience
     while not request.Test():
         if perf_counter() > end:
             end_together(error)
