@@ -159,7 +159,7 @@ class Simulation:
         if c.options.mode == "event" or self.keeps_contacts:
             from particles_mpi.collide.event import Event
 
-            exact = Event(self.rows, self.ranks, box, loss, c.soft, planes, self.timers)
+            exact = Event(self.rows, self.ranks, box, loss, c.options.contact_duration, planes, self.timers)
             if self.rest and self.rest.pairs:
                 exact.hold = lambda h: self.rest.hold(self.rows, self.sum_forces(), h)
         if c.options.mode == "event":

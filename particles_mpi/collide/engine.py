@@ -7,7 +7,7 @@ from math import prod
 import numpy as np
 
 from particles_mpi.collide.events import AHEAD, BREATH, COLLISIONS, HOMES, STANDSTILL, WALL_HITS, arrive, hand_over, run, set_out
-from particles_mpi.collide.flow import no_rates
+from particles_mpi.collide.flow import Rates, no_rates
 from particles_mpi.collide.log import GHOST, ID, LAST, MINE, NOT_HERE, OWN, VIRIAL, Log
 from particles_mpi.collide.planes import Planes
 from particles_mpi.collide.queue import LEAVING, NOTHING, SLOT
@@ -30,10 +30,10 @@ class Engine:
     `stopped` and `stop` what `run` stopped for, `spared` the (time, id, id or wall) of the first contacts that took no energy.
     """
 
-    def __init__(self, box: tuple[Array, Array, Array], loss: tuple[float, float], soft: float, planes: Planes):
+    def __init__(self, box: tuple[Array, Array, Array], loss: tuple[float, float], planes: Planes):
         self.lower, _, self.length = box
         self.restitution, self.keep = loss
-        self.soft, self.planes = soft, planes
+        self.soft, self.planes = 0.0, planes  # duration of a contact, in this step
         self.axes = (0,) * len(self.length)
         self.homes = Homes(box)
         self.counts = np.zeros(4, np.int64)
@@ -44,6 +44,10 @@ class Engine:
         self.pending = 0
         self.crowded = NEVER_CROWDED
         self.rates = no_rates(len(self.length))  # in this step, for whom they differ in `fields`
+
+    def set_step(self, crowded: int, rates: Rates, soft: float) -> None:
+        """For this step: quick contacts that make a crowd, how velocities change, and the duration of a contact."""
+        self.crowded, self.rates, self.soft = crowded, rates, soft
 
     def settle(self, p: Particles, owned: int, spare: int = 0) -> None:
         """Rows of p, the first `owned` of them own ones; `homes` were built for them, with `spare` rows."""

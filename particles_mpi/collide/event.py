@@ -36,6 +36,7 @@ LEAST = 2000  # particles a rank; with fewer, space is not divided
 LONGEST_REST = 64  # drifts
 CROWDED = 8  # quick contacts in a drift; then a particle is one of a crowd that collapses
 ROUNDS = 3
+SOFT = 1e-4  # of a step: the duration of a contact, where a scene gives none
 CHANGING = ("position", "velocity", "contacted", "virial", "supported", "total_acceleration")
 
 
@@ -48,13 +49,13 @@ class Event:
         ranks: Ranks,
         box: tuple[Array, Array, Array],
         loss: tuple[float, float],
-        soft: float,
+        duration: float | None,
         planes: Planes | None,
         timers: Timers,
     ):
-        self.ranks, self.soft = ranks, soft
+        self.ranks, self.duration, self.soft = ranks, duration, 0.0
         self.particles, self.box, self.timers = particles, box, timers
-        self.rules = box, loss, soft, planes or no_planes(particles.dimension)
+        self.rules = box, loss, planes or no_planes(particles.dimension)
         self.divided = ranks.size > 1 and ranks.total(len(particles))[0] >= LEAST * ranks.size
         self.eased = 0
         self.first_eased: tuple[float, Array] = np.inf, np.empty((0, 3))  # moment of a step, (time, id, id or wall) there
@@ -100,7 +101,7 @@ class Event:
         With `stop` it ends with the first collision of two particles, after `self.stopped[0]` (h if there is none), and
         `self.stop[1:]` are their ids, the lower one first, or -1.
         """
-        self.rates = rates
+        self.rates, self.soft = rates, SOFT * h if self.duration is None else self.duration
         if self.hold is None or stop:
             return self.drift_once(h, moment, stop, NEVER_CROWDED)
         for left in range(ROUNDS, -1, -1):
@@ -133,7 +134,7 @@ class Event:
             if self.resting:
                 self.resting -= 1
             else:
-                self.windows.engine.crowded, self.windows.engine.rates = crowded, self.rates
+                self.windows.engine.set_step(crowded, self.rates, self.soft)
                 happened = self.windows.drift(h, moment)
                 if happened is not None:
                     self.rest = 1
@@ -141,7 +142,7 @@ class Event:
                     return happened
                 self.resting = self.rest
                 self.rest = min(2 * self.rest, LONGEST_REST)
-        self.whole.engine.crowded, self.whole.engine.rates = crowded, self.rates
+        self.whole.engine.set_step(crowded, self.rates, self.soft)
         happened = self.whole.drift(h, moment, stop)
         engine = self.whole.engine
         if self.divided:

@@ -9,8 +9,6 @@ from pydantic import Field
 from particles_mpi.collide.contact import loss
 from particles_mpi.scene import EffectOptions, Fraction, Scene
 
-SOFT = 1e-4  # of a step: the duration of a contact, where a scene gives none
-
 
 class Options(EffectOptions):
     """`mode`; `restitution` e (momentum is conserved) or `damping` alpha (the course's rule: it is not).
@@ -49,4 +47,3 @@ class Effect:
         self.options = options
         self.restitution, self.keep = loss(options.restitution, options.damping)
         self.lossy = self.restitution < 1.0 or self.keep < 1.0
-        self.soft = SOFT * scene.time.step if options.contact_duration is None else options.contact_duration

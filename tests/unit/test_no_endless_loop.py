@@ -85,7 +85,9 @@ def test_ctrl_c_is_heard_within_a_step(tmp_path, arguments, code):
     if arguments:
         script = script.replace("sim.run", "from particles_mpi.parallel.agreement import end_together\ntry:\n    sim.run")
         script += "except BaseException as error:\n    raise SystemExit(end_together(error))\n"
-    process = subprocess.Popen([sys.executable, "-c", script], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, "-c", script], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     assert process.stdout.readline() == "begins\n"
     sleep(5.0)  # into the step
     os.kill(process.pid, signal.SIGINT)
