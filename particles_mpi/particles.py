@@ -43,7 +43,7 @@ FIELDS = {
 }
 USER = Field("", output=False)  # any other name: data of the user's, of any type and shape, that goes where its particle goes
 ALWAYS = ("id", "position", "velocity", "radius", "mass", "fixed")
-MEETING = ("position", "velocity", "radius", "mass", "fixed")  # fields that decide who meets whom, and with what outcome
+MEETING = ("position", "velocity", "radius", "mass", "fixed", "drag")  # fields that decide who meets whom, with what outcome
 
 
 class Particles:
