@@ -37,6 +37,7 @@ NOISY = 8.0  # times the round-off: changes from one iteration to the next that 
 STALLED, DIVERGED = 1e-10, 1e-8  # of the largest acceleration: changes that need not shrink any more, and that must
 SAFE, SHRINK, GROW = 0.25, 0.1, 4.0  # a step is taken if the next may be at least SAFE as long; bounds on the change
 SHORTEST = 1e-11  # of a step of the scene: where masses meet head on there is no end to it
+BLIND, MOST_BLIND = 4.0, 100  # times the largest tolerance: round-off that hides the motion; tries in a row before that is an end
 FAR = 1.5  # times the last step: for longer ones its polynomial is no guess
 
 
@@ -122,7 +123,7 @@ class Adaptive:
         done, length = 0.0, h
         self.before: tuple[Array, float, float] | None = None
         self.lost = np.zeros_like(particles.position)
-        self.tries = 0
+        self.tries = self.blind = 0
         while done < h:
             left = h - done
             length = left if length >= left else min(length, 0.5 * left)  # no crumb at the end
@@ -133,7 +134,7 @@ class Adaptive:
                 self.substeps += 1
             else:
                 self.rejected += 1
-            if done < h and not next_length > SHORTEST * h:
+            if done < h and (not next_length > SHORTEST * h or self.blind > MOST_BLIND):
                 raise StateError(
                     f"time.integrator: {done:.6g} into it, steps get shorter than {next_length:.2g}: "
                     f"{self.who_meets(particles, self.forces(forces, particles.position))}; softening helps"
@@ -167,6 +168,7 @@ class Adaptive:
                 if not left > round_off or (change >= before and change < max(STALLED * largest, NOISY * round_off)):
                     break
             x[:] = x0
+            self.blind = self.blind + 1 if self.gain * round_off > BLIND * TOLERANCES[1] * largest else 0
             least = min(self.gain * round_off, TOLERANCES[1] * largest)  # that the highest coefficient can tell
             if not np.isfinite(change) or left > max(DIVERGED * largest, NOISY * least / self.gain):  # far too long
                 return SHRINK * h

@@ -126,6 +126,15 @@ SCENES = {
         particles=[{"position": [[1.0, 3.0], [-2.0, -1.0], [1.0, -1.0]], "mass": [3.0, 4.0, 5.0]}],
         effects={"mutual_gravity": {}},
     ),
+    "adaptive, far from the origin": dict(
+        dimension=2,
+        G=1.0,
+        time={"step": 0.004, "steps": 2, "integrator": "adaptive"},
+        particles=[
+            {"position": [[100.0, 100.0], [100.01, 100.0], [103.0, 99.0]], "velocity": [[0, -5], [0, 5], [0, 0]], "mass": 0.5}
+        ],
+        effects={"mutual_gravity": {}},
+    ),
     "cluster by tree, fixed and without mass": dict(
         dimension=3,
         G=1.0,

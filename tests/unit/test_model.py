@@ -3,8 +3,9 @@
 import pytest
 
 from particles_mpi import Scene
+from particles_mpi.scene import TOLERANCES
 from particles_mpi.study.lab import Lab
-from particles_mpi.study.model import lost, predict
+from particles_mpi.study.model import finer, lost, predict
 from particles_mpi.study.starts import Start
 
 PUBLISHED = [  # packing, Gamma dt, passes, share of collisions that is lost
@@ -54,3 +55,12 @@ def test_contacts_and_chaos():
 def test_a_scene_without_steps_or_particles_has_nothing_to_predict():
     empty = Scene(dimension=2, time={"step": 0.1, "steps": 0}, particles=[{"position": [[0.0, 0.0]]}])
     assert predict(Start(Lab(), empty)).errors == ["predicted: nothing happens"]
+
+
+@pytest.mark.parametrize("tolerance", TOLERANCES)
+def test_a_run_at_the_end_of_the_tolerances_is_compared_with_others_within_them(tolerance):
+    """Three different ones, in tens; past the ends they would be refused."""
+    at = scene("adaptive")
+    at = at.model_copy(update={"time": at.time.model_copy(update={"tolerance": tolerance})})
+    found = [finer(at, 4, k).time.tolerance for k in range(3)]
+    assert found[0] / found[1] == pytest.approx(10.0) and found[1] / found[2] == pytest.approx(10.0)

@@ -6,9 +6,14 @@ import numpy as np
 
 from particles_mpi.integrators import free_drift, kick
 from particles_mpi.lean import kernel
+from particles_mpi.particles import Array
 from particles_mpi.study.hard_cases import Bench, case
 
 ORBITS, STEPS = 1_000_000, 50
+FAR_BINARIES = ((0.01, 100.0), (1.0, 1e4), (1.0, 1e6))  # separation, and place on every axis
+FAR_ORBITS, LOOKS = 5, 4  # of each, and how often the energy is looked at in one; what round-off does grows as their root
+ROUNDINGS = {"adaptive": 1, "leapfrog": 1, "order4": 6}  # of a position in a step, for `adaptive` in each that it takes inside
+NOTHING = 1e-9  # change of the energy that nobody minds
 
 
 def encounter(bench: Bench, integrator: str, softening: float, periods: float, substeps: int) -> tuple[float, float]:
@@ -43,6 +48,66 @@ def close_encounter(bench: Bench) -> tuple[str, bool]:
 def softened_encounter(bench: Bench) -> tuple[str, bool]:
     worst, last = encounter(bench, "leapfrog", 0.05, 1.0, 20)
     return f"energy within {worst:.1e}, {last:.0e} after the period", worst <= 5e-2 and last <= 1e-4
+
+
+def binary(bench: Bench, integrator: str, steps: int, apart: float, place: float) -> tuple[Array, int]:
+    """(relative changes of the energy, roundings of a position) of equal masses on a circle, in `steps` an orbit."""
+    d, rate = bench.dimension, apart**-1.5
+    sim = bench.simulate(
+        G=1.0,
+        time={"step": 2.0 * np.pi / rate / steps, "steps": 1, "integrator": integrator},
+        particles=[
+            {
+                "position": [[place + sign * apart / 2] + [place] * (d - 1)],
+                "velocity": [0.0, sign * rate * apart / 2] + [0.0] * (d - 2),
+                "mass": 0.5,
+            }
+            for sign in (1.0, -1.0)
+        ],
+        effects={"mutual_gravity": {}},
+    )
+    energies = [sim.measure()["total_energy"]]
+    for _ in range(FAR_ORBITS * LOOKS):
+        for _ in range(steps // LOOKS):
+            sim.step()
+        energies.append(sim.measure()["total_energy"])
+    taken = getattr(sim.integrator, "substeps", sim.steps_done)
+    return np.array(energies) / energies[0] - 1.0, taken * ROUNDINGS[integrator]
+
+
+def far(bench: Bench, integrator: str, steps: int) -> tuple[str, bool]:
+    """Binaries far from the origin: how far their energies part from those of the same binaries at the origin.
+
+    Rounding a position by u/sqrt(12), u its unit in the last place, changes the energy of a circular orbit by the force
+    times that, relatively by 2 u/apart at most; n roundings by chance add up as the root of n. Forces at rounded places
+    do as much again.
+    """
+    told, holds = [], True
+    near = {apart: binary(bench, integrator, steps, apart, 0.0)[0] for apart in {apart for apart, _ in FAR_BINARIES}}
+    for apart, place in FAR_BINARIES:
+        energies, n = binary(bench, integrator, steps, apart, place)
+        parted, limit = float(np.abs(energies - near[apart]).max()), 4.0 * float(np.spacing(place)) / apart * sqrt(n)
+        told.append(f"{apart:g} at {place:.0e}: {parted:.0e} (round-off: {limit:.0e})")
+        holds &= parted <= max(limit, NOTHING)
+    return "; ".join(told), holds
+
+
+FAR_MUST = f"energy as at the origin, within 1e-9 or round-off, {FAR_ORBITS} orbits"
+
+
+@case("binaries far from the origin, `adaptive`", "steps shrink until it stops", FAR_MUST, modes=(None,))
+def far_adaptive(bench: Bench) -> tuple[str, bool]:
+    return far(bench, "adaptive", 4)
+
+
+@case("binaries far from the origin, `leapfrog`", "round-off grows with every step", FAR_MUST, modes=(None,))
+def far_leapfrog(bench: Bench) -> tuple[str, bool]:
+    return far(bench, "leapfrog", 100)
+
+
+@case("binaries far from the origin, `order4`", "round-off grows with every step", FAR_MUST, modes=(None,))
+def far_order4(bench: Bench) -> tuple[str, bool]:
+    return far(bench, "order4", 40)
 
 
 @kernel
