@@ -1,9 +1,10 @@
 """Contacts that stay: spheres that forces press onto walls and one another come to rest there, and do not sink or rattle.
 
 A sphere that bounces lower and lower under a force would meet the wall more and more often, and never stop. Here a contact
-whose next bounce would be over within a step or so is *kept*: after every kick velocities become those nearest to them, in
-kinetic energy, with which no kept contact closes by more than its gap in a step (`projection`). That takes energy or none,
-for to be at rest is always allowed; it moves nothing, and faster contacts, with their restitution, it leaves to the drift.
+that is pressed along its normal, and whose next bounce would be over within a step or so, is *kept*: after every kick
+velocities become those nearest to them, in kinetic energy, with which no kept contact closes by more than its gap in a step
+(`projection`). That takes energy or none, for to be at rest is always allowed; it moves nothing, and all other contacts, with
+their restitution, it leaves to the drift: the faster ones, and those that nothing presses, as of balls side by side on a floor.
 
 *Crowds.* A sphere that hits a pile sets all of it rattling, without end: every contact of it would take place hundreds of times
 in a step. A drift in which particles have many contacts within a hundredth of it is therefore done again, after `hold`: there

@@ -172,15 +172,14 @@ SCENES = {
     ),
     "balls that collide on a floor, and lean on a wall in the end": dict(
         dimension=3,
-        time={"step": 0.01, "steps": 120},
+        time={"step": 0.01, "steps": 250},
         particles=[
             {"position": [[0.5 * i + 0.1 * j, 0.3 * j, 0.1] for i in range(6) for j in range(5)], "radius": 0.1,
              "velocity": {"speed": {"min": 0.1, "max": 1.0}}},
             {"position": [[1.2, 0.45, 0.35], [2.2, 0.75, 0.35]], "radius": {"min": 0.05, "max": 0.1}},
         ],
         effects={
-            "uniform_gravity": {"acceleration": [-3.0, 0.1, -9.81]},
-            "drag": {"rate": 3.0},
+            "uniform_gravity": {"acceleration": [-6.0, 0.1, -9.81]},
             "collisions": {"restitution": 0.6},
             "walls": {
                 "restitution": 0.4,
