@@ -1,9 +1,10 @@
 """Contacts that stay: spheres that forces press onto walls and one another come to rest there, and do not sink or rattle.
 
 A sphere that bounces lower and lower under a force would meet the wall more and more often, and never stop. Here a contact
-whose next bounce would be over within a step or so is *kept*: after every kick velocities become those nearest to them, in
-kinetic energy, with which no kept contact closes by more than its gap in a step (`projection`). That takes energy or none,
-for to be at rest is always allowed; it moves nothing, and faster contacts, with their restitution, it leaves to the drift.
+that is pressed along its normal, and whose next bounce would be over within a step or so, is *kept*: after every kick
+velocities become those nearest to them, in kinetic energy, with which no kept contact closes by more than its gap in a step
+(`projection`). That takes energy or none, for to be at rest is always allowed; it moves nothing, and all other contacts, with
+their restitution, it leaves to the drift: the faster ones, and those that nothing presses, as of balls side by side on a floor.
 
 *Crowds.* A sphere that hits a pile sets all of it rattling, without end: every contact of it would take place hundreds of times
 in a step. A drift in which particles have many contacts within a hundredth of it is therefore done again, after `hold`: there
@@ -79,7 +80,7 @@ class Rest:
                         break
                     involved = np.sort(rows["row"][rows["rank"] == self.ranks.rank])
                 rows = rows_of(rows, np.argsort(rows["id"]))
-            self.memory = self.solve(p, rows, h, self.near(rows, self.pairs), self.memory)
+            self.memory = self.solve(p, rows, h, self.near(rows, self.pairs))
 
     def hold(self, p: Particles, a: Array, h: float) -> None:
         """As `keep`, but contacts with those that are CROWD, and with all who touch them, are kept at any speed. Collective."""
@@ -91,7 +92,7 @@ class Rest:
             fast = rows["radius"] + h * np.sqrt(row_dot(rows["velocity"], rows["velocity"]))
             first, second = self.near(rows | {"wide": np.maximum(touch, fast)}, True)
             spread(self.axes, rows["position"], touch, first, second, self.length, rows["supported"])
-            self.solve(p, rows, h, (first, second), NOTHING)
+            self.solve(p, rows, h, (first, second), again=True)
 
     def rows(self, p: Particles, a: Array, h: float, which: Array) -> dict[str, Array]:
         """What all must know of our rows `which`; `wide` is the radius and the widest slow gap."""
@@ -147,9 +148,12 @@ class Rest:
         return first[order], second[order]
 
     def solve(
-        self, p: Particles, rows: dict[str, Array], h: float, near: tuple[Array, Array], memory: tuple[Array, Array]
+        self, p: Particles, rows: dict[str, Array], h: float, near: tuple[Array, Array], again: bool = False
     ) -> tuple[Array, Array]:
-        """Velocities of rows (in order of ids) that keep their contacts, into p. What these took, the next `memory`."""
+        """Velocities of rows (in order of ids) that keep their contacts, into p. What these took, the next `memory`.
+
+        `again`: these velocities have been through it since the last kick, so that contacts take little more.
+        """
         v = rows["velocity"]
         a, b, normal, gap, share, inertia, widest, closing, crowd = contacts(
             self.axes, rows["position"], v, rows["push"], rows["radius"], rows["w"], rows["supported"] == CROWD, *near, h,
@@ -161,26 +165,21 @@ class Rest:
         took = recall(names, self.memory)
         supported = (rows["supported"] != 0) & (rows["w"] > 0.0)
         held = (took > 0.0) | supported[a] | ((b >= 0) & supported[np.maximum(b, 0)])
-        pressed = self.pressed(rows["push"], a, b, normal, gap <= widest * h, share, inertia, widest, took)
+        pressed, borne = self.pressed(rows["push"], a, b, normal, gap <= widest * h, share, inertia, widest, took)
         of, may_close, speed = slow(pressed, held, widest, gap, closing, crowd, h)
         a, b, normal, share, inertia, names = a[of], b[of], normal[of], share[of], inertia[of], names[of]
         if not self.pairs:  # each rank by itself, and nothing to remember
             closing = project_each(self.axes, v, a, b, normal, may_close, share, inertia, PRECISE * speed)
             self.give_back(p, rows, v, a, b, closing > 0.0)
             return NOTHING
-        closing = project(
-            self.axes,
-            v,
-            a,
-            b,
-            normal,
-            may_close,
-            share,
-            inertia,
-            PRECISE * float(speed.max(initial=0.0)),
-            recall(names, memory),
-            BETTER,
-        )
+        tolerance = PRECISE * float(speed.max(initial=0.0))
+        if again:
+            guess, better = np.zeros(len(a)), BETTER
+        elif len(self.memory[0]):
+            guess, better = took[of], BETTER
+        else:
+            guess, better = borne[of] / (2.0 * SLOW), 0.0
+        closing = project(self.axes, v, a, b, normal, may_close, share, inertia, tolerance, guess, better)
         kept = closing > 0.0
         self.give_back(p, rows, v, a, b, kept)
         order = np.argsort(names[kept])
@@ -197,8 +196,8 @@ class Rest:
         inertia: Array,
         widest: Array,
         took: Array,
-    ) -> Array:
-        """The speed that presses each contact: by pushes of rows and what contacts bear, or by what it `took` in the last step.
+    ) -> tuple[Array, Array]:
+        """(the speed that presses each contact, by pushes of rows and what contacts bear or `took` last; what it bears).
 
         Those that `touch` bear what they must for nobody to be pushed on. That is found from what they took, by a few sweeps;
         without memory (the first step, or the state was changed) as exactly as velocities are.
@@ -212,9 +211,8 @@ class Rest:
         elif len(self.memory[0]):
             borne[of] = bear(*that, before[of])
         else:
-            tolerance = PRECISE * float(widest.max(initial=0.0))
-            borne[of] = project(*that, inertia[of], tolerance, before[of], BETTER)
-        return np.maximum(before, pressing(self.axes, push, a, b, normal, share, borne))
+            borne[of] = project(*that, inertia[of], PRECISE * float(widest.max(initial=0.0)), before[of], 0.0)
+        return np.maximum(before, pressing(self.axes, push, a, b, normal, share, borne)), borne
 
     def give_back(self, p: Particles, rows: dict[str, Array], v: Array, a: Array, b: Array, pressed: Array) -> None:
         """To our particles: velocities v of `rows`, and who is supported, having one of the pressed contacts."""

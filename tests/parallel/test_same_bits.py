@@ -179,6 +179,26 @@ SCENES = {
             },
         },
     ),
+    "balls that collide on a floor, and lean on a wall in the end": dict(
+        dimension=3,
+        time={"step": 0.01, "steps": 250},
+        particles=[
+            {"position": [[0.5 * i + 0.1 * j, 0.3 * j, 0.1] for i in range(6) for j in range(5)], "radius": 0.1,
+             "velocity": {"speed": {"min": 0.1, "max": 1.0}}},
+            {"position": [[1.2, 0.45, 0.35], [2.2, 0.75, 0.35]], "radius": {"min": 0.05, "max": 0.1}},
+        ],
+        effects={
+            "uniform_gravity": {"acceleration": [-6.0, 0.1, -9.81]},
+            "collisions": {"restitution": 0.6},
+            "walls": {
+                "restitution": 0.4,
+                "planes": [
+                    {"point": [0, 0, 0], "normal": [0, 0, 1]}, {"point": [-0.2, 0, 0], "normal": [1, 0, 0]},
+                    {"point": [0, -0.2, 0], "normal": [0, 1, 0.2]}, {"point": [0, 1.6, 0], "normal": [0, -1, 0]},
+                ],
+            },
+        },
+    ),
     "a heap that collapses in crowds": dict(
         dimension=3,
         box={"lower": [0, 0, 0], "upper": [0.6, 0.6, 1.6]},
@@ -200,6 +220,7 @@ SCENES = {
     ),
 }  # fmt: skip
 EVENTS = (
+    "balls that collide on a floor, and lean on a wall in the end",
     "discs that come to rest",
     "a heap that collapses in crowds",
     "colliding cluster",

@@ -1,0 +1,221 @@
+"""Balls that lie on something bounce off one another, and off walls, as if they flew: nothing presses those contacts."""
+
+from math import sqrt
+
+import numpy as np
+import pytest
+
+from particles_mpi import Scene, Simulation
+from particles_mpi.collide.rest import NOTHING
+
+MODES = ("rewind", "event")
+SPEEDS = (0.6, 0.4, 0.1, 0.01)
+STEPS = (0.01, 0.005, 0.0005)
+G, R, E = 9.81, 0.05, 0.9
+TILT = 1e-3  # of slopes: less than the slowest balls gain in a step
+PLANET = 10.0  # its radius
+
+
+def place(d, x, z, y=0.0):
+    """Across, along and up, in 2D without the second."""
+    return [x, z] if d == 2 else [x, y, z]
+
+
+class Meeting:
+    """Where two balls (or one and a wall) lie, at which speeds, on which planes and fixed spheres."""
+
+    def __init__(self, ground, d, speed, gap):
+        u, x = 0.5 * speed, R + 0.5 * gap
+        self.planes = [{"point": [0.0] * d, "normal": place(d, 0.0, 1.0), "restitution": 0.5}]
+        self.fixed, self.mass = None, 1.0
+        self.position, self.velocity = [place(d, -x, R), place(d, x, R)], [place(d, u, 0.0), place(d, -u, 0.0)]
+        getattr(self, ground.replace(" ", "_"))(d, speed, u, x, gap)
+
+    def floor(self, d, speed, u, x, gap):
+        """As it is."""
+
+    def wall(self, d, speed, u, x, gap):
+        """One ball rolls into a wall."""
+        self.planes.append({"point": [0.0] * d, "normal": place(d, 1.0, 0.0), "restitution": E})
+        self.position, self.velocity = [place(d, R + gap, R)], [place(d, -speed, 0.0)]
+
+    def valley(self, d, speed, u, x, gap):
+        """Both lie on two planes, and move along the line where these meet."""
+        self.planes = [{"point": [0.0] * 3, "normal": [s, 0.0, 1.0], "restitution": 0.5} for s in (-0.7, 0.7)]
+        z = R * sqrt(1.0 + 0.7**2)
+        self.position, self.velocity = [[0.0, -x, z], [0.0, x, z]], [[0.0, u, 0.0], [0.0, -u, 0.0]]
+
+    def slopes(self, d, speed, u, x, gap):
+        """Each lies on a plane of its own, and rolls down to the other."""
+        self.planes = [{"point": [0.0] * d, "normal": place(d, s, 1.0), "restitution": 0.5} for s in (-TILT, TILT)]
+        z = R * sqrt(1.0 + TILT**2) + TILT * x
+        self.position = [place(d, -x, z), place(d, x, z)]
+        self.velocity = [place(d, u, -TILT * u), place(d, -u, -TILT * u)]
+
+    def fixed_spheres(self, d, speed, u, x, gap):
+        """They meet where each is on the top of a sphere."""
+        self.planes, self.fixed = [], {"position": [place(d, -R, 0.0), place(d, R, 0.0)], "radius": R, "fixed": True}
+        z = sqrt(4.0 * R**2 - (x - R) ** 2)
+        self.position = [place(d, -x, z), place(d, x, z)]
+
+    def planet(self, d, speed, u, x, gap):
+        """A large sphere whose gravity holds them."""
+        reach = PLANET + R
+        self.planes, self.mass = [], 1e-6
+        self.fixed = {"position": [[0.0] * d], "radius": PLANET, "fixed": True, "mass": G * reach**2}
+        z = sqrt(reach**2 - x**2)
+        self.position = [place(d, -x, z), place(d, x, z)]
+        self.velocity = [place(d, u * z / reach, u * x / reach), place(d, -u * z / reach, u * x / reach)]
+
+
+def measured(ground, force, d, mode, step, speed):
+    """(restitution; some steps later: whether all are supported still, how far up or down from the start)."""
+    gap = min(3.3 * step * speed, 2e-4 if ground == "fixed spheres" else 1.0)
+    scene = Meeting(ground, d, speed, gap)
+    balls = {"position": scene.position, "velocity": scene.velocity, "radius": R, "mass": scene.mass}
+    down = place(d, 0.0, -G)
+    options = {"uniform_gravity": {"acceleration": down}, "user_acceleration": {}, "mutual_gravity": {"G": 1.0}}
+    effects = {force: options[force], "collisions": {"mode": mode, "restitution": E}}
+    if force == "user_acceleration":
+        balls["acceleration"] = down
+    if scene.planes:
+        effects["walls"] = {"planes": scene.planes}
+    particles = [balls, *([scene.fixed] if scene.fixed else [])]
+    sim = Simulation(Scene(dimension=d, time={"step": step, "steps": 1}, particles=particles, effects=effects))
+    balls, drift, found = slice(0, len(scene.position)), sim.contacts.drift, []
+
+    def approach():
+        x, v = (column[np.argsort(sim.particles.id)][balls] for column in (sim.particles.position, sim.particles.velocity))
+        if len(x) == 1:
+            return -v[0, 0]
+        return -(v[0] - v[1]) @ (x[0] - x[1]) / np.sqrt((x[0] - x[1]) @ (x[0] - x[1]))
+
+    def watched(*args):
+        before = approach()
+        counts = drift(*args)
+        if before > 0.0 > approach():
+            found.append(-approach() / before)
+        return counts
+
+    sim.contacts.drift = watched
+    for _ in range(6):
+        sim.step()
+    order = np.argsort(sim.particles.id)[balls]
+    lifted = sim.particles.position[order, -1] - np.array(scene.position)[:, -1]
+    return (found[0] if found else 0.0), bool(sim.particles["supported"][order].all()), float(np.abs(lifted).max())
+
+
+CASES = [
+    (ground, force, d)
+    for ground, forces, dimensions in (
+        ("floor", ("uniform_gravity", "user_acceleration"), (2, 3)),
+        ("wall", ("uniform_gravity", "user_acceleration"), (2, 3)),
+        ("valley", ("uniform_gravity", "user_acceleration"), (3,)),
+        ("slopes", ("uniform_gravity", "user_acceleration"), (2, 3)),
+        ("fixed spheres", ("uniform_gravity", "user_acceleration"), (2, 3)),
+        ("planet", ("mutual_gravity",), (2, 3)),
+    )
+    for force in forces
+    for d in dimensions
+]
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize(("ground", "force", "d"), CASES)
+def test_restitution(ground, force, d, mode):
+    """That of the scene at every speed and step; and what lay, lies, without a jump."""
+    for step in STEPS:
+        for speed in SPEEDS:
+            e, supported, lifted = measured(ground, force, d, mode, step, speed)
+            assert e == pytest.approx(E, abs=1e-3), (step, speed)
+            assert supported, (step, speed)
+            assert lifted < 1e-12 or ground in ("slopes", "fixed spheres", "planet"), (step, speed)
+
+
+@pytest.mark.parametrize("mode", [None, *MODES])
+@pytest.mark.parametrize("speed", SPEEDS)
+def test_only_walls_are_lossy(mode, speed):
+    """Nothing is remembered then: the wall gives its restitution all the same, and the ball stays on the floor."""
+    sim = Simulation(
+        Scene(
+            dimension=2,
+            box={"lower": [0.0, 0.0], "upper": [9.0, 9.0]},
+            time={"step": 0.005, "steps": 1},
+            particles=[{"position": [[R + 3.3 * 0.005 * speed, R]], "velocity": [-speed, 0.0], "radius": R}],
+            effects={
+                "uniform_gravity": {"acceleration": [0.0, -G]},
+                "walls": {"restitution": E},
+                **({"collisions": {"mode": mode}} if mode else {}),
+            },
+        )
+    )
+    for _ in range(10):
+        sim.step()
+    np.testing.assert_allclose(sim.particles.velocity[0], [E * speed, 0.0], rtol=1e-12, atol=0.0)
+    assert sim.particles.position[0, 1] == R
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("step", [0.01, 0.0005])
+def test_cradle_on_a_floor(mode, d, step):
+    """Five touching balls, e = 1 between them; the last one leaves with the velocity of the one that comes."""
+    for speed in (2.0, 0.1, 0.01):
+        row = [place(d, 2.0 * R * k, R) for k in range(5)]
+        sim = Simulation(
+            Scene(
+                dimension=d,
+                time={"step": step, "steps": 1},
+                particles=[
+                    {"position": row, "radius": R},
+                    {"position": [place(d, -2.0 * R - 3.3 * step * speed, R)], "velocity": place(d, speed, 0.0), "radius": R},
+                ],
+                effects={
+                    "uniform_gravity": {"acceleration": place(d, 0.0, -G)},
+                    "walls": {"planes": [{"point": [0.0] * d, "normal": place(d, 0.0, 1.0)}], "restitution": 0.5},
+                    "collisions": {"mode": mode},
+                },
+            )
+        )
+        for _ in range(12):
+            sim.step()
+        right = np.zeros((6, d))
+        right[4, 0] = speed
+        assert np.abs(sim.particles.velocity[np.argsort(sim.particles.id)] - right).max() <= 1e-9 * speed
+
+
+def forget(sim):
+    """As after a change of the state by a user."""
+    sim.rest.memory = NOTHING
+    sim.particles["supported"][:] = 0
+
+
+def column(mode, n):
+    """n touching balls, one on the other."""
+    return Simulation(
+        Scene(
+            dimension=2,
+            box={"lower": [0.0, 0.0], "upper": [1.0, 0.2 * n]},
+            time={"step": 0.005, "steps": 1},
+            particles=[{"position": [[0.5, R + 2.0 * R * k] for k in range(n)], "radius": R}],
+            effects={
+                "uniform_gravity": {"acceleration": [0.0, -G]},
+                "walls": {"restitution": E},
+                "collisions": {"mode": mode, "restitution": E},
+            },
+        )
+    )
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("n", [1, 10, 50])
+def test_what_rests_needs_no_memory(mode, n):
+    """A column that stands from the start stays where it is, though memory is lost, once or in every step."""
+    sim, most = column(mode, n), 0.0 if n == 1 else 1e-20
+    place = sim.particles.position.copy()
+    for step in range(30):
+        if step == 10 or step >= 20:
+            forget(sim)
+        sim.step()
+        assert sim.measure()["kinetic"] <= most
+    assert np.abs(sim.particles.position - place).max() <= most**0.5
