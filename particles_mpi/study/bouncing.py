@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from particles_mpi import Scene, Simulation, state
+from particles_mpi import Simulation, state
 from particles_mpi.collide.contact import loss
 from particles_mpi.particles import Array
 
@@ -180,10 +180,7 @@ def scene(force: str, mode: str, h: float, start: Bounces) -> tuple[dict[str, An
     return {"dimension": d, "time": time, "particles": particles, "effects": effects}, shift
 
 
-def errors(force: str, mode: str, cases: Cases, h: float, start: Bounces, end: Bounces) -> Array:
+def off(sim: Simulation, shift: Array, end: Bounces) -> Array:
     """Distance of the balls of the scene from their true places at the `end`, the mean over the phases, of each case."""
-    tables, shift = scene(force, mode, h, start)
-    sim = Simulation(Scene.from_dict(tables))
-    sim.run()
     x = state.everyone(sim.ranks, sim.particles).position[: len(shift)] - shift
-    return np.asarray(np.sqrt(((x - end.x[:, 0]) ** 2).sum(axis=1)).reshape(len(cases), PHASES).mean(axis=1))
+    return np.asarray(np.sqrt(((x - end.x[:, 0]) ** 2).sum(axis=1)).reshape(-1, PHASES).mean(axis=1))
