@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from particles_mpi.collide.flow import change_of, row_of
+from particles_mpi.lean import lean
 
 NOBODY = -(2**62)  # "last met" before the first contact of a drift; partners are ids >= 0, walls -1, -2, ...
 NEVER = inf
@@ -111,7 +112,7 @@ def move_to(axes, x, v, s, i, t):
     s[i] = t
 
 
-@njit(cache=True)
+@lean
 def exchange(axes, v, r, i, j, own, other, t, restitution, keep, rates):
     """The law of a contact: changes the velocities v of rows i and j, whose centres are r = x_i - x_j (d,) apart, at time t.
 
@@ -136,7 +137,7 @@ def exchange(axes, v, r, i, j, own, other, t, restitution, keep, rates):
     return take
 
 
-@njit(cache=True)
+@lean
 def exchange_at_contact(axes, v, r, r2, i, j, own, other, tau, restitution, keep, rates):
     """`exchange` of the velocities at the moment of contact, a time tau after the middle of the step: see `flow`.
 

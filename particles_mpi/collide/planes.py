@@ -9,6 +9,7 @@ from numba import njit
 
 from particles_mpi.collide.contact import NOBODY, move_to
 from particles_mpi.collide.flow import change_of, row_of
+from particles_mpi.lean import lean
 from particles_mpi.particles import Array
 
 MOST_BOUNCES = 1000  # of one particle in one step; past it (a wedge without end) it waits where it is for the next step
@@ -80,7 +81,7 @@ def wall_contact(axes, x, v, start, i, radius, met, h, point, normal):
     return first, which
 
 
-@njit(cache=True)
+@lean
 def bounce(axes, v, i, w, normal, restitution, keep, inverse_mass, t, rates):
     """The law of a contact with wall w at time t: v -= (1+e)(v.n) n, then times keep. `contact.exchange` is that of a pair."""
     speed = 0.0
@@ -95,7 +96,7 @@ def bounce(axes, v, i, w, normal, restitution, keep, inverse_mass, t, rates):
         v[i, k] = keep * ((v[i, k] - speed * normal[w, k]) + after * normal[w, k])
 
 
-@njit(cache=True)
+@lean
 def bounce_at_contact(axes, v, i, w, normal, speed, restitution, keep, inverse_mass, tau, rates):
     """`bounce` of the velocity at the moment of contact, a time tau after the middle of the step: see `flow`.
 

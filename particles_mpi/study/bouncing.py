@@ -8,26 +8,28 @@ problems stand side by side in one scene, far apart, and the phases of a step at
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, sin, sqrt
+from math import cos, sin
 from typing import Any
 
 import numpy as np
 
 from particles_mpi import Simulation, state
+from particles_mpi.collide.contact import loss
 from particles_mpi.particles import Array
 
 FORCES = ("uniform_gravity", "user_acceleration", "mutual_gravity direct", "mutual_gravity tree")
 OBSTACLES = ("floor", "tilted plane", "fixed sphere", "free sphere")
 LOSSES: dict[str, dict[str, float]] = {"e = 1": {}, "e = 0.5": {"restitution": 0.5}, "damping 0.5": {"damping": 0.5}}
 RESISTANCES = ("none", "drag", "friction")
-PHASES = 5
+Cases = tuple[tuple[str, str], ...]  # (obstacle, resistance)
+PHASES = 10
 T = 1.0
 G, DRAG, FRICTION = 9.81, 0.5, 0.8  # friction: alpha
 BALL, PLANET = 0.1, 1.0  # radii
 MASS, HEAVY = 0.8, 4.0  # of the ball, of a free partner
 TILT = 0.3
 STRENGTH = 1.5  # Newton's constant
-FINE = 0.004  # step of the reference
+FINE = 0.01  # step of the reference
 
 
 @dataclass
@@ -46,8 +48,7 @@ class Bounces:
     k: Array
     alpha: Array
     normal: Array
-    e: float
-    keep: float
+    loss: dict[str, float]
 
     def rate(self, x: Array, v: Array) -> Array:
         """dv/dt."""
@@ -81,6 +82,7 @@ class Bounces:
     def advance(self, time: Array) -> None:
         """All rows by `time` (n,), through their contacts."""
         left = time.copy()
+        e, keep = loss(self.loss.get("restitution"), self.loss.get("damping"))
         while (left > 0.0).any():
             h = np.minimum(left, FINE)
             x, v = self.after(h)
@@ -94,9 +96,9 @@ class Bounces:
                     gap, speed, n = self.gap(x, v)
                 wall = (self.normal != 0.0).any(axis=1)
                 w = np.where(wall[:, None], [1.0, 0.0], self.w)
-                take = (1.0 + self.e) * speed / w.sum(axis=1)
+                take = (1.0 + e) * speed / w.sum(axis=1)
                 turned = v - (take[:, None] * w)[:, :, None] * n[:, None, :] * [[[1.0], [-1.0]]]
-                v = np.where(hit[:, None, None], self.keep * turned, v)
+                v = np.where(hit[:, None, None], keep * turned, v)
             self.x, self.v, left = x, v, left - h
 
 
@@ -131,17 +133,18 @@ def problem(d: int, force: str, obstacle: str, resistance: str) -> dict[str, Any
     return start | {"k": DRAG * (resistance == "drag"), "alpha": FRICTION * (resistance == "friction")}
 
 
-def bounces(d: int, force: str, loss: str, cases: list[tuple[str, str]], h: float) -> Bounces:
+def bounces(d: int, force: str, lost: str, cases: Cases, h: float) -> Bounces:
     """The cases (obstacle, resistance), each PHASES times: moved on along its path by a part of a step h."""
     rows = [problem(d, force, *case) for case in cases for _ in range(PHASES)]
     columns = {name: np.array([row[name] for row in rows], float) for name in rows[0]}
-    all_ = Bounces(**columns, e=LOSSES[loss].get("restitution", 1.0), keep=sqrt(1.0 - LOSSES[loss].get("damping", 0.0)))
+    all_ = Bounces(**columns, loss=LOSSES[lost])
     all_.advance(np.tile(np.arange(PHASES) / PHASES * h, len(cases)))
     return all_
 
 
-def scene(d: int, force: str, loss: str, mode: str, cases: list[tuple[str, str]], h: float, start: Bounces) -> dict[str, Any]:
-    """The problems side by side. All have friction, or none has."""
+def scene(force: str, mode: str, h: float, start: Bounces) -> tuple[dict[str, Any], Array]:
+    """The problems side by side, as the tables of a scene, and how far each was moved, (n, d). All have friction, or none has."""
+    d, lost = start.x.shape[2], start.loss
     far = 1e6 if force.startswith("mutual") else 100.0
     shift, planes = np.zeros_like(start.x[:, 0]), []
     for normal in np.unique(start.normal[(start.normal != 0.0).any(axis=1)], axis=0):
@@ -165,8 +168,8 @@ def scene(d: int, force: str, loss: str, mode: str, cases: list[tuple[str, str]]
                 one |= {"fixed": True} if start.w[i, body] == 0.0 else {"velocity": [v[i, body].tolist()]}
                 one |= {"acceleration": start.a[i, body].tolist()} if force == "user_acceleration" else {}
                 particles.append(one | ({"drag": float(start.k[i])} if start.k.any() else {}))
-    effects: dict[str, Any] = {"collisions": {"mode": mode, **LOSSES[loss]}}
-    effects |= {"walls": {"planes": planes, **LOSSES[loss]}} if planes else {}
+    effects: dict[str, Any] = {"collisions": {"mode": mode, **lost}}
+    effects |= {"walls": {"planes": planes, **lost}} if planes else {}
     if attracted:
         effects["mutual_gravity"] = {"G": STRENGTH, "method": force.split()[1]}
     else:
@@ -174,18 +177,10 @@ def scene(d: int, force: str, loss: str, mode: str, cases: list[tuple[str, str]]
     effects |= {"drag": {}} if start.k.any() else {}
     effects |= {"friction": {"strength": FRICTION}} if start.alpha.any() else {}
     time = {"step": h, "end": T}
-    return {"dimension": d, "time": time, "particles": particles, "effects": effects, "shift": shift}
+    return {"dimension": d, "time": time, "particles": particles, "effects": effects}, shift
 
 
-def errors(d: int, force: str, loss: str, mode: str, cases: list[tuple[str, str]], h: float) -> Array:
-    """Distance of the ball from its true place after the time T, the mean over the phases, of each case."""
-    start = bounces(d, force, loss, cases, h)
-    tables = scene(d, force, loss, mode, cases, h, start)
-    shift = tables.pop("shift")
-    from particles_mpi import Scene
-
-    sim = Simulation(Scene.from_dict(tables))
-    sim.run()
-    start.advance(np.full(len(shift), T))
+def off(sim: Simulation, shift: Array, end: Bounces) -> Array:
+    """Distance of the balls of the scene from their true places at the `end`, the mean over the phases, of each case."""
     x = state.everyone(sim.ranks, sim.particles).position[: len(shift)] - shift
-    return np.sqrt(((x - start.x[:, 0]) ** 2).sum(axis=1)).reshape(-1, PHASES).mean(axis=1)
+    return np.asarray(np.sqrt(((x - end.x[:, 0]) ** 2).sum(axis=1)).reshape(-1, PHASES).mean(axis=1))

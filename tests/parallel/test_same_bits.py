@@ -214,6 +214,33 @@ SCENES = {
         particles=[{"count": 1500, "position": "random", "radius": {"min": 0.1, "max": 0.2}, "velocity": {"speed": 3.0}}],
         effects={"mutual_gravity": {"method": "auto", "accuracy": 0.01}, "collisions": {}, "walls": {}},
     ),
+    "each its own acceleration and drag, damping, friction": dict(
+        dimension=2,
+        box={"lower": [0, 0], "upper": [10, 10], "periodic": [True, False]},
+        time={"step": 0.01, "steps": 60},
+        particles=[
+            {"position": [[3, 3], [7, 6]], "radius": 0.8, "fixed": True, "acceleration": [9, 9]},
+            *[
+                {"count": 12, "position": "random", "radius": 0.2, "mass": {"min": 0.2, "max": 2.0}, "velocity": {"speed": 3.0},
+                 "drag": 0.2 * k, "acceleration": [3.0 - k, 2.0 * k - 5.0]}
+                for k in range(6)
+            ],
+        ],
+        effects={"collisions": {"damping": 0.2}, "walls": {"damping": 0.3}, "drag": {}, "friction": {"strength": 0.3},
+                 "user_acceleration": {}},
+    ),
+    "masses that attract, with damping and drag": dict(
+        dimension=3,
+        G=0.5,
+        box={"lower": [0, 0, 0], "upper": [5, 5, 5]},
+        time={"step": 0.01, "steps": 40},
+        particles=[
+            {"position": [[2.5, 2.5, 2.5]], "radius": 0.5, "mass": 5.0, "fixed": True},
+            {"count": 90, "position": "random", "radius": {"min": 0.15, "max": 0.3}, "mass": {"min": 0.1, "max": 1.0},
+             "velocity": {"speed": 3.0}, "drag": 0.5},
+        ],
+        effects={"mutual_gravity": {}, "collisions": {"damping": 0.1}, "walls": {"damping": 0.1}, "drag": {}},
+    ),
     "no particles": dict(
         dimension=2, box={"lower": [0, 0], "upper": [4, 4]}, time={"step": 0.05, "steps": 3},
         particles=[{"count": 0, "position": "random", "radius": 0.1}], effects={"collisions": {}, "walls": {}},
@@ -225,12 +252,16 @@ EVENTS = (
     "a heap that collapses in crowds",
     "colliding cluster",
     "dense periodic gas",
+    "each its own acceleration and drag, damping, friction",
     "half periodic, drag, acceleration, fixed",
+    "masses that attract, with damping and drag",
     "oblique planes, open space",
     "rack of touching discs",
 )
 for name in EVENTS:
-    collisions = {"mode": "event", "restitution": SCENES[name]["effects"]["collisions"].get("restitution", 0.9)}
+    given = SCENES[name]["effects"]["collisions"]
+    loss = {"damping": given["damping"]} if "damping" in given else {"restitution": given.get("restitution", 0.9)}
+    collisions = {"mode": "event", **loss}
     SCENES[f"{name}: in order of time"] = SCENES[name] | {"effects": SCENES[name]["effects"] | {"collisions": collisions}}
 
 

@@ -27,7 +27,7 @@ def reports(tmp_path_factory):
 
 def test_errors_are_the_same_on_any_number_of_ranks(reports):
     told = {ranks: json.loads((folder / "study.json").read_text())["experiments"] for ranks, folder in reports.items()}
-    assert [e["key"] for e in told[1]] == ["C2", "G1", "G2", "G3", "H"]
+    assert [e["key"] for e in told[1]] == ["C2", "G1", "G2", "G3", "G4", "H"]
     for one, two in zip(told[1], told[2], strict=True):
         for a, b in zip(one["rows"], two["rows"], strict=True):
             if one["key"] == "H":  # messages are between ranks

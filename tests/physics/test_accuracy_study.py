@@ -51,6 +51,9 @@ def test_losses(found):
     assert slope(drag.curve("taylor"), "place") == pytest.approx(1.0, abs=0.05)
     assert max(row.errors["velocity"] for row in drag.curve("leapfrog")) < 1e-12
     assert slope(found["G3"].curve("leapfrog"), "place") == pytest.approx(2.0, abs=0.05)
+    bounces = found["G4"]
+    assert all(max(row.errors.values()) <= 0.03 * row.setting.knob for row in bounces.rows)
+    assert all(slope(bounces.curve(curve), "fixed sphere") == pytest.approx(2.0, abs=0.3) for curve in bounces.curves)
 
 
 def test_sliding_keeps_what_it_should():

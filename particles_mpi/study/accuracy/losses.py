@@ -1,8 +1,12 @@
-"""G: drag and friction. Leapfrog, which advances them exactly, against PBPhys's explicit rule, and where a long step leads."""
+"""G: drag and friction. Leapfrog, which advances them exactly, against PBPhys's explicit rule, and where a long step leads.
+
+And bounces: their order under every force, on every obstacle, with every loss.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import product
 from math import exp
 from typing import Any
 
@@ -11,12 +15,15 @@ from scipy.integrate import solve_ivp
 
 from particles_mpi import Simulation, state
 from particles_mpi.particles import Array
+from particles_mpi.study.bouncing import FORCES, LOSSES, OBSTACLES, bounces, off, scene
+from particles_mpi.study.bouncing import T as BOUNCING
 from particles_mpi.study.lab import Errors, Experiment, Lab, Setting, slope
 
 G, DRAG, T, THROW = 9.81, 0.5, 2.0, (10.0, 10.0)
 STEPS, QUICK_STEPS = (2, 4, 16, 64, 256), (8, 16, 32, 64)
 REPEATS = 200  # particles alike, so that a run is no mere overhead
 STIFF = 20.0  # k T of the stiff case
+BOUNCES = (0.01, 0.005, 0.0025, 0.00125)  # steps
 ENDLESS = 10**9  # steps that are timed without a new start: all cost the same
 
 
@@ -110,5 +117,37 @@ def friction(lab: Lab) -> Experiment:
     return experiment(lab, "G3", "Throw with friction", cases, sliding(), "Runge-Kutta of order 8 (DOP853) at 1e-13")
 
 
+def bounce(lab: Lab, force: str, lost: str, resistances: tuple[str, ...], h: float) -> Setting:
+    """Balls that bounce for a second, on all obstacles."""
+    cases = tuple(product(OBSTACLES, resistances))
+    start = bounces(2, force, lost, cases, h)
+    tables, shift = scene(force, "rewind", h, start)
+
+    def errors(sim: Simulation) -> Errors:
+        sim.run()
+        end = bounces(2, force, lost, cases, h)
+        end.advance(np.full(len(shift), BOUNCING))
+        wrong = off(sim, shift, end).reshape(len(OBSTACLES), -1).max(axis=1)
+        return dict(zip(OBSTACLES, wrong.tolist(), strict=True))
+
+    curve = f"{force}, {lost}, {'friction' if 'friction' in resistances else 'no drag and drag'}"
+    return Setting(curve, h, lambda: lab.simulate(tables), ENDLESS, errors, told=round(BOUNCING / h))
+
+
+def bouncing(lab: Lab) -> Experiment:
+    """Contacts at any moment of a step."""
+    title = "Bounces"
+    steps = BOUNCES[:2] if lab.quick else BOUNCES
+    curves = product(FORCES[:3] if lab.quick else FORCES, LOSSES, (("none", "drag"), ("friction",)))
+    rows = lab.measure(title, [bounce(lab, force, lost, with_, h) for force, lost, with_ in curves for h in steps])
+    told = {name: f"distance from the true place after a second, mean over the phases of a step: {name}" for name in OBSTACLES}
+    how = "Runge-Kutta of order 4 from contact to contact"
+    found = Experiment("G4", title, "step", told, how, rows, (2.0,), 1e-9)
+    orders = [slope(found.curve(curve), name) for curve in found.curves for name in OBSTACLES]
+    most = max(max(found.curve(curve)[0].errors.values()) for curve in found.curves)
+    found.answers.append(f"order {min(orders):.2f} to {max(orders):.2f}; error at a step of {steps[0]:g} at most {most:.1e}")
+    return found
+
+
 def measure(lab: Lab) -> list[Experiment]:
-    return lab.ranks.of_root_alone(lambda: [case(lab.alone()) for case in (drag, stiff, friction)]) or []
+    return lab.ranks.of_root_alone(lambda: [case(lab.alone()) for case in (drag, stiff, friction, bouncing)]) or []
