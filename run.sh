@@ -225,8 +225,7 @@ warm_up() {  # compile the kernels now, so that the first run, or four test rank
   [[ -f particles_mpi/warmup.py ]] || return 0
   key=$(find particles_mpi -name '*.py' -print0 | sort -z | xargs -0 cat | digest)
   was_done kernels "$key" && return
-  find particles_mpi -name '*.nb[ic]' -delete  # numba does not see that a kernel called from another file has changed
-  if mpirun -n 2 $PY -m particles_mpi.warmup; then printf '%s' "$key" >"$DONE/kernels"
+  if $PY -P particles_mpi/kernel_sources.py || mpirun -n 2 $PY -m particles_mpi.warmup; then printf '%s' "$key" >"$DONE/kernels"
   else note 'kernels could not be compiled ahead: the first run does it'; fi
 }
 

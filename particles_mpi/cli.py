@@ -54,11 +54,14 @@ def run(
     Example:   mpirun -n 2 particles-mpi run my.toml --output out/my --steps 100
     """
     from particles_mpi.job import Job
+    from particles_mpi.output.console import tell_of_compiling
     from particles_mpi.output.folder import changed
     from particles_mpi.simulation import Simulation
 
     limit = seconds(wall_time) if wall_time else None
     described = load(scene)
+    if root() and not quiet:
+        tell_of_compiling(described.dimension)
     if resume:
         sim = Simulation.resume(resume)
         other = [f"{scene}: {key}: not as in {resume}, which goes on with the scene that it began with"
@@ -88,13 +91,15 @@ def check(scene: SceneFile) -> None:
 
     Example:   particles-mpi check my.toml
     """
-    from particles_mpi.output.console import Screen
+    from particles_mpi.output.console import Screen, tell_of_compiling
     from particles_mpi.plan import plan
     from particles_mpi.study.lab import Lab
     from particles_mpi.study.model import predict
     from particles_mpi.study.starts import Start
 
     described, screen = load(scene), Screen(root(), False)
+    if root():
+        tell_of_compiling(described.dimension)
     try:
         start = Start(Lab(), described)
     except SceneError as error:

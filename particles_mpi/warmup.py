@@ -1,59 +1,163 @@
-"""Compile the kernels once, so that a first run does not wait for it: `mpirun -n 2 python -m particles_mpi.warmup`."""
+"""Compile the kernels once, so that a first run does not wait for it: `mpirun -n 2 python -m particles_mpi.warmup`.
+
+Tiny scenes are run that between them use every kernel with every combination of types it is ever called with, in 1, 2 and 3
+dimensions, alone and on two ranks. The suite looks after them: at its end no test may have compiled anything that these had
+not. Whoever adds an effect, an operator or a kernel adds a scene here when it says so.
+"""
 
 from __future__ import annotations
 
+import tempfile
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 from particles_mpi.collide.event import Event
+from particles_mpi.kernel_sources import PACKAGE, Sources
 from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.scene import Scene
 from particles_mpi.simulation import Simulation
 
-DIMENSIONS = (3, 2)
+DIMENSIONS = (3, 2, 1)
+LOSSY = {"restitution": 0.5}
+ROOM = 4.0  # length of the box
+
+Job = Callable[[Ranks], None]
 
 
-def tiny(dimension: int, periodic: bool, effects: dict[str, object], integrator: str = "leapfrog") -> Scene:
+def scene(d: int, effects: dict[str, Any], *, periodic: bool = False, **more: Any) -> Scene:
     """A few particles that meet one another, walls and periodic faces within two steps; one lies on the floor."""
-    d = dimension
-    acceleration = [0.0] * (d - 1) + [-1.0]
-    available = {"uniform_gravity": {"acceleration": acceleration}, "walls": {}, "collisions": {}, "mutual_gravity": {}}
-    return Scene(
-        dimension=d,
-        box={"lower": [0.0] * d, "upper": [4.0] * d, "periodic": periodic},
-        time={"step": 0.01, "steps": 2, "integrator": integrator},
-        particles=[
-            {"position": [[2.0] * (d - 1) + [0.2]], "radius": 0.2, "mass": 1.0},
-            {"count": 4, "position": "random", "velocity": {"speed": 10.0}, "radius": 0.2, "mass": 1.0},
+    some = {"radius": 0.2, "mass": 1.0}
+    tables: dict[str, Any] = {
+        "box": {"lower": [0.0] * d, "upper": [ROOM] * d, "periodic": periodic},
+        "particles": [
+            {"position": [[2.0] * (d - 1) + [0.2]], **some},
+            {"count": 4, "position": "random", "velocity": {"speed": 10.0}, **some},
         ],
-        effects={name: keys or available[name] for name, keys in effects.items()},
-    )
+    }
+    tables |= more
+    time = {"step": 0.01, "steps": 2} | tables.pop("time", {})
+    return Scene(dimension=d, time=time, effects=effects, **tables)
+
+
+def run(described: Scene, ranks: Ranks) -> Simulation:
+    """All that a run computes: steps, a look of the watchdog, diagnostics."""
+    sim = Simulation(described, ranks.comm)
+    if isinstance(sim.near, Event) and ranks.size > 1:  # windows of time on divided space, however few particles there are
+        sim.near.divided = sim.near.windows.always = True
+    sim.run()
+    sim.measure()
+    if sim.rest and sim.rest.pairs:
+        sim.rest.hold(sim.rows, sim.sum_forces(), sim.h)
+    return sim
+
+
+def down(d: int) -> dict[str, Any]:
+    return {"acceleration": [0.0] * (d - 1) + [-1.0]}
+
+
+def struck_row(d: int, count: int) -> list[dict[str, Any]]:
+    """Spheres that touch, across the middle of the box, and one that hits them."""
+    aside, radius = [0.5 * ROOM] * (d - 1), 1.5 / (count + 2.5)
+    end = 0.5 * ROOM + radius * count
+    return [
+        {"position": [[end - 2.0 * radius * (k + 0.5), *aside] for k in range(count)], "radius": radius},
+        {"position": [[end + 1.1 * radius, *aside]], "velocity": [-10.0] + [0.0] * (d - 1), "radius": radius},
+    ]
+
+
+def event(d: int, ranks: Ranks) -> None:
+    """Mode event: with and without losses, walls, forces, a periodic box, observables."""
+    collisions: dict[str, Any] = {"mode": "event"}
+    run(scene(d, {"collisions": collisions, "walls": {}}, output={"observables": True}), ranks)
+    run(scene(d, {"collisions": collisions}, periodic=True), ranks)
+    run(scene(d, {"collisions": collisions | LOSSY, "walls": LOSSY, "uniform_gravity": down(d)}), ranks)
+    if ranks.size == 1:
+        Simulation(scene(d, {"collisions": collisions}), ranks.comm).step_to_collision()
+    else:  # particles that go from rank to rank, and windows that must be undone
+        gas = [{"count": 8 * d, "position": "random", "velocity": {"speed": 10.0}, "radius": 0.05}]
+        run(scene(d, {"collisions": collisions}, periodic=True, particles=gas, time={"step": 0.05, "steps": 12}), ranks)
+        run(scene(d, {"collisions": collisions}, particles=struck_row(d, 12), time={"step": 0.05}), ranks)
+
+
+def rewind(d: int, ranks: Ranks) -> None:
+    """Mode rewind: the same."""
+    lossy: dict[str, Any] = {"collisions": LOSSY, "walls": LOSSY}
+    run(scene(d, {"collisions": {}, "walls": {}}, output={"observables": True}), ranks)
+    run(scene(d, {"collisions": {}, "drag": {"rate": 0.1}}, periodic=True), ranks)
+    run(scene(d, {"uniform_gravity": down(d), "friction": {"strength": 0.1}} | lossy), ranks)
+    run(scene(d, {"mutual_gravity": {}} | lossy), ranks)
+    crowd = [{"count": 2, "position": [[1.0] * d, [1.1] * d], "radius": 0.3}, {"position": [[2.0] * d], "radius": 0.3}]
+    run(scene(d, {"collisions": {"allow_overlap": True}, "walls": {}}, particles=crowd), ranks)
+    lasting = {"uniform_gravity": down(d), "collisions": {"restitution": 0.9}}
+    for count in (2, 7):  # in order after two passes; in a muddle after three, so that the operator `event` takes over
+        run(scene(d, lasting, particles=struck_row(d, count), time={"step": 0.03}), ranks)
+    few = {"passes": 1} | LOSSY
+    run(scene(d, {"collisions": few, "walls": {}, "uniform_gravity": down(d)}, time={"step": 0.03}), ranks)
+
+
+def others(d: int, ranks: Ranks) -> None:
+    """No pairs: walls alone, integrators, the direct sum."""
+    run(scene(d, {"uniform_gravity": down(d), "walls": LOSSY}), ranks)
+    run(scene(d, {"walls": {}}), ranks)
+    for integrator in ("taylor", "leapfrog", "order4", "adaptive"):
+        run(scene(d, {"uniform_gravity": down(d), "mutual_gravity": {}}, time={"integrator": integrator}), ranks)
+    run(scene(d, {"drag": {"rate": 0.1}}, periodic=True), ranks)
+    run(scene(d, {"friction": {"strength": 0.1}}), ranks)
+    run(scene(d, {}), ranks)
+
+
+def tree(ranks: Ranks) -> None:
+    """The tree, which is the same in all dimensions; enough particles for cells that are far."""
+    many = [{"count": 300, "position": "random"}]
+    for multipole in ("quadrupole", "monopole"):
+        run(scene(3, {"mutual_gravity": {"method": "tree", "multipole": multipole}}, particles=many), ranks)
+
+
+def orbits(ranks: Ranks) -> None:
+    """The study's own kernel."""
+    from particles_mpi.study.hard_cases.orbits import circle
+
+    circle(1, 4, False)
+
+
+def jobs() -> Iterator[Job]:
+    """For one rank each: those that take longest first, and neighbours in the list share as few kernels as may be."""
+    yield partial(event, 3)
+    yield tree
+    yield partial(rewind, 2)
+    yield partial(event, 1)
+    yield partial(rewind, 3)
+    yield partial(event, 2)
+    yield partial(rewind, 1)
+    for d in DIMENSIONS:
+        yield partial(others, d)
+    yield orbits
 
 
 def main() -> None:
-    """Every kernel in two and three dimensions: a dimension a rank, then those of ghosts, together."""
+    """Each rank takes the next job that nobody has; then those of several ranks together."""
     begin = perf_counter()
     world, alone = Ranks(), Ranks.alone()
-    lossy: dict[str, object] = {"walls": {"restitution": 0.5}, "collisions": {"restitution": 0.5}}
-    for ranks, dimensions in ((alone, DIMENSIONS[world.rank :: world.size]), (world, DIMENSIONS)):
-        for d in dimensions:
-            scenes = [
-                tiny(d, False, {"uniform_gravity": None, "friction": {"strength": 0.1}} | lossy),
-                tiny(d, False, {"mutual_gravity": None} | lossy),
-                tiny(d, True, {"collisions": None, "drag": {"rate": 0.1}}),
-                tiny(d, False, {"uniform_gravity": None, "walls": None}),
-                *[tiny(d, p, {"collisions": {"mode": "event"}, "walls": None}) for p in (False, True)],
-                tiny(d, False, {"uniform_gravity": None, "mutual_gravity": None}),
-                *[tiny(d, False, {"mutual_gravity": {"method": "tree", "multipole": m}}) for m in ("quadrupole", "monopole")],
-            ]
-            for scene in scenes:
-                sim = Simulation(scene, ranks.comm)
-                if ranks is world and isinstance(sim.near, Event):
-                    sim.near.divided = sim.near.windows.always = ranks.size > 1
-                sim.run()
-                sim.measure()
-                if sim.rest and sim.rest.pairs:
-                    sim.rest.hold(sim.rows, sim.sum_forces(), sim.h)
     if world.is_root:
+        Sources(PACKAGE).forget_stale()
+    claims = Path(world.from_root(tempfile.mkdtemp() if world.is_root else None))
+    for number, job in enumerate(jobs()):
+        try:
+            (claims / str(number)).mkdir()
+        except FileExistsError:
+            continue
+        job(alone)
+    world.wait_asleep()
+    for d in DIMENSIONS:
+        event(d, world)
+        rewind(d, world)
+        others(d, world)
+    tree(world)
+    if world.is_root:
+        Sources(PACKAGE).note()
         print(f"kernels compiled in {perf_counter() - begin:.0f} s")
 
 

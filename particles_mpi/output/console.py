@@ -46,7 +46,25 @@ def watched() -> bool:
 
 
 LEAST = 0.05  # of a step: phases that take less are not told beforehand
+COMPILING = 20  # seconds for the kernels of one dimension, as one scene uses them
 WIDE = 200  # columns of a table that no terminal cuts
+
+
+def tell_of_compiling(dimension: int) -> None:
+    """Say it, once, if this process has to compile a kernel: set-up did so for the dimensions up to 3."""
+    from numba.core import event
+
+    class Teller(event.Listener):
+        def on_start(self, _: Any) -> None:
+            if self in waiting:
+                waiting.remove(self)
+                print(f"dimension {dimension}: kernels are compiled now, about {COMPILING} s, once", flush=True)
+
+        def on_end(self, _: Any) -> None:
+            pass
+
+    waiting = [Teller()]
+    event.register("numba:compile", waiting[0])
 
 
 class Screen:

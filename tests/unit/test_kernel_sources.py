@@ -1,0 +1,87 @@
+"""What set-up compiles again after an edit: the kernels whose code has changed, or that of what they call, and no others."""
+
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from particles_mpi.kernel_sources import PACKAGE, STATE, Sources
+
+CELL_ALONG = "particles_mpi.neighbours.cells.cell_along"
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A copy of the package's sources, all of whose kernels count as compiled."""
+    package = tmp_path_factory.mktemp("edited") / PACKAGE.name
+    shutil.copytree(PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__"))
+    Sources(package).note()
+    return package
+
+
+@pytest.fixture
+def edit(whole):
+    """edit(file, old, new) changes a line of the copy; returns the stale kernels. Taken back afterwards."""
+    before = {}
+
+    def change(file, old, new):
+        path = whole / file
+        before.setdefault(path, path.read_text())
+        assert before[path].count(old) == 1
+        path.write_text(before[path].replace(old, new))
+        return Sources(whole).stale()
+
+    yield change
+    for path, text in before.items():
+        path.write_text(text)
+
+
+def test_all_kernels_are_known(whole):
+    """Those of every decorator: with options, without, and those that are inlined."""
+    kernels = Sources(whole).kernels()
+    names = ("neighbours.partners.may_meet", "collide.events.run", "gravity.walk.add_cells", "study.hard_cases.orbits.circle")
+    assert {f"particles_mpi.{name}" for name in names} <= kernels.keys()
+    assert not [name for name in kernels if name.endswith(("Simulation", "main"))]
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new"),
+    [
+        ("study/clock.py", "from __future__", "# a comment\nfrom __future__"),
+        ("study/lab.py", "ROUND_OFF = 1e-13", "ROUND_OFF = 1e-12"),
+        ("neighbours/cells.py", "The cell of coordinate y on one axis;", "Of coordinate y on one axis, the cell;"),
+        ("neighbours/cells.py", "    return int(min(max((y", "    # an interval of cells\n    return int(min(max((y"),
+    ],
+)
+def test_words_compile_nothing(edit, file, old, new):
+    assert edit(file, old, new) == []
+
+
+def test_a_changed_kernel_takes_its_callers_along(edit):
+    stale = edit("neighbours/cells.py", "(y - origin) * per, 0.0), cells - 1.0)", "(y - origin) * per, 1.0), cells - 1.0)")
+    callers = {"neighbours.cells.cell_at", "neighbours.cells.sort_rows", "neighbours.partners.find_partners"}
+    assert {CELL_ALONG} | {f"particles_mpi.{name}" for name in callers} <= set(stale)
+    assert not [name for name in stale if ".gravity." in name or ".collide." in name]
+
+
+def test_a_changed_constant_makes_stale_what_takes_it(edit):
+    stale = edit("gravity/octree.py", "LEAF = 32", "LEAF = 31")
+    assert stale == ["particles_mpi.gravity.octree.divide"]
+
+
+def test_what_is_stale_is_forgotten(whole, edit):
+    """The script that run.sh asks: 0 and nothing deleted, or 1 and the files of stale kernels gone."""
+    script = [sys.executable, "-P", str(whole / "kernel_sources.py")]
+    cache = whole / "neighbours" / "__pycache__"
+    cache.mkdir(exist_ok=True)
+    files = [cache / f"partners.{name}-100.py311.1.nbc" for name in ("cover", "find_partners", "wanted")]
+    for file in files:
+        file.touch()
+    assert subprocess.run(script, timeout=60).returncode == 0
+    assert all(file.exists() for file in files)
+    edit("neighbours/cells.py", "(y - origin) * per, 0.0), cells - 1.0)", "(y - origin) * per, 1.0), cells - 1.0)")
+    assert subprocess.run(script, timeout=60).returncode == 1
+    assert [file.exists() for file in files] == [False, False, True]
+    (whole / STATE).write_text("half a file")
+    assert subprocess.run(script, timeout=60).returncode == 1
