@@ -119,7 +119,7 @@ def kick_with_friction(v, a, mass, decay, push, strength, h, coast):
         a2 = 0.0
         for k in range(d):
             a2 += a[i, k] ** 2
-        if a2 * h * h > loss * loss and before < NEAR * (sqrt(a2) * h + loss):
+        if loss > 0.0 and a2 * h * h > loss * loss and before < NEAR * (sqrt(a2) * h + loss):
             slide(v, a, i, sqrt(a2), loss / h, sqrt(decay[i]), h)
             continue
         if pushed <= loss * loss:
