@@ -13,9 +13,9 @@ import json
 import pkgutil
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
 
 from particles_mpi.errors import SceneError
 
@@ -25,9 +25,25 @@ NEEDS_FREE_PATHS = ("collisions", "walls", "drag", "friction")  # effects that o
 
 
 class Model(BaseModel):
-    """Strict: an unknown key, or a number given as text, is a fault and not a guess. Never changed once it is made."""
+    """Strict: an unknown key, or a number given as text, is a fault and not a guess."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+    _running: bool = PrivateAttr(False)  # does a simulation go by it?
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in type(self).model_fields and self._running:
+            raise AttributeError(
+                f"{name}: the scene of a simulation stays as it is, for the simulation would not see the change;"
+                " set sim.h, sim.time, or an option of sim.effects[name]"
+            )
+        super().__setattr__(name, value)
+
+    def running(self) -> Self:
+        """A copy, down to the tables, that a simulation goes by and that can no longer be changed."""
+        tables = {name: value.running() for name in type(self).model_fields if isinstance(value := getattr(self, name), Model)}
+        copy = self.model_copy(update=tables)
+        copy._running = True
+        return copy
 
 
 class EffectOptions(Model):
@@ -263,6 +279,13 @@ class Scene(Model):
         """Which axes are periodic; none where space is open."""
         flags = self.box.periodic if self.box else False
         return flags if isinstance(flags, list) else [flags] * self.dimension
+
+    def running(self) -> Scene:
+        """The same of a scene; what is written, and how often, may still be changed."""
+        effects = {name: options.running() for name, options in self.effects.items()}
+        copy = super().running().model_copy(update={"effects": effects, "output": self.output.model_copy()})
+        copy._running = True
+        return copy
 
     @property
     def active(self) -> dict[str, Any]:

@@ -68,7 +68,7 @@ class Simulation:
 
         `next_id`: the id of the next particle that is added, if it is larger than those that are there tell.
         """
-        self.scene, self.ranks, self.timers = scene, ranks, Timers()
+        self.scene, self.ranks, self.timers = scene.running(), ranks, Timers()
         self.steps_done, self._h = 0, scene.time.step
         self.moment = 0.0, 0  # (time, steps done) that the clock counts from
         self.totals = dict.fromkeys(COUNTS, 0)
@@ -220,7 +220,7 @@ class Simulation:
         options = changed_options(self.scene, name, key, value)
         same_on_all(self.ranks, {"effects": {name: options.model_dump(mode="json")}})
         self.take_changes()
-        self.scene = self.scene.model_copy(update={"effects": {**self.scene.effects, name: options}})
+        self.scene = self.scene.model_copy(update={"effects": {**self.scene.effects, name: options.running()}})
         if name in self.forces and key != "active":  # it is asked anew; nothing else depends on it
             self.past = self.counted()
             self.forces[name] = effect_class(name)(options, self.scene)
