@@ -7,7 +7,7 @@ over its contacts n'. A contact is slow below the speed that presses it, or HELD
 ball that rolls along a floor meets another one, or a wall, at any speed: the floor does not bear along that normal.
 """
 
-from math import sqrt
+from math import inf, sqrt
 
 import numpy as np
 from numba import njit
@@ -41,10 +41,25 @@ def near_walls(axes, x, v, a, radius, fixed, supported, h, lower, upper, oblique
     `lower`, `upper`: faces beyond which the first walls are.
     """
     rows, found = np.empty(len(x), np.int64), 0
-    push = np.empty(len(axes))
+    push, low, high = np.empty(len(axes)), np.empty(len(axes)), np.empty(len(axes))
+    most = 0.0
     for i in range(len(x)):
-        here = supported[i] != 0 or fixed[i] != 0
-        if not here and not fixed[i] and len(point):
+        a2 = 0.0
+        for k in range(len(axes)):
+            a2 += a[i, k] * a[i, k]
+        most = max(most, a2)
+    for k in range(len(axes)):  # within these no sphere is near a face, whatever its push: most rows need no closer look
+        far = 1.000001 * SLOW * h * h * sqrt(most)
+        low[k] = lower[k] + far + 1e-12 * max(lower[k], -lower[k]) if lower[k] > -inf else -inf
+        high[k] = upper[k] - far - 1e-12 * max(upper[k], -upper[k]) if upper[k] < inf else inf
+    for i in range(len(x)):
+        here = (supported[i] != 0) | (fixed[i] != 0)
+        inside = not oblique
+        for k in range(len(axes)):
+            inside &= (x[i, k] >= low[k] + radius[i]) & (x[i, k] <= high[k] - radius[i])
+        if inside & (not here):
+            continue
+        if not here and len(point):
             fast2, clear = 0.0, not oblique
             for k in range(len(axes)):
                 push[k] = SLOW * h * a[i, k]

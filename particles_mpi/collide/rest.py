@@ -96,13 +96,13 @@ class Rest:
 
     def rows(self, p: Particles, a: Array, h: float, which: Array) -> dict[str, Array]:
         """What all must know of our rows `which`; `wide` is the radius and the widest slow gap."""
-        rows = rows_of({name: p[name] for name in ("id", "position", "velocity", "radius", "supported")}, which)
+        chosen = p.select(which)
+        rows = {name: chosen[name] for name in ("id", "position", "velocity", "radius", "supported")}
         push = SLOW * h * a[which]
-        w = p.inverse_mass[which]
         return rows | {
             "push": push,
             "wide": widths(rows["radius"], push, h),
-            "w": w,
+            "w": chosen.inverse_mass,
             "row": which,
             "rank": np.full(len(which), self.ranks.rank),
         }
