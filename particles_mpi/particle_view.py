@@ -33,11 +33,12 @@ class ParticleView:
     _check: Callable[[dict[str, Array]], None]
     _copies: dict[str, Array]
     _shown: dict[str, Array]  # views of the copies, so that a copy is known to be held by the user if it outlives its view
+    _open: bool  # may the user change the state? Not within a step
     _earlier: list[tuple[str, weakref.ref[Array], int]]  # copies of earlier steps that the user holds, and their CRC-32
 
     def __init__(self, rows: Particles, check: Callable[[dict[str, Array]], None]):
         """`rows`: the particles shown; `check` raises an error for values (by name of the field) that cannot be used."""
-        vars(self).update(_rows=rows, _check=check, _copies={}, _shown={}, _earlier=[])
+        vars(self).update(_rows=rows, _check=check, _copies={}, _shown={}, _open=True, _earlier=[])
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -46,7 +47,10 @@ class ParticleView:
         if name.startswith("_") or name not in self._rows.arrays:
             raise AttributeError(f"these particles have no field {name!r}")
         shown: Array | None = self._shown.get(name)
-        if shown is None:
+        if shown is None and not self._open:
+            shown = self._rows.arrays[name][:]
+            shown.flags.writeable = False
+        elif shown is None:
             self._copies[name] = self._rows.arrays[name].copy()
             shown = self._shown[name] = self._copies[name][:]
             shown.flags.writeable = name not in READ_ONLY
@@ -106,8 +110,16 @@ class ParticleView:
                 copy[...] = held[name]
         return bool(changed)
 
-    def end(self) -> None:
-        """The moment is over: arrays that the user has kept can no longer be changed. Raises StateError if one was."""
+    def open(self) -> None:
+        """The state belongs to the user."""
+        vars(self)["_open"] = True
+
+    def close(self) -> None:
+        """The state belongs to the program: until `open`, fields can only be read, and those of this moment for ever.
+
+        Raises StateError if an array of an earlier moment was written to.
+        """
+        vars(self)["_open"] = False
         if not self._copies and not self._earlier:
             return
         kept = [(name, reference, crc) for name, reference, crc in self._earlier if reference() is not None]

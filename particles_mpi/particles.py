@@ -38,7 +38,7 @@ FIELDS = {
     "contacted": Field("float64", ghost=True, output=False),  # when it last met anyone or a wall, in mode event; -inf: never
     "virial": Field("float64", output=False),  # -r.dp of its collisions so far, told to the lower id; for the observables
     "supported": Field("uint8", output=False),  # pressed onto something by forces: see collide/rest.py
-    "total_acceleration": Field("float64", vector=True, ghost=True, output=False),  # of all forces, at the start of the step
+    "total_acceleration": Field("float64", vector=True, ghost=True, output=False),  # of forces and lasting contacts, in this step
     "rate": Field("float64", vector=True, output=False),  # dv/dt at the start of a `taylor` step
 }
 USER = Field("", output=False)  # any other name: data of the user's, of any type and shape, that goes where its particle goes

@@ -52,7 +52,8 @@ def fields_of(scene: Scene) -> list[str]:
     if keeps:
         extra.add("supported")
     forces = [effect_class(effect) for effect in scene.effects if effect_class(effect).role == "force"]
-    if ("collisions" in scene.effects or "walls" in scene.effects) and not all(getattr(f, "uniform", False) for f in forces):
+    contacts, differ = {"collisions", "walls"} & scene.effects.keys(), not all(getattr(f, "uniform", False) for f in forces)
+    if contacts and (differ or keeps):
         extra.add("total_acceleration")
     return [name for name in FIELDS if name in ALWAYS or name in extra]
 

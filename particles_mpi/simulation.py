@@ -85,7 +85,7 @@ class Simulation:
         first, last = (len(everyone) * (ranks.rank + k) // ranks.size for k in (0, 1))
         self.rows = everyone.select(np.arange(first, last))
         self.rows.velocity[self.rows.fixed != 0] = 0.0
-        self.particles = ParticleView(self.rows, self._check_values)
+        self._particles = ParticleView(self.rows, self._check_values)
         self.next_id = max(next_id, int(everyone.id.max(initial=-1)) + 1)
 
         d, box = scene.dimension, scene.box
@@ -127,6 +127,7 @@ class Simulation:
         if self.collisions:
             self._enter_collisions(self.collisions)
         self.taken = p.edition  # changes up to here are known everywhere
+        self.particles.open()
 
     def _integrator(self, drag: Any, friction: Any) -> Integrator:
         """The one that the scene names."""
@@ -173,6 +174,11 @@ class Simulation:
         kicked = bool(self.forces or self.dissipation)
         self.near = Neighbourhood(self.rows, self.ranks, box, (walls.point, walls.normal), kicked, self.timers)
         self.contacts = Rewind(self.near, loss, c.options.passes, planes, self.timers, exact)
+
+    @property
+    def particles(self) -> ParticleView:
+        """The particles of this rank, to be read and changed between two steps."""
+        return self._particles
 
     @property
     def time(self) -> float:
@@ -264,10 +270,11 @@ class Simulation:
         """Advance by one step; `collisions=False` lets particles pass through one another and through walls. Collective."""
         self.take_changes()
         try:
-            self.particles.end()
+            self.particles.close()
             self.advance(self._h, lambda h: self.drift(h, collisions), collisions)
         except StateError as error:
             raise StateError(f"step {self.steps_done + 1}: {error}") from None
+        self.particles.open()
         self.steps_done += 1
 
     def advance(self, h: float, drift: Callable[[float], None], contacts: bool = True) -> None:
@@ -289,7 +296,7 @@ class Simulation:
         if not self.collisions or self.collisions.options.mode != "event":
             raise SceneError('effects.collisions.mode: step_to_collision needs "event"')
         self.take_changes()
-        self.particles.end()
+        self.particles.close()
         h, met, free = self._h, self.near.stop, not (self.forces or self.dissipation)
         tried: list[tuple[float, float]] = []  # (length that was kicked for, how much later the contact came)
         for _ in range(MOST_TRIES):
@@ -298,6 +305,7 @@ class Simulation:
             self.advance(h, lambda _: self.drift(self._h, True, stop=True))
             reached, met_none = float(self.near.stopped[0]), met[1] < 0
             if met_none and h == self._h:
+                self.particles.open()
                 self.steps_done += 1
                 return None
             tried.append((h, reached - h))
@@ -307,6 +315,7 @@ class Simulation:
             self.totals, self.calls = totals, calls
             h = next_length(tried, self._h)
         self.moment = self.time + reached, self.steps_done
+        self.particles.open()
         return int(met[1]), int(met[2])
 
     def drift(self, h: float, contacts: bool, stop: bool = False) -> None:
@@ -340,6 +349,9 @@ class Simulation:
         p, none = self.rows, np.empty((0, self.rows.dimension))
         if "total_acceleration" in p.arrays:
             p["total_acceleration"][:] = 0.0 if self.accelerations is None else self.accelerations
+        if self.rest:  # contacts that last push too: what lies on something does not fall
+            rows, given = self.rest.given
+            p["total_acceleration"][rows] += given.reshape(len(rows), p.dimension) / self.middle
         a = self.g[None, :] if self.forces or self.dissipation else none
         return Rates(a, np.zeros(int("drag" in self.dissipation)), self.friction, self.middle)
 
@@ -466,7 +478,7 @@ class Simulation:
         first, last = (len(new) * (self.ranks.rank + k) // self.ranks.size for k in (0, 1))
         mine[len(everyone) + first : len(everyone) + last] = True
         self.rows.replace(all_.select(np.flatnonzero(mine)).arrays)
-        self.particles.end()
+        self.particles.close()
         self.next_id += len(new)
         self.additions += 1
         self._build()
@@ -484,7 +496,7 @@ class Simulation:
             known = np.concatenate(self.ranks.gathered(self.rows.id[here]))
             raise ValueError(f"remove: no {listed(np.setdiff1d(named, known))}")
         self.rows.replace(self.rows.select(np.flatnonzero(~here)).arrays)
-        self.particles.end()
+        self.particles.close()
         self._build()
 
     def attach(self, name: str, values: Array) -> None:

@@ -52,6 +52,7 @@ class Rest:
         self.found = np.empty(0, np.int64)  # places, and fingerprint of widths; who is close
         self.walls = planes.lower, planes.upper, planes.oblique, planes.point[planes.lossy], planes.normal[planes.lossy]
         self.axes = (0,) * len(length)
+        self.given: tuple[Array, Array] = NOTHING  # our rows in the last `keep`, and the velocities that contacts gave them
         self.awake = True  # else particles pass through one another and through walls
 
     def forget(self) -> None:
@@ -60,6 +61,7 @@ class Rest:
 
     def keep(self, p: Particles, a: Array, h: float) -> None:
         """After a kick by accelerations a (n, d) in a step of h: velocities that keep slow contacts. Collective with pairs."""
+        self.given = NOTHING
         if not self.awake:
             return
         with self.timers("rest"):
@@ -220,8 +222,10 @@ class Rest:
         held[a[pressed]] = PRESSED
         held[b[pressed & (b >= 0)]] = PRESSED
         mine = rows["rank"] == self.ranks.rank
-        p.velocity[rows["row"][mine]] = v[mine]
-        p["supported"][rows["row"][mine]] = held[mine]
+        row = rows["row"][mine]
+        self.given = row, v[mine] - p.velocity[row]
+        p.velocity[row] = v[mine]
+        p["supported"][row] = held[mine]
 
 
 def widths(radius: Array, push: Array, h: float) -> Array:

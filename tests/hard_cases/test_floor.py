@@ -84,17 +84,22 @@ def measured(ground, force, d, mode, step, speed):
     sim = Simulation(Scene(dimension=d, time={"step": step, "steps": 1}, particles=particles, effects=effects))
     balls, drift, found = slice(0, len(scene.position)), sim.contacts.drift, []
 
-    def approach():
-        x, v = (column[np.argsort(sim.particles.id)][balls] for column in (sim.particles.position, sim.particles.velocity))
+    def apart():
+        """(distance between the surfaces, how fast it shrinks, and how fast that grows) of the two, or of one and the wall."""
+        rows = np.argsort(sim.rows.id)[balls]
+        x, v, a = (sim.rows[name][rows] for name in ("position", "velocity", "total_acceleration"))
         if len(x) == 1:
-            return -v[0, 0]
-        return -(v[0] - v[1]) @ (x[0] - x[1]) / np.sqrt((x[0] - x[1]) @ (x[0] - x[1]))
+            return x[0, 0] - R, -v[0, 0], -a[0, 0]
+        n = (x[0] - x[1]) / np.sqrt((x[0] - x[1]) @ (x[0] - x[1]))
+        return (x[0] - x[1]) @ n - 2.0 * R, -(v[0] - v[1]) @ n, -(a[0] - a[1]) @ n
 
     def watched(*args):
-        before = approach()
+        gap, before, faster = apart()
         counts = drift(*args)
-        if before > 0.0 > approach():
-            found.append(-approach() / before)
+        after = apart()[1]
+        if before > 0.0 > after:  # these are the velocities of the middle of the step
+            gained = faster * (gap / before - 0.5 * step)
+            found.append(-(after + gained) / (before + gained))
         return counts
 
     sim.contacts.drift = watched
