@@ -10,11 +10,10 @@ ball that rolls along a floor meets another one, or a wall, at any speed: the fl
 from math import inf, sqrt
 
 import numpy as np
-from numba import njit
 
 from particles_mpi.collide.contact import CROWD, nearest
-from particles_mpi.collide.planes import wall_distance
 from particles_mpi.collide.projection import give, relative, sweep
+from particles_mpi.lean import kernel, lean_inner
 
 SLOW = 2.0  # times what forces do in a step: a bounce that is over in about two steps
 HELD = 5.0  # times as fast may it be among those that are held, who would rattle between one another
@@ -22,54 +21,56 @@ MARGIN = 1e-3  # of the widest slow gap: closer nothing gets, so that round-off 
 SWEEPS = 4  # from what contacts bore before to what they bear now
 
 
-@njit(cache=True)
-def wall_push(axes, x, v, push, radius, i, w, point, normal):
+@lean_inner
+def wall_push(x, v, push, radius, i, w, point, normal):
     """Of row i, which has the given push, at wall w: (push onto it, all of the push, approach, speed, gap)."""
-    pressed, push2, closing, fast2 = 0.0, 0.0, 0.0, 0.0
-    for k in range(len(axes)):
+    pressed, push2, closing, fast2, distance = 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(x.shape[1]):
         fast2 += v[i, k] * v[i, k]
         pressed -= push[k] * normal[w, k]
         push2 += push[k] * push[k]
         closing -= v[i, k] * normal[w, k]
-    return pressed, sqrt(push2), closing, sqrt(fast2), wall_distance(axes, x, i, w, point, normal) - radius[i]
+        distance += (x[i, k] - point[w, k]) * normal[w, k]
+    return pressed, sqrt(push2), closing, sqrt(fast2), distance - radius[i]
 
 
-@njit(cache=True)
-def near_walls(axes, x, v, a, radius, fixed, supported, h, lower, upper, oblique, point, normal):
+@kernel
+def near_walls(x, v, a, radius, fixed, supported, h, lower, upper, oblique, point, normal):
     """Rows that are fixed or supported, or have a slow contact with a wall.
 
     `lower`, `upper`: faces beyond which the first walls are.
     """
+    d = x.shape[1]
     rows, found = np.empty(len(x), np.int64), 0
-    push, low, high = np.empty(len(axes)), np.empty(len(axes)), np.empty(len(axes))
+    push, low, high = np.empty(d), np.empty(d), np.empty(d)
     most = 0.0
     for i in range(len(x)):
         a2 = 0.0
-        for k in range(len(axes)):
+        for k in range(d):
             a2 += a[i, k] * a[i, k]
         most = max(most, a2)
-    for k in range(len(axes)):  # within these no sphere is near a face, whatever its push: most rows need no closer look
+    for k in range(d):  # within these no sphere is near a face, whatever its push: most rows need no closer look
         far = 1.000001 * SLOW * h * h * sqrt(most)
         low[k] = lower[k] + far + 1e-12 * max(lower[k], -lower[k]) if lower[k] > -inf else -inf
         high[k] = upper[k] - far - 1e-12 * max(upper[k], -upper[k]) if upper[k] < inf else inf
     for i in range(len(x)):
         here = (supported[i] != 0) | (fixed[i] != 0)
         inside = not oblique
-        for k in range(len(axes)):
+        for k in range(d):
             inside &= (x[i, k] >= low[k] + radius[i]) & (x[i, k] <= high[k] - radius[i])
         if inside & (not here):
             continue
         if not here and len(point):
             fast2, clear = 0.0, not oblique
-            for k in range(len(axes)):
+            for k in range(d):
                 push[k] = SLOW * h * a[i, k]
                 fast2 += push[k] * push[k]
             gap = radius[i] + sqrt(fast2) * h
-            for k in range(len(axes)):
+            for k in range(d):
                 clear &= (x[i, k] >= lower[k] + gap) & (x[i, k] <= upper[k] - gap)
             if not clear:
                 for wall in range(len(point)):
-                    pressed, _, closing, _, gap = wall_push(axes, x, v, push, radius, i, wall, point, normal)
+                    pressed, _, closing, _, gap = wall_push(x, v, push, radius, i, wall, point, normal)
                     here |= pressed > 0.0 and gap <= pressed * h and abs(closing) <= pressed
         if here:
             rows[found] = i
@@ -77,8 +78,8 @@ def near_walls(axes, x, v, a, radius, fixed, supported, h, lower, upper, oblique
     return rows[:found]
 
 
-@njit(cache=True)
-def within(axes, x, radius, a, h, low, high, known):
+@kernel
+def within(x, radius, a, h, low, high, known):
     """Rows whose spheres, with their widest slow gap, touch the box [low, high], but for the `known` (ascending)."""
     rows, found, passed = np.empty(len(x), np.int64), 0, 0
     for i in range(len(x)):
@@ -86,10 +87,10 @@ def within(axes, x, radius, a, h, low, high, known):
             passed += 1
             continue
         a2, inside = 0.0, True
-        for k in range(len(axes)):
+        for k in range(x.shape[1]):
             a2 += a[i, k] * a[i, k]
         wide = radius[i] + HELD * SLOW * h * h * sqrt(a2)
-        for k in range(len(axes)):
+        for k in range(x.shape[1]):
             inside &= (x[i, k] + wide >= low[k]) & (x[i, k] - wide <= high[k])
         if inside:
             rows[found] = i
@@ -97,7 +98,7 @@ def within(axes, x, radius, a, h, low, high, known):
     return rows[:found]
 
 
-@njit(cache=True)
+@kernel
 def close_by_test(x, wide, w, length):
     """Pairs (first < second) of few rows that come nearer than their widths, not both with w = 0."""
     most = len(x) * (len(x) - 1) // 2
@@ -114,14 +115,14 @@ def close_by_test(x, wide, w, length):
     return first[:found], second[:found]
 
 
-@njit(cache=True)
-def contacts(axes, x, v, push, radius, w, crowd, first, second, h, length, point, normal):
+@kernel
+def contacts(x, v, push, radius, w, crowd, first, second, h, length, point, normal):
     """All contacts that may be slow, or that are among a crowd: (rows a and b, or -1 - wall; normals towards a; and so on).
 
     The rest: gap, shares of a and b, inertia, `widest` (the larger push) and approach; `crowd` tells which are kept at any
     speed. In the order of rows with walls, then of pairs.
     """
-    d = len(axes)
+    d = x.shape[1]
     most = len(first) + len(x) * len(point)
     a, b = np.empty(most, np.int64), np.empty(most, np.int64)
     n, gaps, share, widest = np.empty((most, d)), np.empty(most), np.empty((most, 2)), np.empty(most)
@@ -129,7 +130,7 @@ def contacts(axes, x, v, push, radius, w, crowd, first, second, h, length, point
     made = 0
     for i in range(len(x)):
         for wall in range(len(point)):
-            _, wide, closing, fast, gap = wall_push(axes, x, v, push[i], radius, i, wall, point, normal)
+            _, wide, closing, fast, gap = wall_push(x, v, push[i], radius, i, wall, point, normal)
             if w[i] > 0.0 and wide > 0.0 and gap <= max(HELD * wide, fast * crowd[i]) * h:
                 a[made], b[made], widest[made], gaps[made], approach[made] = i, -1 - wall, wide, gap, closing
                 n[made] = normal[wall]
@@ -165,23 +166,23 @@ def contacts(axes, x, v, push, radius, w, crowd, first, second, h, length, point
     return a[of], b[of], n[of], gaps[of], share[of], inertia[of], widest[of], approach[of], any_speed[of]
 
 
-@njit(cache=True)
-def bear(axes, v, a, b, normal, may_close, share, borne):
+@kernel
+def bear(v, a, b, normal, may_close, share, borne):
     """What contacts bear under pushes v (n, d), by a few sweeps from what they bore; both in place."""
     for c in range(len(a)):
-        give(axes, v, a[c], b[c], normal, share, c, borne[c])
+        give(v, a[c], b[c], normal, share, c, borne[c])
     for _ in range(SWEEPS):
-        sweep(axes, v, a, b, normal, may_close, share, borne)
+        sweep(v, a, b, normal, may_close, share, borne)
     return borne
 
 
-@njit(cache=True)
-def pressing(axes, push, a, b, normal, share, borne):
+@kernel
+def pressing(push, a, b, normal, share, borne):
     """The speed that presses each contact, of rows with pushes (n, d) whose contacts bear `borne`."""
-    d = len(axes)
+    d = push.shape[1]
     left, stress = push.copy(), np.zeros((len(push), d, d))
     for c in range(len(a)):
-        give(axes, left, a[c], b[c], normal, share, c, borne[c])
+        give(left, a[c], b[c], normal, share, c, borne[c])
         for k in range(d):
             for m in range(d):
                 part = borne[c] * normal[c, k] * normal[c, m]
@@ -195,12 +196,12 @@ def pressing(axes, push, a, b, normal, share, borne):
             for m in range(d):
                 both = stress[a[c], k, m] + (stress[b[c], k, m] if b[c] >= 0 else 0.0)
                 along += normal[c, k] * normal[c, m] * both
-        others = relative(axes, left, a[c], b[c], normal, c) - borne[c]
+        others = relative(left, a[c], b[c], normal, c) - borne[c]
         speeds[c] = max(abs(others), along)
     return speeds
 
 
-@njit(cache=True)
+@kernel
 def slow(pressed, held, widest, gap, closing, crowd, h):
     """Which contacts are slow: (their indices, at which speed each may close, below which speed it is slow)."""
     of, may_close, speeds = np.empty(len(gap), np.int64), np.empty(len(gap)), np.empty(len(gap))
@@ -215,13 +216,13 @@ def slow(pressed, held, widest, gap, closing, crowd, h):
     return of[:found], may_close[:found], speeds[:found]
 
 
-@njit(cache=True)
-def spread(axes, x, wide, first, second, length, supported):
+@kernel
+def spread(x, wide, first, second, length, supported):
     """Who touches one of a crowd, widths taken together, belongs to it. `first`, `second`: pairs of rows that may touch."""
     touch = np.empty(len(first), np.bool_)
     for p in range(len(first)):
         r2 = 0.0
-        for k in range(len(axes)):
+        for k in range(x.shape[1]):
             r2 += nearest(x[first[p], k] - x[second[p], k], length[k]) ** 2
         touch[p] = r2 <= (wide[first[p]] + wide[second[p]]) ** 2
     more = True

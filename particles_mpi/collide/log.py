@@ -11,9 +11,8 @@ A record of a row is (leg without R, met, stuck, history, last, virial), as floa
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from particles_mpi.lean import lean
+from particles_mpi.lean import inner, lean_inner
 from particles_mpi.particles import Array
 
 ID, MET, TURNS, STUCK, HISTORY, MINE, LAST, VIRIAL = range(8)
@@ -26,13 +25,13 @@ NOT_HERE, GHOST, OWN, KNOWN = (
 ODD = -7046029254386353131  # an odd number with many bits, to multiply with
 
 
-@njit(cache=True, inline="always")
+@inner(inline="always")
 def record_width(dimension):
     """Numbers in a record."""
     return 2 * dimension + 6
 
 
-@njit(cache=True, inline="always")
+@inner(inline="always")
 def history_place(dimension):
     """Where the history stands in a record."""
     return 2 * dimension + 3
@@ -61,35 +60,37 @@ class Log:
             setattr(self, name, np.concatenate((old, np.zeros_like(old))))
 
     def arrays(self) -> tuple[Array, ...]:
-        """What the kernels take."""
+        """What the kernels take; records one after the other."""
         return (
-            self.window, self.mark, self.rows, self.count, self.saved, self.saved.view(np.int64), self.fastest,
-            self.moved, self.movers, self.is_mover, self.shared, self.border,
+            self.window, self.mark, self.rows, self.count, self.saved.ravel(), self.saved.ravel().view(np.int64),
+            self.fastest, self.moved, self.movers, self.is_mover, self.shared, self.border,
         )  # fmt: skip
 
 
-@njit(cache=True, inline="always")
-def save_row(axes, leg, state, i, out, words, at):
-    """The record of row i to row `at` of `out`."""
-    d = len(axes)
+@lean_inner
+def save_row(d, leg, state, i, out, words, at):
+    """The record of row i, in d dimensions, to `out` from place `at` on; returns where it ends."""
     for k in range(2 * d + 1):
-        out[at, k] = leg[i, k]
-    words[at, 2 * d + 1], words[at, 2 * d + 2], words[at, 2 * d + 3] = state[i, MET], state[i, STUCK], state[i, HISTORY]
-    words[at, 2 * d + 4], words[at, 2 * d + 5] = state[i, LAST], state[i, VIRIAL]
+        out[at + k] = leg[i, k]
+    at += 2 * d + 1
+    words[at], words[at + 1], words[at + 2] = state[i, MET], state[i, STUCK], state[i, HISTORY]
+    words[at + 3], words[at + 4] = state[i, LAST], state[i, VIRIAL]
+    return at + 5
 
 
-@njit(cache=True, inline="always")
-def load_row(axes, leg, state, i, out, words, at):
-    """Row i as row `at` of `out` says. What others foresaw of it is void."""
-    d = len(axes)
-    for k in range(2 * d + 1):
-        leg[i, k] = out[at, k]
-    state[i, MET], state[i, STUCK], state[i, HISTORY] = words[at, 2 * d + 1], words[at, 2 * d + 2], words[at, 2 * d + 3]
-    state[i, LAST], state[i, VIRIAL] = words[at, 2 * d + 4], words[at, 2 * d + 5]
+@lean_inner
+def load_row(leg, state, i, out, words, at):
+    """Row i as the record at place `at` of `out` says. What others foresaw of it is void."""
+    last = leg.shape[1] - 1  # where the radius is
+    for k in range(last):
+        leg[i, k] = out[at + k]
+    at += last
+    state[i, MET], state[i, STUCK], state[i, HISTORY] = words[at], words[at + 1], words[at + 2]
+    state[i, LAST], state[i, VIRIAL] = words[at + 3], words[at + 4]
     state[i, TURNS] += 1
 
 
-@lean
+@lean_inner
 def remember(axes, leg, state, i, log):
     """Something is about to happen to row i."""
     window, mark, rows, count, saved, words, _, _, _, _, shared, border = log
@@ -99,11 +100,11 @@ def remember(axes, leg, state, i, log):
         if state[i, MINE] != OWN:
             border[shared[0]] = count[0]
             shared[0] += 1
-        save_row(axes, leg, state, i, saved, words, count[0])
+        save_row(len(axes), leg, state, i, saved, words, count[0] * record_width(len(axes)))
         count[0] += 1
 
 
-@lean
+@lean_inner
 def note_leg(axes, leg, leg_words, state, i, log):
     """Row i has begun a new leg: into its history, and was it ever so fast?"""
     d = len(axes)
@@ -118,7 +119,7 @@ def note_leg(axes, leg, leg_words, state, i, log):
     fastest[0] = max(fastest[0], speed)
 
 
-@lean
+@lean_inner
 def note_home(i, log):
     """Row i has a new home."""
     moved, movers, is_mover = log[7], log[8], log[9]

@@ -7,7 +7,8 @@ close; share[c], what part of its closing speed each partner gives up; inertia[c
 from math import sqrt
 
 import numpy as np
-from numba import njit
+
+from particles_mpi.lean import inner, kernel, lean, lean_inner
 
 MOST_ROUNDS = 200
 BETTER = 1e-2  # than after a sweep: what a call makes of approach that is left, for the next one begins there
@@ -16,8 +17,8 @@ RESTARTS = 6
 MANY = 1 / 3  # of the contacts pressed: with fewer, the matrix leaves out those that only could be
 
 
-@njit(cache=True)
-def project(axes, v, a, b, normal, may_close, share, inertia, tolerance, guess, better):
+@kernel
+def project(v, a, b, normal, may_close, share, inertia, tolerance, guess, better):
     """Velocities nearest to v, in kinetic energy, at which no contact closes faster than it may; in place. What each took.
 
     A quadratic programme, solved as by J. More and G. Toraldo (SIAM J. Optim. 1, 93 (1991)): Gauss-Seidel sweeps find which
@@ -25,24 +26,24 @@ def project(axes, v, a, b, normal, may_close, share, inertia, tolerance, guess, 
     begin with; `better`: how much better than after a sweep is enough. Few contacts are done with after a sweep or two; for
     many the matrix is worth its while: that of those which were ever pressed, until a sweep of all presses no other.
     """
-    closing = begin(axes, v, a, b, normal, may_close, share, inertia, guess)
-    first = sweep(axes, v, a, b, normal, may_close, share, closing)
+    closing = begin(v, a, b, normal, may_close, share, inertia, guess)
+    first = sweep(v, a, b, normal, may_close, share, closing)
     if first > tolerance:
         tolerance = max(tolerance, better * first)
         tried, known = np.zeros(len(a), np.bool_), -1
         working_set(tried, closing)
-        while sweep(axes, v, a, b, normal, may_close, share, closing) > tolerance:
+        while sweep(v, a, b, normal, may_close, share, closing) > tolerance:
             of = working_set(tried, closing)
             if len(of) == known:
                 break
             known, before = len(of), closing.copy()
-            solve(axes, v, of, a, b, normal, may_close, share, inertia, tolerance, closing)
+            solve(v, of, a, b, normal, may_close, share, inertia, tolerance, closing)
             for c in of:
-                give(axes, v, a[c], b[c], normal, share, c, closing[c] - before[c])
+                give(v, a[c], b[c], normal, share, c, closing[c] - before[c])
     return closing
 
 
-@njit(cache=True)
+@inner
 def working_set(tried, closing):
     """Contacts that were pressed since the beginning, `tried` before or not; if these are many, all."""
     count = 0
@@ -59,8 +60,8 @@ def working_set(tried, closing):
     return of[:found]
 
 
-@njit(cache=True)
-def project_each(axes, v, a, b, normal, may_close, share, inertia, tolerance):
+@kernel
+def project_each(v, a, b, normal, may_close, share, inertia, tolerance):
     """The same for rows that touch walls alone, one by one, so that a row's bits do not depend on who else is here.
 
     Contacts of a row stand together; `tolerance` is that of each contact.
@@ -74,24 +75,24 @@ def project_each(axes, v, a, b, normal, may_close, share, inertia, tolerance):
         some = a[of], b[of], normal[of], may_close[of], share[of]
         closing[of] = 0.0
         alone = last == first + 1  # most are; then nothing is left after a sweep but round-off, which takes another one
-        done = alone and not sweep(axes, v, *some, closing[of]) > tolerance[first]
-        done |= alone and not done and not sweep(axes, v, *some, closing[of]) > tolerance[first]
+        done = alone and not sweep(v, *some, closing[of]) > tolerance[first]
+        done |= alone and not done and not sweep(v, *some, closing[of]) > tolerance[first]
         if not done:
             none = np.zeros(last - first)
-            closing[of] += project(axes, v, *some, inertia[of], tolerance[of].max(), none, 0.0)
+            closing[of] += project(v, *some, inertia[of], tolerance[of].max(), none, 0.0)
         first = last
     return closing
 
 
-@njit(cache=True)
-def begin(axes, v, a, b, normal, may_close, share, inertia, guess):
+@inner
+def begin(v, a, b, normal, may_close, share, inertia, guess):
     """Approach that each contact has taken from its partners: the guess, if that is better than none at all."""
     start = v.copy()
     for c in range(len(a)):
-        give(axes, v, a[c], b[c], normal, share, c, guess[c])
+        give(v, a[c], b[c], normal, share, c, guess[c])
     gain = 0.0  # of the dual problem: sum of impulse (what it still took at the start and takes now, on average)
     for c in range(len(a)):
-        mean = 0.5 * (relative(axes, start, a[c], b[c], normal, c) + relative(axes, v, a[c], b[c], normal, c))
+        mean = 0.5 * (relative(start, a[c], b[c], normal, c) + relative(v, a[c], b[c], normal, c))
         gain -= inertia[c] * guess[c] * (mean + may_close[c])
     if gain >= 0.0:
         return guess.copy()
@@ -99,49 +100,49 @@ def begin(axes, v, a, b, normal, may_close, share, inertia, guess):
     return np.zeros(len(a))
 
 
-@njit(cache=True)
-def sweep(axes, v, a, b, normal, may_close, share, closing):
+@lean
+def sweep(v, a, b, normal, may_close, share, closing):
     """Each contact in turn closes as fast as it may, but does not pull; returns the largest change."""
     worst = 0.0
     for c in range(len(a)):
-        new = max(closing[c] - may_close[c] - relative(axes, v, a[c], b[c], normal, c), 0.0)
+        new = max(closing[c] - may_close[c] - relative(v, a[c], b[c], normal, c), 0.0)
         change = new - closing[c]
         closing[c] = new
-        give(axes, v, a[c], b[c], normal, share, c, change)
+        give(v, a[c], b[c], normal, share, c, change)
         worst = max(worst, abs(change))
     return worst
 
 
-@njit(cache=True)
-def relative(axes, v, i, j, normal, c):
+@lean
+def relative(v, i, j, normal, c):
     """Velocity of i relative to j, or to a wall, along the normal of contact c."""
     speed = 0.0
-    for k in range(len(axes)):
+    for k in range(v.shape[1]):
         speed += (v[i, k] - (v[j, k] if j >= 0 else 0.0)) * normal[c, k]
     return speed
 
 
-@njit(cache=True)
-def give(axes, v, i, j, normal, share, c, change):
+@lean
+def give(v, i, j, normal, share, c, change):
     """Contact c takes the approach `change` from its partners."""
-    for k in range(len(axes)):
+    for k in range(v.shape[1]):
         v[i, k] += share[c, 0] * change * normal[c, k]
         if j >= 0:
             v[j, k] -= share[c, 1] * change * normal[c, k]
 
 
-@njit(cache=True)
-def solve(axes, v, of, a, b, normal, may_close, share, inertia, tolerance, closing):
+@inner
+def solve(v, of, a, b, normal, may_close, share, inertia, tolerance, closing):
     """Contacts `of` together; only `closing` changes. In y = sqrt(inertia) closing the programme is min y A y/2 - f y, y >= 0."""
     size = len(of)
     scale, y, f = np.empty(size), np.empty(size), np.empty(size)
     for c in range(size):
         scale[c] = sqrt(inertia[of[c]])
         y[c] = scale[c] * closing[of[c]]
-    matrix = coupling(axes, len(v), of, a, b, normal, share, inertia, scale)
+    matrix = coupling(len(v), of, a, b, normal, share, inertia, scale)
     for c in range(size):
         e = of[c]
-        f[c] = y[c] + row(matrix, y, c) - scale[c] * (may_close[e] + relative(axes, v, a[e], b[e], normal, e))
+        f[c] = y[c] + row(matrix, y, c) - scale[c] * (may_close[e] + relative(v, a[e], b[e], normal, e))
     pressed, excess = np.empty(size, np.int64), np.empty(size)
     way, clipped, bent = np.zeros(size), np.zeros(size), np.empty(size)
     for _ in range(MOST_ROUNDS):
@@ -167,8 +168,8 @@ def solve(axes, v, of, a, b, normal, may_close, share, inertia, tolerance, closi
         closing[of[c]] = y[c] / scale[c]
 
 
-@njit(cache=True)
-def coupling(axes, rows, of, a, b, normal, share, inertia, scale):
+@inner
+def coupling(rows, of, a, b, normal, share, inertia, scale):
     """A for contacts `of`, without its diagonal, which is 1: (where its rows begin, columns, values)."""
     begins = np.zeros(rows + 1, np.int64)  # contacts of each row of particles
     for c in of:
@@ -201,7 +202,7 @@ def coupling(axes, rows, of, a, b, normal, share, inertia, scale):
                 if other == p:
                     continue
                 e, along = of[other], 0.0
-                for k in range(len(axes)):
+                for k in range(normal.shape[1]):
                     along += normal[c, k] * normal[e, k]
                 columns[found] = other
                 values[found] = weight * scale[other] * (along if a[e] == i else -along)
@@ -210,7 +211,7 @@ def coupling(axes, rows, of, a, b, normal, share, inertia, scale):
     return starts, columns[:found], values[:found]
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"}, inline="always")
+@inner(fastmath={"reassoc", "contract"}, inline="always")
 def row(matrix, y, c):
     """(A y)_c without the diagonal."""
     starts, columns, values = matrix
@@ -220,7 +221,7 @@ def row(matrix, y, c):
     return total
 
 
-@njit(cache=True)
+@lean_inner
 def descend(matrix, f, scale, tolerance, y, pressed, excess, way, bent, clipped):
     """Conjugate gradients for the pressed contacts, until all is done or one had to be let go; returns whether one had.
 
@@ -262,7 +263,7 @@ def descend(matrix, f, scale, tolerance, y, pressed, excess, way, bent, clipped)
     return False
 
 
-@njit(cache=True)
+@lean_inner
 def let_go(matrix, y, pressed, excess, way, clipped, length):
     """The whole length of the way, but no contact pulls; only if that is downhill: returns whether it was."""
     change = 0.0

@@ -51,7 +51,6 @@ class Rest:
         self.looked: tuple[tuple[int, ...], int] = (), 0
         self.found = np.empty(0, np.int64)  # places, and fingerprint of widths; who is close
         self.walls = planes.lower, planes.upper, planes.oblique, planes.point[planes.lossy], planes.normal[planes.lossy]
-        self.axes = (0,) * len(length)
         self.given: tuple[Array, Array] = NOTHING  # our rows in the last `keep`, and the velocities that contacts gave them
         self.awake = True  # else particles pass through one another and through walls
 
@@ -66,7 +65,7 @@ class Rest:
             return
         with self.timers("rest"):
             state = p.position, p.velocity, a, p.radius, p.fixed, p["supported"]
-            involved = near_walls(self.axes, *state, h, *self.walls)
+            involved = near_walls(*state, h, *self.walls)
             if self.pairs and not self.uniform:
                 involved = np.union1d(involved, self.close(p, a, h))
             if not (self.ranks.total(len(involved))[0] if self.pairs else len(involved)):
@@ -93,7 +92,7 @@ class Rest:
             touch = rows["wide"]
             fast = rows["radius"] + h * np.sqrt(row_dot(rows["velocity"], rows["velocity"]))
             first, second = self.near(rows | {"wide": np.maximum(touch, fast)}, True)
-            spread(self.axes, rows["position"], touch, first, second, self.length, rows["supported"])
+            spread(rows["position"], touch, first, second, self.length, rows["supported"])
             self.solve(p, rows, h, (first, second), again=True)
 
     def rows(self, p: Particles, a: Array, h: float, which: Array) -> dict[str, Array]:
@@ -127,11 +126,11 @@ class Rest:
 
     def joining(self, p: Particles, a: Array, h: float, rows: dict[str, Array], known: Array) -> dict[str, Array]:
         """Those of our rows, but for the `known`, that touch one of `rows`, give or take a slow gap."""
-        low, high = np.full(len(self.axes), -np.inf), np.full(len(self.axes), np.inf)
+        low, high = np.full(len(self.length), -np.inf), np.full(len(self.length), np.inf)
         for k in np.flatnonzero(self.length == 0.0):
             low[k] = (rows["position"][:, k] - rows["wide"]).min()
             high[k] = (rows["position"][:, k] + rows["wide"]).max()
-        near = self.rows(p, a, h, within(self.axes, p.position, p.radius, a, h, low, high, known))
+        near = self.rows(p, a, h, within(p.position, p.radius, a, h, low, high, known))
         first, second = self.near(
             {name: np.concatenate((rows[name], near[name])) for name in ("id", "position", "wide", "w")}, True
         )
@@ -158,7 +157,7 @@ class Rest:
         """
         v = rows["velocity"]
         a, b, normal, gap, share, inertia, widest, closing, crowd = contacts(
-            self.axes, rows["position"], v, rows["push"], rows["radius"], rows["w"], rows["supported"] == CROWD, *near, h,
+            rows["position"], v, rows["push"], rows["radius"], rows["w"], rows["supported"] == CROWD, *near, h,
             self.length, *self.walls[3:],
         )  # fmt: skip
         walls = len(self.walls[3])
@@ -171,7 +170,7 @@ class Rest:
         of, may_close, speed = slow(pressed, held, widest, gap, closing, crowd, h)
         a, b, normal, share, inertia, names = a[of], b[of], normal[of], share[of], inertia[of], names[of]
         if not self.pairs:  # each rank by itself, and nothing to remember
-            closing = project_each(self.axes, v, a, b, normal, may_close, share, inertia, PRECISE * speed)
+            closing = project_each(v, a, b, normal, may_close, share, inertia, PRECISE * speed)
             self.give_back(p, rows, v, a, b, closing > 0.0)
             return NOTHING
         tolerance = PRECISE * float(speed.max(initial=0.0))
@@ -181,7 +180,7 @@ class Rest:
             guess, better = took[of], BETTER
         else:
             guess, better = borne[of] / (2.0 * SLOW), 0.0
-        closing = project(self.axes, v, a, b, normal, may_close, share, inertia, tolerance, guess, better)
+        closing = project(v, a, b, normal, may_close, share, inertia, tolerance, guess, better)
         kept = closing > 0.0
         self.give_back(p, rows, v, a, b, kept)
         order = np.argsort(names[kept])
@@ -206,7 +205,7 @@ class Rest:
         """
         before = 2.0 * SLOW * took  # a step's with SLOW, from half a step's
         of = touch | (took > 0.0)
-        that = self.axes, push.copy(), a[of], b[of], normal[of], np.zeros(np.count_nonzero(of)), share[of]
+        that = push.copy(), a[of], b[of], normal[of], np.zeros(np.count_nonzero(of)), share[of]
         borne = before.copy()
         if not self.pairs:
             borne[of] = project_each(*that, inertia[of], PRECISE * widest[of])
@@ -214,7 +213,7 @@ class Rest:
             borne[of] = bear(*that, before[of])
         else:
             borne[of] = project(*that, inertia[of], PRECISE * float(widest.max(initial=0.0)), before[of], 0.0)
-        return np.maximum(before, pressing(self.axes, push, a, b, normal, share, borne)), borne
+        return np.maximum(before, pressing(push, a, b, normal, share, borne)), borne
 
     def give_back(self, p: Particles, rows: dict[str, Array], v: Array, a: Array, b: Array, pressed: Array) -> None:
         """To our particles: velocities v of `rows`, and who is supported, having one of the pressed contacts."""

@@ -153,7 +153,7 @@ class Windows:
         self.known = np.array([*self.near, ranks.rank])
         told = np.zeros((n, ranks.size // 64 + 1), np.int64)
         homes.home[:n, d] = p.radius + np.where(p.inverse_mass > 0.0, self.shell, 0.0)
-        self.mark(np.arange(n), told)
+        self.mark(np.arange(n, dtype=np.int32), told)
         bits = [told[:, r >> 6] >> (r & 63) & 1 for r in range(ranks.size)]
         sent = [np.flatnonzero(bit) if r != ranks.rank else np.empty(0, int) for r, bit in enumerate(bits)]
         names = [name for name in p.arrays if field(name).ghost or name == "virial"]
@@ -209,9 +209,7 @@ class Windows:
     def mark(self, rows: Array, masks: Array) -> None:
         """masks[p]: all ranks that must know row rows[p], this one too."""
         engine = self.engine
-        mark_holders(
-            engine.axes, engine.homes.home, rows, self.known, self.low, self.high, self.length, self.lower, self.depth, masks
-        )
+        mark_holders(engine.homes.home, rows, self.known, self.low, self.high, self.length, self.lower, self.depth, masks)
 
     def tell_motion(self) -> None:
         """Ghosts on their way as their owners are."""
@@ -219,12 +217,10 @@ class Windows:
         outgoing = []
         for rank in self.near:
             buffer = self.buffer(rank, len(engine.leg) * (1 + 3 * len(engine.axes)))
-            size = pack_motion(
-                engine.axes, engine.leg, engine.state, engine.accelerations, self.told, rank, buffer, buffer.view(np.int64)
-            )
+            size = pack_motion(engine.leg, engine.state, engine.accelerations, self.told, rank, buffer, buffer.view(np.int64))
             outgoing.append(buffer[:size])
         message = swap(self.ranks, self.near, outgoing)
-        unpack_motion(engine.axes, engine.leg, engine.state, engine.accelerations, self.row_of, message, message.view(np.int64))
+        unpack_motion(engine.leg, engine.state, engine.accelerations, self.row_of, message, message.view(np.int64))
 
     def buffer(self, rank: int, size: int) -> Array:
         """Room for a message to a rank."""
@@ -265,7 +261,7 @@ class Windows:
         moved = int(log.moved[0])
         wanted, owner = np.zeros((moved, self.told.shape[1]), np.int64), np.empty(moved, np.int64)
         plan_moves(
-            self.engine.axes, self.engine.homes.home, log.arrays(), me, self.known, self.low, self.high, self.length,
+            self.engine.homes.home, log.arrays(), me, self.known, self.low, self.high, self.length,
             self.lower, self.depth, tree, wanted, owner,
         )  # fmt: skip
         return wanted, owner
@@ -276,7 +272,7 @@ class Windows:
         part = record_width(d) + d + 6 + self.told.shape[1] + engine.differing
         buffer = self.buffer(rank, (int(log.shared[0]) + 3 * int(log.moved[0])) * part)
         size = pack_news(
-            engine.axes, engine.leg, engine.state, engine.homes.home, engine.accelerations, engine.drags, self.told, self.holder,
+            engine.leg, engine.state, engine.homes.home, engine.accelerations, engine.drags, self.told, self.holder,
             log.arrays(), wanted, owner, rank, buffer, buffer.view(np.int64),
         )  # fmt: skip
         return buffer[:size]
@@ -285,7 +281,7 @@ class Windows:
         """Had a ghost that may have met an own row another history at its owner?"""
         engine, me = self.engine, self.ranks.rank
         return check(
-            engine.axes, engine.leg, engine.state, self.row_of, engine.log.arrays(), self.heard, begin, self.low[me],
+            engine.leg, engine.state, self.row_of, engine.log.arrays(), self.heard, begin, self.low[me],
             self.high[me], self.length, self.lower, self.reach, message, message.view(np.int64), self.told.shape[1],
             engine.differing,
         )  # fmt: skip
@@ -293,7 +289,7 @@ class Windows:
     def undo(self, before: Array) -> None:
         """All rows and counts as they were when the window began."""
         engine = self.engine
-        engine.pending = undo(engine.axes, engine.leg, engine.state, engine.log.arrays(), engine.todo)
+        engine.pending = undo(engine.leg, engine.state, engine.log.arrays(), engine.todo)
         engine.counts[:] = before
         self.redone += 1
 
@@ -302,7 +298,7 @@ class Windows:
         engine, words = self.engine, message.view(np.int64)
         pending = np.zeros(1, np.int64)
         pending[0] = correct(
-            engine.axes, engine.leg, engine.state, self.row_of, engine.log.arrays(), self.heard, message, words,
+            engine.leg, engine.state, self.row_of, engine.log.arrays(), self.heard, message, words,
             engine.differing, self.told, wanted, owner, self.ranks.rank, engine.todo,
         )  # fmt: skip
         at = 0
@@ -310,7 +306,7 @@ class Windows:
             homes = engine.homes
             places = homes.home, homes.links, homes.lists, homes.pool, homes.top, homes.head, homes.around
             at, short = admit(
-                engine.axes, engine.leg, engine.state, engine.accelerations, engine.drags, engine.slot, engine.heads, self.row_of,
+                engine.leg, engine.state, engine.accelerations, engine.drags, engine.slot, engine.heads, self.row_of,
                 places, homes.grid, homes.level, self.shell, self.length, self.told, self.holder, self.free, self.free_count,
                 engine.todo, pending, message, words, at,
             )  # fmt: skip

@@ -192,13 +192,13 @@ def test_projection(drawn):
     before = v.copy()
     closing = np.zeros(len(a))
     of_all = a, b, normal, may_close, share
-    swept = sweep((0, 0, 0), v, *of_all, closing.copy())
+    swept = sweep(v, *of_all, closing.copy())
     for call in range(12):  # a call makes a hundredth of what is left, and the next one begins there
         v[:] = before
-        closing = project((0, 0, 0), v, *of_all, 1.0 / (w[a] + of_b), 1e-10, closing, 1e-2)
+        closing = project(v, *of_all, 1.0 / (w[a] + of_b), 1e-10, closing, 1e-2)
         if call == 0:
-            left = sweep((0, 0, 0), v.copy(), *of_all, closing.copy())
-    speeds = np.array([relative((0, 0, 0), v, a[c], b[c], normal, c) for c in range(len(a))])
+            left = sweep(v.copy(), *of_all, closing.copy())
+    speeds = np.array([relative(v, a[c], b[c], normal, c) for c in range(len(a))])
     assert (closing >= 0.0).all()
     # As many as rigid spheres have; with more their shares are not unique, and convergence is slow.
     few = ((may_close < 3.0) | (closing > 0.0)).sum() <= 3 * n
