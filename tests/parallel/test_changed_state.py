@@ -12,6 +12,9 @@ from conftest import run_ranks
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from particles_mpi import Scene, SceneError, Simulation, state
+from particles_mpi.errors import StateError
+
 RANKS = (1, 2, 3)
 TOGETHER = (  # what is changed at once, so that all of it is tried in every scene within seconds
     ("reversed", "radius"),
@@ -78,3 +81,56 @@ def test_changed_on_ranks_is_the_same_as_on_one(results, ranks):
 )
 def test_any_changes_are_the_same_as_a_fresh_start(name, before, changes):
     assert differences(SCENES[name], before, changes, 3)[1] == []
+
+
+@pytest.mark.parametrize("mode", ["rewind", "event"])
+def test_velocities_reversed_lead_back_to_the_start(mode):
+    """50 elastic discs in a box, 20 collisions and back; what is written in the middle of a run counts."""
+    discs = {"count": 50, "position": "random", "radius": 0.2, "velocity": {"speed": 1.0}}
+    effects = {"collisions": {"mode": mode}, "walls": {}}
+    box, time = {"lower": [0, 0], "upper": [10, 10]}, {"step": 0.01, "steps": 1}
+    sim = Simulation(Scene(dimension=2, seed=1, box=box, time=time, particles=[discs], effects=effects))
+    start = state.everyone(sim.ranks, sim.particles)
+    while sim.totals["collisions"] < 20:
+        sim.step()
+    sim.particles.velocity *= -1
+    for _ in range(sim.steps_done):
+        sim.step()
+    end = state.everyone(sim.ranks, sim.particles)
+    assert sim.totals["collisions"] >= 40
+    assert np.abs(end.position - start.position).max() < 1e-9 and np.abs(end.velocity + start.velocity).max() < 1e-9
+
+
+def test_arrays_of_an_earlier_step_cannot_be_written_to_unnoticed():
+    sim = Simulation(Scene.from_dict(SCENES["elastic"]))
+    whole, part = sim.particles.velocity, sim.particles.position[3]
+    sim.step()
+    with pytest.raises(ValueError, match="read-only"):
+        whole *= 2.0
+    part[0] = 1.0
+    with pytest.raises(StateError, match=r"step 2: particles\.position: an array of an earlier step was written to"):
+        sim.step()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "error", "says"),
+    [
+        ("sim.particles.mass[4] = -1.0; sim.step()", StateError, r"particles\.mass: particle 4 on rank 0 was given -1"),
+        (
+            "sim.particles.radius[2] = float('nan'); sim.step()",
+            StateError,
+            r"particles\.radius: particle 2 on rank 0 was given nan",
+        ),
+        ("sim.particles.id[0] = 7", ValueError, "read-only"),
+        ("sim.particles.charm = 1", AttributeError, "no field 'charm'"),
+        ("sim.particles = None", AttributeError, "no setter|can't set"),
+        ("sim.effects['walls'].restitution = 2.0", SceneError, r"effects\.walls\.restitution: must be less than or equal to 1"),
+        ("sim.effects['walls'].bounce = 2.0", AttributeError, "no option 'bounce'"),
+        ("sim.scene.time.step = 0.5", AttributeError, r"set sim\.h"),
+        ("sim.h = 0.0", ValueError, "above 0"),
+    ],
+)
+def test_what_cannot_be_changed_says_so(wrong, error, says):
+    there = {"sim": Simulation(Scene.from_dict(SCENES["elastic"]))}
+    with pytest.raises(error, match=says):
+        exec(wrong, there)
