@@ -72,7 +72,7 @@ def project_each(v, a, b, normal, may_close, share, inertia, tolerance):
         while last < len(a) and a[last] == a[first]:
             last += 1
         of = slice(first, last)
-        closing[of] = project(
+        taken = project(
             v,
             a[of],
             b[of],
@@ -84,6 +84,8 @@ def project_each(v, a, b, normal, may_close, share, inertia, tolerance):
             np.zeros(last - first),
             0.0,
         )
+        for c in range(first, last):
+            closing[c] = taken[c - first]
         first = last
     return closing
 
@@ -100,7 +102,9 @@ def begin(v, a, b, normal, may_close, share, inertia, guess):
         gain -= inertia[c] * guess[c] * (mean + may_close[c])
     if gain >= 0.0:
         return guess.copy()
-    v[:] = start
+    for i in range(len(v)):
+        for k in range(v.shape[1]):
+            v[i, k] = start[i, k]
     return np.zeros(len(a))
 
 
