@@ -9,10 +9,9 @@ is the partner with the lower id, so that all who compute a contact compute the 
 from math import inf, sqrt
 
 import numpy as np
-from numba import njit
 
 from particles_mpi.collide.flow import change_of, row_of
-from particles_mpi.lean import lean
+from particles_mpi.lean import inner, lean, lean_inner
 
 NOBODY = -(2**62)  # "last met" before the first contact of a drift; partners are ids >= 0, walls -1, -2, ...
 NEVER = inf
@@ -26,7 +25,7 @@ def loss(restitution: float | None, damping: float | None) -> tuple[float, float
     return (1.0 if restitution is None else restitution), 1.0
 
 
-@njit(cache=True)
+@lean_inner
 def nearest(r, length):
     """The component r of a distance, by the nearest periodic image."""
     if length > 0.0:
@@ -37,13 +36,13 @@ def nearest(r, length):
     return r
 
 
-@njit(cache=True)
+@lean_inner
 def boxes_between(r, length):
     """What to take from the component r of a distance, to get the nearest periodic image however many boxes away."""
     return length * np.rint(r / length) if abs(r) > 0.5 * length > 0.0 else 0.0
 
 
-@njit(cache=True, inline="always")
+@inner(inline="always")
 def may_come_near(a, b, r2, diameter, h):
     """False for most pairs: those that move apart, or are clear of each other until h (by margins far above round-off).
 
@@ -55,13 +54,13 @@ def may_come_near(a, b, r2, diameter, h):
     return (b < 0.0) & (before | within)
 
 
-@njit(cache=True)
+@lean_inner
 def separation(x, v, s, i, j, k, t, length):
     """Component k of x_i - x_j at time t, by the nearest periodic image."""
     return nearest((x[i, k] + v[i, k] * (t - s[i])) - (x[j, k] + v[j, k] * (t - s[j])), length[k])
 
 
-@njit(cache=True)
+@lean
 def contact_time(axes, x, v, s, i, j, diameter, h, length):
     """Time in [max(s_i, s_j), h] at which the legs of i and j first touch, or NEVER.
 
@@ -104,7 +103,7 @@ def contact_time(axes, x, v, s, i, j, diameter, h, length):
     return t if t <= h else NEVER
 
 
-@njit(cache=True)
+@lean_inner
 def move_to(axes, x, v, s, i, t):
     """Bring row i along its leg to time t, where a new leg begins."""
     for k in range(len(axes)):
@@ -112,9 +111,9 @@ def move_to(axes, x, v, s, i, t):
     s[i] = t
 
 
-@lean
-def exchange(axes, v, r, i, j, own, other, t, restitution, keep, rates):
-    """The law of a contact: changes the velocities v of rows i and j, whose centres are r = x_i - x_j (d,) apart, at time t.
+@lean_inner
+def exchange(axes, v, column, r, i, j, own, other, t, restitution, keep, rates):
+    """The law of a contact at time t: changes the velocities, in v from `column` on, of rows i and j, r = x_i - x_j (d,) apart.
 
     v_i -= (1+e) (w_i/(w_i+w_j)) (k.v_r) k and the opposite for j, k = r/|r|, w = 1/m = `own` and `other`, 0 where fixed; then
     the course's damping multiplies both velocities by `keep` = sqrt(1-alpha) (1 with the restitution rule). Returns the
@@ -124,21 +123,21 @@ def exchange(axes, v, r, i, j, own, other, t, restitution, keep, rates):
     r2 = 0.0
     for k in range(len(axes)):
         r2 += r[k] * r[k]
-        approach += r[k] * (v[i, k] - v[j, k])
+        approach += r[k] * (v[i, column + k] - v[j, column + k])
     if len(rates.a) > 0:
-        take = exchange_at_contact(axes, v, r, r2, i, j, own, other, t - rates.middle, restitution, keep, rates)
+        take = exchange_at_contact(v, column, r, r2, i, j, own, other, t - rates.middle, restitution, keep, rates)
         if take != 0.0:
             return take
     take = (1.0 + restitution) * approach
     impulse = take / (r2 * (own + other))  # coincident centres have no normal, and never get here: they do not approach
     for k in range(len(axes)):
-        v[i, k] = keep * (v[i, k] - impulse * own * r[k])
-        v[j, k] = keep * (v[j, k] + impulse * other * r[k])
+        v[i, column + k] = keep * (v[i, column + k] - impulse * own * r[k])
+        v[j, column + k] = keep * (v[j, column + k] + impulse * other * r[k])
     return take
 
 
-@lean
-def exchange_at_contact(axes, v, r, r2, i, j, own, other, tau, restitution, keep, rates):
+@lean_inner
+def exchange_at_contact(v, column, r, r2, i, j, own, other, tau, restitution, keep, rates):
     """`exchange` of the velocities at the moment of contact, a time tau after the middle of the step: see `flow`.
 
     An elastic contact under constant forces then changes no energy, wherever in the step it is: over the step the energy
@@ -147,14 +146,14 @@ def exchange_at_contact(axes, v, r, r2, i, j, own, other, tau, restitution, keep
     """
     a, at, to = rates.a, row_of(i, rates), row_of(j, rates)
     v2_i, v2_j = 0.0, 0.0
-    for k in range(len(axes)):
-        v2_i += v[i, k] * v[i, k]
-        v2_j += v[j, k] * v[j, k]
+    for k in range(len(r)):
+        v2_i += v[i, column + k] * v[i, column + k]
+        v2_j += v[j, column + k] * v[j, column + k]
     decay_i, push_i = change_of(i, v2_i, own, tau, rates)
     decay_j, push_j = change_of(j, v2_j, other, tau, rates)
     real, lead = 0.0, 0.0
-    for k in range(len(axes)):
-        real += r[k] * (decay_i * v[i, k] - decay_j * v[j, k])
+    for k in range(len(r)):
+        real += r[k] * (decay_i * v[i, column + k] - decay_j * v[j, column + k])
         lead += (push_i * a[at, k] - push_j * a[to, k]) * r[k]
     real += lead
     if not real < 0.0:
@@ -162,27 +161,27 @@ def exchange_at_contact(axes, v, r, r2, i, j, own, other, tau, restitution, keep
     take = (1.0 + restitution) * real
     impulse = take / (r2 * (own + other))
     v2_i, v2_j = 0.0, 0.0
-    for k in range(len(axes)):
-        v2_i += (keep * (decay_i * v[i, k] + push_i * a[at, k] - impulse * own * r[k])) ** 2
-        v2_j += (keep * (decay_j * v[j, k] + push_j * a[to, k] + impulse * other * r[k])) ** 2
+    for k in range(len(r)):
+        v2_i += (keep * (decay_i * v[i, column + k] + push_i * a[at, k] - impulse * own * r[k])) ** 2
+        v2_j += (keep * (decay_j * v[j, column + k] + push_j * a[to, k] + impulse * other * r[k])) ** 2
     back_i, pull_i = change_of(i, v2_i, own, -tau, rates)
     back_j, pull_j = change_of(j, v2_j, other, -tau, rates)
     back_i, back_j = keep * back_i, keep * back_j
     left_i, left_j = back_i * push_i + pull_i, back_j * push_j + pull_j  # 0 without a loss
     leaving = 0.0
-    for k in range(len(axes)):
-        after_i = back_i * decay_i * v[i, k] - back_i * (impulse * own * r[k]) + left_i * a[at, k]
-        after_j = back_j * decay_j * v[j, k] + back_j * (impulse * other * r[k]) + left_j * a[to, k]
+    for k in range(len(r)):
+        after_i = back_i * decay_i * v[i, column + k] - back_i * (impulse * own * r[k]) + left_i * a[at, k]
+        after_j = back_j * decay_j * v[j, column + k] + back_j * (impulse * other * r[k]) + left_j * a[to, k]
         leaving += r[k] * (after_i - after_j)
     if leaving < 0.0 and lead != 0.0:
         return 0.0
-    for k in range(len(axes)):
-        v[i, k] = back_i * decay_i * v[i, k] - back_i * (impulse * own * r[k]) + left_i * a[at, k]
-        v[j, k] = back_j * decay_j * v[j, k] + back_j * (impulse * other * r[k]) + left_j * a[to, k]
+    for k in range(len(r)):
+        v[i, column + k] = back_i * decay_i * v[i, column + k] - back_i * (impulse * own * r[k]) + left_i * a[at, k]
+        v[j, column + k] = back_j * decay_j * v[j, column + k] + back_j * (impulse * other * r[k]) + left_j * a[to, k]
     return take
 
 
-@njit(cache=True)
+@lean_inner
 def meet(axes, x, v, s, w, i, j, t, restitution, keep, length, rates, r):
     """Collide rows i and j at time t; w = 1/m, 0 where fixed. In place on x, v, s; r (d,) is for scribbling.
 
@@ -192,4 +191,4 @@ def meet(axes, x, v, s, w, i, j, t, restitution, keep, length, rates, r):
     move_to(axes, x, v, s, j, t)
     for k in range(len(axes)):
         r[k] = separation(x, v, s, i, j, k, t, length)
-    return -exchange(axes, v, r, i, j, w[i], w[j], t, restitution, keep, rates) / (w[i] + w[j])
+    return -exchange(axes, v, np.int64(0), r, i, j, w[i], w[j], t, restitution, keep, rates) / (w[i] + w[j])

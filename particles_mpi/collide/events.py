@@ -10,7 +10,6 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from numba import njit
 
 from particles_mpi.collide.contact import CROWD, NEVER, NOBODY, boxes_between, exchange, may_come_near
 from particles_mpi.collide.log import (
@@ -30,7 +29,7 @@ from particles_mpi.collide.log import (
 )
 from particles_mpi.collide.planes import bounce, may_hit, wall_contact
 from particles_mpi.collide.queue import LEAVING, NEXT, NOTHING, PARTNER, STAMP, WHEN, before_other, first, put, take
-from particles_mpi.lean import lean, prefetch
+from particles_mpi.lean import inner, lean, lean_inner, prefetch
 from particles_mpi.neighbours.shells import BEGIN, COUNT, move_in, move_out, neighbours, room_for
 
 COLLISIONS, WALL_HITS, SPARED, HOMES = 0, 1, 2, 3  # what `counts` counts
@@ -45,7 +44,7 @@ EARLY, SOON, NEXT_ONES = 6, 4, 2  # buckets
 AHEAD = 0.8  # of the shell: a new home lies that far ahead where flights are longer than shells
 
 
-@njit(cache=True, inline="always")
+@inner(inline="always")
 def apart(leg, d, i, j, k, start, now, length, far):
     """Component k of x_i - x_j at `start`, for the periodic images of the two that are nearest at time `now`.
 
@@ -58,7 +57,7 @@ def apart(leg, d, i, j, k, start, now, length, far):
     return r - (length[k] if at > 0.5 * length[k] else (-length[k] if at < -0.5 * length[k] else 0.0))
 
 
-@njit(cache=True, inline="always")
+@inner(inline="always")
 def may_touch(axes, leg, i, j, now, best, length):
     """False for most: rows whose legs move apart, or are clear of each other until `best` (by margins above round-off)."""
     d = len(axes)
@@ -76,7 +75,7 @@ def may_touch(axes, leg, i, j, now, best, length):
     return may_come_near(a, b, r2, diameter, best - start)
 
 
-@njit(cache=True, inline="always")
+@inner(inline="always")
 def may_touch_from(axes, leg, i, j, now, best, length):
     """`may_touch` for a row i whose leg begins now."""
     d = len(axes)
@@ -94,7 +93,7 @@ def may_touch_from(axes, leg, i, j, now, best, length):
     return may_come_near(a, b, r2, diameter, best - now)
 
 
-@njit(cache=True, inline="always")
+@inner(inline="always")
 def touch_time(axes, leg, i, j, now, h, length, far, r, u):
     """Time at which the legs of i and j first touch, up to h, or NEVER: the root of `contact.contact_time`.
 
@@ -133,7 +132,7 @@ def touch_time(axes, leg, i, j, now, h, length, far, r, u):
     return t if t <= h else NEVER
 
 
-@lean
+@lean_inner
 def move_leg(axes, leg, i, t):
     """A new leg of row i begins at time t, where the old one gets then."""
     d = len(axes)
@@ -142,9 +141,9 @@ def move_leg(axes, leg, i, t):
     leg[i, 2 * d] = t
 
 
-@lean
-def collide(axes, leg, v, home, i, j, t, restitution, keep, length, rates, r):
-    """The contact of rows i and j at time t: `contact.meet` on legs, whose velocities are v. Returns its virial, -r.dp."""
+@lean_inner
+def collide(axes, leg, home, i, j, t, restitution, keep, length, rates, r):
+    """The contact of rows i and j at time t: `contact.meet` on legs. Returns its virial, -r.dp."""
     d = len(axes)
     own, other = home[i, d + 2], home[j, d + 2]  # inverse masses
     move_leg(axes, leg, i, t)
@@ -153,15 +152,15 @@ def collide(axes, leg, v, home, i, j, t, restitution, keep, length, rates, r):
         r[k] = leg[i, k] - leg[j, k]
         r[k] -= boxes_between(r[k], length[k])
     if d == 1:  # there is one normal, even for points, whose distance is none
-        approach = r[0] * (v[i, 0] - v[j, 0])
-        r[0] = 1.0 if v[i, 0] < v[j, 0] else -1.0
-        nearing = r[0] * (v[i, 0] - v[j, 0])
-        take = exchange(axes, v, r, i, j, own, other, t, restitution, keep, rates)
+        approach = r[0] * (leg[i, d] - leg[j, d])
+        r[0] = 1.0 if leg[i, d] < leg[j, d] else -1.0
+        nearing = r[0] * (leg[i, d] - leg[j, d])
+        take = exchange(axes, leg, np.int64(d), r, i, j, own, other, t, restitution, keep, rates)
         return -((1.0 + restitution if len(rates.a) == 0 else take / nearing) * approach) / (own + other)
-    return -exchange(axes, v, r, i, j, own, other, t, restitution, keep, rates) / (own + other)
+    return -exchange(axes, leg, np.int64(d), r, i, j, own, other, t, restitution, keep, rates) / (own + other)
 
 
-@lean
+@lean_inner
 def nearest_image(d, r, length):
     """Is r the nearest periodic image of a distance? Of partners who last met each other it is the one that met."""
     nearest = True
@@ -170,9 +169,9 @@ def nearest_image(d, r, length):
     return nearest
 
 
-@njit(cache=True, inline="always")
+@inner(inline="always")
 def next_event(
-    axes, leg, state, i, now, h, length, pool, lists, home, x, v, point, normal, lower, upper, oblique, far, r, u, around,
+    axes, leg, state, i, now, h, length, pool, lists, home, point, normal, lower, upper, oblique, far, r, u, around,
 ):  # fmt: skip
     """(time, partner) of the next event of row i, on the legs of now: its first contact of all, or that it leaves its shell."""
     d = len(axes)
@@ -208,8 +207,10 @@ def next_event(
             ):
                 best = t
                 partner = j
-        if len(point) and may_hit(axes, x, v, leg[i, 2 * d], i, leg[i, 2 * d + 1], h, lower, upper, oblique):
-            t, wall = wall_contact(axes, x, v, leg[i, 2 * d], i, leg[i, 2 * d + 1], state[i, MET], h, point, normal)
+        if len(point) and may_hit(axes, leg, leg, np.int64(d), leg[i, 2 * d], i, leg[i, 2 * d + 1], h, lower, upper, oblique):
+            t, wall = wall_contact(
+                axes, leg, leg, np.int64(d), leg[i, 2 * d], i, leg[i, 2 * d + 1], state[i, MET], h, point, normal
+            )
             if wall >= 0 and (t < best or partner == NOTHING):
                 best = t
                 partner = np.int64(-1 - wall)
@@ -232,7 +233,7 @@ def next_event(
     return best, partner
 
 
-@lean
+@lean_inner
 def turn(axes, leg, state, reals, i, t, partner, moment, quickly, crowded, far):
     """Row i is about to begin a new leg at time t: what must be remembered of it. Crowded rows wait as squeezed ones do."""
     if t != leg[i, 2 * len(axes)]:
@@ -248,7 +249,7 @@ def turn(axes, leg, state, reals, i, t, partner, moment, quickly, crowded, far):
     reals[i, LAST] = moment + t
 
 
-@lean
+@lean_inner
 def fetch(axes, leg, state, slot, lists, pool, home, heads, clock):
     """What the next events will need comes to the cache while this one is worked on: rows, then lists, then neighbours."""
     last = len(heads) - 1
@@ -305,7 +306,6 @@ def run(
     slot, when, heads, per_time, clock, far, r, u = queue
     low, per, cells, corners, caps = grid
     point, normal, lower, upper, oblique = walls
-    x, v = leg[:, :d], leg[:, d : 2 * d]
     logging = log[0][0] > 0
     events = 0
     while True:
@@ -316,7 +316,7 @@ def run(
                 continue
             take(slot, heads, i)
             t, partner = next_event(
-                axes, leg, state, i, now, h, length, pool, lists, home, x, v, point, normal, lower, upper, oblique, far, r, u,
+                axes, leg, state, i, now, h, length, pool, lists, home, point, normal, lower, upper, oblique, far, r, u,
                 around,
             )  # fmt: skip
             if partner != NOTHING:
@@ -345,10 +345,10 @@ def run(
         if j == LEAVING:
             speed = 0.0
             for k in range(d):
-                speed += v[i, k] * v[i, k]
+                speed += leg[i, d + k] * leg[i, d + k]
             lead = ahead * home[i, d + 1] / sqrt(speed) if speed > 0.0 else 0.0
             for k in range(d):
-                home[i, k] = x[i, k] + v[i, k] * (now - leg[i, 2 * d] + lead)
+                home[i, k] = leg[i, k] + leg[i, d + k] * (now - leg[i, 2 * d] + lead)
                 far[0] |= length[k] > 0.0 and not -0.25 * length[k] < home[i, k] - box_low[k] < 1.25 * length[k]
             found = neighbours(axes, i, home, links, head, low, per, cells, corners, caps, length, far[0], around)
             short = top[0] + room_for(i, around, found, lists) - len(pool)
@@ -367,7 +367,7 @@ def run(
             move_leg(axes, leg, i, t)
             mine = state[i, MINE] >= OWN
             e, kept = (1.0, 1.0) if easy else (wall_restitution[wall], wall_keep[wall])
-            bounce(axes, v, i, wall, normal, e, kept, home[i, d + 2], t, rates)
+            bounce(axes, leg, np.int64(d), i, wall, normal, e, kept, home[i, d + 2], t, rates)
             if easy and mine:
                 note(spared, counts, moment + t, state[i, ID], j)
             counts[WALL_HITS] += mine
@@ -385,7 +385,7 @@ def run(
             turn(axes, leg, state, reals, j, t, state[i, ID], moment, QUICK * h, crowded, far)
             mine = state[i, MINE] >= OWN
             e, kept = (1.0, 1.0) if easy else (restitution, keep)
-            reals[i, VIRIAL] += collide(axes, leg, v, home, i, j, t, e, kept, length, rates, r)
+            reals[i, VIRIAL] += collide(axes, leg, home, i, j, t, e, kept, length, rates, r)
             if easy and mine:
                 note(spared, counts, moment + t, state[i, ID], state[j, ID])
             counts[COLLISIONS] += mine
@@ -397,7 +397,7 @@ def run(
                 return 0
 
 
-@lean
+@lean_inner
 def note(spared, counts, t, one, other):
     """One more contact that took no energy; the first ones by name."""
     if counts[SPARED] < len(spared):
@@ -405,7 +405,7 @@ def note(spared, counts, t, one, other):
     counts[SPARED] += 1
 
 
-@njit(cache=True)
+@lean
 def set_out(axes, leg, state, reals, acceleration, x, v, radius, contacted, virial, a, seat):
     """Own rows on legs from (x, v) at time 0, with accelerations a where these differ; particle r is row seat[r].
 
@@ -435,7 +435,7 @@ def set_out(axes, leg, state, reals, acceleration, x, v, radius, contacted, viri
     return moved, sqrt(fastest)
 
 
-@njit(cache=True)
+@lean
 def arrive(axes, leg, state, h, home, length, lower):
     """All rows to time h, back in a periodic box with their homes. Returns how many own ones were squeezed."""
     d = len(axes)
@@ -458,7 +458,7 @@ def arrive(axes, leg, state, h, home, length, lower):
     return squeezed
 
 
-@njit(cache=True)
+@lean
 def hand_over(axes, leg, state, reals, x, v, contacted, virial, supported, crowded, seat):
     """Particles as their rows are."""
     d = len(axes)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.lean import lean
+from particles_mpi.lean import lean_inner
 from particles_mpi.particles import Array
 
 LONGEST = 0.5  # times the time in which drag and friction would stop a particle: see `change`
@@ -47,7 +47,7 @@ def no_rates(dimension: int) -> Rates:
     return Rates(np.empty((0, dimension)), np.empty(0), 0.0, 0.0)
 
 
-@lean
+@lean_inner
 def change(speed, k, b, time):
     """(decay, push): dv/dt = a - k v - b v/|v| takes v, of the given speed, to v decay + a push in a time of either sign.
 
@@ -66,13 +66,13 @@ def change(speed, k, b, time):
     return (1.0 - half) / (1.0 + half), time / (1.0 + half)
 
 
-@lean
+@lean_inner
 def row_of(i, rates):
     """Where the acceleration of particle i stands."""
     return i if len(rates.a) > 1 else 0
 
 
-@lean
+@lean_inner
 def change_of(i, speed2, w, time, rates):
     """`change` of particle i, whose speed has the square `speed2`; w = 1/m, 0 if it is fixed: then nothing changes."""
     if w == 0.0:

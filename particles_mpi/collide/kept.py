@@ -133,7 +133,8 @@ def contacts(x, v, push, radius, w, crowd, first, second, h, length, point, norm
             _, wide, closing, fast, gap = wall_push(x, v, push[i], radius, i, wall, point, normal)
             if w[i] > 0.0 and wide > 0.0 and gap <= max(HELD * wide, fast * crowd[i]) * h:
                 a[made], b[made], widest[made], gaps[made], approach[made] = i, -1 - wall, wide, gap, closing
-                n[made] = normal[wall]
+                for k in range(d):
+                    n[made, k] = normal[wall, k]
                 share[made, 0], share[made, 1], inertia[made] = 1.0, 0.0, 1.0 / w[i]
                 any_speed[made] = crowd[i]
                 made += 1

@@ -100,7 +100,7 @@ def remember(axes, leg, state, i, log):
         if state[i, MINE] != OWN:
             border[shared[0]] = count[0]
             shared[0] += 1
-        save_row(len(axes), leg, state, i, saved, words, count[0] * record_width(len(axes)))
+        save_row(np.int64(len(axes)), leg, state, i, saved, words, count[0] * record_width(len(axes)))
         count[0] += 1
 
 

@@ -107,7 +107,8 @@ def mark_holders(home, rows, ranks, low, high, length, origin, depth, masks):
     for p in range(len(rows)):
         i = np.int64(rows[p])
         reach = depth + home[i, d]
-        masks[p] = 0
+        for b in range(masks.shape[1]):
+            masks[p, b] = 0
         for rank in ranks:
             if gap2(home, i, low[rank], high[rank], length, origin) <= reach * reach:
                 masks[p, rank >> 6] |= np.int64(1) << (rank & 63)
@@ -315,7 +316,8 @@ def correct(leg, state, row_of, log, heard, message, words, more, told, wanted, 
     for m in range(moved[0]):
         i = np.int64(movers[m])
         is_mover[i] = False
-        told[i] = wanted[m]
+        for b in range(told.shape[1]):
+            told[i, b] = wanted[m, b]
         state[i, MINE] = who(told, i, rank) if owner[m] == rank else GHOST
     moved[0] = 0
     return pending
@@ -361,7 +363,8 @@ def admit(
                 found = neighbours(length, i, home, links, head, low, per, cells, corners, caps, length, np.bool_(True), around)
                 short = top[0] + room_for(i, around, found, lists) - len(pool)
                 if short > 0:
-                    home[i] = before
+                    for k in range(d + 3):
+                        home[i, k] = before[k]
                     return at, short
                 if fresh:
                     free_count[0] -= 1

@@ -1,13 +1,13 @@
 """The compiled loops of the operator `rewind`. A hit is (a, b, time): rows a, b of a pair, or row a and wall -1 - b."""
 
 import numpy as np
-from numba import njit
 
 from particles_mpi.collide.contact import NEVER, NOBODY, contact_time, may_come_near, meet, move_to, nearest, separation
 from particles_mpi.collide.planes import bounce, bounce_until, may_hit, wall_contact
+from particles_mpi.lean import kernel, lean, lean_inner
 
 
-@njit(cache=True, error_model="numpy")
+@lean_inner(error_model="numpy")
 def approaching(axes, x, v, radius, first, second, h, length, periodic, a, b):
     """Candidates whose legs, all from now, may touch within h; into a and b, returns how many. All but certain no's.
 
@@ -35,7 +35,7 @@ def approaching(axes, x, v, radius, first, second, h, length, periodic, a, b):
     return found
 
 
-@njit(cache=True)
+@lean_inner
 def changed(met, s, ids, live, first, second, a, b):
     """Candidates with a live row; into a and b, returns how many.
 
@@ -43,8 +43,8 @@ def changed(met, s, ids, live, first, second, a, b):
     """
     found = 0
     for p in range(len(first)):
-        i = first[p]
-        j = second[p]
+        i = np.int64(first[p])
+        j = np.int64(second[p])
         if live[np.uint64(i)] | live[np.uint64(j)] and not (met[i] == ids[j] and met[j] == ids[i] and s[i] == s[j]):
             a[found] = i
             b[found] = j
@@ -52,20 +52,23 @@ def changed(met, s, ids, live, first, second, a, b):
     return found
 
 
-@njit(cache=True)
+@lean
 def find_contacts(axes, x, v, s, met, ids, radius, first, second, h, length, everything, live, a, b, time):
     """Candidate pairs that touch on their present legs; with `everything` False only those with a live row. Returns how many.
 
     `everything` is for the first pass, in which all legs begin at time 0.
     """
     if everything:
-        likely = approaching(axes, x, v, radius, first, second, h, length, length.max() > 0.0, a, b)
+        periodic = False
+        for k in range(len(axes)):
+            periodic |= length[k] > 0.0
+        likely = approaching(axes, x, v, radius, first, second, h, length, periodic, a, b)
     else:
         likely = changed(met, s, ids, live, first, second, a, b)
     found = 0
     for p in range(likely):
-        i = a[p]
-        j = b[p]
+        i = np.int64(a[p])
+        j = np.int64(b[p])
         t = contact_time(axes, x, v, s, i, j, radius[i] + radius[j], h, length)
         if t != NEVER:
             a[found] = i
@@ -75,14 +78,15 @@ def find_contacts(axes, x, v, s, met, ids, radius, first, second, h, length, eve
     return found
 
 
-@njit(cache=True)
+@lean
 def find_wall_hits(
     axes, x, v, s, met, radius, rows, h, everything, live, point, normal, lower, upper, oblique, a, b, time, found
 ):
     """Adds the earliest wall contact of each of the (live) rows' legs; returns the number of hits then."""
-    for i in rows:
-        if (everything or live[i]) and may_hit(axes, x, v, s[i], i, radius[i], h, lower, upper, oblique):
-            t, w = wall_contact(axes, x, v, s[i], i, radius[i], met[i], h, point, normal)
+    for p in range(len(rows)):
+        i = np.int64(rows[p])
+        if (everything or live[i]) and may_hit(axes, x, v, np.int64(0), s[i], i, radius[i], h, lower, upper, oblique):
+            t, w = wall_contact(axes, x, v, np.int64(0), s[i], i, radius[i], met[i], h, point, normal)
             if w >= 0:
                 a[found] = i
                 b[found] = -1 - w
@@ -91,33 +95,33 @@ def find_wall_hits(
     return found
 
 
-@njit(cache=True)
-def deepest(axes, x, v, s, radius, a, b, time, length):
+@lean
+def deepest(x, v, s, radius, a, b, time, length):
     """The largest overlap of the pairs among the hits when they meet, in smaller radii: somebody came in between too late."""
     most = 0.0
     for p in range(len(a)):
-        i = a[p]
-        j = b[p]
+        i = np.int64(a[p])
+        j = np.int64(b[p])
         if j >= 0:
             r2 = 0.0
-            for k in range(len(axes)):
+            for k in range(x.shape[1]):
                 r = separation(x, v, s, i, j, k, time[p], length)
                 r2 += r * r
             most = max(most, (radius[i] + radius[j] - r2**0.5) / min(radius[i], radius[j]))
     return most
 
 
-@njit(cache=True)
-def deepest_at(axes, x, v, s, radius, first, second, supported, end, length):
+@lean
+def deepest_at(x, v, s, radius, first, second, supported, end, length):
     """The largest overlap at time `end` of candidate pairs with a supported own row (the first rows), in smaller radii."""
     most = 0.0
     for p in range(len(first)):
-        i = first[p]
-        j = second[p]
+        i = np.int64(first[p])
+        j = np.int64(second[p])
         if not (i < len(supported) and supported[i]) and not (j < len(supported) and supported[j]):
             continue
         r2 = 0.0
-        for k in range(len(axes)):
+        for k in range(x.shape[1]):
             r = separation(x, v, s, i, j, k, end, length)
             r2 += r * r
         if r2 < (radius[i] + radius[j]) ** 2:
@@ -125,7 +129,7 @@ def deepest_at(axes, x, v, s, radius, first, second, supported, end, length):
     return most
 
 
-@njit(cache=True)
+@lean_inner
 def prefer(row, t, wall, low, high, choice, best):
     """Make (t, wall or pair, low, high) the choice of `row` if it comes before what is chosen; `best` holds (t, low, high)."""
     if choice[row] != NOBODY:
@@ -146,12 +150,12 @@ def prefer(row, t, wall, low, high, choice, best):
     return True
 
 
-@njit(cache=True)
+@lean
 def choose(ids, owned, a, b, time, choice, best):
     """For every owned row with a hit the partner of its earliest one, as id or as wall -1, -2, ...; in place on `choice`."""
     for p in range(len(a)):
-        i = a[p]
-        j = b[p]
+        i = np.int64(a[p])
+        j = np.int64(b[p])
         if j < 0:
             if prefer(i, time[p], True, ids[i], -1 - j, choice, best):
                 choice[i] = j
@@ -162,7 +166,7 @@ def choose(ids, owned, a, b, time, choice, best):
             choice[j] = ids[i]
 
 
-@njit(cache=True)
+@kernel
 def take_place(
     axes, x, v, s, met, w, ids, owned, a, b, time, choice, restitution, keep, length,
     normal, wall_restitution, wall_keep, rates, live, touched, log, log_x, log_v, logged, counts, virial,
@@ -176,8 +180,8 @@ def take_place(
     found = 0
     r = np.empty(len(axes))
     for p in range(len(a)):
-        i = a[p]
-        j = b[p]
+        i = np.int64(a[p])
+        j = np.int64(b[p])
         found = touch(i, live, touched, found)
         if j < 0:
             if choice[i] != j:
@@ -185,7 +189,7 @@ def take_place(
             logged = remember(x, v, met, i, owned, log, log_x, log_v, logged)
             move_to(axes, x, v, s, i, time[p])
             wall = -1 - j
-            bounce(axes, v, i, wall, normal, wall_restitution[wall], wall_keep[wall], w[i], time[p], rates)
+            bounce(axes, v, np.int64(0), i, wall, normal, wall_restitution[wall], wall_keep[wall], w[i], time[p], rates)
             met[i] = j
             counts[1] += 1
             continue
@@ -206,7 +210,7 @@ def take_place(
     return found, logged
 
 
-@njit(cache=True)
+@lean_inner
 def touch(i, live, touched, found):
     """Make row i live, and list it once; returns how many are listed."""
     if not live[i]:
@@ -216,7 +220,7 @@ def touch(i, live, touched, found):
     return found
 
 
-@njit(cache=True)
+@lean_inner
 def remember(x, v, met, i, owned, log, log_x, log_v, logged):
     """Before the first contact of an owned row in this drift: log where it started."""
     if i >= owned or met[i] != NOBODY:
@@ -228,18 +232,18 @@ def remember(x, v, met, i, owned, log, log_x, log_v, logged):
     return logged + 1
 
 
-@njit(cache=True)
+@lean
 def finish_walls(axes, x, v, s, met, radius, w, a, b, h, point, normal, restitution, keep, rates):
     """Take the rows of the wall hits through all their wall contacts, blind to other particles; returns the number."""
     hits = 0
     for p in range(len(a)):
         if b[p] < 0:
-            i = a[p]
+            i = np.int64(a[p])
             hits += bounce_until(axes, x, v, s, met[i], i, radius[i], w[i], h, point, normal, restitution, keep, rates)
     return hits
 
 
-@njit(cache=True)
+@lean
 def end_legs(axes, x, v, s, h):
     """From the start of the last leg to the end of the drift: x += v (h - s), in place."""
     for i in range(len(x)):

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from particles_mpi.collide.contact import NOBODY, move_to
 from particles_mpi.collide.flow import change_of, row_of
-from particles_mpi.lean import lean
+from particles_mpi.lean import kernel, lean_inner
 from particles_mpi.particles import Array
 
 MOST_BOUNCES = 1000  # of one particle in one step; past it (a wedge without end) it waits where it is for the next step
@@ -40,7 +39,7 @@ class Planes:
         return self.point, self.normal, self.restitution, self.keep, self.lower, self.upper, self.oblique
 
 
-@njit(cache=True)
+@lean_inner
 def wall_distance(axes, x, i, w, point, normal):
     """(x_i - p_w).n_w"""
     distance = 0.0
@@ -49,18 +48,21 @@ def wall_distance(axes, x, i, w, point, normal):
     return distance
 
 
-@njit(cache=True)
-def may_hit(axes, x, v, start, i, radius, h, lower, upper, oblique):
-    """Cheap and never wrong: False only if the leg of row i from `start` to h meets no wall."""
+@lean_inner
+def may_hit(axes, x, v, column, start, i, radius, h, lower, upper, oblique):
+    """Cheap and never wrong: False only if the leg of row i from `start` to h meets no wall.
+
+    Its velocity stands in `v` from `column` on, here as in all that follow: mode event has rows of both, x and v.
+    """
     inside = not oblique
     for k in range(len(axes)):
-        end = x[i, k] + v[i, k] * (h - start)
+        end = x[i, k] + v[i, column + k] * (h - start)
         inside &= (end >= lower[k] + radius) & (end <= upper[k] - radius)
     return not inside
 
 
-@njit(cache=True)
-def wall_contact(axes, x, v, start, i, radius, met, h, point, normal):
+@lean_inner
+def wall_contact(axes, x, v, column, start, i, radius, met, h, point, normal):
     """(time, wall) of the earliest wall contact of row i's leg in [start, h], lowest wall first; wall -1 if none.
 
     The wall that this leg started from (`met` = -1 - wall) is left out: round-off must not hit it twice.
@@ -70,7 +72,7 @@ def wall_contact(axes, x, v, start, i, radius, met, h, point, normal):
     for w in range(point.shape[0]):
         speed = 0.0
         for k in range(len(axes)):
-            speed += v[i, k] * normal[w, k]
+            speed += v[i, column + k] * normal[w, k]
         if not speed < 0.0 or met == -1 - w:
             continue
         gap = wall_distance(axes, x, i, w, point, normal) - radius
@@ -81,23 +83,23 @@ def wall_contact(axes, x, v, start, i, radius, met, h, point, normal):
     return first, which
 
 
-@lean
-def bounce(axes, v, i, w, normal, restitution, keep, inverse_mass, t, rates):
+@lean_inner
+def bounce(axes, v, column, i, w, normal, restitution, keep, inverse_mass, t, rates):
     """The law of a contact with wall w at time t: v -= (1+e)(v.n) n, then times keep. `contact.exchange` is that of a pair."""
     speed = 0.0
     for k in range(len(axes)):
-        speed += v[i, k] * normal[w, k]
+        speed += v[i, column + k] * normal[w, k]
     if len(rates.a) > 0 and bounce_at_contact(
-        axes, v, i, w, normal, speed, restitution, keep, inverse_mass, t - rates.middle, rates
+        v, column, i, w, normal, speed, restitution, keep, inverse_mass, t - rates.middle, rates
     ):
         return
     after = speed - (1.0 + restitution) * speed
     for k in range(len(axes)):
-        v[i, k] = keep * ((v[i, k] - speed * normal[w, k]) + after * normal[w, k])
+        v[i, column + k] = keep * ((v[i, column + k] - speed * normal[w, k]) + after * normal[w, k])
 
 
-@lean
-def bounce_at_contact(axes, v, i, w, normal, speed, restitution, keep, inverse_mass, tau, rates):
+@lean_inner
+def bounce_at_contact(v, column, i, w, normal, speed, restitution, keep, inverse_mass, tau, rates):
     """`bounce` of the velocity at the moment of contact, a time tau after the middle of the step: see `flow`.
 
     `speed`: v.n of the leg. Returns False, and changes nothing, for a leg so slow that it would have come outwards at the
@@ -105,19 +107,19 @@ def bounce_at_contact(axes, v, i, w, normal, speed, restitution, keep, inverse_m
     """
     a, at = rates.a, row_of(i, rates)
     v2 = 0.0
-    for k in range(len(axes)):
-        v2 += v[i, k] * v[i, k]
+    for k in range(normal.shape[1]):
+        v2 += v[i, column + k] * v[i, column + k]
     decay, push = change_of(i, v2, inverse_mass, tau, rates)
     lead = 0.0
-    for k in range(len(axes)):
+    for k in range(normal.shape[1]):
         lead += push * a[at, k] * normal[w, k]
     real = decay * speed + lead
     if not real < 0.0:
         return False
     take = (1.0 + restitution) * real
     v2, along = 0.0, 0.0
-    for k in range(len(axes)):
-        v2 += (keep * (decay * v[i, k] + push * a[at, k] - take * normal[w, k])) ** 2
+    for k in range(normal.shape[1]):
+        v2 += (keep * (decay * v[i, column + k] + push * a[at, k] - take * normal[w, k])) ** 2
         along += a[at, k] * normal[w, k]
     back, pull = change_of(i, v2, inverse_mass, -tau, rates)
     back *= keep
@@ -125,26 +127,26 @@ def bounce_at_contact(axes, v, i, w, normal, speed, restitution, keep, inverse_m
         return False
     after = speed - take / decay
     left = back * push + pull  # 0 without a loss
-    for k in range(len(axes)):
-        v[i, k] = back * decay * ((v[i, k] - speed * normal[w, k]) + after * normal[w, k]) + left * a[at, k]
+    for k in range(normal.shape[1]):
+        v[i, column + k] = back * decay * ((v[i, column + k] - speed * normal[w, k]) + after * normal[w, k]) + left * a[at, k]
     return True
 
 
-@njit(cache=True)
+@lean_inner
 def bounce_until(axes, x, v, s, met, i, radius, inverse_mass, h, point, normal, restitution, keep, rates):
     """Take row i through all its wall contacts up to time h, at most MOST_BOUNCES; returns their number."""
     for hits in range(MOST_BOUNCES):
-        t, w = wall_contact(axes, x, v, s[i], i, radius, met, h, point, normal)
+        t, w = wall_contact(axes, x, v, np.int64(0), s[i], i, radius, met, h, point, normal)
         if w < 0:
             return hits
         move_to(axes, x, v, s, i, t)
-        bounce(axes, v, i, w, normal, restitution[w], keep[w], inverse_mass, t, rates)
+        bounce(axes, v, np.int64(0), i, w, normal, restitution[w], keep[w], inverse_mass, t, rates)
         met = -1 - w
     s[i] = h  # stays inside, at the last contact
     return MOST_BOUNCES
 
 
-@njit(cache=True)
+@kernel
 def drift_with_walls(axes, x, v, radius, inverse_mass, h, point, normal, restitution, keep, lower, upper, oblique, rates):
     """x += v h, reflected by walls on the way. In place on x, v (n, d); returns the number of hits.
 
@@ -153,9 +155,9 @@ def drift_with_walls(axes, x, v, radius, inverse_mass, h, point, normal, restitu
     hits = 0
     s = np.zeros(len(x))  # when the last leg began
     for i in range(len(x)):
-        if may_hit(axes, x, v, 0.0, i, radius[i], h, lower, upper, oblique):
+        if may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i], h, lower, upper, oblique):
             w = inverse_mass[i] if len(inverse_mass) > 0 else 1.0
-            hits += bounce_until(axes, x, v, s, NOBODY, i, radius[i], w, h, point, normal, restitution, keep, rates)
+            hits += bounce_until(axes, x, v, s, np.int64(NOBODY), i, radius[i], w, h, point, normal, restitution, keep, rates)
         for k in range(len(axes)):
             x[i, k] += v[i, k] * (h - s[i])
     return hits

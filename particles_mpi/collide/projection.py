@@ -73,13 +73,15 @@ def project_each(v, a, b, normal, may_close, share, inertia, tolerance):
             last += 1
         of = slice(first, last)
         some = a[of], b[of], normal[of], may_close[of], share[of]
-        closing[of] = 0.0
         alone = last == first + 1  # most are; then nothing is left after a sweep but round-off, which takes another one
+        closing[first] = 0.0
         done = alone and not sweep(v, *some, closing[of]) > tolerance[first]
         done |= alone and not done and not sweep(v, *some, closing[of]) > tolerance[first]
         if not done:
-            none = np.zeros(last - first)
-            closing[of] += project(v, *some, inertia[of], tolerance[of].max(), none, 0.0)
+            before = closing[first] if alone else 0.0
+            taken = project(v, *some, inertia[of], tolerance[of].max(), np.zeros(last - first), 0.0)
+            for c in range(first, last):
+                closing[c] = before + taken[c - first]
         first = last
     return closing
 
@@ -96,7 +98,9 @@ def begin(v, a, b, normal, may_close, share, inertia, guess):
         gain -= inertia[c] * guess[c] * (mean + may_close[c])
     if gain >= 0.0:
         return guess.copy()
-    v[:] = start
+    for i in range(len(v)):
+        for k in range(v.shape[1]):
+            v[i, k] = start[i, k]
     return np.zeros(len(a))
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from particles_mpi.lean import lean
+from particles_mpi.lean import lean_inner
 
 PARTNER, STAMP, NEXT, BEFORE, BUCKET = 0, 1, 2, 3, 4
 SLOT, WHEN = 8, 3  # int32 numbers a row: half a cache line; place of the time among its float64
@@ -18,7 +18,7 @@ NOTHING = -(2**30)  # no event before the end
 LEAVING = NOTHING + 1  # it gets to its shell; walls are -1, -2, ...
 
 
-@lean
+@lean_inner
 def put(slot, when, heads, per, clock, i, t, partner, stamp):
     """Row i, which has no event, gets one; never before the present bucket."""
     bucket = max(min(np.int64(max(t, 0.0) * per), len(heads) - 1), clock[0])
@@ -31,7 +31,7 @@ def put(slot, when, heads, per, clock, i, t, partner, stamp):
     heads[bucket] = i
 
 
-@lean
+@lean_inner
 def take(slot, heads, i):
     """Row i loses its event, if it has one."""
     if slot[i, PARTNER] == NOTHING:
@@ -46,7 +46,7 @@ def take(slot, heads, i):
     slot[i, PARTNER] = NOTHING
 
 
-@lean
+@lean_inner
 def before_other(i, one, j, other, state):
     """Does the event of row i with `one` come before that of row j with `other` at the same time?"""
     if one < 0 or other < 0:
@@ -57,7 +57,7 @@ def before_other(i, one, j, other, state):
     return (min(a, b), max(a, b)) < (min(c, d), max(c, d))
 
 
-@lean
+@lean_inner
 def first(slot, when, heads, clock, state):
     """The row with the first event of all, or -1. `clock` (1,) is the present bucket."""
     while clock[0] < len(heads):

@@ -140,7 +140,7 @@ class Rewind:
 
     def late(self, all_: Neighbourhood, hits: tuple[Array, Array, Array]) -> bool:
         """Do partners meet that already overlap? Passes go forward in time for each particle, but not for all together."""
-        return float(deepest(all_.axes, all_.x, all_.v, all_.s, all_.radius, *hits, all_.length)) > LATE
+        return float(deepest(all_.x, all_.v, all_.s, all_.radius, *hits, all_.length)) > LATE
 
     def overlapping(self, all_: Neighbourhood, h: float) -> bool:
         """Does a supported particle overlap with another in the end, because a pass was late? Collective.
@@ -149,7 +149,7 @@ class Rewind:
         """
         near = all_.near
         pairs = near.first[: near.pairs], near.second[: near.pairs], all_.particles["supported"]
-        most = deepest_at(all_.axes, all_.x, all_.v, all_.s, all_.radius, *pairs, h, all_.length)
+        most = deepest_at(all_.x, all_.v, all_.s, all_.radius, *pairs, h, all_.length)
         return float(all_.ranks.largest(most)[0]) > DEEP
 
     def find(self, all_: Neighbourhood, h: float, everything: bool) -> tuple[Array, Array, Array]:
