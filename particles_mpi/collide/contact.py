@@ -111,7 +111,7 @@ def move_to(axes, x, v, s, i, t):
     s[i] = t
 
 
-@lean_inner
+@inner(inline="always")
 def exchange(axes, v, column, r, i, j, own, other, t, restitution, keep, rates):
     """The law of a contact at time t: changes the velocities, in v from `column` on, of rows i and j, r = x_i - x_j (d,) apart.
 
