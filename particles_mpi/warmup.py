@@ -14,6 +14,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+import numpy as np
+
 from particles_mpi.collide.event import Event
 from particles_mpi.kernel_sources import PACKAGE, Sources
 from particles_mpi.parallel.ranks import Ranks
@@ -23,6 +25,7 @@ from particles_mpi.simulation import Simulation
 DIMENSIONS = (3, 2, 1)
 LOSSY = {"restitution": 0.5}
 ROOM = 4.0  # length of the box
+NO_NEWS = 4  # a part of a message that is none of those of `news`
 
 Job = Callable[[Ranks], None]
 
@@ -109,6 +112,21 @@ def others(d: int, ranks: Ranks) -> None:
     run(scene(d, {}), ranks)
 
 
+def windows(ranks: Ranks) -> None:
+    """What ranks tell one another in mode event, which is the same in all dimensions: by one rank, to itself."""
+    sim = Simulation(scene(3, {"collisions": {"mode": "event"}}), ranks.comm)
+    assert isinstance(sim.near, Event)
+    divided = sim.near.windows
+    sim.near.divided = divided.always = True
+    sim.step()
+    divided.near = [0]
+    divided.tell_motion()
+    divided.news(0, *divided.plan_moves())
+    divided.undo(divided.engine.counts)
+    nothing = np.array([NO_NEWS, 0]).view(float)
+    divided.accept(nothing, *divided.plan_moves())
+
+
 def tree(ranks: Ranks) -> None:
     """The tree, which is the same in all dimensions; enough particles for cells that are far."""
     many = [{"count": 300, "position": "random"}]
@@ -125,16 +143,17 @@ def orbits(ranks: Ranks) -> None:
 
 def jobs() -> Iterator[Job]:
     """For one rank each: those that take longest first, and neighbours in the list share as few kernels as may be."""
-    yield partial(event, 3)
-    yield tree
-    yield partial(rewind, 2)
-    yield partial(event, 1)
     yield partial(rewind, 3)
     yield partial(event, 2)
+    yield windows
+    yield tree
+    yield partial(event, 1)
+    yield partial(rewind, 2)
+    yield partial(event, 3)
     yield partial(rewind, 1)
+    yield orbits
     for d in DIMENSIONS:
         yield partial(others, d)
-    yield orbits
 
 
 def main() -> None:
