@@ -72,17 +72,23 @@ def struck_row(d: int, count: int) -> list[dict[str, Any]]:
 
 
 def event(d: int, ranks: Ranks) -> None:
-    """Mode event: with and without losses, walls, forces, a periodic box, observables."""
+    """Mode event: with and without walls, a periodic box, observables."""
     collisions: dict[str, Any] = {"mode": "event"}
     run(scene(d, {"collisions": collisions, "walls": {}}, output={"observables": True}), ranks)
     run(scene(d, {"collisions": collisions}, periodic=True), ranks)
-    run(scene(d, {"collisions": collisions | LOSSY, "walls": LOSSY, "uniform_gravity": down(d)}), ranks)
     if ranks.size == 1:
         Simulation(scene(d, {"collisions": collisions}), ranks.comm).step_to_collision()
     else:  # particles that go from rank to rank, and windows that must be undone
         gas = [{"count": 8 * d, "position": "random", "velocity": {"speed": 10.0}, "radius": 0.05}]
         run(scene(d, {"collisions": collisions}, periodic=True, particles=gas, time={"step": 0.05, "steps": 12}), ranks)
         run(scene(d, {"collisions": collisions}, particles=struck_row(d, 12), time={"step": 0.05}), ranks)
+        losses(d, ranks)
+
+
+def losses(d: int, ranks: Ranks) -> None:
+    """Mode event where spheres come to rest."""
+    lossy: dict[str, Any] = {"collisions": LOSSY | {"mode": "event"}, "walls": LOSSY, "uniform_gravity": down(d)}
+    run(scene(d, lossy), ranks)
 
 
 def rewind(d: int, ranks: Ranks) -> None:
@@ -158,6 +164,8 @@ def jobs() -> Iterator[Job]:
     yield partial(rewind, 2)
     yield partial(others, 1)
     yield partial(rewind, 1)
+    for d in DIMENSIONS:
+        yield partial(losses, d)
 
 
 def main() -> None:
