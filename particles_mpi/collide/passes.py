@@ -59,8 +59,8 @@ def find_contacts(axes, x, v, s, met, ids, radius, first, second, h, length, eve
     `everything` is for the first pass, in which all legs begin at time 0.
     """
     if everything:
-        periodic = False
-        for k in range(len(axes)):
+        periodic = length[0] > 0.0
+        for k in range(1, len(axes)):
             periodic |= length[k] > 0.0
         likely = approaching(axes, x, v, radius, first, second, h, length, periodic, a, b)
     else:
