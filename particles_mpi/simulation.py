@@ -228,7 +228,8 @@ class Simulation:
         self.take_changes()
         self.scene = self.scene.model_copy(update={"effects": {**self.scene.effects, name: options.running()}})
         if name in self.forces and key != "active":  # it is asked anew; nothing else depends on it
-            self.past = self.counted()
+            done = getattr(getattr(self.forces[name], "sum", None), "interactions", 0)
+            self.past["interactions"] = self.past.get("interactions", 0) + done
             self.forces[name] = effect_class(name)(options, self.scene)
             if hasattr(self.forces[name], "enter"):
                 self.forces[name].enter(self.ranks, self.ids)

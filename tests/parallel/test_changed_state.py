@@ -101,6 +101,20 @@ def test_velocities_reversed_lead_back_to_the_start(mode):
     assert np.abs(end.position - start.position).max() < 1e-9 and np.abs(end.velocity + start.velocity).max() < 1e-9
 
 
+def test_work_is_counted_once_however_often_effects_change():
+    """Twin simulations, one of which is given the options that it has."""
+    sim, twin = (Simulation(Scene.from_dict(SCENES["attracted"])) for _ in range(2))
+    for _ in range(4):
+        sim.effects["mutual_gravity"].G = 1.0
+        sim.effects["walls"].restitution = 0.6
+        for one in (sim, twin):
+            one.step()
+    work, once = sim.work(), twin.work()
+    pairs = sim.total**2  # of one sum of forces: one at the start, and one a step; a change asks for another
+    assert once["interactions"] == 5 * pairs and work["interactions"] == 8 * pairs and work["events"] == once["events"]
+    assert work["pair_tests"] <= 4 * 24 * 23 // 2
+
+
 def test_arrays_of_an_earlier_step_cannot_be_written_to_unnoticed():
     sim = Simulation(Scene.from_dict(SCENES["elastic"]))
     whole, part = sim.particles.velocity, sim.particles.position[3]
