@@ -103,6 +103,8 @@ def rewind(d: int, ranks: Ranks) -> None:
     lasting = {"uniform_gravity": down(d), "collisions": {"restitution": 0.9}}
     for count in (2, 7):  # in order after two passes; in a muddle after three, so that the operator `event` takes over
         run(scene(d, lasting, particles=struck_row(d, count), time={"step": 0.03}), ranks)
+    bouncing = [{"position": [[2.0] * d], "velocity": [50.0] + [0.0] * (d - 1), "radius": 1.9}]  # off more walls than passes
+    run(scene(d, {"collisions": {"passes": 1}, "walls": {}}, particles=bouncing), ranks)
     few = {"passes": 1} | LOSSY
     run(scene(d, {"collisions": few, "walls": {}, "uniform_gravity": down(d)}, time={"step": 0.03}), ranks)
 

@@ -13,6 +13,7 @@ from particles_mpi.lean import inner, kernel, lean, lean_inner
 MOST_ROUNDS = 200
 BETTER = 1e-2  # than after a sweep: what a call makes of approach that is left, for the next one begins there
 FLAT = 1e-13
+MOST_TAKEN = 1e9  # times the largest relative speed at the beginning: more than any pile needs
 RESTARTS = 6
 MANY = 1 / 3  # of the contacts pressed: with fewer, the matrix leaves out those that only could be
 
@@ -26,7 +27,10 @@ def project(v, a, b, normal, may_close, share, inertia, tolerance, guess, better
     begin with; `better`: how much better than after a sweep is enough. Few contacts are done with after a sweep or two; for
     many the matrix is worth its while: that of those which were ever pressed, until a sweep of all presses no other.
     """
-    closing = begin(v, a, b, normal, may_close, share, inertia, guess)
+    limit = 0.0
+    for c in range(len(a)):
+        limit = max(limit, MOST_TAKEN * abs(relative(v, a[c], b[c], normal, c)))
+    closing = begin(v, a, b, normal, may_close, share, inertia, guess, limit)
     first = sweep(v, a, b, normal, may_close, share, closing)
     if first > tolerance:
         tolerance = max(tolerance, better * first)
@@ -36,11 +40,40 @@ def project(v, a, b, normal, may_close, share, inertia, tolerance, guess, better
             of = working_set(tried, closing)
             if len(of) == known:
                 break
-            known, before = len(of), closing.copy()
+            known, before, start = len(of), closing.copy(), v.copy()
             solve(v, of, a, b, normal, may_close, share, inertia, tolerance, closing)
             for c in of:
                 give(v, a[c], b[c], normal, share, c, closing[c] - before[c])
+            if worse(start, v, a, b, normal, may_close, inertia, before, closing, limit):
+                for c in of:
+                    closing[c] = before[c]
+                for i in range(len(v)):
+                    for k in range(v.shape[1]):
+                        v[i, k] = start[i, k]
+                for _ in range(MOST_ROUNDS):
+                    if not sweep(v, a, b, normal, may_close, share, closing) > tolerance:
+                        break
+                break
     return closing
+
+
+@lean
+def worse(start, v, a, b, normal, may_close, inertia, before, closing, limit):
+    """Did the dual problem lose as velocities went from `start` to v, and contacts from taking `before` to `closing`?
+
+    It never does but for round-off. Where contacts are many to a particle they can take ever more against one another without
+    a change of any velocity, and conjugate gradients may go that way until round-off is all that is left: so contacts that
+    take more than `limit` are no gain either. To gain is to be nearer to the solution, and then
+    the kinetic energy is not above that of the beginning.
+    """
+    gain, size, largest = 0.0, 0.0, 0.0
+    for c in range(len(a)):
+        mean = 0.5 * (relative(start, a[c], b[c], normal, c) + relative(v, a[c], b[c], normal, c))
+        part = inertia[c] * (closing[c] - before[c]) * (mean + may_close[c])
+        gain -= part
+        size += abs(part)
+        largest = max(largest, closing[c])
+    return not (gain >= -1e-6 * size and largest <= limit)
 
 
 @inner
@@ -87,16 +120,18 @@ def project_each(v, a, b, normal, may_close, share, inertia, tolerance):
 
 
 @inner
-def begin(v, a, b, normal, may_close, share, inertia, guess):
-    """Approach that each contact has taken from its partners: the guess, if that is better than none at all."""
+def begin(v, a, b, normal, may_close, share, inertia, guess, limit):
+    """Approach that each contact has taken from its partners: the guess, if none is above `limit` and all are a gain."""
     start = v.copy()
     for c in range(len(a)):
         give(v, a[c], b[c], normal, share, c, guess[c])
+    largest = 0.0
     gain = 0.0  # of the dual problem: sum of impulse (what it still took at the start and takes now, on average)
     for c in range(len(a)):
         mean = 0.5 * (relative(start, a[c], b[c], normal, c) + relative(v, a[c], b[c], normal, c))
         gain -= inertia[c] * guess[c] * (mean + may_close[c])
-    if gain >= 0.0:
+        largest = max(largest, guess[c])
+    if gain >= 0.0 and largest <= limit:
         return guess.copy()
     for i in range(len(v)):
         for k in range(v.shape[1]):

@@ -48,7 +48,7 @@ def test_files(reports):
     assert {row["setting"] for row in rows} == {"event", "rewind, 10 passes", "rewind, 1 pass"}
     assert all(float(row["first quartile"]) <= float(row["seconds"]) <= float(row["third quartile"]) for row in rows)
     page = (reports[2] / "report.html").read_text()
-    assert page.count("<svg") == 5 and "http://" not in page.replace("http://www.w3.org", "").replace(
+    assert page.count("<svg") == 6 and "http://" not in page.replace("http://www.w3.org", "").replace(
         "http://purl.org", ""
     ).replace("http://creativecommons.org", "")
 

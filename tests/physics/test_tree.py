@@ -21,7 +21,7 @@ def by_tree(x, mass, angle, softening=0.0, quadrupoles=True):
 
 def by_pairs(x, mass, softening=0.0, of=slice(None)):
     total = np.zeros_like(x[of])
-    attract((0,) * x.shape[1], x[of], x, mass, softening**2, total)
+    attract((0,) * x.shape[1], np.ascontiguousarray(x[of]), x, mass, softening**2, total)
     return total
 
 
