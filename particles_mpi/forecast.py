@@ -104,12 +104,17 @@ class Pace:
         self.sim, self.last = sim, last
         self.began = self.first = self.since = self.here()
         self.due, self.half = 0.0, self.began.step + (last - self.began.step + 1) // 2
+        self.loaded = 0.0  # seconds in which the first row of diagnostics loaded kernels
         self.outlook = outlook(sim.scene)
 
     def here(self) -> Mark:
         """The mark of this moment."""
         loading = LOADING.duration if LOADING.done else 0.0
         return Mark(self.sim.steps_done, perf_counter(), loading, self.sim.timers.seconds)
+
+    def reported(self) -> None:
+        """The first row of diagnostics is written, before any step; it may have loaded kernels, as no later one does."""
+        self.loaded = self.here().loading - self.began.loading
 
     def look(self) -> Forecast | None:
         """A forecast, if it is time for one."""
@@ -131,7 +136,10 @@ class Pace:
     def own(self, now: Mark) -> float:
         """Seconds of steps alone since the last mark."""
         written = sum(now.phases.get(name, 0.0) - self.since.phases.get(name, 0.0) for name in WRITING)
-        return now.clock - self.since.clock - (now.loading - self.since.loading) - written
+        loading = now.loading - self.since.loading
+        if self.since is self.began:
+            loading -= self.loaded  # it is in `written` already
+        return now.clock - self.since.clock - loading - written
 
     def forecast(self, now: Mark, own: float) -> Forecast:
         """From the steps since the last mark, which took `own` seconds."""
@@ -169,5 +177,5 @@ class Pace:
             return (seconds - self.first.phases.get(name, 0.0)) / number
         number = self.number(name, self.began.step, now.step) + (name != "checkpoint" and self.began.step == 0)
         if number:
-            return seconds / number
+            return (seconds - (self.loaded if name == "diagnostics" else 0.0)) / number
         return self.cost("output", now) if name == "checkpoint" else 0.0

@@ -109,6 +109,8 @@ class Job:
         try:
             if not self.resumed:
                 row = self.report()
+                if pace:
+                    pace.reported()
                 self.write_frame()
             elif not self.continues:
                 self.save()  # what is in this folder begins here

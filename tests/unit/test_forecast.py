@@ -25,7 +25,7 @@ COST = st.floats(1e-5, 3.0)
 
 
 def invented(monkeypatch, steps, every, step_costs, frame, row, saved, loading):
-    """(forecasts, seconds at which they came, seconds of all) of a run whose costs are given; its first step loads kernels."""
+    """(forecasts, seconds at which they came, seconds of all) of a run whose costs are given; its first row and step load kernels."""
     output = {"every": every[0], "diagnostics_every": every[1], "checkpoint_every": every[2]}
     scene = Scene(dimension=1, time={"step": 1.0, "steps": steps}, particles=[], output=output)
     clock, seconds = [0.0], {}
@@ -42,7 +42,9 @@ def invented(monkeypatch, steps, every, step_costs, frame, row, saved, loading):
 
     spend(0.0)
     pace = Pace(sim, steps)
-    spend(row, "diagnostics")
+    loader.duration += loading
+    spend(loading + row, "diagnostics")
+    pace.reported()
     spend(frame, "output")
     found = []
     for n in range(1, steps + 1):
