@@ -181,14 +181,14 @@ export NUMBA_NUM_THREADS="${NUMBA_NUM_THREADS:-1}"
 TEXT
   [[ -n $LAUNCHER ]] || return 0
   # the launcher, without its paragraphs about ranks that have said themselves why they end
-  printf '#!/bin/sh\n. "%s/mpi.env"\nexec "%s/bin/python" -IS "%s/particles_mpi/parallel/mpirun.py" "%s" "$@"\n' \
+  printf '#!/bin/sh\n. "%s/mpi.env"\nexec "%s/bin/python" -IS "%s/particles_mpi/parallel/launcher.py" "%s" "$@"\n' \
     "$VENV" "$VENV" "$PWD" "$LAUNCHER" >.venv/bin/mpirun
   chmod +x .venv/bin/mpirun
   ln -sf mpirun .venv/bin/mpiexec
 }
 
 two_ranks() {  # do two ranks see each other? ANSWER is all they say
-  ANSWER=$($PY -P particles_mpi/doctor.py)
+  ANSWER=$($PY -P particles_mpi/run/doctor.py)
   printf 'two ranks: %s\n' "$ANSWER"
   if [[ $ANSWER == *'errno = 1'* ]] && ! grep -q single_copy .venv/mpi.env; then  # a container without ptrace
     echo 'export OMPI_MCA_btl_vader_single_copy_mechanism="${OMPI_MCA_btl_vader_single_copy_mechanism:-none}"' >>.venv/mpi.env
@@ -222,10 +222,10 @@ parallel_h5py_failed() {
 
 warm_up() {  # compile the kernels now, so that the first run, or four test ranks at once, need not
   local key
-  [[ -f particles_mpi/warmup.py ]] || return 0
+  [[ -f particles_mpi/setup/warmup.py ]] || return 0
   key=$(find particles_mpi -name '*.py' -print0 | sort -z | xargs -0 cat | digest)
   was_done kernels "$key" && return
-  if $PY -P particles_mpi/kernel_sources.py || mpirun -n 2 $PY -m particles_mpi.warmup; then printf '%s' "$key" >"$DONE/kernels"
+  if $PY -P particles_mpi/setup/kernel_sources.py || mpirun -n 2 $PY -m particles_mpi.setup.warmup; then printf '%s' "$key" >"$DONE/kernels"
   else note 'kernels could not be compiled ahead: the first run does it'; fi
 }
 

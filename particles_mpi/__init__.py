@@ -11,7 +11,7 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "Particles": "particles",
-    "Scene": "scene",
+    "Scene": "scene.schema",
     "SceneError": "errors",
     "Simulation": "simulation",
     "StoppedError": "errors",

@@ -1,6 +1,6 @@
 """The program: signals first, so that none finds it with half of its imports done and leaves a traceback."""
 
-from particles_mpi.interrupt import leave_at_once
+from particles_mpi.parallel.signals import leave_at_once
 
 leave_at_once()
 

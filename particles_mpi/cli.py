@@ -13,7 +13,7 @@ from typer.core import TyperGroup
 
 from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.parallel.agreement import alike, end_together, same_on_all
-from particles_mpi.parallel.ranks import Ranks
+from particles_mpi.parallel.communicator import Ranks
 
 STARTED = perf_counter()
 app = typer.Typer(
@@ -53,9 +53,9 @@ def run(
 
     Example:   mpirun -n 2 particles-mpi run my.toml --output out/my --steps 100
     """
-    from particles_mpi.job import Job
-    from particles_mpi.output.console import tell_of_compiling
     from particles_mpi.output.folder import changed
+    from particles_mpi.run.console import tell_of_compiling
+    from particles_mpi.run.job import Job
     from particles_mpi.simulation import Simulation
 
     limit = seconds(wall_time) if wall_time else None
@@ -91,11 +91,11 @@ def check(scene: SceneFile) -> None:
 
     Example:   particles-mpi check my.toml
     """
-    from particles_mpi.output.console import Screen, tell_of_compiling
-    from particles_mpi.plan import plan
-    from particles_mpi.study.lab import Lab
-    from particles_mpi.study.model import predict
-    from particles_mpi.study.starts import Start
+    from particles_mpi.run.console import Screen, tell_of_compiling
+    from particles_mpi.scene.plan import plan
+    from particles_mpi.study.measuring.experiment import Lab
+    from particles_mpi.study.recommending.model import predict
+    from particles_mpi.study.recommending.starts import Start
 
     described, screen = load(scene), Screen(root(), False)
     if root():
@@ -172,7 +172,7 @@ def recommend(
 
     Example:   ./run.sh study recommend my.toml --tolerance 1e-6
     """
-    from particles_mpi.study.recommend import recommend_scene
+    from particles_mpi.study.recommending.recommend import recommend_scene
 
     recommend_scene(scene, tolerance, error, output, seconds)
 
@@ -187,7 +187,7 @@ def scaling(
 
     Example:   RANKS=4 ./run.sh study scaling my.toml
     """
-    from particles_mpi.study.scaling import scale
+    from particles_mpi.study.scaling.scaling import scale
 
     scale(load(scene) if scene else None, output or Path("out/study/scaling") / (scene.stem if scene else ""), quick)
 
@@ -211,7 +211,7 @@ def hard_cases(
 @app.command()
 def doctor() -> None:
     """What is installed (MPI, parallel HDF5, versions), a 2-rank check, and what to do about what is not right."""
-    from particles_mpi import doctor as examined
+    from particles_mpi.run import doctor as examined
 
     comm = MPI.COMM_WORLD
     raise SystemExit(examined.main(comm.Get_rank(), comm.Get_size()))
@@ -230,7 +230,7 @@ def seconds(text: str) -> float:
 
 def load(path: Path) -> Any:
     """The scene of a file: the same on all ranks, or refused. Collective."""
-    from particles_mpi.scene import Scene
+    from particles_mpi.scene.schema import Scene
 
     ranks = Ranks()
     with alike(ranks):

@@ -1,6 +1,6 @@
 """The three ways in which a run ends early, and their exit codes."""
 
-from particles_mpi.interrupt import EXIT_CODE
+EXIT_ON_SIGNAL = 130
 
 
 class SceneError(ValueError):
@@ -26,4 +26,4 @@ class StateError(StoppedError):
 class Interrupted(Exception):
     """Stopped by a signal or the wall-time limit, after writing a checkpoint."""
 
-    exit_code = EXIT_CODE
+    exit_code = EXIT_ON_SIGNAL

@@ -9,28 +9,31 @@ from typing import Any
 
 import numpy as np
 
-from particles_mpi import state
-from particles_mpi.collide.flow import Rates
-from particles_mpi.diagnostics import measure
+from particles_mpi.between_steps.effect_view import RunningEffect, changed_options
+from particles_mpi.between_steps.particle_view import ParticleView
+from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.errors import SceneError, StateError
-from particles_mpi.integrators import Integrator, Leapfrog, Order4, Taylor, free_drift, places_of, wrap
-from particles_mpi.parallel.agreement import alike, same_on_all
+from particles_mpi.initial.checks import listed, value_limits
+from particles_mpi.initial.populate import effect_class, fields_of, keeps_contacts, populate
+from particles_mpi.integrators.integrator import Integrator
+from particles_mpi.integrators.leapfrog import Leapfrog
+from particles_mpi.integrators.order4 import Order4
+from particles_mpi.integrators.taylor import Taylor
+from particles_mpi.kernels.geometry import wrap
+from particles_mpi.kernels.motion import free_drift
+from particles_mpi.measure import snapshot
+from particles_mpi.measure.diagnostics import COUNTS, measure
+from particles_mpi.measure.health import WATCH_EVERY, Watchdog
+from particles_mpi.measure.snapshot import ABOUT
+from particles_mpi.parallel.agreement import alike, not_finite, same_on_all
+from particles_mpi.parallel.communicator import Ranks
 from particles_mpi.parallel.exchange import id_range
-from particles_mpi.parallel.ranks import Ranks
-from particles_mpi.particle_view import ParticleView
-from particles_mpi.particles import FIELDS, Array, Particles, default_values
-from particles_mpi.populate import effect_class, fields_of, keeps_contacts, populate
-from particles_mpi.running_effect import RunningEffect, changed_options
-from particles_mpi.scene import Scene
-from particles_mpi.start_checks import listed, value_limits
+from particles_mpi.particles import FIELDS, Array, Particles, default_values, places_of
+from particles_mpi.scene.schema import Scene
 from particles_mpi.timers import Timers
-from particles_mpi.watchdog import Watchdog, not_finite
 
 CLOSE = 1e-14  # of a step: how well a step that ends with a contact must know its own length
 MOST_TRIES = 60
-WATCH_EVERY = 10  # steps
-COUNTS = ("collisions", "wall_hits", "missed", "exchanges")
-ABOUT = ("step", "moment", "h", "observed", "totals", "next_id", "additions", "kept", "scene")  # what `about` tells
 
 
 def next_length(tried: list[tuple[float, float]], longest: float) -> float:
@@ -135,7 +138,7 @@ class Simulation:
         if name == "order4":
             return Order4()
         if name == "adaptive":
-            from particles_mpi.adaptive import TOLERANCE, Adaptive
+            from particles_mpi.integrators.gauss_radau import TOLERANCE, Adaptive
 
             return Adaptive(self.ranks, self.scene.time.tolerance or TOLERANCE)
         return Taylor(drag) if name == "taylor" else Leapfrog(drag, friction, self.rest)
@@ -144,8 +147,8 @@ class Simulation:
         """Who keeps contacts that last, where forces and losses can make one last."""
         if not self.keeps_contacts:
             return None
-        from particles_mpi.collide.planes import no_planes
-        from particles_mpi.collide.rest import Rest
+        from particles_mpi.contacts.persistent.operator import Rest
+        from particles_mpi.contacts.walls import no_planes
 
         pairs = self.collisions is not None and self.collisions.lossy
         planes = self.walls.planes if self.walls else no_planes(self.scene.dimension)
@@ -158,7 +161,7 @@ class Simulation:
         box, loss = (self.lower, self.upper, self.length), (c.restitution, c.keep)
         exact: Any = None
         if c.options.mode == "event" or self.keeps_contacts:
-            from particles_mpi.collide.event import Event
+            from particles_mpi.contacts.event_driven.operator import Event
 
             exact = Event(self.rows, self.ranks, box, loss, c.options.contact_duration, planes, self.timers)
             if self.rest and self.rest.pairs:
@@ -166,9 +169,9 @@ class Simulation:
         if c.options.mode == "event":
             self.near = self.contacts = exact
             return
-        from particles_mpi.collide.planes import no_planes
-        from particles_mpi.collide.rewind import Rewind
-        from particles_mpi.neighbours.pairs import Neighbourhood
+        from particles_mpi.contacts.time_stepped.operator import Rewind
+        from particles_mpi.contacts.walls import no_planes
+        from particles_mpi.neighbours.neighbour_list import Neighbourhood
 
         walls = planes or no_planes(self.scene.dimension)
         kicked = bool(self.forces or self.dissipation)
@@ -415,7 +418,7 @@ class Simulation:
         potentials = {name: f.potential(p) for name, f in self.forces.items() if hasattr(f, "potential")}
         row = measure(self.ranks, p, potentials)
         if self.scene.output.observables:
-            from particles_mpi.observables import observe
+            from particles_mpi.measure.observables import observe
 
             collisions = int(self.ranks.total(self.totals["collisions"])[0])
             volume = float(np.prod(self.upper - self.lower)) if self.scene.box else np.nan
@@ -442,7 +445,7 @@ class Simulation:
                 if self.steps_done % WATCH_EVERY == 0 or self.steps_done == self.last_step:
                     self.watch()
             return
-        from particles_mpi.job import Job
+        from particles_mpi.run.job import Job
 
         Job(self, Path(output), quiet=quiet, **options).run()
 
@@ -465,10 +468,10 @@ class Simulation:
         All ranks give the same. Ids go on from the largest there ever was. Fields that were attached may be given too,
         and are 0 if not. Raises SceneError, as at the start, for particles that cannot be: overlapping others, outside, ...
         """
-        from particles_mpi.populate import add_population
+        from particles_mpi.initial.populate import add_population
 
         self.take_changes()
-        everyone = state.everyone(self.ranks, self.rows)
+        everyone = snapshot.everyone(self.ranks, self.rows)
         number = len(self.scene.particles) + self.additions
         with alike(self.ranks):
             all_, warnings = add_population(self.scene, everyone, population, self.next_id, number)
@@ -539,19 +542,19 @@ class Simulation:
     def copy(self) -> Simulation:
         """Another simulation in the same state. Collective."""
         about = self.about()
-        return self._restored(self.scene, self.ranks, state.everyone(self.ranks, self.rows), about)
+        return self._restored(self.scene, self.ranks, snapshot.everyone(self.ranks, self.rows), about)
 
     def to_json(self, path: str | Path, indent: int | None = None) -> None:
         """Save scene and state, exact to the bit; compact, or readable with `indent`. Collective."""
         about = self.about()
-        state.save_json(Path(path), self.ranks, self.rows, about, indent)
+        snapshot.save_json(Path(path), self.ranks, self.rows, about, indent)
 
     @classmethod
     def from_json(cls, path: str | Path, comm: Any = None) -> Simulation:
         """What `to_json` saved, on any number of ranks."""
         ranks = Ranks(comm)
         with alike(ranks):
-            arrays, about = state.load_json(Path(path))
+            arrays, about = snapshot.load_json(Path(path))
         return cls._read(ranks, arrays, about)
 
     @classmethod
@@ -568,15 +571,15 @@ class Simulation:
             return NotImplemented
         for sim in (self, other):
             sim.take_changes()
-        mine, theirs = (state.everyone(sim.ranks, sim.rows) for sim in (self, other))
+        mine, theirs = (snapshot.everyone(sim.ranks, sim.rows) for sim in (self, other))
         clocks = [(sim.time, sim.h, sim.next_id) for sim in (self, other)]
-        return self.scene == other.scene and clocks[0] == clocks[1] and state.same(mine, theirs)
+        return self.scene == other.scene and clocks[0] == clocks[1] and snapshot.same(mine, theirs)
 
     __hash__ = None  # type: ignore[assignment]
 
     def __str__(self) -> str:
         self.particles.collect()
-        return f"{self!r}\n{state.table(self.rows)}"
+        return f"{self!r}\n{snapshot.table(self.rows)}"
 
     def __repr__(self) -> str:
         return f"Simulation({self.scene.title!r}: {self.total} particles, step {self.steps_done}, time {self.time:g})"

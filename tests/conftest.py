@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from particles_mpi.kernel_sources import PACKAGE, Sources
+from particles_mpi.setup.kernel_sources import PACKAGE, Sources
 
 ROOT = Path(__file__).parents[1]
 MPI_ENVIRONMENT = {  # Open MPI 4 and 5: as root, and on more ranks than cores
@@ -49,10 +49,10 @@ def many_axes(signature):
 
 @pytest.fixture(scope="session", autouse=True)
 def nothing_is_compiled():
-    """After set-up no test compiles a kernel of the package: what is missing belongs into particles_mpi/warmup.py."""
+    """After set-up no test compiles a kernel of the package: what is missing belongs into particles_mpi/setup/warmup.py."""
     if not Sources(PACKAGE).up_to_date() or "NUMBA_CACHE_DIR" in os.environ:
         yield  # somebody works on the kernels
         return
     before = compiled()
     yield
-    assert sorted(compiled() - before) == [], "compiled in this session: a scene is missing in particles_mpi/warmup.py"
+    assert sorted(compiled() - before) == [], "compiled in this session: a scene is missing in particles_mpi/setup/warmup.py"

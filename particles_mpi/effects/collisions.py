@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from particles_mpi.collide.contact import loss
-from particles_mpi.scene import EffectOptions, Fraction, Scene
+from particles_mpi.contacts.law import loss
+from particles_mpi.scene.schema import EffectOptions, Fraction, Scene
 
 
 class Options(EffectOptions):
@@ -35,7 +35,7 @@ class Options(EffectOptions):
 
 
 class Effect:
-    """Pairs of spheres collide. The operator lives in `collide/`; this names what it needs."""
+    """Pairs of spheres collide. The operator lives in `contacts/`; this names what it needs."""
 
     role = "event"
     fields = ()

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from particles_mpi.particles import Array, Particles
-from particles_mpi.scene import EffectOptions, Scene
+from particles_mpi.scene.schema import EffectOptions, Scene
 
 
 class Options(EffectOptions):

@@ -2,9 +2,9 @@
 
 from math import exp, expm1, log1p, sqrt
 
-from particles_mpi.lean import inner, kernel
+from particles_mpi.kernels.jit import inner, kernel
 from particles_mpi.particles import Array, Particles
-from particles_mpi.scene import EffectOptions, Scene
+from particles_mpi.scene.schema import EffectOptions, Scene
 
 NEAR = 8.0  # times what force and friction do in a step: a standstill
 MOST_ROUNDS = 100

@@ -8,15 +8,14 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from particles_mpi.gravity.choice import TREES, Choice, choose
 from particles_mpi.gravity.direct import add_potential, attract
-from particles_mpi.integrators import places_of
-from particles_mpi.interrupt import breathe
+from particles_mpi.gravity.method import TREES, Choice, choose
 from particles_mpi.parallel.blocks import blocks
+from particles_mpi.parallel.communicator import Ranks
 from particles_mpi.parallel.exchange import IdRange
-from particles_mpi.parallel.ranks import Ranks
-from particles_mpi.particles import Array, Particles
-from particles_mpi.scene import EffectOptions, Scene
+from particles_mpi.parallel.signals import breathe
+from particles_mpi.particles import Array, Particles, places_of
+from particles_mpi.scene.schema import EffectOptions, Scene
 
 ACCURACY = 1e-3
 PAIRS = 2 * 10**8  # at once

@@ -3,7 +3,7 @@
 import numpy as np
 
 from particles_mpi.particles import Array, Particles, row_dot
-from particles_mpi.scene import EffectOptions, Scene
+from particles_mpi.scene.schema import EffectOptions, Scene
 
 
 class Options(EffectOptions):

@@ -6,11 +6,11 @@ from math import inf
 
 import numpy as np
 
-from particles_mpi.collide.contact import loss
-from particles_mpi.collide.flow import Rates
-from particles_mpi.collide.planes import Planes, drift_with_walls
+from particles_mpi.contacts.law import loss
+from particles_mpi.contacts.velocity_flow import Rates
+from particles_mpi.contacts.walls import Planes, drift_with_walls
 from particles_mpi.particles import Particles
-from particles_mpi.scene import EffectOptions, Fraction, Model, Scene
+from particles_mpi.scene.schema import EffectOptions, Fraction, Model, Scene
 
 
 class Plane(Model):

@@ -10,7 +10,7 @@ from math import sqrt
 
 import numpy as np
 
-from particles_mpi.lean import kernel
+from particles_mpi.kernels.jit import kernel
 
 TILE = 64  # targets whose coordinates and sums stay in the nearest cache
 

@@ -14,7 +14,7 @@ from math import sqrt
 
 import numpy as np
 
-from particles_mpi.lean import inner, kernel
+from particles_mpi.kernels.jit import inner, kernel
 
 LEAF = 32  # particles of a cell that is not divided
 GROUP = 128  # particles of a cell that looks for its sources together

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from particles_mpi.gravity.essential import around, assemble, essential, fill, quantiles, sample, snap
+from particles_mpi.gravity.locally_essential import around, assemble, essential, fill, quantiles, sample, snap
 from particles_mpi.gravity.octree import divide, levels, moments, morton, skips, sort_ties
 from particles_mpi.gravity.walk import walk
+from particles_mpi.parallel.communicator import Ranks
 from particles_mpi.parallel.exchange import rows_of_everyone, send_rows
-from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import Array
 
 RESULT = 5  # acceleration on three axes, potential, work

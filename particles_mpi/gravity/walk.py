@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.gravity.octree import CENTER, MASS, RADIUS, SECOND
-from particles_mpi.lean import inner, kernel
+from particles_mpi.kernels.jit import inner, kernel
 
 CELLS, PARTICLES = 256, 512  # sources that are added up at a time: they stay in the nearest cache
 FAR, NEAR, VISIT = 1.7, 1.0, 12.0  # work of a far cell and a near particle for a target, of a node for a group: to balance ranks

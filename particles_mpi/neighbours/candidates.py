@@ -1,13 +1,13 @@
-"""The candidates of one search: pairs, and particles near walls, that can touch until a horizon. See `paths` for the idea."""
+"""The candidates of one search: pairs, and particles near walls, that can touch until a horizon. See `trajectories` for the idea."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from particles_mpi.neighbours.cells import FINE, grid, sort_rows, spacing
-from particles_mpi.neighbours.fence import Fence, nowhere
-from particles_mpi.neighbours.partners import AT_ONCE, SLOW, drop_pairs, fill_cells, find_partners, levels, move_rows, unmark
-from particles_mpi.neighbours.paths import find_near_walls, set_out, set_out_anew, strayed, turned
+from particles_mpi.neighbours.halo_region import Fence, nowhere
+from particles_mpi.neighbours.pair_search import AT_ONCE, SLOW, drop_pairs, fill_cells, find_partners, levels, move_rows, unmark
+from particles_mpi.neighbours.trajectories import find_near_walls, set_out, set_out_anew, strayed, turned
 from particles_mpi.particles import Array
 
 SLOWEST = 2.2  # times the mean reach: rows beyond it are fast, one in a hundred of a gas

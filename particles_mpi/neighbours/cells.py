@@ -10,7 +10,7 @@ from math import inf
 
 import numpy as np
 
-from particles_mpi.lean import inner, kernel
+from particles_mpi.kernels.jit import inner, kernel
 from particles_mpi.particles import Array
 
 GRIDDED = 3  # axes with cells; more would cost 3^d cells to visit, and the others are tested by distance anyway

@@ -16,7 +16,7 @@ import numpy as np
 
 from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.parallel.agreement import raise_first, unexpected
-from particles_mpi.parallel.ranks import Ranks
+from particles_mpi.parallel.communicator import Ranks
 from particles_mpi.particles import FIELDS, Array
 
 

@@ -19,8 +19,8 @@ import numpy as np
 
 from particles_mpi.errors import SceneError
 from particles_mpi.output import failing_together, replacing, sync_folder
+from particles_mpi.parallel.communicator import Ranks
 from particles_mpi.parallel.exchange import IdRange, in_id_order, rows_of_everyone
-from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, Array, shape
 
 MARK, FORMAT = "particles_mpi_checkpoint", 3

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import IO
 
 from particles_mpi.output import check_last, continuing, failing_together, replacing
-from particles_mpi.parallel.ranks import Ranks
+from particles_mpi.parallel.communicator import Ranks
 
 
 class Diagnostics:

@@ -11,7 +11,7 @@ from typing import Any
 from particles_mpi.errors import SceneError
 from particles_mpi.output import checkpoint, failing_together
 from particles_mpi.parallel.agreement import differing
-from particles_mpi.parallel.ranks import Ranks
+from particles_mpi.parallel.communicator import Ranks
 
 OURS = ("trajectory.vtkhdf", "particles.pvd", "vtk", "checkpoint.h5", "diagnostics.csv", "run.json", "stopped.h5", "plots")
 FREE = (

@@ -21,8 +21,8 @@ import numpy as np
 from particles_mpi.errors import StoppedError
 from particles_mpi.output import check_last, continuing, failing_together, frame_arrays, frame_columns, replacing
 from particles_mpi.output.mpi_io import told_reason
+from particles_mpi.parallel.communicator import Ranks
 from particles_mpi.parallel.exchange import IdRange, in_id_order
-from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, Array, field
 
 STEPS_CHUNK = 1024  # frames

@@ -10,8 +10,8 @@ import meshio
 import numpy as np
 
 from particles_mpi.output import check_last, continuing, failing_together, frame_arrays, replacing
+from particles_mpi.parallel.communicator import Ranks
 from particles_mpi.parallel.exchange import IdRange, in_id_order
-from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import Array, field
 
 VTK_TYPES = {"int64": "Int64", "float64": "Float64", "uint8": "UInt8"}

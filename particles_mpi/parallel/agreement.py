@@ -23,8 +23,8 @@ import numpy as np
 from mpi4py import MPI
 
 from particles_mpi.errors import Interrupted, SceneError, StateError, StoppedError
-from particles_mpi.parallel.ranks import NAP, Ranks
-from particles_mpi.particles import Array
+from particles_mpi.parallel.communicator import NAP, Ranks
+from particles_mpi.particles import Array, Particles
 
 PATIENCE = 1.0  # seconds for other ranks to fail as this one did, before all are ended
 SETUP_PATIENCE = 3.0  # seconds for the other ranks to come to the end of a phase of the set-up in which this one failed
@@ -218,3 +218,14 @@ def end_all(kind: type[BaseException], error: BaseException, trace: TracebackTyp
 
 if MPI.COMM_WORLD.Get_size() > 1 and sys.excepthook is sys.__excepthook__:
     sys.excepthook = end_all
+
+
+def not_finite(ranks: Ranks, p: Particles, when: str) -> str:
+    """Whose position or velocity is not finite, or too large for its square to be. Collective."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        bad = p.id[~np.isfinite((p.velocity**2).sum(axis=1) + p.position.sum(axis=1))]
+    found = [(int(ids.min()), rank) for rank, ids in enumerate(ranks.gathered(bad)) if len(ids)]
+    if not found:
+        return f"{when}: velocities are too large for the sum of their squares"
+    particle, rank = min(found)
+    return f"{when}: particle {particle} on rank {rank} has a position or velocity that is not finite"

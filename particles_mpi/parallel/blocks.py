@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from mpi4py import MPI
 
+from particles_mpi.parallel.communicator import Ranks
 from particles_mpi.parallel.exchange import IdRange, in_id_order, rows_of_everyone
-from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import Array, rows_of
 
 FEW = 10_000  # rows that are sent to all in one message

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from mpi4py import MPI
 
-from particles_mpi.parallel.ranks import Ranks
+from particles_mpi.parallel.communicator import Ranks
 from particles_mpi.particles import Array, rows_of
 
 TAG = 0  # of rows; ranks that fail tell one another so with another one

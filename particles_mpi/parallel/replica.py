@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from particles_mpi.parallel.communicator import Ranks
 from particles_mpi.parallel.exchange import rows_of_everyone
-from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import MEETING, Particles, field
 
 

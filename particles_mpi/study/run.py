@@ -10,12 +10,12 @@ from rich.table import Table
 
 from particles_mpi.errors import SceneError
 from particles_mpi.output import failing_together
-from particles_mpi.output.console import Screen
-from particles_mpi.parallel.ranks import Ranks
-from particles_mpi.scene import Scene
-from particles_mpi.study import tables
+from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.run.console import Screen
+from particles_mpi.scene.schema import Scene
 from particles_mpi.study.accuracy import CHAPTERS, experiments
-from particles_mpi.study.lab import Experiment, Lab
+from particles_mpi.study.measuring.experiment import Experiment, Lab
+from particles_mpi.study.reporting import tables
 
 NOTES = ["E, float32 against float64: nothing here is offered in float32, so there is nothing to compare."]
 
@@ -29,7 +29,7 @@ def accuracy(scene: Scene | None, keys: str, quick: bool, folder: Path, comm: An
         if ranks.is_root:
             folder.mkdir(parents=True, exist_ok=True)
     if scene is not None:
-        from particles_mpi.study.scene_accuracy import measure as of_scene
+        from particles_mpi.study.accuracy.scene_accuracy import measure as of_scene
 
         title = f"What accuracy costs: {scene.title or 'a scene'}"
         for one in of_scene(lab, scene):
@@ -46,7 +46,7 @@ def accuracy(scene: Scene | None, keys: str, quick: bool, folder: Path, comm: An
     seconds = perf_counter() - begin
     with failing_together(ranks, f"cannot write into {folder}"):
         if ranks.is_root:
-            from particles_mpi.study import report
+            from particles_mpi.study.reporting import report
 
             about = {**report.machine(ranks), "samples": lab.samples, "least_seconds": lab.least, "seconds": seconds}
             path = report.write(folder, title, found, about, notes)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from particles_mpi import Scene, Simulation
-from particles_mpi.collide.rest import NOTHING
+from particles_mpi.contacts.persistent.operator import NOTHING
 
 MODES = ("rewind", "event")
 SPEEDS = (0.6, 0.4, 0.1, 0.01)

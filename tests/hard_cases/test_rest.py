@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from particles_mpi import Scene, Simulation
-from particles_mpi.collide.projection import project, relative, sweep
+from particles_mpi.contacts.persistent.solver import project, relative, sweep
 
 MODES = ("rewind", "event")
 

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from particles_mpi import Scene, Simulation, state
+from particles_mpi import Scene, Simulation
+from particles_mpi.measure import snapshot
 from particles_mpi.parallel.exchange import in_id_order
 
 BOX = {"lower": [0, 0], "upper": [6, 6]}
@@ -114,7 +115,7 @@ def all_ids(sim):
 
 
 def same(one, other, fields):
-    a, b = (state.everyone(sim.ranks, sim.particles) for sim in (one, other))
+    a, b = (snapshot.everyone(sim.ranks, sim.particles) for sim in (one, other))
     return [name for name in fields if a[name].tobytes() != b[name].tobytes()]
 
 
@@ -126,14 +127,14 @@ def differences(tables, before, changes, after, divided=False):
         sim.step()
     sim.attach("charge", np.arange(sim.total, dtype=float))
     found = []
-    old, clock = state.everyone(sim.ranks, sim.particles), (sim.scene, sim.time, sim.h)
+    old, clock = snapshot.everyone(sim.ranks, sim.particles), (sim.scene, sim.time, sim.h)
     for kind, seed in changes:
         change(sim, kind, seed)
-    if state.same(old, state.everyone(sim.ranks, sim.particles)) and clock == (sim.scene, sim.time, sim.h):
+    if snapshot.same(old, snapshot.everyone(sim.ranks, sim.particles)) and clock == (sim.scene, sim.time, sim.h):
         sim.h = sim.h  # a change too: what contacts carried is forgotten, which a fresh start does not know
     divide(sim, divided)
     twin = sim.copy()
-    fresh = Simulation(sim.scene, start=state.everyone(sim.ranks, sim.particles))
+    fresh = Simulation(sim.scene, start=snapshot.everyone(sim.ranks, sim.particles))
     fresh.time, fresh.h = sim.time, sim.h
     for _ in range(after):
         for one in (sim, twin, fresh):

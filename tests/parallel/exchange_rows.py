@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from particles_mpi.parallel.buffers import Store
+from particles_mpi.parallel.communicator import Ranks
 from particles_mpi.parallel.exchange import by_destination, id_range, in_id_order, send_rows
-from particles_mpi.parallel.ranks import Ranks
-from particles_mpi.parallel.store import Store
 from particles_mpi.particles import Particles
 
 ranks = Ranks()

@@ -7,13 +7,13 @@ from pathlib import Path
 from mpi4py import MPI
 
 from particles_mpi import Scene
-from particles_mpi.study.candidates import curves
-from particles_mpi.study.lab import Lab
-from particles_mpi.study.model import predict
-from particles_mpi.study.recommend import recommend
-from particles_mpi.study.reference import reference
-from particles_mpi.study.search import Search
-from particles_mpi.study.starts import Start
+from particles_mpi.study.measuring.experiment import Lab
+from particles_mpi.study.recommending.model import predict
+from particles_mpi.study.recommending.recommend import recommend
+from particles_mpi.study.recommending.reference import reference
+from particles_mpi.study.recommending.search import Search
+from particles_mpi.study.recommending.settings import curves
+from particles_mpi.study.recommending.starts import Start
 
 folder = Path(sys.argv[1])
 edge = 6.0

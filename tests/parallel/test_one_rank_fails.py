@@ -10,8 +10,8 @@ import h5py
 import pytest
 from conftest import MPI_ENVIRONMENT, ROOT, run_ranks
 
-from particles_mpi.parallel.mpirun import Filter
-from particles_mpi.parallel.ranks import library
+from particles_mpi.parallel.communicator import library
+from particles_mpi.parallel.launcher import Filter
 
 pytestmark = pytest.mark.parallel
 

@@ -6,7 +6,7 @@ import os
 import pytest
 from conftest import run_ranks
 
-from particles_mpi.study.performance_model import Law
+from particles_mpi.study.scaling.performance_model import Law
 
 pytestmark = pytest.mark.parallel
 FILES = {"scaling.csv", "scaling_model.csv", "scaling.png", "scaling.svg"}

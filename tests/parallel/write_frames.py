@@ -17,8 +17,8 @@ from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.output import checkpoint
 from particles_mpi.output.diagnostics_csv import Diagnostics
 from particles_mpi.output.trajectory import Trajectory
+from particles_mpi.parallel.communicator import Ranks
 from particles_mpi.parallel.exchange import IdRange
-from particles_mpi.parallel.ranks import Ranks
 from particles_mpi.particles import FIELDS, shape
 
 EVERY = 10  # steps between frames

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from particles_mpi.study.accuracy import encounters, experiments, fluid, losses, orbits
-from particles_mpi.study.lab import Lab, slope
+from particles_mpi.study.measuring.experiment import Lab, slope
 
 
 @pytest.fixture(scope="module")

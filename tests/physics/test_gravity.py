@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from particles_mpi import Scene, SceneError, Simulation, simulation
-from particles_mpi.integrators import Order4
+from particles_mpi.integrators.order4 import Order4
 
 
 def bodies(position, velocity, mass, step, steps, integrator="leapfrog", gravity=None, **effects):

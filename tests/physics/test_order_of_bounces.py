@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from particles_mpi import Scene, Simulation
-from particles_mpi.study.bouncing import FORCES, LOSSES, OBSTACLES, RESISTANCES, T, bounces, off, scene
+from particles_mpi.study.accuracy.bouncing import FORCES, LOSSES, OBSTACLES, RESISTANCES, T, bounces, off, scene
 
 STEPS = 0.01, 0.00125
 EXACT = 1e-8  # two that fall alike meet as if nothing pulled: no order is seen in errors of the reference

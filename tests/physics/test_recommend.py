@@ -5,12 +5,12 @@ import pytest
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.errors import SceneError
-from particles_mpi.study.cases import CASES, kepler, thrown
-from particles_mpi.study.lab import Lab
-from particles_mpi.study.recommend import recommend
-from particles_mpi.study.reference import reference
-from particles_mpi.study.starts import Start
-from particles_mpi.study.tracks import extrapolated
+from particles_mpi.study.measuring.experiment import Lab
+from particles_mpi.study.recommending.cases import CASES, kepler, thrown
+from particles_mpi.study.recommending.recommend import recommend
+from particles_mpi.study.recommending.reference import reference
+from particles_mpi.study.recommending.starts import Start
+from particles_mpi.study.recommending.tracks import extrapolated
 
 PLENTY = 300.0  # seconds that measuring may take: none of these comes near it
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from particles_mpi.study.accuracy import softening, tree
-from particles_mpi.study.clock import Seconds
-from particles_mpi.study.lab import Experiment, Lab, Row, Setting, slope
+from particles_mpi.study.measuring.clock import Seconds
+from particles_mpi.study.measuring.experiment import Experiment, Lab, Row, Setting, slope
 
 
 @pytest.fixture(scope="module")

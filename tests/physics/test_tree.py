@@ -6,12 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from particles_mpi import Scene, SceneError, Simulation
-from particles_mpi.gravity.choice import choose
 from particles_mpi.gravity.direct import attract
+from particles_mpi.gravity.method import choose
 from particles_mpi.gravity.octree import CENTER, GROUP, MASS, RADIUS, divide, levels, moments, morton, skips
 from particles_mpi.gravity.tree import Tree
-from particles_mpi.parallel.ranks import Ranks
-from particles_mpi.plummer import plummer_places
+from particles_mpi.initial.plummer import plummer_places
+from particles_mpi.parallel.communicator import Ranks
 
 
 def by_tree(x, mass, angle, softening=0.0, quadrupoles=True):

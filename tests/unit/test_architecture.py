@@ -9,9 +9,54 @@ import pytest
 
 PACKAGE = Path(__file__).parents[2] / "particles_mpi"
 ALLOWED = {"mpi4py": ("parallel/", "cli.py"), "h5py": ("output/",), "meshio": ("output/",)}
+# Folders and files at the root, from the lowest floor to the highest: a module imports only from its own floor and those below.
+FLOORS = (
+    "errors",
+    "timers",
+    "kernels",
+    "particles",
+    "parallel",
+    "scene",
+    "neighbours",
+    "contacts",
+    "gravity",
+    "effects",
+    "integrators",
+    "initial",
+    "output",
+    "measure",
+    "between_steps",
+    "run",
+    "simulation",
+    "study",
+    "setup",
+    "cli",
+    "__main__",
+)
+PUBLIC = {"Particles": "particles", "Scene": "scene.schema", "SceneError": "errors", "Simulation": "simulation"}
 
 
-def imports(path):
+def modules():
+    """{dotted name inside the package: file}; a folder stands for its `__init__`."""
+    names = {path: ".".join(path.relative_to(PACKAGE).with_suffix("").parts) for path in PACKAGE.rglob("*.py")}
+    return {name.removesuffix(".__init__"): path for path, name in names.items() if name != "__init__"}
+
+
+def imported():
+    """{module: modules of the package that it imports}, at its top or inside a function."""
+    known, found = modules(), {}
+    for name, path in known.items():
+        found[name] = set()
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == PACKAGE.name:
+                base = node.module.partition(".")[2]
+                for alias in node.names:
+                    whole = f"{base}.{alias.name}" if base else PUBLIC.get(alias.name, alias.name)
+                    found[name].add(whole if whole in known else base)
+    return found
+
+
+def libraries(path):
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             yield from (name.name.split(".")[0] for name in node.names)
@@ -21,13 +66,39 @@ def imports(path):
 
 @pytest.mark.parametrize("library", ALLOWED)
 def test_libraries_stay_where_they_belong(library):
-    users = [str(p.relative_to(PACKAGE)) for p in PACKAGE.rglob("*.py") if library in imports(p)]
+    users = [str(p.relative_to(PACKAGE)) for p in PACKAGE.rglob("*.py") if library in libraries(p)]
     assert users and not [u for u in users if not u.startswith(ALLOWED[library])]
+
+
+def test_the_order_of_the_floors_names_every_folder_and_file():
+    assert {name.split(".")[0] for name in modules()} == set(FLOORS)
+    assert len(list(PACKAGE.glob("*.py"))) <= 8
+
+
+def test_no_import_points_upward():
+    floor = {name: FLOORS.index(name.split(".")[0]) for name in modules()}
+    upward = [f"{one} -> {other}" for one, others in imported().items() for other in others if floor[other] > floor[one]]
+    assert not upward
+
+
+def test_no_files_import_one_another_in_a_circle():
+    left = imported()
+    while free := [name for name, others in left.items() if not others & left.keys() - {name}]:
+        for name in free:
+            del left[name]
+    assert not left
+
+
+@pytest.mark.parametrize("folder", sorted({path.parent for path in modules().values()} - {PACKAGE}), ids=lambda f: f.name)
+def test_every_folder_says_what_it_is_for(folder):
+    """In the docstring of its `__init__`: one plain sentence at least."""
+    text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text())) or ""
+    assert text.partition("\n")[0].rstrip().endswith(".")
 
 
 def test_plots_read_files_only():
     scripts = list((PACKAGE.parent / "python_viz").glob("*.py"))
-    assert scripts and not [p for p in scripts if "particles_mpi" in imports(p)]
+    assert scripts and not [p for p in scripts if "particles_mpi" in libraries(p)]
 
 
 def test_an_effect_that_is_not_named_is_not_imported():
@@ -38,6 +109,7 @@ Simulation(Scene(dimension=2, time={"step": 0.1, "steps": 2}, particles=[{"posit
                  effects={"uniform_gravity": {"acceleration": [0.0, -1.0]}})).run()
 loaded = sorted(m.split(".")[-1] for m in sys.modules if m.startswith("particles_mpi.effects."))
 assert loaded == ["uniform_gravity"], loaded
-assert "particles_mpi.collide.rewind" not in sys.modules and "particles_mpi.neighbours.pairs" not in sys.modules
+for operator in ("contacts.time_stepped.operator", "contacts.event_driven.operator", "neighbours.neighbour_list"):
+    assert f"particles_mpi.{operator}" not in sys.modules
 """
     subprocess.run([sys.executable, "-c", script], check=True, timeout=100)

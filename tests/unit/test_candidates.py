@@ -6,7 +6,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from particles_mpi.neighbours.candidates import Candidates, touching
-from particles_mpi.neighbours.fence import nowhere
+from particles_mpi.neighbours.halo_region import nowhere
 
 
 def closest(x, v, start, end, length):

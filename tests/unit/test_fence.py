@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from test_candidates import closest, listed
 
 from particles_mpi.neighbours.candidates import Candidates
-from particles_mpi.neighbours.fence import build
-from particles_mpi.neighbours.paths import tubes_box
+from particles_mpi.neighbours.halo_region import build
+from particles_mpi.neighbours.trajectories import tubes_box
 
 
 @settings(max_examples=60, deadline=None)

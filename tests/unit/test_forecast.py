@@ -12,10 +12,11 @@ from conftest import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from particles_mpi import Scene, Simulation, forecast
+from particles_mpi import Scene, Simulation
 from particles_mpi.cli import check
-from particles_mpi.forecast import PROBE, TRUST, Pace, outlook
-from particles_mpi.job import Job
+from particles_mpi.run import forecast
+from particles_mpi.run.forecast import PROBE, TRUST, Pace, outlook
+from particles_mpi.run.job import Job
 
 LINE = re.compile(
     r"  predicted: (about [\d.]+ (s|min|h)|[\d.]+ (s|min|h) to [\d.]+ (s|min|h)) on 1 rank(?P<reason>: [a-z, ]+)?"
@@ -25,7 +26,10 @@ COST = st.floats(1e-5, 3.0)
 
 
 def invented(monkeypatch, steps, every, step_costs, frame, row, saved, loading):
-    """(forecasts, seconds at which they came, seconds of all) of a run whose costs are given; its first row and step load kernels."""
+    """(forecasts, seconds at which they came, seconds of all) of a run whose costs are given.
+
+    Its first row of diagnostics and its first step load kernels.
+    """
     output = {"every": every[0], "diagnostics_every": every[1], "checkpoint_every": every[2]}
     scene = Scene(dimension=1, time={"step": 1.0, "steps": steps}, particles=[], output=output)
     clock, seconds = [0.0], {}

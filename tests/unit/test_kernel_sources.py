@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from particles_mpi.kernel_sources import PACKAGE, STATE, Sources
+from particles_mpi.setup.kernel_sources import PACKAGE, STATE, Sources
 
 CELL_ALONG = "particles_mpi.neighbours.cells.cell_along"
 
@@ -40,7 +40,7 @@ def edit(whole):
 def test_all_kernels_are_known(whole):
     """Those of every decorator: with options, without, and those that are inlined."""
     kernels = Sources(whole).kernels()
-    names = ("neighbours.partners.may_meet", "collide.events.run", "gravity.walk.add_cells", "study.hard_cases.orbits.circle")
+    names = ("neighbours.pair_search.may_meet", "contacts.event_driven.event_loop.run", "gravity.walk.add_cells", "study.hard_cases.orbits.circle")
     assert {f"particles_mpi.{name}" for name in names} <= kernels.keys()
     assert not [name for name in kernels if name.endswith(("Simulation", "main"))]
 
@@ -48,8 +48,8 @@ def test_all_kernels_are_known(whole):
 @pytest.mark.parametrize(
     ("file", "old", "new"),
     [
-        ("study/clock.py", "from __future__", "# a comment\nfrom __future__"),
-        ("study/lab.py", "ROUND_OFF = 1e-13", "ROUND_OFF = 1e-12"),
+        ("study/measuring/clock.py", "from __future__", "# a comment\nfrom __future__"),
+        ("study/measuring/experiment.py", "ROUND_OFF = 1e-13", "ROUND_OFF = 1e-12"),
         ("neighbours/cells.py", "The cell of coordinate y on one axis;", "Of coordinate y on one axis, the cell;"),
         ("neighbours/cells.py", "    return int(min(max((y", "    # an interval of cells\n    return int(min(max((y"),
     ],
@@ -60,9 +60,9 @@ def test_words_compile_nothing(edit, file, old, new):
 
 def test_a_changed_kernel_takes_its_callers_along(edit):
     stale = edit("neighbours/cells.py", "(y - origin) * per, 0.0), cells - 1.0)", "(y - origin) * per, 1.0), cells - 1.0)")
-    callers = {"neighbours.cells.cell_at", "neighbours.cells.sort_rows", "neighbours.partners.find_partners"}
+    callers = {"neighbours.cells.cell_at", "neighbours.cells.sort_rows", "neighbours.pair_search.find_partners"}
     assert {CELL_ALONG} | {f"particles_mpi.{name}" for name in callers} <= set(stale)
-    assert not [name for name in stale if ".gravity." in name or ".collide." in name]
+    assert not [name for name in stale if ".gravity." in name or ".contacts." in name]
 
 
 def test_a_changed_constant_makes_stale_what_takes_it(edit):
@@ -72,10 +72,10 @@ def test_a_changed_constant_makes_stale_what_takes_it(edit):
 
 def test_what_is_stale_is_forgotten(whole, edit):
     """The script that run.sh asks: 0 and nothing deleted, or 1 and the files of stale kernels gone."""
-    script = [sys.executable, "-P", str(whole / "kernel_sources.py")]
+    script = [sys.executable, "-P", str(whole / "setup/kernel_sources.py")]
     cache = whole / "neighbours" / "__pycache__"
     cache.mkdir(exist_ok=True)
-    files = [cache / f"partners.{name}-100.py311.1.nbc" for name in ("cover", "find_partners", "wanted")]
+    files = [cache / f"pair_search.{name}-100.py311.1.nbc" for name in ("cover", "find_partners", "wanted")]
     for file in files:
         file.touch()
     assert subprocess.run(script, timeout=60).returncode == 0

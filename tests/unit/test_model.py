@@ -3,10 +3,10 @@
 import pytest
 
 from particles_mpi import Scene
-from particles_mpi.scene import TOLERANCES
-from particles_mpi.study.lab import Lab
-from particles_mpi.study.model import finer, lost, predict
-from particles_mpi.study.starts import Start
+from particles_mpi.scene.schema import TOLERANCES
+from particles_mpi.study.measuring.experiment import Lab
+from particles_mpi.study.recommending.model import finer, lost, predict
+from particles_mpi.study.recommending.starts import Start
 
 PUBLISHED = [  # packing, Gamma dt, passes, share of collisions that is lost
     (0.30, 0.1, 10, 0.00), (0.30, 0.3, 10, 0.00), (0.30, 1.0, 10, 0.02), (0.30, 0.1, 1, 0.00), (0.30, 0.3, 1, 0.02),

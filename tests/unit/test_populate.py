@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from particles_mpi.errors import SceneError
-from particles_mpi.populate import populate
-from particles_mpi.scene import Scene
+from particles_mpi.initial.populate import populate
+from particles_mpi.scene.schema import Scene
 
 
 def scene(particles, d=2, upper=1.0, periodic=False, effects=None, step=1e-3, folder=None, **more):

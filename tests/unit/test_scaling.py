@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from particles_mpi import Scene, SceneError
-from particles_mpi.populate import populate
-from particles_mpi.study.grown import edges, grown
-from particles_mpi.study.performance_model import NETWORK_LATENCY, Law, Model, Point, Traffic, fit
-from particles_mpi.study.scaling import HEADLINE, rank_counts, settings, unable_to_grow
-from particles_mpi.study.scaling_result import Curve, Result
+from particles_mpi.initial.populate import populate
+from particles_mpi.study.scaling.performance_model import NETWORK_LATENCY, Law, Model, Point, Traffic, fit
+from particles_mpi.study.scaling.result import Curve, Result
+from particles_mpi.study.scaling.scale_scene import edges, grown
+from particles_mpi.study.scaling.scaling import HEADLINE, rank_counts, settings, unable_to_grow
 
 CUBE = Law("N", (1.0, 1.0, 1.0), (False, False, False))
 

@@ -8,8 +8,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from particles_mpi.errors import SceneError
-from particles_mpi.populate import populate
-from particles_mpi.scene import Scene
+from particles_mpi.initial.populate import populate
+from particles_mpi.scene.schema import Scene
 
 SCENES = sorted((Path(__file__).parents[2] / "particles_mpi" / "scenes").glob("*.toml"))
 

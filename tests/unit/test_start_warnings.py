@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from particles_mpi import Scene, Simulation
+from particles_mpi.initial.checks import coincident
 from particles_mpi.particles import Particles
-from particles_mpi.start_checks import coincident
 
 AXES = st.lists(st.booleans(), min_size=3, max_size=3)
 PULL = st.lists(st.sampled_from([0.0, -2.0, 0.5]), min_size=3, max_size=3)

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from particles_mpi import Scene, SceneError, Simulation
-from particles_mpi.parallel.ranks import Ranks
+from particles_mpi.measure.snapshot import load_json, same, save_json
+from particles_mpi.parallel.communicator import Ranks
 from particles_mpi.particles import Particles
-from particles_mpi.state import load_json, same, save_json
 
 
 def simulation(**collisions):

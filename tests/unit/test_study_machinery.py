@@ -7,10 +7,10 @@ from math import isnan
 
 import pytest
 
-from particles_mpi.parallel.ranks import Ranks
-from particles_mpi.study import plots, report, tables
-from particles_mpi.study.clock import Seconds, Watch, time_in_turns
-from particles_mpi.study.lab import Experiment, Lab, Row, Setting, observe_orders, slope
+from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.study.measuring.clock import Seconds, Watch, time_in_turns
+from particles_mpi.study.measuring.experiment import Experiment, Lab, Row, Setting, observe_orders, slope
+from particles_mpi.study.reporting import plots, report, tables
 
 ORDER = []
 
@@ -66,7 +66,7 @@ def test_settings_take_turns_and_begin_anew_off_the_clock():
 
 def test_by_forces_a_unit_is_an_evaluation(monkeypatch):
     clock = iter(range(10**6))
-    monkeypatch.setattr("particles_mpi.study.clock.perf_counter", lambda: float(next(clock)))  # a second a look
+    monkeypatch.setattr("particles_mpi.study.measuring.clock.perf_counter", lambda: float(next(clock)))  # a second a look
     steps, forces = (Watch(Ranks.alone(), lambda: Stepper("a"), 100, by_forces) for by_forces in (False, True))
     assert steps.sample(0.5) == 1.0
     assert forces.sample(0.5) == pytest.approx(1.0 / 3.0)

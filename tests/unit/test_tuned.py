@@ -7,11 +7,11 @@ import pytest
 from conftest import ROOT
 
 from particles_mpi import Scene
-from particles_mpi.populate import populate
-from particles_mpi.study.candidates import curves
-from particles_mpi.study.lab import Lab
-from particles_mpi.study.starts import Start
-from particles_mpi.study.tuned import serialised, tuned, written
+from particles_mpi.initial.populate import populate
+from particles_mpi.study.measuring.experiment import Lab
+from particles_mpi.study.recommending.settings import curves
+from particles_mpi.study.recommending.starts import Start
+from particles_mpi.study.recommending.tuned import serialised, tuned, written
 
 SCENES = sorted((ROOT / "particles_mpi" / "scenes").glob("*.toml"))
 LIGHT = [path for path in SCENES if path.stem not in ("headline", "marbles", "plummer")]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib import import_module
 
-from particles_mpi.study.lab import Experiment, Lab
+from particles_mpi.study.measuring.experiment import Experiment, Lab
 
 CHAPTERS = {"A": "orbits", "B": "encounters", "C": "fluid", "D": "tree", "F": "softening", "G": "losses", "H": "effects"}
 

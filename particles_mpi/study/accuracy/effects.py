@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from particles_mpi import Simulation, state
-from particles_mpi.integrators import free_drift, kick
-from particles_mpi.scene import effect_names
-from particles_mpi.study.clock import Watch, time_in_turns
-from particles_mpi.study.lab import Errors, Experiment, Lab, Row, Setting
+from particles_mpi import Simulation
+from particles_mpi.kernels.motion import free_drift, kick
+from particles_mpi.measure import snapshot
+from particles_mpi.scene.schema import effect_names
+from particles_mpi.study.measuring.clock import Watch, time_in_turns
+from particles_mpi.study.measuring.experiment import Errors, Experiment, Lab, Row, Setting
 
 N, QUICK_N, STEP, LONG = 100_000, 20_000, 1e-3, 1000
 FEW, STEPS = 300, 40  # particles and steps for the comparison of bits
@@ -85,7 +86,7 @@ def bits_that_differ(lab: Lab, name: str) -> int:
     for effects, own in ((falling, {}), (falling | {name: options}, more)):
         sim = lab.simulate(gas(FEW, effects, 0.0, STEPS, **own) | {"time": {"step": 0.05, "steps": STEPS}})
         sim.run()
-        p = state.everyone(sim.ranks, sim.particles)
+        p = snapshot.everyone(sim.ranks, sim.particles)
         ends.append(np.concatenate([p.position, p.velocity]).view(np.int64))
     return int(np.count_nonzero(ends[0] != ends[1]))
 

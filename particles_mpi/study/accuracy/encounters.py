@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from particles_mpi import Simulation, state
+from particles_mpi import Simulation
+from particles_mpi.measure import snapshot
 from particles_mpi.study.accuracy.orbits import gravity
-from particles_mpi.study.lab import Errors, Experiment, Lab, Setting
+from particles_mpi.study.measuring.experiment import Errors, Experiment, Lab, Setting
 
 END = 20.0
 PLACES = {10.0: (0.778480410138, 0.141392300290), 20.0: (3.004292636696, 0.511925235025)}  # of m = 3, in twelve digits
@@ -31,7 +32,7 @@ def errors(sim: Simulation) -> Errors:
     for moment, place in PLACES.items():
         while sim.steps_done < round(moment / sim.h):
             sim.step()
-        body = state.everyone(sim.ranks, sim.particles).position[0]
+        body = snapshot.everyone(sim.ranks, sim.particles).position[0]
         found[f"place, t = {moment:g}"] = float(np.sqrt(((body - place) ** 2).sum()))
     return found | {"energy": abs(sim.measure()["total_energy"] / start - 1.0)}
 

@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from particles_mpi import Simulation, state
-from particles_mpi.study.lab import Errors, Experiment, Lab, Row, Setting
+from particles_mpi import Simulation
+from particles_mpi.measure import snapshot
+from particles_mpi.study.measuring.experiment import Errors, Experiment, Lab, Row, Setting
 
 N, QUICK_N = 4000, 1000
 MELT, PATH = 20.0, 100.0  # collisions of each sphere before the start, and in a run
@@ -62,7 +63,7 @@ def melted(lab: Lab, packing: float, n: int) -> dict[str, Any]:
     crystal = {"count": n, "position": "lattice", "velocity": {"temperature": 1.0}}
     sim = lab.simulate(fluid(packing, n, MELT / collision_rate(packing) / 4.0, 4, crystal, mode="event"))
     sim.run()
-    p = state.everyone(sim.ranks, sim.particles)
+    p = snapshot.everyone(sim.ranks, sim.particles)
     return {"position": p.position.tolist(), "velocity": p.velocity.tolist()}
 
 

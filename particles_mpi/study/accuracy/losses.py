@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from particles_mpi import Simulation, state
+from particles_mpi import Simulation
+from particles_mpi.measure import snapshot
 from particles_mpi.particles import Array
-from particles_mpi.study.bouncing import FORCES, LOSSES, OBSTACLES, bounces, off, scene
-from particles_mpi.study.bouncing import T as BOUNCING
-from particles_mpi.study.lab import Errors, Experiment, Lab, Setting, slope
+from particles_mpi.study.accuracy.bouncing import FORCES, LOSSES, OBSTACLES, bounces, off, scene
+from particles_mpi.study.accuracy.bouncing import T as BOUNCING
+from particles_mpi.study.measuring.experiment import Errors, Experiment, Lab, Setting, slope
 
 G, DRAG, T, THROW = 9.81, 0.5, 2.0, (10.0, 10.0)
 STEPS, QUICK_STEPS = (2, 4, 16, 64, 256), (8, 16, 32, 64)
@@ -61,7 +62,7 @@ def settings(lab: Lab, cases: dict[str, dict[str, Any]], true: tuple[Array, Arra
 
     def errors(sim: Simulation) -> Errors:
         sim.run()
-        p = state.everyone(sim.ranks, sim.particles)
+        p = snapshot.everyone(sim.ranks, sim.particles)
         return {"place": float(np.abs(p.position[0] - true[0]).max()), "velocity": float(np.abs(p.velocity[0] - true[1]).max())}
 
     def one(curve: str, n: int, case: dict[str, Any]) -> Setting:

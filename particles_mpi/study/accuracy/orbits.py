@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from particles_mpi import Simulation, state
+from particles_mpi import Simulation
+from particles_mpi.measure import snapshot
 from particles_mpi.particles import Array
-from particles_mpi.study.lab import Errors, Experiment, Lab, Setting, slope
+from particles_mpi.study.measuring.experiment import Errors, Experiment, Lab, Setting, slope
 
 E, ORBITS = 0.5, 10
 LOOKS = 2000  # moments of a run at which the energy is looked at
@@ -69,7 +70,7 @@ def run(sim: Simulation, energy: Callable[[Simulation], float]) -> float:
 
 def of_planet(sim: Simulation) -> float:
     """Energy of a unit of mass of the planet; on one rank or on all."""
-    p = state.everyone(sim.ranks, sim.particles)
+    p = snapshot.everyone(sim.ranks, sim.particles)
     return 0.5 * float((p.velocity[0] ** 2).sum()) - 1.0 / float(np.sqrt(((p.position[0] - p.position[1]) ** 2).sum()))
 
 
@@ -87,7 +88,7 @@ def kepler(lab: Lab) -> Experiment:
 
     def errors(sim: Simulation) -> Errors:
         energy = run(sim, of_planet)
-        place = state.everyone(sim.ranks, sim.particles).position[0]
+        place = snapshot.everyone(sim.ranks, sim.particles).position[0]
         return {"energy": energy, "place": float(np.sqrt(((place - place_on_ellipse(sim.time)) ** 2).sum()))}
 
     rows = lab.measure("Kepler", list(settings(lab, {"particles": [PLANET]}, 2.0 * pi, orbits, errors)))
@@ -111,7 +112,7 @@ def figure_eight(lab: Lab) -> Experiment:
 
     def errors(sim: Simulation) -> Errors:
         energy = run(sim, lambda s: s.measure()["total_energy"])
-        return {"energy": energy, "place": float(np.abs(state.everyone(sim.ranks, sim.particles).position - start).max())}
+        return {"energy": energy, "place": float(np.abs(snapshot.everyone(sim.ranks, sim.particles).position - start).max())}
 
     rows = lab.measure("figure eight", list(settings(lab, {"particles": [EIGHT]}, PERIOD, 1, errors)))
     reference = "exact: after one period all are where they were (figures of Chenciner and Montgomery 2000)"

@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from particles_mpi import Simulation, state
+from particles_mpi import Simulation
 from particles_mpi.gravity.direct import attract
+from particles_mpi.initial.plummer import MOST, plummer_places
+from particles_mpi.measure import snapshot
 from particles_mpi.particles import Array
-from particles_mpi.plummer import MOST, plummer_places
 from particles_mpi.study.accuracy.orbits import place_on_ellipse
-from particles_mpi.study.lab import Errors, Experiment, Lab, Row, Setting, slope
+from particles_mpi.study.measuring.experiment import Errors, Experiment, Lab, Row, Setting, slope
 
 E, CLOSE = 0.9, 0.99  # eccentricities
 SOFT, STEPS = (0.0, 1e-3, 1e-2), (500, 2000, 8000)  # softening, of the semi-major axis; steps an orbit
@@ -54,7 +55,7 @@ def orbit(lab: Lab, eps: float, n: int, e: float = E, **time: Any) -> Simulation
 def end(sim: Simulation) -> Array:
     """Where the planet is at the end."""
     sim.run()
-    return state.everyone(sim.ranks, sim.particles).position[0]
+    return snapshot.everyone(sim.ranks, sim.particles).position[0]
 
 
 def away(a: Array, b: Array) -> float:

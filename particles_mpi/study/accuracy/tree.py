@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from particles_mpi import Simulation, state
-from particles_mpi.gravity.choice import choose
+from particles_mpi import Simulation
+from particles_mpi.gravity.method import choose
+from particles_mpi.measure import snapshot
 from particles_mpi.parallel.exchange import rows_of_everyone
 from particles_mpi.particles import Array
-from particles_mpi.study.lab import Errors, Experiment, Lab, Row, Setting
+from particles_mpi.study.measuring.experiment import Errors, Experiment, Lab, Row, Setting
 
 SIZES, QUICK = (500, 2000, 8000, 32_000), (500, 2000)
 ANGLES = (1.0, 0.7, 0.5, 0.35)
@@ -85,7 +86,7 @@ def summary(wrong: Array) -> Errors:
 
 def round_off(sim: Simulation, a: Array) -> Array:
     """Relative errors of some accelerations, against sums in extended precision. Collective."""
-    everyone = state.everyone(sim.ranks, sim.particles)
+    everyone = snapshot.everyone(sim.ranks, sim.particles)
     arrived = rows_of_everyone(sim.ranks, {"id": sim.particles.id, "a": a})
     a = arrived["a"][np.argsort(arrived["id"], kind="stable")]
     x, some = everyone.position.astype(np.longdouble), np.arange(0, len(a), max(1, len(a) // TARGETS))

@@ -13,8 +13,9 @@ from hashlib import sha256
 from importlib import import_module
 from typing import Any
 
-from particles_mpi import Scene, Simulation, state
-from particles_mpi.parallel.ranks import Ranks
+from particles_mpi import Scene, Simulation
+from particles_mpi.measure import snapshot
+from particles_mpi.parallel.communicator import Ranks
 from particles_mpi.particles import Particles
 
 CHAPTERS = ("forces", "contacts", "crowds", "resting", "orbits", "numbers", "spread")
@@ -51,7 +52,7 @@ class Bench:
 
 def everyone(sim: Simulation) -> Particles:
     """All particles in id order, on every rank. Collective."""
-    return state.everyone(sim.ranks, sim.particles)
+    return snapshot.everyone(sim.ranks, sim.particles)
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,8 @@ from math import pi, sqrt
 import numpy as np
 
 from particles_mpi import SceneError
-from particles_mpi.collide.contact import NEVER, contact_time
+from particles_mpi.contacts.law import contact_time
+from particles_mpi.kernels.markers import NEVER
 from particles_mpi.study.hard_cases import Bench, case, everyone
 
 

@@ -4,8 +4,8 @@ from math import log, sqrt
 
 import numpy as np
 
-from particles_mpi.integrators import free_drift, kick
-from particles_mpi.lean import kernel
+from particles_mpi.kernels.jit import kernel
+from particles_mpi.kernels.motion import free_drift, kick
 from particles_mpi.particles import Array
 from particles_mpi.study.hard_cases import Bench, case
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from particles_mpi.errors import SceneError
-from particles_mpi.output.console import Screen
-from particles_mpi.parallel.ranks import Ranks
+from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.run.console import Screen
 from particles_mpi.study.hard_cases import Case, Outcome, catalogue, examine, settings
 
 

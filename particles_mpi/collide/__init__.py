@@ -1,1 +1,0 @@
-"""Collision operators: when two spheres, or a sphere and a wall, touch on straight paths, and what happens then."""

@@ -1,0 +1,1 @@
+"""Mode `event`: all contacts in exact order of time."""

@@ -1,0 +1,236 @@
+"""The operator `event`: hard spheres and walls in exact order of time, the reference for `rewind`.
+
+Every particle is on a straight leg since its last contact and knows its next event: the first contact on the present legs, or
+that it leaves its shell (`neighbours.shells`). The first event of all takes place, the partners set out on new legs, and
+only they, and those who had meant to meet them, look for their next events again: O(1) work a contact, whatever N is.
+
+On several ranks space is divided and ranks compute their parts in verified windows of time (`windows`), or, where
+there is too little to divide, every rank computes everything (`Whole`). The bits are the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+
+import numpy as np
+
+from particles_mpi.contacts.event_driven.engine import NAMED, NEVER_CROWDED, SETTLED, Engine
+from particles_mpi.contacts.event_driven.event_loop import COLLISIONS, SPARED, WALL_HITS
+from particles_mpi.contacts.event_driven.windows import Windows
+from particles_mpi.contacts.velocity_flow import Rates
+from particles_mpi.contacts.walls import Planes, no_planes
+from particles_mpi.errors import StateError
+from particles_mpi.kernels.markers import CROWD
+from particles_mpi.neighbours.cells import bounds, order_in_space
+from particles_mpi.neighbours.trajectories import fastest
+from particles_mpi.parallel.agreement import not_finite
+from particles_mpi.parallel.buffers import Store
+from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.exchange import rows_of_everyone
+from particles_mpi.parallel.replica import Replica
+from particles_mpi.particles import Array, Particles, rows_of
+from particles_mpi.timers import Timers
+
+LEAST = 2000  # particles a rank; with fewer, space is not divided
+LONGEST_REST = 64  # drifts
+CROWDED = 8  # quick contacts in a drift; then a particle is one of a crowd that collapses
+ROUNDS = 3
+SOFT = 1e-4  # of a step: the duration of a contact, where a scene gives none
+CHANGING = ("position", "velocity", "contacted", "virial", "supported", "total_acceleration")
+
+
+class Event:
+    """Drifts particles that collide with one another, and with walls if there are any."""
+
+    def __init__(
+        self,
+        particles: Particles,
+        ranks: Ranks,
+        box: tuple[Array, Array, Array],
+        loss: tuple[float, float],
+        duration: float | None,
+        planes: Planes | None,
+        timers: Timers,
+    ):
+        self.ranks, self.duration, self.soft = ranks, duration, 0.0
+        self.particles, self.box, self.timers = particles, box, timers
+        self.rules = box, loss, planes or no_planes(particles.dimension)
+        self.divided = ranks.size > 1 and ranks.total(len(particles))[0] >= LEAST * ranks.size
+        self.eased = 0
+        self.first_eased: tuple[float, Array] = np.inf, np.empty((0, 3))  # moment of a step, (time, id, id or wall) there
+        self.crowded_steps = 0
+        self.resting, self.rest = 0, 1  # drifts that every rank computes as a whole, after windows that did not pay
+        self.stop, self.stopped = np.array([0, -1, -1]), np.zeros(1)
+        self.hold: Callable[[float], None] | None = None  # a crowd's contacts, where forces press: see rest
+
+    @cached_property
+    def whole(self) -> Whole:
+        return Whole(self.particles, self.ranks, Engine(*self.rules), self.timers)
+
+    @cached_property
+    def windows(self) -> Windows:
+        return Windows(self.particles, self.ranks, Engine(*self.rules), self.box, self.timers)
+
+    @property
+    def parts(self) -> list[Whole | Windows]:
+        """Those in use."""
+        return [self.__dict__[name] for name in ("whole", "windows") if name in self.__dict__]
+
+    @property
+    def searches(self) -> int:
+        return sum(part.searches for part in self.parts)
+
+    @property
+    def migrated(self) -> int:
+        return self.windows.migrated if self.divided else 0
+
+    @property
+    def windows_redone(self) -> tuple[int, int] | None:
+        """Windows of time so far, and how many of them were undone; None where space was never divided."""
+        return (self.windows.count, self.windows.redone) if "windows" in self.__dict__ else None
+
+    @property
+    def ghost_rows(self) -> int:
+        return self.windows.ghost_rows if self.divided else 0
+
+    def drift(self, h: float, moment: float, rates: Rates, stop: bool = False) -> Array:
+        """x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
+
+        `moment`: the time at which the drift begins; `rates`: how velocities change in the step.
+        With `stop` it ends with the first collision of two particles, after `self.stopped[0]` (h if there is none), and
+        `self.stop[1:]` are their ids, the lower one first, or -1.
+        """
+        self.rates, self.soft = rates, SOFT * h if self.duration is None else self.duration
+        if self.hold is None or stop:
+            return self.drift_once(h, moment, stop, NEVER_CROWDED)
+        for left in range(ROUNDS, -1, -1):
+            before, told = self.particles.select(np.arange(len(self.particles))), (self.eased, self.first_eased)
+            happened = self.drift_once(h, moment, False, CROWDED if left else NEVER_CROWDED)
+            if not left or not self.ranks.largest(float((self.particles["supported"] == CROWD).any()))[0]:
+                break
+            self.undo(before)
+            self.eased, self.first_eased = told
+            self.hold(h)
+            self.crowded_steps += left == ROUNDS
+        return happened
+
+    def undo(self, before: Particles) -> None:
+        """Everyone as before the drift. Collective."""
+        p = self.particles
+        moved = self.ranks.largest(float(not np.array_equal(p.id, before.id)))[0]
+        names = ["id", *(name for name in CHANGING if name in p.arrays and name != "supported")]
+        rows = {name: before[name] for name in names}
+        if moved:
+            rows = rows_of_everyone(self.ranks, rows)
+            order = np.argsort(rows["id"])
+            rows = rows_of(rows, order[np.searchsorted(rows["id"], p.id, sorter=order)])
+        for name in names:
+            p[name][:] = rows[name]
+
+    def drift_once(self, h: float, moment: float, stop: bool, crowded: int) -> Array:
+        """The same; particles with `crowded` quick contacts have no more."""
+        if self.divided and not stop:
+            if self.resting:
+                self.resting -= 1
+            else:
+                self.windows.engine.set_step(crowded, self.rates, self.soft)
+                happened = self.windows.drift(h, moment)
+                if happened is not None:
+                    self.rest = 1
+                    self.remember(moment, self.windows.engine)
+                    return happened
+                self.resting = self.rest
+                self.rest = min(2 * self.rest, LONGEST_REST)
+        self.whole.engine.set_step(crowded, self.rates, self.soft)
+        happened = self.whole.drift(h, moment, stop)
+        engine = self.whole.engine
+        if self.divided:
+            self.windows.engine.events = engine.events // self.ranks.size  # what a rank has to expect
+        self.stop[:], self.stopped[:] = engine.stop, engine.stopped
+        if self.ranks.is_root:  # all ranks saw the same
+            self.remember(moment, engine)
+        return happened * self.ranks.is_root
+
+    def remember(self, moment: float, engine: Engine) -> None:
+        """How many contacts took no energy, and which were the first."""
+        eased = int(engine.counts[SPARED])
+        self.eased += eased
+        if eased and not len(self.first_eased[1]):
+            self.first_eased = moment, engine.spared[:eased].copy()
+
+    def remarks(self) -> list[str]:
+        """What a user should be told at the end. Collective."""
+        told = self.ranks.gathered((self.eased, *self.first_eased))
+        eased = sum(number for number, _, _ in told)
+        crowds = []
+        if self.crowded_steps:
+            crowds = [f"collapsing crowds: in {self.crowded_steps} steps some contacts took all of the approach, as if e = 0"]
+        if not eased:
+            return crowds
+        moment = min(moment for _, moment, _ in told)
+        first = sorted(tuple(row) for _, begin, rows in told if begin == moment for row in rows)
+        pairs = [(int(a), int(b)) for _, a, b in first[:NAMED]]
+        cluster = set(pairs[0])
+        for pair in pairs:  # in order of time: a cluster grows from its first pair
+            if cluster & {member for member in pair if member >= 0}:
+                cluster |= set(pair)
+        ids, walls = [str(k) for k in sorted(cluster) if k >= 0], [str(-1 - k) for k in sorted(cluster) if k < 0]
+        where = f"particles {', '.join(ids)}" + (f" and wall {', '.join(walls)}" if walls else "")
+        return [
+            *crowds,
+            f"inelastic collapse: {eased} contacts within {self.soft:.3g} of the last one took no energy, "
+            f"the first in the step from t = {moment:g} among {where}",
+        ]
+
+
+class Whole:
+    """Every rank has all particles during a drift and computes all contacts: as fast as one rank, and nothing to agree on."""
+
+    def __init__(self, particles: Particles, ranks: Ranks, engine: Engine, timers: Timers):
+        self.engine, self.ranks, self.timers = engine, ranks, timers
+        self.replica = Replica(particles, ranks, [name for name in CHANGING if name in particles.arrays])
+        self.particles = self.replica.everyone
+        self.store = Store(self.particles)
+        self.version = -1
+        self.searches = 0
+
+    def drift(self, h: float, moment: float, stop: bool) -> Array:
+        """Of all particles; returns the (collisions, wall hits, missed) of all. Collective."""
+        p, engine = self.particles, self.engine
+        with self.timers("exchange"):
+            self.replica.gather()
+        with self.timers("pairs"):
+            if self.version != p.version or engine.moved > SETTLED * len(p):
+                if not np.isfinite(fastest(p.position, p.velocity)):
+                    raise StateError(not_finite(self.ranks, p, f"t = {moment:g}"))
+                self.settle()
+        with self.timers("search"):
+            moved, speed = engine.set_out(p, self.seat)
+            if not np.isfinite(speed):
+                raise StateError(not_finite(self.ranks, p, f"t = {moment:g}"))
+            if moved:
+                self.settle()
+                engine.set_out(p, self.seat)
+            engine.stop[:] = stop, -1, -1
+            engine.begin(h)
+        with self.timers("collide"):
+            engine.run(0.0, np.inf, moment)
+        with self.timers("drift"):
+            squeezed = engine.arrive()
+            engine.hand_over(p, self.seat)
+        with self.timers("exchange"):
+            self.replica.give_back()
+        return np.array([engine.counts[COLLISIONS], engine.counts[WALL_HITS], squeezed])
+
+    def settle(self) -> None:
+        """Rows sorted in space, with new homes, and all that goes with them."""
+        p = self.particles
+        self.store.adopt()
+        if len(p) > 1:
+            self.store.sort(order_in_space(p.position, bounds(p.position)))
+        self.engine.homes.settle(p.position, p.radius, p.inverse_mass)
+        self.engine.settle(p, len(p))
+        self.seat = np.arange(len(p), dtype=np.int32)
+        self.version = p.version
+        self.searches += 1

@@ -1,0 +1,1 @@
+"""Mode `rewind`: the contacts of a step are found pair by pair and done in a few passes."""

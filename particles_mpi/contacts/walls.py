@@ -1,0 +1,170 @@
+"""Planes that reflect spheres: contact at (x-p).n = R with v.n < 0, then v -= (1+e)(v.n) n. Scalars and arrays only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from particles_mpi.contacts.velocity_flow import change_of, row_of
+from particles_mpi.kernels.jit import kernel, lean_inner
+from particles_mpi.kernels.markers import NOBODY
+from particles_mpi.kernels.motion import move_to
+from particles_mpi.particles import Array
+
+MOST_BOUNCES = 1000  # of one particle in one step; past it (a wedge without end) it waits where it is for the next step
+
+
+@dataclass(frozen=True)
+class Planes:
+    """Walls as arrays: point and normal (w, d), restitution and keep (w,).
+
+    `lower`, `upper` (d,) are the innermost faces normal to an axis (-inf, inf where none): a particle whose drift ends
+    between them met none of those, which is all that most particles need to know. `oblique`: there are other planes too.
+    """
+
+    point: Array
+    normal: Array
+    restitution: Array
+    keep: Array
+    lower: Array
+    upper: Array
+    oblique: bool
+
+    @property
+    def lossy(self) -> Array:
+        """Which of them take energy, (w,)."""
+        return (self.restitution < 1.0) | (self.keep < 1.0)
+
+    def arrays(self) -> tuple[Array | bool, ...]:
+        return self.point, self.normal, self.restitution, self.keep, self.lower, self.upper, self.oblique
+
+
+@lean_inner
+def wall_distance(axes, x, i, w, point, normal):
+    """(x_i - p_w).n_w"""
+    distance = 0.0
+    for k in range(len(axes)):
+        distance += (x[i, k] - point[w, k]) * normal[w, k]
+    return distance
+
+
+@lean_inner
+def may_hit(axes, x, v, column, start, i, radius, h, lower, upper, oblique):
+    """Cheap and never wrong: False only if the leg of row i from `start` to h meets no wall.
+
+    Its velocity stands in `v` from `column` on, here as in all that follow: mode event has rows of both, x and v.
+    """
+    inside = not oblique
+    for k in range(len(axes)):
+        end = x[i, k] + v[i, column + k] * (h - start)
+        inside &= (end >= lower[k] + radius) & (end <= upper[k] - radius)
+    return not inside
+
+
+@lean_inner
+def wall_contact(axes, x, v, column, start, i, radius, met, h, point, normal):
+    """(time, wall) of the earliest wall contact of row i's leg in [start, h], lowest wall first; wall -1 if none.
+
+    The wall that this leg started from (`met` = -1 - wall) is left out: round-off must not hit it twice.
+    """
+    first = h
+    which = -1
+    for w in range(point.shape[0]):
+        speed = 0.0
+        for k in range(len(axes)):
+            speed += v[i, column + k] * normal[w, k]
+        if not speed < 0.0 or met == -1 - w:
+            continue
+        gap = wall_distance(axes, x, i, w, point, normal) - radius
+        t = start - gap / speed if gap > 0.0 else start
+        if t < first or (t == first and which < 0):
+            first = t
+            which = w
+    return first, which
+
+
+@lean_inner
+def bounce(axes, v, column, i, w, normal, restitution, keep, inverse_mass, t, rates):
+    """The law of a contact with wall w at time t: v -= (1+e)(v.n) n, then times keep. `law.exchange` is that of a pair."""
+    speed = 0.0
+    for k in range(len(axes)):
+        speed += v[i, column + k] * normal[w, k]
+    if len(rates.a) > 0 and bounce_at_contact(
+        v, column, i, w, normal, speed, restitution, keep, inverse_mass, t - rates.middle, rates
+    ):
+        return
+    after = speed - (1.0 + restitution) * speed
+    for k in range(len(axes)):
+        v[i, column + k] = keep * ((v[i, column + k] - speed * normal[w, k]) + after * normal[w, k])
+
+
+@lean_inner
+def bounce_at_contact(v, column, i, w, normal, speed, restitution, keep, inverse_mass, tau, rates):
+    """`bounce` of the velocity at the moment of contact, a time tau after the middle of the step: see `velocity_flow`.
+
+    `speed`: v.n of the leg. Returns False, and changes nothing, for a leg so slow that it would have come outwards at the
+    contact, or would leave it inwards.
+    """
+    a, at = rates.a, row_of(i, rates)
+    v2 = 0.0
+    for k in range(normal.shape[1]):
+        v2 += v[i, column + k] * v[i, column + k]
+    decay, push = change_of(i, v2, inverse_mass, tau, rates)
+    lead = 0.0
+    for k in range(normal.shape[1]):
+        lead += push * a[at, k] * normal[w, k]
+    real = decay * speed + lead
+    if not real < 0.0:
+        return False
+    take = (1.0 + restitution) * real
+    v2, along = 0.0, 0.0
+    for k in range(normal.shape[1]):
+        v2 += (keep * (decay * v[i, column + k] + push * a[at, k] - take * normal[w, k])) ** 2
+        along += a[at, k] * normal[w, k]
+    back, pull = change_of(i, v2, inverse_mass, -tau, rates)
+    back *= keep
+    if back * (real - take) + pull * along < 0.0 and lead != 0.0:
+        return False
+    after = speed - take / decay
+    left = back * push + pull  # 0 without a loss
+    for k in range(normal.shape[1]):
+        v[i, column + k] = back * decay * ((v[i, column + k] - speed * normal[w, k]) + after * normal[w, k]) + left * a[at, k]
+    return True
+
+
+@lean_inner
+def bounce_until(axes, x, v, s, met, i, radius, inverse_mass, h, point, normal, restitution, keep, rates):
+    """Take row i through all its wall contacts up to time h, at most MOST_BOUNCES; returns their number."""
+    for hits in range(MOST_BOUNCES):
+        t, w = wall_contact(axes, x, v, np.int64(0), s[i], i, radius, met, h, point, normal)
+        if w < 0:
+            return hits
+        move_to(axes, x, v, s, i, t)
+        bounce(axes, v, np.int64(0), i, w, normal, restitution[w], keep[w], inverse_mass, t, rates)
+        met = -1 - w
+    s[i] = h  # stays inside, at the last contact
+    return MOST_BOUNCES
+
+
+@kernel
+def drift_with_walls(axes, x, v, radius, inverse_mass, h, point, normal, restitution, keep, lower, upper, oblique, rates):
+    """x += v h, reflected by walls on the way. In place on x, v (n, d); returns the number of hits.
+
+    `inverse_mass` (n,), or no row where nothing depends on it.
+    """
+    hits = 0
+    s = np.zeros(len(x))  # when the last leg began
+    for i in range(len(x)):
+        if may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i], h, lower, upper, oblique):
+            w = inverse_mass[i] if len(inverse_mass) > 0 else 1.0
+            hits += bounce_until(axes, x, v, s, np.int64(NOBODY), i, radius[i], w, h, point, normal, restitution, keep, rates)
+        for k in range(len(axes)):
+            x[i, k] += v[i, k] * (h - s[i])
+    return hits
+
+
+def no_planes(dimension: int) -> Planes:
+    """No walls at all, for kernels that always take some."""
+    none, open_ = np.empty(0), np.full(dimension, np.inf)
+    return Planes(np.empty((0, dimension)), np.empty((0, dimension)), none, none, -open_, open_, False)

@@ -1,0 +1,265 @@
+"""Where the particles of `position = "random"` and `"lattice"` stand. Plain arrays; the same on every rank."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from math import exp, floor, inf, lgamma, log, pi, prod
+
+import numpy as np
+
+from particles_mpi.kernels.jit import inner, kernel
+from particles_mpi.particles import Array
+
+LEVELS = 10  # classes of radius, each half as large as the one before, with a cell grid each
+MOST_TRIES = 100_000  # in a row for one sphere: at packing 0.30 in 3D about 1 try in 1000 succeeds
+JAMMED = {1: 0.7476, 2: 0.547, 3: 0.384}  # packing at which random addition of equal spheres stops (literature)
+
+
+@dataclass(frozen=True)
+class Room:
+    """The space that centres may take: box (lower, upper; d,), `length` of periodic axes (else 0), planes point, normal (w, d).
+
+    `solid`: spheres may not overlap one another; `bounded`: they stay a radius away from faces that are not periodic.
+    """
+
+    lower: Array
+    upper: Array
+    length: Array
+    point: Array
+    normal: Array
+    solid: bool
+    bounded: bool
+
+
+def packing(radius: Array, room: Room) -> float:
+    """The part of the box that spheres take, were they all inside."""
+    d = len(room.lower)
+    volume = exp(0.5 * d * log(pi) - lgamma(0.5 * d + 1.0))
+    return float((radius / np.exp(np.log(room.upper - room.lower).mean())) ** d @ np.ones(len(radius))) * volume
+
+
+class RandomAddition:
+    """Random sequential addition: spheres are put at random points, one after the other, and those that overlap are redrawn.
+
+    Spheres are found by linked cells, a grid for each class of radius, so that few large spheres among many small ones
+    cost nothing. `x` (n, d), `radius` (n,) are those of all particles; `known` are rows that have their place already.
+    """
+
+    def __init__(self, room: Room, x: Array, radius: Array, known: Array):
+        self.room, self.x, self.radius = room, x, radius
+        largest = radius.max(initial=0.0)
+        ratio = np.divide(largest, radius, out=np.full(len(radius), np.inf), where=radius > 0.0)
+        self.level = np.clip(np.log2(ratio), 0, LEVELS - 1).astype(np.int64)
+        reach, cells = np.zeros(LEVELS), np.ones((LEVELS, 3), np.int64)
+        for k in range(LEVELS):
+            members = radius[self.level == k]
+            reach[k] = members.max(initial=0.0) if len(members) else -1.0
+            cells[k] = self.cells_of(len(members), 2.0 * reach[k])
+        first = np.concatenate([[0], np.cumsum(cells.prod(axis=1))])
+        self.head, self.next = np.full(first[-1], -1, np.int64), np.full(len(x), -1, np.int64)
+        self.grid = (reach, cells, first, room.lower, room.upper - room.lower)
+        if room.solid:
+            insert(x, known, self.level, self.head, self.next, *self.grid)
+
+    def cells_of(self, count: int, side: float) -> Array:
+        """Cells along three axes, of at least `side`, about two a sphere at most."""
+        extent = (self.room.upper - self.room.lower)[:3]
+        side = max(side, 1e-6 * float(extent.max()))
+        while prod(max(1, floor(e / side)) for e in extent) > 2 * count + 64:
+            side *= 1.2
+        cells = np.ones(3, np.int64)
+        cells[: len(extent)] = np.maximum(1, np.floor(extent / side))
+        return cells
+
+    def place(self, rows: Array, random: np.random.Generator) -> tuple[int, int]:
+        """Give `rows` their places, large ones first; returns (how many found one, tries)."""
+        room, tries, placed, failures = self.room, 0, 0, 0
+        order = rows[np.argsort(-self.radius[rows], kind="stable")]
+        budget = 5_000_000 + 200 * len(rows)
+        while placed < len(rows) and failures < MOST_TRIES and tries < budget:
+            u = random.random((min(max(len(rows) - placed, 1000), 100_000), self.x.shape[1]))
+            placed, failures = add_spheres(
+                self.x, self.radius, order, placed, failures, u, room.solid, room.bounded, room.length,
+                room.point, room.normal, self.level, self.head, self.next, *self.grid,
+            )  # fmt: skip
+            tries += len(u)
+        return placed, tries
+
+
+@inner
+def cell_at(position, lower, extent, cells):
+    """The cell of a coordinate, unlimited: below 0 or from `cells` on it lies outside the box."""
+    return int(np.floor((position - lower) / extent * cells))
+
+
+@inner
+def cells_within(k, y, far, lower, extent, cells, length):
+    """First and last cell of axis k within `far` of y: less than a box length beyond a periodic box, never beyond another."""
+    if k >= len(y) or cells == 1:
+        return 0, 0
+    low = cell_at(y[k] - far, lower[k], extent[k], cells)
+    high = cell_at(y[k] + far, lower[k], extent[k], cells)
+    if length[k] == 0.0:
+        return max(low, 0), min(high, cells - 1)
+    return (0, cells - 1) if high - low >= cells else (low, high)
+
+
+@kernel
+def insert(x, rows, level, head, after, reach, cells, first, lower, extent):
+    """Enter rows into the grids of their classes."""
+    for i in rows:
+        c = 0
+        for k in range(3):
+            m = cells[level[i], k]
+            at = min(max(cell_at(x[i, k], lower[k], extent[k], m), 0), m - 1) if k < x.shape[1] else 0
+            c = c * m + at
+        c += first[level[i]]
+        after[i] = head[c]
+        head[c] = i
+
+
+@inner
+def touches(y, r, x, radius, length, head, after, reach, cells, first, lower, extent):
+    """Whether a sphere of radius r at y would overlap one that has its place."""
+    for which in range(len(reach)):
+        far = (r + reach[which]) * (1.0 + 1e-9)
+        if reach[which] < 0.0 or far == 0.0:
+            continue
+        m0, m1, m2 = cells[which, 0], cells[which, 1], cells[which, 2]
+        a0, a1 = cells_within(np.int64(0), y, far, lower, extent, m0, length)
+        b0, b1 = cells_within(np.int64(1), y, far, lower, extent, m1, length)
+        c0, c1 = cells_within(np.int64(2), y, far, lower, extent, m2, length)
+        for a in range(a0, a1 + 1):
+            row_a = (a + m0 if a < 0 else a - m0 if a >= m0 else a) * m1
+            for b in range(b0, b1 + 1):
+                row = (row_a + (b + m1 if b < 0 else b - m1 if b >= m1 else b)) * m2 + first[which]
+                for c in range(c0, c1 + 1):
+                    j = head[row + (c + m2 if c < 0 else c - m2 if c >= m2 else c)]
+                    while j >= 0:
+                        r2 = 0.0
+                        for k in range(len(y)):
+                            gap = abs(y[k] - x[j, k])
+                            if length[k] > 0.0 and gap > 0.5 * length[k]:
+                                gap = length[k] - gap
+                            r2 += gap * gap
+                        if r2 < ((r + radius[j]) * (1.0 + 1e-12)) ** 2:
+                            return True
+                        j = after[j]
+    return False
+
+
+@kernel
+def add_spheres(
+    x, radius, order, placed, failures, u, solid, bounded, length, point, normal,
+    level, head, after, reach, cells, first, lower, extent,
+):  # fmt: skip
+    """Try the points u (t, d) of the unit cube in turn; returns (spheres placed, failures in a row at the end)."""
+    d = x.shape[1]
+    y = np.zeros(d)
+    for t in range(len(u)):
+        if placed == len(order) or failures >= MOST_TRIES:
+            break
+        i = order[placed]
+        r = radius[i]
+        free = True
+        for k in range(d):
+            margin = r if bounded and length[k] == 0.0 else 0.0
+            y[k] = lower[k] + margin + u[t, k] * (extent[k] - 2.0 * margin)
+        for w in range(len(point)):
+            gap = 0.0
+            for k in range(d):
+                gap += (y[k] - point[w, k]) * normal[w, k]
+            free = free and gap >= r * (1.0 - 1e-12)
+        if free and solid:
+            free = not touches(y, r, x, radius, length, head, after, reach, cells, first, lower, extent)
+        if not free:
+            failures += 1
+            continue
+        for k in range(d):
+            x[i, k] = y[k]
+        if solid:
+            insert(x, order[placed : placed + 1], level, head, after, reach, cells, first, lower, extent)
+        placed += 1
+        failures = 0
+    return placed, failures
+
+
+def thinned(sites: int, count: int) -> Array:
+    """`count` of the sites, evenly."""
+    return np.arange(count, dtype=np.int64) * sites // max(count, 1)
+
+
+def lattice(count: int, radius: float, room: Room) -> Array | None:
+    """`count` centres, evenly in the box: simple cubic if spheres of `radius` fit so, else face-centred (hexagonal in 2D).
+
+    None if neither fits.
+    """
+    if count == 0:
+        return np.empty((0, len(room.lower)))
+    diameter = 2.0 * radius if room.solid else 0.0
+    cubic = simple_cubic(count, diameter, room, radius if room.bounded else 0.0)
+    return cubic if cubic is not None or len(room.lower) not in (2, 3) else face_centred(count, radius, room)
+
+
+def simple_cubic(count: int, diameter: float, room: Room, margin: float) -> Array | None:
+    """Centres of equal cells; a cell is never narrower than a sphere."""
+    extent = (room.upper - room.lower).tolist()
+    closed = [length == 0.0 for length in room.length.tolist()]
+    least = [max(diameter, 2.0 * margin if c else 0.0) for c in closed]
+    most = [floor(e / s * (1.0 + 1e-12)) if s > 0.0 else inf for e, s in zip(extent, least)]
+    if min(most) < 1:
+        return None
+    scale = exp((log(count) - sum(map(log, extent))) / len(extent))
+    cells = [int(min(max(1, floor(e * scale)), m)) for e, m in zip(extent, most)]
+    while prod(cells) < count:
+        widths = [e / c if c < m else 0.0 for e, c, m in zip(extent, cells, most)]
+        k = int(np.argmax(widths))
+        if widths[k] == 0.0:
+            return None
+        cells[k] += 1
+    x = np.empty((count, len(extent)))
+    site = thinned(prod(cells), count)
+    for k in reversed(range(len(extent))):
+        x[:, k] = room.lower[k] + (site % cells[k] + 0.5) * (extent[k] / cells[k])
+        site //= cells[k]
+    return x
+
+
+def face_centred(count: int, radius: float, room: Room) -> Array | None:
+    """Every second site of a grid of layers q_k at spacing h_k: neighbours are sqrt(h_k^2 + h_m^2) and 2 h_k apart.
+
+    Equal h in 3D is the fcc lattice, h_1 = sqrt(3) h_0 in 2D the hexagonal one. Of all numbers of layers near those of
+    the ideal lattice, the ones that keep spheres furthest apart are taken.
+    """
+    extent, closed = room.upper - room.lower, room.length == 0.0
+    free = np.where(closed, extent - 2.0 * radius, extent)
+    if (free < -1e-12 * extent).any():
+        return None
+    free, d = np.maximum(free, 0.0), len(extent)
+    ideal = extent / (prod(extent.tolist()) / (2.0 * count)) ** (1.0 / d)
+    choices = []
+    for q, shut in zip(ideal, closed, strict=True):
+        near = np.unique(np.concatenate([np.arange(-20, 21) + round(q), np.linspace(0.5, 2.0, 30) * q]).astype(np.int64))
+        choices.append([int(m) for m in near if m >= 1 and (shut or m % 2 == 0)])
+    best: tuple[float, tuple[int, ...], Array] | None = None
+    for head in product(*choices[:-1]):
+        rest = max(1, -(-2 * count // prod(head)) - 1)
+        while (prod(head) * rest + 1) // 2 < count or (not closed[-1] and rest % 2):
+            rest += 1
+        layers = (*head, rest)
+        gaps = np.array([q - 1 if shut else q for q, shut in zip(layers, closed, strict=True)])
+        h = np.divide(free, gaps, out=np.full(d, 1e100), where=gaps > 0)
+        near = np.partition(h, 1)
+        apart = min(float(np.hypot(near[0], near[1])), 2.0 * float(h[gaps > 1].min(initial=inf)))
+        if best is None or apart > best[0] * (1.0 + 1e-12):
+            best = apart, layers, h
+    if best is None or best[0] < 2.0 * radius * (1.0 - 1e-12):
+        return None
+    _, layers, h = best
+    site = np.indices(layers).reshape(d, -1).T
+    site = site[site.sum(axis=1) % 2 == 0]
+    site = site[thinned(len(site), count)]
+    single = (np.array(layers) == 1) & closed
+    start = room.lower + np.where(closed, radius, 0.25 * h)
+    return np.where(single, 0.5 * (room.lower + room.upper), start + site * h)

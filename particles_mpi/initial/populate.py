@@ -1,0 +1,380 @@
+"""The particles at the start of a scene: all of them, in id order, the same on every rank.
+
+Random numbers are keyed by (seed, population, quantity), so that changing the radii of one population leaves its
+velocities, and all other populations, as they were.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import warnings as python_warnings
+from collections.abc import Mapping
+from itertools import pairwise
+from math import inf
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from particles_mpi.errors import SceneError
+from particles_mpi.initial.checks import check_start, listed, periodic_length
+from particles_mpi.initial.placement import JAMMED, MOST_TRIES, RandomAddition, Room, lattice, packing
+from particles_mpi.initial.plummer import plummer_places, plummer_velocities
+from particles_mpi.particles import ALWAYS, FIELDS, Array, Particles, default_values
+from particles_mpi.scene.schema import LARGEST, Population, Scene, faults_of
+
+STREAMS = {name: k for k, name in enumerate(("position", "velocity", "speed", "radius", "mass", "drag"))}
+
+
+def populate(scene: Scene) -> tuple[Particles, list[str]]:
+    """(particles, warnings) of a scene; raises SceneError with one line for each fault.
+
+    Row i is the particle with id i. Deterministic from `scene.seed`, and without communication.
+    """
+    try:
+        with np.errstate(over="ignore", under="ignore"):
+            return Populator(scene, dict(enumerate(scene.particles))).populate()
+    except MemoryError:
+        raise SceneError("particles: not enough memory for them") from None
+
+
+def fields_of(scene: Scene) -> list[str]:
+    """Names of the per-particle fields that a scene needs."""
+    extra = {name for effect in scene.effects for name in effect_class(effect).fields}
+    if scene.time.integrator == "taylor":
+        extra.add("rate")
+    keeps = keeps_contacts(scene, scene.effects)
+    if "collisions" in scene.effects and (scene.effects["collisions"].mode == "event" or keeps):
+        extra.add("contacted")
+    if scene.output.observables:
+        extra.add("virial")
+    if keeps:
+        extra.add("supported")
+    forces = [effect_class(effect) for effect in scene.effects if effect_class(effect).role == "force"]
+    contacts, differ = {"collisions", "walls"} & scene.effects.keys(), not all(getattr(f, "uniform", False) for f in forces)
+    if contacts and (differ or keeps):
+        extra.add("total_acceleration")
+    return [name for name in FIELDS if name in ALWAYS or name in extra]
+
+
+def keeps_contacts(scene: Scene, effects: dict[str, Any]) -> bool:
+    """Are there, among these effects, forces that press particles together or onto walls, and contacts that take energy?"""
+    if scene.time.integrator != "leapfrog" or not any(effect_class(name).role == "force" for name in effects):
+        return False
+    contacts = [effect_class(name)(effects[name], scene) for name in ("collisions", "walls") if name in effects]
+    return any(contact.lossy for contact in contacts)
+
+
+def effect_class(name: str) -> Any:
+    return importlib.import_module(f"particles_mpi.effects.{name}").Effect
+
+
+def room_of(scene: Scene) -> Room:
+    """Box and walls of a scene as arrays; an open side is infinite."""
+    d = scene.dimension
+    lower, upper = np.full(d, -inf), np.full(d, inf)
+    if scene.box is not None:
+        lower, upper = np.array(scene.box.lower, float), np.array(scene.box.upper, float)
+    point, normal = np.empty((0, d)), np.empty((0, d))
+    if "walls" in scene.effects:
+        planes = effect_class("walls")(scene.effects["walls"], scene).planes
+        point, normal = planes.point, planes.normal
+    solid = "collisions" in scene.effects
+    return Room(lower, upper, periodic_length(scene), point, normal, solid, solid or len(point) > 0)
+
+
+def add_population(
+    scene: Scene, everyone: Particles, table: Mapping[str, Any], next_id: int, number: int
+) -> tuple[Particles, list[str]]:
+    """(all particles with those of one more population behind them, warnings); the same on every rank.
+
+    `everyone`: those that are there, in id order; `table`: the keys of a `[[particles]]` table, whose values may be arrays,
+    and fields of the user's own. `number` tells this population from others, in messages and in random numbers.
+    """
+    key = f"particles[{number}]"
+    plain = {name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value for name, value in table.items()}
+    own = {name: plain.pop(name) for name in everyone.arrays.keys() - FIELDS.keys() if name in plain}
+    try:
+        population = Population.model_validate(plain)
+    except ValidationError as error:
+        raise SceneError(faults_of(error, Population, (key,))) from None
+    faults = scene.population_faults(key, population)
+    if faults:
+        raise SceneError(faults)
+    before = len(everyone)
+    with np.errstate(over="ignore", under="ignore"):
+        particles, warnings = Populator(scene, {number: population}, everyone, next_id).populate()
+    for name, value in own.items():
+        try:
+            particles[name][before:] = value
+        except ValueError:
+            raise SceneError(f"{key}.{name}: not a value for each of {len(particles) - before} particles") from None
+    return particles, warnings
+
+
+class Populator:
+    """Builds populations (by their number) one quantity after the other, and collects faults on the way.
+
+    `there`: particles that are there already, in id order; the new ones get ids from `next_id` on.
+    """
+
+    def __init__(self, scene: Scene, populations: dict[int, Population], there: Particles | None = None, next_id: int = 0):
+        self.scene, self.populations, self.there, self.next_id = scene, populations, there, next_id
+        self.faults: list[str] = []
+        self.files: dict[tuple[int, str], Array] = {}
+
+    def populate(self) -> tuple[Particles, list[str]]:
+        scene = self.scene
+        self.check_numbers()
+        counts = [self.count_of(number, p) for number, p in self.populations.items()]
+        self.stop_if_faulty()
+        self.check_memory(counts)
+        before = 0 if self.there is None else len(self.there)
+        ends = before + np.cumsum([0, *counts])
+        n, d = int(ends[-1]), scene.dimension
+        self.arrays = {name: default_values(name, n, d) for name in fields_of(scene)}
+        for name, column in self.there.arrays.items() if self.there is not None else ():
+            if name not in self.arrays:  # attached by the user
+                self.arrays[name] = np.zeros((n, *column.shape[1:]), column.dtype)
+            self.arrays[name][:before] = column
+        self.arrays["id"][before:] = self.next_id + np.arange(n - before)
+        self.rows = {number: slice(int(a), int(b)) for number, (a, b) in zip(self.populations, pairwise(ends))}
+        for number, population in self.populations.items():
+            self.scalars(number, population)
+        self.stop_if_faulty()
+        room = room_of(scene)
+        self.positions(room)
+        for number, population in self.populations.items():
+            self.velocities(number, population)
+        self.stop_if_faulty()
+        particles = Particles(d, self.arrays)
+        self.faults, warnings = check_start(scene, particles, room, before)
+        self.stop_if_faulty()
+        return particles, warnings
+
+    def stop_if_faulty(self) -> None:
+        if self.faults:
+            raise SceneError(self.faults)
+
+    def check_numbers(self) -> None:
+        if self.scene.seed >= 2**64:
+            self.faults.append("seed: must be below 2^64")
+        if self.scene.box is not None and max(map(abs, self.scene.box.lower + self.scene.box.upper)) > LARGEST:
+            self.faults.append(f"box: a number is beyond {LARGEST:g}")
+        elif self.scene.box is not None:
+            edges = np.subtract(self.scene.box.upper, self.scene.box.lower)
+            if not 1.0 / LARGEST < edges.prod() < inf:
+                self.faults.append(f"box: its volume {edges.prod():g} is too small or too large to count with")
+
+    def check_memory(self, counts: list[int]) -> None:
+        """A count with a zero too many should be a fault, and not a killed process."""
+        total = sum(counts)
+        need = total * 8 * (4 + 3 * self.scene.dimension)
+        have = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        if need > have or total > 2**31 - 1:
+            k = list(self.populations)[int(np.argmax(np.array(counts, float)))]
+            raise SceneError(
+                f"particles[{k}].count: {total} particles in all need {need / 1e9:.3g} GB, this machine has {have / 1e9:.3g} GB"
+            )
+
+    def random(self, number: int, quantity: str) -> np.random.Generator:
+        """The stream of one quantity of one population."""
+        key = np.array([self.scene.seed, number * len(STREAMS) + STREAMS[quantity]], np.uint64)
+        return np.random.Generator(np.random.Philox(key=key))
+
+    def count_of(self, number: int, population: Population) -> int:
+        """Particles of a population: `count`, or the length of its lists, which must agree."""
+        lengths: dict[str, int] = {}
+        for name in ("position", "velocity", "radius", "mass", "fixed", "drag", "acceleration"):
+            value = getattr(population, name)
+            if isinstance(value, dict) and "file" in value:
+                table = self.read(f"particles[{number}].{name}", value["file"])
+                if table is None:
+                    return 0
+                self.files[number, name] = table
+                lengths[name] = len(table)
+            elif isinstance(value, list) and (name not in ("velocity", "acceleration") or (value and isinstance(value[0], list))):
+                lengths[name] = len(value)
+        if population.count is not None:
+            lengths = {"count": population.count, **lengths}
+        if not lengths:
+            self.faults.append(f"particles[{number}].count: missing")
+            return 0
+        reference, count = next(iter(lengths.items()))
+        for name, length in lengths.items():
+            if length != count:
+                told = f"count = {count}" if reference == "count" else f"{reference} has {count}"
+                self.faults.append(f"particles[{number}].{name}: {length} entries, but {told}")
+        return count
+
+    def read(self, key: str, name: str) -> Array | None:
+        """The first d columns of a CSV file; a first line that is no number is a header."""
+        path, d = self.scene.folder / name, self.scene.dimension
+        try:
+            with open(path, encoding="utf-8") as file:
+                first = file.readline().split(",")[0].strip()
+            try:
+                float(first)
+                header = 0
+            except ValueError:
+                header = 1
+            with python_warnings.catch_warnings():
+                python_warnings.simplefilter("ignore", UserWarning)  # an empty file: told below
+                table = np.loadtxt(path, delimiter=",", skiprows=header, usecols=range(d), ndmin=2, encoding="utf-8")
+        except OSError as error:
+            self.faults.append(f"{key}: {path} cannot be read ({error.strerror})")
+        except ValueError as error:
+            self.faults.append(f"{key}: {path}: {' '.join(str(error).split())}")
+        else:
+            bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
+            if len(bad):
+                self.faults.append(f"{key}: {path}: {listed((bad + 1 + header).tolist(), 'line')} not finite")
+            elif not len(table):
+                self.faults.append(f"{key}: {path} holds no rows")
+            else:
+                return table
+        return None
+
+    def scalars(self, number: int, population: Population) -> None:
+        """radius, mass, fixed, and the fields of effects."""
+        key, rows, arrays = f"particles[{number}]", self.rows[number], self.arrays
+        arrays["fixed"][rows] = population.fixed
+        self.fill(number, "radius", population.radius)
+        self.fill(number, "mass", 1.0 if population.mass is None else population.mass)
+        if "drag" in arrays:
+            self.fill(number, "drag", self.scene.effects["drag"].rate if population.drag is None else population.drag)
+            self.refuse(f"{key}.drag", rows, arrays["drag"][rows] < 0.0, "negative for")
+        if "acceleration" in arrays and population.acceleration is not None:
+            self.fill(number, "acceleration", population.acceleration)
+        self.refuse(f"{key}.radius", rows, arrays["radius"][rows] < 0.0, "negative for")
+        self.refuse(f"{key}.mass", rows, arrays["mass"][rows] < 0.0, "negative for")
+        massless = arrays["mass"][rows] == 0.0
+        for name in self.scene.effects:
+            effect = effect_class(name)
+            if getattr(effect, "divides_by_mass", False):
+                needy = massless if effect.role == "dissipation" else massless & (arrays["fixed"][rows] == 0)
+                self.refuse(f"{key}.mass", rows, needy, f"0, but [effects.{name}] divides by it, for")
+
+    def fill(self, number: int, name: str, value: Any) -> None:
+        """A field of a population from a number, a list or a range."""
+        rows = self.rows[number]
+        if isinstance(value, dict):
+            u = self.random(number, name).random(rows.stop - rows.start)
+            value = value["min"] + u * (value["max"] - value["min"])
+        try:
+            self.arrays[name][rows] = np.asarray(value, float)
+        except OverflowError:
+            value = LARGEST * 2.0
+            self.arrays[name][rows] = value
+        self.refuse(f"particles[{number}].{name}", rows, np.abs(self.arrays[name][rows]) > LARGEST, f"beyond {LARGEST:g} for")
+        if name == "mass":  # 1/m must be a number too
+            light = (self.arrays[name][rows] > 0.0) & (self.arrays[name][rows] < 1.0 / LARGEST)
+            self.refuse(f"particles[{number}].mass", rows, light, f"below {1.0 / LARGEST:g} for")
+
+    def refuse(self, key: str, rows: slice, bad: Array, why: str) -> None:
+        """A fault that names the particles of `rows` that are `bad` (n,) or (n, d)."""
+        which = np.flatnonzero(bad.any(axis=1) if bad.ndim == 2 else bad)
+        if len(which):
+            self.faults.append(f"{key}: {why} {listed(self.arrays['id'][rows][which])}")
+
+    def positions(self, room: Room) -> None:
+        """Lists and files first, then lattices, then random places around them, the largest spheres first."""
+        x, radius, scattered = self.arrays["position"], self.arrays["radius"], []
+        known = np.ones(len(x), bool)
+        for number, population in self.populations.items():
+            rows = self.rows[number]
+            if population.position == "random":
+                scattered.append(number)
+                known[rows] = False
+            elif population.position == "lattice":
+                places = lattice(rows.stop - rows.start, float(radius[rows].max(initial=0.0)), room)
+                if places is None:
+                    self.faults.append(
+                        f"particles[{number}].position: lattice: {rows.stop - rows.start} spheres do not fit"
+                        f" (packing fraction {packing(radius[rows], room):.3g})"
+                    )
+                else:
+                    x[rows] = places
+            elif isinstance(population.position, dict) and "plummer" in population.position:
+                random = self.random(number, "position")
+                x[rows] = plummer_places(random, population.position["plummer"], self.arrays["mass"][rows])
+            else:
+                self.fill(number, "position", self.files.get((number, "position"), population.position))
+        self.stop_if_faulty()
+        if scattered:
+            self.scatter(room, scattered, np.flatnonzero(known))
+
+    def scatter(self, room: Room, numbers: list[int], known: Array) -> None:
+        radius, d = self.arrays["radius"], self.scene.dimension
+        addition = RandomAddition(room, self.arrays["position"], radius, known)
+        fraction = packing(radius, room)
+        for number in sorted(numbers, key=lambda k: -radius[self.rows[k]].max(initial=0.0)):
+            key, rows = f"particles[{number}].position: random", self.rows[number]
+            count, own = rows.stop - rows.start, radius[rows]
+            wide = np.flatnonzero((room.length == 0.0) & (2.0 * own.max(initial=0.0) > room.upper - room.lower))
+            if room.bounded and len(wide):
+                self.faults.append(f"{key}: spheres of radius {own.max():g} do not fit into the box on axis {wide[0]}")
+                return
+            same = count and own.min() == own.max()
+            if room.solid and same and count > 1000 and packing(own, room) > JAMMED.get(d, inf):
+                self.faults.append(
+                    f"{key}: {count} spheres have packing fraction {packing(own, room):.3g}, above the {JAMMED[d]} at which"
+                    " random places run out; use lattice, or fewer or smaller spheres"
+                )
+                return
+            placed, tries = addition.place(np.arange(rows.start, rows.stop), self.random(number, "position"))
+            if placed < count:
+                self.faults.append(
+                    f"{key}: only {placed} of {count} spheres fit after {max(tries, MOST_TRIES)} tries"
+                    f" (packing fraction {fraction:.3g}); use lattice, or fewer or smaller spheres"
+                )
+                return
+
+    def velocities(self, number: int, population: Population) -> None:
+        """Explicit, or drawn; fixed particles have none."""
+        rows, value, key = self.rows[number], population.velocity, f"particles[{number}].velocity"
+        v, d = self.arrays["velocity"][rows], self.scene.dimension
+        fixed = self.arrays["fixed"][rows] != 0
+        if value is None or not len(v):
+            return
+        if value == "equilibrium":
+            gravity = self.scene.effects["mutual_gravity"]
+            G = self.scene.G if gravity.G is None else gravity.G
+            x, mass = self.arrays["position"][rows], self.arrays["mass"][rows]
+            v[:] = plummer_velocities(self.random(number, "velocity"), x, population.position["plummer"], mass, G)
+            v[fixed] = 0.0
+            return
+        if isinstance(value, list) or "file" in value:
+            self.fill(number, "velocity", self.files.get((number, "velocity"), value))
+            self.refuse(key, rows, fixed & (v != 0.0).any(axis=1), "not zero, but fixed:")
+            return
+        if fixed.all() and value not in ({"speed": 0}, {"temperature": 0}):
+            self.refuse(key, rows, fixed, "given, but fixed:")
+            return
+        direction = self.random(number, "velocity").standard_normal((len(v), d))
+        if "temperature" in value:
+            self.warm(key, rows, float(value["temperature"]), direction)
+        else:
+            speed = value["speed"]
+            if isinstance(speed, dict):
+                speed = speed["min"] + self.random(number, "speed").random(len(v)) * (speed["max"] - speed["min"])
+            norm = np.sqrt((direction**2).sum(axis=1))
+            v[:] = direction * (speed / np.where(norm > 0.0, norm, 1.0))[:, None]
+        v[fixed] = 0.0
+        self.refuse(key, rows, ~(np.abs(v) <= LARGEST), f"beyond {LARGEST:g} for")
+
+    def warm(self, key: str, rows: slice, temperature: float, normal: Array) -> None:
+        """Maxwellian: variance T/m a component, without drift of the whole, and scaled so that sum m v^2 = d N T."""
+        mass, movable = self.arrays["mass"][rows], self.arrays["fixed"][rows] == 0
+        self.refuse(key, rows, movable & (mass == 0.0), "a temperature needs a mass:")
+        if self.faults:
+            return
+        m = mass[movable][:, None]
+        v = normal[movable] * np.sqrt(temperature / m)
+        if len(v) > 1:
+            v -= (m * v).sum(axis=0) / m.sum()
+            energy = float((m * v**2).sum())
+            if energy > 0.0:
+                v *= np.sqrt(v.size * temperature / energy)
+        self.arrays["velocity"][rows][movable] = v

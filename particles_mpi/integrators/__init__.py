@@ -1,0 +1,1 @@
+"""How time goes on: each integrator is a sequence of kicks and drifts."""

@@ -1,0 +1,213 @@
+"""The integrator `adaptive`: close encounters to round-off, by steps as long as the forces of the moment allow.
+
+Collocation at the eight Gauss-Radau nodes of a step, order 15 (E. Everhart, in Dynamics of Comets, 1985; the choice of the
+step follows H. Rein and D. S. Spiegel, MNRAS 446, 1424, 2015): the acceleration is a polynomial of the time whose values at
+the nodes are those at the positions it leads to, found by iteration. Its highest coefficient over the largest
+acceleration, to the power 1/7, tells how long the step may be.
+
+Round-off bounds what that coefficient can tell: far from the origin, or where bodies are close, coordinates round the
+accelerations, and no step is short enough to make the coefficient small (D. Pham, H. Rein, D. S. Spiegel, Open J.
+Astrophys. 7, 2024, show how steps then shrink for ever). So the round-off of the accelerations is measured at the start of
+each step, by one more evaluation, at positions moved by their own round-off. Below it the iteration has converged, and what
+it makes of the highest coefficient is the least tolerance. Positions carry their round-off along (Kahan's sum).
+
+A scene's step is cut into as many of these as it takes and ends exactly where it should. Nothing is kept from one to the
+next but the state, so that a resumed run has the same bits.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from particles_mpi.errors import StateError
+from particles_mpi.integrators.integrator import Drift, Forces
+from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.particles import Array, Particles
+from particles_mpi.scene.schema import TOLERANCES
+from particles_mpi.timers import Timers
+
+NODES = 8
+TOLERANCE = 1e-9  # of the highest coefficient over the largest acceleration, where a scene gives none
+MOST_ITERATIONS = 12
+SHAKEN = 32.0  # units in the last place by which a coordinate is moved, at most, to see what its round-off does
+ROUNDED = float(np.finfo(float).eps)  # round-off of a sum of forces, relative to the largest acceleration
+CAUTION = 10.0  # times the change that the next iteration is expected to make
+NOISY = 8.0  # times the round-off: changes from one iteration to the next that are nothing else
+STALLED, DIVERGED = 1e-10, 1e-8  # of the largest acceleration: changes that need not shrink any more, and that must
+SAFE, SHRINK, GROW = 0.25, 0.1, 4.0  # a step is taken if the next may be at least SAFE as long; bounds on the change
+SHORTEST = 1e-11  # of a step of the scene: where masses meet head on there is no end to it
+BLIND, MOST_BLIND = 4.0, 100  # times the largest tolerance: round-off that hides the motion; tries in a row before that is an end
+FAR = 1.5  # times the last step: for longer ones its polynomial is no guess
+
+
+def radau() -> tuple[Array, Array, Array, Array, Array, Array]:
+    """(nodes c in [0, 1), velocity (8, 8), position (8, 8), the same at the end (8,) twice, Lagrange polynomials (8, powers)).
+
+    velocity[i, j]: integral of the Lagrange polynomial of node j from 0 to c_i; position: the integral of that.
+    """
+    wide = np.longdouble
+    c = np.sort(legendre.legroots([0.0] * (NODES - 1) + [1.0, 1.0])).astype(wide)  # P_7 + P_8: -1 is one of the roots
+    for _ in range(4):
+        c -= (_legendre(NODES - 1, c)[0] + _legendre(NODES, c)[0]) / (_legendre(NODES - 1, c)[1] + _legendre(NODES, c)[1])
+    c = (c + 1) / 2
+    c[0] = 0
+    lagrange = np.zeros((NODES, NODES), wide)  # of powers of the time
+    for j in range(NODES):
+        poly = np.ones(1, wide)
+        for k in range(NODES):
+            if k != j:
+                poly = np.convolve(poly, np.array([-c[k], 1], wide)) / (c[j] - c[k])
+        lagrange[j] = poly
+    powers = np.arange(NODES)
+    ends = np.append(c, wide(1))
+    once = np.array([[(lagrange[j] * t ** (powers + 1) / (powers + 1)).sum() for j in range(NODES)] for t in ends])
+    twice = np.array(
+        [[(lagrange[j] * t ** (powers + 2) / ((powers + 1) * (powers + 2))).sum() for j in range(NODES)] for t in ends]
+    )
+    once, twice = once.astype(float), twice.astype(float)
+    return c.astype(float), once[:-1], twice[:-1], once[-1], twice[-1], lagrange.astype(float)
+
+
+def _legendre(n: int, t: Array) -> tuple[Array, Array]:
+    """P_n and its derivative at t, by the recurrence."""
+    before, now = np.ones_like(t), t
+    for k in range(1, n):
+        before, now = now, ((2 * k + 1) * t * now - k * before) / (k + 1)
+    inner = np.where(np.abs(t * t - 1) < 1e-12, 1, t * t - 1)
+    slope = np.where(np.abs(t * t - 1) < 1e-12, t ** (n + 1) * (n * (n + 1)) / 2, n * (t * now - before) / inner)
+    return now, slope
+
+
+def combine(weights: Array, at: Array) -> Array:
+    """sum_j weights[j] at[j], one after the other: a BLAS product has other bits for another number of rows."""
+    total = weights[0] * at[0]
+    for weight, a in zip(weights[1:], at[1:], strict=True):
+        total += weight * a
+    return np.asarray(total)
+
+
+def add(total: Array, lost: Array, change: Array) -> None:
+    """total + lost += change, in place, where total is rounded and lost is what that took away (D. E. Knuth, TAOCP 2, 4.2.2)."""
+    change = change + lost
+    rounded = total + change
+    part = rounded - total
+    lost[:] = (total - (rounded - part)) + (change - part)
+    total[:] = rounded
+
+
+def random_signs(ids: Array, axes: int, number: int) -> Array:
+    """Numbers in [-1, 1), shape (n, axes), that depend on the id, the axis and `number` alone: a multiplicative hash."""
+    k: Array = ids.astype(np.uint64)[:, None] * np.uint64(axes) + np.arange(axes, dtype=np.uint64)
+    k = (k + np.array(number << 32, np.uint64)) * np.uint64(0x9E3779B97F4A7C15)
+    k = (k ^ (k >> np.uint64(32))) * np.uint64(0xD6E8FEB86659FD93)
+    return np.asarray((k >> np.uint64(11)).astype(float) * 2.0**-52 - 1.0)
+
+
+def still_to_come(change: float, before: float) -> float:
+    """What the next iteration would change if changes go on shrinking as from `before` to `change`; with caution."""
+    return min(change, CAUTION * change * (change / before)) if np.isfinite(before) else change
+
+
+class Adaptive:
+    """Order 15, with steps of its own choice; `substeps` counts those taken, `rejected` those that were too long."""
+
+    def __init__(self, ranks: Ranks, tolerance: float):
+        self.ranks, self.tolerance = ranks, tolerance
+        self.c, self.once, self.twice, self.once_end, self.twice_end, self.lagrange = radau()
+        self.gain = 4.0 * float(np.sqrt((self.lagrange[:, -1] ** 2).sum()))  # of round-off, in the highest coefficient
+        self.substeps = self.rejected = 0
+
+    def advance(self, particles: Particles, h: float, forces: Forces, drift: Drift, timers: Timers) -> None:
+        """All substeps of a step. What is known of the last one serves the next, within this step."""
+        done, length = 0.0, h
+        self.before: tuple[Array, float, float] | None = None
+        self.lost = np.zeros_like(particles.position)
+        self.tries = self.blind = 0
+        while done < h:
+            left = h - done
+            length = left if length >= left else min(length, 0.5 * left)  # no crumb at the end
+            next_length = self.substep(particles, length, forces, timers)
+            self.tries += 1
+            if next_length >= SAFE * length:
+                done = h if length == left else done + length
+                self.substeps += 1
+            else:
+                self.rejected += 1
+            if done < h and (not next_length > SHORTEST * h or self.blind > MOST_BLIND):
+                raise StateError(
+                    f"time.integrator: {done:.6g} into it, steps get shorter than {next_length:.2g}: "
+                    f"{self.who_meets(particles, self.forces(forces, particles.position))}; softening helps"
+                )
+            length = next_length
+        with timers("drift"):
+            drift(0.0)  # whatever belongs to the end of a drift
+
+    def substep(self, particles: Particles, h: float, forces: Forces, timers: Timers) -> float:
+        """Try a step of length h; returns how long the next one may be. If that is too short, nothing has changed."""
+        x, v = particles.position, particles.velocity
+        x0 = x.copy()
+        with timers("forces"):
+            a = self.forces(forces, x)
+            x += SHAKEN * np.spacing(np.abs(x)) * random_signs(particles.id, x.shape[1], self.tries)
+            noise = float(np.abs(self.forces(forces, x) - a).max(initial=0.0)) / SHAKEN
+            at = self.guess(a, h)
+            change = np.inf
+            for _ in range(MOST_ITERATIONS):
+                largest = 0.0
+                before, change = change, 0.0
+                for i in range(1, NODES):
+                    x[:] = x0 + (self.lost + (h * self.c[i] * v + h * h * combine(self.twice[i], at)))
+                    new = self.forces(forces, x)
+                    change = max(change, float(np.abs(new - at[i]).max(initial=0.0)))
+                    largest = max(largest, float(np.abs(new).max(initial=0.0)))
+                    at[i] = new
+                top = np.abs(combine(self.lagrange[:, -1], at)).max(initial=0.0)
+                largest, change, top, noise = self.ranks.largest(np.array([largest, change, top, noise]))
+                round_off, left = noise + ROUNDED * largest, still_to_come(change, before)
+                if not left > round_off or (change >= before and change < max(STALLED * largest, NOISY * round_off)):
+                    break
+            x[:] = x0
+            self.blind = self.blind + 1 if self.gain * round_off > BLIND * TOLERANCES[1] * largest else 0
+            least = min(self.gain * round_off, TOLERANCES[1] * largest)  # that the highest coefficient can tell
+            if not np.isfinite(change) or left > max(DIVERGED * largest, NOISY * least / self.gain):  # far too long
+                return SHRINK * h
+        factor = (max(self.tolerance * largest, least) / top) ** (1.0 / 7.0) if top > 0.0 else GROW
+        self.before = at, h, float(factor >= SAFE)
+        if factor >= SAFE:
+            add(x, self.lost, h * v + h * h * combine(self.twice_end, at))
+            v += h * combine(self.once_end, at)
+        return h * float(np.clip(factor, SHRINK, GROW))
+
+    def guess(self, a: Array, h: float) -> Array:
+        """Accelerations at the nodes of a step that begins with a: the last polynomial goes on, if not for too long."""
+        if self.before is None or h > FAR * self.before[1]:
+            return np.repeat(a[None], NODES, axis=0)
+        at, length, begin = self.before
+        moments = begin + self.c * (h / length)
+        weights = (moments[:, None] ** np.arange(NODES)) @ self.lagrange.T
+        return np.stack([a, *(combine(row, at) for row in weights[1:])])
+
+    def forces(self, forces: Forces, x: Array) -> Array:
+        """Accelerations at the present positions, none where there are none."""
+        a = forces()
+        return np.zeros_like(x) if a is None else a
+
+    def who_meets(self, particles: Particles, a: Array) -> str:
+        """The particle of the largest acceleration and the one that is nearest to it, on all ranks. Collective."""
+        size, mine = np.abs(a).max(axis=1), None
+        if len(size):
+            i = np.lexsort((particles.id, -size))[0]
+            mine = float(size[i]), -int(particles.id[i]), particles.position[i]
+        _, pulled, place = max((one for one in self.ranks.gathered(mine) if one), key=lambda one: one[:2])
+        apart = [
+            (float(distance), int(number))
+            for distance, number in zip(np.sqrt(((particles.position - place) ** 2).sum(axis=1)), particles.id, strict=True)
+            if number != -pulled
+        ]
+        others = [one for one in self.ranks.gathered(min(apart, default=None)) if one]
+        if not others:
+            return f"particle {-pulled} is pulled too strongly"
+        distance, other = min(others)
+        first, second = sorted((-pulled, other))
+        return f"masses {first} and {second} meet, {distance:.1g} apart"

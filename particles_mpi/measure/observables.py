@@ -1,0 +1,62 @@
+"""What a gas of spheres is measured by: temperature, moments, packing, and rates of collision since the last look.
+
+D axes, N movable particles, T in units of energy (k = 1). Everything is a sum over all particles that does not depend on ranks.
+
+- temperature: sum m (v - V)^2 / (D (N - 1)), V the velocity of the whole
+- moment_ratio: <v^4>/<v^2>^2 of v - V; Maxwell-Boltzmann gives (1 + 2/D) n/(n + 2), n = D (N - 1)
+- packing: volume of all spheres over that of the box
+- collision_rate: Gamma = 2 C/(N t), collisions of a particle in unit time; free_time 1/Gamma, free_path <|v - V|>/Gamma
+- z_virial: p V/(N T) = 1 + sum(-r.dp)/(D N T t) over the collisions, r from partner to partner, dp the momentum it gives
+- z_rate: 1 + sigma Gamma sqrt(pi m/T)/(2 D), for equal spheres of diameter sigma and mass m; not a number for others
+  (Enskog; M. P. Allen and D. J. Tildesley, Computer Simulation of Liquids, 1987, for both)
+"""
+
+from __future__ import annotations
+
+from math import gamma, nan, pi, sqrt
+from typing import Any
+
+import numpy as np
+
+from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.exact_sum import exact_sums
+from particles_mpi.particles import Particles, row_dot
+
+OBSERVABLES = ("temperature", "moment_ratio", "packing", "collision_rate", "free_time", "free_path", "z_virial", "z_rate")
+
+
+def observe(ranks: Ranks, p: Particles, volume: float, time: float, collisions: int, since: list[float]) -> dict[str, float]:
+    """The observables over the interval since (time, collisions, virial) = `since`, which becomes the present one. Collective.
+
+    `collisions`: of all ranks since the start; `volume`: of the box, not a number without one.
+    """
+    d, movable = p.dimension, p.fixed == 0
+    m = p.mass * movable
+    sums = exact_sums(ranks, [m, movable.astype(float), *[m * p.velocity[:, k] for k in range(d)], p.virial, p.radius**d])
+    mass, count, virial, balls = sums[0], sums[1], sums[2 + d], sums[3 + d]
+    whole = np.array(sums[2 : 2 + d]) / mass if mass > 0.0 else np.zeros(d)
+    own = p.velocity - whole
+    square = row_dot(own, own)
+    ends = ranks.largest(
+        np.array([part.max(initial=-np.inf) for q in (p.radius, p.mass) for part in (q[movable], -q[movable])], float)
+    )
+    heat, second, fourth, speed = exact_sums(
+        ranks, [m * square, square * movable, square**2 * movable, np.sqrt(square) * movable]
+    )
+    lasted, happened, given = time - since[0], collisions - since[1], virial - since[2]
+    since[:] = time, float(collisions), virial
+    row: dict[str, Any] = dict.fromkeys(OBSERVABLES, nan)
+    row["packing"] = balls * pi ** (d / 2) / gamma(d / 2 + 1) / volume
+    if count < 2 or not heat > 0.0:
+        return row
+    temperature = row["temperature"] = heat / (d * (count - 1.0))
+    row["moment_ratio"] = fourth * count / second**2
+    if not lasted > 0.0:
+        return row
+    rate = row["collision_rate"] = 2.0 * happened / (count * lasted)
+    row["z_virial"] = 1.0 + given / (d * count * temperature * lasted)
+    if rate > 0.0:
+        row["free_time"], row["free_path"] = 1.0 / rate, speed / count / rate
+    if ends[0] == -ends[1] and ends[2] == -ends[3]:
+        row["z_rate"] = 1.0 + 2.0 * float(ends[0]) * rate * sqrt(pi * float(ends[2]) / temperature) / (2.0 * d)
+    return row

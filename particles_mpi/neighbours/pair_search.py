@@ -1,0 +1,308 @@
+"""Who can meet whom: the pairs of tubes that touch, by cells. See `trajectories` for paths, tubes, `seen` and `reach`.
+
+Rows are held by three levels of reach, so that most need not look as far as the few fast ones get: SLOW ones in sorted cells,
+FAST ones and all that were turned in coarse cells of linked lists, and a few GIANTS one by one.
+"""
+
+from math import inf, sqrt
+
+import numpy as np
+
+from particles_mpi.kernels.geometry import nearest
+from particles_mpi.kernels.jit import inner, kernel
+from particles_mpi.neighbours.cells import GRIDDED, cell_along, cell_at, link, unlink
+
+SLOW, FAST, GIANT = 0, 1, 2
+AT_ONCE = 8
+
+
+@kernel
+def levels(reach, slow, fast, most):
+    """(level of each row, giants, largest reach of slow rows, of fast ones): up to `slow`, up to `fast`, and beyond.
+
+    More than `most` giants are no giants, but fast.
+    """
+    beyond = 0
+    for r in reach:
+        beyond += r > fast
+    level = np.empty(len(reach), np.int8)
+    giants = np.empty(len(reach), np.int32)
+    count = 0
+    caps = np.zeros(2)
+    for i in range(len(reach)):
+        if reach[i] <= slow:
+            level[i] = SLOW
+        elif reach[i] <= fast or beyond > most:
+            level[i] = FAST
+        else:
+            level[i] = GIANT
+            giants[count] = i
+            count += 1
+            continue
+        caps[level[i]] = max(caps[level[i]], reach[i])
+    return level, giants, count, caps
+
+
+@kernel
+def fill_cells(seen, reach, level, order, origin, per, cells):
+    """(place, entry) of the sorted cells: where each slow row is in `order`, and (seen, reach) in that order.
+
+    And the linked lists of the fast rows: (head, after, before, cell_of).
+    """
+    n, g = len(seen), min(seen.shape[1], 3)
+    place = np.empty(n, np.int32)
+    entry = np.empty((len(order), g + 1))
+    for e in range(len(order)):
+        i = order[e]
+        place[i] = e
+        for k in range(g):
+            entry[e, k] = seen[i, k]
+        entry[e, g] = reach[i]
+    head = np.full(cells[0] * cells[1] * cells[2], -1, np.int32)
+    after, before, cell_of = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
+    for i in range(n):
+        if level[i] == FAST:
+            link(i, cell_at(seen, i, origin, per, cells), head, after, before, cell_of)
+    return place, entry, head, after, before, cell_of
+
+
+@kernel
+def move_rows(
+    rows, seen, reach, level, place, entry, head, after, before, cell_of, origin, per, cells, caps, limit,
+    giants, known, lowest, highest, owned, own_low, own_high,
+):  # fmt: skip
+    """Rows with new paths change places: into the lists of the fast, or, with a reach beyond `limit`, to the giants.
+
+    Returns the number of giants.
+    """
+    for r in range(len(rows)):
+        i = np.int64(rows[r])
+        for k in range(seen.shape[1]):
+            lowest[k] = min(lowest[k], seen[i, k])
+            highest[k] = max(highest[k], seen[i, k])
+            if i < owned:
+                own_low[k] = min(own_low[k], seen[i, k])
+                own_high[k] = max(own_high[k], seen[i, k])
+        if level[i] == GIANT:
+            continue
+        if level[i] == SLOW:
+            entry[place[i], 0] = inf  # no one meets it there
+        else:
+            unlink(i, head, after, before, cell_of)
+        if reach[i] > limit:
+            level[i] = GIANT
+            giants[known] = i
+            known += 1
+        else:
+            level[i] = FAST
+            caps[FAST] = max(caps[FAST], reach[i])
+            link(i, cell_at(seen, i, origin, per, cells), head, after, before, cell_of)
+    return known
+
+
+@kernel
+def drop_pairs(rows, marked, first, second, count):
+    """Forget the pairs of `rows` among the first `count`; marks the rows, returns how many pairs stay."""
+    for i in rows:
+        marked[i] = True
+    kept = 0
+    for p in range(count):
+        i = first[p]
+        j = second[p]
+        first[kept] = i
+        second[kept] = j
+        kept += not (marked[np.uint64(i)] | marked[np.uint64(j)])
+    return kept
+
+
+@inner
+def shifts(low, high, lowest, highest, length, by):
+    """Periodic images of [low, high] on one axis that meet [lowest, highest]: their shifts into `by`, returns how many."""
+    count = 0
+    for image in range(3 if length > 0.0 else 1):
+        shift = 0.0 if image == 0 else (length if image == 1 else -length)
+        if high + shift >= lowest and low + shift <= highest:
+            by[count] = shift
+            count += 1
+    return count
+
+
+@inner
+def cover(d, middle, extent, margin, origin, per, cells, low, high):
+    """The cells that the box middle +- (extent + margin) meets: ranges low..high (3,)."""
+    for m in range(max(0, 3 - d), 3):
+        k = m - max(0, 3 - d)
+        low[m] = cell_along(middle[k] - extent[k] - margin, origin[m], per[m], cells[m])
+        high[m] = cell_along(middle[k] + extent[k] + margin, origin[m], per[m], cells[m])
+
+
+@inner
+def list_slow(low, high, cells, start, around):
+    """Entries of the sorted cells in the ranges low..high; into `around`, returns how many.
+
+    Runs are short: AT_ONCE places are written whatever their length, without a loop whose end the processor must guess.
+    """
+    listed = 0
+    for c0 in range(low[0], high[0] + 1):
+        for c1 in range(low[1], high[1] + 1):
+            c = (c0 * cells[1] + c1) * cells[2]
+            begin = start[np.uint64(c + low[2])]
+            end = start[np.uint64(c + high[2] + 1)]
+            for p in range(AT_ONCE):
+                around[np.uint64(listed + p)] = begin + p
+            for p in range(AT_ONCE, end - begin):
+                around[np.uint64(listed + p)] = begin + p
+            listed += end - begin
+    return listed
+
+
+@inner
+def list_fast(low, high, cells, head, after, around, listed):
+    """Rows in the linked lists of the cells in the ranges low..high; behind the first `listed` of `around`."""
+    for c0 in range(low[0], high[0] + 1):
+        for c1 in range(low[1], high[1] + 1):
+            for c2 in range(low[2], high[2] + 1):
+                j = head[(c0 * cells[1] + c1) * cells[2] + c2]
+                while j >= 0:
+                    around[listed] = j
+                    listed += 1
+                    j = after[j]
+    return listed
+
+
+@inner(error_model="numpy", inline="always")
+def may_meet(axes, y, path, i, j, window, half, length):
+    """Do the paths of i, at y at its start, and of j come nearer than R_i + R_j + 2 half within `window` from then?
+
+    With a margin for round-off. On the gridded axes y is the image that is meant.
+    """
+    d = len(axes)
+    passed = path[i, 2 * d] - path[j, 2 * d]
+    r2 = 0.0
+    ru = 0.0
+    u2 = 0.0
+    for k in range(d):
+        r = y[k] - (path[j, k] + path[j, d + k] * passed)
+        if k >= GRIDDED:
+            r = nearest(r, length[k])
+        u = path[i, d + k] - path[j, d + k]
+        r2 += r * r
+        ru += r * u
+        u2 += u * u
+    t = -ru / (u2 + 1e-300)
+    t = t if t > 0.0 else 0.0  # not max and min: those branch
+    t = t if t < window else window
+    size = path[i, 2 * d + 1] + path[j, 2 * d + 1]
+    cut = size + 2.0 * half
+    return (size > 0.0) & (r2 + t * (2.0 * ru + t * u2) <= cut * cut + 1e-12 * r2)
+
+
+@kernel(error_model="numpy")
+def find_partners(
+    axes, rows, everything, marked, path, seen, reach, level, end, half, slow, fast, giants, caps,
+    lowest, highest, length, owned, own_low, own_high, ids, w, around, first, second, found,
+):  # fmt: skip
+    """Candidate pairs of `rows` (all of them marked) with all rows, each once, behind the first `found` pairs.
+
+    Returns (number of pairs then: more than len(first): enlarge, call again; number of tests). Kept are pairs with an owned
+    partner (row < owned) and a movable one (w > 0), the lower id first. Of two marked rows the one that reaches further
+    finds the other: where `everything` is marked no search need look further than its own reach, and slow rows need not
+    look for fast ones. `slow` = (order, place, start, entry, grid...), `fast` = (head, after, grid...). Nearly every test is a
+    coin toss: nothing branches on it; each place is written, and the next one over it if it does not count.
+    `around` is room for len(path) + AT_ONCE rows.
+    """
+    d = len(axes)
+    g = min(d, 3)
+    order, place, start, entry, origin, per, cells = slow
+    head, after, fast_origin, fast_per, fast_cells = fast
+    low, high = np.zeros(3, np.int64), np.zeros(3, np.int64)
+    by, images = np.zeros((3, 3)), np.ones(3, np.int64)
+    y, middle, extent = np.empty(d), np.empty(d), np.empty(g)
+    tests = 0
+    for i in rows:
+        window = end - path[i, 2 * d]
+        base = path[i, 2 * d + 1] + half
+        limit = reach[i] if everything else inf
+        to_slow = base + min(limit, caps[SLOW])
+        to_fast = base + min(limit, caps[FAST])
+        also_fast = not everything or level[i] != SLOW
+        own = 0.0
+        outside = i >= owned
+        for k in range(d):
+            own += path[i, d + k] ** 2
+            y[k] = path[i, k]
+        own = base + 0.5 * sqrt(own) * window
+        far = max(to_slow, to_fast) if also_fast else to_slow
+        for k in range(g):
+            mid = path[i, k] + 0.5 * path[i, d + k] * window
+            extent[k] = abs(0.5 * path[i, d + k] * window)
+            images[k] = shifts(mid - extent[k] - far, mid + extent[k] + far, lowest[k], highest[k], length[k], by[k])
+        if also_fast and (not everything or level[i] == GIANT):
+            tests += len(giants)
+            for a in range(len(giants)):
+                giant = np.int64(giants[a])
+                for k in range(g):
+                    r = path[i, k] - (path[giant, k] + path[giant, d + k] * (path[i, 2 * d] - path[giant, 2 * d]))
+                    y[k] = path[i, k] + nearest(r, length[k]) - r
+                if wanted(i, giant, marked, reach, owned, ids, w) and may_meet(axes, y, path, i, giant, window, half, length):
+                    if found < len(first):
+                        first[found], second[found] = (i, giant) if ids[i] < ids[giant] else (giant, i)
+                    found += 1
+        for p0 in range(images[0]):
+            for p1 in range(images[1]):
+                for p2 in range(images[2]):
+                    apart = 0.0
+                    for k in range(g):
+                        y[k] = path[i, k] + by[k, p0 if k == 0 else (p1 if k == 1 else p2)]
+                        middle[k] = y[k] + 0.5 * path[i, d + k] * window
+                        apart = max(apart, own_low[k] - middle[k] - extent[k], middle[k] - extent[k] - own_high[k])
+                    if outside and apart > far:  # a ghost, nowhere near an owned row
+                        continue
+                    cover(d, middle, extent, to_slow, origin, per, cells, low, high)
+                    listed = list_slow(low, high, cells, start, around)
+                    tests += listed
+                    near = np.int64(0)
+                    self = np.uint64(place[i]) if level[i] == SLOW else np.uint64(len(path))
+                    for p in range(listed):
+                        e = np.uint64(around[np.uint64(p)])
+                        r2 = 0.0
+                        for k in range(g):
+                            r2 += (middle[k] - entry[e, k]) ** 2
+                        others = entry[e, g]
+                        around[np.uint64(near)] = order[e]
+                        near += (r2 <= (own + others) ** 2) & (others <= limit) & (e != self)
+                    if also_fast:
+                        cover(d, middle, extent, to_fast, fast_origin, fast_per, fast_cells, low, high)
+                        listed = list_fast(low, high, fast_cells, head, after, around, near)
+                        tests += listed - near
+                        for p in range(near, listed):
+                            j = np.uint64(around[p])
+                            r2 = 0.0
+                            for k in range(g):
+                                r2 += (middle[k] - seen[j, k]) ** 2
+                            around[near] = j
+                            near += (r2 <= (own + reach[j]) ** 2) & (i != j)
+                    for p in range(near):
+                        other = np.int64(around[p])
+                        if may_meet(axes, y, path, i, np.uint64(other), window, half, length) and wanted(
+                            i, other, marked, reach, owned, ids, w
+                        ):
+                            if found < len(first):
+                                first[found], second[found] = (i, other) if ids[i] < ids[other] else (other, i)
+                            found += 1
+    return found, tests
+
+
+@inner
+def wanted(i, j, marked, reach, owned, ids, w):
+    """Is this a pair to keep, found from i?"""
+    if i == j or not (i < owned or j < owned) or (w[i] == 0.0 and w[j] == 0.0):
+        return False
+    return not (marked[j] and (reach[j] > reach[i] or (reach[j] == reach[i] and ids[j] > ids[i])))
+
+
+@kernel
+def unmark(rows, marked):
+    """Take the marks off."""
+    for i in rows:
+        marked[i] = False

@@ -1,0 +1,88 @@
+"""The rows of a rank in arrays with room behind them: rows come, go, change places and get ghosts without new arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.exchange import by_destination, send_rows
+from particles_mpi.particles import Array, Particles
+
+ROOM = 1.2  # times the rows that are needed, when more are
+
+
+class Store:
+    """Holds the arrays of `particles`, which shows the first `count` rows of them. Ghosts may stand behind."""
+
+    def __init__(self, particles: Particles):
+        self.particles = particles
+        self.buffers: dict[str, Array] = {}
+        self.spare: dict[str, Array] = {}
+
+    @property
+    def count(self) -> int:
+        return len(self.particles)
+
+    def adopt(self) -> None:
+        """Take in rows that somebody else has put into `particles`."""
+        arrays = self.particles.arrays
+        if any(array.base is not self.buffers.get(name, self) for name, array in arrays.items()):
+            self.buffers = {name: np.array(array, order="C") for name, array in arrays.items()}
+            self.spare = {name: np.empty_like(array) for name, array in self.buffers.items()}
+            self.show(len(self.buffers["id"]))
+
+    def show(self, count: int) -> None:
+        """The first `count` rows are the particles."""
+        self.particles.replace({name: array[:count] for name, array in self.buffers.items()})
+
+    def reserve(self, rows: int) -> None:
+        """Room for so many rows; those that the particles show stay."""
+        if rows <= len(self.buffers["id"]):
+            return
+        n = self.count
+        for name, old in self.buffers.items():
+            size = (int(rows * ROOM) + 1, *old.shape[1:])
+            self.buffers[name], self.spare[name] = np.empty(size, old.dtype), np.empty(size, old.dtype)
+            self.buffers[name][:n] = old[:n]
+        self.show(n)
+
+    def sort(self, order: Array) -> None:
+        """Rows in another order."""
+        n = len(order)
+        for name, old in self.buffers.items():
+            new = self.spare[name]
+            old[:n].take(order, axis=0, out=new[:n], mode="clip")
+            self.buffers[name], self.spare[name] = new, old
+        self.show(n)
+
+    def migrate(self, ranks: Ranks, owner: Array) -> int:
+        """Every row to its owner, any rank; returns how many this rank sent away. Collective."""
+        if ranks.size == 1:
+            return 0
+        n, leaving = self.count, np.flatnonzero(owner != ranks.rank)
+        if ranks.total(len(leaving))[0] == 0:
+            return 0
+        order, counts = by_destination(owner[leaving], ranks.size)
+        arrived, _ = send_rows(ranks, self.particles.arrays, leaving[order], counts)
+        left, came = len(leaving), len(arrived["id"])
+        after = n - left + came
+        self.reserve(after)
+        # Those who come take the places of those who left; if fewer come, the last rows fill the other places.
+        places = np.concatenate((leaving[:came], np.arange(n, after)))
+        holes = leaving[came:]
+        holes = holes[holes < after]
+        last = np.setdiff1d(np.arange(after, n), leaving[came:], assume_unique=True)
+        for name, array in self.buffers.items():
+            array[places] = arrived[name]
+            array[holes] = array[last]
+        self.show(after)
+        return left
+
+    def behind(self, arrived: dict[str, Array]) -> dict[str, Array]:
+        """Put ghosts behind the particles; gives the arrays of both, of the fields that ghosts have."""
+        n = self.count
+        rows = n + len(arrived["id"])
+        self.reserve(rows)
+        for name, array in arrived.items():
+            self.buffers[name][n:rows] = array
+        return {name: self.buffers[name][:rows] for name in arrived}

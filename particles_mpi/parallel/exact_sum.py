@@ -1,0 +1,60 @@
+"""Sums over all particles that are exact, hence the same bits in any order and on any number of ranks.
+
+Every float64 is an integer multiple of 2^-1074. A sum is held as an integer in base 2^32, one int64 a digit, which can take
+2^30 numbers before a digit overflows; integers add exactly across ranks; one rounding at the end.
+"""
+
+from __future__ import annotations
+
+from math import inf, nan
+
+import numpy as np
+
+from particles_mpi.kernels.jit import kernel
+from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.particles import Array
+
+DIGITS = 68  # 32 bits each, from 2^-1074 to beyond 2^1024, and one digit to hold +-inf and nan
+
+
+@kernel
+def accumulate(values, digits):
+    """Add float64 values (n,) to digits (68,) int64, exactly."""
+    bits = values.view(np.int64)
+    mask = np.int64(0xFFFFFFFF)
+    for i in range(len(bits)):
+        exponent = (bits[i] >> 52) & 0x7FF
+        mantissa = bits[i] & 0xFFFFFFFFFFFFF
+        if exponent == 0x7FF:
+            digits[67] += 1
+            continue
+        if exponent > 0:
+            mantissa |= np.int64(1) << 52
+            exponent -= 1
+        digit = exponent >> 5
+        shift = exponent & 31
+        low = (mantissa & mask) << shift  # below 2^63
+        high = (mantissa >> 32) << shift  # below 2^52
+        sign = 1 if bits[i] >= 0 else -1
+        digits[digit] += sign * (low & mask)
+        digits[digit + 1] += sign * ((low >> 32) + (high & mask))
+        digits[digit + 2] += sign * (high >> 32)
+
+
+def exact_sums(ranks: Ranks, columns: list[Array]) -> list[float]:
+    """The sums of the columns over all ranks, each correctly rounded (nan if a value is not finite). One reduction."""
+    digits = np.zeros((len(columns), DIGITS), np.int64)
+    for row, column in zip(digits, columns, strict=True):
+        accumulate(np.ascontiguousarray(column, np.float64), row)
+    return [rounded(row) for row in ranks.total(digits)]
+
+
+def rounded(digits: Array) -> float:
+    """The float64 nearest to the sum that the digits hold."""
+    if digits[-1]:
+        return nan
+    total = sum(int(digit) << (32 * place) for place, digit in enumerate(digits[:-1]))
+    try:
+        return total / (1 << 1074)
+    except OverflowError:
+        return inf if total > 0 else -inf

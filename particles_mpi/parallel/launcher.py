@@ -1,0 +1,127 @@
+"""Starts mpirun, and leaves out of what it says on stderr the paragraphs about ranks that have said themselves why they end.
+
+`python particles_mpi/parallel/launcher.py LAUNCHER ARGUMENTS...`, which the mpirun of .venv/bin does. This process becomes the
+launcher, so that signals, stdin, stdout and the exit code are the launcher's own. Its stderr goes through a process beside it,
+which passes everything on at once, but for paragraphs between two lines of dashes, and lines that begin with [host:pid]: those
+are Open MPI's. The ones that tell of an exit code or of MPI_Abort are left out, the one about a signal becomes one line, all
+others pass. No setting does that: `orte_execute_quiet` also hides that a rank was killed, or that there is no such program.
+"""
+
+import os
+import re
+import select
+import signal
+import sys
+
+RULE = b"-" * 74 + b"\n"
+PATIENCE = 0.5  # seconds until what looks like the beginning of a paragraph passes, if nothing follows
+LONGEST = 4000  # bytes of a paragraph; what is longer is none
+KNOWN = re.compile(
+    rb"Primary job +terminated normally, but \d+ process"
+    rb"|detected that one or more processes exited with non-zero status"
+    rb"|MPI_ABORT was invoked on rank"
+    rb"|has exited due to process rank \d+ with PID \d+ on node \S+ (calling \"abort\"|exiting)"
+)
+SIGNAL = re.compile(rb"noticed that process rank (\d+) with PID \d+ on node (\S+) exited on (signal \d+ \([^)]*\))")
+STUMBLED = re.compile(rb"\[[^\]]*\] \[\[[^\]]*\],\d+\] ORTE_ERROR_LOG: [^\n]* in file \S*orte/util/show_help.c at line \d+\n")
+COUNTED = re.compile(rb"\[[^\]]*\] \d+ more process(es)? ha(s|ve) sent help message help-mpi-api.txt / mpi-abort\n")
+ADVICE = re.compile(rb"\[[^\]]*\] Set MCA parameter \"orte_base_help_aggregate\" to 0 to see all help / error messages\n")
+
+
+class Filter:
+    """What passes of the bytes that are fed to it."""
+
+    def __init__(self) -> None:
+        self.held = b""  # of a paragraph that has not ended, or of a line that may begin one
+        self.at_start = True  # of a line
+        self.counted = False  # was the line before left out as COUNTED?
+
+    def feed(self, data: bytes) -> bytes:
+        """What can be told already."""
+        data, self.held, passed = self.held + data, b"", b""
+        while data:
+            if self.at_start and (RULE.startswith(data) or data.startswith(RULE)):
+                inner, rule, rest = data[len(RULE) - 1 :].partition(b"\n" + RULE)
+                if rule:
+                    passed += self.paragraph(RULE[:-1] + inner + rule)
+                    data = rest
+                    continue
+                if len(data) < LONGEST:
+                    self.held = data
+                    break
+            if self.at_start and data[:1] == b"[" and not re.search(rb"[\r\n]", data):  # "[host:pid] ..." has to be seen whole
+                self.held = data
+                break
+            if self.at_start and data[:1] == b"\0":  # behind a paragraph of Open MPI 5
+                data = data[1:]
+                continue
+            line, newline, data = data.partition(b"\n")
+            passed += self.line(line + newline)
+            self.at_start = bool(newline)
+        return passed
+
+    def paragraph(self, text: bytes) -> bytes:
+        """What remains of a paragraph of the launcher."""
+        said = b" ".join(text.split())
+        killed = SIGNAL.search(said)
+        if killed:
+            return b"mpirun: rank %s on %s was ended by %s\n" % killed.groups()
+        return b"" if KNOWN.search(said) else text
+
+    def line(self, text: bytes) -> bytes:
+        """A line passes, if it is not about the paragraphs themselves: how many are left out, or that one was not understood."""
+        counted, self.counted = self.counted, bool(self.at_start and COUNTED.fullmatch(text))
+        about = self.counted or (counted and ADVICE.fullmatch(text)) or (self.at_start and STUMBLED.fullmatch(text))
+        return b"" if about else text
+
+    def rest(self) -> bytes:
+        """What was held, when no more comes."""
+        held, self.held = self.held, b""
+        self.at_start = held.endswith(b"\n") or (not held and self.at_start)
+        return held
+
+
+def write(data: bytes) -> None:
+    """All of it, to stderr."""
+    while data:
+        data = data[os.write(2, data) :]
+
+
+def relay(source: int) -> None:
+    """Pass on what comes until nobody can write any more; signals are for the launcher."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
+        signal.signal(number, signal.SIG_IGN)
+    passing = Filter()
+    while True:
+        ready, _, _ = select.select([source], [], [], PATIENCE if passing.held else None)
+        data = os.read(source, 65536) if ready else b""
+        if ready and not data:
+            return write(passing.rest())
+        write(passing.feed(data) if ready else passing.rest())
+
+
+def main() -> None:
+    """Start the process beside, which is nobody's child, and become the launcher."""
+    source, end = os.pipe()
+    child = os.fork()
+    if child == 0:
+        if os.fork() == 0:
+            for descriptor in (0, 1, end):
+                os.close(descriptor)
+            try:
+                relay(source)
+            finally:
+                os._exit(0)
+        os._exit(0)
+    os.waitpid(child, 0)
+    told = os.dup(2)
+    os.dup2(end, 2)
+    try:
+        os.execv(sys.argv[1], sys.argv[1:])
+    except OSError as error:
+        os.dup2(told, 2)
+        sys.exit(f"{sys.argv[1]}: {error.strerror}")
+
+
+if __name__ == "__main__":
+    main()

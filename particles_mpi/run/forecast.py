@@ -1,0 +1,178 @@
+"""How long a run takes, told from its own first steps: they are part of the run, so that to measure them costs nothing.
+
+A step costs what it cost so far, as do frames, rows of diagnostics and checkpoints, each as often as the scene asks for it.
+Seconds in which kernels were compiled or loaded do not count as those of steps. Where a scene lets one foresee that later steps
+cost more, the forecast is a range, with the reason. No constant of any machine is in it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from time import perf_counter
+from typing import Any
+
+from numba.core.event import TimingListener, register
+
+from particles_mpi.initial.populate import effect_class, keeps_contacts
+from particles_mpi.scene.plan import duration
+from particles_mpi.scene.schema import Scene
+
+PROBE = 0.5  # seconds of steps that are enough for a forecast
+SLOW = 2.0  # seconds: a first step that takes so long is measured too, though it may do what no other does
+TRUST = 1.5  # factor within which a forecast should be right
+HEAPING = 0.9  # restitution, below which what falls soon lies in heaps
+WRITING = {"output": "every", "diagnostics": "diagnostics_every", "checkpoint": "checkpoint_every"}  # phases and their periods
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """Later steps cost between `least` and `most` times as much as those at the start; why, if that is more than TRUST."""
+
+    least: float = 1.0 / TRUST
+    most: float = TRUST
+    reason: str = ""
+
+
+def outlook(scene: Scene) -> Outlook:
+    """What a scene lets one foresee; the factors are what such scenes took at most, here, rounded up."""
+    forces = [name for name in scene.active if effect_class(name).role == "force"]
+    if scene.time.integrator == "adaptive":
+        return Outlook(0.3, 3.0, "steps are cut where bodies come close, and how often that will be is not known")
+    if forces and "collisions" in scene.active:
+        pairs = effect_class("collisions")(scene.effects["collisions"], scene)
+        if pairs.restitution * pairs.keep < HEAPING:
+            return Outlook(1.0 / TRUST, 10.0, "what falls heaps up, and contacts that last are not counted")
+        return Outlook(1.0 / TRUST, 4.0, "what falls gets faster and denser, and later contacts are not counted")
+    if keeps_contacts(scene, scene.active):
+        return Outlook(1.0 / TRUST, 3.0, "what falls comes to rest, and contacts that last are not counted")
+    return Outlook()
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """`seconds` of the loop if all goes on as it began, between `least` and `most` with what is foreseen, for the `reason`.
+
+    step: seconds of one, measured over `timed` of them; writing: seconds of `seconds` for frames, diagnostics and checkpoints;
+    phases: seconds of a step by phase.
+    """
+
+    seconds: float
+    least: float
+    most: float
+    reason: str
+    step: float
+    timed: int
+    writing: float
+    ranks: int
+    phases: dict[str, float] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        """One line for people."""
+        told = f"about {duration(self.seconds)}" if not self.reason else f"{duration(self.least)} to {duration(self.most)}"
+        written = f"; {duration(self.writing)} in all for output" if self.writing > 0.0 else ""
+        return (
+            f"{told} on {self.ranks} rank{'s' if self.ranks > 1 else ''}{f': {self.reason}' if self.reason else ''}"
+            f" ({self.step * 1e3:.3g} ms a step, measured over {self.timed} step{'s' if self.timed > 1 else ''}{written})"
+        )
+
+
+@dataclass(frozen=True)
+class Mark:
+    """Where a run stood: steps done, the clock, seconds in which kernels were compiled or loaded, and those of each phase."""
+
+    step: int
+    clock: float
+    loading: float
+    phases: dict[str, float]
+
+
+LOADING = TimingListener()  # of this process, whoever looks
+register("numba:compiler_lock", LOADING)  # numba holds it to load a kernel too
+
+
+class Pace:
+    """Watches the steps of a run up to step `last`, from its making on, on one rank.
+
+    `look`, called after each step and what was written with it, gives a forecast once there is enough to tell it from, which
+    is at half of the steps at the latest, and again each time that the run has taken twice as long, from the steps since.
+    """
+
+    def __init__(self, sim: Any, last: int):
+        self.sim, self.last = sim, last
+        self.began = self.first = self.since = self.here()
+        self.due, self.half = 0.0, self.began.step + (last - self.began.step + 1) // 2
+        self.loaded = 0.0  # seconds in which the first row of diagnostics loaded kernels
+        self.outlook = outlook(sim.scene)
+
+    def here(self) -> Mark:
+        """The mark of this moment."""
+        loading = LOADING.duration if LOADING.done else 0.0
+        return Mark(self.sim.steps_done, perf_counter(), loading, self.sim.timers.seconds)
+
+    def reported(self) -> None:
+        """The first row of diagnostics is written, before any step; it may have loaded kernels, as no later one does."""
+        self.loaded = self.here().loading - self.began.loading
+
+    def look(self) -> Forecast | None:
+        """A forecast, if it is time for one."""
+        if perf_counter() < self.due and self.sim.steps_done < self.half:
+            return None
+        now = self.here()
+        own = self.own(now)
+        if self.first is self.began and own < SLOW and now.step < self.last:  # the first step, and all that is done once
+            self.first = self.since = now
+            return None
+        if own < PROBE and now.step < self.half:
+            self.due = perf_counter() + PROBE - own
+            return None
+        forecast = self.forecast(now, own)
+        self.since, self.outlook = now, Outlook()
+        self.due, self.half = 2.0 * now.clock - self.began.clock, self.last
+        return forecast
+
+    def own(self, now: Mark) -> float:
+        """Seconds of steps alone since the last mark."""
+        written = sum(now.phases.get(name, 0.0) - self.since.phases.get(name, 0.0) for name in WRITING)
+        loading = now.loading - self.since.loading
+        if self.since is self.began:
+            loading -= self.loaded  # it is in `written` already
+        return now.clock - self.since.clock - loading - written
+
+    def forecast(self, now: Mark, own: float) -> Forecast:
+        """From the steps since the last mark, which took `own` seconds."""
+        timed, left = now.step - self.since.step, self.last - now.step
+        step, gone = own / timed, now.clock - self.began.clock
+        to_write = sum(self.cost(name, now) * self.number(name, now.step, self.last) for name in WRITING)
+        written = sum(now.phases.get(name, 0.0) for name in WRITING)
+        seen = self.outlook
+        return Forecast(
+            seconds=gone + left * step + to_write,
+            least=gone + left * step * seen.least + to_write / TRUST,
+            most=gone + left * step * seen.most + to_write * TRUST,
+            reason=seen.reason,
+            step=step,
+            timed=timed,
+            writing=written + to_write,
+            ranks=self.sim.ranks.size,
+            phases={
+                name: (seconds - self.since.phases.get(name, 0.0)) / timed
+                for name, seconds in now.phases.items()
+                if name not in WRITING
+            },
+        )
+
+    def number(self, name: str, begin: int, end: int) -> int:
+        """How many frames, rows or checkpoints are written after step `begin`, up to step `end`; the run ends with the latter."""
+        every = getattr(self.sim.scene.output, WRITING[name])
+        final = name != "output" and begin < end == self.last and end % every > 0
+        return int(end // every - begin // every + final)
+
+    def cost(self, name: str, now: Mark) -> float:
+        """Seconds of one: without the first ones, if there are others; of a checkpoint those of a frame, until one is written."""
+        seconds, number = now.phases.get(name, 0.0), self.number(name, self.first.step, now.step)
+        if number and self.first is not self.began:
+            return (seconds - self.first.phases.get(name, 0.0)) / number
+        number = self.number(name, self.began.step, now.step) + (name != "checkpoint" and self.began.step == 0)
+        if number:
+            return (seconds - (self.loaded if name == "diagnostics" else 0.0)) / number
+        return self.cost("output", now) if name == "checkpoint" else 0.0

@@ -1,0 +1,271 @@
+"""One run from plan to phase table: frames, diagnostics, checkpoints, signals, `run.json`."""
+
+from __future__ import annotations
+
+import json
+import platform
+from importlib.metadata import version
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from particles_mpi.errors import Interrupted, SceneError, StateError, StoppedError
+from particles_mpi.measure.diagnostics import COUNTS, columns
+from particles_mpi.measure.health import WATCH_EVERY
+from particles_mpi.measure.snapshot import ABOUT
+from particles_mpi.output import checkpoint, failing_together, replacing
+from particles_mpi.output.diagnostics_csv import Diagnostics
+from particles_mpi.output.folder import claim
+from particles_mpi.parallel.agreement import come_together, same_on_all
+from particles_mpi.parallel.communicator import library
+from particles_mpi.parallel.signals import Request
+from particles_mpi.particles import Array, field
+from particles_mpi.run.console import Screen
+from particles_mpi.run.forecast import Forecast, Pace
+from particles_mpi.scene.plan import plan
+
+SHOW_EVERY = 10  # steps between two moves of the progress bar
+LIBRARIES = ("numpy", "numba", "mpi4py", "h5py", "meshio", "particles-mpi")
+
+
+class Job:
+    """Runs a simulation into a folder. Collective throughout.
+
+    A `rehearsal` says nothing, and ends as soon as rank 0 has a `forecast` of how long the run would take.
+    """
+
+    def __init__(
+        self,
+        sim: Any,
+        folder: Path,
+        *,
+        quiet: bool = False,
+        overwrite: bool = False,
+        resumed: bool = False,
+        steps: int | None = None,
+        wall_time: float | None = None,
+        setup_began: float | None = None,
+        rehearsal: bool = False,
+    ):
+        self.sim, self.folder, self.resumed = sim, folder, resumed
+        self.scene, self.ranks = sim.scene, sim.ranks
+        self.limit = steps
+        self.setup_began = perf_counter() if setup_began is None else setup_began
+        options = {"output": str(folder), "steps": self.last, "overwrite": overwrite, "resume": resumed, "wall-time": wall_time}
+        same_on_all(self.ranks, {f"--{name}": value for name, value in options.items()})
+        self.since = np.array(sim.reported, np.int64)
+        self.rehearsal = rehearsal
+        self.forecast: Forecast | None = None
+        self.screen = Screen(self.ranks.is_root, quiet or rehearsal)
+        self.plan = plan(self.scene, sim.rows, sim.total, self.ranks.size)
+        self.plan["fixed"] = int(self.ranks.total(self.plan["fixed"])[0])
+        self.request = Request(self.ranks, self.setup_began, wall_time)  # from here on a signal must not leave half a file
+        self.continues = claim(folder, self.ranks, self.scene.to_dict(), resumed, overwrite)
+        self.written = sim.written = sim.written if self.continues else {"row": -1, "frame": -1}
+        self._open()
+
+    @property
+    def last(self) -> int:
+        """The number of the step with which the job ends."""
+        return self.sim.last_step if self.limit is None else self.limit
+
+    def _open(self) -> None:
+        """The writers that the scene asks for; all have looked at their files before the first one changes its own."""
+        sim, d = self.sim, self.scene.dimension
+        step = sim.steps_done if self.continues else None
+        last = self.written.get("frame"), self.written.get("row")
+        held = self.written.get("frame_particles")
+        self.writers: list[Any] = []
+        if "hdf5" in self.scene.output.formats:
+            from particles_mpi.output.trajectory import Trajectory
+
+            path = self.folder / "trajectory.vtkhdf"
+            self.writers.append(Trajectory(path, self.ranks, list(self._frame()), d, sim.total, step, last[0], held))
+        if "vtk" in self.scene.output.formats:
+            from particles_mpi.output.vtk import VtkSeries
+
+            self.writers.append(VtkSeries(self.folder, self.ranks, d, step, last[0]))
+        names = columns(d, self.scene.output.observables, "mutual_gravity" in self.scene.effects)
+        self.diagnostics = Diagnostics(self.folder / "diagnostics.csv", self.ranks, names, step, last[1])
+        for writer in (*self.writers, self.diagnostics):
+            writer.open()
+
+    def _frame(self) -> dict[str, Array]:
+        """The fields that a frame shows; `fixed` only where something is."""
+        arrays = self.sim.rows.arrays
+        return {n: a for n, a in arrays.items() if field(n).output and (n != "fixed" or self.plan["fixed"])}
+
+    def run(self) -> None:
+        """To the last step, or to a signal."""
+        sim, output = self.sim, self.scene.output
+        self.screen.plan(self.scene.title, self.plan, sim.warnings)
+        setup = perf_counter() - self.setup_began
+        begin, done = perf_counter(), sim.steps_done
+        pace = Pace(sim, self.last) if self.screen.loud or (self.rehearsal and self.ranks.is_root) else None
+        show = self.screen.start(done, self.last)
+        row: dict[str, Any] = {}
+        stopped = False
+        try:
+            if not self.resumed:
+                row = self.report()
+                if pace:
+                    pace.reported()
+                self.write_frame()
+            elif not self.continues:
+                self.save()  # what is in this folder begins here
+            while sim.steps_done < self.last and not (stopped := self.request.made(sim.steps_done)):
+                sim.step()
+                n, final = sim.steps_done, sim.steps_done == self.last
+                if final or any(n % k == 0 for k in (WATCH_EVERY, output.every, output.checkpoint_every)):
+                    sim.watch()
+                if n % output.diagnostics_every == 0 or final:
+                    row = self.report()
+                if n % output.every == 0:
+                    self.write_frame()
+                if n % output.checkpoint_every == 0 or final:
+                    self.save()
+                if pace and (forecast := pace.look()) and (n < self.last or self.rehearsal):
+                    self.foretell(forecast)
+                if n % SHOW_EVERY == 0:
+                    show(n, row)
+            if self.rehearsal:
+                self.close()
+                return
+            if stopped:
+                self.save()
+            show(sim.steps_done, row)
+            self.close()
+            self.finish(setup, perf_counter() - begin, sim.steps_done - done)
+        except (SceneError, StoppedError) as error:
+            come_together(self.ranks, error)  # to close a file would wait for ranks that have no error
+            self.close()
+            if isinstance(error, StateError) and not self.rehearsal:
+                raise StateError(f"{error}; {self.keep_for_inspection(str(error))}") from None
+            raise
+        finally:
+            self.screen.stop()
+            self.request.close()
+        if stopped:
+            raise Interrupted(
+                f"stopped at step {sim.steps_done} of {self.last}; continue with --resume {self.folder / 'checkpoint.h5'}"
+            )
+
+    def foretell(self, forecast: Forecast) -> None:
+        """Say how long the run takes, and say it again where it turns out otherwise."""
+        if self.rehearsal:
+            self.forecast, self.request.told = forecast, True
+        elif self.forecast is None:
+            self.forecast = forecast
+            self.plan["predicted_seconds"] = forecast.seconds
+            self.plan["predicted_seconds_range"] = [forecast.least, forecast.most]
+            self.screen.forecast(forecast)
+        elif not self.forecast.least <= forecast.seconds <= self.forecast.most:
+            self.forecast = forecast
+            self.screen.forecast(forecast, again=True)
+
+    def report(self) -> dict[str, Any]:
+        """One row of diagnostics.csv: the state, and what happened since the row before."""
+        sim = self.sim
+        with sim.timers("diagnostics"):
+            state = sim.measure()
+            totals = self.ranks.total(np.array([sim.totals[name] for name in COUNTS]))
+            held = float(self.ranks.largest(float(len(sim.rows)))[0])
+            since = dict(zip(COUNTS, (totals - self.since).tolist(), strict=True))
+            imbalance = held * self.ranks.size / sim.total if sim.total else 1.0
+            self.since = totals
+            row = {"step": sim.steps_done, "time": sim.time, "particles": sim.total, **state, **since, "imbalance": imbalance}
+            self.diagnostics.write(row)
+            self.written["row"] = sim.steps_done
+        return {**row, "collisions_so_far": int(totals[0])}
+
+    def write_frame(self) -> None:
+        """One frame in every format."""
+        with self.sim.timers("output"):
+            self.sim.take_changes()
+            frame = self._frame()
+            for writer in self.writers:
+                writer.write(self.sim.steps_done, self.sim.time, frame, self.sim.ids)
+            self.written |= {"frame": self.sim.steps_done, "frame_particles": self.sim.total}
+
+    def save(self) -> None:
+        """The exact state; replaces the checkpoint before."""
+        sim = self.sim
+        with sim.timers("checkpoint"):
+            about = sim.about()
+            state: dict[str, Any] = {name: json.dumps(about[name]) for name in ABOUT}
+            state |= {"step": about["step"], "time": sim.time, "reported": json.dumps(self.since.tolist())}
+            state["written"] = json.dumps(self.written)
+            checkpoint.save(self.folder / "checkpoint.h5", self.ranks, sim.rows.arrays, sim.ids, self.scene.dimension, state)
+
+    def keep_for_inspection(self, error: str) -> str:
+        """All rows as they are, and what is wrong with them, in a file of its own; says where."""
+        path = self.folder / "stopped.h5"
+        checkpoint.dump(path, self.ranks, self.sim.rows.arrays, {"step": self.sim.steps_done, "error": error})
+        return f"all rows are in {path}, the last checkpoint is untouched"
+
+    def close(self) -> None:
+        """Close every file."""
+        for writer in self.writers:
+            if hasattr(writer, "close"):
+                writer.close()
+        self.diagnostics.close()
+
+    def finish(self, setup: float, loop: float, steps: int) -> None:
+        """The phase table, run.json, and where to look next."""
+        sim = self.sim
+        seconds = {"setup": setup, "loop": loop, **sim.timers.seconds}
+        seconds["other"] = loop - sum(sim.timers.seconds.values())
+        everyone = self.ranks.gathered(seconds)
+        timers = {}
+        for name in sorted({n for s in everyone for n in s}, key=lambda n: (n not in ("setup", "loop"), n)):
+            values = [s.get(name, 0.0) for s in everyone]
+            timers[name] = {"min": min(values), "mean": sum(values) / len(values), "max": max(values)}
+        traffic = self.traffic()
+        self.screen.phases(timers, steps, sim.total)
+        remarks = sim.remarks()
+        if traffic.get("windows"):
+            windows, redone = traffic["windows"], traffic["windows_redone"]
+            self.screen.say(f"{windows} windows of time verified by the ranks, {redone} redone ({100 * redone / windows:.1f} %)")
+        for remark in remarks:
+            self.screen.say(remark)
+        with failing_together(self.ranks, f"cannot write {self.folder / 'run.json'}"):
+            if self.ranks.is_root:
+                self.write_json(timers, traffic, remarks)
+        f = self.folder
+        if "hdf5" in self.scene.output.formats:
+            self.screen.say(f"ParaView >= 5.13: {f}/trajectory.vtkhdf")
+        if "vtk" in self.scene.output.formats:
+            self.screen.say(f"VisIt, older ParaView: {f}/particles.pvd")
+        self.screen.say(f"plots: python python_viz/plot_frame.py {f}   (and plot_diagnostics.py, plot_phases.py, animate.py)")
+
+    def traffic(self) -> dict[str, int]:
+        """Sums over ranks of what was sent, and of what happened."""
+        sim, here = self.sim, self.sim.counted()
+        counted = {name: sim.totals[name] for name in COUNTS}
+        counted |= {"messages": self.ranks.messages, "ghost_rows": here["ghost_rows"]}
+        totals = self.ranks.total(np.array(list(counted.values()), np.int64))
+        result = dict(zip(counted, totals.tolist(), strict=True))
+        if here["windows"]:
+            result |= {name: here[name] for name in ("windows", "windows_redone")}
+        return result | {"reductions": self.ranks.reductions, "pair_searches": here["pair_searches"]}
+
+    def write_json(self, timers: dict[str, Any], counts: dict[str, int], remarks: list[str]) -> None:
+        """run.json, replaced as a whole."""
+        sim = self.sim
+        for row in self.plan["effects"]:
+            row["calls"] = sim.calls.get(row["effect"], 0)
+        self.plan["not_run"] = [{"effect": name, "calls": sim.calls.get(name, 0)} for name in self.plan["not_run"]]
+        versions = {name: version(name) for name in LIBRARIES} | {"python": platform.python_version(), "mpi": library()}
+        text = {
+            "scene": self.scene.to_dict(),
+            "plan": self.plan,
+            "ranks": self.ranks.size,
+            "versions": versions,
+            "timers": timers,
+            "remarks": remarks,
+            "counts": {"steps": sim.steps_done, **counts},
+        }
+        with replacing(self.folder / "run.json") as part:
+            part.write_text(json.dumps(text, indent=2) + "\n")

@@ -1,0 +1,1 @@
+"""What a scene file says, and the plan that follows from it."""

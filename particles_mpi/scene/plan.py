@@ -1,0 +1,99 @@
+"""What a scene will do and what it will not, before it runs: effects, ghosts, memory, output, advice on the step.
+
+How long it takes is told by `forecast`, from its first steps.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from particles_mpi.particles import Particles
+from particles_mpi.scene.schema import Scene, effect_names
+
+
+def plan(scene: Scene, particles: Particles, total: int, ranks: int) -> dict[str, Any]:
+    """The plan as plain data: for the screen, and for `run.json`. `particles`: some or all of the `total`."""
+    from importlib import import_module
+
+    n, d = len(particles), scene.dimension
+    runs = []
+    for name, options in scene.effects.items():
+        effect = import_module(f"particles_mpi.effects.{name}").Effect
+        row = {"effect": name, "role": effect.role, "law": effect.formula}
+        if hasattr(options, "choice"):
+            row["how"] = options.choice(scene, total).words
+        runs.append(row)
+    pairs = "collisions" in scene.effects
+    event = pairs and scene.effects["collisions"].mode == "event"
+    row_bytes = sum(column.nbytes for column in particles.arrays.values()) / max(n, 1)
+    frame = 8 * (3 + 3 + 3) + 8
+    frames = scene.steps // scene.output.every + 1
+    return {
+        "particles": total,
+        "fixed": int(np.count_nonzero(particles.fixed)),
+        "dimension": d,
+        "steps": scene.steps,
+        "step": scene.time.step,
+        "integrator": scene.time.integrator,
+        "effects": runs,
+        "not_run": [name for name in effect_names() if name not in scene.effects],
+        "ghosts": ghosts(pairs, event, ranks),
+        "ranks": ranks,
+        "memory_bytes": int(total * (row_bytes + (350 if pairs else 50))),
+        "frames": frames,
+        "output_bytes": int(frames * total * frame * len(scene.output.formats)),
+        "predicted_seconds": None,  # of the loop, and between which two: known after the first steps
+        "predicted_seconds_range": None,
+        "advice": advice(scene, particles),
+    }
+
+
+def ghosts(pairs: bool, event: bool, ranks: int) -> str:
+    """Which particles of others a rank holds."""
+    if not pairs or ranks == 1:
+        return "none"
+    layers = "about three layers of particles around each region, or all on every rank where that is no less work"
+    return layers if event else "particles that may meet those of another rank before the next search"
+
+
+def advice(scene: Scene, particles: Particles) -> list[str]:
+    """What an experienced user would say about the step."""
+    h, lines = scene.time.step, []
+    speed = float(np.sqrt((particles.velocity**2).sum(axis=1)).max(initial=0.0))
+    radius = particles.radius[particles.fixed == 0]
+    if "collisions" in scene.effects and len(radius) and radius.min() > 0.0 and speed > 0.0:
+        share = speed * h / (2.0 * float(radius.min()))
+        if scene.effects["collisions"].mode == "event":
+            lines.append(f"the fastest particle crosses {share:.2g} of the smallest diameter in a step, any number will do")
+            lines.append("mode event takes about 2 us a contact besides: longer steps cost less")
+        else:
+            lines.append(f"the fastest particle crosses {share:.2g} of the smallest diameter in a step (at most 1)")
+    if "drag" in scene.effects and scene.time.integrator == "taylor":
+        k = float(particles.drag.max(initial=0.0))
+        if k * h > 1.0:
+            lines.append(f"taylor with drag * step = {k * h:.3g} > 1 will oscillate: shorten the step, or use leapfrog")
+    if scene.time.integrator == "taylor" and "drag" in scene.effects:
+        lines.append("taylor is first order with drag; leapfrog is second order and exact in the velocity")
+    return lines
+
+
+def size(count: float) -> str:
+    """Bytes for people."""
+    for unit in ("B", "kB", "MB", "GB"):
+        if count < 1000:
+            return f"{count:.3g} {unit}"
+        count /= 1000
+    return f"{count:.3g} TB"
+
+
+def duration(seconds: float) -> str:
+    """Seconds for people."""
+    if seconds < 10.0:
+        return f"{seconds:.2g} s" if seconds >= 0.01 else "0.01 s"
+    if seconds < 120.0:
+        return f"{seconds:.0f} s"
+    if seconds < 7200.0:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"

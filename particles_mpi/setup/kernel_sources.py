@@ -1,0 +1,144 @@
+"""Which compiled kernels are out of date.
+
+`python -P particles_mpi/setup/kernel_sources.py` forgets those, and ends with exit code 1 if there are any.
+
+Numba compiles a kernel again when the file that defines it has changed, but not when one has that it calls, or takes a constant
+from. So each kernel is known here by a digest of all definitions in the package that it can reach by name, as syntax trees
+without docstrings and comments: what changes there, and nothing else, is compiled again. Imports nothing of the package, so
+that it takes no time.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import sys
+from hashlib import sha256
+from pathlib import Path
+
+PACKAGE = Path(__file__).parents[1]
+STATE = "__pycache__/kernels.json"  # digests of when all kernels were compiled
+COMPILER = ("numba", "njit")
+
+Place = tuple[str, str]  # a module and a name in it
+
+
+class Sources:
+    """The definitions of a package: `defined[module, name]` are those at the top of its modules, as syntax trees."""
+
+    def __init__(self, package: Path):
+        self.package = package
+        self.files: dict[str, Path] = {}
+        self.defined: dict[Place, list[ast.stmt]] = {}
+        self.links: dict[Place, Place] = {}  # where an imported name is from
+        self.calls: dict[Place, set[Place]] = {}
+        for path in sorted(package.rglob("*.py")):
+            module = ".".join((package.name, *path.relative_to(package).with_suffix("").parts)).removesuffix(".__init__")
+            self.files[module] = path
+            for statement in ast.parse(path.read_text(encoding="utf-8")).body:
+                self.enter(module, statement)
+
+    def enter(self, module: str, statement: ast.stmt) -> None:
+        """What a statement at the top of a module defines."""
+        if isinstance(statement, ast.ImportFrom):
+            for name in statement.names:
+                self.links[module, name.asname or name.name] = statement.module or "", name.name
+        elif isinstance(statement, (ast.FunctionDef, ast.ClassDef)):
+            self.defined.setdefault((module, statement.name), []).append(statement)
+        elif isinstance(statement, (ast.Assign, ast.AnnAssign, ast.AugAssign)):
+            targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
+            for node in (node for target in targets for node in ast.walk(target)):
+                if isinstance(node, ast.Name):
+                    self.defined.setdefault((module, node.id), []).append(statement)
+
+    def mentioned(self, module: str, tree: ast.AST) -> set[Place]:
+        """Names of the package, or imported into it, that a syntax tree of `module` mentions."""
+        found = set()
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Name):
+                place = module, node.id
+                while place in self.links:
+                    place = self.links[place]
+                if place in self.defined or place == COMPILER:
+                    found.add(place)
+        return found
+
+    def reached(self, places: set[Place]) -> set[Place]:
+        """These places, and all that their definitions mention, and so on."""
+        known, waiting = set(places), list(places)
+        while waiting:
+            place = waiting.pop()
+            if place not in self.calls:
+                self.calls[place] = {found for tree in self.defined.get(place, []) for found in self.mentioned(place[0], tree)}
+            waiting += self.calls[place] - known
+            known |= self.calls[place]
+        return known
+
+    def kernels(self) -> dict[str, str]:
+        """A digest of each compiled function, "module.name"."""
+        digests, texts = {}, {}
+        for place, trees in self.defined.items():
+            decorators = [d for tree in trees if isinstance(tree, ast.FunctionDef) for d in tree.decorator_list]
+            used = {found for decorator in decorators for found in self.mentioned(place[0], decorator)}
+            if COMPILER in self.reached(used):
+                slice_ = sorted(self.reached({place}) - {COMPILER})
+                for part in slice_:
+                    if part not in texts:
+                        texts[part] = "".join(ast.dump(without_docstrings(tree)) for tree in self.defined[part])
+                digests[".".join(place)] = digest("".join(f"{'.'.join(part)} {texts[part]}\n" for part in slice_))
+        return digests
+
+    def state(self) -> dict[str, dict[str, str]]:
+        """Digests of all kernels, and of the files that define them: a file that has changed numba compiles anew by itself."""
+        kernels = self.kernels()
+        modules = sorted({name.rpartition(".")[0] for name in kernels})
+        return {"kernels": kernels, "files": {m: digest(self.files[m].read_text(encoding="utf-8")) for m in modules}}
+
+    def stale(self) -> list[str]:
+        """Kernels that are not what they were when all were compiled."""
+        before, now = self.compiled().get("kernels", {}), self.kernels()
+        return sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name))
+
+    def compiled(self) -> dict[str, dict[str, str]]:
+        """The state when all kernels were compiled, as it was noted; empty if they never were."""
+        try:
+            return dict(json.loads((self.package / STATE).read_text()))
+        except (OSError, ValueError):
+            return {}
+
+    def up_to_date(self) -> bool:
+        """Has every kernel been compiled as it is now?"""
+        return self.compiled() == self.state()
+
+    def forget_stale(self) -> None:
+        """Delete what was compiled of stale kernels."""
+        for name in self.stale():
+            module, _, function = name.rpartition(".")
+            path = self.package.joinpath(*module.split(".")[1:])
+            for old in (path.parent / "__pycache__").glob(f"{path.name}.{function}-*.nb[ic]"):
+                old.unlink(missing_ok=True)
+
+    def note(self) -> None:
+        """All kernels have been compiled."""
+        (self.package / STATE).parent.mkdir(exist_ok=True)
+        (self.package / STATE).write_text(json.dumps(self.state(), indent=1))
+
+
+def without_docstrings(tree: ast.stmt) -> ast.stmt:
+    """The same tree with an empty string for each docstring, in place."""
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and ast.get_docstring(node, clean=False) is not None:
+            node.body[0] = ast.Expr(ast.Constant(""))
+    return tree
+
+
+def digest(text: str) -> str:
+    return sha256(text.encode()).hexdigest()[:16]
+
+
+if __name__ == "__main__":
+    sources = Sources(PACKAGE)
+    if sources.up_to_date():
+        sys.exit(0)
+    sources.forget_stale()
+    sys.exit(1)

@@ -1,0 +1,187 @@
+"""One ball that bounces, on a floor, a tilted plane, a fixed or a free sphere, under each force, with each loss: its true path.
+
+`Bounces` holds many such problems at once, a row each. They are solved by the classical Runge-Kutta method of order 4 in
+short steps that end where the ball touches, found by Newton's method: smooth pieces, so order 4 with contacts too. The same
+problems stand side by side in one scene, far apart, and the phases of a step at which they touch are spread evenly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, sin
+from typing import Any
+
+import numpy as np
+
+from particles_mpi import Simulation
+from particles_mpi.contacts.law import loss
+from particles_mpi.measure import snapshot
+from particles_mpi.particles import Array
+
+FORCES = ("uniform_gravity", "user_acceleration", "mutual_gravity direct", "mutual_gravity tree")
+OBSTACLES = ("floor", "tilted plane", "fixed sphere", "free sphere")
+LOSSES: dict[str, dict[str, float]] = {"e = 1": {}, "e = 0.5": {"restitution": 0.5}, "damping 0.5": {"damping": 0.5}}
+RESISTANCES = ("none", "drag", "friction")
+Cases = tuple[tuple[str, str], ...]  # (obstacle, resistance)
+PHASES = 10
+T = 1.0
+G, DRAG, FRICTION = 9.81, 0.5, 0.8  # friction: alpha
+BALL, PLANET = 0.1, 1.0  # radii
+MASS, HEAVY = 0.8, 4.0  # of the ball, of a free partner
+TILT = 0.3
+STRENGTH = 1.5  # Newton's constant
+FINE = 0.01  # step of the reference
+
+
+@dataclass
+class Bounces:
+    """Problems, a row each: body 0 is the ball, body 1 its partner, or what attracts it; x, v (n, 2, d), w = 1/m (n, 2).
+
+    a (n, 2, d): constant accelerations; pull (n, 2): G m of what attracts each body; k, b (n,): drag and friction over the
+    ball's and the partner's mass; normal (n, d): of the plane through the origin, or 0 where the obstacle is the partner.
+    """
+
+    x: Array
+    v: Array
+    w: Array
+    a: Array
+    pull: Array
+    k: Array
+    alpha: Array
+    normal: Array
+    loss: dict[str, float]
+
+    def rate(self, x: Array, v: Array) -> Array:
+        """dv/dt."""
+        a = self.a - self.k[:, None, None] * v
+        r = x[:, 1] - x[:, 0]
+        r3 = ((r**2).sum(axis=1) ** 1.5)[:, None]
+        a[:, 0] += self.pull[:, :1] * r / r3
+        a[:, 1] -= self.pull[:, 1:] * r / r3
+        speed = np.sqrt((v**2).sum(axis=2, keepdims=True))
+        a -= self.alpha[:, None, None] * self.w[:, :, None] * v / np.where(speed > 0.0, speed, 1.0)
+        return np.asarray(a * (self.w > 0.0)[:, :, None])
+
+    def after(self, h: Array) -> tuple[Array, Array]:
+        """(x, v) a time h (n,) later, if nothing is in the way."""
+        x, v, h = self.x, self.v, h[:, None, None]
+        v1, a1 = v, self.rate(x, v)
+        v2, a2 = v + 0.5 * h * a1, self.rate(x + 0.5 * h * v1, v + 0.5 * h * a1)
+        v3, a3 = v + 0.5 * h * a2, self.rate(x + 0.5 * h * v2, v + 0.5 * h * a2)
+        v4, a4 = v + h * a3, self.rate(x + h * v3, v + h * a3)
+        return x + h / 6.0 * (v1 + 2.0 * v2 + 2.0 * v3 + v4), v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+
+    def gap(self, x: Array, v: Array) -> tuple[Array, Array, Array]:
+        """(distance to the obstacle, how fast it grows, normal (n, d))."""
+        wall = (self.normal != 0.0).any(axis=1)
+        r, u = x[:, 0] - x[:, 1], v[:, 0] - v[:, 1]
+        distance = np.sqrt((r**2).sum(axis=1))
+        n = np.where(wall[:, None], self.normal, r / distance[:, None])
+        gap = np.where(wall, (x[:, 0] * n).sum(axis=1) - BALL, distance - BALL - PLANET)
+        return gap, np.where(wall, (v[:, 0] * n).sum(axis=1), (u * n).sum(axis=1)), n
+
+    def advance(self, time: Array) -> None:
+        """All rows by `time` (n,), through their contacts."""
+        left = time.copy()
+        e, keep = loss(self.loss.get("restitution"), self.loss.get("damping"))
+        while (left > 0.0).any():
+            h = np.minimum(left, FINE)
+            x, v = self.after(h)
+            gap, speed, _ = self.gap(x, v)
+            hit = (gap < 0.0) & (speed < 0.0)
+            if hit.any():
+                full = h.copy()
+                for _ in range(6):
+                    h = np.where(hit, np.clip(h - gap / np.where(hit, speed, 1.0), 0.0, full), full)
+                    x, v = self.after(h)
+                    gap, speed, n = self.gap(x, v)
+                wall = (self.normal != 0.0).any(axis=1)
+                w = np.where(wall[:, None], [1.0, 0.0], self.w)
+                take = (1.0 + e) * speed / w.sum(axis=1)
+                turned = v - (take[:, None] * w)[:, :, None] * n[:, None, :] * [[[1.0], [-1.0]]]
+                v = np.where(hit[:, None, None], keep * turned, v)
+            self.x, self.v, left = x, v, left - h
+
+
+def problem(d: int, force: str, obstacle: str, resistance: str) -> dict[str, Any]:
+    """A row of `Bounces`, by its fields: the plane, if there is one, goes through the origin."""
+    up, along, across = (np.eye(d)[k] for k in (1, 0, d - 1))
+    tilted = sin(TILT) * along + cos(TILT) * up
+    normal = {"floor": up, "tilted plane": tilted}.get(obstacle, np.zeros(d))
+    wall, free = bool(normal.any()), obstacle == "free sphere"
+    ball = 1.0 * up + BALL * up if wall else (PLANET + BALL + 0.9) * up + 0.25 * along
+    v = 0.8 * along + 0.3 * (across if d > 2 else 0.0 * up)
+    partner = 1.5 * PLANET * up + 3.0 * along if wall else np.zeros(d)
+    w = np.array([1.0 / MASS, 1.0 / HEAVY if free else 0.0])
+    a, pull = np.zeros((2, d)), np.zeros(2)
+    if force == "uniform_gravity":
+        a[:] = -G * up
+        v = v - (2.0 * up if free else 0.0)
+    elif force == "user_acceleration":
+        a[0], a[1] = -G * up + 0.5 * along, 1.5 * up - 0.7 * along
+    else:
+        pull[:] = (HEAVY, MASS) if free else (HEAVY, 0.0)
+        pull *= STRENGTH
+        v = v - (3.0 * up if wall else 0.8 * up)
+    start = {
+        "x": np.stack((ball, partner)),
+        "v": np.stack((v, 0.4 * free * (along - up))),
+        "w": w,
+        "a": a,
+        "pull": pull,
+        "normal": normal,
+    }
+    return start | {"k": DRAG * (resistance == "drag"), "alpha": FRICTION * (resistance == "friction")}
+
+
+def bounces(d: int, force: str, lost: str, cases: Cases, h: float) -> Bounces:
+    """The cases (obstacle, resistance), each PHASES times: moved on along its path by a part of a step h."""
+    rows = [problem(d, force, *case) for case in cases for _ in range(PHASES)]
+    columns = {name: np.array([row[name] for row in rows], float) for name in rows[0]}
+    all_ = Bounces(**columns, loss=LOSSES[lost])
+    all_.advance(np.tile(np.arange(PHASES) / PHASES * h, len(cases)))
+    return all_
+
+
+def scene(force: str, mode: str, h: float, start: Bounces) -> tuple[dict[str, Any], Array]:
+    """The problems side by side, as the tables of a scene, and how far each was moved, (n, d). All have friction, or none has."""
+    d, lost = start.x.shape[2], start.loss
+    far = 1e6 if force.startswith("mutual") else 100.0
+    shift, planes = np.zeros_like(start.x[:, 0]), []
+    for normal in np.unique(start.normal[(start.normal != 0.0).any(axis=1)], axis=0):
+        planes.append({"point": [0.0] * d, "normal": normal.tolist()})
+    for i in range(len(shift)):  # away from the foot of the slope, which rises to the left
+        n = start.normal[i]
+        tilted = n[0] != 0.0
+        shift[i, 0] = far * (i + 1) * (-n[1] if tilted else 1.0)
+        shift[i, 1] = far * (i + 1) * n[0] if tilted else 0.0 if n.any() else 50.0
+    attracted = force.startswith("mutual")
+    x, v = start.x + shift[:, None, :], start.v
+    particles = []
+    for body in (0, 1):
+        for i in range(len(x)):
+            if body == 0 or attracted or not start.normal[i].any():
+                one = {
+                    "position": [x[i, body].tolist()],
+                    "radius": BALL if body == 0 or start.normal[i].any() else PLANET,
+                    "mass": (MASS, HEAVY)[body],
+                }
+                one |= {"fixed": True} if start.w[i, body] == 0.0 else {"velocity": [v[i, body].tolist()]}
+                one |= {"acceleration": start.a[i, body].tolist()} if force == "user_acceleration" else {}
+                particles.append(one | ({"drag": float(start.k[i])} if start.k.any() else {}))
+    effects: dict[str, Any] = {"collisions": {"mode": mode, **lost}}
+    effects |= {"walls": {"planes": planes, **lost}} if planes else {}
+    if attracted:
+        effects["mutual_gravity"] = {"G": STRENGTH, "method": force.split()[1]}
+    else:
+        effects[force] = {"acceleration": start.a[0, 0].tolist()} if force == "uniform_gravity" else {}
+    effects |= {"drag": {}} if start.k.any() else {}
+    effects |= {"friction": {"strength": FRICTION}} if start.alpha.any() else {}
+    time = {"step": h, "end": T}
+    return {"dimension": d, "time": time, "particles": particles, "effects": effects}, shift
+
+
+def off(sim: Simulation, shift: Array, end: Bounces) -> Array:
+    """Distance of the balls of the scene from their true places at the `end`, the mean over the phases, of each case."""
+    x = snapshot.everyone(sim.ranks, sim.particles).position[: len(shift)] - shift
+    return np.asarray(np.sqrt(((x - end.x[:, 0]) ** 2).sum(axis=1)).reshape(-1, PHASES).mean(axis=1))

@@ -1,0 +1,1 @@
+"""Fair timing of simulations, and what an experiment is."""

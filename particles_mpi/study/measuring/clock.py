@@ -1,0 +1,97 @@
+"""Fair timing of simulations: warmed up, interleaved, the slowest rank, medians with quartiles; output never on the clock.
+
+A sample is as many consecutive steps as take SAMPLE seconds. A run that ends before begins again, off the clock. Settings
+that are compared take turns, a sample each, so that a disturbance of the machine meets all of them.
+"""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from time import perf_counter
+
+import numpy as np
+
+from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.simulation import Simulation
+
+SAMPLES, SAMPLE = 7, 0.2  # samples of a setting; least seconds of one
+
+
+@dataclass(frozen=True)
+class Seconds:
+    """Of one step (or evaluation of the forces): median and quartiles over the samples."""
+
+    median: float
+    low: float
+    high: float
+
+    def of(self, steps: int) -> Seconds:
+        """Of so many steps."""
+        return Seconds(self.median * steps, self.low * steps, self.high * steps)
+
+
+@dataclass
+class Watch:
+    """Times the steps of one setting.
+
+    `begin` gives a simulation at the start (collective), which is timed over `steps` steps and then begun anew. `by_forces`:
+    steps differ, so seconds are those of one evaluation of the forces.
+    """
+
+    ranks: Ranks
+    begin: Callable[[], Simulation]
+    steps: int
+    by_forces: bool = False
+    sim: Simulation | None = None
+    left: int = 0
+    samples: list[float] = field(default_factory=list)
+
+    def sample(self, least: float) -> float:
+        """Seconds of a step over at least `least` seconds; the slowest rank's. Collective."""
+        clocked, steps, units, stride = 0.0, 0, 0, 1
+        while clocked < least:
+            if self.sim is None or not self.left:
+                self.sim, self.left = self.begin(), self.steps
+            stride = min(stride, self.left)
+            before = self.sim.work()["forces"] if self.by_forces else 0
+            clocked += self.clock(self.sim, stride)
+            units += self.sim.work()["forces"] - before if self.by_forces else stride
+            steps += stride
+            self.left -= stride
+            stride = max(1, int(min((least - clocked) * steps / max(clocked, 1e-9), 4.0 * steps)) + 1)
+        return clocked / units
+
+    def clock(self, sim: Simulation, steps: int) -> float:
+        """Seconds that the slowest rank takes for the steps."""
+        self.ranks.wait_for_all()
+        begin = perf_counter()
+        for _ in range(steps):
+            sim.step()
+        return float(self.ranks.largest(perf_counter() - begin)[0])
+
+    @property
+    def seconds(self) -> Seconds:
+        low, median, high = np.percentile(self.samples, (25, 50, 75))
+        return Seconds(float(median), float(low), float(high))
+
+
+def time_in_turns(
+    watches: Sequence[Watch], samples: int = SAMPLES, least: float = SAMPLE, told: Callable[[], None] = lambda: None
+) -> None:
+    """Take `samples` samples of each, by turns, after one that does not count; `told` is called after each. Collective."""
+    collecting = gc.isenabled()
+    try:
+        for turn in range(samples + 1):
+            gc.collect()
+            gc.disable()  # a collection would be somebody's bad luck
+            for watch in watches if turn % 2 else watches[::-1]:  # whoever comes first, is not always the same
+                seconds = watch.sample(least if turn else 0.25 * least)
+                if turn:
+                    watch.samples.append(seconds)
+                told()
+            gc.enable()
+    finally:
+        if collecting:
+            gc.enable()

@@ -1,0 +1,1 @@
+"""The cheapest setting of a scene that reaches a tolerance."""

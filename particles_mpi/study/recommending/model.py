@@ -1,0 +1,164 @@
+"""What a scene will cost and how wrong it will be, before it runs: its first half second is tried, output and all, and a short
+run three times over, at steps of h, h/2 and h/4. Takes about two seconds."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import pairwise
+from math import gamma, isfinite, log2, pi
+from pathlib import Path
+from shutil import rmtree
+from tempfile import mkdtemp
+
+import numpy as np
+
+from particles_mpi import Scene
+from particles_mpi.errors import Interrupted, StoppedError
+from particles_mpi.output import failing_together
+from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.run.forecast import Forecast
+from particles_mpi.run.job import Job
+from particles_mpi.scene.schema import TOLERANCES
+from particles_mpi.study.recommending.error_metric import ROUND_OFF
+from particles_mpi.study.recommending.reference import motion
+from particles_mpi.study.recommending.starts import Start, variant
+from particles_mpi.study.recommending.tracks import LOOKS, Track, apart, follow
+
+ERRORS = 0.8  # seconds for errors, about
+MOST = 3.0  # seconds that errors may take where steps take long; more is not tried
+LOST = 15.0  # collisions of a particle, after which its place means nothing: round-off has grown to the size of it
+PUBLISHED = 0.063, 10  # of what `rewind` loses, and passes beyond which nothing is known
+KNOWN = 0.1, 0.5  # packings that the fit is good for
+
+
+@dataclass
+class Prediction:
+    """How long a run takes, unless nothing happens in it or it stops at once; and lines for people of how wrong it will be."""
+
+    forecast: Forecast | None
+    errors: list[str]
+
+
+def predict(start: Start) -> Prediction:
+    """Try a scene on these ranks. Collective; the same on all of them."""
+    scene, ranks = start.scene, start.lab.ranks
+    if not start.total or not scene.steps:
+        return Prediction(None, ["predicted: nothing happens"])
+    try:
+        sim = start.simulate(scene)
+        with scratch(ranks) as folder:
+            job = Job(sim, folder, rehearsal=True)
+            job.run()
+        forecast: Forecast | None = ranks.from_root(job.forecast)
+        if forecast is None:
+            raise Interrupted("stopped before anything could be predicted")
+        rate = 2.0 * int(ranks.total(sim.totals["collisions"])[0]) / (max(int((start.particles.fixed == 0).sum()), 1) * sim.time)
+        errors = of_contacts(start, rate) if "collisions" in scene.effects else of_steps(start, forecast.step)
+    except StoppedError as error:
+        return Prediction(None, [f"predicted: stops within the first steps: {str(error).splitlines()[0]}"])
+    return Prediction(forecast, errors)
+
+
+@contextmanager
+def scratch(ranks: Ranks) -> Iterator[Path]:
+    """A folder that is gone afterwards; where runs write theirs, if one may, for disks differ in speed. Collective."""
+    path = ""
+    with failing_together(ranks, "cannot write into the working directory"):
+        if ranks.is_root:
+            path = mkdtemp(prefix=".check-", dir=Path.cwd() if os.access(Path.cwd(), os.W_OK) else None)
+    folder = Path(ranks.from_root(path))
+    try:
+        yield folder
+    finally:
+        if ranks.is_root:
+            rmtree(folder, ignore_errors=True)
+
+
+def lost(rate: float, step: float, packing: float, passes: int) -> float:
+    """Share of collisions that `rewind` misses: y/(1 + y), y = 0.063 (Gamma dt)^2 / (packing passes).
+
+    A fit to what is published for a fluid: at packing 0.30, Gamma dt = 0.3 and 1.0, one pass loses 2 and 17 %, ten 0 and 2 %; at
+    0.45, Gamma dt = 0.85 and 2.8: 8 and 53 %, 1 and 9 %. Within a factor of two or so.
+    """
+    strength, most = PUBLISHED
+    y = strength * (rate * step) ** 2 / (min(max(packing, KNOWN[0]), KNOWN[1]) * min(passes, most))
+    return float(y / (1.0 + y))
+
+
+def of_contacts(start: Start, rate: float) -> list[str]:
+    """What to expect of rates of collisions, and of places after many of them."""
+    scene, options = start.scene, start.scene.effects["collisions"]
+    d, lines = scene.dimension, []
+    if rate == 0.0:
+        return ["predicted error: nothing collides in the first steps"]
+    if options.mode == "event":
+        what = "; forces between them are second order in the step" if start.forces or start.dissipates else ""
+        lines.append(f"predicted error: contacts are exact in mode event{what}")
+    else:
+        volume = np.prod(np.subtract(scene.box.upper, scene.box.lower)) if scene.box else np.inf
+        packing = float((start.particles.radius**d).sum() * pi ** (d / 2) / gamma(d / 2 + 1) / volume)
+        share = lost(rate, scene.time.step, packing, options.passes)
+        lines.append(
+            f"predicted error: about {share:.1g} of the rate of collisions (a particle has {rate * scene.time.step:.2g} in a "
+            f"step, packing {packing:.2g}, passes {options.passes}; fitted to a fluid)"
+        )
+    many = rate * start.duration
+    if many > LOST:
+        lines.append(
+            f"chaos: {many:.0f} collisions of a particle in all; after about {LOST:.0f}, t = {LOST / rate:.2g}, places "
+            "mean nothing, rates and energies do"
+        )
+    return lines
+
+
+def of_steps(start: Start, step: float) -> list[str]:
+    """Error of places and of the energy over as much of the run as there is time for, and its order."""
+    scene = start.scene
+    steps = LOOKS * max(1, int(ERRORS / (7.0 * LOOKS * 2.0 * step)))  # 1 + 2 + 4 runs; looks cost as much as steps
+    steps = min(steps, LOOKS * max(1, scene.steps // LOOKS))
+    if 14.0 * steps * step > MOST:
+        return ["predicted error: not measured, a step takes too long; study recommend tells"]
+    tracks = [follow(start, start.simulate(finer(scene, steps, k))) for k in range(3)]
+    return told(start, tracks, steps * scene.time.step, scene.time.integrator == "adaptive")
+
+
+def finer(scene: Scene, steps: int, halvings: int) -> Scene:
+    """The scene's first `steps`, each cut into 2^halvings; `adaptive` with a tolerance that much tighter, by tens."""
+    time = scene.time.model_dump(exclude_none=True) | {"step": scene.time.step, "steps": steps}
+    time.pop("end", None)
+    if scene.time.integrator == "adaptive":
+        from particles_mpi.integrators.gauss_radau import TOLERANCE
+
+        tolerance = min(max(scene.time.tolerance or TOLERANCE, 10.0 * TOLERANCES[0]), 0.1 * TOLERANCES[1])
+        time["tolerance"] = min(max(tolerance * 10.0 ** (1 - halvings), TOLERANCES[0]), TOLERANCES[1])  # not past them by an ulp
+    else:
+        time |= {"step": scene.time.step / 2**halvings, "steps": steps * 2**halvings}
+    return variant(scene, time)
+
+
+def told(start: Start, tracks: list[Track], span: float, adaptive: bool) -> list[str]:
+    """Richardson: with the differences d1 of h and h/2, d2 of h/2 and h/4, the order is p = log2(d1/d2), the error of h is
+    d1 2^p/(2^p - 1)."""
+    size = motion(start, tracks[0]) or 1.0
+    one, two = (apart(a.places, b.places, start.length) / size for a, b in pairwise(tracks))
+    whole, where = span > 0.99 * start.duration, f"t = {span:.3g}"
+    if adaptive:
+        return [f"predicted error: places {max(two, ROUND_OFF):.1g} of the size of the motion at {where}, by a tighter tolerance"]
+    if two <= 100.0 * ROUND_OFF or one <= two:
+        bound = max(one, two, ROUND_OFF)
+        known = (
+            "round-off only" if bound < 1e-12 else f"about {bound:.1g} of the size of the motion, of no order: steps are too long"
+        )
+        return [f"predicted error: places at {where}: {known}"]
+    order = log2(one / two)
+    error = one * 2.0**order / (2.0**order - 1.0)
+    line = f"predicted error: places {error:.1g} of the size of the motion at {where}, order {order:.1f}"
+    if not whole:
+        line += f"; {error * start.duration / span:.1g} at the end if errors grow evenly"
+    energies = tracks[0].energies
+    if start.conserves and start.forces and isfinite(energies[0]) and energies[0] != 0.0:
+        line += f"; energy {float(np.abs(energies / energies[0] - 1.0).max()):.1g}"
+    return [line]

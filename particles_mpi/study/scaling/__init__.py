@@ -1,0 +1,1 @@
+"""How a scene scales over ranks, measured and modelled."""

@@ -1,0 +1,56 @@
+"""A scene with more particles, or fewer, and just as many in a unit of volume: what weak scaling compares."""
+
+from __future__ import annotations
+
+from math import prod
+from typing import Any
+
+from particles_mpi.errors import SceneError
+from particles_mpi.scene.schema import Scene
+
+
+def grown(scene: Scene, factor: float) -> Scene:
+    """`factor` times the particles in `factor` times the space: every length of the layout grows by factor^(1/d), no radius does.
+
+    A Plummer sphere keeps the mass of a particle and its density, hence also its dynamical time and what a step means.
+    Raises SceneError, a line a fault, for a scene that lists particles.
+    """
+    faults = [fault for number, one in enumerate(scene.to_dict()["particles"]) for fault in listed(f"particles[{number}]", one)]
+    if faults:
+        raise SceneError(faults)
+    tables, stretch = scene.to_dict(), factor ** (1.0 / scene.dimension)
+    origin = tables["box"]["lower"] if scene.box else [0.0] * scene.dimension
+
+    def moved(point: list[float]) -> list[float]:
+        return [o + (x - o) * stretch for o, x in zip(origin, point, strict=True)]
+
+    if scene.box:
+        tables["box"]["upper"] = moved(tables["box"]["upper"])
+    for population in tables["particles"]:
+        population["count"] = max(1, round(population["count"] * factor))
+        if isinstance(population["position"], dict):
+            population["position"] = {"plummer": population["position"]["plummer"] * stretch}
+    for plane in tables["effects"].get("walls", {}).get("planes", []):
+        plane["point"] = moved(plane["point"])
+    return Scene.from_dict(tables, scene.folder)
+
+
+def listed(key: str, population: dict[str, Any]) -> list[str]:
+    """What of a population is given particle by particle, and so for no other number of them; a line each."""
+    faults = []
+    for name, value in population.items():
+        rows = isinstance(value, list) and any(isinstance(row, list) for row in value)
+        if rows or (isinstance(value, list) and name not in ("velocity", "acceleration")):
+            faults.append(f"{key}.{name}: is listed, particle by particle")
+        if isinstance(value, dict) and "file" in value:
+            faults.append(f"{key}.{name}: comes from a file")
+    return faults
+
+
+def edges(scene: Scene) -> tuple[float, ...]:
+    """Of the box, in units in which its volume is 1; open space counts as a cube."""
+    if scene.box is None:
+        return (1.0,) * scene.dimension
+    sides = [high - low for low, high in zip(scene.box.lower, scene.box.upper, strict=True)]
+    unit = prod(sides) ** (1.0 / len(sides))
+    return tuple(side / unit for side in sides)
