@@ -15,35 +15,42 @@ Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True)
-class Field:
-    """A per-particle quantity. `vector`: one component an axis. `ghost`: partners of a pair must know it.
+class Column:
+    """A per-particle quantity.
 
-    `output`: written to frames (state that only a restart needs is not).
+    dtype: of numpy; vector: one component an axis; ghost: partners of a pair must know it; output: written to frames (state
+    that only a restart needs is not); default: the value where nothing gives one; least: the smallest value allowed.
     """
 
-    dtype: str
+    dtype: str = "float64"
     vector: bool = False
     ghost: bool = False
     output: bool = True
+    default: float = 0.0
+    least: float = -np.inf
 
 
 # Every field a particle can have. A scene holds the first six, and of the others those its effects name.
 FIELDS = {
-    "id": Field("int64", ghost=True),
-    "position": Field("float64", vector=True, ghost=True),
-    "velocity": Field("float64", vector=True, ghost=True),
-    "radius": Field("float64", ghost=True),
-    "mass": Field("float64", ghost=True),
-    "fixed": Field("uint8", ghost=True),
-    "drag": Field("float64", ghost=True),
-    "acceleration": Field("float64", vector=True),
-    "contacted": Field("float64", ghost=True, output=False),  # when it last met anyone or a wall, in mode event; -inf: never
-    "virial": Field("float64", output=False),  # -r.dp of its collisions so far, told to the lower id; for the observables
-    "supported": Field("uint8", output=False),  # pressed onto something by forces: see contacts/persistent
-    "total_acceleration": Field("float64", vector=True, ghost=True, output=False),  # of forces and lasting contacts, in this step
-    "rate": Field("float64", vector=True, output=False),  # dv/dt at the start of a `taylor` step
+    "id": Column("int64", ghost=True),
+    "position": Column("float64", vector=True, ghost=True),
+    "velocity": Column("float64", vector=True, ghost=True),
+    "radius": Column("float64", ghost=True, least=0.0),
+    "mass": Column("float64", ghost=True),
+    "fixed": Column("uint8", ghost=True),
+    "drag": Column("float64", ghost=True, least=0.0),
+    "acceleration": Column("float64", vector=True),
+    # when it last met anyone or a wall, in mode event; -inf: never
+    "contacted": Column("float64", ghost=True, output=False, default=-np.inf),
+    "virial": Column("float64", output=False),  # -r.dp of its collisions so far, told to the lower id; for the observables
+    "supported": Column("uint8", output=False),  # pressed onto something by forces: see contacts/persistent
+    "total_acceleration": Column(
+        "float64", vector=True, ghost=True, output=False
+    ),  # of forces and lasting contacts, in this step
+    "rate": Column("float64", vector=True, output=False),  # dv/dt at the start of a `taylor` step
 }
-USER = Field("", output=False)  # any other name: data of the user's, of any type and shape, that goes where its particle goes
+OWN = tuple(FIELDS)  # those of the program; effects from outside bring more
+USER = Column("", output=False)  # any other name: data of the user's, of any type and shape, that goes where its particle goes
 ALWAYS = ("id", "position", "velocity", "radius", "mass", "fixed")
 MEETING = ("position", "velocity", "radius", "mass", "fixed", "drag")  # fields that decide who meets whom, with what outcome
 
@@ -104,7 +111,14 @@ class Particles:
         return f"Particles({len(self)} rows in dimension {self.dimension}: {', '.join(self.arrays)})"
 
 
-def field(name: str) -> Field:
+def add_column(name: str, column: Column) -> None:
+    """Enter a column that an effect brings into the table. ValueError if another one has the name."""
+    if not name.isidentifier() or FIELDS.get(name, column) != column or hasattr(Particles, name):
+        raise ValueError(f"column {name!r}: the name is taken, or is no identifier")
+    FIELDS[name] = column
+
+
+def field(name: str) -> Column:
     """What is known of a field; data of the user's own is in no table."""
     return FIELDS.get(name, USER)
 
@@ -115,8 +129,8 @@ def shape(name: str, rows: int, dimension: int) -> tuple[int, ...]:
 
 
 def default_values(name: str, rows: int, dimension: int) -> Array:
-    """What a field holds where nothing gives it a value: 0; -inf for times at which something last happened."""
-    return np.full(shape(name, rows, dimension), -np.inf if name == "contacted" else 0, FIELDS[name].dtype)
+    """What a field holds where nothing gives it a value."""
+    return np.full(shape(name, rows, dimension), FIELDS[name].default, FIELDS[name].dtype)
 
 
 def rows_of(arrays: dict[str, Array], rows: Array) -> dict[str, Array]:

@@ -8,7 +8,8 @@ import numpy as np
 from pydantic import ValidationError
 
 from particles_mpi.errors import SceneError
-from particles_mpi.scene.schema import EffectOptions, Scene, faults_of
+from particles_mpi.scene.model import EffectOptions
+from particles_mpi.scene.schema import Scene, faults_of
 
 
 class RunningEffect:

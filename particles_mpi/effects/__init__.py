@@ -1,8 +1,28 @@
-"""One file an effect. `[effects.NAME]` in a scene loads `NAME.py`; an effect that no scene names is never imported.
+"""What acts on the particles: one file an effect. A new effect is one new file and no other edit.
 
-Each file holds `Options` (the keys of its table) and `Effect` (what it does), with
+The file is `effects/NAME.py` in this package, or a file of the user's that the scene names, relative to the scene file:
 
-- `role`: "force" adds to an acceleration, "dissipation" acts on velocities in the kicks, "event" acts during the drift;
-- `fields`: the per-particle fields it needs beyond position, velocity, radius and mass;
-- `formula`: its law in one line, for the plan.
+    [effects.magnetic_field]
+    file = "magnetic.py"
+    strength = [0.0, 0.0, 2.0]
+
+It holds two classes, `Options` and `Effect`. `Options(EffectOptions)` has one field for each key of the scene's table and
+checks them. `Effect` derives from one of these kinds, which say when it acts:
+
+- `Force`: adds to the acceleration of each particle, given the positions;
+- `VelocityFlow`: changes velocities at fixed positions, exactly, for instance a rotation in a magnetic field;
+- `Event`: acts on positions and velocities at the end of the drift of each step.
+
+What an effect needs stands in `needs`: a column of its own per particle (a charge, say) is then a key of every
+`[[particles]]` table, and is written to frames and checkpoints. An effect that no scene names is never imported.
+
+The other kinds are those of the program's own effects, which are computed together and not one after the other: `Damping`,
+`ConstantFriction`, `WallContacts` and `PairContacts`. A scene can have one of each.
 """
+
+from particles_mpi.particles import Array, Column, Particles
+from particles_mpi.scene.effect import Context, Event, Force, Needs, VelocityFlow
+from particles_mpi.scene.model import EffectOptions
+from particles_mpi.scene.schema import Scene
+
+__all__ = ["Array", "Column", "Context", "EffectOptions", "Event", "Force", "Needs", "Particles", "Scene", "VelocityFlow"]

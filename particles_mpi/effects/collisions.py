@@ -7,7 +7,9 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from particles_mpi.contacts.law import loss
-from particles_mpi.scene.schema import EffectOptions, Fraction, Scene
+from particles_mpi.scene.effect import FORWARD, Needs, PairContacts
+from particles_mpi.scene.model import EffectOptions
+from particles_mpi.scene.schema import Fraction, Scene
 
 
 class Options(EffectOptions):
@@ -34,14 +36,11 @@ class Options(EffectOptions):
         return faults
 
 
-class Effect:
+class Effect(PairContacts):
     """Pairs of spheres collide. The operator lives in `contacts/`; this names what it needs."""
 
-    role = "event"
-    fields = ()
     formula = "v_i -= (1+e) mu/m_i (k.v_r) k at |x_i - x_j| = R_i + R_j"
-    pairs = True
-    divides_by_mass = True
+    needs = Needs(divides_by_mass=True, integrators=FORWARD)
 
     def __init__(self, options: Options, scene: Scene):
         self.options = options

@@ -4,8 +4,10 @@ import math
 
 import numpy as np
 
-from particles_mpi.particles import Array, Particles
-from particles_mpi.scene.schema import EffectOptions, Scene
+from particles_mpi.particles import FIELDS, Array, Particles
+from particles_mpi.scene.effect import FORWARD, Damping, Needs
+from particles_mpi.scene.model import EffectOptions
+from particles_mpi.scene.schema import Scene
 
 
 class Options(EffectOptions):
@@ -17,15 +19,11 @@ class Options(EffectOptions):
         return [] if self.rate >= 0.0 else [f"rate: {self.rate} is negative"]
 
 
-class Effect:
+class Effect(Damping):
     """v(h) = v e^{-kh} + a (1 - e^{-kh})/k: exact for constant a, so stable at any k h and monotone towards a/k."""
 
-    role = "dissipation"
-    fields = ("drag",)
     formula = "dv/dt = -k v"
-
-    def __init__(self, options: Options, scene: Scene):
-        pass
+    needs = Needs(columns={"drag": FIELDS["drag"]}, integrators=FORWARD)
 
     def factors(self, particles: Particles, h: float) -> tuple[Array, Array]:
         """(decay, push), each (n,): the velocity after h is v * decay + a * push.

@@ -4,7 +4,9 @@ from math import exp, expm1, log1p, sqrt
 
 from particles_mpi.kernels.jit import inner, kernel
 from particles_mpi.particles import Array, Particles
-from particles_mpi.scene.schema import EffectOptions, Scene
+from particles_mpi.scene.effect import ConstantFriction, Needs
+from particles_mpi.scene.model import EffectOptions
+from particles_mpi.scene.schema import Scene
 
 NEAR = 8.0  # times what force and friction do in a step: a standstill
 MOST_ROUNDS = 100
@@ -19,13 +21,11 @@ class Options(EffectOptions):
         return [] if self.strength >= 0.0 else [f"strength: {self.strength} is negative"]
 
 
-class Effect:
+class Effect(ConstantFriction):
     """friction(h/2) . force(h) . friction(h/2), with the stick rule: |v + h a| <= alpha h/m comes to rest exactly."""
 
-    role = "dissipation"
-    fields = ()
     formula = "m dv/dt = -alpha v/|v|"
-    divides_by_mass = True
+    needs = Needs(divides_by_mass=True, integrators=("leapfrog",))
 
     def __init__(self, options: Options, scene: Scene):
         self.strength = options.strength

@@ -15,7 +15,9 @@ from particles_mpi.parallel.communicator import Ranks
 from particles_mpi.parallel.exchange import IdRange
 from particles_mpi.parallel.signals import breathe
 from particles_mpi.particles import Array, Particles, places_of
-from particles_mpi.scene.schema import EffectOptions, Scene
+from particles_mpi.scene.effect import Context, Force
+from particles_mpi.scene.model import EffectOptions
+from particles_mpi.scene.schema import Scene
 
 ACCURACY = 1e-3
 PAIRS = 2 * 10**8  # at once
@@ -50,27 +52,29 @@ class Options(EffectOptions):
             faults.append("method: no images of a periodic box attract one another here; use a box that is not periodic, or none")
         return faults
 
+    def described(self, scene: Scene, total: int) -> str:
+        return self.choice(scene, total).words
+
     def choice(self, scene: Scene, total: int) -> Choice:
         """How the sum is done for `total` particles, and what it costs."""
         angle, accuracy = self.opening_angle or 0.5, self.accuracy or ACCURACY
         return choose(self.method, angle, accuracy, scene.dimension, total, self.multipole)
 
 
-class Effect:
+class Effect(Force):
     """Adds the attraction; its potential energy is shared by both partners of a pair."""
 
-    role = "force"
-    fields = ()
     formula = "dv_i/dt = G sum_j m_j (x_j - x_i)/(|x_j - x_i|^2 + eps^2)^(3/2)"
-    constant = False
+    collective = True
 
     def __init__(self, options: Options, scene: Scene):
         self.options, self.scene = options, scene
         self.G = scene.G if options.G is None else options.G
         self.softening2 = options.softening**2
 
-    def enter(self, ranks: Ranks, ids: IdRange) -> None:
-        """Whose particles attract: all those with `ids`, on these ranks."""
+    def bind(self, context: Context) -> None:
+        """Whose particles attract: all those there are."""
+        ranks, ids = context.ranks, context.ids
         angle = self.options.choice(self.scene, ids.total).angle
         self.sum: DirectSum | TreeSum
         if angle is None:
@@ -78,6 +82,10 @@ class Effect:
         else:
             quadrupoles = self.options.multipole == "quadrupole"
             self.sum = TreeSum(ranks, self.scene.dimension, angle, self.softening2, quadrupoles)
+
+    @property
+    def interactions(self) -> int:
+        return self.sum.interactions
 
     def add(self, particles: Particles, acceleration: Array) -> None:
         """acceleration (n, d) += that of all sources. Collective."""

@@ -3,7 +3,9 @@
 import numpy as np
 
 from particles_mpi.particles import Array, Particles, row_dot
-from particles_mpi.scene.schema import EffectOptions, Scene
+from particles_mpi.scene.effect import Force
+from particles_mpi.scene.model import EffectOptions
+from particles_mpi.scene.schema import Scene
 
 
 class Options(EffectOptions):
@@ -16,17 +18,14 @@ class Options(EffectOptions):
         return [] if n == d else [f"acceleration: {n} components in dimension {d}"]
 
 
-class Effect:
+class Effect(Force):
     """Adds g; its potential energy is -m g.x."""
 
-    role = "force"
-    fields = ()
     formula = "dv/dt = g"
-    constant = True
-    uniform = True
+    place_dependent = False
 
     def __init__(self, options: Options, scene: Scene):
-        self.g = np.array(options.acceleration, float)
+        self.g: Array = np.array(options.acceleration, float)
         self.periodic = np.array(scene.periodic)
 
     def add(self, particles: Particles, acceleration: Array) -> None:

@@ -2,21 +2,21 @@
 
 import numpy as np
 
-from particles_mpi.particles import Array, Particles, row_dot
-from particles_mpi.scene.schema import EffectOptions, Scene
+from particles_mpi.particles import FIELDS, Array, Particles, row_dot
+from particles_mpi.scene.effect import Force, Needs
+from particles_mpi.scene.model import EffectOptions
+from particles_mpi.scene.schema import Scene
 
 
 class Options(EffectOptions):
     """No keys: the accelerations stand in `[[particles]]`."""
 
 
-class Effect:
+class Effect(Force):
     """Adds a_i. (PBPhys cleared it after the first step; here it stays.)"""
 
-    role = "force"
-    fields = ("acceleration",)
     formula = "dv/dt = a_i"
-    constant = False  # the field is the user's to change between steps
+    needs = Needs(columns={"acceleration": FIELDS["acceleration"]})
 
     def __init__(self, options: Options, scene: Scene):
         self.periodic = np.array(scene.periodic)

@@ -10,7 +10,9 @@ from particles_mpi.contacts.law import loss
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.contacts.walls import Planes, drift_with_walls
 from particles_mpi.particles import Particles
-from particles_mpi.scene.schema import EffectOptions, Fraction, Model, Scene
+from particles_mpi.scene.effect import FORWARD, Needs, WallContacts
+from particles_mpi.scene.model import EffectOptions, Model
+from particles_mpi.scene.schema import Fraction, Scene
 
 
 class Plane(Model):
@@ -80,12 +82,11 @@ def planes_of(options: Options, scene: Scene) -> Planes:
     return Planes(point, normal, e, keep, lower, upper, bool(oblique.any()))
 
 
-class Effect:
+class Effect(WallContacts):
     """Reflects spheres off planes, at the instant of contact."""
 
-    role = "event"
-    fields = ()
     formula = "v -= (1+e)(v.n) n at (x-p).n = R"
+    needs = Needs(integrators=FORWARD)
 
     def __init__(self, options: Options, scene: Scene):
         self.planes = planes_of(options, scene)

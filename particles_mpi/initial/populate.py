@@ -6,13 +6,13 @@ velocities, and all other populations, as they were.
 
 from __future__ import annotations
 
-import importlib
 import os
 import warnings as python_warnings
 from collections.abc import Mapping
 from itertools import pairwise
 from math import inf
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 from pydantic import ValidationError
@@ -21,9 +21,12 @@ from particles_mpi.errors import SceneError
 from particles_mpi.initial.checks import check_start, listed, periodic_length
 from particles_mpi.initial.placement import JAMMED, MOST_TRIES, RandomAddition, Room, lattice, packing
 from particles_mpi.initial.plummer import plummer_places, plummer_velocities
-from particles_mpi.particles import ALWAYS, FIELDS, Array, Particles, default_values
+from particles_mpi.particles import FIELDS, Array, Particles, default_values
+from particles_mpi.scene.active import ActiveEffects, fields_of
+from particles_mpi.scene.effect import ConstantFriction
 from particles_mpi.scene.schema import LARGEST, Population, Scene, faults_of
 
+PER_PARTICLE = ("position", "velocity", "radius", "mass", "fixed", "drag", "acceleration")
 STREAMS = {name: k for k, name in enumerate(("position", "velocity", "speed", "radius", "mass", "drag"))}
 
 
@@ -39,37 +42,6 @@ def populate(scene: Scene) -> tuple[Particles, list[str]]:
         raise SceneError("particles: not enough memory for them") from None
 
 
-def fields_of(scene: Scene) -> list[str]:
-    """Names of the per-particle fields that a scene needs."""
-    extra = {name for effect in scene.effects for name in effect_class(effect).fields}
-    if scene.time.integrator == "taylor":
-        extra.add("rate")
-    keeps = keeps_contacts(scene, scene.effects)
-    if "collisions" in scene.effects and (scene.effects["collisions"].mode == "event" or keeps):
-        extra.add("contacted")
-    if scene.output.observables:
-        extra.add("virial")
-    if keeps:
-        extra.add("supported")
-    forces = [effect_class(effect) for effect in scene.effects if effect_class(effect).role == "force"]
-    contacts, differ = {"collisions", "walls"} & scene.effects.keys(), not all(getattr(f, "uniform", False) for f in forces)
-    if contacts and (differ or keeps):
-        extra.add("total_acceleration")
-    return [name for name in FIELDS if name in ALWAYS or name in extra]
-
-
-def keeps_contacts(scene: Scene, effects: dict[str, Any]) -> bool:
-    """Are there, among these effects, forces that press particles together or onto walls, and contacts that take energy?"""
-    if scene.time.integrator != "leapfrog" or not any(effect_class(name).role == "force" for name in effects):
-        return False
-    contacts = [effect_class(name)(effects[name], scene) for name in ("collisions", "walls") if name in effects]
-    return any(contact.lossy for contact in contacts)
-
-
-def effect_class(name: str) -> Any:
-    return importlib.import_module(f"particles_mpi.effects.{name}").Effect
-
-
 def room_of(scene: Scene) -> Room:
     """Box and walls of a scene as arrays; an open side is infinite."""
     d = scene.dimension
@@ -77,10 +49,10 @@ def room_of(scene: Scene) -> Room:
     if scene.box is not None:
         lower, upper = np.array(scene.box.lower, float), np.array(scene.box.upper, float)
     point, normal = np.empty((0, d)), np.empty((0, d))
-    if "walls" in scene.effects:
-        planes = effect_class("walls")(scene.effects["walls"], scene).planes
-        point, normal = planes.point, planes.normal
-    solid = "collisions" in scene.effects
+    effects = ActiveEffects(scene, switched_off=True)
+    if effects.walls:
+        point, normal = effects.walls.planes.point, effects.walls.planes.normal
+    solid = effects.pairs is not None
     return Room(lower, upper, periodic_length(scene), point, normal, solid, solid or len(point) > 0)
 
 
@@ -180,21 +152,25 @@ class Populator:
 
     def random(self, number: int, quantity: str) -> np.random.Generator:
         """The stream of one quantity of one population."""
-        key = np.array([self.scene.seed, number * len(STREAMS) + STREAMS[quantity]], np.uint64)
+        stream = (
+            number * len(STREAMS) + STREAMS[quantity] if quantity in STREAMS else crc32(f"{number} {quantity}".encode()) << 31
+        )
+        key = np.array([self.scene.seed, stream], np.uint64)
         return np.random.Generator(np.random.Philox(key=key))
 
     def count_of(self, number: int, population: Population) -> int:
         """Particles of a population: `count`, or the length of its lists, which must agree."""
         lengths: dict[str, int] = {}
-        for name in ("position", "velocity", "radius", "mass", "fixed", "drag", "acceleration"):
-            value = getattr(population, name)
+        given = {name: getattr(population, name) for name in PER_PARTICLE} | (population.model_extra or {})
+        vectors = {"velocity", "acceleration"} | {name for name, column in self.scene.columns.items() if column.vector}
+        for name, value in given.items():
             if isinstance(value, dict) and "file" in value:
                 table = self.read(f"particles[{number}].{name}", value["file"])
                 if table is None:
                     return 0
                 self.files[number, name] = table
                 lengths[name] = len(table)
-            elif isinstance(value, list) and (name not in ("velocity", "acceleration") or (value and isinstance(value[0], list))):
+            elif isinstance(value, list) and (name not in vectors or (value and isinstance(value[0], list))):
                 lengths[name] = len(value)
         if population.count is not None:
             lengths = {"count": population.count, **lengths}
@@ -250,11 +226,21 @@ class Populator:
         self.refuse(f"{key}.radius", rows, arrays["radius"][rows] < 0.0, "negative for")
         self.refuse(f"{key}.mass", rows, arrays["mass"][rows] < 0.0, "negative for")
         massless = arrays["mass"][rows] == 0.0
-        for name in self.scene.effects:
-            effect = effect_class(name)
-            if getattr(effect, "divides_by_mass", False):
-                needy = massless if effect.role == "dissipation" else massless & (arrays["fixed"][rows] == 0)
+        for name in self.scene.columns:
+            self.column(number, name, (population.model_extra or {}).get(name))
+        for name, options in self.scene.effects.items():
+            effect = options.effect_class()
+            if effect.needs.divides_by_mass:
+                needy = massless if issubclass(effect, ConstantFriction) else massless & (arrays["fixed"][rows] == 0)
                 self.refuse(f"{key}.mass", rows, needy, f"0, but [effects.{name}] divides by it, for")
+
+    def column(self, number: int, name: str, value: Any) -> None:
+        """A column that an effect from outside the program brings; `value` as the population gives it, or None."""
+        if value is None:
+            return
+        rows, least = self.rows[number], FIELDS[name].least
+        self.fill(number, name, value)
+        self.refuse(f"particles[{number}].{name}", rows, self.arrays[name][rows] < least, f"below {least:g} for")
 
     def fill(self, number: int, name: str, value: Any) -> None:
         """A field of a population from a number, a list or a range."""

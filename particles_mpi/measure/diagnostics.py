@@ -72,6 +72,3 @@ def columns(dimension: int, observables: bool = False, gravity: bool = False) ->
 
         row += OBSERVABLES
     return row
-
-
-COUNTS = ("collisions", "wall_hits", "missed", "exchanges")

@@ -44,6 +44,8 @@ class Neighbourhood:
     need a message.
     """
 
+    windows_redone = None  # ranks compute windows of time in mode event only
+
     def __init__(
         self,
         particles: Particles,

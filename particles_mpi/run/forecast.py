@@ -13,7 +13,7 @@ from typing import Any
 
 from numba.core.event import TimingListener, register
 
-from particles_mpi.initial.populate import effect_class, keeps_contacts
+from particles_mpi.scene.active import ActiveEffects
 from particles_mpi.scene.plan import duration
 from particles_mpi.scene.schema import Scene
 
@@ -35,15 +35,14 @@ class Outlook:
 
 def outlook(scene: Scene) -> Outlook:
     """What a scene lets one foresee; the factors are what such scenes took at most, here, rounded up."""
-    forces = [name for name in scene.active if effect_class(name).role == "force"]
+    effects = ActiveEffects(scene)
     if scene.time.integrator == "adaptive":
         return Outlook(0.3, 3.0, "steps are cut where bodies come close, and how often that will be is not known")
-    if forces and "collisions" in scene.active:
-        pairs = effect_class("collisions")(scene.effects["collisions"], scene)
-        if pairs.restitution * pairs.keep < HEAPING:
+    if effects.forces and effects.pairs:
+        if effects.pairs.restitution * effects.pairs.keep < HEAPING:
             return Outlook(1.0 / TRUST, 10.0, "what falls heaps up, and contacts that last are not counted")
         return Outlook(1.0 / TRUST, 4.0, "what falls gets faster and denser, and later contacts are not counted")
-    if keeps_contacts(scene, scene.active):
+    if effects.keeps_contacts:
         return Outlook(1.0 / TRUST, 3.0, "what falls comes to rest, and contacts that last are not counted")
     return Outlook()
 

@@ -10,21 +10,18 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.particles import Particles
-from particles_mpi.scene.schema import Scene, effect_names
+from particles_mpi.scene.effect_files import effect_names
+from particles_mpi.scene.schema import Scene
 
 
 def plan(scene: Scene, particles: Particles, total: int, ranks: int) -> dict[str, Any]:
     """The plan as plain data: for the screen, and for `run.json`. `particles`: some or all of the `total`."""
-    from importlib import import_module
-
     n, d = len(particles), scene.dimension
     runs = []
     for name, options in scene.effects.items():
-        effect = import_module(f"particles_mpi.effects.{name}").Effect
+        effect, how = options.effect_class(), options.described(scene, total)
         row = {"effect": name, "role": effect.role, "law": effect.formula}
-        if hasattr(options, "choice"):
-            row["how"] = options.choice(scene, total).words
-        runs.append(row)
+        runs.append(row | {"how": how} if how else row)
     pairs = "collisions" in scene.effects
     event = pairs and scene.effects["collisions"].mode == "event"
     row_bytes = sum(column.nbytes for column in particles.arrays.values()) / max(n, 1)

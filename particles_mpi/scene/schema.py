@@ -7,53 +7,20 @@ length of a step) is judged in `populate`.
 from __future__ import annotations
 
 import difflib
-import importlib
-import importlib.util
 import json
-import pkgutil
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
 
 from particles_mpi.errors import SceneError
+from particles_mpi.scene.effect import ONE_OF_EACH
+from particles_mpi.scene.effect_files import digest_of, effect_names, load_effect
+from particles_mpi.scene.model import Model
 
 LARGEST = 1e100
 TOLERANCES = 1e-12, 1e-3  # of `adaptive`, smallest and largest: below, round-off of the forces alone is more
-NEEDS_FREE_PATHS = ("collisions", "walls", "drag", "friction")  # effects that only leapfrog and taylor know
-
-
-class Model(BaseModel):
-    """Strict: an unknown key, or a number given as text, is a fault and not a guess."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-    _running: bool = PrivateAttr(False)  # does a simulation go by it?
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if name in type(self).model_fields and self._running:
-            raise AttributeError(
-                f"{name}: the scene of a simulation stays as it is, for the simulation would not see the change;"
-                " set sim.h, sim.time, or an option of sim.effects[name]"
-            )
-        super().__setattr__(name, value)
-
-    def running(self) -> Self:
-        """A copy, down to the tables, that a simulation goes by and that can no longer be changed."""
-        tables = {name: value.running() for name in type(self).model_fields if isinstance(value := getattr(self, name), Model)}
-        copy = self.model_copy(update=tables)
-        copy._running = True
-        return copy
-
-
-class EffectOptions(Model):
-    """The keys of a table `[effects.NAME]`. An effect that is not `active` does nothing until it is switched on."""
-
-    active: bool = True
-
-    def faults(self, scene: Scene) -> list[str]:
-        """What is wrong with these options in this scene, each beginning with the key; [] if nothing is."""
-        return []
 
 
 def _number(value: Any) -> bool:
@@ -172,7 +139,12 @@ class Time(Model):
 
 
 class Population(Model):
-    """Particles that are described together; ids run through the populations in order, from 0."""
+    """Particles that are described together; ids run through the populations in order, from 0.
+
+    Further keys are columns that effects from outside the program bring: the scene checks them.
+    """
+
+    model_config = ConfigDict(extra="allow")
 
     count: Annotated[int, Field(ge=0, le=10**18)] | None = None
     position: Annotated[Any, BeforeValidator(_position)]
@@ -184,35 +156,43 @@ class Population(Model):
     acceleration: Annotated[Any, BeforeValidator(_vector_or_rows)] = None
 
 
+Format = Literal["hdf5", "vtk"]
+FORMATS: tuple[Format, ...] = ("hdf5", "vtk")
+
+
 class Output(Model):
     """What is written, and how often (in steps)."""
 
     every: Annotated[int, Field(ge=1)] = 100
-    formats: list[Literal["hdf5", "vtk"]] = ["hdf5", "vtk"]
+    formats: list[Format] = Field(default_factory=lambda: list(FORMATS))
     checkpoint_every: Annotated[int, Field(ge=1)] = 1000
     diagnostics_every: Annotated[int, Field(ge=1)] = 10
     observables: bool = False
 
 
-def effect_names() -> list[str]:
-    """The effects that exist: one file each in `effects/`."""
-    package = importlib.import_module("particles_mpi.effects")
-    return sorted(m.name for m in pkgutil.iter_modules(package.__path__) if not m.name.startswith("_"))
-
-
-def _effects(value: Any) -> dict[str, Any]:
-    """Validate each `[effects.NAME]` by the Options of `effects/NAME.py`; an effect that is not named is not imported."""
+def _effects(value: Any, info: ValidationInfo) -> dict[str, Any]:
+    """Validate each `[effects.NAME]` by the Options of its file; an effect that is not named is not imported."""
     if not isinstance(value, dict):
         raise ValueError("effects: must be tables [effects.NAME]")
     validated, names = {}, effect_names()
     for name, keys in value.items():
-        if name not in names:
-            raise ValueError(f"{_key(('effects', name))}: unknown effect{_suggest(name, names)}")
-        options = importlib.import_module(f"particles_mpi.effects.{name}").Options
+        key = _key(("effects", name))
+        file = keys.get("file") if isinstance(keys, dict) else None
+        if file is None and name not in names:
+            raise ValueError(f"{key}: unknown effect{_suggest(name, names)}")
+        if file is not None:
+            if name in names:
+                raise ValueError(f"{key}.file: {name} is an effect of the program; give yours another name")
+            if not isinstance(file, str) or not str(name).isidentifier():
+                raise ValueError(f"{key}.file: must be the name of a Python file, for an effect whose name is an identifier")
+            keys = keys | {"file": str((info.data["folder"] / file).resolve())}
         try:
+            options = load_effect(name, None if file is None else Path(keys["file"])).Options
             validated[name] = options.model_validate(keys)
         except ValidationError as error:
             raise ValueError("\n".join(faults_of(error, options, ("effects", name)))) from None
+        except ValueError as error:
+            raise ValueError(f"{key}.file: {error}") from None
     return validated
 
 
@@ -223,6 +203,7 @@ class Scene(Model):
     `Scene(...)` the same again as keywords. All raise `SceneError`.
     """
 
+    folder: Annotated[Path, Field(exclude=True)] = Path()
     title: str = ""
     dimension: Annotated[int, Field(ge=1, le=100)]
     seed: Annotated[int, Field(ge=0)] = 0
@@ -230,9 +211,8 @@ class Scene(Model):
     box: Box | None = None
     time: Time
     particles: list[Population]
-    effects: Annotated[dict[str, Any], BeforeValidator(_effects)] = {}
+    effects: Annotated[dict[str, Any], BeforeValidator(_effects)] = Field(default_factory=dict)
     output: Output = Output()
-    folder: Annotated[Path, Field(exclude=True)] = Path()
 
     def __init__(self, **tables: Any):
         try:
@@ -274,6 +254,10 @@ class Scene(Model):
     def to_json(self) -> str:
         return json.dumps(self.to_dict())
 
+    def digests(self) -> dict[str, str]:
+        """sha256 of the files of effects from outside the program, by effect."""
+        return {name: digest_of(options) for name, options in self.effects.items() if options.file}
+
     @property
     def periodic(self) -> list[bool]:
         """Which axes are periodic; none where space is open."""
@@ -303,15 +287,7 @@ class Scene(Model):
     @model_validator(mode="after")
     def _consistent(self) -> Scene:
         d, faults = self.dimension, []
-        if self.time.integrator in ("order4", "adaptive"):
-            reason = "goes back in time between kicks" if self.time.integrator == "order4" else "needs smooth paths"
-            faults += [
-                f'time.integrator: "{self.time.integrator}" {reason}, which {name} does not allow; use "leapfrog"'
-                for name in NEEDS_FREE_PATHS
-                if name in self.effects
-            ]
-        if self.time.integrator == "taylor" and "friction" in self.effects:
-            faults.append('time.integrator: "taylor" knows no friction; use "leapfrog"')
+        faults += self.integrator_faults() + self.kind_faults()
         if self.box:
             faults += _vector("box.lower", self.box.lower, d) + _vector("box.upper", self.box.upper, d)
             if len(self.periodic) != d:
@@ -330,6 +306,30 @@ class Scene(Model):
         if faults:
             raise ValueError("\n".join(faults))
         return self
+
+    def integrator_faults(self) -> list[str]:
+        """Effects that the integrator cannot compute."""
+        name, faults = self.time.integrator, []
+        reason = {"order4": "goes back in time between kicks", "adaptive": "needs smooth paths"}.get(name)
+        for effect, options in self.effects.items():
+            if name not in options.effect_class().needs.integrators:
+                why = f"{reason}, which {effect} does not allow" if reason else f"knows no {effect}"
+                faults.append(f'time.integrator: "{name}" {why}; use "leapfrog"')
+        return faults
+
+    def kind_faults(self) -> list[str]:
+        """Effects of kinds of which the program computes one only."""
+        faults = []
+        for kind in ONE_OF_EACH:
+            names = [name for name, options in self.effects.items() if issubclass(options.effect_class(), kind)]
+            faults += [f"effects.{name}: would be ignored beside {names[0]}, an effect of the same kind" for name in names[1:]]
+        return faults
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """The per-particle columns that effects from outside the program bring, by name."""
+        outside = [options.effect_class().needs.columns for options in self.effects.values() if options.file]
+        return {name: column for columns in outside for name, column in columns.items()}
 
     def population_faults(self, key: str, population: Population) -> list[str]:
         """What is wrong with a population in this scene, each beginning with `key`; [] if nothing is."""
@@ -352,6 +352,19 @@ class Scene(Model):
                 faults += [f for i, row in enumerate(value) for f in _vector(f"{key}.{name}[{i}]", row, d)]
             elif isinstance(value, list):
                 faults += _vector(f"{key}.{name}", value, d)
+        for name, value in (population.model_extra or {}).items():
+            known = [n for n in [*Population.model_fields, *self.columns] if n != "folder"]
+            if name not in self.columns:
+                faults.append(f"{key}.{name}: unknown key{_suggest(name, known)}")
+                continue
+            try:
+                _vector_or_rows(value) if self.columns[name].vector else _scalar_or_list(value)
+            except ValueError as error:
+                faults.append(f"{key}.{name}: {error}")
+                continue
+            if self.columns[name].vector:
+                rows = value if _points(value) else [value]
+                faults += [f for row in rows for f in _vector(f"{key}.{name}", row, d)]
         if population.drag is not None and "drag" not in self.effects:
             faults.append(f"{key}.drag: needs [effects.drag]")
         if population.acceleration is not None and "user_acceleration" not in self.effects:

@@ -43,6 +43,8 @@ CHANGING = ("position", "velocity", "contacted", "virial", "supported", "total_a
 class Event:
     """Drifts particles that collide with one another, and with walls if there are any."""
 
+    pair_tests = 0  # candidate pairs are tested in mode rewind only
+
     def __init__(
         self,
         particles: Particles,

@@ -11,7 +11,7 @@ import numpy as np
 from particles_mpi import Simulation
 from particles_mpi.kernels.motion import free_drift, kick
 from particles_mpi.measure import snapshot
-from particles_mpi.scene.schema import effect_names
+from particles_mpi.scene.effect_files import effect_names
 from particles_mpi.study.measuring.clock import Watch, time_in_turns
 from particles_mpi.study.measuring.experiment import Errors, Experiment, Lab, Row, Setting
 

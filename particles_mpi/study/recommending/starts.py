@@ -9,11 +9,12 @@ import numpy as np
 from particles_mpi import Scene, Simulation
 from particles_mpi.errors import SceneError
 from particles_mpi.initial.checks import check_start, endless_falls, periodic_length
-from particles_mpi.initial.populate import effect_class, fields_of, populate, room_of
+from particles_mpi.initial.populate import populate, room_of
 from particles_mpi.measure import snapshot
 from particles_mpi.parallel.agreement import alike, same_on_all
 from particles_mpi.parallel.communicator import Ranks
 from particles_mpi.particles import ALWAYS, FIELDS, Array, Particles, shape
+from particles_mpi.scene.active import fields_of
 from particles_mpi.study.measuring.experiment import Lab
 
 DIRECT: dict[str, Any] = {"method": "direct", "opening_angle": None, "accuracy": None, "multipole": None}  # sum of forces
@@ -50,7 +51,7 @@ class Start:
             self.particles, self.warnings = populate(scene)
         same_on_all(lab.ranks, scene.to_dict(), self.particles.arrays)
         self.total = len(self.particles)
-        effects = {name: effect_class(name) for name in scene.effects}
+        effects = {name: options.effect_class() for name, options in scene.effects.items()}
         self.contacts = bool({"collisions", "walls"} & effects.keys())
         self.dissipates = bool({"drag", "friction"} & effects.keys())
         self.forces = [name for name, effect in effects.items() if effect.role == "force"]

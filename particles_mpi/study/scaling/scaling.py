@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.errors import SceneError, StoppedError
-from particles_mpi.initial.populate import fields_of
 from particles_mpi.output import failing_together
 from particles_mpi.parallel.agreement import alike
 from particles_mpi.parallel.communicator import Ranks
 from particles_mpi.particles import FIELDS
 from particles_mpi.run.console import Screen
+from particles_mpi.scene.active import fields_of
 from particles_mpi.scene.schema import Scene
 from particles_mpi.simulation import Simulation
 from particles_mpi.study.measuring.clock import SAMPLE, SAMPLES, time_in_turns

@@ -1,0 +1,101 @@
+"""A simulation as a whole: copied, compared, printed, saved and read back, with the same bits from there on."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from particles_mpi.between_steps.changes import Changeable
+from particles_mpi.contacts.drift import COUNTS
+from particles_mpi.measure import snapshot
+from particles_mpi.output.checkpoint import load
+from particles_mpi.parallel.agreement import alike, same_on_all
+from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.particles import Array, Particles
+from particles_mpi.scene.schema import Scene
+
+
+class Saved(Changeable):
+    """A state that can be copied and saved."""
+
+    def about(self) -> dict[str, Any]:
+        """Clock, counts over all ranks, and scene, as plain data: what a state is besides its particles. Collective."""
+        self.take_changes()
+        totals = self.ranks.total(np.array([self.drift.totals[name] for name in COUNTS])).tolist()
+        clock = {"step": self.steps_done, "moment": self.moment, "h": self._h, "observed": self.observed}
+        kept = [column.tolist() for column in self.rest.memory] if self.rest else []
+        counts = {"totals": totals, "next_id": self.next_id, "additions": self.additions}
+        return {**clock, **counts, "kept": kept, "scene": self.scene.to_dict()}
+
+    @classmethod
+    def restored(cls, scene: Scene, ranks: Ranks, everyone: Particles, about: dict[str, Any]) -> Self:
+        """The simulation that `about` tells of, with these particles (in id order on every rank). Collective."""
+        sim = cls.__new__(cls)
+        sim.begin(scene, ranks, everyone, about["next_id"])
+        sim.steps_done, sim._h, sim.additions = about["step"], about["h"], about["additions"]
+        sim.moment = about["moment"][0], about["moment"][1]
+        sim.observed = list(about["observed"])
+        if sim.rest and about["kept"]:
+            sim.rest.memory = np.array(about["kept"][0], np.int64), np.array(about["kept"][1], float)
+        if ranks.is_root:  # counts are sums over ranks: one rank carries those from before
+            sim.drift.totals.update(zip(COUNTS, about["totals"], strict=True))
+        return sim
+
+    @classmethod
+    def read(cls, ranks: Ranks, arrays: dict[str, Array], about: dict[str, Any]) -> Self:
+        """The simulation of a state that every rank has read from a file: it must be the same on all."""
+        same_on_all(ranks, about, arrays)
+        with alike(ranks):
+            scene = Scene.from_dict(about["scene"])
+            return cls.restored(scene, ranks, Particles(scene.dimension, arrays), about)
+
+    @classmethod
+    def resume(cls, path: str | Path, comm: Any = None) -> Self:
+        """The run that wrote the checkpoint, where it stood, on any number of ranks; the same bits from there on."""
+        ranks = Ranks(comm)
+        with alike(ranks):
+            arrays, saved = load(Path(path))
+            about = {name: json.loads(str(saved[name])) for name in snapshot.ABOUT}
+        sim = cls.read(ranks, arrays, about)
+        sim.reported, sim.written = json.loads(saved["reported"]), json.loads(saved["written"])
+        return sim
+
+    def copy(self) -> Self:
+        """Another simulation in the same state. Collective."""
+        about = self.about()
+        return self.restored(self.scene, self.ranks, snapshot.everyone(self.ranks, self.rows), about)
+
+    def to_json(self, path: str | Path, indent: int | None = None) -> None:
+        """Save scene and state, exact to the bit; compact, or readable with `indent`. Collective."""
+        about = self.about()
+        snapshot.save_json(Path(path), self.ranks, self.rows, about, indent)
+
+    @classmethod
+    def from_json(cls, path: str | Path, comm: Any = None) -> Self:
+        """What `to_json` saved, on any number of ranks."""
+        ranks = Ranks(comm)
+        with alike(ranks):
+            arrays, about = snapshot.load_json(Path(path))
+        return cls.read(ranks, arrays, about)
+
+    def __eq__(self, other: object) -> bool:
+        """The same scene, time, step length and particles, to the bit. Collective."""
+        if not isinstance(other, Saved):
+            return NotImplemented
+        for sim in (self, other):
+            sim.take_changes()
+        mine, theirs = (snapshot.everyone(sim.ranks, sim.rows) for sim in (self, other))
+        clocks = [(sim.time, sim.h, sim.next_id) for sim in (self, other)]
+        return self.scene == other.scene and clocks[0] == clocks[1] and snapshot.same(mine, theirs)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __str__(self) -> str:
+        self.particles.collect()
+        return f"{self!r}\n{snapshot.table(self.rows)}"
+
+    def __repr__(self) -> str:
+        return f"Simulation({self.scene.title!r}: {self.total} particles, step {self.steps_done}, time {self.time:g})"

@@ -1,0 +1,159 @@
+"""The drift of a step: positions over a time, with whatever particles meet on the way.
+
+A scene loads the operator of its mode only if it has pairs that collide, and the search for neighbours with it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from particles_mpi.contacts.velocity_flow import Rates
+from particles_mpi.contacts.walls import no_planes
+from particles_mpi.kernels.geometry import wrap
+from particles_mpi.kernels.motion import free_drift
+from particles_mpi.particles import Array, Particles
+from particles_mpi.scene.active import ActiveEffects
+from particles_mpi.scene.effect import Context, Damping, Event, PairContacts, WallContacts
+
+COUNTS = ("collisions", "wall_hits", "missed", "exchanges")
+
+
+def keeper_of_contacts(effects: ActiveEffects, context: Context, dimension: int) -> Any:
+    """The operator for contacts that last, where forces and losses can make one last; else None."""
+    if not effects.keeps_contacts:
+        return None
+    from particles_mpi.contacts.persistent.operator import Rest
+
+    pairs = effects.pairs is not None and effects.pairs.lossy
+    planes = effects.walls.planes if effects.walls else no_planes(dimension)
+    return Rest(context.ranks, context.ids.end, context.length, pairs, planes, effects.uniform, context.timers)
+
+
+class Drift:
+    """Moves the rows of this rank.
+
+    rest: keeps contacts that last, or None; near: whoever knows the neighbours, or None; operator: whoever does the contacts
+    of pairs, or None. accelerations: called for the accelerations (n, d) of this moment. totals: counts of what happened, by
+    the names of COUNTS; calls: how often each effect was asked. middle: half of the step, as a time from its start.
+    """
+
+    def __init__(self, rows: Particles, context: Context, effects: ActiveEffects, rest: Any, accelerations: Callable[[], Any]):
+        self.rows, self.context, self.effects, self.rest = rows, context, effects, rest
+        self.totals, self.calls = dict.fromkeys(COUNTS, 0), Counter[str]()
+        self.events = effects.events
+        self.pair_names, self.wall_names = effects.names(PairContacts), effects.names(WallContacts)
+        self.damping, self.strength = effects.names(Damping), effects.friction.strength if effects.friction else 0.0
+        self.middle = 0.0
+        self.past_work: dict[str, int] = {}  # of operators that are no longer there
+        self.past_remarks: list[str] = []
+        self.near: Any = None
+        self.operator: Any = None
+        if effects.pairs:
+            self.load_operator(effects.pairs, accelerations)
+
+    def load_operator(self, pairs: PairContacts, accelerations: Callable[[], Any]) -> None:
+        """The collision operator that the scene names, and its search for neighbours."""
+        context, planes = self.context, self.effects.walls.planes if self.effects.walls else None
+        box, loss = (context.lower, context.upper, context.length), (pairs.restitution, pairs.keep)
+        exact: Any = None
+        if pairs.options.mode == "event" or self.effects.keeps_contacts:
+            from particles_mpi.contacts.event_driven.operator import Event as EventDriven
+
+            duration = pairs.options.contact_duration
+            exact = EventDriven(self.rows, context.ranks, box, loss, duration, planes, context.timers)
+            if self.rest and self.rest.pairs:
+                exact.hold = lambda h: self.rest.hold(self.rows, accelerations(), h)
+        if pairs.options.mode == "event":
+            self.near = self.operator = exact
+            return
+        from particles_mpi.contacts.time_stepped.operator import Rewind
+        from particles_mpi.neighbours.neighbour_list import Neighbourhood
+
+        walls = planes or no_planes(self.rows.dimension)
+        kicked = bool(self.effects.forces or self.effects.on_velocities or self.events)
+        self.near = Neighbourhood(self.rows, context.ranks, box, (walls.point, walls.normal), kicked, context.timers)
+        self.operator = Rewind(self.near, loss, pairs.options.passes, planes, context.timers, exact)
+
+    def advance(self, h: float, time: float, rates: Rates, contacts: bool = True, stop: bool = False) -> None:
+        """Positions over h from `time` on, while velocities change by `rates`. Collective.
+
+        Without `contacts` particles pass through one another and through walls; with `stop` it ends at the first collision.
+        """
+        p, context = self.rows, self.context
+        wrapped = False
+        if contacts and self.effects.pairs:
+            migrated = self.near.migrated
+            stopping = {"stop": True} if stop else {}
+            found = self.operator.drift(h, time, rates, **stopping)
+            happened = [*found, self.near.migrated - migrated]
+            self.calls.update([*self.pair_names, *self.wall_names])
+            wrapped = True  # ghosts too
+        elif contacts and self.effects.walls:
+            with context.timers("walls"):
+                happened = [0, self.effects.walls.drift(p, h, rates.of(p.arrays)), 0, 0]
+            self.calls.update(self.wall_names)
+        else:
+            with context.timers("drift"):
+                free_drift(p.position, p.velocity, h)
+            happened = [0, 0, 0, 0]
+            p.version += self.effects.pairs is not None  # what is known of neighbours does not hold any longer
+        for name, number in zip(COUNTS, happened, strict=True):
+            self.totals[name] += int(number)
+        if self.events and self.act(self.events, h):
+            wrapped = False
+        if context.length.any() and not wrapped:
+            with context.timers("drift"):
+                wrap(p.position, context.lower, context.upper, context.length)
+
+    def act(self, events: dict[str, Event], h: float) -> bool:
+        """Events at the end of the drift; was any row of this rank changed?"""
+        changed = 0
+        for name, event in events.items():
+            with self.context.timers("events"):
+                changed += event.act(self.rows, h)
+            self.calls[name] += 1
+        self.rows.version += changed > 0  # nothing that was known of neighbours holds any longer
+        return changed > 0
+
+    def rates(self, g: Array, total: Array | None, by_flows: Array | None) -> Rates:
+        """How velocities change between the contacts of this step.
+
+        g (d,): what all particles have in common; total (n, d): the sum of all forces, by_flows (n, d): of other effects on
+        velocities; None for nothing. They stand in a field of the particles where they differ from one to another.
+        """
+        p, none = self.rows, np.empty((0, self.rows.dimension))
+        if "total_acceleration" in p.arrays:
+            p["total_acceleration"][:] = 0.0 if total is None else total
+            if by_flows is not None:
+                p["total_acceleration"][:] += by_flows
+        if self.rest:  # contacts that last push too: what lies on something does not fall
+            rows, given = self.rest.given
+            p["total_acceleration"][rows] += given.reshape(len(rows), p.dimension) / self.middle
+        kicked = self.effects.forces or self.effects.on_velocities
+        return Rates(g[None, :] if kicked else none, np.zeros(len(self.damping)), self.strength, self.middle)
+
+    def continue_counts(self, before: Drift) -> None:
+        """Count on from where the drift stood that this one replaces. Collective."""
+        self.totals, self.calls = before.totals, before.calls
+        self.past_work, self.past_remarks = before.work(), before.remarks()
+
+    def remarks(self) -> list[str]:
+        """What happened that a user should know of, a line each. Collective."""
+        return [*self.past_remarks, *([] if self.operator is None else self.operator.remarks())]
+
+    def work(self) -> dict[str, int]:
+        """Searches for neighbours, ghosts, tests of pairs and windows of time so far, of this rank."""
+        near = self.near
+        windows = near.windows_redone if near and near.windows_redone else (0, 0)
+        now = {
+            "pair_tests": near.pair_tests if near else 0,
+            "pair_searches": near.searches if near else 0,
+            "ghost_rows": near.ghost_rows if near else 0,
+            "windows": windows[0],
+            "windows_redone": windows[1],
+        }
+        return {name: number + self.past_work.get(name, 0) for name, number in now.items()}
