@@ -15,14 +15,29 @@ checks them. `Effect` derives from one of these kinds, which say when it acts:
 
 What an effect needs stands in `needs`: a column of its own per particle (a charge, say) is then a key of every
 `[[particles]]` table, and is written to frames and checkpoints. An effect that no scene names is never imported.
+`kernel` compiles a function with a loop over rows. Decide by data and ids of particles, never by the order of rows: results
+must have the same bits on any number of ranks.
 
 The other kinds are those of the program's own effects, which are computed together and not one after the other: `Damping`,
 `ConstantFriction`, `WallContacts` and `PairContacts`. A scene can have one of each.
 """
 
+from particles_mpi.kernels.jit import kernel
 from particles_mpi.particles import Array, Column, Particles
 from particles_mpi.scene.effect import Context, Event, Force, Needs, VelocityFlow
 from particles_mpi.scene.model import EffectOptions
 from particles_mpi.scene.schema import Scene
 
-__all__ = ["Array", "Column", "Context", "EffectOptions", "Event", "Force", "Needs", "Particles", "Scene", "VelocityFlow"]
+__all__ = [
+    "Array",
+    "Column",
+    "Context",
+    "EffectOptions",
+    "Event",
+    "Force",
+    "Needs",
+    "Particles",
+    "Scene",
+    "VelocityFlow",
+    "kernel",
+]

@@ -1,4 +1,7 @@
-"""The candidates of one search: pairs, and particles near walls, that can touch until a horizon. See `trajectories` for the idea."""
+"""The candidates of one search: pairs, and particles near walls, that can touch until a horizon.
+
+See `trajectories` for the idea.
+"""
 
 from __future__ import annotations
 

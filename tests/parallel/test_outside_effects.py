@@ -1,0 +1,208 @@
+"""An effect is one file: a force, a velocity flow and an event from outside the package, each with a column of its own."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from conftest import run_ranks
+
+from particles_mpi import Scene, SceneError, Simulation
+
+OUTSIDE = Path(__file__).parent / "outside"
+BOX = """
+dimension = 3
+[box]
+lower = [0, 0, 0]
+upper = [6, 6, 6]
+[time]
+step = 0.01
+steps = 60
+[[particles]]
+count = 120
+position = "random"
+velocity = {speed = {min = 1.0, max = 5.0}}
+radius = {min = 0.1, max = 0.2}
+mass = {min = 0.5, max = 2.0}
+OWN
+[output]
+every = 20
+[effects.walls]
+restitution = 0.9
+[effects.collisions]
+mode = "MODE"
+restitution = 0.95
+"""
+OWN = {
+    "magnetic_field": ("charge = {min = -1.0, max = 1.0}", 'file = "magnetic.py"\nfield = [0.5, 0.0, 2.0]'),
+    "springs": ("stiffness = {min = 0.0, max = 3.0}", 'file = "springs.py"\ncentre = [3.0, 3.0, 3.0]'),
+    "gate": ("", 'file = "gate.py"\nplace = 3.0'),
+}
+COLUMNS = {"magnetic_field": "charge", "springs": "stiffness", "gate": "crossings"}
+
+
+def text(mode, *names):
+    columns = "\n".join(OWN[name][0] for name in names)
+    tables = "".join(f"[effects.{name}]\n{OWN[name][1]}\n" for name in names)
+    return BOX.replace("MODE", mode).replace("OWN", columns) + tables
+
+
+def scene(table, d=3, **more):
+    """One particle, and one effect from a file of this folder."""
+    time = {"step": 0.01, "steps": 100} | more.pop("time", {})
+    particles = [{"position": [[1.0] * d], "velocity": [1.0] + [0.5] * (d - 1)} | more.pop("particle", {})]
+    return Scene.from_dict({"dimension": d, "time": time, "particles": particles, "effects": table} | more, OUTSIDE)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Each effect alone and all together, in both modes, on 1 and 2 ranks; a folder with what they left."""
+    folder = tmp_path_factory.mktemp("outside")
+    for path in OUTSIDE.glob("*.py"):
+        shutil.copy(path, folder)
+    for mode in ("rewind", "event"):
+        for name in OWN:
+            (folder / f"{name}_{mode}.toml").write_text(text(mode, name))
+        (folder / f"all_{mode}.toml").write_text(text(mode, *OWN))
+    for ranks in (1, 2):
+        done = run_ranks(ranks, "tests/parallel/outside_runs.py", folder, timeout=300)
+        assert done.returncode == 0, done.stderr[-2000:]
+    return folder
+
+
+CASES = [f"{name}_{mode}" for mode in ("rewind", "event") for name in (*OWN, "all")]
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("case", CASES)
+def test_same_bits_on_ranks_and_after_a_restart(runs, case):
+    one, two = (dict(np.load(runs / f"{case}.{ranks}.npz")) for ranks in (1, 2))
+    assert [name for name in one if one[name].tobytes() != two[name].tobytes()] == []
+    for ranks in (1, 2):
+        assert json.loads((runs / f"{case}.{ranks}.json").read_text()) == {"resumed is the same": True}
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("name", OWN)
+def test_columns_are_in_frames_checkpoints_and_plans(runs, name):
+    folder, column = runs / f"{name}_rewind.2", COLUMNS[name]
+    with h5py.File(folder / "trajectory.vtkhdf") as file:
+        last = file[f"VTKHDF/PointData/{column}"][-120:]
+    final = dict(np.load(runs / f"{name}_rewind.2.npz"))[column]
+    assert np.unique(last).size > 1 and np.unique(final).size > 1
+    if name != "gate":  # which changes its column
+        np.testing.assert_array_equal(last, final)
+    run = json.loads((folder / "run.json").read_text())
+    (row,) = (row for row in run["plan"]["effects"] if row["effect"] == name)
+    assert row["calls"] > 0 and row["law"]
+    assert run["scene"]["effects"][name]["file"] == str(runs / f"{OWN[name][1].split(chr(34))[1]}")
+
+
+def test_a_charge_goes_round_exactly():
+    """The velocity turns by q B t/m about B, whatever the step; the place follows with the order of leapfrog."""
+    table = {"magnetic_field": {"file": "magnetic.py", "field": [0.0, 0.0, 2.0]}}
+    errors = []
+    for steps in (100, 200):
+        time = {"step": 1.0 / steps, "steps": steps}
+        sim = Simulation(scene(table, time=time, particle={"charge": 1.5, "mass": 0.5, "velocity": [1.0, 0.0, 0.3]}))
+        sim.run()
+        omega = -1.5 * 2.0 / 0.5
+        np.testing.assert_allclose(sim.particles.velocity[0], [np.cos(omega), np.sin(omega), 0.3], atol=1e-13)
+        true = [1.0 + np.sin(omega) / omega, 1.0 + (1.0 - np.cos(omega)) / omega, 1.3]
+        errors.append(np.abs(sim.particles.position[0] - true).max())
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.05)
+
+
+def test_a_wall_reflects_the_velocity_of_the_moment_of_contact():
+    """In a field along the wall the path is made of arcs; a bounce keeps the order of the step, and the speed."""
+    table = {"magnetic_field": {"file": "magnetic.py", "field": [0.0, 0.0, 1.0]}, "walls": {"planes": [
+        {"point": [0.0, 0.0, 0.0], "normal": [1.0, 0.0, 0.0]}]}}  # fmt: skip
+    ends = []
+    for steps in (40, 80, 160, 5120):
+        time = {"step": 2.0 / steps, "steps": steps}
+        sim = Simulation(scene(table, time=time, particle={"velocity": [-1.0, 0.2, 0.0], "radius": 0.1}))
+        sim.run()
+        assert np.linalg.norm(sim.particles.velocity[0]) == pytest.approx(np.hypot(1.0, 0.2), rel=1e-3)
+        ends.append(sim.particles.position[0].copy())
+    errors = [np.abs(end - ends[-1]).max() for end in ends[:-1]]
+    assert errors[0] / errors[2] > 10.0  # 16 for order two
+
+
+def test_springs_keep_the_energy_and_the_period():
+    table = {"springs": {"file": "springs.py", "centre": [0.0, 0.0]}}
+    sim = Simulation(scene(table, d=2, time={"step": 0.001, "steps": 3142}, particle={"stiffness": 8.0, "mass": 2.0}))
+    energy = sim.measure()["total_energy"]
+    assert energy == pytest.approx(0.5 * 2.0 * 1.25 + 0.5 * 8.0 * 2.0)
+    sim.run()
+    np.testing.assert_allclose(sim.particles.position[0], [1.0, 1.0], atol=2e-3)  # one period is pi
+    assert sim.measure()["total_energy"] == pytest.approx(energy, rel=1e-5)
+
+
+def test_a_gate_takes_its_part_once():
+    sim = Simulation(scene({"gate": {"file": "gate.py", "place": 1.5}}, d=1, particle={"velocity": [1.0]}))
+    sim.run()
+    assert sim.particles["crossings"][0] == 1 and sim.particles.velocity[0, 0] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("table", "more", "fault"),
+    [
+        ({"field": [0, 0, 1]}, {}, "effects.magnetic_field: unknown effect"),
+        ({"file": "none.py", "field": [0.0, 0.0, 1.0]}, {}, "effects.magnetic_field.file: .*none.py: no such Python file"),
+        ({"file": "magnetic.py"}, {}, "effects.magnetic_field.field: missing"),
+        ({"file": "magnetic.py", "field": [1.0]}, {}, "effects.magnetic_field.field: 1 components, not 3"),
+        ({"file": "magnetic.py", "field": [0.0] * 3, "B": 1}, {}, "effects.magnetic_field.B: unknown key"),
+        ({"file": "magnetic.py", "field": [0.0] * 3}, {"charge": "x"}, r"particles\[0\].charge: must be a number"),
+        (
+            {"file": "magnetic.py", "field": [0.0] * 3},
+            {"change": 1.0},
+            r"particles\[0\].change: unknown key .did you mean 'charge'",
+        ),
+        ({"file": "magnetic.py", "field": [0.0] * 3}, {"charge": [1.0, 2.0]}, r"particles\[0\].charge: 2 entries"),
+        ({"file": "magnetic.py", "field": [0.0] * 3}, {"mass": 0.0}, r"particles\[0\].mass: 0, but \[effects.magnetic_field\]"),
+    ],
+)
+def test_every_key_is_checked(table, more, fault):
+    with pytest.raises(SceneError, match=fault):
+        Simulation(scene({"magnetic_field": table}, particle=more))
+
+
+def test_what_would_be_ignored_is_refused(tmp_path):
+    magnetic = {"file": "magnetic.py", "field": [0.0, 0.0, 1.0]}
+    with pytest.raises(SceneError, match='"order4" goes back in time between kicks, which magnetic_field does not allow'):
+        scene({"magnetic_field": magnetic}, time={"integrator": "order4"})
+    with pytest.raises(SceneError, match='"taylor" knows no gate'):
+        scene({"gate": {"file": "gate.py", "place": 0.0}}, time={"integrator": "taylor"})
+    with pytest.raises(SceneError, match=r"effects\.drag\.file: drag is an effect of the program"):
+        scene({"drag": {"file": "magnetic.py"}})
+    (tmp_path / "thick.py").write_text((OUTSIDE.parents[2] / "particles_mpi/effects/drag.py").read_text())
+    with pytest.raises(SceneError, match=r"effects\.thick: would be ignored beside drag"):
+        scene({"drag": {"rate": 1.0}, "thick": {"file": str(tmp_path / "thick.py"), "rate": 1.0}})
+    for name, lines, why in [
+        ("broken", "1 / 0", "ZeroDivisionError"),
+        ("empty", "", r"needs a class Options"),
+        (
+            "kind",
+            "from particles_mpi.effects import EffectOptions as Options\nclass Effect: pass",
+            "needs a class Effect that is",
+        ),
+        ("taken", (OUTSIDE / "gate.py").read_text().replace("crossings", "mass"), "column 'mass': the name is taken"),
+    ]:
+        (tmp_path / f"{name}.py").write_text(lines)
+        with pytest.raises(SceneError, match=rf"effects\.{name}\.file: .*{name}\.py: .*{why}"):
+            scene({name: {"file": str(tmp_path / f"{name}.py")}})
+
+
+def test_only_what_a_scene_names_is_loaded():
+    script = """
+import sys
+from particles_mpi import Scene
+Scene.from_dict(dict(dimension=3, time={"step": 1.0, "steps": 1}, particles=[], effects={"gate": {"file": "gate.py", "place": 1.0}}))
+assert len([m for m in sys.modules if m.startswith("particles_mpi_effect")]) == 1
+assert not [m for m in sys.modules if m.startswith("particles_mpi.effects.")]
+"""
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=100, cwd=OUTSIDE)
