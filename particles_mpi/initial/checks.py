@@ -11,7 +11,8 @@ from particles_mpi.initial.placement import Room
 from particles_mpi.kernels.jit import inner, kernel
 from particles_mpi.neighbours.candidates import touching
 from particles_mpi.particles import Array, Particles
-from particles_mpi.scene.schema import LARGEST, Scene
+from particles_mpi.scene.schema import Scene
+from particles_mpi.scene.values import LARGEST
 
 SHOWN = 5  # particles or pairs named in a fault
 MOST_SWEEPS = 1000

@@ -24,7 +24,9 @@ from particles_mpi.initial.plummer import plummer_places, plummer_velocities
 from particles_mpi.particles import FIELDS, Array, Particles, default_values
 from particles_mpi.scene.active import ActiveEffects, fields_of
 from particles_mpi.scene.effect import ConstantFriction
-from particles_mpi.scene.schema import LARGEST, Population, Scene, faults_of
+from particles_mpi.scene.messages import faults_of
+from particles_mpi.scene.schema import Population, Scene
+from particles_mpi.scene.values import LARGEST
 
 PER_PARTICLE = ("position", "velocity", "radius", "mass", "fixed", "drag", "acceleration")
 STREAMS = {name: k for k, name in enumerate(("position", "velocity", "speed", "radius", "mass", "drag"))}

@@ -6,107 +6,33 @@ length of a step) is judged in `populate`.
 
 from __future__ import annotations
 
-import difflib
 import json
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
 
 from particles_mpi.errors import SceneError
 from particles_mpi.scene.effect import ONE_OF_EACH
 from particles_mpi.scene.effect_files import digest_of, effect_names, load_effect
+from particles_mpi.scene.messages import faults_of, key_of, suggestion, wrong_length
 from particles_mpi.scene.model import Model
+from particles_mpi.scene.values import (
+    flags,
+    is_plummer,
+    is_points,
+    position_given,
+    scalar_or_list,
+    vector_or_rows,
+    velocity_given,
+)
 
-LARGEST = 1e100
 TOLERANCES = 1e-12, 1e-3  # of `adaptive`, smallest and largest: below, round-off of the forces alone is more
 
 
-def _number(value: Any) -> bool:
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        return False
-    if not abs(value) <= LARGEST:
-        raise ValueError(
-            f"{value} is not a number between -{LARGEST:g} and {LARGEST:g}, beyond which squares and products overflow"
-        )
-    return True
-
-
-def _numbers(value: Any) -> bool:
-    return isinstance(value, list) and all(_number(x) for x in value)
-
-
-def _range(value: Any) -> bool:
-    return isinstance(value, dict) and set(value) == {"min", "max"} and _number(value["min"]) and _number(value["max"])
-
-
-def _points(value: Any) -> bool:
-    return isinstance(value, list) and len(value) > 0 and all(_numbers(row) for row in value)
-
-
-def _file(value: Any) -> bool:
-    return isinstance(value, dict) and set(value) == {"file"} and isinstance(value["file"], str)
-
-
-def _ordered(value: dict[str, float]) -> None:
-    if value["min"] > value["max"]:
-        raise ValueError(f"min {value['min']} is above max {value['max']}")
-
-
-def _plummer(value: Any) -> bool:
-    return isinstance(value, dict) and set(value) == {"plummer"} and _number(value["plummer"]) and value["plummer"] > 0
-
-
-def _position(value: Any) -> Any:
-    if value in ("random", "lattice") or _points(value) or _file(value) or _plummer(value):
-        return value
-    raise ValueError(
-        'must be "random", "lattice", a list of points [[x, y, ...], ...], {plummer = scale length > 0} or {file = "start.csv"}'
-    )
-
-
-def _velocity(value: Any) -> Any:
-    if value == "equilibrium" or _points(value) or _numbers(value) or _file(value):
-        return value
-    if isinstance(value, dict) and set(value) == {"temperature"} and _number(value["temperature"]) and value["temperature"] >= 0:
-        return value
-    if isinstance(value, dict) and set(value) == {"speed"}:
-        speed = value["speed"]
-        if _number(speed) and speed >= 0:
-            return value
-        if _range(speed) and speed["min"] >= 0:
-            _ordered(speed)
-            return value
-    raise ValueError(
-        "must be [vx, vy, ...], a list of these, {speed = s}, {speed = {min = a, max = b}}, {temperature = T} (all >= 0),"
-        ' {file = "start.csv"} or, with position = {plummer = a}, "equilibrium"'
-    )
-
-
-def _scalar_or_list(value: Any) -> Any:
-    if _range(value):
-        _ordered(value)
-        return value
-    if _number(value) or _numbers(value):
-        return value
-    raise ValueError("must be a number, {min = a, max = b} or a list of numbers")
-
-
-def _flags(value: Any) -> Any:
-    if isinstance(value, bool) or (isinstance(value, list) and all(isinstance(x, bool) for x in value)):
-        return value
-    raise ValueError("must be true, false or a list of these")
-
-
-def _vector_or_rows(value: Any) -> Any:
-    if _numbers(value) or _points(value):
-        return value
-    raise ValueError("must be a vector [ax, ay, ...] or a list of these")
-
-
-Scalar = Annotated[Any, BeforeValidator(_scalar_or_list)]
-Flags = Annotated[Any, BeforeValidator(_flags)]
+Scalar = Annotated[Any, BeforeValidator(scalar_or_list)]
+Flags = Annotated[Any, BeforeValidator(flags)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
@@ -147,13 +73,13 @@ class Population(Model):
     model_config = ConfigDict(extra="allow")
 
     count: Annotated[int, Field(ge=0, le=10**18)] | None = None
-    position: Annotated[Any, BeforeValidator(_position)]
-    velocity: Annotated[Any, BeforeValidator(_velocity)] = None
+    position: Annotated[Any, BeforeValidator(position_given)]
+    velocity: Annotated[Any, BeforeValidator(velocity_given)] = None
     radius: Scalar = 0.0
     mass: Scalar = None
     fixed: Flags = False
     drag: Scalar = None
-    acceleration: Annotated[Any, BeforeValidator(_vector_or_rows)] = None
+    acceleration: Annotated[Any, BeforeValidator(vector_or_rows)] = None
 
 
 Format = Literal["hdf5", "vtk"]
@@ -176,10 +102,10 @@ def _effects(value: Any, info: ValidationInfo) -> dict[str, Any]:
         raise ValueError("effects: must be tables [effects.NAME]")
     validated, names = {}, effect_names()
     for name, keys in value.items():
-        key = _key(("effects", name))
+        key = key_of(("effects", name))
         file = keys.get("file") if isinstance(keys, dict) else None
         if file is None and name not in names:
-            raise ValueError(f"{key}: unknown effect{_suggest(name, names)}")
+            raise ValueError(f"{key}: unknown effect{suggestion(name, names)}")
         if file is not None:
             if name in names:
                 raise ValueError(f"{key}.file: {name} is an effect of the program; give yours another name")
@@ -289,7 +215,7 @@ class Scene(Model):
         d, faults = self.dimension, []
         faults += self.integrator_faults() + self.kind_faults()
         if self.box:
-            faults += _vector("box.lower", self.box.lower, d) + _vector("box.upper", self.box.upper, d)
+            faults += wrong_length("box.lower", self.box.lower, d) + wrong_length("box.upper", self.box.upper, d)
             if len(self.periodic) != d:
                 faults.append(f"box.periodic: {len(self.periodic)} flags in dimension {d}")
             faults += [
@@ -340,7 +266,7 @@ class Scene(Model):
                 faults.append(f'{key}.count: needed with position = "{position}"')
             if self.box is None:
                 faults.append(f'{key}.position: "{position}" needs a [box]')
-        plummer = _plummer(position)
+        plummer = is_plummer(position)
         if plummer and population.count is None:
             faults.append(f"{key}.count: needed with position = {{plummer = a}}")
         if plummer and d != 3:
@@ -348,71 +274,25 @@ class Scene(Model):
         if velocity == "equilibrium" and not (plummer and "mutual_gravity" in self.effects):
             faults.append(f'{key}.velocity: "equilibrium" needs position = {{plummer = a}} and [effects.mutual_gravity]')
         for name, value in (("position", position), ("velocity", velocity), ("acceleration", population.acceleration)):
-            if _points(value):
-                faults += [f for i, row in enumerate(value) for f in _vector(f"{key}.{name}[{i}]", row, d)]
+            if is_points(value):
+                faults += [f for i, row in enumerate(value) for f in wrong_length(f"{key}.{name}[{i}]", row, d)]
             elif isinstance(value, list):
-                faults += _vector(f"{key}.{name}", value, d)
+                faults += wrong_length(f"{key}.{name}", value, d)
         for name, value in (population.model_extra or {}).items():
             known = [n for n in [*Population.model_fields, *self.columns] if n != "folder"]
             if name not in self.columns:
-                faults.append(f"{key}.{name}: unknown key{_suggest(name, known)}")
+                faults.append(f"{key_of((key, name))}: unknown key{suggestion(name, known)}")
                 continue
             try:
-                _vector_or_rows(value) if self.columns[name].vector else _scalar_or_list(value)
+                vector_or_rows(value) if self.columns[name].vector else scalar_or_list(value)
             except ValueError as error:
                 faults.append(f"{key}.{name}: {error}")
                 continue
             if self.columns[name].vector:
-                rows = value if _points(value) else [value]
-                faults += [f for row in rows for f in _vector(f"{key}.{name}", row, d)]
+                rows = value if is_points(value) else [value]
+                faults += [f for row in rows for f in wrong_length(f"{key}.{name}", row, d)]
         if population.drag is not None and "drag" not in self.effects:
             faults.append(f"{key}.drag: needs [effects.drag]")
         if population.acceleration is not None and "user_acceleration" not in self.effects:
             faults.append(f"{key}.acceleration: needs [effects.user_acceleration]")
         return faults
-
-
-def _vector(key: str, value: list[float], dimension: int) -> list[str]:
-    return [] if len(value) == dimension else [f"{key}: {len(value)} components in dimension {dimension}"]
-
-
-def _suggest(name: str, known: list[str]) -> str:
-    near = difflib.get_close_matches(name, known, 1)
-    return f" (did you mean '{near[0]}'?)" if near else f" (known: {', '.join(known)})"
-
-
-def _key(location: tuple[Any, ...]) -> str:
-    text = ""
-    for part in location:
-        name = part if str(part).isprintable() else repr(part)  # a fault is one line, whatever the key
-        text += f"[{part}]" if isinstance(part, int) else f".{name}" if text else str(name)
-    return text
-
-
-def _known_keys(model: type[BaseModel], location: tuple[Any, ...]) -> list[str]:
-    """The keys that the table at `location` may hold."""
-    nested: dict[Any, type[BaseModel]] = {"box": Box, "time": Time, "output": Output, "particles": Population}
-    table = nested.get(location[0], model) if model is Scene and len(location) > 1 else model
-    return [name for name in table.model_fields if name != "folder"]
-
-
-def faults_of(error: ValidationError, model: type[BaseModel], prefix: tuple[Any, ...] = ()) -> list[str]:
-    """One line a fault: `key: what is wrong`."""
-    faults = []
-    for item in error.errors():
-        location = prefix + item["loc"]
-        if item["type"] == "extra_forbidden":
-            faults.append(f"{_key(location)}: unknown key{_suggest(str(location[-1]), _known_keys(model, item['loc']))}")
-        elif item["type"] == "missing":
-            faults.append(f"{_key(location)}: missing")
-        elif item["type"] == "value_error":
-            text = str(item["ctx"]["error"])
-            named = item["loc"] and item["loc"][0] != "effects" and item["loc"] != ("time",)
-            faults += [f"{_key(location)}: {text}"] if named else text.splitlines()
-        else:
-            given = item.get("input")
-            short = isinstance(given, str | float | bool) or (isinstance(given, int) and abs(given) < 10**20)
-            shown = f" (got {given!r})" if short else ""
-            message = item["msg"].replace("Input should be", "must be").replace("Input", "input")
-            faults.append(f"{_key(location)}: {message}{shown}")
-    return faults

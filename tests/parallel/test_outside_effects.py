@@ -201,7 +201,8 @@ def test_only_what_a_scene_names_is_loaded():
     script = """
 import sys
 from particles_mpi import Scene
-Scene.from_dict(dict(dimension=3, time={"step": 1.0, "steps": 1}, particles=[], effects={"gate": {"file": "gate.py", "place": 1.0}}))
+gate = {"file": "gate.py", "place": 1.0}
+Scene.from_dict(dict(dimension=3, time={"step": 1.0, "steps": 1}, particles=[], effects={"gate": gate}))
 assert len([m for m in sys.modules if m.startswith("particles_mpi_effect")]) == 1
 assert not [m for m in sys.modules if m.startswith("particles_mpi.effects.")]
 """
