@@ -11,7 +11,8 @@ from particles_mpi.between_steps.effect_view import RunningEffect, changed_optio
 from particles_mpi.between_steps.particle_view import ParticleView
 from particles_mpi.between_steps.state import State
 from particles_mpi.errors import StateError
-from particles_mpi.initial.checks import listed, value_limits
+from particles_mpi.initial.checks import value_limits
+from particles_mpi.initial.names import listed
 from particles_mpi.initial.populate import add_population
 from particles_mpi.measure import snapshot
 from particles_mpi.parallel.agreement import alike, same_on_all

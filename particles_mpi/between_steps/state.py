@@ -13,7 +13,7 @@ from particles_mpi.parallel.exchange import IdRange, id_range
 from particles_mpi.particles import Array, Particles, default_values
 from particles_mpi.scene.active import ActiveEffects, fields_of
 from particles_mpi.scene.effect import Context
-from particles_mpi.scene.schema import Scene
+from particles_mpi.scene.schema import Scene, periodic_length
 from particles_mpi.timers import Timers
 
 
@@ -56,7 +56,7 @@ class State:
         d, box = scene.dimension, scene.box
         self.lower = np.array(box.lower, float) if box else np.zeros(d)
         self.upper = np.array(box.upper, float) if box else np.zeros(d)
-        self.length = np.where(scene.periodic, self.upper - self.lower, 0.0)
+        self.length = periodic_length(scene)
         self.build()
 
     def build(self) -> None:

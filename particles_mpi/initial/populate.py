@@ -18,14 +18,15 @@ import numpy as np
 from pydantic import ValidationError
 
 from particles_mpi.errors import SceneError
-from particles_mpi.initial.checks import check_start, listed, periodic_length
+from particles_mpi.initial.checks import check_start
+from particles_mpi.initial.names import listed
 from particles_mpi.initial.placement import JAMMED, MOST_TRIES, RandomAddition, Room, lattice, packing
 from particles_mpi.initial.plummer import plummer_places, plummer_velocities
 from particles_mpi.particles import FIELDS, Array, Particles, default_values
 from particles_mpi.scene.active import ActiveEffects, fields_of
 from particles_mpi.scene.effect import ConstantFriction
 from particles_mpi.scene.messages import faults_of
-from particles_mpi.scene.schema import Population, Scene
+from particles_mpi.scene.schema import Population, Scene, periodic_length
 from particles_mpi.scene.values import LARGEST
 
 PER_PARTICLE = ("position", "velocity", "radius", "mass", "fixed", "drag", "acceleration")

@@ -11,9 +11,11 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
 
 from particles_mpi.errors import SceneError
+from particles_mpi.particles import Array
 from particles_mpi.scene.effect import ONE_OF_EACH
 from particles_mpi.scene.effect_files import digest_of, effect_names, load_effect
 from particles_mpi.scene.messages import faults_of, key_of, suggestion, wrong_length
@@ -296,3 +298,10 @@ class Scene(Model):
         if population.acceleration is not None and "user_acceleration" not in self.effects:
             faults.append(f"{key}.acceleration: needs [effects.user_acceleration]")
         return faults
+
+
+def periodic_length(scene: Scene) -> Array:
+    """(d,): length of periodic axes, 0 of the others."""
+    if scene.box is None:
+        return np.zeros(scene.dimension)
+    return np.where(scene.periodic, np.array(scene.box.upper, float) - np.array(scene.box.lower, float), 0.0)

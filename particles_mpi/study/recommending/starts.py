@@ -8,13 +8,14 @@ import numpy as np
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.errors import SceneError
-from particles_mpi.initial.checks import check_start, endless_falls, periodic_length
+from particles_mpi.initial.checks import check_start, endless_falls
 from particles_mpi.initial.populate import populate, room_of
 from particles_mpi.measure import snapshot
 from particles_mpi.parallel.agreement import alike, same_on_all
 from particles_mpi.parallel.communicator import Ranks
 from particles_mpi.particles import ALWAYS, FIELDS, Array, Particles, shape
 from particles_mpi.scene.active import fields_of
+from particles_mpi.scene.schema import periodic_length
 from particles_mpi.study.measuring.experiment import Lab
 
 DIRECT: dict[str, Any] = {"method": "direct", "opening_angle": None, "accuracy": None, "multipole": None}  # sum of forces
