@@ -7,7 +7,7 @@ from particles_mpi import Scene, SceneError, Simulation, StoppedError
 from particles_mpi.integrators.gauss_radau import add, random_signs
 from particles_mpi.particles import Particles
 from particles_mpi.scene.schema import TOLERANCES
-from particles_mpi.study.accuracy.encounters import BODIES
+from particles_mpi.study.accuracy.orbits import PYTHAGOREAN as BODIES
 from particles_mpi.study.accuracy.orbits import E, place_on_ellipse
 from particles_mpi.study.hard_cases import Bench
 from particles_mpi.study.hard_cases.orbits import encounter

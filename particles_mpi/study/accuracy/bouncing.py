@@ -15,8 +15,8 @@ import numpy as np
 
 from particles_mpi import Simulation
 from particles_mpi.contacts.law import loss
-from particles_mpi.measure import snapshot
 from particles_mpi.particles import Array
+from particles_mpi.study.experiment import everyone
 
 FORCES = ("uniform_gravity", "user_acceleration", "mutual_gravity direct", "mutual_gravity tree")
 OBSTACLES = ("floor", "tilted plane", "fixed sphere", "free sphere")
@@ -123,15 +123,8 @@ def problem(d: int, force: str, obstacle: str, resistance: str) -> dict[str, Any
         pull[:] = (HEAVY, MASS) if free else (HEAVY, 0.0)
         pull *= STRENGTH
         v = v - (3.0 * up if wall else 0.8 * up)
-    start = {
-        "x": np.stack((ball, partner)),
-        "v": np.stack((v, 0.4 * free * (along - up))),
-        "w": w,
-        "a": a,
-        "pull": pull,
-        "normal": normal,
-    }
-    return start | {"k": DRAG * (resistance == "drag"), "alpha": FRICTION * (resistance == "friction")}
+    start = {"x": np.stack((ball, partner)), "v": np.stack((v, 0.4 * free * (along - up))), "w": w, "a": a, "pull": pull}
+    return start | {"normal": normal, "k": DRAG * (resistance == "drag"), "alpha": FRICTION * (resistance == "friction")}
 
 
 def bounces(d: int, force: str, lost: str, cases: Cases, h: float) -> Bounces:
@@ -183,5 +176,5 @@ def scene(force: str, mode: str, h: float, start: Bounces) -> tuple[dict[str, An
 
 def off(sim: Simulation, shift: Array, end: Bounces) -> Array:
     """Distance of the balls of the scene from their true places at the `end`, the mean over the phases, of each case."""
-    x = snapshot.everyone(sim.ranks, sim.particles).position[: len(shift)] - shift
+    x = everyone(sim).position[: len(shift)] - shift
     return np.asarray(np.sqrt(((x - end.x[:, 0]) ** 2).sum(axis=1)).reshape(-1, PHASES).mean(axis=1))
