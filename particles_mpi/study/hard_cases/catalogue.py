@@ -18,6 +18,7 @@ from particles_mpi.study.experiment import everyone
 
 CHAPTERS = ("forces", "contacts", "crowds", "resting", "orbits", "numbers", "spread")
 MODES = ("rewind", "event")
+Effects = dict[str, dict[str, Any]]  # options by name
 
 
 @dataclass
@@ -30,10 +31,10 @@ class CaseRun:
     built: list[Simulation] = field(default_factory=list)
 
     def simulate(
-        self, particles: list[dict[str, Any]], step: float, steps: int = 1, effects: Any = None, integrator: str = "leapfrog",
-        **scene: Any,
+        self, particles: list[dict[str, Any]], step: float, steps: int = 1, effects: Effects | None = None,
+        integrator: str = "leapfrog", **scene: Any,
     ) -> Simulation:  # fmt: skip
-        """A simulation in this mode and dimension; `effects`: {name: options}, `scene`: other tables. Collective."""
+        """A simulation in this mode and dimension; `scene`: other tables than those of time and particles. Collective."""
         effects = {name: dict(options) for name, options in (effects or {}).items()}
         if self.mode and "collisions" in effects:
             effects["collisions"]["mode"] = self.mode

@@ -8,7 +8,7 @@ from particles_mpi import SceneError
 from particles_mpi.contacts.law import contact_time
 from particles_mpi.kernels.markers import NEVER
 from particles_mpi.study.experiment import everyone, total
-from particles_mpi.study.hard_cases.catalogue import CaseRun, Finding, case
+from particles_mpi.study.hard_cases.catalogue import CaseRun, Effects, Finding, case
 
 
 @case(
@@ -140,7 +140,7 @@ def squeezed(run: CaseRun) -> Finding:
     """Two spheres without room to move, both with a speed."""
     moving = [{"position": [run.point(x, rest=5.0)], "velocity": run.point(1.0), "radius": 0.5} for x in (0.5, 10.0)]
     fixed = {"position": [run.point(x, rest=5.0) for x in (1.5, 9.0, 11.0)], "radius": 0.5, "fixed": True}
-    effects = {"collisions": {}, "walls": {}}
+    effects: Effects = {"collisions": {}, "walls": {}}
     sim = run.simulate([moving[0], fixed, moving[1]], 0.01, 20, effects, box=run.cube(20.0))
     sim.run()
     p, missed = everyone(sim), total(sim, "missed")

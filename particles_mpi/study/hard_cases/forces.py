@@ -3,10 +3,12 @@
 import numpy as np
 
 from particles_mpi.study.experiment import everyone
-from particles_mpi.study.hard_cases.catalogue import CaseRun, Finding, case
+from particles_mpi.study.hard_cases.catalogue import CaseRun, Effects, Finding, case
 
 
-@case("friction at rest, force below alpha", "0/0 makes NaN, or the particle creeps", "v and displacement exactly 0", modes=(None,))
+@case(
+    "friction at rest, force below alpha", "0/0 makes NaN, or the particle creeps", "v and displacement exactly 0", modes=(None,)
+)
 def friction_at_rest(run: CaseRun) -> Finding:
     """Eight particles at rest, pushed harder one by one."""
     places = [run.point(float(k)) for k in range(8)]
@@ -23,7 +25,7 @@ def friction_at_rest(run: CaseRun) -> Finding:
 def stiff_drag(run: CaseRun) -> Finding:
     """Two particles thrown up and down, each a hundred times as fast as it falls in the end."""
     thrown = {"position": [run.point(), run.point(1.0, rest=1.0)], "velocity": [run.upright(v) for v in (100.0, -100.0)]}
-    effects = {"drag": {"rate": 100.0}, "uniform_gravity": {"acceleration": run.upright(-9.81)}}
+    effects: Effects = {"drag": {"rate": 100.0}, "uniform_gravity": {"acceleration": run.upright(-9.81)}}
     sim = run.simulate([thrown], 0.1, 40, effects)
     end, before, monotone = -9.81 / 100.0, np.inf, True
     for _ in range(40):
