@@ -11,7 +11,7 @@ from particles_mpi.initial.populate import populate
 from particles_mpi.study.scaling.command import HEADLINE, settings, unable_to_grow
 from particles_mpi.study.scaling.measure import rank_counts
 from particles_mpi.study.scaling.performance_model import NETWORK_LATENCY, Law, Model, Point, Traffic, fit
-from particles_mpi.study.scaling.result import Curve, Result
+from particles_mpi.study.scaling.report import Curve, Result
 from particles_mpi.study.scaling.scale_scene import edges, scale_scene
 
 CUBE = Law("N", (1.0, 1.0, 1.0), (False, False, False))

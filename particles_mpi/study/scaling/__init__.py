@@ -4,7 +4,6 @@ command            `study scaling`: which sizes on which ranks; measures, fits t
 scale_scene        a scene with more particles at the same density
 measure            seconds, phases and counts of a step on some of the ranks, while the others sleep
 performance_model  t(N, P): seconds of a step on more ranks than there are
-result             curves and predictions
-report             tables and CSV files
+report             curves and predictions, as tables and CSV files
 plots              the figure
 """

@@ -16,7 +16,7 @@ from particles_mpi.run.console import Screen
 from particles_mpi.scene.schema import Scene
 from particles_mpi.study.scaling.measure import Scaling
 from particles_mpi.study.scaling.performance_model import fit
-from particles_mpi.study.scaling.result import Curve, Result
+from particles_mpi.study.scaling.report import Curve, Result, report
 from particles_mpi.study.scaling.scale_scene import scale_scene
 
 HEADLINE = Path(__file__).parents[2] / "scenes" / "headline.toml"
@@ -52,9 +52,13 @@ def scale(scene: Scene | None, folder: Path, quick: bool, comm: Any = None) -> N
     result = Result(scaling.scene.title, law, curves, found, model, no_weak, scene is None)
     with failing_together(ranks, f"cannot write into {folder}"):
         if ranks.is_root:
-            from particles_mpi.study.scaling.report import report
+            from particles_mpi.study.scaling.plots import draw
 
-            report(result, folder, screen)
+            files, figure = report(result, folder, screen), draw(result)
+            for path in (folder / "scaling.png", folder / "scaling.svg"):
+                figure.savefig(path)
+                files.append(path)
+            screen.say(f"written: {', '.join(map(str, files))}")
 
 
 def settings(scene: Scene, counts: list[int], sizes: list[float], weak: bool) -> list[tuple[float, int]]:
