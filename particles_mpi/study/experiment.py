@@ -106,6 +106,10 @@ class Benchmark:
         """One of this rank's own, for problems of a few bodies that more ranks would only slow down."""
         return Benchmark(Ranks.alone().comm, self.quick, self.samples, self.screen)
 
+    def on_few(self, few: bool, work: Callable[[Benchmark], Any]) -> Any:
+        """`work(self)`; for a `few` bodies on rank 0 alone, which gives None on the others. Collective."""
+        return self.ranks.of_root_alone(lambda: work(self.alone())) if few and self.ranks.size > 1 else work(self)
+
     def simulate(self, tables: dict[str, Any]) -> Simulation:
         """The simulation of a scene given as tables. Collective."""
         return Simulation(Scene.from_dict(tables), comm=self.comm)

@@ -43,9 +43,7 @@ def experiments(key: str, benchmark: Benchmark) -> list[Experiment]:
     measure: Callable[[Benchmark], list[Experiment]] = getattr(
         import_module(f"particles_mpi.study.accuracy.{chapter.module}"), chapter.measure
     )
-    if chapter.few_bodies:
-        return benchmark.ranks.of_root_alone(lambda: measure(benchmark.alone())) or []
-    return measure(benchmark)
+    return benchmark.on_few(chapter.few_bodies, measure) or []
 
 
 def accuracy(scene: Scene | None, keys: str, quick: bool, folder: Path, comm: Any = None) -> list[Experiment]:

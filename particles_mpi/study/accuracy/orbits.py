@@ -57,12 +57,20 @@ CLOSE = {
 }
 
 
-def gravity(population: dict[str, Any], step: float, steps: int, integrator: str, tolerance: float = 0.0) -> dict[str, Any]:
-    """A scene of bodies that attract one another in a plane, with G = 1."""
-    time: dict[str, Any] = {"step": step, "steps": steps, "integrator": integrator}
-    if tolerance:
-        time["tolerance"] = tolerance
-    return {"dimension": 2, "G": 1.0, "time": time, "effects": {"mutual_gravity": {}}, "particles": [population]}
+def gravity(
+    population: dict[str, Any], step: float, steps: int, integrator: str = "leapfrog", tolerance: float | None = None,
+    dimension: int = 2, **options: Any,
+) -> dict[str, Any]:  # fmt: skip
+    """A scene of bodies that attract one another, with G = 1; `options`: of mutual gravity."""
+    time = {"step": step, "steps": steps, "integrator": integrator} | ({"tolerance": tolerance} if tolerance else {})
+    effects = {"mutual_gravity": options}
+    return {"dimension": dimension, "G": 1.0, "time": time, "effects": effects, "particles": [population]}
+
+
+def plummer_sphere(n: int, step: float, **options: Any) -> dict[str, Any]:
+    """Plummer's sphere of n particles, of mass and scale length 1, in equilibrium; one step."""
+    stars = {"count": n, "position": {"plummer": 1.0}, "velocity": "equilibrium", "mass": 1.0 / n}
+    return gravity(stars, step, 1, dimension=3, **options)
 
 
 def settings(

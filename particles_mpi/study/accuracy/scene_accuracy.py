@@ -28,14 +28,13 @@ def measure(benchmark: Benchmark, scene: Scene, seconds: float = BUDGET) -> list
 
     `seconds`: what errors may take; times of the settings that are left come to that again.
     """
-
-    def both(start: Start) -> list[Experiment]:
-        return [settings(start, seconds), effects(start)]
-
     start = Start(benchmark, scene)
-    if start.total > FEW or benchmark.ranks.size == 1:
-        return both(start)
-    return benchmark.ranks.of_root_alone(lambda: both(Start(benchmark.alone(), scene))) or []
+
+    def both(b: Benchmark) -> list[Experiment]:
+        same = start if b is benchmark else Start(b, scene)
+        return [settings(same, seconds), effects(same)]
+
+    return benchmark.on_few(start.total <= FEW, both) or []
 
 
 def settings(start: Start, seconds: float) -> Experiment:

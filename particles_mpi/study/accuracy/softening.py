@@ -16,7 +16,7 @@ from particles_mpi import Simulation
 from particles_mpi.gravity.direct import attract
 from particles_mpi.initial.plummer import MOST, plummer_places
 from particles_mpi.particles import Array
-from particles_mpi.study.accuracy.orbits import place_on_ellipse
+from particles_mpi.study.accuracy.orbits import gravity, place_on_ellipse, plummer_sphere
 from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Row, Setting, distance, everyone, slope
 
 E, CLOSE = 0.9, 0.99  # eccentricities
@@ -41,14 +41,9 @@ FIELD = {
 
 def orbit(benchmark: Benchmark, eps: float, n: int, e: float = E, **time: Any) -> Simulation:
     """A planet without mass about a sun that stands still, one orbit from the apocentre in n steps."""
-    fall = {
-        "position": [[-1.0 - e, 0.0], [0.0, 0.0]],
-        "velocity": [[0.0, -sqrt((1.0 - e) / (1.0 + e))], [0.0, 0.0]],
-        "mass": [0.0, 1.0],
-    }
-    time = {"step": 2.0 * pi / n, "steps": n, **time}
-    effects = {"mutual_gravity": {"softening": eps}}
-    return benchmark.simulate({"dimension": 2, "G": 1.0, "time": time, "particles": [fall], "effects": effects})
+    places, speeds = [[-1.0 - e, 0.0], [0.0, 0.0]], [[0.0, -sqrt((1.0 - e) / (1.0 + e))], [0.0, 0.0]]
+    fall = {"position": places, "velocity": speeds, "mass": [0.0, 1.0]}
+    return benchmark.simulate(gravity(fall, 2.0 * pi / n, n, softening=eps, **time))
 
 
 def end(sim: Simulation) -> Array:
@@ -69,11 +64,8 @@ def kepler(benchmark: Benchmark) -> Experiment:
     def one(eps: float, n: int) -> Setting:
         def errors(sim: Simulation) -> Errors:
             place = end(sim)
-            return {
-                "total": distance(place, exact),
-                "model": distance(softened[eps], exact),
-                "numerical": distance(place, softened[eps]),
-            }
+            whole, model = distance(place, exact), distance(softened[eps], exact)
+            return {"total": whole, "model": model, "numerical": distance(place, softened[eps])}
 
         tags = {"softening": eps, "steps": n}
         return Setting(f"softening {eps:g}", 2.0 * pi / n, lambda: orbit(benchmark, eps, n), n, errors, tags=tags)
@@ -166,19 +158,12 @@ def plummer(benchmark: Benchmark) -> Experiment:
     """Softening of N particles that stand for a smooth sphere."""
 
     def one(eps: float) -> Setting:
-        tables = {
-            "dimension": 3,
-            "G": 1.0,
-            "time": {"step": 1e-6, "steps": 1},  # each with an evaluation of all forces
-            "particles": [{"count": N, "position": {"plummer": 1.0}, "velocity": "equilibrium", "mass": 1.0 / N}],
-            "effects": {"mutual_gravity": {"softening": eps}},
-        }
-
         def errors(sim: Simulation) -> Errors:
             sim.sum_forces()
             return fields(N)[eps]
 
-        return Setting("direct sum", eps, cache(lambda: benchmark.simulate(tables)), 1, errors, tags={"softening": eps})
+        begin = cache(lambda: benchmark.simulate(plummer_sphere(N, 1e-6, softening=eps)))  # a step evaluates all forces once
+        return Setting("direct sum", eps, begin, 1, errors, tags={"softening": eps})
 
     rows = benchmark.measure("softened sphere", [one(eps) for eps in WIDTHS])
     title = f"Softened forces of {N} particles that stand for a smooth sphere"

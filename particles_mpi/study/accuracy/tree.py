@@ -13,6 +13,7 @@ from particles_mpi import Simulation
 from particles_mpi.gravity.method import choose
 from particles_mpi.parallel.exchange import rows_of_everyone
 from particles_mpi.particles import Array
+from particles_mpi.study.accuracy.orbits import plummer_sphere
 from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Row, Setting, everyone
 
 SIZES, QUICK = (500, 2000, 8000, 32_000), (500, 2000)
@@ -26,17 +27,6 @@ BY_PARTICLE = {  # median errors at angles 1, 0.7, 0.5 where each particle walks
     "monopole": "1.1e-2, 3.5e-3, 1.3e-3",
     "quadrupole": "7.5e-3, 1.6e-3, 4.3e-4",
 }
-
-
-def sphere(n: int, gravity: dict[str, Any]) -> dict[str, Any]:
-    """Plummer's sphere of n particles, in equilibrium."""
-    return {
-        "dimension": 3,
-        "G": 1.0,
-        "time": {"step": STEP, "steps": 1},
-        "particles": [{"count": n, "position": {"plummer": 1.0}, "velocity": "equilibrium", "mass": 1.0 / n}],
-        "effects": {"mutual_gravity": gravity},
-    }
 
 
 def settings(benchmark: Benchmark, n: int) -> Iterator[Setting]:
@@ -54,14 +44,14 @@ def settings(benchmark: Benchmark, n: int) -> Iterator[Setting]:
     def of_tree(sim: Simulation) -> Errors:
         return summary(rows_of_everyone(sim.ranks, {"wrong": relative(accelerations(sim), exact[0])})["wrong"])
 
-    def one(curve: str, angle: float, gravity: dict[str, Any]) -> Setting:
-        begin = cache(lambda: benchmark.simulate(sphere(n, gravity)))
+    def one(curve: str, angle: float, **gravity: Any) -> Setting:
+        begin = cache(lambda: benchmark.simulate(plummer_sphere(n, STEP, **gravity)))
         return Setting(curve, angle, begin, 1, of_direct if curve == DIRECT else of_tree, tags={"N": n})
 
-    yield one(DIRECT, 0.0, {"method": "direct"})
+    yield one(DIRECT, 0.0, method="direct")
     for multipole, curve in TREES.items():
         for angle in ANGLES:
-            yield one(curve, angle, {"method": "tree", "opening_angle": angle, "multipole": multipole})
+            yield one(curve, angle, method="tree", opening_angle=angle, multipole=multipole)
 
 
 def accelerations(sim: Simulation) -> Array:

@@ -71,12 +71,10 @@ def recommend(
         raise SceneError(f"--tolerance {tolerance:g}: must be above 0 and below 1")
     start = Start(benchmark, scene)
     try:
-        if start.total > FEW or benchmark.ranks.size == 1:
-            return find(start, tolerance, error, seconds)
-        result: Recommendation | None = benchmark.ranks.of_root_alone(
-            lambda: find(Start(benchmark.alone(), scene), tolerance, error, seconds)
+        found: Recommendation | None = benchmark.on_few(
+            start.total <= FEW, lambda b: find(start if b is benchmark else Start(b, scene), tolerance, error, seconds)
         )
-        return result
+        return found
     finally:
         benchmark.screen.stop()
 
