@@ -135,11 +135,15 @@ class Benchmark:
         return self.time(settings, errors, work, lambda: progress(f"{name}: time"))
 
     def time(
-        self, settings: Sequence[Setting], errors: Sequence[Errors], work: Sequence[dict[str, int]], progress: Callable[[], None]
-    ) -> list[Row]:
-        """Times of settings whose errors and work are known, by turns; ends the progress bar. Collective."""
+        self, settings: Sequence[Setting], errors: Sequence[Errors], work: Sequence[dict[str, int]],
+        progress: Callable[[], None] = lambda: None, least: float | None = None,
+    ) -> list[Row]:  # fmt: skip
+        """Times of settings whose errors and work are known, by turns; ends the progress bar. Collective.
+
+        `least`: seconds of a sample, if not those of the benchmark.
+        """
         timers = [StepTimer(self.ranks, setting.begin, setting.steps, setting.by_forces) for setting in settings]
-        time_in_turns(timers, self.samples, self.least, progress)
+        time_in_turns(timers, self.samples, self.least if least is None else least, progress)
         self.screen.stop()
         rows = []
         for setting, wrong, done, timer in zip(settings, errors, work, timers, strict=True):

@@ -11,7 +11,7 @@ from particles_mpi.study.recommend.methods import as_it_is, methods
 from particles_mpi.study.recommend.recommend import BUDGET, WORK
 from particles_mpi.study.recommend.reference import reference
 from particles_mpi.study.recommend.runs import FEW, Start, variant
-from particles_mpi.study.recommend.search import Search, Trial
+from particles_mpi.study.recommend.search import Search, time_trials
 from particles_mpi.study.timing import StepTimer, time_in_turns
 
 LADDER = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # times the steps of the scene
@@ -62,20 +62,6 @@ def settings(start: Start, seconds: float) -> Experiment:
     title = f"{start.scene.title or 'the scene'}, {start.total} particles"
     how = f"{metric.reference}; floor {limit:.1g}: {metric.why}"
     return Experiment("S", title, "step or tolerance", errors, how, rows, (), limit, answers)
-
-
-def time_trials(start: Start, trials: list[Trial]) -> list[Row]:
-    """Trials as rows, with their times and the orders seen. Collective."""
-    benchmark = start.benchmark
-    progress = benchmark.screen.count("time", len(trials) * (1 + benchmark.samples))
-
-    def setting(trial: Trial) -> Setting:
-        parameter = 1.0 / trial.resolution if trial.method.adaptive else trial.scene.time.step
-        begin = lambda: start.simulate(trial.scene)  # noqa: E731
-        return Setting(trial.method.name, parameter, begin, trial.scene.steps, lambda sim: trial.errors, trial.method.adaptive)
-
-    errors, work = [trial.errors for trial in trials], [trial.work for trial in trials]
-    return benchmark.time([setting(trial) for trial in trials], errors, work, lambda: progress("time"))
 
 
 def effects(start: Start) -> Experiment:

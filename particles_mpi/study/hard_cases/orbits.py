@@ -107,26 +107,23 @@ def circle(orbits, steps, compensated):
     lost, way = np.zeros((1, 2)), np.empty((1, 2))
     v[0, 1] = np.sqrt(1.0 - 0.25 * h * h)  # x(h) has the same length then
     sums, count, mark = np.zeros(8), 0, 10
-    start, total = 0.0, 0.0
+    start, total, r2 = 0.0, 0.0, 0.0
     for orbit in range(1, orbits + 1):
         total = 0.0
         for _ in range(steps):
-            r2 = x[0, 0] ** 2 + x[0, 1] ** 2
-            for k in range(2):
-                a[0, k] = -x[0, k] / (r2 * np.sqrt(r2))
-            kick(v, a, 0.5 * h)
-            if compensated:
+            for half in range(2):
+                r2 = x[0, 0] ** 2 + x[0, 1] ** 2
                 for k in range(2):
-                    way[0, k] = v[0, k] * h - lost[0, k]
-                    new = x[0, k] + way[0, k]
-                    lost[0, k] = (new - x[0, k]) - way[0, k]
-                    x[0, k] = new
-            else:
-                free_drift(x, v, h)
-            r2 = x[0, 0] ** 2 + x[0, 1] ** 2
-            for k in range(2):
-                a[0, k] = -x[0, k] / (r2 * np.sqrt(r2))
-            kick(v, a, 0.5 * h)
+                    a[0, k] = -x[0, k] / (r2 * np.sqrt(r2))
+                kick(v, a, 0.5 * h)
+                if half == 0 and not compensated:
+                    free_drift(x, v, h)
+                elif half == 0:
+                    for k in range(2):
+                        way[0, k] = v[0, k] * h - lost[0, k]
+                        new = x[0, k] + way[0, k]
+                        lost[0, k] = (new - x[0, k]) - way[0, k]
+                        x[0, k] = new
             total += 0.5 * (v[0, 0] ** 2 + v[0, 1] ** 2) - 1.0 / np.sqrt(r2)
         if orbit == 1:
             start = total

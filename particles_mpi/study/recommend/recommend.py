@@ -18,9 +18,9 @@ from particles_mpi.study.recommend.error_metric import ErrorMetric
 from particles_mpi.study.recommend.methods import Method, as_it_is, methods
 from particles_mpi.study.recommend.reference import reference
 from particles_mpi.study.recommend.runs import FEW, Start
-from particles_mpi.study.recommend.search import Search, Trial, first
+from particles_mpi.study.recommend.search import Search, Trial, first, time_trials
 from particles_mpi.study.recommend.tuned import Tables, tuned, written
-from particles_mpi.study.timing import Seconds, StepTimer, time_in_turns
+from particles_mpi.study.timing import Seconds
 
 BUDGET = 60.0  # seconds of measuring, about: a third each for the reference, the search, and times
 WORK = {"forces": "forces", "interactions": "pairs", "pair_tests": "tests", "events": "contacts"}
@@ -128,14 +128,9 @@ def nearest(search: Search) -> str:
 
 def time_runs(start: Start, trials: list[Trial], metric: ErrorMetric) -> list[Timed]:
     """Seconds of the whole run for each, by turns. Collective."""
-    benchmark, quick = start.benchmark, all(trial.seconds < SHORT for trial in trials)
-    timers = []
-    for trial in trials:
-        begin = lambda scene=trial.scene: start.simulate(scene)  # noqa: E731
-        timers.append(StepTimer(benchmark.ranks, begin, trial.scene.steps, by_forces=trial.method.adaptive))
-    time_in_turns(timers, benchmark.samples, min(benchmark.least, SHORT) if quick else benchmark.least)
-    units = [(trial.work["forces"] if trial.method.adaptive else trial.scene.steps) / metric.part for trial in trials]
-    return [Timed(trial, timer.seconds.of(round(n))) for trial, timer, n in zip(trials, timers, units, strict=True)]
+    short = all(trial.seconds < SHORT for trial in trials)
+    rows = time_trials(start, trials, min(start.benchmark.least, SHORT) if short else None)
+    return [Timed(trial, row.seconds.of(round(1.0 / metric.part))) for trial, row in zip(trials, rows, strict=True)]
 
 
 def verify(search: Search, trial: Trial) -> tuple[Errors, float]:

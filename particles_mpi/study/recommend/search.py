@@ -9,7 +9,7 @@ from time import perf_counter
 
 from particles_mpi import Scene
 from particles_mpi.errors import SceneError, StoppedError
-from particles_mpi.study.experiment import Errors
+from particles_mpi.study.experiment import Errors, Row, Setting
 from particles_mpi.study.recommend.error_metric import ErrorMetric
 from particles_mpi.study.recommend.methods import Method
 from particles_mpi.study.recommend.runs import LOOKS, Record, Start, TooLongError, follow
@@ -40,6 +40,20 @@ class Trial:
     def name(self) -> str:
         """Method and resolution."""
         return f"{self.method.name}, {self.method.describe(self.resolution)}"
+
+
+def time_trials(start: Start, trials: list[Trial], least: float | None = None) -> list[Row]:
+    """Trials with their times and the orders observed; `least`: seconds of a sample. Collective."""
+    benchmark = start.benchmark
+    progress = benchmark.screen.count("time", len(trials) * (1 + benchmark.samples))
+
+    def setting(trial: Trial) -> Setting:
+        parameter = 1.0 / trial.resolution if trial.method.adaptive else trial.scene.time.step
+        begin = lambda: start.simulate(trial.scene)  # noqa: E731
+        return Setting(trial.method.name, parameter, begin, trial.scene.steps, lambda sim: trial.errors, trial.method.adaptive)
+
+    errors, work = [trial.errors for trial in trials], [trial.work for trial in trials]
+    return benchmark.time([setting(trial) for trial in trials], errors, work, lambda: progress("time"), least)
 
 
 class Search:

@@ -32,25 +32,23 @@ PHASE = "phase "  # begins the name of what a phase takes
 class RankSubsetTimer(StepTimer):
     """Times the steps of one setting on the first ranks of `world`, and notes phases and counts.
 
-    `inside`: is this rank one of them? `spans`: what each sample took and counted on this rank, by name.
+    `inside`: is this rank one of them? `sums`: seconds and counts on this rank over all samples, by name.
     """
 
     world: Ranks = field(kw_only=True)
     inside: bool = field(kw_only=True)
-    spans: list[dict[str, float]] = field(default_factory=list)
+    sums: dict[str, float] = field(default_factory=dict)
 
     def sample(self, least: float) -> float:
         """Seconds of a step, known to all of the world. Collective there."""
         if not self.samples:
-            self.spans.clear()  # those of the warm-up
-        self.span: dict[str, float] = {"steps": 0, "clocked": 0.0}
+            self.sums.clear()  # those of the warm-up
         seconds, error = 0.0, None
         if self.inside:
             try:
                 seconds = super().sample(least)
             except (SceneError, StoppedError) as raised:  # on all of the subset together
                 error = raised
-        self.spans.append(self.span)
         self.world.wait_asleep()
         for slowest, failed in self.world.gathered((seconds, error)):
             seconds = max(seconds, slowest)
@@ -59,23 +57,17 @@ class RankSubsetTimer(StepTimer):
         return seconds
 
     def clock(self, sim: Simulation, steps: int) -> float:
-        """The same, and what was done meanwhile goes into the span."""
+        """The same, and what was done meanwhile is added to the sums."""
         before = counters(sim)
         seconds = super().clock(sim, steps)
-        for name, value in counters(sim).items():
-            self.span[name] = self.span.get(name, 0) + value - before.get(name, 0)
-        self.span["steps"] += steps
-        self.span["clocked"] += seconds
+        for name, value in (counters(sim) | {"steps": steps, "clocked": seconds}).items():
+            self.sums[name] = self.sums.get(name, 0) + value - before.get(name, 0)
         return seconds
 
     def a_step(self) -> dict[str, float]:
         """What a step takes and does on this rank. Phases, which come in lumps, have their share of all samples in the median."""
-        steps, clocked = (sum(span[name] for span in self.spans) for name in ("steps", "clocked"))
-        found = {}
-        for name in dict.fromkeys(name for span in self.spans for name in span):
-            whole = sum(span.get(name, 0) for span in self.spans)
-            found[name] = whole / clocked * self.seconds.median if name.startswith(PHASE) else whole / steps
-        return found
+        phase, step = self.seconds.median / self.sums["clocked"], 1.0 / self.sums["steps"]
+        return {name: whole * (phase if name.startswith(PHASE) else step) for name, whole in self.sums.items()}
 
 
 def divides(sim: Simulation) -> bool:
