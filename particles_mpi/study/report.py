@@ -164,6 +164,7 @@ def page(title: str, all_found: list[Experiment], figures: dict[str, str], about
     parts = [f"<h1>{escape(title)}</h1>", f'<p class="small">{escape(place)}</p>', f"<p>{escape(method)}</p>"]
     parts += ["<ul>", *(f'<li><a href="#{f.key}">{f.key}: {escape(f.title)}</a></li>' for f in all_found), "</ul>"]
     costs = tenfold_table(all_found)
+    costs.title = None  # the page has a heading
     if costs.row_count:
         parts.append(f"<h2>{TENFOLD.capitalize()}</h2>\n{html(costs)}")
     for found in all_found:

@@ -73,12 +73,13 @@ class Stripped:
         sim.steps_done += 1
 
     def drift(self) -> None:
+        """Straight on."""
         with self.sim.timers("drift"):
             free_drift(self.sim.rows.position, self.sim.rows.velocity, self.sim.h)
 
 
 def bits_that_differ(benchmark: Benchmark, name: str) -> int:
-    """Between a run without the effect and one where it is named without strength."""
+    """Number of coordinates that differ between a run without the effect and one where it is named without strength."""
     options, more = OFF[name]
     falling = {"walls": {"restitution": 0.9}} | ({"uniform_gravity": ON["uniform_gravity"]} if name != "uniform_gravity" else {})
     ends = []
@@ -91,7 +92,7 @@ def bits_that_differ(benchmark: Benchmark, name: str) -> int:
 
 
 def errors(benchmark: Benchmark, name: str, sim: Simulation) -> Errors:
-    """Some steps: what was called, what was sent."""
+    """Calls of absent effects and messages in some steps, and bits that differ where the effect has no strength. Collective."""
     sim.step()
     messages = sim.ranks.messages
     for _ in range(10):
@@ -103,7 +104,7 @@ def errors(benchmark: Benchmark, name: str, sim: Simulation) -> Errors:
 
 
 def settings(benchmark: Benchmark) -> Iterator[Setting]:
-    """Nothing, each effect alone, all of them; and one without the program around it."""
+    """A gas without effects, with each effect alone, and with all of them."""
     n = QUICK_N if benchmark.quick else N
 
     def one(curve: str, effects: dict[str, Any]) -> Setting:
@@ -133,7 +134,7 @@ def absence(benchmark: Benchmark) -> tuple[float, float, float]:
 
 
 def answers(rows: list[Row], gone: tuple[float, float, float]) -> list[str]:
-    """What each costs, and what is left of the claim that an absent effect costs nothing."""
+    """What each effect costs, and what absent ones cost, in words; `gone`: what `absence` found."""
     cost = {row.setting.curve: row.seconds.median / row.setting.parameter * 1e9 for row in rows}
     absent = sum(row.errors["calls"] for row in rows)
     differ = sum(row.errors["bits"] for row in rows)

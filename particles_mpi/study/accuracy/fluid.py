@@ -24,7 +24,7 @@ MOMENTS = (0.03, 0.1, 0.3, 1.0, 2.8)  # Gamma dt: collisions of a sphere in a st
 PASSES = (10, 3, 1)
 FASTEST = 4.8  # thermal speeds: rewind allows steps of one diameter
 KLM = (4.0, 6.0, 2.3647684, -0.8698551, 1.1062803, -1.095049, 0.637614, -0.2279397, 0.1098948, -0.00906797)
-FLOOR = 2e-3  # of what PATH collisions of N spheres tell, one standard deviation or two
+FLOOR = 2e-3  # noise of PATH collisions of N spheres, one standard deviation or two
 ERRORS = {
     "collision rate": "|Gamma/Gamma_exact - 1|, collisions of a sphere in unit time",
     "Z - 1": "|(Z - 1)/(Z_exact - 1) - 1|, Z by the virial",

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 
 from particles_mpi import Simulation
 from particles_mpi.particles import Array
-from particles_mpi.study.accuracy.bouncing import FORCES, LOSSES, OBSTACLES, bounces, off, scene
+from particles_mpi.study.accuracy.bouncing import FORCES, LOSSES, OBSTACLES, bounces, mean_errors, scene
 from particles_mpi.study.accuracy.bouncing import T as BOUNCING
 from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, everyone, slope
 
@@ -115,7 +115,7 @@ def bounce(benchmark: Benchmark, force: str, loss: str, resistances: tuple[str, 
         sim.run()
         end = bounces(2, force, loss, cases, h)
         end.advance(np.full(len(shift), BOUNCING))
-        wrong = off(sim, shift, end).reshape(len(OBSTACLES), -1).max(axis=1)
+        wrong = mean_errors(sim, shift, end).reshape(len(OBSTACLES), -1).max(axis=1)
         return dict(zip(OBSTACLES, wrong.tolist(), strict=True))
 
     curve = f"{force}, {loss}, {'friction' if 'friction' in resistances else 'no drag and drag'}"

@@ -1,6 +1,7 @@
-"""F: softening. What it changes of the problem and what it spares, told apart: of an integrator's error, of the noise of few.
+"""F: softening. The error that it adds, because the problem is another one, beside the error that it takes away.
 
-For particles that stand for a smooth sphere as W. Dehnen does, MNRAS 324, 273 (2001).
+For an orbit the latter is the error of the integrator; for particles that stand for a smooth sphere it is the noise of their
+finite number, as in W. Dehnen, MNRAS 324, 273 (2001).
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ def orbit(benchmark: Benchmark, eps: float, n: int, e: float = E, **time: Any) -
 
 
 def end(sim: Simulation) -> Array:
-    """Where the planet is at the end."""
+    """Place of the planet at the end of the run. Collective."""
     sim.run()
     return everyone(sim).position[0]
 
@@ -83,7 +84,7 @@ def kepler(benchmark: Benchmark) -> Experiment:
 
 
 def best_for_each_step(found: Experiment) -> Iterator[str]:
-    """The softening with the least total error, and how both parts grow."""
+    """For each step the softening with the least total error; and how both parts of the error grow."""
     for n in dict.fromkeys(row.setting.tags["steps"] for row in found.rows):
         rows = sorted((row for row in found.rows if row.setting.tags["steps"] == n), key=lambda row: row.errors["total"])
         best, worst = rows[0], rows[-1]
@@ -97,7 +98,7 @@ def best_for_each_step(found: Experiment) -> Iterator[str]:
 
 
 def power(rows: Sequence[Row], error: str) -> float:
-    """Of the softening in an error, from the two smallest that are not 0."""
+    """p, where an error grows as softening^p, from the two smallest softenings that are not 0."""
     known = {row.setting.tags["softening"]: row.errors[error] for row in rows if row.setting.tags["softening"] > 0.0}
     x, y = sorted(known)[:2]
     a, b = known[x], known[y]
@@ -105,7 +106,7 @@ def power(rows: Sequence[Row], error: str) -> float:
 
 
 def thrown_out(benchmark: Benchmark) -> str:
-    """What softening is for: an encounter that the step cannot follow."""
+    """An encounter that the step cannot follow, with and without softening, in words."""
     n, exact = STEPS[0], place_on_ellipse(3.0 * pi, CLOSE)
     point, soft = (distance(end(orbit(benchmark, eps, n, CLOSE)), exact) for eps in (0.0, SOFTEST))
     return (
@@ -115,7 +116,7 @@ def thrown_out(benchmark: Benchmark) -> str:
 
 
 def places(random: np.random.Generator, n: int) -> Array:
-    """Of n particles of the sphere."""
+    """Places (n, 3) of n particles drawn from the sphere."""
     return plummer_places(random, 1.0, np.full(n, 1.0 / n))
 
 
@@ -145,10 +146,10 @@ def fields(n: int) -> dict[float, Errors]:
     drawn = [places(random, n) for _ in range(SPHERES)]
     found = {}
     for eps in WIDTHS:
-        seen = np.zeros((SPHERES, PLACES, 3))
-        for x, field in zip(drawn, seen, strict=True):
+        forces = np.zeros((SPHERES, PLACES, 3))
+        for x, field in zip(drawn, forces, strict=True):
             attract((0,) * 3, at, x, mass, eps * eps, field)
-        bias, noise = ((smooth_field(r, eps) - exact) ** 2).mean(), seen.var(axis=0, ddof=1).sum(axis=1).mean()
+        bias, noise = ((smooth_field(r, eps) - exact) ** 2).mean(), forces.var(axis=0, ddof=1).sum(axis=1).mean()
         squares = zip(FIELD, (bias + noise, bias, noise), strict=True)
         found[eps] = {name: float(np.sqrt(square / (exact**2).mean())) for name, square in squares}
     return found

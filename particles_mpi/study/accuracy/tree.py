@@ -87,6 +87,7 @@ def round_off(sim: Simulation, a: Array) -> Array:
 
 
 def seconds_of(row: Row) -> float:
+    """Median seconds of an evaluation."""
     return row.seconds.median
 
 
@@ -126,7 +127,7 @@ def crossover(found: Sequence[Experiment], curve: str) -> float:
 
 
 def crossovers(found: Sequence[Experiment], ranks: int) -> Iterator[str]:
-    """Where trees begin to pay, as measured and as the plan believes."""
+    """From which number of particles on trees cost less, as measured and by the cost model of the plan, in words."""
     sizes = [e.rows[0].setting.tags["N"] for e in found]
     planned = next(n for n in range(100, 10**6, 10) if choose("auto", 0.5, WANTED, 3, n).angle is not None)
     for curve in TREES.values():
@@ -154,7 +155,7 @@ def measure(benchmark: Benchmark) -> list[Experiment]:
         one.answers = list(compared(one))
     found[-1].answers += crossovers(found, benchmark.ranks.size)
     for multipole, curve in TREES.items():
-        seen = ", ".join(f"{row.errors['median']:.1e}" for row in found[-1].curve(curve)[:3])
+        medians = ", ".join(f"{row.errors['median']:.1e}" for row in found[-1].curve(curve)[:3])
         other = f"where each particle walks by itself, N = 20 000: {BY_PARTICLE[multipole]}"
-        found[-1].answers.append(f"{curve} at angles 1, 0.7, 0.5: median {seen}; {other}")
+        found[-1].answers.append(f"{curve} at angles 1, 0.7, 0.5: median {medians}; {other}")
     return found

@@ -1,5 +1,7 @@
 """Many contacts at once: chains, racks, collapse, dense fluids."""
 
+from functools import partial
+
 import numpy as np
 
 from particles_mpi.study.experiment import everyone, total
@@ -34,7 +36,7 @@ def rack(run: CaseRun) -> Finding:
     return f"energy off {energy:.0e}, momentum {momentum:.0e}", bool(holds)
 
 
-def collapse(run: CaseRun, beads: list[float], speeds: list[float], e: float, wall: bool = False) -> Finding:
+def collapse(run: CaseRun, beads: list[float], speeds: list[float], e: float, wall: bool) -> Finding:
     """Beads of length 1 on a line, between which contacts come ever faster; with a restitution of e."""
     effects: Effects = {"collisions": {"restitution": e}}
     effects |= {"walls": {"planes": [{"point": [0.0], "normal": [1.0]}], "restitution": e}} if wall else {}
@@ -53,24 +55,14 @@ def collapse(run: CaseRun, beads: list[float], speeds: list[float], e: float, wa
 
 
 NAIVE, MUST = "infinitely many contacts: the clock stops", "the clock advances, energy never rises"
-
-
-@case("inelastic collapse: 3 beads, e = 0.065", NAIVE, MUST, dimensions=(1,))
-def three_beads(run: CaseRun) -> Finding:
-    """Collapse onto the bead in the middle."""
-    return collapse(run, [0.0, 1.5, 3.0], [1.0, 0.0, -1.0], 0.065)
-
-
-@case("inelastic collapse: 4 beads, e = 0.15", NAIVE, MUST, dimensions=(1,))
-def four_beads(run: CaseRun) -> Finding:
-    """Collapse of four."""
-    return collapse(run, [0.0, 1.3, 2.6, 4.0], [1.0, 0.3, -0.3, -1.0], 0.15)
-
-
-@case("inelastic collapse: 2 beads and a wall, e = 0.1", NAIVE, MUST, dimensions=(1,))
-def wall_and_two(run: CaseRun) -> Finding:
-    """Collapse onto a wall."""
-    return collapse(run, [0.7, 2.0], [-1.0, -1.5], 0.1, wall=True)
+COLLAPSES = {  # places and speeds of the beads, restitution, is there a wall at 0
+    "3 beads, e = 0.065": ([0.0, 1.5, 3.0], [1.0, 0.0, -1.0], 0.065, False),
+    "4 beads, e = 0.15": ([0.0, 1.3, 2.6, 4.0], [1.0, 0.3, -0.3, -1.0], 0.15, False),
+    "2 beads and a wall, e = 0.1": ([0.7, 2.0], [-1.0, -1.5], 0.1, True),
+}
+for name, (beads, speeds, e, wall) in COLLAPSES.items():
+    measure = partial(collapse, beads=beads, speeds=speeds, e=e, wall=wall)
+    case(f"inelastic collapse: {name}", NAIVE, MUST, dimensions=(1,))(measure)
 
 
 @case(

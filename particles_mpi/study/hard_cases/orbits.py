@@ -1,5 +1,6 @@
 """Mutual gravity: close encounters, and very many orbits."""
 
+from functools import partial
 from math import log, sqrt
 
 import numpy as np
@@ -69,30 +70,28 @@ def binary(run: CaseRun, integrator: str, steps: int, apart: float, place: float
     return np.array(energies) / energies[0] - 1.0, taken * ROUNDINGS[integrator]
 
 
-def far(integrator: str, naive: str, steps: int) -> None:
-    """Enter binaries far from the origin: how far their energies part from those of the same binaries at the origin.
+def far(run: CaseRun, integrator: str, steps: int) -> Finding:
+    """Binaries far from the origin: how far their energies part from those of the same binaries at the origin.
 
     Rounding a position by u/sqrt(12), u its unit in the last place, changes the energy of a circular orbit by the force
     times that, relatively by 2 u/apart at most; n roundings by chance add up as the root of n. Forces at rounded places
     do as much again.
     """
-
-    @case(f"binaries far from the origin, `{integrator}`", naive, FAR_MUST, modes=(None,))
-    def measure(run: CaseRun) -> Finding:
-        texts, holds = [], True
-        near = {apart: binary(run, integrator, steps, apart, 0.0)[0] for apart in {apart for apart, _ in FAR_BINARIES}}
-        for apart, place in FAR_BINARIES:
-            energies, n = binary(run, integrator, steps, apart, place)
-            parted, limit = float(np.abs(energies - near[apart]).max()), 4.0 * float(np.spacing(place)) / apart * sqrt(n)
-            texts.append(f"{apart:g} at {place:.0e}: {parted:.0e} (round-off: {limit:.0e})")
-            holds &= parted <= max(limit, NOTHING)
-        return "; ".join(texts), holds
+    texts, holds = [], True
+    near = {apart: binary(run, integrator, steps, apart, 0.0)[0] for apart in {apart for apart, _ in FAR_BINARIES}}
+    for apart, place in FAR_BINARIES:
+        energies, n = binary(run, integrator, steps, apart, place)
+        parted, limit = float(np.abs(energies - near[apart]).max()), 4.0 * float(np.spacing(place)) / apart * sqrt(n)
+        texts.append(f"{apart:g} at {place:.0e}: {parted:.0e} (round-off: {limit:.0e})")
+        holds &= parted <= max(limit, NOTHING)
+    return "; ".join(texts), holds
 
 
 FAR_MUST = f"energy as at the origin, within 1e-9 or round-off, {FAR_ORBITS} orbits"
-far("adaptive", "steps shrink until it stops", 4)
-far("leapfrog", "round-off grows with every step", 100)
-far("order4", "round-off grows with every step", 40)
+for integrator, steps in {"adaptive": 4, "leapfrog": 100, "order4": 40}.items():
+    naive = "steps shrink until it stops" if integrator == "adaptive" else "round-off grows with every step"
+    measure = partial(far, integrator=integrator, steps=steps)
+    case(f"binaries far from the origin, `{integrator}`", naive, FAR_MUST, modes=(None,))(measure)
 
 
 @kernel

@@ -1,5 +1,8 @@
-"""What a scene will cost and how wrong it will be, before it runs: its first half second is tried, output and all, and a short
-run three times over, at steps of h, h/2 and h/4. Takes about two seconds."""
+"""What a scene will cost and how wrong it will be, before it runs: what `check` prints.
+
+The first half second of the run is tried, with output, for the forecast of seconds; a short run at steps of h, h/2 and h/4
+gives the errors. Takes about two seconds.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,7 @@ KNOWN = 0.1, 0.5  # packings that the fit is good for
 
 @dataclass
 class Prediction:
-    """How long a run takes, unless nothing happens in it or it stops at once; and lines for people of how wrong it will be."""
+    """How long a run takes (None if nothing happens in it, or it stops at once), and how wrong it will be, line by line."""
 
     forecast: Forecast | None
     errors: list[str]

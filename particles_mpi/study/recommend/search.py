@@ -16,7 +16,7 @@ from particles_mpi.study.recommend.runs import LOOKS, Record, Start, TooLongErro
 
 MARGIN = 0.85  # of the tolerance: what a refined step aims at
 TRIES = 3  # of refinement
-CLOSE = 2.0  # times the seconds of the quickest, as they were seen once: those are timed well
+CLOSE = 2.0  # times the seconds of the quickest in one run: settings that are timed again, by turns
 DEARER = 2.0  # times the seconds of the best: where a method is given up
 MOST_REFUSALS = 5  # of settings of a method, one after the other
 LITTLE = 0.2  # seconds that are no reason to give anything up
@@ -67,7 +67,7 @@ class Search:
         self.best, self.seconds, self.began = inf, seconds, perf_counter()
 
     def reached(self, errors: Errors) -> bool:
-        """Is the error below the tolerance, by whatever the resolution limit hides?"""
+        """Is the error below the tolerance, even if it is larger by half of the resolution limit?"""
         return errors[self.error] + 0.5 * self.metric.limits[self.error] <= self.tolerance
 
     def left(self) -> float:
@@ -126,7 +126,7 @@ class Search:
             self.refine(coarse, fine)
 
     def warm_up(self, method: Method, resolution: float) -> None:
-        """A step that nobody times: kernels are compiled or loaded in it. Collective."""
+        """A step that is not timed: kernels are compiled or loaded in it. Collective."""
         if not method.adaptive:  # a step of which is a frame; it has no kernels of its own
             with suppress(SceneError, StoppedError):
                 self.start.simulate(method.scene(resolution, self.metric.part)).step()

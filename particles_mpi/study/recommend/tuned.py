@@ -50,15 +50,15 @@ def written(tables: Tables, source: Path, target: Path, remark: str) -> str:
 
 
 def moved(tables: Tables, old: Path, new: Path) -> Tables:
-    """The same files, seen from another folder."""
+    """The tables with names of the same files relative to another folder."""
     if old.resolve() == new.resolve():
         return tables
 
-    def seen(value: Any) -> Any:
+    def renamed(value: Any) -> Any:
         named = isinstance(value, dict) and "file" in value
         return {"file": os.path.relpath(old / value["file"], new)} if named else value
 
-    return tables | {"particles": [{key: seen(value) for key, value in table.items()} for table in tables["particles"]]}
+    return tables | {"particles": [{key: renamed(value) for key, value in table.items()} for table in tables["particles"]]}
 
 
 def enter(document: Any, old: Tables, new: Tables) -> None:
