@@ -51,14 +51,18 @@ def scale(scene: Scene | None, folder: Path, quick: bool, comm: Any = None) -> N
     model = fit(found, law, scaling.row_bytes()) if ranks.size > 1 else None
     result = Result(scaling.scene.title, law, curves, found, model, no_weak, scene is None)
     with failing_together(ranks, f"cannot write into {folder}"):
-        if ranks.is_root:
-            from particles_mpi.study.scaling.plots import draw
+        ranks.of_root_alone(lambda: write(result, folder, screen))
 
-            files, figure = report(result, folder, screen), draw(result)
-            for path in (folder / "scaling.png", folder / "scaling.svg"):
-                figure.savefig(path)
-                files.append(path)
-            screen.say(f"written: {', '.join(map(str, files))}")
+
+def write(result: Result, folder: Path, screen: Screen) -> None:
+    """Print the tables, write tables and figure; on one rank, while the others sleep."""
+    from particles_mpi.study.scaling.plots import draw
+
+    files, figure = report(result, folder, screen), draw(result)
+    for path in (folder / "scaling.png", folder / "scaling.svg"):
+        figure.savefig(path)
+        files.append(path)
+    screen.say(f"written: {', '.join(map(str, files))}")
 
 
 def settings(scene: Scene, counts: list[int], sizes: list[float], weak: bool) -> list[tuple[float, int]]:
