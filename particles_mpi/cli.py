@@ -93,15 +93,15 @@ def check(scene: SceneFile) -> None:
     """
     from particles_mpi.run.console import Screen, tell_of_compiling
     from particles_mpi.scene.plan import plan
-    from particles_mpi.study.measuring.experiment import Lab
-    from particles_mpi.study.recommending.model import predict
-    from particles_mpi.study.recommending.starts import Start
+    from particles_mpi.study.experiment import Benchmark
+    from particles_mpi.study.recommend.predict import predict
+    from particles_mpi.study.recommend.runs import Start
 
     described, screen = load(scene), Screen(root(), False)
     if root():
         tell_of_compiling(described.dimension)
     try:
-        start = Start(Lab(), described)
+        start = Start(Benchmark(), described)
     except SceneError as error:
         raise SceneError([f"{scene}: {fault}" for fault in error.faults]) from None
     about = plan(described, start.particles, start.total, MPI.COMM_WORLD.Get_size())
@@ -150,7 +150,7 @@ def accuracy(
 
     Example:   ./run.sh study accuracy --quick
     """
-    from particles_mpi.study.run import accuracy as measure
+    from particles_mpi.study.accuracy.command import accuracy as measure
 
     described = load(scene) if scene else None
     if described and only:
@@ -172,7 +172,7 @@ def recommend(
 
     Example:   ./run.sh study recommend my.toml --tolerance 1e-6
     """
-    from particles_mpi.study.recommending.recommend import recommend_scene
+    from particles_mpi.study.recommend.recommend import recommend_scene
 
     recommend_scene(scene, tolerance, error, output, seconds)
 
@@ -187,7 +187,7 @@ def scaling(
 
     Example:   RANKS=4 ./run.sh study scaling my.toml
     """
-    from particles_mpi.study.scaling.scaling import scale
+    from particles_mpi.study.scaling.command import scale
 
     scale(load(scene) if scene else None, output or Path("out/study/scaling") / (scene.stem if scene else ""), quick)
 
@@ -202,7 +202,7 @@ def hard_cases(
 
     Example:   ./run.sh study hard-cases --only column
     """
-    from particles_mpi.study.hard_cases.report import study as run_catalogue
+    from particles_mpi.study.hard_cases.command import study as run_catalogue
 
     if not run_catalogue(only, full, output):
         raise StoppedError("hard cases: not all that must hold does")

@@ -5,8 +5,8 @@ import json
 import pytest
 from conftest import run_ranks
 
-from particles_mpi.study.hard_cases import catalogue, examine, settings
-from particles_mpi.study.hard_cases.report import where
+from particles_mpi.study.hard_cases.catalogue import catalogue, examine, settings
+from particles_mpi.study.hard_cases.command import where
 
 CASES = list(settings([one for one in catalogue() if not one.long]))
 SPREAD = "on borders|crossing many|one rank's corner|three particles|overlap at|squeezed"
@@ -34,11 +34,12 @@ def test_the_bits_of_one_rank(tmp_path, ranks):
 @pytest.mark.parallel
 def test_a_case_that_fails_is_exit_code_3(monkeypatch, capsys):
     """`study` says so, and which."""
-    from particles_mpi.study.hard_cases import Case, report
+    from particles_mpi.study.hard_cases import command
+    from particles_mpi.study.hard_cases.catalogue import Case
 
-    wrong = Case("wrong", "nothing", "that 1 is 2", lambda bench: ("1", False), (None,), (2,), False)
-    monkeypatch.setattr(report, "catalogue", lambda: [wrong])
-    assert not report.study(None, False, None)
+    wrong = Case("wrong", "nothing", "that 1 is 2", lambda run: ("1", False), (None,), (2,), False)
+    monkeypatch.setattr(command, "catalogue", lambda: [wrong])
+    assert not command.study(None, False, None)
     assert "FAIL" in capsys.readouterr().out
     done = run_ranks(1, "-m", "particles_mpi", "study", "hard-cases", "--only", "no such case")
     assert done.returncode == 2 and "--only: no case" in done.stderr and "Traceback" not in done.stderr

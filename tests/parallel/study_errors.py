@@ -7,13 +7,13 @@ from pathlib import Path
 from mpi4py import MPI
 
 from particles_mpi import Scene
-from particles_mpi.study.measuring.experiment import Lab
-from particles_mpi.study.recommending.model import predict
-from particles_mpi.study.recommending.recommend import recommend
-from particles_mpi.study.recommending.reference import reference
-from particles_mpi.study.recommending.search import Search
-from particles_mpi.study.recommending.settings import curves
-from particles_mpi.study.recommending.starts import Start
+from particles_mpi.study.experiment import Benchmark
+from particles_mpi.study.recommend.methods import methods
+from particles_mpi.study.recommend.predict import predict
+from particles_mpi.study.recommend.recommend import recommend
+from particles_mpi.study.recommend.reference import reference
+from particles_mpi.study.recommend.runs import Start
+from particles_mpi.study.recommend.search import Search
 
 folder = Path(sys.argv[1])
 edge = 6.0
@@ -30,15 +30,15 @@ SCENES = {
 }
 found = {}
 for name, tables in SCENES.items():
-    lab = Lab(quick=True, samples=2)
+    lab = Benchmark(quick=True, samples=2)
     start = Start(lab, Scene.from_dict({"dimension": 3, "seed": 4, "box": box, **tables}))
-    yardstick = reference(start, 1e4)
-    error = yardstick.names[0]
-    search = Search(start, yardstick, error, 0.1, 1e4)
-    for curve in curves(start):
-        search.attempt(curve, 2.0 * start.scene.steps)
+    metric = reference(start, 1e4)
+    error = metric.names[0]
+    search = Search(start, metric, error, 0.1, 1e4)
+    for method in methods(start):
+        search.attempt(method, 2.0 * start.scene.steps)
     rows = {trial.name: {what: wrong.hex() for what, wrong in trial.errors.items()} for trial in search.trials}
-    found[name] = {"floors": {what: floor.hex() for what, floor in yardstick.floors.items()}, "rows": rows}
+    found[name] = {"floors": {what: floor.hex() for what, floor in metric.limits.items()}, "rows": rows}
     if name == "pulled":
         continue
     result = recommend(lab, start.scene, 0.1, error, 20.0)
@@ -47,7 +47,7 @@ for name, tables in SCENES.items():
     assert all(one == same[0] for one in same), "ranks disagree"
 few = {"dimension": 2, "particles": [{"position": [[0.0, 0.0]], "velocity": [1.0, 1.0]}], "time": {"step": 0.1, "steps": 10}}
 few["effects"] = {"drag": {"rate": 1.0}}
-alone = recommend(Lab(quick=True, samples=2), Scene.from_dict(few), 1e-3)
+alone = recommend(Benchmark(quick=True, samples=2), Scene.from_dict(few), 1e-3)
 assert alone.ranks == 1 if MPI.COMM_WORLD.Get_rank() == 0 else alone is None
 if MPI.COMM_WORLD.Get_rank() == 0:
     (folder / f"{MPI.COMM_WORLD.Get_size()}.json").write_text(json.dumps(found))

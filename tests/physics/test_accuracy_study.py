@@ -3,19 +3,20 @@
 import numpy as np
 import pytest
 
-from particles_mpi.study.accuracy import encounters, experiments, fluid, losses, orbits
-from particles_mpi.study.measuring.experiment import Lab, slope
+from particles_mpi.study.accuracy import fluid, losses, orbits
+from particles_mpi.study.accuracy.command import experiments
+from particles_mpi.study.experiment import Benchmark, slope
 
 
 @pytest.fixture(scope="module")
 def lab():
-    return Lab(quick=True, samples=1)
+    return Benchmark(quick=True, samples=1)
 
 
 @pytest.fixture(scope="module")
 def found(lab):
     """Orbits and losses, by key."""
-    return {one.key: one for key in "AG" for one in experiments(key)[key](lab)}
+    return {one.key: one for key in "AG" for one in experiments(key, lab)}
 
 
 def test_orders_of_the_integrators(found):
@@ -31,8 +32,8 @@ def test_order4(lab):
     fall = {"position": [[0.5, 0.0], [0.0, 0.0]], "velocity": [[0.0, 3.0**0.5], [0.0, 0.0]], "mass": [0.0, 1.0]}
     errors = []
     for n in (200, 400):
-        scene = orbits.gravity({"particles": [fall]}, 2 * np.pi / n, 2 * n, "order4")
-        errors.append(orbits.run(lab.simulate(scene), orbits.of_planet))
+        scene = orbits.gravity(fall, 2 * np.pi / n, 2 * n, "order4")
+        errors.append(orbits.worst_energy(lab.simulate(scene), orbits.energy_of_planet))
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.1)
 
 
@@ -52,7 +53,7 @@ def test_losses(found):
     assert max(row.errors["velocity"] for row in drag.curve("leapfrog")) < 1e-12
     assert slope(found["G3"].curve("leapfrog"), "place") == pytest.approx(2.0, abs=0.05)
     bounces = found["G4"]
-    assert all(max(row.errors.values()) <= 0.03 * row.setting.knob for row in bounces.rows)
+    assert all(max(row.errors.values()) <= 0.03 * row.setting.parameter for row in bounces.rows)
     assert all(slope(bounces.curve(curve), "fixed sphere") == pytest.approx(2.0, abs=0.3) for curve in bounces.curves)
 
 
@@ -65,14 +66,14 @@ def test_sliding_keeps_what_it_should():
 
 
 def test_the_same_study_twice(lab, found):
-    again = {one.key: one for key in "AG" for one in experiments(key)[key](lab)}
+    again = {one.key: one for key in "AG" for one in experiments(key, lab)}
     for key, one in found.items():
         assert [row.errors for row in one.rows] == [row.errors for row in again[key].rows]
         assert [row.work for row in one.rows] == [row.work for row in again[key].rows]
 
 
 def test_close_encounters(lab):
-    (one,) = encounters.measure(lab)
+    (one,) = experiments("B", lab)
     fixed = [row.errors["place, t = 10"] for row in one.rows if row.setting.curve != "adaptive"]
     assert min(fixed) > 0.1 and max(row.errors["place, t = 10"] for row in one.curve("adaptive")) < 1e-6
 
@@ -98,6 +99,6 @@ def test_rewind_against_the_step(lab, moment, passes, least):
 
 
 def test_absent_effects(lab):
-    (one,) = experiments("H")["H"](lab)
+    (one,) = experiments("H", lab)
     for row in one.rows:
         assert row.errors == {"calls": 0.0, "messages": 0.0, "bits": 0.0}, row.setting.curve

@@ -7,9 +7,9 @@ from particles_mpi import Scene, SceneError, Simulation, StoppedError
 from particles_mpi.integrators.gauss_radau import add, random_signs
 from particles_mpi.particles import Particles
 from particles_mpi.scene.schema import TOLERANCES
-from particles_mpi.study.accuracy.encounters import BODIES
+from particles_mpi.study.accuracy.orbits import PYTHAGOREAN as BODIES
 from particles_mpi.study.accuracy.orbits import E, place_on_ellipse
-from particles_mpi.study.hard_cases import Bench
+from particles_mpi.study.hard_cases.catalogue import CaseRun
 from particles_mpi.study.hard_cases.orbits import encounter
 
 M3 = 3.00429263669639920545, 0.51192523502468586560  # Pythagorean, t = 20, by integrations of 72 and of 34 digits
@@ -83,7 +83,7 @@ def test_order():
 
 def test_forces_it_takes():
     """No more than before it knew its round-off: 26 343 for two periods of e = 0.999, 9163 for 399 steps of the figure eight."""
-    bench = Bench(None, 2)
+    bench = CaseRun(None, 2)
     worst, _ = encounter(bench, "adaptive", 0.0, 2.0, 1)
     assert worst < 1e-11 and bench.built[0].calls["mutual_gravity"] < 0.8 * 26_343
     tables = Scene.load("particles_mpi/scenes/figure_eight.toml").to_dict()

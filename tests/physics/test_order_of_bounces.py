@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from particles_mpi import Scene, Simulation
-from particles_mpi.study.accuracy.bouncing import FORCES, LOSSES, OBSTACLES, RESISTANCES, T, bounces, off, scene
+from particles_mpi.study.accuracy.bouncing import FORCES, LOSSES, OBSTACLES, RESISTANCES, T, bounces, mean_errors, scene
 
 STEPS = 0.01, 0.00125
 EXACT = 1e-8  # two that fall alike meet as if nothing pulled: no order is seen in errors of the reference
@@ -27,7 +27,7 @@ def errors(force, mode, h, start, end):
     tables, shift = scene(force, mode, h, start)
     sim = Simulation(Scene(**tables))
     sim.run()
-    return off(sim, shift, end)
+    return mean_errors(sim, shift, end)
 
 
 @pytest.mark.parametrize("loss", LOSSES)

@@ -2,15 +2,14 @@
 
 import numpy as np
 import pytest
+from recommend_cases import CASES, kepler, thrown
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.errors import SceneError
-from particles_mpi.study.measuring.experiment import Lab
-from particles_mpi.study.recommending.cases import CASES, kepler, thrown
-from particles_mpi.study.recommending.recommend import recommend
-from particles_mpi.study.recommending.reference import reference
-from particles_mpi.study.recommending.starts import Start
-from particles_mpi.study.recommending.tracks import extrapolated
+from particles_mpi.study.experiment import Benchmark
+from particles_mpi.study.recommend.recommend import recommend
+from particles_mpi.study.recommend.reference import extrapolated, reference
+from particles_mpi.study.recommend.runs import Start
 
 PLENTY = 300.0  # seconds that measuring may take: none of these comes near it
 
@@ -19,11 +18,11 @@ PLENTY = 300.0  # seconds that measuring may take: none of these comes near it
 @pytest.mark.parametrize("number", range(len(CASES)))
 def test_its_setting_reaches_the_tolerance_in_truth(number):
     case = CASES[number]()
-    found = recommend(Lab(quick=True, samples=3), case.scene, case.tolerance, case.error, PLENTY)
+    found = recommend(Benchmark(quick=True, samples=3), case.scene, case.tolerance, case.error, PLENTY)
     sim = Simulation(Scene.from_dict(found.tables))
     sim.run()
     assert sim.time == pytest.approx(case.scene.steps * case.scene.time.step, rel=1e-12)
-    assert case.truth(sim, found.yardstick.size) <= case.tolerance
+    assert case.truth(sim, found.metric.size) <= case.tolerance
     reached = [one for one in found.timed if one.trial.errors[found.error] <= case.tolerance]
     assert found.best in reached and found.best.seconds.median <= 1.2 * min(one.seconds.median for one in reached)
     assert found.half[found.error] <= case.tolerance and found.difference <= 2.0 * case.tolerance
@@ -40,26 +39,26 @@ def test_the_cases_are_nine_and_careless():
 
 def test_it_refuses_what_cannot_be_measured():
     with pytest.raises(SceneError, match=r"--tolerance 1e-14 is below what can be measured here: state \d+e-1\d \("):
-        recommend(Lab(), kepler(1e-9).scene, 1e-14, "", PLENTY)
+        recommend(Benchmark(), kepler(1e-9).scene, 1e-14, "", PLENTY)
     with pytest.raises(SceneError, match="collision rate: cannot be measured here"):
-        recommend(Lab(), thrown().scene, 1e-2, "collision rate", PLENTY)
+        recommend(Benchmark(), thrown().scene, 1e-2, "collision rate", PLENTY)
     with pytest.raises(SceneError, match="must be above 0 and below 1"):
-        recommend(Lab(), thrown().scene, 2.0)
+        recommend(Benchmark(), thrown().scene, 2.0)
 
 
 def test_errors_of_a_reference_are_those_of_the_exact_solution():
     """The place on the ellipse at the end, and the size: of a planet and a sun."""
     case = kepler(1e-9)
-    found = reference(Start(Lab(), case.scene), PLENTY)
+    found = reference(Start(Benchmark(), case.scene), PLENTY)
     sim = Simulation(case.scene)
     sim.particles.position[:] = found.places[-1]
     sim.steps_done = case.scene.steps
-    assert case.truth(sim, found.size) < found.floors["state"] < 1e-12
+    assert case.truth(sim, found.size) < found.limits["state"] < 1e-12
     assert 5.0 < found.growth < 100.0 and found.part == 1.0
 
 
 def test_little_time_gives_the_first_part_of_the_run():
-    found = reference(Start(Lab(), kepler(1e-9).scene), 0.5)
+    found = reference(Start(Benchmark(), kepler(1e-9).scene), 0.5)
     assert found.part < 1.0 and np.log2(found.part).is_integer() and found.span == pytest.approx(found.part * 4.0 * np.pi)
 
 

@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 
 from particles_mpi.study.accuracy import softening, tree
-from particles_mpi.study.measuring.clock import Seconds
-from particles_mpi.study.measuring.experiment import Experiment, Lab, Row, Setting, slope
+from particles_mpi.study.experiment import Benchmark, Experiment, Row, Setting, slope
+from particles_mpi.study.timing import Seconds
 
 
 @pytest.fixture(scope="module")
 def trees():
-    return tree.measure(Lab(quick=True, samples=1))
+    return tree.measure(Benchmark(quick=True, samples=1))
 
 
 @pytest.fixture(scope="module")
 def softened():
-    return softening.measure(Lab(quick=True, samples=1))
+    return softening.measure(Benchmark(quick=True, samples=1))
 
 
 def errors(found, curve, name):
@@ -48,7 +48,7 @@ def test_the_reference_of_trees_is_the_direct_sum(trees):
 
 
 def test_errors_are_the_same_bits_every_time(trees):
-    again = tree.experiment(Lab(quick=True, samples=1), 1, tree.QUICK[0])
+    again = tree.experiment(Benchmark(quick=True, samples=1), 1, tree.QUICK[0])
     assert [row.errors for row in again.rows] == [row.errors for row in trees[0].rows]
 
 
@@ -56,7 +56,7 @@ def made_up(n, direct, trees):
     """An experiment with these seconds: of the direct sum, and (median error, seconds) of trees."""
 
     def row(curve, error, seconds):
-        setting = Setting(curve, 1.0, lambda: None, 1, lambda sim: {}, more={"N": n})
+        setting = Setting(curve, 1.0, lambda: None, 1, lambda sim: {}, tags={"N": n})
         return Row(setting, {"median": error}, {}, Seconds(seconds, seconds, seconds), {"interactions": int(1e9 * seconds)})
 
     rows = [row("direct sum", 1e-15, direct), *(row(curve, *pair) for curve in tree.TREES.values() for pair in trees)]

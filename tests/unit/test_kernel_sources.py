@@ -53,8 +53,8 @@ def test_all_kernels_are_known(whole):
 @pytest.mark.parametrize(
     ("file", "old", "new"),
     [
-        ("study/measuring/clock.py", "from __future__", "# a comment\nfrom __future__"),
-        ("study/measuring/experiment.py", "ROUND_OFF = 1e-13", "ROUND_OFF = 1e-12"),
+        ("study/timing.py", "from __future__", "# a comment\nfrom __future__"),
+        ("study/experiment.py", "ROUND_OFF = 1e-13", "ROUND_OFF = 1e-12"),
         ("neighbours/cells.py", "The cell of coordinate y on one axis;", "Of coordinate y on one axis, the cell;"),
         ("neighbours/cells.py", "    return int(min(max((y", "    # an interval of cells\n    return int(min(max((y"),
     ],

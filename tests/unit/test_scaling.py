@@ -8,10 +8,11 @@ import pytest
 
 from particles_mpi import Scene, SceneError
 from particles_mpi.initial.populate import populate
+from particles_mpi.study.scaling.command import HEADLINE, settings, unable_to_grow
+from particles_mpi.study.scaling.measure import rank_counts
 from particles_mpi.study.scaling.performance_model import NETWORK_LATENCY, Law, Model, Point, Traffic, fit
-from particles_mpi.study.scaling.result import Curve, Result
-from particles_mpi.study.scaling.scale_scene import edges, grown
-from particles_mpi.study.scaling.scaling import HEADLINE, rank_counts, settings, unable_to_grow
+from particles_mpi.study.scaling.report import Curve, Result
+from particles_mpi.study.scaling.scale_scene import edges, scale_scene
 
 CUBE = Law("N", (1.0, 1.0, 1.0), (False, False, False))
 
@@ -32,14 +33,14 @@ def gas(**population):
 @pytest.mark.parametrize("position", ["random", "lattice"])
 def test_a_grown_gas_has_the_same_density_and_radii(position):
     scene = gas(position=position)
-    large = grown(scene, 4)
+    large = scale_scene(scene, 4)
     (small_rows, _), (rows, warnings) = populate(scene), populate(large)
     assert len(rows) == 4 * len(small_rows) and not warnings and (rows.radius == 0.02).all()
     sides, before = (np.subtract(s.box.upper, s.box.lower) for s in (large, scene))
     assert np.isclose(np.prod(sides), 4 * np.prod(before)) and np.allclose(sides / before, 4 ** (1 / 3))
     assert large.box.lower == scene.box.lower and edges(large) == pytest.approx(edges(scene))
     assert large.effects["walls"].planes[0].point == pytest.approx([1.0 + 4 ** (1 / 3), 1.0, 1.0])  # half-way, as before
-    assert grown(scene, 1) == scene
+    assert scale_scene(scene, 1) == scene
 
 
 def test_a_grown_cluster_keeps_density_and_mass_of_a_star():
@@ -50,7 +51,7 @@ def test_a_grown_cluster_keeps_density_and_mass_of_a_star():
         "particles": [{"count": 100, "position": {"plummer": 2.0}, "velocity": "equilibrium", "mass": 0.01}],
         "effects": {"mutual_gravity": {}},
     }
-    large = grown(Scene.from_dict(tables), 8)
+    large = scale_scene(Scene.from_dict(tables), 8)
     assert large.particles[0].count == 800 and large.particles[0].mass == 0.01
     assert large.particles[0].position == {"plummer": pytest.approx(4.0)}
 
@@ -68,7 +69,7 @@ def test_a_grown_cluster_keeps_density_and_mass_of_a_star():
 def test_what_is_listed_has_no_weak_scaling(population, key):
     scene = gas(**population)
     with pytest.raises(SceneError, match=rf"particles\[0\]\.{key}: "):
-        grown(scene, 2)
+        scale_scene(scene, 2)
     assert len(unable_to_grow(scene)) == 1
     assert settings(scene, [1, 2], [1.0], False) == [(1.0, 1), (1.0, 2)]
 

@@ -8,9 +8,9 @@ from math import isnan
 import pytest
 
 from particles_mpi.parallel.communicator import Ranks
-from particles_mpi.study.measuring.clock import Seconds, Watch, time_in_turns
-from particles_mpi.study.measuring.experiment import Experiment, Lab, Row, Setting, observe_orders, slope
-from particles_mpi.study.reporting import plots, report, tables
+from particles_mpi.study import plots, report
+from particles_mpi.study.experiment import Benchmark, Experiment, Row, Setting, observe_orders, slope
+from particles_mpi.study.timing import Seconds, StepTimer, time_in_turns
 
 ORDER = []
 
@@ -54,9 +54,9 @@ def test_settings_take_turns_and_begin_anew_off_the_clock():
         begun[name] += 1
         return Stepper(name)
 
-    watches = [Watch(Ranks.alone(), lambda name=name: begin(name), 7) for name in "ab"]
+    watches = [StepTimer(Ranks.alone(), lambda name=name: begin(name), 7) for name in "ab"]
     told = []
-    time_in_turns(watches, samples=4, least=1e-4, told=lambda: told.append(1))
+    time_in_turns(watches, samples=4, least=1e-4, progress=lambda: told.append(1))
     assert len(told) == 2 * 5 and [len(w.samples) for w in watches] == [4, 4]
     turns = re.sub(r"(.)\1+", r"\1", "".join(ORDER))
     assert turns == "bababa"  # ba ab ba ab ba
@@ -66,8 +66,8 @@ def test_settings_take_turns_and_begin_anew_off_the_clock():
 
 def test_by_forces_a_unit_is_an_evaluation(monkeypatch):
     clock = iter(range(10**6))
-    monkeypatch.setattr("particles_mpi.study.measuring.clock.perf_counter", lambda: float(next(clock)))  # a second a look
-    steps, forces = (Watch(Ranks.alone(), lambda: Stepper("a"), 100, by_forces) for by_forces in (False, True))
+    monkeypatch.setattr("particles_mpi.study.timing.perf_counter", lambda: float(next(clock)))  # a second a look
+    steps, forces = (StepTimer(Ranks.alone(), lambda: Stepper("a"), 100, by_forces) for by_forces in (False, True))
     assert steps.sample(0.5) == 1.0
     assert forces.sample(0.5) == pytest.approx(1.0 / 3.0)
 
@@ -82,18 +82,18 @@ def test_orders_slopes_and_front(found):
 
 
 def test_what_ten_times_more_costs(found):
-    assert tables.tenfold(found, "second") == pytest.approx(10**0.5)
-    assert tables.tenfold(found, "fourth") == pytest.approx(10**0.25)
+    assert report.tenfold(found, "second") == pytest.approx(10**0.5)
+    assert report.tenfold(found, "fourth") == pytest.approx(10**0.25)
 
 
 def test_tables(found, tmp_path):
-    assert tables.header(found) == ["setting", "step", "place", "order", "calls", "order", "seconds", "forces"]
-    for row, texts in tables.cells(found):
+    assert report.header(found) == ["setting", "step", "place", "order", "calls", "order", "seconds", "forces"]
+    for row, texts in report.cells(found):
         assert len(texts) == 8 and row.setting.curve == texts[0]
-    assert [tables.number(x) for x in (0.0, 1.0, 20_000.0, 0.0123, 1.23e-7, float("nan"))] == [
+    assert [report.number(x) for x in (0.0, 1.0, 20_000.0, 0.0123, 1.23e-7, float("nan"))] == [
         "0", "1", "20 000", "0.012", "1.2e-07", ""
     ]  # fmt: skip
-    tables.write_csv(tmp_path / "x.csv", found)
+    report.write_csv(tmp_path / "x.csv", found)
     with (tmp_path / "x.csv").open() as file:
         read = list(csv.DictReader(file))
     assert [float(line["place"]) for line in read] == [row.errors["place"] for row in found.rows]
@@ -117,8 +117,8 @@ def test_plots_without_an_error(found):
     assert plots.svg(found).startswith("<svg")
 
 
-def test_a_lab_measures_errors_work_and_time():
-    lab = Lab(samples=2, quick=True)
+def test_a_benchmark_measures_errors_work_and_time():
+    lab = Benchmark(samples=2, quick=True)
     tables_ = {"dimension": 1, "time": {"step": 0.5, "steps": 4}, "particles": [{"position": [[0.0]], "velocity": [[1.0]]}]}
 
     def errors(sim):

@@ -8,10 +8,10 @@ from conftest import ROOT
 
 from particles_mpi import Scene
 from particles_mpi.initial.populate import populate
-from particles_mpi.study.measuring.experiment import Lab
-from particles_mpi.study.recommending.settings import curves
-from particles_mpi.study.recommending.starts import Start
-from particles_mpi.study.recommending.tuned import serialised, tuned, written
+from particles_mpi.study.experiment import Benchmark
+from particles_mpi.study.recommend.methods import methods
+from particles_mpi.study.recommend.runs import Start
+from particles_mpi.study.recommend.tuned import tuned, written
 
 SCENES = sorted((ROOT / "particles_mpi" / "scenes").glob("*.toml"))
 LIGHT = [path for path in SCENES if path.stem not in ("headline", "marbles", "plummer")]
@@ -20,14 +20,14 @@ LIGHT = [path for path in SCENES if path.stem not in ("headline", "marbles", "pl
 @pytest.mark.parametrize("path", LIGHT, ids=lambda path: path.stem)
 def test_every_setting_of_a_shipped_scene_can_be_written(path, tmp_path):
     scene = Scene.load(path)
-    start, text = Start(Lab(), scene), path.read_text()
-    for curve in curves(start):
-        fineness = 1e6 if curve.adaptive else 2.0 * scene.steps
-        tables = tuned(scene, curve.scene(fineness, 1.0), curve.steps(fineness, 1.0))
+    start, text = Start(Benchmark(), scene), path.read_text()
+    for method in methods(start):
+        resolution = 1e6 if method.adaptive else 2.0 * scene.steps
+        tables = tuned(scene, method.scene(resolution, 1.0), method.steps(resolution, 1.0))
         target = tmp_path / "tuned.toml"
         target.write_text(written(tables, path, target, "tuned"))
         loaded = Scene.load(target)
-        assert loaded.time.integrator == curve.integrator and loaded.steps == curve.steps(fineness, 1.0)
+        assert loaded.time.integrator == method.integrator and loaded.steps == method.steps(resolution, 1.0)
         assert loaded.steps * loaded.time.step == pytest.approx(scene.steps * scene.time.step, rel=1e-12)
         assert loaded.steps / loaded.output.every == pytest.approx(scene.steps / scene.output.every, rel=0.3)
         assert [line for line in text.splitlines() if line.startswith("#")] == [
@@ -46,19 +46,28 @@ time = {step = 0.1, end = 2.0}
 """
 
 
-def test_a_scene_of_another_make_is_written_anew_and_finds_its_files(tmp_path):
+def test_a_scene_of_another_make_finds_its_files(tmp_path):
     (tmp_path / "start.csv").write_text("x,y\n0.5,0.25\n")
     path, target = tmp_path / "scene.toml", tmp_path / "deep" / "scene.tuned.toml"
     target.parent.mkdir()
     path.write_text(SCENE)
     scene = Scene.load(path)
-    (curve,) = curves(Start(Lab(), scene))
-    target.write_text(written(tuned(scene, curve.scene(40, 1.0), 40), path, target, "tuned"))
+    (method,) = methods(Start(Benchmark(), scene))
+    target.write_text(written(tuned(scene, method.scene(40, 1.0), 40), path, target, "tuned"))
     loaded = Scene.load(target)
     assert loaded.time.end == 2.0 and loaded.steps == 40 and loaded.time.step == 0.05
     assert populate(loaded)[0].position.tolist() == [[0.5, 0.25]]
 
 
-def test_serialised_tables_come_back():
-    tables = {"a": 1e-5, "b": [[1.0, 2], []], "c": 'q"\n', "d": {"e": True, "f": {"g": [{"h": {"min": 0.1, "max": 1e300}}]}}}
-    assert tomllib.loads("".join(serialised(tables))) == tables
+def test_remarks_and_forms_of_the_author_stay(tmp_path):
+    """Only what is other changes: the remark of a changed line, a table in one line, and what the program does not tune."""
+    path, target = tmp_path / "scene.toml", tmp_path / "scene.tuned.toml"
+    path.write_text(
+        "# A fall.\n" + SCENE.replace('{file = "start.csv"}', "[[0.5, 0.25]]").replace("end = 2.0}", "end = 2.0} # short")
+    )
+    scene = Scene.load(path)
+    (method,) = methods(Start(Benchmark(), scene))
+    text = written(tuned(scene, method.scene(40, 1.0), 40), path, target, "tuned")
+    assert text.startswith("# tuned\n# A fall.\n") and "time = {step = 0.05, end = 2.0} # short" in text
+    assert tomllib.loads(text)["particles"] == tomllib.loads(path.read_text())["particles"]
+    assert [line for line in path.read_text().splitlines() if line not in text] == ["time = {step = 0.1, end = 2.0} # short"]

@@ -1,16 +1,12 @@
-"""The built-in experiments: what accuracy costs in time, problem by problem, each against a solution that is known."""
+"""What accuracy costs in time: built-in problems with known solutions, each in a file, and the settings of any scene.
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from importlib import import_module
-
-from particles_mpi.study.measuring.experiment import Experiment, Lab
-
-CHAPTERS = {"A": "orbits", "B": "encounters", "C": "fluid", "D": "tree", "F": "softening", "G": "losses", "H": "effects"}
-
-
-def experiments(keys: str = "") -> dict[str, Callable[[Lab], list[Experiment]]]:
-    """What each letter measures, for the letters of `keys` or for all; `measure(lab)` of a chapter gives its experiments."""
-    chosen = [key for key in CHAPTERS if not keys or key in keys.upper()]
-    return {key: import_module(f"particles_mpi.study.accuracy.{CHAPTERS[key]}").measure for key in chosen}
+command         `study accuracy`: which experiments there are; measures, prints and writes them
+orbits          A and B: regular orbits and close encounters, by each integrator
+fluid           C: the hard-sphere fluid, by collision mode, step and number of passes
+tree            D: forces of a tree, by opening angle and multipole
+softening       F: what softening changes and what it spares
+losses          G: drag, friction, bounces
+bouncing        the exact paths of bouncing balls, for G
+effects         H: what each effect costs, and that an absent one costs nothing
+scene_accuracy  the settings and the effects of a scene of the user's
+"""

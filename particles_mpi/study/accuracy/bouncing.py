@@ -15,8 +15,8 @@ import numpy as np
 
 from particles_mpi import Simulation
 from particles_mpi.contacts.law import loss
-from particles_mpi.measure import snapshot
 from particles_mpi.particles import Array
+from particles_mpi.study.experiment import everyone
 
 FORCES = ("uniform_gravity", "user_acceleration", "mutual_gravity direct", "mutual_gravity tree")
 OBSTACLES = ("floor", "tilted plane", "fixed sphere", "free sphere")
@@ -37,8 +37,8 @@ FINE = 0.01  # step of the reference
 class Bounces:
     """Problems, a row each: body 0 is the ball, body 1 its partner, or what attracts it; x, v (n, 2, d), w = 1/m (n, 2).
 
-    a (n, 2, d): constant accelerations; pull (n, 2): G m of what attracts each body; k, b (n,): drag and friction over the
-    ball's and the partner's mass; normal (n, d): of the plane through the origin, or 0 where the obstacle is the partner.
+    a (n, 2, d): constant accelerations; pull (n, 2): G m of what attracts each body; k (n,): rate of drag; alpha (n,): force
+    of friction; normal (n, d): of the plane through the origin, or 0 where the obstacle is the partner.
     """
 
     x: Array
@@ -123,15 +123,8 @@ def problem(d: int, force: str, obstacle: str, resistance: str) -> dict[str, Any
         pull[:] = (HEAVY, MASS) if free else (HEAVY, 0.0)
         pull *= STRENGTH
         v = v - (3.0 * up if wall else 0.8 * up)
-    start = {
-        "x": np.stack((ball, partner)),
-        "v": np.stack((v, 0.4 * free * (along - up))),
-        "w": w,
-        "a": a,
-        "pull": pull,
-        "normal": normal,
-    }
-    return start | {"k": DRAG * (resistance == "drag"), "alpha": FRICTION * (resistance == "friction")}
+    start = {"x": np.stack((ball, partner)), "v": np.stack((v, 0.4 * free * (along - up))), "w": w, "a": a, "pull": pull}
+    return start | {"normal": normal, "k": DRAG * (resistance == "drag"), "alpha": FRICTION * (resistance == "friction")}
 
 
 def bounces(d: int, force: str, lost: str, cases: Cases, h: float) -> Bounces:
@@ -181,7 +174,7 @@ def scene(force: str, mode: str, h: float, start: Bounces) -> tuple[dict[str, An
     return {"dimension": d, "time": time, "particles": particles, "effects": effects}, shift
 
 
-def off(sim: Simulation, shift: Array, end: Bounces) -> Array:
-    """Distance of the balls of the scene from their true places at the `end`, the mean over the phases, of each case."""
-    x = snapshot.everyone(sim.ranks, sim.particles).position[: len(shift)] - shift
+def mean_errors(sim: Simulation, shift: Array, end: Bounces) -> Array:
+    """Of each case, the distance of the ball from its true place at the `end`, mean over the phases. Collective."""
+    x = everyone(sim).position[: len(shift)] - shift
     return np.asarray(np.sqrt(((x - end.x[:, 0]) ** 2).sum(axis=1)).reshape(-1, PHASES).mean(axis=1))

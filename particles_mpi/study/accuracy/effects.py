@@ -10,10 +10,9 @@ import numpy as np
 
 from particles_mpi import Simulation
 from particles_mpi.kernels.motion import free_drift, kick
-from particles_mpi.measure import snapshot
 from particles_mpi.scene.effect_files import effect_names
-from particles_mpi.study.measuring.clock import Watch, time_in_turns
-from particles_mpi.study.measuring.experiment import Errors, Experiment, Lab, Row, Setting
+from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Row, Setting, everyone
+from particles_mpi.study.timing import StepTimer, time_in_turns
 
 N, QUICK_N, STEP, LONG = 100_000, 20_000, 1e-3, 1000
 FEW, STEPS = 300, 40  # particles and steps for the comparison of bits
@@ -74,45 +73,46 @@ class Stripped:
         sim.steps_done += 1
 
     def drift(self) -> None:
+        """Straight on."""
         with self.sim.timers("drift"):
             free_drift(self.sim.rows.position, self.sim.rows.velocity, self.sim.h)
 
 
-def bits_that_differ(lab: Lab, name: str) -> int:
-    """Between a run without the effect and one where it is named without strength."""
+def bits_that_differ(benchmark: Benchmark, name: str) -> int:
+    """Number of coordinates that differ between a run without the effect and one where it is named without strength."""
     options, more = OFF[name]
     falling = {"walls": {"restitution": 0.9}} | ({"uniform_gravity": ON["uniform_gravity"]} if name != "uniform_gravity" else {})
     ends = []
     for effects, own in ((falling, {}), (falling | {name: options}, more)):
-        sim = lab.simulate(gas(FEW, effects, 0.0, STEPS, **own) | {"time": {"step": 0.05, "steps": STEPS}})
+        sim = benchmark.simulate(gas(FEW, effects, 0.0, STEPS, **own) | {"time": {"step": 0.05, "steps": STEPS}})
         sim.run()
-        p = snapshot.everyone(sim.ranks, sim.particles)
+        p = everyone(sim)
         ends.append(np.concatenate([p.position, p.velocity]).view(np.int64))
     return int(np.count_nonzero(ends[0] != ends[1]))
 
 
-def errors(lab: Lab, name: str, sim: Simulation) -> Errors:
-    """Some steps: what was called, what was sent."""
+def errors(benchmark: Benchmark, name: str, sim: Simulation) -> Errors:
+    """Calls of absent effects and messages in some steps, and bits that differ where the effect has no strength. Collective."""
     sim.step()
     messages = sim.ranks.messages
     for _ in range(10):
         sim.step()
     absent = sum(sim.calls.get(other, 0) for other in effect_names() if other not in sim.scene.effects)
     sent = int(sim.ranks.total(sim.ranks.messages - messages)[0])
-    differ = bits_that_differ(lab, name) if name in OFF else 0
+    differ = bits_that_differ(benchmark, name) if name in OFF else 0
     return {"calls": float(absent), "messages": float(sent), "bits": float(differ)}
 
 
-def settings(lab: Lab) -> Iterator[Setting]:
-    """Nothing, each effect alone, all of them; and one without the program around it."""
-    n = QUICK_N if lab.quick else N
+def settings(benchmark: Benchmark) -> Iterator[Setting]:
+    """A gas without effects, with each effect alone, and with all of them."""
+    n = QUICK_N if benchmark.quick else N
 
     def one(curve: str, effects: dict[str, Any]) -> Setting:
         tables = gas(n, effects, 0.01 if "collisions" in effects else 0.0)
         if "user_acceleration" in effects:
             tables["particles"][0]["acceleration"] = [0.0, 0.0, -1.0]
-        start = lab.simulate(tables)
-        return Setting(curve, float(n), start.copy, LONG, partial(errors, lab, curve), told=1)
+        start = benchmark.simulate(tables)
+        return Setting(curve, float(n), start.copy, LONG, partial(errors, benchmark, curve), seconds_of=1)
 
     yield one("nothing", {})
     for name, options in ON.items():
@@ -122,11 +122,11 @@ def settings(lab: Lab) -> Iterator[Setting]:
     yield one("all of these", ON)
 
 
-def absence(lab: Lab) -> tuple[float, float, float]:
-    """Share of a step that goes when all that is about absent effects is taken out: quartiles and median of ratios by turns."""
-    start = lab.simulate(gas((QUICK_N if lab.quick else N) * lab.ranks.size, {PROGRAM: ON[PROGRAM]}))
-    whole = Watch(lab.ranks, start.copy, LONG)
-    less = Watch(lab.ranks, lambda: Stripped(start.copy()), LONG)  # type: ignore[arg-type, return-value]
+def absence(benchmark: Benchmark) -> tuple[float, float, float]:
+    """(quartile, median, quartile) of the share of a step that goes when all that is about absent effects is taken out."""
+    start = benchmark.simulate(gas((QUICK_N if benchmark.quick else N) * benchmark.ranks.size, {PROGRAM: ON[PROGRAM]}))
+    whole = StepTimer(benchmark.ranks, start.copy, LONG)
+    less = StepTimer(benchmark.ranks, lambda: Stripped(start.copy()), LONG)  # type: ignore[arg-type, return-value]
     time_in_turns([whole, less], PAIRS, BRIEF)
     ratios = [1.0 - b / a for a, b in zip(whole.samples, less.samples, strict=True)]
     low, middle, high = np.percentile(ratios, (25, 50, 75))
@@ -134,8 +134,8 @@ def absence(lab: Lab) -> tuple[float, float, float]:
 
 
 def answers(rows: list[Row], gone: tuple[float, float, float]) -> list[str]:
-    """What each costs, and what is left of the claim that an absent effect costs nothing."""
-    cost = {row.setting.curve: row.seconds.median / row.setting.knob * 1e9 for row in rows}
+    """What each effect costs, and what absent ones cost, in words; `gone`: what `absence` found."""
+    cost = {row.setting.curve: row.seconds.median / row.setting.parameter * 1e9 for row in rows}
     absent = sum(row.errors["calls"] for row in rows)
     differ = sum(row.errors["bits"] for row in rows)
     each = ", ".join(f"{name} {ns:.1f}" for name, ns in cost.items())
@@ -147,9 +147,10 @@ def answers(rows: list[Row], gone: tuple[float, float, float]) -> list[str]:
     ]
 
 
-def measure(lab: Lab) -> list[Experiment]:
-    rows = lab.measure("effects", list(settings(lab)))
+def measure(benchmark: Benchmark) -> list[Experiment]:
+    """H. Collective."""
+    rows = benchmark.measure("effects", list(settings(benchmark)))
     reference = "itself: the same scene without the effect, the same step without what is about other effects"
-    return [
-        Experiment("H", "Effects on and off, a step", "particles", ERRORS, reference, rows, answers=answers(rows, absence(lab)))
-    ]
+    found = Experiment("H", "Effects on and off, a step", "particles", ERRORS, reference, rows)
+    found.answers = answers(rows, absence(benchmark))
+    return [found]

@@ -6,7 +6,7 @@ and with it the rate of collisions (Enskog: Gamma = (Z - 1) 6/sigma sqrt(T/(pi m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from math import pi, sqrt
 from typing import Any
@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi import Simulation
-from particles_mpi.measure import snapshot
-from particles_mpi.study.measuring.experiment import Errors, Experiment, Lab, Row, Setting
+from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Row, Setting, everyone
 
 N, QUICK_N = 4000, 1000
 MELT, PATH = 20.0, 100.0  # collisions of each sphere before the start, and in a run
@@ -25,7 +24,7 @@ MOMENTS = (0.03, 0.1, 0.3, 1.0, 2.8)  # Gamma dt: collisions of a sphere in a st
 PASSES = (10, 3, 1)
 FASTEST = 4.8  # thermal speeds: rewind allows steps of one diameter
 KLM = (4.0, 6.0, 2.3647684, -0.8698551, 1.1062803, -1.095049, 0.637614, -0.2279397, 0.1098948, -0.00906797)
-FLOOR = 2e-3  # of what PATH collisions of N spheres tell, one standard deviation or two
+FLOOR = 2e-3  # noise of PATH collisions of N spheres, one standard deviation or two
 ERRORS = {
     "collision rate": "|Gamma/Gamma_exact - 1|, collisions of a sphere in unit time",
     "Z - 1": "|(Z - 1)/(Z_exact - 1) - 1|, Z by the virial",
@@ -58,12 +57,12 @@ def fluid(packing: float, n: int, step: float, steps: int, spheres: dict[str, An
     }
 
 
-def melted(lab: Lab, packing: float, n: int) -> dict[str, Any]:
+def melted(benchmark: Benchmark, packing: float, n: int) -> dict[str, Any]:
     """Places and velocities of a fluid in equilibrium."""
     crystal = {"count": n, "position": "lattice", "velocity": {"temperature": 1.0}}
-    sim = lab.simulate(fluid(packing, n, MELT / collision_rate(packing) / 4.0, 4, crystal, mode="event"))
+    sim = benchmark.simulate(fluid(packing, n, MELT / collision_rate(packing) / 4.0, 4, crystal, mode="event"))
     sim.run()
-    p = snapshot.everyone(sim.ranks, sim.particles)
+    p = everyone(sim)
     return {"position": p.position.tolist(), "velocity": p.velocity.tolist()}
 
 
@@ -84,44 +83,45 @@ def errors(packing: float, sim: Simulation) -> Errors:
     }
 
 
-def settings(lab: Lab, packing: float) -> Iterator[Setting]:
+def settings(benchmark: Benchmark, packing: float) -> Iterator[Setting]:
     """`event` with long steps, `rewind` over steps and passes."""
-    n, path = (QUICK_N, 0.2 * PATH) if lab.quick else (N, PATH)
-    rate, spheres = collision_rate(packing), melted(lab, packing, n)
+    n, path = (QUICK_N, 0.2 * PATH) if benchmark.quick else (N, PATH)
+    rate, spheres = collision_rate(packing), melted(benchmark, packing, n)
 
     def one(curve: str, moment: float, **collisions: Any) -> Setting:
         steps = round(path / moment)
         scene = fluid(packing, n, moment / rate, steps, spheres, **collisions)
-        begin: Callable[[], Simulation] = lambda: lab.simulate(scene)  # noqa: E731
-        return Setting(curve, moment, begin, steps, partial(errors, packing))
+        return benchmark.setting(curve, moment, scene, partial(errors, packing))
 
     yield one("event", 2.0, mode="event")
-    for passes in PASSES[:: 2 if lab.quick else 1]:
-        for moment in MOMENTS[1 : 4 if lab.quick else None]:
+    for passes in PASSES[:: 2 if benchmark.quick else 1]:
+        for moment in MOMENTS[1 : 4 if benchmark.quick else None]:
             if moment / rate * FASTEST < 1.0:
                 yield one(f"rewind, {passes} pass{'es' if passes > 1 else ''}", moment, passes=passes)
 
 
-def answers(packing: float, rows: list[Row]) -> list[str]:
-    """What event costs against the rewind that is as good."""
+def comparison(packing: float, rows: list[Row]) -> str:
+    """What event costs against the fastest rewind that is as good."""
     event = rows[0]
     good = [row for row in rows[1:] if row.errors["collision rate"] < FLOOR + 2.0 * row.errors["noise"]]
     if not good:
-        return [f"packing {packing:g}: no setting of rewind is as right as event, {event.seconds.median:.2g} s"]
+        return f"packing {packing:g}: no setting of rewind is as right as event, {event.seconds.median:.2g} s"
     best = min(good, key=lambda row: row.seconds.median)
-    return [
+    return (
         f"packing {packing:g}: event is exact and takes {event.seconds.median:.2g} s; the fastest rewind whose error in the "
-        f"rate is hidden by noise: {best.setting.curve} at Gamma dt = {best.setting.knob:g}, {best.seconds.median:.2g} s"
-    ]
+        f"rate is hidden by noise: {best.setting.curve} at Gamma dt = {best.setting.parameter:g}, {best.seconds.median:.2g} s"
+    )
 
 
-def measure(lab: Lab) -> list[Experiment]:
+def measure(benchmark: Benchmark) -> list[Experiment]:
+    """C, an experiment for each packing. Collective."""
     found = []
     for k, packing in enumerate(PACKINGS):
-        if lab.quick and k != 1:
+        if benchmark.quick and k != 1:
             continue
-        rows = lab.measure(f"fluid, packing {packing:g}", list(settings(lab, packing)))
+        rows = benchmark.measure(f"fluid, packing {packing:g}", list(settings(benchmark, packing)))
         reference = "Kolafa, Labik and Malijevsky (2004): Z within 5e-4; event, which has no error of the step, beside it"
         title = f"Hard-sphere fluid, packing {packing:g}"
-        found.append(Experiment(f"C{k + 1}", title, "Gamma dt", ERRORS, reference, rows, (), FLOOR, answers(packing, rows)))
+        answers = [comparison(packing, rows)]
+        found.append(Experiment(f"C{k + 1}", title, "Gamma dt", ERRORS, reference, rows, (), FLOOR, answers))
     return found

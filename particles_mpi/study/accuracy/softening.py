@@ -1,6 +1,7 @@
-"""F: softening. What it changes of the problem and what it spares, told apart: of an integrator's error, of the noise of few.
+"""F: softening. The error that it adds, because the problem is another one, beside the error that it takes away.
 
-For particles that stand for a smooth sphere as W. Dehnen does, MNRAS 324, 273 (2001).
+For an orbit the latter is the error of the integrator; for particles that stand for a smooth sphere it is the noise of their
+finite number, as in W. Dehnen, MNRAS 324, 273 (2001).
 """
 
 from __future__ import annotations
@@ -15,10 +16,9 @@ import numpy as np
 from particles_mpi import Simulation
 from particles_mpi.gravity.direct import attract
 from particles_mpi.initial.plummer import MOST, plummer_places
-from particles_mpi.measure import snapshot
 from particles_mpi.particles import Array
-from particles_mpi.study.accuracy.orbits import place_on_ellipse
-from particles_mpi.study.measuring.experiment import Errors, Experiment, Lab, Row, Setting, slope
+from particles_mpi.study.accuracy.orbits import gravity, place_on_ellipse, plummer_sphere
+from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Row, Setting, distance, everyone, slope
 
 E, CLOSE = 0.9, 0.99  # eccentricities
 SOFT, STEPS = (0.0, 1e-3, 1e-2), (500, 2000, 8000)  # softening, of the semi-major axis; steps an orbit
@@ -40,61 +40,53 @@ FIELD = {
 }
 
 
-def orbit(lab: Lab, eps: float, n: int, e: float = E, **time: Any) -> Simulation:
+def orbit(benchmark: Benchmark, eps: float, n: int, e: float = E, **time: Any) -> Simulation:
     """A planet without mass about a sun that stands still, one orbit from the apocentre in n steps."""
-    fall = {
-        "position": [[-1.0 - e, 0.0], [0.0, 0.0]],
-        "velocity": [[0.0, -sqrt((1.0 - e) / (1.0 + e))], [0.0, 0.0]],
-        "mass": [0.0, 1.0],
-    }
-    time = {"step": 2.0 * pi / n, "steps": n, **time}
-    effects = {"mutual_gravity": {"softening": eps}}
-    return lab.simulate({"dimension": 2, "G": 1.0, "time": time, "particles": [fall], "effects": effects})
+    places, speeds = [[-1.0 - e, 0.0], [0.0, 0.0]], [[0.0, -sqrt((1.0 - e) / (1.0 + e))], [0.0, 0.0]]
+    fall = {"position": places, "velocity": speeds, "mass": [0.0, 1.0]}
+    return benchmark.simulate(gravity(fall, 2.0 * pi / n, n, softening=eps, **time))
 
 
 def end(sim: Simulation) -> Array:
-    """Where the planet is at the end."""
+    """Place of the planet at the end of the run. Collective."""
     sim.run()
-    return snapshot.everyone(sim.ranks, sim.particles).position[0]
+    return everyone(sim).position[0]
 
 
-def away(a: Array, b: Array) -> float:
-    return float(np.sqrt(((a - b) ** 2).sum()))
-
-
-def kepler(lab: Lab) -> Experiment:
+def kepler(benchmark: Benchmark) -> Experiment:
     """Each softening over the same steps: the numerical error shrinks along a curve, that of the model stays."""
     exact = place_on_ellipse(3.0 * pi, E)  # at the apocentre, after one orbit
     softened, unsure = {}, 0.0
     for eps in SOFT:
-        softened[eps], rough = (end(orbit(lab, eps, 2, integrator="adaptive", tolerance=t)) for t in TOLERANCES)
-        unsure = max(unsure, away(softened[eps], rough))
-    unsure = max(unsure, away(softened[0.0], exact))
+        softened[eps], rough = (end(orbit(benchmark, eps, 2, integrator="adaptive", tolerance=t)) for t in TOLERANCES)
+        unsure = max(unsure, distance(softened[eps], rough))
+    unsure = max(unsure, distance(softened[0.0], exact))
 
     def one(eps: float, n: int) -> Setting:
         def errors(sim: Simulation) -> Errors:
             place = end(sim)
-            return {"total": away(place, exact), "model": away(softened[eps], exact), "numerical": away(place, softened[eps])}
+            whole, model = distance(place, exact), distance(softened[eps], exact)
+            return {"total": whole, "model": model, "numerical": distance(place, softened[eps])}
 
-        told = {"softening": eps, "steps": n}
-        return Setting(f"softening {eps:g}", 2.0 * pi / n, lambda: orbit(lab, eps, n), n, errors, more=told)
+        tags = {"softening": eps, "steps": n}
+        return Setting(f"softening {eps:g}", 2.0 * pi / n, lambda: orbit(benchmark, eps, n), n, errors, tags=tags)
 
-    steps = STEPS[:2] if lab.quick else STEPS
-    rows = lab.measure("softened orbit", [one(eps, n) for eps in SOFT for n in steps])
+    steps = STEPS[:2] if benchmark.quick else STEPS
+    rows = benchmark.measure("softened orbit", [one(eps, n) for eps in SOFT for n in steps])
     reference = (
         f"exact: Kepler's equation; softened: adaptive at a tolerance of {TOLERANCES[0]:.0e}, within {unsure:.1e} of that at"
         f" {TOLERANCES[1]:.0e} and, without softening, of the exact place"
     )
     title = f"Softened Kepler orbit, e = {E:g}, one orbit by leapfrog"
     found = Experiment("F1", title, "step", ORBIT, reference, rows, (2.0,), unsure)
-    found.answers = [*best_for_each_step(found), thrown_out(lab)]
+    found.answers = [*best_for_each_step(found), thrown_out(benchmark)]
     return found
 
 
 def best_for_each_step(found: Experiment) -> Iterator[str]:
-    """The softening with the least total error, and how both parts grow."""
-    for n in dict.fromkeys(row.setting.more["steps"] for row in found.rows):
-        rows = sorted((row for row in found.rows if row.setting.more["steps"] == n), key=lambda row: row.errors["total"])
+    """For each step the softening with the least total error; and how both parts of the error grow."""
+    for n in dict.fromkeys(row.setting.tags["steps"] for row in found.rows):
+        rows = sorted((row for row in found.rows if row.setting.tags["steps"] == n), key=lambda row: row.errors["total"])
         best, worst = rows[0], rows[-1]
         yield (
             f"{n} steps an orbit: the total error is least, {best.errors['total']:.1e}, with {best.setting.curve}"
@@ -106,17 +98,17 @@ def best_for_each_step(found: Experiment) -> Iterator[str]:
 
 
 def power(rows: Sequence[Row], error: str) -> float:
-    """Of the softening in an error, from the two smallest that are not 0."""
-    known = {row.setting.more["softening"]: row.errors[error] for row in rows if row.setting.more["softening"] > 0.0}
+    """p, where an error grows as softening^p, from the two smallest softenings that are not 0."""
+    known = {row.setting.tags["softening"]: row.errors[error] for row in rows if row.setting.tags["softening"] > 0.0}
     x, y = sorted(known)[:2]
     a, b = known[x], known[y]
     return float(np.log(b / a) / np.log(y / x))
 
 
-def thrown_out(lab: Lab) -> str:
-    """What softening is for: an encounter that the step cannot follow."""
+def thrown_out(benchmark: Benchmark) -> str:
+    """An encounter that the step cannot follow, with and without softening, in words."""
     n, exact = STEPS[0], place_on_ellipse(3.0 * pi, CLOSE)
-    point, soft = (away(end(orbit(lab, eps, n, CLOSE)), exact) for eps in (0.0, SOFTEST))
+    point, soft = (distance(end(orbit(benchmark, eps, n, CLOSE)), exact) for eps in (0.0, SOFTEST))
     return (
         f"a closer encounter, e = {CLOSE:g}, in {n} steps: without softening the planet is thrown out and {point:.2g} away at the"
         f" end; with {SOFTEST:g} it is {soft:.2g} away, on an orbit, but on another one"
@@ -124,7 +116,7 @@ def thrown_out(lab: Lab) -> str:
 
 
 def places(random: np.random.Generator, n: int) -> Array:
-    """Of n particles of the sphere."""
+    """Places (n, 3) of n particles drawn from the sphere."""
     return plummer_places(random, 1.0, np.full(n, 1.0 / n))
 
 
@@ -154,41 +146,34 @@ def fields(n: int) -> dict[float, Errors]:
     drawn = [places(random, n) for _ in range(SPHERES)]
     found = {}
     for eps in WIDTHS:
-        seen = np.zeros((SPHERES, PLACES, 3))
-        for x, field in zip(drawn, seen, strict=True):
+        forces = np.zeros((SPHERES, PLACES, 3))
+        for x, field in zip(drawn, forces, strict=True):
             attract((0,) * 3, at, x, mass, eps * eps, field)
-        bias, noise = ((smooth_field(r, eps) - exact) ** 2).mean(), seen.var(axis=0, ddof=1).sum(axis=1).mean()
+        bias, noise = ((smooth_field(r, eps) - exact) ** 2).mean(), forces.var(axis=0, ddof=1).sum(axis=1).mean()
         squares = zip(FIELD, (bias + noise, bias, noise), strict=True)
         found[eps] = {name: float(np.sqrt(square / (exact**2).mean())) for name, square in squares}
     return found
 
 
-def plummer(lab: Lab) -> Experiment:
+def plummer(benchmark: Benchmark) -> Experiment:
     """Softening of N particles that stand for a smooth sphere."""
 
     def one(eps: float) -> Setting:
-        tables = {
-            "dimension": 3,
-            "G": 1.0,
-            "time": {"step": 1e-6, "steps": 1},  # each with an evaluation of all forces
-            "particles": [{"count": N, "position": {"plummer": 1.0}, "velocity": "equilibrium", "mass": 1.0 / N}],
-            "effects": {"mutual_gravity": {"softening": eps}},
-        }
-
         def errors(sim: Simulation) -> Errors:
             sim.sum_forces()
             return fields(N)[eps]
 
-        return Setting("direct sum", eps, cache(lambda: lab.simulate(tables)), 1, errors, more={"softening": eps})
+        begin = cache(lambda: benchmark.simulate(plummer_sphere(N, 1e-6, softening=eps)))  # a step evaluates all forces once
+        return Setting("direct sum", eps, begin, 1, errors, tags={"softening": eps})
 
-    rows = lab.measure("softened sphere", [one(eps) for eps in WIDTHS])
+    rows = benchmark.measure("softened sphere", [one(eps) for eps in WIDTHS])
     title = f"Softened forces of {N} particles that stand for a smooth sphere"
     reference = f"exact: Plummer's formula, at {PLACES} places; noise over {SPHERES} spheres"
     found = Experiment("F2", title, "softening", FIELD, reference, rows)
     best = min(rows, key=lambda row: row.errors["total"])
     known = 0.98 * N**-0.26  # E. Athanassoula et al., MNRAS 314, 475 (2000), for Plummer spheres
     found.answers = [
-        f"the error is least, {best.errors['total']:.2g}, with a softening of {best.setting.knob:g} scale lengths"
+        f"the error is least, {best.errors['total']:.2g}, with a softening of {best.setting.parameter:g} scale lengths"
         f" (bias {best.errors['model']:.2g}, noise {best.errors['numerical']:.2g}); Athanassoula et al. (2000): {known:.2g}",
         f"at first the bias grows as softening^{power(rows, 'model'):.2f}, the noise falls as"
         f" softening^{power(rows, 'numerical'):.2f}; a force takes the same time with any",
@@ -196,5 +181,6 @@ def plummer(lab: Lab) -> Experiment:
     return found
 
 
-def measure(lab: Lab) -> list[Experiment]:
-    return lab.ranks.of_root_alone(lambda: [kepler(lab.alone()), plummer(lab.alone())]) or []
+def measure(benchmark: Benchmark) -> list[Experiment]:
+    """F: an orbit, and particles that stand for a smooth sphere. Collective."""
+    return [kepler(benchmark), plummer(benchmark)]

@@ -11,10 +11,10 @@ import numpy as np
 
 from particles_mpi import Simulation
 from particles_mpi.gravity.method import choose
-from particles_mpi.measure import snapshot
 from particles_mpi.parallel.exchange import rows_of_everyone
 from particles_mpi.particles import Array
-from particles_mpi.study.measuring.experiment import Errors, Experiment, Lab, Row, Setting
+from particles_mpi.study.accuracy.orbits import plummer_sphere
+from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Row, Setting, everyone
 
 SIZES, QUICK = (500, 2000, 8000, 32_000), (500, 2000)
 ANGLES = (1.0, 0.7, 0.5, 0.35)
@@ -22,28 +22,14 @@ DIRECT, TREES = "direct sum", {"quadrupole": "quadrupoles", "monopole": "monopol
 WANTED = 1e-3  # median error at which trees and direct sum are compared
 STEP = 1e-6  # dynamical times: every step has new positions, and an evaluation of all forces
 TARGETS = 100  # whose forces are summed once more with more digits
-ERRORS = {
-    "median": "median of |da|/|a| over all particles",
-    "99 %": "99th percentile of |da|/|a|",
-}
+ERRORS = {"median": "median of |da|/|a| over all particles", "99 %": "99th percentile of |da|/|a|"}
 BY_PARTICLE = {  # median errors at angles 1, 0.7, 0.5 where each particle walks by itself, N = 20 000
     "monopole": "1.1e-2, 3.5e-3, 1.3e-3",
     "quadrupole": "7.5e-3, 1.6e-3, 4.3e-4",
 }
 
 
-def sphere(n: int, gravity: dict[str, Any]) -> dict[str, Any]:
-    """Plummer's sphere of n particles, in equilibrium."""
-    return {
-        "dimension": 3,
-        "G": 1.0,
-        "time": {"step": STEP, "steps": 1},
-        "particles": [{"count": n, "position": {"plummer": 1.0}, "velocity": "equilibrium", "mass": 1.0 / n}],
-        "effects": {"mutual_gravity": gravity},
-    }
-
-
-def settings(lab: Lab, n: int) -> Iterator[Setting]:
+def settings(benchmark: Benchmark, n: int) -> Iterator[Setting]:
     """The direct sum, whose forces are the reference of the others, and trees from coarse to fine.
 
     A step holds one evaluation of the forces, besides it two kicks and a drift, some 10 ns a particle. A simulation goes on
@@ -58,14 +44,14 @@ def settings(lab: Lab, n: int) -> Iterator[Setting]:
     def of_tree(sim: Simulation) -> Errors:
         return summary(rows_of_everyone(sim.ranks, {"wrong": relative(accelerations(sim), exact[0])})["wrong"])
 
-    def one(curve: str, angle: float, gravity: dict[str, Any]) -> Setting:
-        begin = cache(lambda: lab.simulate(sphere(n, gravity)))
-        return Setting(curve, angle, begin, 1, of_direct if curve == DIRECT else of_tree)
+    def one(curve: str, angle: float, **gravity: Any) -> Setting:
+        begin = cache(lambda: benchmark.simulate(plummer_sphere(n, STEP, **gravity)))
+        return Setting(curve, angle, begin, 1, of_direct if curve == DIRECT else of_tree, tags={"N": n})
 
-    yield one(DIRECT, 0.0, {"method": "direct"})
+    yield one(DIRECT, 0.0, method="direct")
     for multipole, curve in TREES.items():
         for angle in ANGLES:
-            yield one(curve, angle, {"method": "tree", "opening_angle": angle, "multipole": multipole})
+            yield one(curve, angle, method="tree", opening_angle=angle, multipole=multipole)
 
 
 def accelerations(sim: Simulation) -> Array:
@@ -81,25 +67,27 @@ def relative(a: Array, exact: Array) -> Array:
 
 
 def summary(wrong: Array) -> Errors:
+    """Median and 99th percentile."""
     return {"median": float(np.median(wrong)), "99 %": float(np.quantile(wrong, 0.99))}
 
 
 def round_off(sim: Simulation, a: Array) -> Array:
     """Relative errors of some accelerations, against sums in extended precision. Collective."""
-    everyone = snapshot.everyone(sim.ranks, sim.particles)
+    p = everyone(sim)
     arrived = rows_of_everyone(sim.ranks, {"id": sim.particles.id, "a": a})
     a = arrived["a"][np.argsort(arrived["id"], kind="stable")]
-    x, some = everyone.position.astype(np.longdouble), np.arange(0, len(a), max(1, len(a) // TARGETS))
+    x, some = p.position.astype(np.longdouble), np.arange(0, len(a), max(1, len(a) // TARGETS))
     exact = np.empty((len(some), 3), np.longdouble)
     for k, i in enumerate(some):
         r = x - x[i]
         r2 = (r * r).sum(axis=1)
         r2[i] = inf
-        exact[k] = ((everyone.mass / (r2 * np.sqrt(r2)))[:, None] * r).sum(axis=0)
+        exact[k] = ((p.mass / (r2 * np.sqrt(r2)))[:, None] * r).sum(axis=0)
     return relative(a[some], exact)
 
 
 def seconds_of(row: Row) -> float:
+    """Median seconds of an evaluation."""
     return row.seconds.median
 
 
@@ -131,7 +119,7 @@ def crossover(found: Sequence[Experiment], curve: str) -> float:
     0 if it does at all of them, inf if at none.
     """
     gain = [log(seconds_of(e.curve(DIRECT)[0]) / at_error(e.curve(curve), WANTED)) for e in found]
-    sizes = [log(e.rows[0].setting.more["N"]) for e in found]
+    sizes = [log(e.rows[0].setting.tags["N"]) for e in found]
     if not gain[-1] > 0.0:
         return inf
     k = max((k for k in range(len(gain)) if not gain[k] > 0.0), default=-1)  # the last size at which the direct sum is cheaper
@@ -139,8 +127,8 @@ def crossover(found: Sequence[Experiment], curve: str) -> float:
 
 
 def crossovers(found: Sequence[Experiment], ranks: int) -> Iterator[str]:
-    """Where trees begin to pay, as measured and as the plan believes."""
-    sizes = [e.rows[0].setting.more["N"] for e in found]
+    """From which number of particles on trees cost less, as measured and by the cost model of the plan, in words."""
+    sizes = [e.rows[0].setting.tags["N"] for e in found]
     planned = next(n for n in range(100, 10**6, 10) if choose("auto", 0.5, WANTED, 3, n).angle is not None)
     for curve in TREES.values():
         n = crossover(found, curve)
@@ -150,26 +138,24 @@ def crossovers(found: Sequence[Experiment], ranks: int) -> Iterator[str]:
     yield f"the cost model of check and of method auto, quadrupoles on one rank: from N = {planned} on"
 
 
-def experiment(lab: Lab, k: int, n: int) -> Experiment:
+def experiment(benchmark: Benchmark, k: int, n: int) -> Experiment:
     """All settings for n particles."""
-    every = list(settings(lab, n))
-    for setting in every:
-        setting.more["N"] = n
-    rows = lab.measure(f"tree, N = {n}", every)
+    rows = benchmark.measure(f"tree, N = {n}", list(settings(benchmark, n)))
     own = rows[0].errors
     reference = f"the direct sum in float64, itself within {own['median']:.1e} (median), {own['99 %']:.1e} of extended precision"
     title = f"One evaluation of the forces in a Plummer sphere of {n}"
     return Experiment(f"D{k}", title, "opening angle", ERRORS, reference, rows, floor=own["99 %"])
 
 
-def measure(lab: Lab) -> list[Experiment]:
-    sizes = QUICK if lab.quick else SIZES
-    found = [experiment(lab, k + 1, n) for k, n in enumerate(sizes)]
+def measure(benchmark: Benchmark) -> list[Experiment]:
+    """D, an experiment for each number of particles. Collective."""
+    sizes = QUICK if benchmark.quick else SIZES
+    found = [experiment(benchmark, k + 1, n) for k, n in enumerate(sizes)]
     for one in found:
         one.answers = list(compared(one))
-    found[-1].answers += crossovers(found, lab.ranks.size)
+    found[-1].answers += crossovers(found, benchmark.ranks.size)
     for multipole, curve in TREES.items():
-        seen = ", ".join(f"{row.errors['median']:.1e}" for row in found[-1].curve(curve)[:3])
+        medians = ", ".join(f"{row.errors['median']:.1e}" for row in found[-1].curve(curve)[:3])
         other = f"where each particle walks by itself, N = 20 000: {BY_PARTICLE[multipole]}"
-        found[-1].answers.append(f"{curve} at angles 1, 0.7, 0.5: median {seen}; {other}")
+        found[-1].answers.append(f"{curve} at angles 1, 0.7, 0.5: median {medians}; {other}")
     return found

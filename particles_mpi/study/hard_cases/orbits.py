@@ -1,5 +1,6 @@
 """Mutual gravity: close encounters, and very many orbits."""
 
+from functools import partial
 from math import log, sqrt
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.kernels.motion import free_drift, kick
 from particles_mpi.particles import Array
-from particles_mpi.study.hard_cases import Bench, case
+from particles_mpi.study.hard_cases.catalogue import CaseRun, Finding, case
 
 ORBITS, STEPS = 1_000_000, 50
 FAR_BINARIES = ((0.01, 100.0), (1.0, 1e4), (1.0, 1e6))  # separation, and place on every axis
@@ -16,19 +17,15 @@ ROUNDINGS = {"adaptive": 1, "leapfrog": 1, "order4": 6}  # of a position in a st
 NOTHING = 1e-9  # change of the energy that nobody minds
 
 
-def encounter(bench: Bench, integrator: str, softening: float, periods: float, substeps: int) -> tuple[float, float]:
+def encounter(run: CaseRun, integrator: str, softening: float, periods: float, substeps: int) -> tuple[float, float]:
     """(largest, last) relative change of the energy of two masses on an orbit of e = 0.999, sampled 200 times."""
-    d = bench.dimension
     away, speed = 1.999, sqrt(2.0 * (1.0 / 1.999 - 0.5))
-    sim = bench.simulate(
-        G=1.0,
-        time={"step": 2.0 * np.pi * periods / 200.0 / substeps, "steps": 1, "integrator": integrator},
-        particles=[
-            {"position": [[away / 2] + [0.0] * (d - 1)], "velocity": [0.0, speed / 2] + [0.0] * (d - 2), "mass": 0.5},
-            {"position": [[-away / 2] + [0.0] * (d - 1)], "velocity": [0.0, -speed / 2] + [0.0] * (d - 2), "mass": 0.5},
-        ],
-        effects={"mutual_gravity": {"softening": softening}},
-    )
+    masses = [
+        {"position": [run.point(sign * away / 2)], "velocity": run.point(0.0, sign * speed / 2), "mass": 0.5}
+        for sign in (1.0, -1.0)
+    ]
+    effects = {"mutual_gravity": {"softening": softening}}
+    sim = run.simulate(masses, 2.0 * np.pi * periods / 200.0 / substeps, 1, effects, integrator, G=1.0)
     start, worst = sim.measure()["total_energy"], 0.0
     for _ in range(200):
         for _ in range(substeps):
@@ -39,33 +36,31 @@ def encounter(bench: Bench, integrator: str, softening: float, periods: float, s
 
 
 @case("close encounter, e = 0.999, not softened", "thrown out of the system", "`adaptive`: energy within 1e-10", modes=(None,))
-def close_encounter(bench: Bench) -> tuple[str, bool]:
-    worst, _ = encounter(bench, "adaptive", 0.0, 2.0, 1)
+def close_encounter(run: CaseRun) -> Finding:
+    """Steps that follow the forces get through."""
+    worst, _ = encounter(run, "adaptive", 0.0, 2.0, 1)
     return f"energy within {worst:.0e} over 2 periods", worst <= 1e-10
 
 
 @case("close encounter, e = 0.999, softening 0.05", "thrown out", "`leapfrog`: within 5 %, and back", modes=(None,))
-def softened_encounter(bench: Bench) -> tuple[str, bool]:
-    worst, last = encounter(bench, "leapfrog", 0.05, 1.0, 20)
+def softened_encounter(run: CaseRun) -> Finding:
+    """Fixed steps get through what is softened."""
+    worst, last = encounter(run, "leapfrog", 0.05, 1.0, 20)
     return f"energy within {worst:.1e}, {last:.0e} after the period", worst <= 5e-2 and last <= 1e-4
 
 
-def binary(bench: Bench, integrator: str, steps: int, apart: float, place: float) -> tuple[Array, int]:
+def binary(run: CaseRun, integrator: str, steps: int, apart: float, place: float) -> tuple[Array, int]:
     """(relative changes of the energy, roundings of a position) of equal masses on a circle, in `steps` an orbit."""
-    d, rate = bench.dimension, apart**-1.5
-    sim = bench.simulate(
-        G=1.0,
-        time={"step": 2.0 * np.pi / rate / steps, "steps": 1, "integrator": integrator},
-        particles=[
-            {
-                "position": [[place + sign * apart / 2] + [place] * (d - 1)],
-                "velocity": [0.0, sign * rate * apart / 2] + [0.0] * (d - 2),
-                "mass": 0.5,
-            }
-            for sign in (1.0, -1.0)
-        ],
-        effects={"mutual_gravity": {}},
-    )
+    rate = apart**-1.5
+    masses = [
+        {
+            "position": [run.point(place + sign * apart / 2, rest=place)],
+            "velocity": run.point(0.0, sign * rate * apart / 2),
+            "mass": 0.5,
+        }
+        for sign in (1.0, -1.0)
+    ]
+    sim = run.simulate(masses, 2.0 * np.pi / rate / steps, 1, {"mutual_gravity": {}}, integrator, G=1.0)
     energies = [sim.measure()["total_energy"]]
     for _ in range(FAR_ORBITS * LOOKS):
         for _ in range(steps // LOOKS):
@@ -75,39 +70,28 @@ def binary(bench: Bench, integrator: str, steps: int, apart: float, place: float
     return np.array(energies) / energies[0] - 1.0, taken * ROUNDINGS[integrator]
 
 
-def far(bench: Bench, integrator: str, steps: int) -> tuple[str, bool]:
+def far(run: CaseRun, integrator: str, steps: int) -> Finding:
     """Binaries far from the origin: how far their energies part from those of the same binaries at the origin.
 
     Rounding a position by u/sqrt(12), u its unit in the last place, changes the energy of a circular orbit by the force
     times that, relatively by 2 u/apart at most; n roundings by chance add up as the root of n. Forces at rounded places
     do as much again.
     """
-    told, holds = [], True
-    near = {apart: binary(bench, integrator, steps, apart, 0.0)[0] for apart in {apart for apart, _ in FAR_BINARIES}}
+    texts, holds = [], True
+    near = {apart: binary(run, integrator, steps, apart, 0.0)[0] for apart in {apart for apart, _ in FAR_BINARIES}}
     for apart, place in FAR_BINARIES:
-        energies, n = binary(bench, integrator, steps, apart, place)
+        energies, n = binary(run, integrator, steps, apart, place)
         parted, limit = float(np.abs(energies - near[apart]).max()), 4.0 * float(np.spacing(place)) / apart * sqrt(n)
-        told.append(f"{apart:g} at {place:.0e}: {parted:.0e} (round-off: {limit:.0e})")
+        texts.append(f"{apart:g} at {place:.0e}: {parted:.0e} (round-off: {limit:.0e})")
         holds &= parted <= max(limit, NOTHING)
-    return "; ".join(told), holds
+    return "; ".join(texts), holds
 
 
 FAR_MUST = f"energy as at the origin, within 1e-9 or round-off, {FAR_ORBITS} orbits"
-
-
-@case("binaries far from the origin, `adaptive`", "steps shrink until it stops", FAR_MUST, modes=(None,))
-def far_adaptive(bench: Bench) -> tuple[str, bool]:
-    return far(bench, "adaptive", 4)
-
-
-@case("binaries far from the origin, `leapfrog`", "round-off grows with every step", FAR_MUST, modes=(None,))
-def far_leapfrog(bench: Bench) -> tuple[str, bool]:
-    return far(bench, "leapfrog", 100)
-
-
-@case("binaries far from the origin, `order4`", "round-off grows with every step", FAR_MUST, modes=(None,))
-def far_order4(bench: Bench) -> tuple[str, bool]:
-    return far(bench, "order4", 40)
+for integrator, steps in {"adaptive": 4, "leapfrog": 100, "order4": 40}.items():
+    naive = "steps shrink until it stops" if integrator == "adaptive" else "round-off grows with every step"
+    measure = partial(far, integrator=integrator, steps=steps)
+    case(f"binaries far from the origin, `{integrator}`", naive, FAR_MUST, modes=(None,))(measure)
 
 
 @kernel
@@ -122,26 +106,23 @@ def circle(orbits, steps, compensated):
     lost, way = np.zeros((1, 2)), np.empty((1, 2))
     v[0, 1] = np.sqrt(1.0 - 0.25 * h * h)  # x(h) has the same length then
     sums, count, mark = np.zeros(8), 0, 10
-    start, total = 0.0, 0.0
+    start, total, r2 = 0.0, 0.0, 0.0
     for orbit in range(1, orbits + 1):
         total = 0.0
         for _ in range(steps):
-            r2 = x[0, 0] ** 2 + x[0, 1] ** 2
-            for k in range(2):
-                a[0, k] = -x[0, k] / (r2 * np.sqrt(r2))
-            kick(v, a, 0.5 * h)
-            if compensated:
+            for half in range(2):
+                r2 = x[0, 0] ** 2 + x[0, 1] ** 2
                 for k in range(2):
-                    way[0, k] = v[0, k] * h - lost[0, k]
-                    new = x[0, k] + way[0, k]
-                    lost[0, k] = (new - x[0, k]) - way[0, k]
-                    x[0, k] = new
-            else:
-                free_drift(x, v, h)
-            r2 = x[0, 0] ** 2 + x[0, 1] ** 2
-            for k in range(2):
-                a[0, k] = -x[0, k] / (r2 * np.sqrt(r2))
-            kick(v, a, 0.5 * h)
+                    a[0, k] = -x[0, k] / (r2 * np.sqrt(r2))
+                kick(v, a, 0.5 * h)
+                if half == 0 and not compensated:
+                    free_drift(x, v, h)
+                elif half == 0:
+                    for k in range(2):
+                        way[0, k] = v[0, k] * h - lost[0, k]
+                        new = x[0, k] + way[0, k]
+                        lost[0, k] = (new - x[0, k]) - way[0, k]
+                        x[0, k] = new
             total += 0.5 * (v[0, 0] ** 2 + v[0, 1] ** 2) - 1.0 / np.sqrt(r2)
         if orbit == 1:
             start = total
@@ -159,10 +140,9 @@ def circle(orbits, steps, compensated):
     modes=(None,),
     dimensions=(2,),
 )
-def many_orbits(bench: Bench) -> tuple[str, bool]:
+def many_orbits(run: CaseRun) -> Finding:
+    """Round-off alone, by the kick and the drift of the program."""
     plain, kahan = circle(ORBITS, STEPS, False), circle(ORBITS, STEPS, True)
     power = log(plain[-1] / plain[2]) / log(ORBITS / 1000.0)
-    return (
-        f"{plain[-1]:.0e} after 1e6 (1e3: {plain[2]:.0e}; power {power:.1f}); compensated {kahan[-1]:.0e}",
-        bool(plain.max() <= 1e-10),
-    )
+    measured = f"{plain[-1]:.0e} after 1e6 (1e3: {plain[2]:.0e}; power {power:.1f}); compensated {kahan[-1]:.0e}"
+    return measured, bool(plain.max() <= 1e-10)

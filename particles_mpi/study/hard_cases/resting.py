@@ -1,30 +1,23 @@
 """Contacts that last, and a ball that never stops."""
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from particles_mpi import Simulation
 from particles_mpi.neighbours.candidates import touching
-from particles_mpi.study.hard_cases import MODES, Bench, case, everyone
+from particles_mpi.study.experiment import everyone, total
+from particles_mpi.study.hard_cases.catalogue import MODES, CaseRun, Effects, Finding, case
 
 RESTITUTIONS = (0.0, 0.5, 0.9)
 
 
-def under_gravity(bench: Bench, e: float, step: float, box: list[float], particles: list[dict[str, Any]]) -> Simulation:
-    """Particles in a box with gravity along the last axis; e at walls and between particles."""
-    d = bench.dimension
-    return bench.simulate(
-        seed=1,
-        box={"lower": [0.0] * d, "upper": box},
-        time={"step": step, "steps": 1},
-        particles=particles,
-        effects={
-            "uniform_gravity": {"acceleration": [0.0] * (d - 1) + [-9.81]},
-            "walls": {"restitution": e},
-            "collisions": {"restitution": e},
-        },
-    )
+def under_gravity(run: CaseRun, e: float, step: float, upper: list[float], particles: dict[str, Any]) -> Simulation:
+    """Particles in a box with gravity along the last axis; restitution e at walls and between particles."""
+    fall = {"acceleration": run.upright(-9.81)}
+    effects: Effects = {"uniform_gravity": fall, "walls": {"restitution": e}, "collisions": {"restitution": e}}
+    return run.simulate([particles], step, effects=effects, box={"lower": run.point(), "upper": upper}, seed=1)
 
 
 def deepest_overlap(sim: Simulation) -> float:
@@ -38,11 +31,12 @@ def deepest_overlap(sim: Simulation) -> float:
 
 
 @case("resting ball, e = 0, 0.5, 0.9", "bounces for ever, sinks, or gets warm", "kinetic energy exactly 0, energy never rises")
-def ball(bench: Bench) -> tuple[str, bool]:
-    d, energies, risen = bench.dimension, [], -np.inf
+def ball(run: CaseRun) -> Finding:
+    """A ball falls and comes to rest."""
+    energies, risen = [], -np.inf
     for e in RESTITUTIONS:
-        ball = [{"position": [[0.5] * (d - 1) + [0.3]], "radius": 0.05}]
-        sim = under_gravity(bench, e, 0.005, [1.0] * d, ball)
+        ball = {"position": [run.upright(0.3, rest=0.5)], "radius": 0.05}
+        sim = under_gravity(run, e, 0.005, run.point(rest=1.0), ball)
         before = sim.measure()["total_energy"]
         for _ in range(900):
             sim.step()
@@ -55,12 +49,13 @@ def ball(bench: Bench) -> tuple[str, bool]:
 @case(
     "resting columns of 10 and 50, e = 0, 0.5, 0.9", "sink into one another, buckle, or rattle", "K -> 0, overlap <= 1e-3 R, stay"
 )
-def columns(bench: Bench) -> tuple[str, bool]:
-    d, kinetic, deepest, moved = bench.dimension, 0.0, -np.inf, 0.0
+def columns(run: CaseRun) -> Finding:
+    """Spheres above one another, a little apart, fall on top of one another and stay there."""
+    kinetic, deepest, moved = 0.0, -np.inf, 0.0
     for n in (10, 50):
         for e in RESTITUTIONS:
-            places = [[0.5] * (d - 1) + [0.05 + 0.102 * k] for k in range(n)]
-            sim = under_gravity(bench, e, 0.005, [1.0] * (d - 1) + [0.12 * n + 1.0], [{"position": places, "radius": 0.05}])
+            column = {"position": [run.upright(0.05 + 0.102 * k, rest=0.5) for k in range(n)], "radius": 0.05}
+            sim = under_gravity(run, e, 0.005, run.upright(0.12 * n + 1.0, rest=1.0), column)
             for _ in range(600):
                 sim.step()
             before = everyone(sim).position
@@ -73,13 +68,13 @@ def columns(bench: Bench) -> tuple[str, bool]:
     return f"K {kinetic:.0e}, overlap {max(deepest, 0.0):.0e} R, moved {moved:.0e}", holds
 
 
-def bed(bench: Bench, count: int, layers: float, e: float, step: float, falls: float, lasts: float) -> tuple[str, bool]:
+def bed(run: CaseRun, count: int, layers: float, e: float, falls: float, lasts: float, step: float = 0.005) -> Finding:
     """Spheres fall from a loose heap for a time `falls`, and are watched for `lasts`."""
-    d = bench.dimension
+    d = run.dimension
     side = round((count / layers) ** (1.0 / (d - 1)) * 0.1, 2)
     height = round(0.1 * layers * (3.0 if d == 3 else 2.2), 2)
     spheres = {"count": count, "position": "random", "radius": {"min": 0.045, "max": 0.05}}
-    sim = under_gravity(bench, e, step, [side] * (d - 1) + [height], [spheres])
+    sim = under_gravity(run, e, step, run.upright(height, rest=side), spheres)
     start = lowest = sim.measure()["total_energy"]
     risen, deepest, highest = 0.0, -np.inf, 0.0
     heights: list[float] = []
@@ -101,59 +96,44 @@ NAIVE_BED, STEADY_BED = "sinks, boils, or spheres leave the box", "K -> 0, overl
 
 
 @case("beds of 200, e = 0, 0.5, 0.9", NAIVE_BED, STEADY_BED)
-def small_beds(bench: Bench) -> tuple[str, bool]:
-    outcomes = [bed(bench, 200, 6.0, e, 0.005, 1.5, 1.5) for e in RESTITUTIONS]
-    return "; ".join(told for told, _ in outcomes), all(holds for _, holds in outcomes)
+def small_beds(run: CaseRun) -> Finding:
+    """Six layers."""
+    outcomes = [bed(run, 200, 6.0, e, 1.5, 1.5) for e in RESTITUTIONS]
+    return "; ".join(measured for measured, _ in outcomes), all(holds for _, holds in outcomes)
 
 
-@case("bed of 10 000, 10 s, e = 0", NAIVE_BED, STEADY_BED, dimensions=(3,), long=True)
-def dead_bed(bench: Bench) -> tuple[str, bool]:
-    return bed(bench, 10000, 10.0, 0.0, 0.005, 2.0, 10.0)
-
-
-@case("bed of 10 000, 10 s, e = 0.5", NAIVE_BED, STEADY_BED, dimensions=(3,), long=True)
-def large_bed(bench: Bench) -> tuple[str, bool]:
-    return bed(bench, 10000, 10.0, 0.5, 0.005, 2.0, 10.0)
-
-
-@case("bed of 10 000, 10 s, e = 0.9", NAIVE_BED, STEADY_BED, dimensions=(3,), long=True)
-def lively_bed(bench: Bench) -> tuple[str, bool]:
-    return bed(bench, 10000, 10.0, 0.9, 0.005, 2.0, 10.0)
+for e in RESTITUTIONS:  # ten layers of a thousand spheres
+    measure = partial(bed, count=10000, layers=10.0, e=e, falls=2.0, lasts=10.0)
+    case(f"bed of 10 000, 10 s, e = {e:g}", NAIVE_BED, STEADY_BED, dimensions=(3,), long=True)(measure)
 
 
 @case("1e5 bounces of an elastic ball between walls", "energy drifts", "energy drift <= 1e-9")
-def bouncing(bench: Bench) -> tuple[str, bool]:
+def bouncing(run: CaseRun) -> Finding:
     """Many bounces in a step by `event`, which needs no small ones; rewind's steps are short."""
-    d, speed = bench.dimension, 10.0
-    step = 5.0 if bench.mode == "event" else 0.06
-    sim = bench.simulate(
-        box={"lower": [0.0] * d, "upper": [1.0] * d},
-        time={"step": step, "steps": 1},
-        particles=[{"position": [[0.41, 0.52, 0.59][:d]], "velocity": [[speed, 0.7 * speed, 0.3 * speed][:d]], "radius": 0.4}],
-        effects={"walls": {}, "collisions": {"passes": 60} if bench.mode == "rewind" else {}},
-    )
+    step, passes = (5.0, {}) if run.mode == "event" else (0.06, {"passes": 60})
+    place, speeds = [0.41, 0.52, 0.59], [10.0, 0.7 * 10.0, 0.3 * 10.0]
+    ball = {"position": [place[: run.dimension]], "velocity": [speeds[: run.dimension]], "radius": 0.4}
+    sim = run.simulate([ball], step, effects={"walls": {}, "collisions": passes}, box=run.cube(1.0))
     before, hits = sim.measure()["kinetic"], 0
     while hits < 100000:
         sim.step()
-        hits = int(sim.ranks.total(sim.totals["wall_hits"])[0])
+        hits = total(sim, "wall_hits")
     drift = abs(sim.measure()["kinetic"] / before - 1.0)
     return f"{drift:.0e} after {hits} bounces", drift <= 1e-9
 
 
 @case("1e5 bounces under gravity", "energy off by g v h at each", "energy within 1e-9", modes=(None, *MODES), dimensions=(2,))
-def bouncing_under_gravity(bench: Bench) -> tuple[str, bool]:
+def bouncing_under_gravity(run: CaseRun) -> Finding:
     """A thousand balls, a hundred bounces each, with steps of a fiftieth of a flight and more."""
     heights = np.linspace(0.5, 1.5, 1000)
-    sim = bench.simulate(
-        box={"lower": [0.0, 0.0], "upper": [1001.0, 10.0]},
-        time={"step": 0.01, "steps": 1},
-        particles=[{"position": [[1.0 + k, float(z)] for k, z in enumerate(heights)], "radius": 0.1}],
-        effects={"walls": {}, "uniform_gravity": {"acceleration": [0.0, -9.81]}, **({"collisions": {}} if bench.mode else {})},
-    )
+    balls = {"position": [[1.0 + k, float(z)] for k, z in enumerate(heights)], "radius": 0.1}
+    effects: Effects = {"walls": {}, "uniform_gravity": {"acceleration": [0.0, -9.81]}}
+    effects |= {"collisions": {}} if run.mode else {}
+    sim = run.simulate([balls], 0.01, effects=effects, box={"lower": [0.0, 0.0], "upper": [1001.0, 10.0]})
     exact, hits, most = 9.81 * heights, 0, 0.0
     while hits < 100000:
         sim.step()
-        hits = int(sim.ranks.total(sim.totals["wall_hits"])[0])
+        hits = total(sim, "wall_hits")
         p = everyone(sim)
         off = (0.5 * p.velocity[:, 1] ** 2 + 9.81 * p.position[:, 1]) / exact - 1.0
         most = max(most, float(np.abs(off).max()))

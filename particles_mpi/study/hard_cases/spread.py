@@ -1,89 +1,65 @@
 """Particles where ranks meet, and ranks without particles. Under mpirun each is compared, bit for bit, with one rank."""
 
+from typing import Any
+
 import numpy as np
 
 from particles_mpi import Simulation
-from particles_mpi.study.hard_cases import Bench, case, everyone
+from particles_mpi.particles import Array
+from particles_mpi.study.experiment import everyone, total
+from particles_mpi.study.hard_cases.catalogue import CaseRun, Effects, Finding, case
 
-HELD = "ids a permutation at every step; same bits on any number of ranks"
+MUST = "ids a permutation at every step; same bits on any number of ranks"
+CLOSED: Effects = {"collisions": {}, "walls": {}}
 
 
-def watch(sim: Simulation, steps: int) -> tuple[str, bool]:
+def watch(sim: Simulation, steps: int) -> Finding:
     """Steps, after each of which every id must be there once."""
-    total, lost = sim.total, 0
+    number, lost = sim.total, 0
     for _ in range(steps):
         sim.step()
-        lost += not np.array_equal(everyone(sim).id, np.arange(total))
-    counts = sim.ranks.total(np.array([sim.totals["collisions"]]))
-    return f"{total} ids at each of {steps} steps, {counts[0]} contacts", lost == 0
+        lost += not np.array_equal(everyone(sim).id, np.arange(number))
+    return f"{number} ids at each of {steps} steps, {total(sim, 'collisions')} contacts", lost == 0
 
 
-@case("on borders and corners of domains", "owned twice, or by nobody", HELD)
-def on_borders(bench: Bench) -> tuple[str, bool]:
+def grid(run: CaseRun, axis: Any) -> Array:
+    """All points, in rows, whose coordinates are among those of the axis."""
+    return np.stack(np.meshgrid(*[axis] * run.dimension, indexing="ij"), axis=-1).reshape(-1, run.dimension)
+
+
+@case("on borders and corners of domains", "owned twice, or by nobody", MUST)
+def on_borders(run: CaseRun) -> Finding:
     """A lattice symmetric about all borders of 2, 4, 8 ranks, and spheres at rest exactly on these."""
-    d = bench.dimension
-    axis = np.arange(1.0, 16.0, 2.0)
-    grid = np.stack(np.meshgrid(*[axis] * d, indexing="ij"), axis=-1).reshape(-1, d)
-    corners = np.stack(np.meshgrid(*[[4.0, 8.0, 12.0]] * d, indexing="ij"), axis=-1).reshape(-1, d)
-    speeds = np.random.default_rng(5).choice([-4.0, 4.0], size=grid.shape)
-    sim = bench.simulate(
-        box={"lower": [0.0] * d, "upper": [16.0] * d, "periodic": True},
-        time={"step": 0.05, "steps": 1},
-        particles=[
-            {"position": corners.tolist(), "radius": 0.3},
-            {"position": grid.tolist(), "velocity": speeds.tolist(), "radius": 0.3},
-        ],
-        effects={"collisions": {}},
-    )
-    return watch(sim, 60)
+    lattice, corners = grid(run, np.arange(1.0, 16.0, 2.0)), grid(run, [4.0, 8.0, 12.0])
+    speeds = np.random.default_rng(5).choice([-4.0, 4.0], size=lattice.shape)
+    moving = {"position": lattice.tolist(), "velocity": speeds.tolist(), "radius": 0.3}
+    particles, box = [{"position": corners.tolist(), "radius": 0.3}, moving], run.cube(16.0) | {"periodic": True}
+    return watch(run.simulate(particles, 0.05, effects={"collisions": {}}, box=box), 60)
 
 
-@case("crossing many domains in a step", "handed to a neighbour only, and lost", HELD)
-def crossing(bench: Bench) -> tuple[str, bool]:
-    d = bench.dimension
-    cluster = (19.0 + 0.2 * np.stack(np.meshgrid(*[np.arange(10.0)] * d, indexing="ij"), axis=-1)).reshape(-1, d)[::d]
-    sim = bench.simulate(
-        seed=6,
-        box={"lower": [0.0] * d, "upper": [40.0] * d},
-        time={"step": 0.35, "steps": 1},
-        particles=[
-            {"position": cluster.tolist(), "radius": 0.09, "velocity": {"speed": 0.1}},
-            {"position": [[5.0 + 30.0 * (k % 2), 9.0 + 7.5 * k] + [20.0] * (d - 2) for k in range(4)], "radius": 2.0,
-             "velocity": [[10.0 - 20.0 * (k % 2)] + [0.0] * (d - 1) for k in range(4)]},
-        ],
-        effects={"collisions": {}, "walls": {}},
-    )  # fmt: skip
-    return watch(sim, 30)
+@case("crossing many domains in a step", "handed to a neighbour only, and lost", MUST)
+def crossing(run: CaseRun) -> Finding:
+    """Four large spheres that fly through a dense cluster of small ones."""
+    cluster = (19.0 + 0.2 * grid(run, np.arange(10.0)))[:: run.dimension]
+    places = [run.point(5.0 + 30.0 * (k % 2), 9.0 + 7.5 * k, rest=20.0) for k in range(4)]
+    speeds = [run.point(10.0 - 20.0 * (k % 2)) for k in range(4)]
+    small = {"position": cluster.tolist(), "radius": 0.09, "velocity": {"speed": 0.1}}
+    large = {"position": places, "radius": 2.0, "velocity": speeds}
+    return watch(run.simulate([small, large], 0.35, effects=CLOSED, box=run.cube(40.0), seed=6), 30)
 
 
-@case("all particles in one rank's corner", "ranks without work hang", HELD)
-def one_corner(bench: Bench) -> tuple[str, bool]:
-    d = bench.dimension
-    places = (0.05 + 0.1 * np.stack(np.meshgrid(*[np.arange(4.0)] * d, indexing="ij"), axis=-1)).reshape(-1, d)
-    sim = bench.simulate(
-        seed=7,
-        box={"lower": [0.0] * d, "upper": [1000.0] * d},
-        time={"step": 0.01, "steps": 1},
-        particles=[{"position": places.tolist(), "radius": 0.04, "velocity": {"speed": 2.0}}],
-        effects={"collisions": {}, "walls": {}},
-    )
-    return watch(sim, 60)
+@case("all particles in one rank's corner", "ranks without work hang", MUST)
+def one_corner(run: CaseRun) -> Finding:
+    """A small cluster in a large box."""
+    places = 0.05 + 0.1 * grid(run, np.arange(4.0))
+    cluster = {"position": places.tolist(), "radius": 0.04, "velocity": {"speed": 2.0}}
+    return watch(run.simulate([cluster], 0.01, effects=CLOSED, box=run.cube(1000.0), seed=7), 60)
 
 
-@case("three particles, and none", "more ranks than particles: a hang", HELD)
-def few(bench: Bench) -> tuple[str, bool]:
-    d = bench.dimension
-    told, held = "", True
-    for count in (0, 3):
-        places = [[1.0 + 1.5 * k] * d for k in range(count)]
-        sim = bench.simulate(
-            box={"lower": [0.0] * d, "upper": [10.0] * d},
-            time={"step": 0.05, "steps": 1},
-            particles=[{"position": places, "radius": 0.5, "velocity": {"speed": 3.0}}]
-            if count
-            else [{"count": 0, "position": "random", "radius": 0.5}],
-            effects={"collisions": {}, "walls": {}},
-        )
-        told, fine = watch(sim, 60)
-        held &= fine
-    return told, held
+@case("three particles, and none", "more ranks than particles: a hang", MUST)
+def few(run: CaseRun) -> Finding:
+    """The same box without particles, and with three."""
+    three = {"position": [run.point(rest=1.0 + 1.5 * k) for k in range(3)], "radius": 0.5, "velocity": {"speed": 3.0}}
+    none = {"count": 0, "position": "random", "radius": 0.5}
+    outcomes = [watch(run.simulate([some], 0.05, effects=CLOSED, box=run.cube(10.0)), 60) for some in (none, three)]
+    return outcomes[-1][0], all(holds for _, holds in outcomes)

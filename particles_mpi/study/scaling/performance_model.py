@@ -1,10 +1,10 @@
-"""A model of the seconds of a step, t(N, P): fitted where it was measured, a guess elsewhere. Plain numbers.
+"""A model of the seconds of a step with N particles on P ranks, fitted where it was measured, a guess elsewhere.
 
     t = fixed + imbalance * each * work(N)/P + row * rows(N, P) + latency * stages(P)
 
 work(N): N, N log2 N (tree) or N^2 (direct sum). rows: particles of others that a rank fetches in a step, those within
 a layer around its block of space. stages: messages one after the other: one to each neighbour, log2 P for a reduction,
-P - 1 for an exchange in which every rank may send to every other (Alltoallv, pairwise). The costs come from the phases, by
+P - 1 for an exchange in which every rank may send to every other (Alltoallv, pairwise). The costs are fitted to the phases by
 non-negative least squares of relative errors (Lawson and Hanson 1974); the numbers of rows, messages and reductions are counted.
 """
 
@@ -33,7 +33,8 @@ ASSUMPTIONS = (
 class Point:
     """One scene on so many ranks, measured. Seconds and counts are those of a step; counts also of one rank, on average.
 
-    own: what a rank computes, mean and `slowest`; talk: in phases that communicate, the rank that waits least.
+    own: seconds that a rank computes, mean over the ranks, and of the `slowest`; talk: seconds in phases that communicate, of
+    the rank that waits least; phases: seconds by phase; oversubscribed: did ranks share cores?
     """
 
     particles: int
@@ -51,9 +52,10 @@ class Point:
 
 @dataclass(frozen=True)
 class Law:
-    """How work and traffic of a scene grow. `edges`: of its space, of volume 1.
+    """How work and traffic of a scene grow with the numbers of particles and ranks.
 
-    `everyone`: a rank fetches all particles, and unless the work is `shared` does with them what all others do.
+    growth: "N", "N log N" or "N^2"; edges: of the space of the scene, scaled to a volume of 1; everyone: does a rank fetch all
+    particles; shared: is the work divided among the ranks, or done by each of them?
     """
 
     growth: str
@@ -63,22 +65,22 @@ class Law:
     shared: bool = True
 
     def work(self, particles: float) -> float:
-        """Units that all ranks together have to do in a step."""
+        """Units of work that all ranks together do in a step."""
         return particles * {"N": 1.0, "N log N": log2(max(particles, 2)), "N^2": particles}[self.growth]
 
     def share(self, particles: float, ranks: int) -> float:
-        """Units that one of the ranks has to do."""
+        """Units of work that one of the ranks does in a step."""
         return self.work(particles) / (ranks if self.shared else 1)
 
     def rate(self, particles: float, ranks: int, seconds: float) -> float:
-        """Units that a rank does in a second; over that of one rank alone it is the efficiency.
+        """Units of work that a rank does in a second; divided by that of one rank alone it is the efficiency.
 
         T1/(P TP) at a fixed size, T1/TP at a fixed size of a rank where work is in proportion to particles.
         """
         return self.work(particles) / (ranks * seconds)
 
     def cuts(self, ranks: int) -> list[float]:
-        """Blocks along each axis, the longest edge halved again and again; between two powers of two as if in between."""
+        """Blocks of space along each axis: the longest edge is halved again and again. Broken numbers between powers of two."""
         blocks, left = [1.0] * len(self.edges), float(ranks)
         while left > 1.0:
             k = max(range(len(blocks)), key=lambda axis: self.edges[axis] / blocks[axis])
@@ -87,18 +89,18 @@ class Law:
         return blocks
 
     def sides(self, ranks: int) -> list[float]:
-        """Sides of a block along each axis on which it has a neighbour, 0 to 2, mean over the ranks."""
+        """Along each axis, on how many of its two sides a block has a neighbour, mean over the ranks."""
         return [
             min(2.0, 4.0 * (1.0 - 1.0 / n)) if wraps else 2.0 * (1.0 - 1.0 / n)
             for n, wraps in zip(self.cuts(ranks), self.periodic, strict=True)
         ]
 
     def neighbours(self, ranks: int) -> float:
-        """Ranks that a rank has something to tell, mean: corners count."""
+        """Number of ranks whose blocks touch the block of a rank, at corners too, mean over the ranks."""
         return min(ranks - 1.0, prod(1.0 + side for side in self.sides(ranks)) - 1.0)
 
     def rows(self, particles: float, ranks: int, thickness: float) -> float:
-        """Rows that a rank fetches at a time; the layer is `thickness` mean distances between particles thick."""
+        """Rows that a rank fetches at a time, from a layer that is `thickness` mean distances between particles thick."""
         if self.everyone:
             return thickness * (particles - particles / ranks)
         lengths = [edge * particles ** (1.0 / len(self.edges)) for edge in self.edges]
@@ -106,7 +108,7 @@ class Law:
         return prod(min(length, length / n + thickness * side) for length, n, side in blocks) - particles / ranks
 
     def thickness(self, particles: float, ranks: int, rows: float) -> float:
-        """Of the layer that holds so many rows."""
+        """Thickness of the layer that holds so many rows, in mean distances between particles."""
         if self.everyone:
             return rows / (particles - particles / ranks)
         most = max(self.edges) * particles ** (1.0 / len(self.edges))
@@ -117,7 +119,11 @@ class Law:
 
 @dataclass(frozen=True)
 class Traffic:
-    """What is sent. `fetches` of rows, `messages` to one neighbour, `reductions` and `all_to_alls`: in a step, of a rank."""
+    """What a rank sends and fetches in a step.
+
+    thickness: of the layer of `fetches` of rows, in mean distances; messages: to one neighbour; reductions and exchanges of all
+    with all, `all_to_alls`.
+    """
 
     law: Law
     thickness: float
@@ -127,7 +133,7 @@ class Traffic:
     all_to_alls: float
 
     def rows(self, particles: float, ranks: int) -> float:
-        """That a rank fetches in a step."""
+        """Rows that a rank fetches in a step."""
         return self.fetches * self.law.rows(particles, ranks, self.thickness) if ranks > 1 else 0.0
 
     def stages(self, ranks: int) -> float:
@@ -139,9 +145,10 @@ class Traffic:
 
 @dataclass(frozen=True)
 class Model:
-    """Costs in seconds: `fixed` a step, `each` a unit of work, `row`, `latency` a stage. `imbalance`: slowest over mean.
+    """Costs in seconds: `fixed` of a step, `each` of a unit of work, `row` of a row, `latency` of a stage.
 
-    `measured`: ranks up to which it was fitted, in one machine; beyond, the network's latency and bandwidth come in.
+    imbalance: work of the slowest rank over the mean; measured: ranks up to which it was fitted, in one machine; beyond them the
+    latency and the bandwidth of a network come in; row_bytes: of a row, as it is sent.
     """
 
     law: Law
@@ -167,16 +174,16 @@ class Model:
         }
 
     def seconds(self, particles: float, ranks: int) -> float:
-        """Of a step."""
+        """Seconds of a step."""
         return sum(self.parts(particles, ranks).values())
 
     def efficiency(self, particles: float, ranks: int, alone: float) -> float:
-        """Against `alone` particles on one rank."""
+        """Compared with `alone` particles on one rank."""
         one = self.law.rate(alone, 1, self.seconds(alone, 1))
         return self.law.rate(particles, ranks, self.seconds(particles, ranks)) / one
 
     def residual(self, point: Point) -> float:
-        """(model - measured) / measured."""
+        """Relative error of the model at a measured point."""
         return self.seconds(point.particles, point.ranks) / point.seconds - 1.0
 
     @property
@@ -189,13 +196,13 @@ class Model:
 
 
 def fit(points: Sequence[Point], law: Law, row_bytes: float) -> Model:
-    """The model of what was measured; counts also from ranks that shared a core, seconds only from those that did not."""
+    """The model of what was measured: counts of all points, seconds only of ranks that did not share a core."""
     traffic = count([p for p in points if p.ranks > 1], law)
     timed = [p for p in points if not p.oversubscribed]
     several = [p for p in timed if p.ranks > 1]
     computing = [[1.0, law.share(p.particles, p.ranks), traffic.rows(p.particles, p.ranks)] for p in timed]
     fixed, each, row = costs(computing, [p.own for p in timed])
-    talkers = [p for p in several if p.talk > 0.0]  # none where the phases do not tell talk from work
+    talkers = [p for p in several if p.talk > 0.0]  # none where no phase is communication alone
     talking = [[traffic.rows(p.particles, p.ranks), traffic.stages(p.ranks)] for p in talkers]
     row_sent, latency = costs(talking, [p.talk for p in talkers]) if talkers else (0.0, 0.0)
     imbalance = typical([p.slowest / p.own for p in several], 1.0)
@@ -203,7 +210,7 @@ def fit(points: Sequence[Point], law: Law, row_bytes: float) -> Model:
 
 
 def count(points: Sequence[Point], law: Law) -> Traffic:
-    """What was sent: the layer's thickness from all points, the rest from the most ranks, from where it changes least."""
+    """What was sent: the thickness of the layer from all points, the rest from those of the most ranks."""
     widest = [p for p in points if p.ranks == max(q.ranks for q in points)]
     layers = [law.thickness(p.particles, p.ranks, p.counts["rows"] / p.counts["fetches"]) for p in points if p.counts["fetches"]]
     messages = [p.counts["messages"] / law.neighbours(p.ranks) for p in widest]
@@ -214,11 +221,12 @@ def count(points: Sequence[Point], law: Law) -> Traffic:
 
 
 def typical(values: Sequence[float], of_none: float = 0.0) -> float:
+    """The median; `of_none` where there are no values."""
     return median(values) if values else of_none
 
 
 def costs(units: Sequence[Sequence[float]], seconds: Sequence[float]) -> list[float]:
-    """None negative, with the least sum of squares of the relative errors of `seconds` (all > 0) = units . costs."""
+    """Costs >= 0 for which units . costs is nearest to `seconds` (all > 0): least sum of squares of the relative errors."""
     table = np.array(units, float) / np.array(seconds, float)[:, None]
     scale = np.sqrt((table**2).sum(axis=0))
     scale[scale == 0.0] = 1.0

@@ -7,7 +7,8 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from particles_mpi.study.scaling.result import Curve, Result
+from particles_mpi.study.scaling.performance_model import Model
+from particles_mpi.study.scaling.report import Curve, Result, shares
 
 COURSE = {4: 148.0, 8: 37.9, 16: 10.3, 32: 3.13, 64: 1.036}  # cores: seconds of 500 steps, as the course code printed
 COURSE_STEPS, COURSE_LABEL = 500, "course code, N = 32000, Xeon Gold 6230"
@@ -18,7 +19,9 @@ MOST = 7  # phases with a colour of their own
 
 def draw(result: Result) -> Figure:
     """Four panels; three without a model."""
-    panels = [draw_times, draw_efficiency, draw_phases] + [draw_model] * (result.model is not None)
+    panels = [draw_times, draw_efficiency, draw_phases]
+    if model := result.model:
+        panels.append(lambda axes, result: draw_model(axes, result, model))
     figure = Figure(figsize=(12, 9), dpi=130, layout="constrained")
     for panel, axes in zip(panels, figure.subplots(2, 2).flat, strict=False):
         panel(axes, result)
@@ -30,12 +33,13 @@ def draw(result: Result) -> Figure:
 
 
 def color_of(result: Result, curve: Curve) -> str:
+    """Of a curve, in all panels."""
     strong = [c for c in result.curves if not c.weak]
     return COLORS[-1] if curve.weak else COLORS[strong.index(curve)]
 
 
 def against_ranks(axes: Axes, ranks: list[int]) -> None:
-    """Ranks on a log axis, told as whole numbers."""
+    """Ranks on a log axis, as whole numbers."""
     axes.set_xscale("log", base=2)
     axes.set_xticks(ranks, [str(n) for n in ranks])
     axes.minorticks_off()
@@ -98,12 +102,9 @@ def draw_efficiency(axes: Axes, result: Result) -> None:
 def draw_phases(axes: Axes, result: Result) -> None:
     """Shares of the step, a bar for each point, curve by curve."""
     points = [(curve, p) for curve in result.curves for p in curve.points]
-    share = [{name: s / sum(p.phases.values()) for name, s in p.phases.items()} for _, p in points]
-    total = {name: sum(one.get(name, 0.0) for one in share) for one in share for name in one}
-    names = sorted(total, key=lambda name: -total[name])[:MOST]
-    heights = {name: np.array([one.get(name, 0.0) for one in share]) for name in names}
-    heights["the rest"] = 1.0 - np.sum(list(heights.values()), axis=0)
-    colors = [colormaps["viridis"](x) for x in np.linspace(0.1, 0.9, len(names))] + [GREY]
+    rows = shares([p for _, p in points], MOST)
+    heights = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    colors = [colormaps["viridis"](x) for x in np.linspace(0.1, 0.9, len(heights) - 1)] + [GREY]
     gaps = [result.curves.index(curve) for curve, _ in points]  # between the curves
     places, bottom = np.arange(len(points)) + 0.6 * np.array(gaps), np.zeros(len(points))
     for (name, height), color in zip(heights.items(), colors, strict=True):
@@ -111,8 +112,8 @@ def draw_phases(axes: Axes, result: Result) -> None:
         bottom = bottom + height
     axes.set_xticks(places, [f"{p.ranks}{'*' * p.oversubscribed}" for _, p in points])
     for number, curve in enumerate(result.curves):
-        mine = [place for place, gap in zip(places, gaps, strict=True) if gap == number]
-        axes.text(float(np.mean(mine)), 1.02, curve.name, ha="center", va="bottom", fontsize=8)
+        own = [place for place, gap in zip(places, gaps, strict=True) if gap == number]
+        axes.text(float(np.mean(own)), 1.02, curve.name, ha="center", va="bottom", fontsize=8)
     star = "   * oversubscribed" if any(p.oversubscribed for _, p in points) else ""
     axes.set(xlabel=f"ranks{star}", ylabel="share of a step, mean over ranks")
     axes.set_title("phases", loc="left", pad=18)
@@ -120,17 +121,17 @@ def draw_phases(axes: Axes, result: Result) -> None:
     axes.legend(handles[::-1], labels[::-1], frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1, 1))
 
 
-def draw_model(axes: Axes, result: Result) -> None:
+def draw_model(axes: Axes, result: Result, model: Model) -> None:
     """The model to many ranks, dashed, through the measured points."""
     for curve in result.curves:
-        told = [(ranks, sum(parts.values())) for c, ranks, parts, _ in result.predictions() if c is curve]
-        axes.plot(*zip(*told, strict=True), "--", color=color_of(result, curve), label=f"model: {curve.name}")
+        seconds = [(ranks, sum(parts.values())) for c, ranks, parts, _ in result.predictions(model) if c is curve]
+        axes.plot(*zip(*seconds, strict=True), "--", color=color_of(result, curve), label=f"model: {curve.name}")
         for p in curve.points:
             face = "white" if p.oversubscribed else color_of(result, curve)
             axes.plot(p.ranks, p.seconds, "o", color=color_of(result, curve), mfc=face)
     axes.plot([], [], "o", color=GREY, label="measured")
     axes.set_yscale("log")
     axes.set(ylabel="seconds a step")
-    axes.set_title(result.origin, loc="left", fontsize=10)
+    axes.set_title(result.origin(model), loc="left", fontsize=10)
     against_ranks(axes, [1 << k for k in range(0, 11, 2)])
     axes.legend(frameon=False, fontsize=8)

@@ -9,7 +9,7 @@ from particles_mpi.errors import SceneError
 from particles_mpi.scene.schema import Scene
 
 
-def grown(scene: Scene, factor: float) -> Scene:
+def scale_scene(scene: Scene, factor: float) -> Scene:
     """`factor` times the particles in `factor` times the space: every length of the layout grows by factor^(1/d), no radius does.
 
     A Plummer sphere keeps the mass of a particle and its density, hence also its dynamical time and what a step means.

@@ -1,7 +1,7 @@
-"""Fair timing of simulations: warmed up, interleaved, the slowest rank, medians with quartiles; output never on the clock.
+"""Fair timing of simulations: warmed up, by turns, the slowest rank, medians and quartiles, output not on the clock.
 
-A sample is as many consecutive steps as take SAMPLE seconds. A run that ends before begins again, off the clock. Settings
-that are compared take turns, a sample each, so that a disturbance of the machine meets all of them.
+A sample is as many consecutive steps as take SAMPLE seconds. A run that has come to its end begins again, off the clock.
+Settings that are compared take turns, a sample each, so that a disturbance of the machine meets all of them.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ SAMPLES, SAMPLE = 7, 0.2  # samples of a setting; least seconds of one
 
 @dataclass(frozen=True)
 class Seconds:
-    """Of one step (or evaluation of the forces): median and quartiles over the samples."""
+    """Seconds of one step (or of one evaluation of the forces): median and quartiles over the samples."""
 
     median: float
     low: float
     high: float
 
     def of(self, steps: int) -> Seconds:
-        """Of so many steps."""
+        """Seconds of so many steps."""
         return Seconds(self.median * steps, self.low * steps, self.high * steps)
 
 
 @dataclass
-class Watch:
+class StepTimer:
     """Times the steps of one setting.
 
-    `begin` gives a simulation at the start (collective), which is timed over `steps` steps and then begun anew. `by_forces`:
-    steps differ, so seconds are those of one evaluation of the forces.
+    `begin` gives a simulation at its start (collective); it is timed over `steps` steps and then begun anew. With `by_forces`
+    steps differ from one another, and seconds are those of one evaluation of the forces.
     """
 
     ranks: Ranks
@@ -49,7 +49,7 @@ class Watch:
     samples: list[float] = field(default_factory=list)
 
     def sample(self, least: float) -> float:
-        """Seconds of a step over at least `least` seconds; the slowest rank's. Collective."""
+        """Seconds of a step on the slowest rank, measured over at least `least` seconds. Collective."""
         clocked, steps, units, stride = 0.0, 0, 0, 1
         while clocked < least:
             if self.sim is None or not self.left:
@@ -64,7 +64,7 @@ class Watch:
         return clocked / units
 
     def clock(self, sim: Simulation, steps: int) -> float:
-        """Seconds that the slowest rank takes for the steps."""
+        """Seconds that the slowest rank takes for these steps. Collective."""
         self.ranks.wait_for_all()
         begin = perf_counter()
         for _ in range(steps):
@@ -73,24 +73,25 @@ class Watch:
 
     @property
     def seconds(self) -> Seconds:
+        """Of one step, from all samples."""
         low, median, high = np.percentile(self.samples, (25, 50, 75))
         return Seconds(float(median), float(low), float(high))
 
 
 def time_in_turns(
-    watches: Sequence[Watch], samples: int = SAMPLES, least: float = SAMPLE, told: Callable[[], None] = lambda: None
+    timers: Sequence[StepTimer], samples: int = SAMPLES, least: float = SAMPLE, progress: Callable[[], None] = lambda: None
 ) -> None:
-    """Take `samples` samples of each, by turns, after one that does not count; `told` is called after each. Collective."""
+    """Take `samples` samples of each timer by turns, after one that is not counted; calls `progress` after each. Collective."""
     collecting = gc.isenabled()
     try:
         for turn in range(samples + 1):
             gc.collect()
-            gc.disable()  # a collection would be somebody's bad luck
-            for watch in watches if turn % 2 else watches[::-1]:  # whoever comes first, is not always the same
-                seconds = watch.sample(least if turn else 0.25 * least)
+            gc.disable()  # a collection within a sample would make that sample slower by chance
+            for timer in timers if turn % 2 else timers[::-1]:  # each is first in half of the turns
+                seconds = timer.sample(least if turn else 0.25 * least)
                 if turn:
-                    watch.samples.append(seconds)
-                told()
+                    timer.samples.append(seconds)
+                progress()
             gc.enable()
     finally:
         if collecting:

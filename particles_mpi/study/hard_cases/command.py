@@ -1,4 +1,4 @@
-"""Runs the catalogue and prints its table."""
+"""`study hard-cases`: runs the catalogue and prints its table."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from particles_mpi.errors import SceneError
 from particles_mpi.parallel.communicator import Ranks
 from particles_mpi.run.console import Screen
-from particles_mpi.study.hard_cases import Case, Outcome, catalogue, examine, settings
+from particles_mpi.study.hard_cases.catalogue import Case, Outcome, catalogue, examine, settings
 
 
 def chosen(only: str | None, full: bool) -> list[Case]:
@@ -24,33 +24,26 @@ def chosen(only: str | None, full: bool) -> list[Case]:
 def study(only: str | None, full: bool, into: Path | None, comm: Any = None) -> bool:
     """The table, row by row as cases end, and whether all that must hold does. `into`: the outcomes as JSON. Collective."""
     ranks = Ranks(comm)
-    screen, outcomes, before = Screen(ranks.is_root, False), [], None
-    todo = list(settings(chosen(only, full)))
-    advance = screen.count("cases", len(todo))
-    for one, mode, dimension in todo:
+    screen, outcomes, before = Screen(ranks.is_root, False), list[Outcome](), None
+    waiting = list(settings(chosen(only, full)))
+    advance = screen.count("cases", len(waiting))
+    for one, mode, dimension in waiting:
         if one is not before:
             screen.say(f"[bold]{one.name}[/bold]\n  naive programs: {one.naive}\n  must hold: {one.must}")
             before = one
         advance(f"{one.name} {where(mode, dimension)}")
-        outcomes.append(examine(one, mode, dimension, comm))
-        screen.say(line(outcomes[-1], ranks.size))
+        outcome = examine(one, mode, dimension, comm)
+        wrong = "" if outcome.same_bits else f", other bits on {ranks.size} ranks"
+        verdict = "pass" if outcome.passed else f"[red]FAIL[/red]{wrong if outcome.holds else ''}"
+        screen.say(f"  {where(mode, dimension):<10} {verdict}   {outcome.measured}")
+        outcomes.append(outcome)
     screen.stop()
-    failed = [outcome for outcome in outcomes if not outcome.passed]
+    held = sum(outcome.passed for outcome in outcomes)
     bits = f", each with the bits of one rank on {ranks.size}" if ranks.size > 1 else ""
-    screen.say(f"{len(outcomes) - len(failed)} of {len(outcomes)} hold{bits}")
+    screen.say(f"{held} of {len(outcomes)} hold{bits}")
     if into and ranks.is_root:
         into.write_text(json.dumps([plain(outcome) for outcome in outcomes], indent=1) + "\n")
-    return not failed
-
-
-def line(outcome: Outcome, ranks: int) -> str:
-    """A row of the table: where, pass or fail, what was measured."""
-    verdict = (
-        "pass"
-        if outcome.passed
-        else ("[red]FAIL[/red]" if not outcome.holds else f"[red]FAIL[/red], other bits on {ranks} ranks")
-    )
-    return f"  {where(outcome.mode, outcome.dimension):<10} {verdict}   {outcome.measured}"
+    return held == len(outcomes)
 
 
 def where(mode: str | None, dimension: int) -> str:
@@ -61,5 +54,5 @@ def where(mode: str | None, dimension: int) -> str:
 def plain(outcome: Outcome) -> dict[str, Any]:
     """An outcome as numbers and texts."""
     one = outcome.case
-    told = {"case": one.name, "naive": one.naive, "must": one.must, "mode": outcome.mode, "dimension": outcome.dimension}
-    return told | {"measured": outcome.measured, "holds": outcome.holds, "same_bits": outcome.same_bits}
+    about = {"case": one.name, "naive": one.naive, "must": one.must, "mode": outcome.mode, "dimension": outcome.dimension}
+    return about | {"measured": outcome.measured, "holds": outcome.holds, "same_bits": outcome.same_bits}

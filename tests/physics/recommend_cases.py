@@ -1,7 +1,7 @@
 """Nine problems with a known truth, to judge `study recommend` by: does its setting reach the tolerance in truth?
 
 Each is a scene with a careless step, the tolerance for an error, and the true error of a run that has come to its end, found
-without the yardstick of the study: from formulas, published figures, or what must not change.
+without the error metric of the study: from formulas, published figures, or what must not change.
 """
 
 from __future__ import annotations
@@ -14,12 +14,10 @@ from typing import Any
 import numpy as np
 
 from particles_mpi import Scene, Simulation
-from particles_mpi.measure import snapshot
-from particles_mpi.particles import Array
-from particles_mpi.study.accuracy.encounters import BODIES, PLACES
 from particles_mpi.study.accuracy.losses import DRAG, THROW, G
 from particles_mpi.study.accuracy.losses import thrown as flight
-from particles_mpi.study.accuracy.orbits import EIGHT, PERIOD, PLANET, gravity, place_on_ellipse
+from particles_mpi.study.accuracy.orbits import EIGHT, PERIOD, PLACES, PLANET, PYTHAGOREAN, gravity, place_on_ellipse
+from particles_mpi.study.experiment import distance, everyone, total
 
 Z_FLUID = 4.29498  # pV/(NkT) of hard spheres at a density of 0.6 (Kolafa, Labik, Malijevsky 2004)
 
@@ -35,20 +33,14 @@ class Case:
     truth: Callable[[Simulation, float], float]
 
 
-def everyone(sim: Simulation) -> tuple[Array, Array, Array]:
-    """Positions, velocities, masses in id order."""
-    p = snapshot.everyone(sim.ranks, sim.particles)
-    return p.position, p.velocity, p.mass
-
-
 def away(sim: Simulation, size: float, row: int, place: Any) -> float:
     """Distance of one particle from its true place, over the size."""
-    return float(np.sqrt(((everyone(sim)[0][row] - np.asarray(place)) ** 2).sum())) / size
+    return distance(everyone(sim).position[row], place) / size
 
 
 def kepler(tolerance: float) -> Case:
     """Two orbits of e = 0.5 in steps of a hundredth of one."""
-    scene = gravity({"particles": [PLANET]}, 2.0 * pi / 100, 200, "leapfrog")
+    scene = gravity(PLANET, 2.0 * pi / 100, 200, "leapfrog")
     name = f"Kepler, e = 0.5, two orbits, {tolerance:.0e}"
     return Case(name, Scene.from_dict(scene), "state", tolerance, lambda s, size: away(s, size, 0, place_on_ellipse(s.time)))
 
@@ -56,13 +48,13 @@ def kepler(tolerance: float) -> Case:
 def eight() -> Case:
     """One period: all are back."""
     places = EIGHT["position"]
-    scene = Scene.from_dict(gravity({"particles": [EIGHT]}, PERIOD / 200, 200, "leapfrog"))
+    scene = Scene.from_dict(gravity(EIGHT, PERIOD / 200, 200, "leapfrog"))
     return Case("figure eight", scene, "state", 1e-6, lambda s, size: max(away(s, size, k, places[k]) for k in range(3)))
 
 
 def pythagorean() -> Case:
     """To t = 10, through the first close encounters."""
-    tables = gravity({"particles": [BODIES], "output": {"every": 1000}}, 0.01, 1000, "leapfrog")
+    tables = gravity(PYTHAGOREAN, 0.01, 1000, "leapfrog") | {"output": {"every": 1000}}
     return Case("Pythagorean, t = 10", Scene.from_dict(tables), "state", 1e-5, lambda s, size: away(s, size, 0, PLACES[10.0]))
 
 
@@ -104,7 +96,7 @@ def gas() -> Case:
     scene = Scene(dimension=3, seed=2, box=box, time=time, particles=[spheres], effects={"collisions": {}})
     rate = (Z_FLUID - 1.0) * 6.0 / sqrt(pi)  # of a particle at T = 1
     return Case("hard spheres", scene, "collision rate", 0.02,
-                lambda s, size: abs(2.0 * int(s.ranks.total(s.totals["collisions"])[0]) / (n * s.time * rate) - 1.0))  # fmt: skip
+                lambda s, size: abs(2.0 * total(s, "collisions") / (n * s.time * rate) - 1.0))  # fmt: skip
 
 
 def cluster() -> Case:
@@ -112,12 +104,14 @@ def cluster() -> Case:
     stars = {"count": 1000, "position": {"plummer": 1.0}, "velocity": "equilibrium", "mass": 0.001}
     effects = {"mutual_gravity": {"softening": 0.05}}
     scene = Scene(dimension=3, seed=1, G=1.0, time={"step": 0.05, "steps": 60}, particles=[stars], effects=effects)
-    begin = bound(*everyone(Simulation(scene)), 0.05)
-    return Case("Plummer sphere", scene, "energy", 1e-4, lambda s, size: abs(bound(*everyone(s), 0.05) / begin - 1.0))
+    begin = bound(Simulation(scene), 0.05)
+    return Case("Plummer sphere", scene, "energy", 1e-4, lambda s, size: abs(bound(s, 0.05) / begin - 1.0))
 
 
-def bound(x: Array, v: Array, m: Array, softening: float) -> float:
+def bound(sim: Simulation, softening: float) -> float:
     """Energy, pair by pair."""
+    p = everyone(sim)
+    x, v, m = p.position, p.velocity, p.mass
     r = np.sqrt(((x[:, None] - x[None]) ** 2).sum(axis=-1) + softening**2)
     pairs = (m[:, None] * m[None] / r).sum() - (m * m).sum() / softening
     return float(0.5 * (m * (v**2).sum(axis=1)).sum() - 0.5 * pairs)

@@ -1,5 +1,8 @@
-"""What a scene will cost and how wrong it will be, before it runs: its first half second is tried, output and all, and a short
-run three times over, at steps of h, h/2 and h/4. Takes about two seconds."""
+"""What a scene will cost and how wrong it will be, before it runs: what `check` prints.
+
+The first half second of the run is tried, with output, for the forecast of seconds; a short run at steps of h, h/2 and h/4
+gives the errors. Takes about two seconds.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +25,9 @@ from particles_mpi.parallel.communicator import Ranks
 from particles_mpi.run.forecast import Forecast
 from particles_mpi.run.job import Job
 from particles_mpi.scene.schema import TOLERANCES
-from particles_mpi.study.recommending.error_metric import ROUND_OFF
-from particles_mpi.study.recommending.reference import motion
-from particles_mpi.study.recommending.starts import Start, variant
-from particles_mpi.study.recommending.tracks import LOOKS, Track, apart, follow
+from particles_mpi.study.experiment import total
+from particles_mpi.study.recommend.error_metric import ROUND_OFF
+from particles_mpi.study.recommend.runs import LOOKS, Record, Start, apart, follow, motion, variant
 
 ERRORS = 0.8  # seconds for errors, about
 MOST = 3.0  # seconds that errors may take where steps take long; more is not tried
@@ -36,7 +38,7 @@ KNOWN = 0.1, 0.5  # packings that the fit is good for
 
 @dataclass
 class Prediction:
-    """How long a run takes, unless nothing happens in it or it stops at once; and lines for people of how wrong it will be."""
+    """How long a run takes (None if nothing happens in it, or it stops at once), and how wrong it will be, line by line."""
 
     forecast: Forecast | None
     errors: list[str]
@@ -44,7 +46,7 @@ class Prediction:
 
 def predict(start: Start) -> Prediction:
     """Try a scene on these ranks. Collective; the same on all of them."""
-    scene, ranks = start.scene, start.lab.ranks
+    scene, ranks = start.scene, start.benchmark.ranks
     if not start.total or not scene.steps:
         return Prediction(None, ["predicted: nothing happens"])
     try:
@@ -55,7 +57,7 @@ def predict(start: Start) -> Prediction:
         forecast: Forecast | None = ranks.from_root(job.forecast)
         if forecast is None:
             raise Interrupted("stopped before anything could be predicted")
-        rate = 2.0 * int(ranks.total(sim.totals["collisions"])[0]) / (max(int((start.particles.fixed == 0).sum()), 1) * sim.time)
+        rate = 2.0 * total(sim, "collisions") / (max(int((start.particles.fixed == 0).sum()), 1) * sim.time)
         errors = of_contacts(start, rate) if "collisions" in scene.effects else of_steps(start, forecast.step)
     except StoppedError as error:
         return Prediction(None, [f"predicted: stops within the first steps: {str(error).splitlines()[0]}"])
@@ -121,8 +123,8 @@ def of_steps(start: Start, step: float) -> list[str]:
     steps = min(steps, LOOKS * max(1, scene.steps // LOOKS))
     if 14.0 * steps * step > MOST:
         return ["predicted error: not measured, a step takes too long; study recommend tells"]
-    tracks = [follow(start, start.simulate(finer(scene, steps, k))) for k in range(3)]
-    return told(start, tracks, steps * scene.time.step, scene.time.integrator == "adaptive")
+    records = [follow(start, start.simulate(finer(scene, steps, k))) for k in range(3)]
+    return [by_differences(start, records, steps * scene.time.step)]
 
 
 def finer(scene: Scene, steps: int, halvings: int) -> Scene:
@@ -139,26 +141,26 @@ def finer(scene: Scene, steps: int, halvings: int) -> Scene:
     return variant(scene, time)
 
 
-def told(start: Start, tracks: list[Track], span: float, adaptive: bool) -> list[str]:
-    """Richardson: with the differences d1 of h and h/2, d2 of h/2 and h/4, the order is p = log2(d1/d2), the error of h is
-    d1 2^p/(2^p - 1)."""
-    size = motion(start, tracks[0]) or 1.0
-    one, two = (apart(a.places, b.places, start.length) / size for a, b in pairwise(tracks))
+def by_differences(start: Start, records: list[Record], span: float) -> str:
+    """Richardson's estimate, from runs at steps of h, h/2 and h/4 over a `span`, in words.
+
+    With the differences d1 of h and h/2, d2 of h/2 and h/4, the order is p = log2(d1/d2), the error of h is d1 2^p/(2^p - 1).
+    """
+    size = motion(start, records[0]) or 1.0
+    one, two = (apart(a.places, b.places, start.length) / size for a, b in pairwise(records))
     whole, where = span > 0.99 * start.duration, f"t = {span:.3g}"
-    if adaptive:
-        return [f"predicted error: places {max(two, ROUND_OFF):.1g} of the size of the motion at {where}, by a tighter tolerance"]
+    if start.scene.time.integrator == "adaptive":
+        return f"predicted error: places {max(two, ROUND_OFF):.1g} of the size of the motion at {where}, by a tighter tolerance"
     if two <= 100.0 * ROUND_OFF or one <= two:
         bound = max(one, two, ROUND_OFF)
-        known = (
-            "round-off only" if bound < 1e-12 else f"about {bound:.1g} of the size of the motion, of no order: steps are too long"
-        )
-        return [f"predicted error: places at {where}: {known}"]
+        coarse = f"about {bound:.1g} of the size of the motion, of no order: steps are too long"
+        return f"predicted error: places at {where}: {'round-off only' if bound < 1e-12 else coarse}"
     order = log2(one / two)
     error = one * 2.0**order / (2.0**order - 1.0)
     line = f"predicted error: places {error:.1g} of the size of the motion at {where}, order {order:.1f}"
     if not whole:
         line += f"; {error * start.duration / span:.1g} at the end if errors grow evenly"
-    energies = tracks[0].energies
+    energies = records[0].energies
     if start.conserves and start.forces and isfinite(energies[0]) and energies[0] != 0.0:
         line += f"; energy {float(np.abs(energies / energies[0] - 1.0).max()):.1g}"
-    return [line]
+    return line

@@ -1,0 +1,189 @@
+"""What an experiment is: settings of the same problem, the errors that each makes, what each costs in seconds and in work."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from math import log, nan
+from typing import Any
+
+import numpy as np
+
+from particles_mpi import Scene, Simulation
+from particles_mpi.measure import snapshot
+from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.particles import Particles
+from particles_mpi.run.console import Screen
+from particles_mpi.study.timing import SAMPLE, SAMPLES, Seconds, StepTimer, time_in_turns
+
+Errors = dict[str, float]
+ROUND_OFF = 1e-13  # errors below it say nothing of an order
+
+
+@dataclass
+class Setting:
+    """One way to solve a problem.
+
+    `curve`: name of the line of the plot that it lies on; `parameter`: what changes along that line (a step, a tolerance).
+    `begin` gives a simulation at its start, `errors` runs one to the end and measures its errors (both collective, the same
+    bits every time). `steps`: of the whole run; `by_forces`: steps differ, so evaluations of the forces are timed instead;
+    `seconds_of`: seconds are reported of so many steps, if not of the whole run. `tags`: values that the analysis needs.
+    """
+
+    curve: str
+    parameter: float
+    begin: Callable[[], Simulation]
+    steps: int
+    errors: Callable[[Simulation], Errors]
+    by_forces: bool = False
+    seconds_of: int = 0
+    tags: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass
+class Row:
+    """A setting, measured. `orders`: of each error, from the setting before it on its curve."""
+
+    setting: Setting
+    errors: Errors
+    orders: Errors
+    seconds: Seconds
+    work: dict[str, int]
+
+
+@dataclass
+class Experiment:
+    """A table and a plot.
+
+    `parameter`: name of what changes along a curve. `errors`: what each error is, by its name; the first one is plotted.
+    `slopes`: of error against seconds, drawn to compare with. `floor`: smaller errors cannot be told from round-off or noise.
+    `answers`: conclusions, a sentence each.
+    """
+
+    key: str
+    title: str
+    parameter: str
+    errors: dict[str, str]
+    reference: str
+    rows: list[Row]
+    slopes: tuple[float, ...] = ()
+    floor: float = 0.0
+    answers: list[str] = field(default_factory=list)
+
+    @property
+    def main_error(self) -> str:
+        """Name of the error that is plotted."""
+        return next(iter(self.errors))
+
+    def curve(self, name: str) -> list[Row]:
+        """The rows of one curve, in their order."""
+        return [row for row in self.rows if row.setting.curve == name]
+
+    @property
+    def curves(self) -> list[str]:
+        """Names of the curves, in order of appearance."""
+        return list(dict.fromkeys(row.setting.curve for row in self.rows))
+
+    def front(self) -> list[Row]:
+        """The Pareto front, by seconds: rows that no other row beats both in seconds and in the main error."""
+        best, front = float("inf"), []
+        for row in sorted(self.rows, key=lambda r: (r.seconds.median, r.errors[self.main_error])):
+            if row.errors[self.main_error] < best:
+                best = row.errors[self.main_error]
+                front.append(row)
+        return front
+
+
+class Benchmark:
+    """Measures settings on the ranks of a communicator. `quick`: short samples and fewer settings, for a look."""
+
+    def __init__(self, comm: Any = None, quick: bool = False, samples: int = SAMPLES, screen: Screen | None = None):
+        self.comm, self.ranks, self.quick = comm, Ranks(comm), quick
+        self.samples, self.least = samples, 0.02 if quick else SAMPLE
+        self.screen = screen or Screen(self.ranks.is_root, True)
+
+    def alone(self) -> Benchmark:
+        """One of this rank's own, for problems of a few bodies that more ranks would only slow down."""
+        return Benchmark(Ranks.alone().comm, self.quick, self.samples, self.screen)
+
+    def on_few(self, few: bool, work: Callable[[Benchmark], Any]) -> Any:
+        """`work(self)`; for a `few` bodies on rank 0 alone, which gives None on the others. Collective."""
+        return self.ranks.of_root_alone(lambda: work(self.alone())) if few and self.ranks.size > 1 else work(self)
+
+    def simulate(self, tables: dict[str, Any]) -> Simulation:
+        """The simulation of a scene given as tables. Collective."""
+        return Simulation(Scene.from_dict(tables), comm=self.comm)
+
+    def setting(
+        self, curve: str, parameter: float, tables: dict[str, Any], errors: Callable[[Simulation], Errors], **options: Any
+    ) -> Setting:
+        """The setting that computes a scene, given as tables, from its start; `options`: other fields of Setting."""
+        time = tables["time"]
+        options = {"steps": time.get("steps", 0), "by_forces": time.get("integrator") == "adaptive", **options}
+        return Setting(curve, parameter, lambda: self.simulate(tables), errors=errors, **options)
+
+    def measure(self, name: str, settings: Sequence[Setting]) -> list[Row]:
+        """Errors of all settings, then their times, by turns. Collective."""
+        progress = self.screen.count(name, len(settings) * (2 + self.samples))
+        errors, work = [], []
+        for setting in settings:
+            progress(f"{name}: errors, {setting.curve}")
+            sim = setting.begin()
+            before = sim.work()
+            errors.append(setting.errors(sim))
+            work.append({kind: count - before[kind] for kind, count in sim.work().items()})
+        return self.time(settings, errors, work, lambda: progress(f"{name}: time"))
+
+    def time(
+        self, settings: Sequence[Setting], errors: Sequence[Errors], work: Sequence[dict[str, int]],
+        progress: Callable[[], None] = lambda: None, least: float | None = None,
+    ) -> list[Row]:  # fmt: skip
+        """Times of settings whose errors and work are known, by turns; ends the progress bar. Collective.
+
+        `least`: seconds of a sample, if not those of the benchmark.
+        """
+        timers = [StepTimer(self.ranks, setting.begin, setting.steps, setting.by_forces) for setting in settings]
+        time_in_turns(timers, self.samples, self.least if least is None else least, progress)
+        self.screen.stop()
+        rows = []
+        for setting, wrong, done, timer in zip(settings, errors, work, timers, strict=True):
+            units = setting.seconds_of or (done["forces"] if setting.by_forces else setting.steps)
+            rows.append(Row(setting, wrong, {}, timer.seconds.of(units), done))
+        for curve in dict.fromkeys(setting.curve for setting in settings):
+            observe_orders([row for row in rows if row.setting.curve == curve])
+        return rows
+
+
+def observe_orders(rows: list[Row]) -> None:
+    """Enter the order of each error from one row to the next: log of the ratio of errors over that of the parameters."""
+    for before, row in zip([None, *rows], rows, strict=False):
+        for name, error in row.errors.items():
+            row.orders[name] = nan
+            if before and min(before.errors[name], error) > ROUND_OFF and before.setting.parameter != row.setting.parameter:
+                ratio = before.setting.parameter / row.setting.parameter
+                row.orders[name] = log(before.errors[name] / error) / log(ratio)
+
+
+def slope(rows: Sequence[Row], error: str) -> float:
+    """Least-squares slope of log error against log parameter; not a number from fewer than two points."""
+    points = [(log(row.setting.parameter), log(row.errors[error])) for row in rows if row.errors[error] > 0.0]
+    if len(points) < 2:
+        return nan
+    x, y = (sum(p[k] for p in points) / len(points) for k in (0, 1))
+    spread = sum((p[0] - x) ** 2 for p in points)
+    return sum((p[0] - x) * (p[1] - y) for p in points) / spread if spread else nan
+
+
+def everyone(sim: Simulation) -> Particles:
+    """All particles in id order, on every rank. Collective."""
+    return snapshot.everyone(sim.ranks, sim.particles)
+
+
+def total(sim: Simulation, counter: str) -> int:
+    """A counter of the simulation ("collisions", "wall_hits", "missed"), summed over all ranks. Collective."""
+    return int(sim.ranks.total(sim.totals[counter])[0])
+
+
+def distance(a: Any, b: Any) -> float:
+    """Between two points, or between two sets of points taken as one."""
+    return float(np.sqrt(((np.asarray(a) - np.asarray(b)) ** 2).sum()))

@@ -1,1 +1,0 @@
-"""Fair timing of simulations, and what an experiment is."""

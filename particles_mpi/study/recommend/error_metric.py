@@ -1,0 +1,119 @@
+"""How wrong a run is, against a reference that is far better, and how finely that can be told.
+
+The resolution limit of an error: smaller ones cannot be told from round-off, which grows as a displacement of the start does,
+from the reference's own error, or, where motion is chaotic, from the spread of runs that are all as right.
+
+Names of errors, all relative numbers:
+- state: largest distance of any particle from its place in the reference, at LOOKS moments, over the size of the motion
+- energy: largest |E - E_true| over |E| of the start, or over the largest kinetic energy where |E| is below a hundredth of it
+- collision rate, wall hits, kinetic energy: of the whole run, over those of the reference; height: over the height of fall
+State is compared as long as a displaced start does not end up somewhere else; otherwise the others are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import nan
+
+import numpy as np
+
+from particles_mpi.errors import SceneError
+from particles_mpi.particles import Array
+from particles_mpi.study.experiment import Errors
+from particles_mpi.study.recommend.runs import Record, Start, apart
+
+ROUND_OFF = 1e-15  # of places, a step and more
+
+
+@dataclass
+class ErrorMetric:
+    """A reference and how errors are measured against it.
+
+    span: time units that it covers, `part` of the run; kind: what is compared, "places", "ensemble" or "energy"; reference:
+    what it is, for people; growth: factor by which a small displacement of the start grows; size: of the motion; limits:
+    the resolution limit of each error, the most telling error first; why: where the limits come from; order: of the leapfrog,
+    as seen in the reference; places (LOOKS, N, d), energy (LOOKS,): of the reference; scale: of energies; means: of the
+    observables of an ensemble.
+    """
+
+    start: Start
+    span: float
+    part: float
+    kind: str = ""
+    reference: str = ""
+    growth: float = nan
+    size: float = 1.0
+    limits: Errors = field(default_factory=dict)
+    why: str = ""
+    order: float = nan
+    places: Array = field(default_factory=lambda: np.zeros(0))
+    energy: Array = field(default_factory=lambda: np.zeros(0))
+    scale: float = 0.0
+    means: Errors = field(default_factory=dict)
+
+    @property
+    def names(self) -> list[str]:
+        """Of the errors that this scene has, the most telling first."""
+        return list(self.limits)
+
+    def errors(self, record: Record) -> Errors:
+        """How wrong a run over the span is."""
+        found: Errors = {}
+        if "state" in self.limits:
+            found["state"] = apart(record.places, self.places, self.start.length) / self.size
+        if "energy" in self.limits:
+            wrong = record.energies - record.energies[0] if self.start.conserves else record.energy - self.energy
+            found["energy"] = float(np.abs(wrong).max()) / self.scale
+        for name, value in observables(record).items():
+            if name in self.means:
+                found[name] = abs(value - self.means[name]) / self.scale_of(name)
+        return found
+
+    def scale_of(self, name: str) -> float:
+        """What the error of an observable is relative to: itself, but a height has no zero of its own."""
+        return abs(self.means[name]) if name != "height" else self.size
+
+    def difference(self, error: str, one: Record, other: Record) -> float:
+        """How far two runs are apart, in the units of an error."""
+        if error == "state":
+            return apart(one.places, other.places, self.start.length) / self.size
+        if error == "energy":
+            return abs(self.errors(one)[error] - self.errors(other)[error])
+        return abs(observables(one)[error] - observables(other)[error]) / self.scale_of(error)
+
+    def compare_energies(self, energies: Array, kinetic: float) -> None:
+        """Compare energies from now on, relative to that of the start, or to the largest kinetic one where that is near 0."""
+        start = abs(float(energies[0]))
+        self.scale = start if start > 0.01 * kinetic else kinetic
+
+    def add_energy(self, record: Record) -> None:
+        """Take the energies of a good run as the true ones, if there is anything to compare."""
+        self.compare_energies(record.energies, float(record.kinetic.max()))
+        if self.scale > 0.0 and (self.start.forces or self.start.dissipates):
+            self.energy = record.energy
+            self.limits["energy"] = ROUND_OFF * 10.0
+
+    def share(self, error: str) -> float:
+        """Of a tolerance for the whole run, for the part: places go astray evenly at best, rates and energies do not grow."""
+        return self.part if error == "state" else 1.0
+
+    def choose(self, tolerance: float, error: str) -> str:
+        """The error that a tolerance is for ("": the most telling); SceneError where it cannot be measured, or not so finely."""
+        error = error or (self.names or [""])[0]
+        if error not in self.limits:
+            there = "; ".join(self.names) or "none"
+            raise SceneError(f"--error {error or 'any'}: cannot be measured here ({self.why}); there are: {there}")
+        limit = self.limits[error] / self.share(error)
+        if tolerance < limit:
+            raise SceneError(f"--tolerance {tolerance:g} is below what can be measured here: {error} {limit:.1g} ({self.why})")
+        return error
+
+
+def observables(record: Record) -> Errors:
+    """What chaotic motion is judged by."""
+    return {
+        "collision rate": record.collisions / record.duration,
+        "wall hits": record.wall_hits / record.duration,
+        "kinetic energy": float(record.kinetic[1:].mean()),
+        "height": float(record.heights.mean()),
+    }

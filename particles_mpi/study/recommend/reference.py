@@ -1,0 +1,237 @@
+"""The reference of a scene: by the adaptive method of order 15, by steps ever shorter, as an ensemble, or what is conserved.
+
+A start that is displaced a little tells how chaotic the motion is, and with that what can be compared at all.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import nan, sqrt
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from particles_mpi import Scene, Simulation
+from particles_mpi.errors import SceneError, StoppedError
+from particles_mpi.particles import Array
+from particles_mpi.study.recommend.error_metric import ROUND_OFF, ErrorMetric, observables
+from particles_mpi.study.recommend.runs import (
+    DIRECT,
+    LOOKS,
+    SHIFT,
+    Changes,
+    Record,
+    Start,
+    TooLongError,
+    apart,
+    follow,
+    motion,
+    multiple_of_looks,
+    variant,
+)  # fmt: skip
+
+TIGHT, LOOSE = 1e-9, 1e-7  # tolerances of `adaptive`: both lead to round-off, of which their difference is a sample
+SATURATED = 1e-2  # of the size: a displaced start that ends so far away has nothing to do with the start any more
+WILD = 1e4  # growth from which spheres that collide are a gas: another order of contacts is as good as this one
+APART = 1e-4  # of the size or the speed: members of an ensemble, which soon have nothing to do with one another
+MOST_PARTICLES = 3000  # for which a reference is computed by the direct sum, over all pairs
+FINE, LEVELS = 4, 9  # reference of a chaotic scene: steps that much shorter; of others: halvings at most
+MEMBERS = 8  # of an ensemble
+SHARE = 1.0 / 3.0  # of the seconds given are for the reference
+
+
+def reference(start: Start, seconds: float, error: str = "") -> ErrorMetric:
+    """The error metric of a scene, in about a third of the seconds given; of its first part if they are too few. Collective.
+
+    `error`: the only one that matters; the energy of the start needs no better solution.
+    """
+    if start.total == 0 or start.scene.steps == 0:
+        raise SceneError("particles: nothing moves in this scene: there is nothing to measure")
+    seconds = SHARE * seconds
+    if start.conserves and not start.contacts and start.forces and (error == "energy" or start.total > MOST_PARTICLES):
+        return by_conserved_energy(start, seconds)
+    return (by_order_15(start, seconds) if start.smooth else None) or by_steps(start, seconds)
+
+
+def exact(start: Start, steps: int, duration: float, **time: Any) -> Scene:
+    """The scene with contacts in order of time and forces over all pairs, in so many steps; `time`: other keys of [time]."""
+    changes: Changes = {}
+    if "collisions" in start.scene.effects:
+        changes["collisions"] = {"mode": "event", "passes": None}
+    if "mutual_gravity" in start.scene.effects:
+        changes["mutual_gravity"] = DIRECT
+    return variant(start.scene, {"step": duration / steps, "steps": steps, "integrator": "leapfrog", **time}, changes)
+
+
+def adaptive(start: Start, tolerance: float, duration: float) -> Scene:
+    """The scene at order 15."""
+    return exact(start, LOOKS, duration, integrator="adaptive", tolerance=tolerance)
+
+
+def affordable(start: Start, cost: float, seconds: float) -> ErrorMetric:
+    """The span that can be measured, where a unit of time costs so many seconds: all of it, or a half, a quarter and so on."""
+    part = 1.0
+    while part * start.duration * cost > seconds and part * start.scene.steps > LOOKS:
+        part *= 0.5
+    return ErrorMetric(start, part * start.duration, part)
+
+
+def cost(start: Start, sim: Simulation, seconds: float, longer: float = 1.0) -> float:
+    """Seconds that a unit of time takes: over `seconds` of steps, each `longer` than the last. Collective."""
+    sim.step()  # compiled
+    passed, clocked, rates = 0.0, 0.0, [0.0]
+    while clocked < seconds and passed < start.duration:
+        began = perf_counter()
+        sim.step()
+        rates.append(float(sim.ranks.largest(perf_counter() - began)[0]) / sim.h)
+        passed, clocked = passed + sim.h, clocked + rates[-1] * sim.h
+        sim.h *= longer
+    return rates[-1] if longer > 1.0 else float(np.median(rates[1:] or rates))  # a kernel may be loaded on the way
+
+
+def by_order_15(start: Start, seconds: float) -> ErrorMetric | None:
+    """Reference by `adaptive`, where paths are smooth; None where it does not get through."""
+    try:
+        probe = start.simulate(adaptive(start, TIGHT, LOOKS * min(start.scene.time.step, start.duration)))
+        found = affordable(start, 3.0 * cost(start, probe, 0.02 * seconds, 2.0), seconds)
+        while True:
+            try:
+                tight = follow(start, start.simulate(adaptive(start, TIGHT, found.span)), 0.5 * seconds)
+                break
+            except TooLongError:  # close encounters came later
+                found = ErrorMetric(start, 0.5 * found.span, 0.5 * found.part)
+        loose = follow(start, start.simulate(adaptive(start, LOOSE, found.span)))
+        displaced = follow(start, start.simulate(adaptive(start, LOOSE, found.span), 1, found.span))
+    except StoppedError:
+        return None
+    found.reference = f"adaptive, tolerance {TIGHT:g}"
+    uncertainty = apart(tight.places, loose.places, start.length)
+    set_limits(found, tight, apart(loose.places, displaced.places, start.length), uncertainty)
+    return found
+
+
+def by_steps(start: Start, seconds: float) -> ErrorMetric:
+    """Reference by ever shorter steps of the leapfrog, extrapolated; of an ensemble where motion is chaotic."""
+    probe = start.simulate(exact(start, start.scene.steps, start.duration))
+    fine = FINE if start.forces or start.dissipates else 1  # contacts alone are exact at any step
+    found = affordable(start, cost(start, probe, 0.02 * seconds) * (MEMBERS * fine + 4.0), seconds)
+    steps = multiple_of_looks(start.scene.steps * found.part)
+    scene = exact(start, steps, found.span)
+    first = follow(start, start.simulate(scene))
+    displaced = follow(start, start.simulate(scene, 1, found.span))
+    found.size = motion(start, first) or 1.0
+    parted = apart(first.places, displaced.places, start.length)
+    found.growth = parted / (SHIFT * found.size)
+    if found.growth < (WILD if "collisions" in start.scene.effects else SATURATED / SHIFT):
+        best, uncertainty, last = converge(found, first, steps, 0.5 * seconds)
+        if uncertainty < SATURATED * found.size:
+            set_limits(found, last, parted, uncertainty)
+            n = first.places.size
+            found.places, energy = best[:n].reshape(first.places.shape), best[n:]
+            if "energy" in found.limits and not start.conserves:
+                found.energy = energy
+                found.limits["energy"] += uncertainty / found.size
+            return found
+    return by_ensemble(found, first, steps, steps * fine)
+
+
+def converge(found: ErrorMetric, first: Record, steps: int, seconds: float) -> tuple[Array, float, Record]:
+    """(places and energies at steps of length zero, how far they may be off, the last run), by halving steps."""
+    start, began = found.start, perf_counter()
+    limit = max(found.growth, 1.0) * ROUND_OFF * found.size
+    records, column = [first], [packed(first, first, found.start.length)]
+    best, uncertainty, better, clocked = column[0], np.inf, True, 0.0
+    while len(column) < 3 or (len(column) <= LEVELS and uncertainty > limit and better and 3.0 * clocked < seconds):
+        records.append(follow(start, start.simulate(exact(start, steps * 2 ** len(column), found.span))))
+        column.append(packed(records[-1], first, found.start.length))
+        value, change = extrapolated(column)
+        better = change < 0.5 * uncertainty  # if not, round-off or corners are all that is left
+        if change <= uncertainty:
+            best, uncertainty = value, change
+        clocked = float(start.benchmark.ranks.largest(perf_counter() - began)[0])
+    one, two = (apart(a.places, b.places, found.start.length) for a, b in pairwise(records[:3]))
+    found.order = float(np.log2(one / two)) if two > limit else nan
+    kind = "event" if "collisions" in start.scene.effects else "leapfrog"
+    seen = f"order {found.order:.2f}" if two > limit else "no error of the step"
+    found.reference = f"{kind}, steps of 1 to 1/{2 ** (len(column) - 1)}, extrapolated ({seen})"
+    return best, uncertainty, records[-1]
+
+
+def packed(record: Record, first: Record, length: Array) -> Array:
+    """Places and energies in a row; on periodic axes the image that is nearest to the first."""
+    x = record.places.copy()
+    periodic = length > 0.0
+    turns = np.round((x - first.places)[..., periodic] / length[periodic])
+    x[..., periodic] -= turns * length[periodic]
+    return np.concatenate([x.ravel(), record.energy])
+
+
+def extrapolated(column: list[Array]) -> tuple[Array, float]:
+    """The limit of values at steps h, h/2, h/4 ... with an error in even powers of h (Romberg), and how much it may be wrong.
+
+    Where higher powers do not help (corners in a motion) fewer are taken: those whose last two values are closest.
+    """
+    rows: list[list[Array]] = [[column[0]]]
+    for value in column[1:]:
+        row: list[Array] = [value]
+        for k, before in enumerate(rows[-1], 1):
+            row.append(row[-1] + (row[-1] - before) / (4.0**k - 1.0))
+        rows.append(row)
+    last, earlier = rows[-1], rows[-2]
+    changes = [float(np.abs(last[k] - earlier[k]).max(initial=0.0)) for k in range(len(earlier))]
+    best = int(np.argmin(changes))
+    return last[best], changes[best]
+
+
+def set_limits(found: ErrorMetric, record: Record, parted: float, uncertainty: float) -> None:
+    """Resolution limits of a reference that may be wrong by `uncertainty`, while a displaced start ends `parted` from it
+    (both lengths)."""
+    found.size = motion(found.start, record) or 1.0
+    found.growth = parted / (SHIFT * found.size)
+    found.places = record.places
+    chaos, own = max(found.growth, 1.0) * ROUND_OFF, uncertainty / found.size
+    if found.growth * SHIFT > SATURATED or own > SATURATED:
+        found.kind = "energy"
+        found.why = f"chaos: starts {SHIFT:g} of the size apart end {found.growth * SHIFT:.1g} of it apart"
+    else:
+        found.kind = "places"
+        found.limits["state"] = 2.0 * (chaos + own)
+        sensitive = f"chaos: a displaced start ends {found.growth:.2g} times as far away"
+        found.why = sensitive if chaos > own else f"two references differ by {own:.1g}"
+    found.add_energy(record)
+
+
+def by_conserved_energy(start: Start, seconds: float) -> ErrorMetric:
+    """The energy alone, which must not change: as long as the scene's own steps are affordable some times over."""
+    probe = start.simulate(start.scene)
+    row = probe.measure()
+    found = affordable(start, 8.0 * cost(start, probe, 0.05 * seconds), seconds)
+    found.kind, found.reference, found.why = "energy", "the energy of the start", "round-off of a sum"
+    found.compare_energies(np.array([row["total_energy"]]), row["kinetic"])
+    if found.scale > 0.0:
+        found.limits["energy"] = ROUND_OFF * max(sqrt(start.total), 10.0)
+    return found
+
+
+def by_ensemble(found: ErrorMetric, first: Record, coarse: int, steps: int) -> ErrorMetric:
+    """Observables of runs whose starts differ by next to nothing: their mean, and their spread as the resolution limit."""
+    start, members = found.start, MEMBERS // 2 if found.start.benchmark.quick else MEMBERS
+    scene = exact(start, steps, found.span)
+    runs = [follow(start, start.simulate(scene, number, found.span, APART)) for number in range(members)]
+    values = [observables(run) for run in runs]
+    for name in values[0]:
+        column = np.array([value[name] for value in values])
+        found.means[name] = float(column.mean())
+        scale, spread = found.scale_of(name), float(column.std(ddof=1))
+        constant = name == "kinetic energy" and not start.forces and start.conserves
+        if scale == 0.0 or constant or (name == "height" and "uniform_gravity" not in start.scene.effects):
+            del found.means[name]
+        else:
+            found.limits[name] = 2.0 * spread * sqrt(1.0 + 1.0 / members) / scale
+    if start.conserves:
+        found.add_energy(first)
+    kind = "event" if "collisions" in start.scene.effects else "leapfrog"
+    found.kind, found.reference = "ensemble", f"{kind}, steps of 1/{steps // coarse}, mean of {members} runs"
+    found.why = f"chaos: {members} runs from starts {APART:g} apart differ by so much"
+    return found

@@ -1,0 +1,192 @@
+"""The cheapest resolution of a method that reaches a tolerance: searched by factors of two, then by the order seen."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from math import inf, isfinite, log, log2, log10
+from time import perf_counter
+
+from particles_mpi import Scene
+from particles_mpi.errors import SceneError, StoppedError
+from particles_mpi.study.experiment import Errors, Row, Setting
+from particles_mpi.study.recommend.error_metric import ErrorMetric
+from particles_mpi.study.recommend.methods import Method
+from particles_mpi.study.recommend.runs import LOOKS, Record, Start, TooLongError, follow
+
+MARGIN = 0.85  # of the tolerance: what a refined step aims at
+TRIES = 3  # of refinement
+CLOSE = 2.0  # times the seconds of the quickest in one run: settings that are timed again, by turns
+DEARER = 2.0  # times the seconds of the best: where a method is given up
+MOST_REFUSALS = 5  # of settings of a method, one after the other
+LITTLE = 0.2  # seconds that are no reason to give anything up
+COARSEST, FINEST = 1e3, 1e11  # 1/tolerance of `adaptive`
+STALLED = 1.15  # a finer setting whose error is not smaller by this: something else limits it
+
+
+@dataclass
+class Trial:
+    """A setting, tried over the span: its errors, the seconds it took with all looks, and its work."""
+
+    method: Method
+    resolution: float
+    scene: Scene
+    errors: Errors
+    seconds: float
+    work: dict[str, int]
+    record: Record
+
+    @property
+    def name(self) -> str:
+        """Method and resolution."""
+        return f"{self.method.name}, {self.method.describe(self.resolution)}"
+
+
+def time_trials(start: Start, trials: list[Trial], least: float | None = None) -> list[Row]:
+    """Trials with their times and the orders observed; `least`: seconds of a sample. Collective."""
+    benchmark = start.benchmark
+    progress = benchmark.screen.count("time", len(trials) * (1 + benchmark.samples))
+
+    def setting(trial: Trial) -> Setting:
+        parameter = 1.0 / trial.resolution if trial.method.adaptive else trial.scene.time.step
+        begin = lambda: start.simulate(trial.scene)  # noqa: E731
+        return Setting(trial.method.name, parameter, begin, trial.scene.steps, lambda sim: trial.errors, trial.method.adaptive)
+
+    errors, work = [trial.errors for trial in trials], [trial.work for trial in trials]
+    return benchmark.time([setting(trial) for trial in trials], errors, work, lambda: progress("time"), least)
+
+
+class Search:
+    """Tries settings of a scene against an error metric; `seconds` is what all of it may take."""
+
+    def __init__(self, start: Start, metric: ErrorMetric, error: str, tolerance: float, seconds: float):
+        self.start, self.metric, self.error, self.tolerance = start, metric, error, tolerance
+        self.trials: list[Trial] = []
+        self.refused: dict[str, str] = {}  # why settings were not tried, or methods not followed
+        self.too_long = False  # was the last one that was refused
+        self.best, self.seconds, self.began = inf, seconds, perf_counter()
+
+    def reached(self, errors: Errors) -> bool:
+        """Is the error below the tolerance, even if it is larger by half of the resolution limit?"""
+        return errors[self.error] + 0.5 * self.metric.limits[self.error] <= self.tolerance
+
+    def left(self) -> float:
+        """Seconds, on the slowest rank. Collective."""
+        return self.seconds - float(self.start.benchmark.ranks.largest(perf_counter() - self.began)[0])
+
+    def patience(self) -> float:
+        """Seconds that a trial may take: with no setting that reaches the tolerance all that are left."""
+        return min(max(self.left(), LITTLE), max(3.0 * self.best, 5.0 * LITTLE))
+
+    def attempt(self, method: Method, resolution: float, patience: float = inf) -> Trial | None:
+        """Try a setting; None where it is refused, or stops, or takes too long. Collective."""
+        part = self.metric.part
+        try:
+            scene = method.scene(resolution, part)
+            for known in self.trials:
+                if known.scene == scene:  # the scene as it is, by another name
+                    self.trials.append(replace(known, method=method, resolution=resolution))
+                    return self.trials[-1]
+            sim = self.start.simulate(scene)
+            before = sim.work()
+            record = follow(self.start, sim, patience)
+        except (SceneError, StoppedError) as error:
+            self.too_long = isinstance(error, TooLongError)
+            why = "dearer than others, or no time left" if self.too_long else str(error).splitlines()[0]
+            self.refused[f"{method.name}, {method.describe(resolution)}"] = why
+            return None
+        work = {kind: count - before[kind] for kind, count in sim.work().items()}
+        trial = Trial(method, resolution, scene, self.metric.errors(record), record.seconds, work, record)
+        if all(isfinite(error) for error in trial.errors.values()) and self.reached(trial.errors):
+            self.best = min(self.best, trial.seconds)
+        self.trials.append(trial)
+        return trial
+
+    def along(self, method: Method, resolution: float) -> None:
+        """Bracket the tolerance by factors from a first setting on, then go to where it is just reached. Collective."""
+        self.warm_up(method, resolution)
+        fine = self.attempt(method, resolution, self.patience())
+        coarse: Trial | None = None
+        while fine is None or not self.reached(fine.errors):
+            if fine is not None and coarse is not None and self.stalled(coarse, fine):
+                self.refused[method.name] = f"no better by shorter steps than {self.error} {fine.errors[self.error]:.2g}"
+                return
+            coarse, resolution = fine or coarse, resolution * method.ratio
+            if not self.worth_it(method, fine, resolution):
+                return
+            fine = self.attempt(method, resolution, self.patience())
+        while coarse is None:
+            resolution = fine.resolution / method.ratio
+            at_end = resolution < COARSEST if method.adaptive else method.steps(resolution, self.metric.part) == fine.scene.steps
+            next_ = None if at_end or self.left() < 0.0 else self.attempt(method, resolution, self.patience())
+            if next_ is None:
+                return
+            fine, coarse = (next_, None) if self.reached(next_.errors) else (fine, next_)
+        if self.metric.kind != "ensemble":  # which step is just enough chance decides there
+            self.refine(coarse, fine)
+
+    def warm_up(self, method: Method, resolution: float) -> None:
+        """A step that is not timed: kernels are compiled or loaded in it. Collective."""
+        if not method.adaptive:  # a step of which is a frame; it has no kernels of its own
+            with suppress(SceneError, StoppedError):
+                self.start.simulate(method.scene(resolution, self.metric.part)).step()
+
+    def stalled(self, coarse: Trial, fine: Trial) -> bool:
+        """Does a finer setting not help?"""
+        return fine.errors[self.error] * STALLED > coarse.errors[self.error] and coarse.errors[self.error] < 0.1
+
+    def worth_it(self, method: Method, last: Trial | None, resolution: float) -> bool:
+        """May a finer setting still be the cheapest, and is there time for it?"""
+        if method.adaptive and resolution > FINEST * 1.01:
+            self.refused[method.name] = f"reaches no better than tolerance {1.0 / FINEST:.0e}"
+            return False
+        if last is None:
+            tries = sum(name.startswith(method.name) for name in self.refused)
+            return not self.too_long and tries < MOST_REFUSALS and self.left() > 0.0
+        next_ = last.seconds * (1.0 if method.adaptive else method.ratio)
+        if next_ > max(DEARER * self.best, LITTLE) or next_ > self.left():
+            self.refused[method.name] = "dearer than others" if isfinite(self.best) else "no time to try shorter steps"
+            return False
+        return True
+
+    def refine(self, coarse: Trial, fine: Trial) -> None:
+        """Between a setting that fails and one that does not, the one that the order between the two predicts."""
+        e, low, high = self.error, coarse.resolution, fine.resolution
+        if not isfinite(coarse.errors[e]) or not coarse.errors[e] > fine.errors[e] > 0.0 or self.left() < 0.0:
+            return
+        order = log(coarse.errors[e] / fine.errors[e]) / log(high / low)
+        aim = low * (coarse.errors[e] / (MARGIN * self.tolerance)) ** (1.0 / order)
+        for _ in range(TRIES):
+            if not low < aim < 0.97 * high:
+                return
+            trial = self.attempt(fine.method, aim, self.patience())
+            if trial is None or self.reached(trial.errors):
+                return
+            aim *= (trial.errors[e] / (MARGIN * self.tolerance)) ** (1.0 / order) if isfinite(trial.errors[e]) else 1.1
+
+    def finalists(self) -> list[Trial]:
+        """Those that may be the cheapest: the coarsest of each method that reaches the tolerance, two where cost is not plain."""
+        found = []
+        for method in {id(trial.method): trial.method for trial in self.trials}.values():
+            good = [t for t in self.trials if t.method is method and self.reached(t.errors)]
+            if method.monotone:
+                found += sorted(good, key=lambda t: t.resolution)[:1]
+            else:
+                found += sorted(good, key=lambda t: t.seconds)[:2]
+        quickest = min((trial.seconds for trial in found), default=inf)
+        return [trial for trial in found if trial.seconds <= max(CLOSE * quickest, LITTLE)]
+
+
+def first(method: Method, search: Search, own: Trial | None) -> float:
+    """The resolution at which the search of a method begins: by what is known of the scene as it is, and of orders."""
+    tolerance = search.tolerance
+    if method.adaptive:
+        return float(10.0 ** min(max(round(-0.5 * log10(tolerance)) + 2, 3), 9))
+    steps = float(max(method.start.scene.steps, LOOKS))
+    order = {"leapfrog": 2, "order4": 4}.get(method.integrator, 1)
+    if "collisions" in method.start.scene.effects:
+        return steps
+    if own and own.method.integrator == method.integrator and 0.0 < own.errors[search.error] < 1.0:
+        better = log2(own.errors[search.error] / tolerance) / order
+        return steps * 2.0 ** min(max(round(better), -6), 6)
+    return steps / 4.0 if order == 4 else steps

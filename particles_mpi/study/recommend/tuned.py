@@ -1,0 +1,80 @@
+"""A scene file with other settings, and all else as its author wrote it, remarks included."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+
+from particles_mpi import Scene
+from particles_mpi.errors import SceneError
+
+Tables = dict[str, Any]
+OUTPUT = ("every", "diagnostics_every", "checkpoint_every")
+
+
+def tuned(scene: Scene, variant: Scene, steps: int) -> Tables:
+    """The tables of a scene with the settings of a variant of it, for a whole run in `steps`, with the same frames as before."""
+    tables, new = scene.to_dict(), variant.to_dict()
+    step = scene.steps * scene.time.step / steps
+    tables["time"] = {key: value for key, value in new["time"].items() if key not in ("step", "steps", "end")}
+    tables["time"] |= {"step": step, "steps": steps}
+    if scene.time.end is not None and round(scene.time.end / step) == steps:
+        tables["time"]["end"] = scene.time.end
+        del tables["time"]["steps"]
+    tables["effects"] = new["effects"]
+    for key in OUTPUT:
+        tables["output"][key] = max(1, round(tables["output"][key] * steps / scene.steps))
+    return tables
+
+
+def written(tables: Tables, source: Path, target: Path, remark: str) -> str:
+    """The text of `source` with the values of `tables` instead of its own, and `remark` as its first line.
+
+    Files that the scene names are looked for beside the scene: a target in another folder needs other names for them.
+    """
+    scene, wanted = Scene.load(source), moved(tables, source.parent, target.parent)
+    document = tomlkit.parse(source.read_text(encoding="utf-8"))
+    try:
+        enter(document, scene.to_dict(), wanted)
+        text = tomlkit.dumps(document)
+        faithful = Scene.from_dict(tomlkit.parse(text).unwrap(), target.parent) == Scene.from_dict(wanted, target.parent)
+    except (TOMLKitError, SceneError):
+        faithful = False
+    if not faithful:
+        raise SceneError(f"{target}: the tuned scene does not come back as it should")
+    return f"# {remark}\n{text}"
+
+
+def moved(tables: Tables, old: Path, new: Path) -> Tables:
+    """The tables with names of the same files relative to another folder."""
+    if old.resolve() == new.resolve():
+        return tables
+
+    def renamed(value: Any) -> Any:
+        named = isinstance(value, dict) and "file" in value
+        return {"file": os.path.relpath(old / value["file"], new)} if named else value
+
+    return tables | {"particles": [{key: renamed(value) for key, value in table.items()} for table in tables["particles"]]}
+
+
+def enter(document: Any, old: Tables, new: Tables) -> None:
+    """Enter into the tables of a TOML document what is other in `new` than in `old`, and nothing else."""
+    for key in [*new, *(key for key in old if key not in new)]:
+        before, after = old.get(key), new.get(key)
+        if before == after:
+            continue
+        if after is None:
+            document.pop(key, None)
+        elif isinstance(before, dict) and isinstance(after, dict):
+            if key not in document:
+                document[key] = tomlkit.table()
+            enter(document[key], before, after)
+        elif key == "particles":
+            for population, one, other in zip(document[key], before or [], after, strict=True):
+                enter(population, one, other)
+        else:
+            document[key] = after

@@ -1,1 +1,0 @@
-"""The cheapest setting of a scene that reaches a tolerance."""
