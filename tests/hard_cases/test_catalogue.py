@@ -8,18 +8,37 @@ from conftest import run_ranks
 from particles_mpi.study.hard_cases import catalogue, examine, settings
 from particles_mpi.study.hard_cases.report import where
 
-CASES = list(settings([one for one in catalogue() if not one.long]))
+# Cases that take seconds, by the beginnings of their names: the modes and dimensions that run without --all.
+HEAVY = {
+    "resting ball": (),  # test_rest.py has them, and looks at more
+    "resting columns": (),
+    "beds of 200": (("event", 2),),
+    "1e5 bounces of an elastic ball": (("rewind", 2),),
+    "1e5 bounces under gravity": ((None, 2),),
+    "1e6 Kepler orbits": (),
+    "close encounter, e = 0.999, not softened": ((None, 2),),
+}
+
+
+def parameters():
+    """All cases that take less than minutes, in each of their modes and dimensions."""
+    for one, mode, dimension in settings([one for one in catalogue() if not one.long]):
+        few = next((few for name, few in HEAVY.items() if one.name.startswith(name)), ((mode, dimension),))
+        marks = () if (mode, dimension) in few else pytest.mark.slow
+        yield pytest.param(one, mode, dimension, marks=marks, id=f"{one.name}, {where(mode, dimension)}")
+
+
 SPREAD = "on borders|crossing many|one rank's corner|three particles|overlap at|squeezed"
 
 
-@pytest.mark.parametrize(("one", "mode", "dimension"), CASES, ids=[f"{c.name}, {where(m, d)}" for c, m, d in CASES])
+@pytest.mark.parametrize(("one", "mode", "dimension"), parameters())
 def test_what_must_hold(one, mode, dimension):
     outcome = examine(one, mode, dimension)
     assert outcome.holds, f"{one.must}; measured: {outcome.measured}"
 
 
 @pytest.mark.parallel
-@pytest.mark.parametrize("ranks", [2, 5])
+@pytest.mark.parametrize("ranks", [2, pytest.param(5, marks=pytest.mark.slow)])
 def test_the_bits_of_one_rank(tmp_path, ranks):
     """The command on several ranks runs each case on all and on one, and compares."""
     file = tmp_path / "outcomes.json"

@@ -15,7 +15,7 @@ import h5py
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from particles_mpi.output import checkpoint
-from tests.conftest import IMPATIENT, MPI_ENVIRONMENT, ROOT
+from tests.ranks import IMPATIENT, MPI_ENVIRONMENT, ROOT
 
 SCENE = """
 dimension = 2

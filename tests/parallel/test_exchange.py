@@ -7,6 +7,7 @@ from conftest import run_ranks
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+pytestmark = pytest.mark.parallel
 case = st.tuples(st.integers(0, 10**6), st.integers(0, 60), st.integers(1, 4), st.integers(0, 4))
 
 

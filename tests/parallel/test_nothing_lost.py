@@ -41,9 +41,10 @@ def everything(folder):
     return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
-def test_killed_ten_times_the_run_has_the_same_bits(whole, tmp_path):
+@pytest.mark.parametrize("kills", [2, pytest.param(10, marks=pytest.mark.slow)])
+def test_killed_again_and_again_the_run_has_the_same_bits(whole, tmp_path, kills):
     scene, run = whole
-    kill_and_resume(tmp_path / "o", scene, contents(run), 10, random.Random(os.urandom(8)))
+    kill_and_resume(tmp_path / "o", scene, contents(run), kills, random.Random(os.urandom(8)))
     assert contents(tmp_path / "o") == contents(run) and final_state(tmp_path / "o") == final_state(run)
     assert not list((tmp_path / "o").rglob("*.tmp"))
 
@@ -192,7 +193,7 @@ def test_a_folder_that_cannot_be_written_is_one_line(whole, tmp_path, below):
     ],
 )
 def test_what_goes_wrong_on_one_rank_ends_all(tmp_path, fault, code, says):
-    done = run_ranks(2, "tests/parallel/one_rank_fails.py", tmp_path / "o", fault)
+    done = run_ranks(2, "tests/parallel/one_rank_fails.py", tmp_path / "o", fault, fresh=True)
     assert done.returncode == code and says in done.stderr, done.stderr
     assert killing.check_killed(tmp_path / "o", contents(tmp_path / "o")) == 9
 

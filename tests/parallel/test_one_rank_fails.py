@@ -51,7 +51,7 @@ def with_fault(folder, fault, rank, *arguments):
     """(exit code, stderr, seconds since the fault) of the program on two ranks."""
     stamp = folder / "stamp"
     program = ["tests/parallel/faulty.py", fault, rank, stamp, *arguments]
-    done = run_ranks(2, *program, timeout=100)
+    done = run_ranks(2, *program, timeout=100, fresh=True)
     return done.returncode, done.stderr, time.time() - stamp.stat().st_mtime if stamp.exists() else 0.0
 
 
@@ -139,10 +139,10 @@ def test_a_script_that_nobody_catches_errors_in(tmp_path):
     one, both = tmp_path / "one.py", tmp_path / "both.py"
     one.write_text(text + "if MPI.COMM_WORLD.rank:\n    Scene.load('none.toml')\nMPI.COMM_WORLD.Barrier()\n")
     both.write_text(text + "1 / 0\n")
-    done = run_ranks(2, one)
+    done = run_ranks(2, one, fresh=True)
     assert done.returncode == 2
     assert done.stderr == "particles-mpi: rank 1: none.toml: cannot be read (No such file or directory)\n"
-    done = run_ranks(2, both)
+    done = run_ranks(2, both, fresh=True)
     assert done.returncode == 3 and done.stderr.count("Traceback") == 1
     assert done.stderr.endswith("ZeroDivisionError: division by zero\n")
 
