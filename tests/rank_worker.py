@@ -1,7 +1,7 @@
 """Started by mpirun in tests/ranks.py: every rank runs the scripts that it is told of, one after the other.
 
-rank_worker.py FOLDER PID: the arguments of script k are in FOLDER/k.job, as JSON; what rank r says goes to FOLDER/k.out.r and
-FOLDER/k.err.r, and its exit code to FOLDER/k.code.r. Ends when FOLDER/end appears, or when the process PID is gone.
+rank_worker.py FOLDER: rank r reads the arguments of script k, as JSON, from line k of the pipe FOLDER/pipe.r, until its end.
+What it says goes to FOLDER/k.out.r and FOLDER/k.err.r, its exit code to FOLDER/k.code.r.
 """
 
 import gc
@@ -11,37 +11,12 @@ import runpy
 import sys
 import traceback
 from pathlib import Path
-from time import monotonic, sleep
 
 from mpi4py import MPI
 
 import particles_mpi  # noqa: F401  so that the first script need not wait for it
 
-folder, owner, rank = Path(sys.argv[1]), int(sys.argv[2]), MPI.COMM_WORLD.Get_rank()
-NAP, LOOK = 0.002, 1.0  # seconds between two looks for a script, and whether there is still somebody to run it for
-
-
-def alive(pid: int) -> bool:
-    """Is there such a process?"""
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return True
-
-
-def next_job(number: int) -> list[str] | None:
-    """The arguments of the next script, as soon as there is one; None at the end."""
-    looked = monotonic()
-    while not (folder / f"{number}.job").exists():
-        if monotonic() > looked + LOOK:
-            looked = monotonic()
-            if not alive(owner):
-                return None
-        if (folder / "end").exists():
-            return None
-        sleep(NAP)
-    return json.loads((folder / f"{number}.job").read_text())
+folder, rank = Path(sys.argv[1]), MPI.COMM_WORLD.Get_rank()
 
 
 def run(words: list[str]) -> int:
@@ -66,14 +41,13 @@ def run(words: list[str]) -> int:
 
 
 def main() -> None:
-    number = 0
-    while (words := next_job(number)) is not None:
+    for number, line in enumerate((folder / f"pipe.{rank}").open()):
         for name, descriptor in (("out", 1), ("err", 2)):
             file = os.open(folder / f"{number}.{name}.{rank}", os.O_WRONLY | os.O_CREAT)
             os.dup2(file, descriptor)
             os.close(file)
         try:
-            code = run(words)
+            code = run(json.loads(line))
         except BaseException:  # others may wait for this rank
             traceback.print_exc()
             sys.stderr.flush()
@@ -85,7 +59,6 @@ def main() -> None:
         part = folder / f"{number}.part.{rank}"
         part.write_text(str(code))
         part.rename(folder / f"{number}.code.{rank}")
-        number += 1
 
 
 main()

@@ -23,7 +23,8 @@ MPI_ENVIRONMENT = {  # Open MPI 4 and 5: as root, on more ranks than cores, wher
     "OMPI_MCA_mpi_yield_when_idle": "1",
 }
 IMPATIENT = {"OMPI_MCA_odls_base_sigkill_timeout": "0"}  # after a rank failed, kill the others without waiting for them
-NAP = 0.002  # seconds between two looks whether a script has ended
+NAP = 0.005  # seconds between two looks whether a script has ended
+MOST = 4  # ranks that stay: more would only take memory
 
 
 def environment():
@@ -37,7 +38,7 @@ def run_ranks(n: int, *arguments: object, timeout: float = 120, fresh: bool = Fa
     The arguments begin with the path of a script, or with "-m" and the name of a module. `fresh`: by an mpirun of its own.
     """
     words = [str(word) for word in arguments]
-    if fresh:
+    if fresh or n > MOST:
         command = ["mpirun", "-n", str(n), sys.executable, *words]
         return subprocess.run(command, cwd=ROOT, env=environment(), capture_output=True, text=True, timeout=timeout)
     if n not in _standing:
@@ -46,12 +47,16 @@ def run_ranks(n: int, *arguments: object, timeout: float = 120, fresh: bool = Fa
 
 
 class StandingRanks:
-    """`n` ranks of tests/rank_worker.py, which run what they find in a folder, one script after the other."""
+    """`n` ranks of tests/rank_worker.py, which run what a pipe tells each of them, one script after the other."""
 
     def __init__(self, n: int):
         self.n, self.jobs = n, 0
         self.folder = Path(tempfile.mkdtemp(prefix="ranks"))
-        command = ["mpirun", "-n", n, sys.executable, ROOT / "tests" / "rank_worker.py", self.folder, os.getpid()]
+        pipes = [self.folder / f"pipe.{rank}" for rank in range(n)]
+        for pipe in pipes:
+            os.mkfifo(pipe)
+        self.pipes = [os.open(pipe, os.O_RDWR) for pipe in pipes]  # the ranks end when this process closes them, or is gone
+        command = ["mpirun", "-n", n, sys.executable, ROOT / "tests" / "rank_worker.py", self.folder]
         self.said = (self.folder / "mpirun").open("w+")
         self.process = subprocess.Popen(
             list(map(str, command)), cwd=ROOT, env=environment(), stdin=subprocess.DEVNULL, stdout=self.said, stderr=self.said
@@ -60,9 +65,8 @@ class StandingRanks:
     def run(self, words: list[str], timeout: float) -> subprocess.CompletedProcess[str]:
         """As `run_ranks`. Standard output and error are those of rank 0, then 1, and so on."""
         number, self.jobs = self.jobs, self.jobs + 1
-        job = self.folder / f"{number}.job"
-        job.with_suffix(".part").write_text(json.dumps(words))
-        job.with_suffix(".part").rename(job)
+        for pipe in self.pipes:
+            os.write(pipe, json.dumps(words).encode() + b"\n")
         codes = [self.folder / f"{number}.code.{rank}" for rank in range(self.n)]
         end = monotonic() + timeout
         while not all(path.exists() for path in codes) and self.process.poll() is None:
@@ -84,7 +88,8 @@ class StandingRanks:
     def close(self, wait: float = 10.0) -> None:
         """End the ranks; the next call of `run_ranks` starts others."""
         _standing.pop(self.n, None)
-        (self.folder / "end").touch()
+        for pipe in self.pipes:
+            os.close(pipe)
         try:
             self.process.wait(wait)
         except subprocess.TimeoutExpired:

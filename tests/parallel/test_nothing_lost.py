@@ -10,11 +10,9 @@ import sys
 import time
 from pathlib import Path
 
+import killing
 import pytest
 from conftest import ROOT, run_ranks
-
-sys.path.insert(0, str(Path(__file__).parent))
-import killing
 from killing import contents, final_state, kill_and_resume, ranks_of, start
 
 pytestmark = pytest.mark.parallel

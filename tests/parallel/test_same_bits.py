@@ -344,7 +344,13 @@ def test_windows_were_verified(results, name, ranks):
 
 @pytest.mark.parametrize(
     ("ranks", "divided"),
-    [(1, False), (2, True), (3, True), pytest.param(4, True, marks=pytest.mark.slow), pytest.param(8, False, marks=pytest.mark.slow)],
+    [
+        (1, False),
+        (2, True),
+        (3, True),
+        pytest.param(4, True, marks=pytest.mark.slow),
+        pytest.param(8, False, marks=pytest.mark.slow),
+    ],
 )
 def test_space_is_divided_where_that_pays(results, ranks, divided):
     """2000 particles a rank at least; and few windows are redone."""

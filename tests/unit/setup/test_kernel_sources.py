@@ -40,7 +40,12 @@ def edit(whole):
 def test_all_kernels_are_known(whole):
     """Those of every decorator: with options, without, and those that are inlined."""
     kernels = Sources(whole).kernels()
-    names = ("neighbours.pair_search.may_meet", "contacts.event_driven.event_loop.run", "gravity.walk.add_cells", "study.hard_cases.orbits.circle")
+    names = (
+        "neighbours.pair_search.may_meet",
+        "contacts.event_driven.event_loop.run",
+        "gravity.walk.add_cells",
+        "study.hard_cases.orbits.circle",
+    )
     assert {f"particles_mpi.{name}" for name in names} <= kernels.keys()
     assert not [name for name in kernels if name.endswith(("Simulation", "main"))]
 
