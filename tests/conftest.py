@@ -19,12 +19,16 @@ def pytest_addoption(parser):
     parser.addoption("--all", action="store_true", help="run the slow tests too: many ranks, long physics, kills")
 
 
+@pytest.hookimpl(tryfirst=True)  # before xdist looks at the groups
 def pytest_collection_modifyitems(config, items):
-    """Leave out what is slow, unless --all asks for it. Tests that share an expensive fixture go to one process of xdist."""
+    """Leave out what is slow, unless --all asks for it. Tests of a file that share what ran on ranks go to one process."""
     left_out = [] if config.getoption("--all") else [item for item in items if item.get_closest_marker("slow")]
     if left_out:
         config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if item not in left_out]
+        items[:] = [item for item in items if not item.get_closest_marker("slow")]
+    for item in items:
+        if item.get_closest_marker("parallel"):
+            item.add_marker(pytest.mark.xdist_group(item.path.stem))
 
 
 def on_a_worker(config):

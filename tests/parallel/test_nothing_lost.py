@@ -117,7 +117,9 @@ def test_a_signal_at_any_time_leaves_a_checkpoint_or_nothing(tmp_path, number, t
     while len(ranks_of(launcher)) < 2 or (after != "set-up" and not (out / after).exists()):
         assert launcher.poll() is None
         time.sleep(0.01)
-    time.sleep(random.uniform(0.3, 1.0))  # until Python is awake
+    while not all("mpi4py" in Path(f"/proc/{rank}/maps").read_text() for rank in ranks_of(launcher)):
+        time.sleep(0.01)  # it catches signals before it loads that
+    time.sleep(random.uniform(0.0, 0.7))
     launcher.send_signal(number) if to == "mpirun" else os.kill(ranks_of(launcher)[1], number)
     told = killing.finish(launcher)
     assert "Traceback" not in told
