@@ -21,14 +21,14 @@ def pytest_addoption(parser):
 
 @pytest.hookimpl(tryfirst=True)  # before xdist looks at the groups
 def pytest_collection_modifyitems(config, items):
-    """Leave out what is slow, unless --all asks for it. Tests of a file that share what ran on ranks go to one process."""
+    """Leave out what is slow, unless --all asks for it. Tests that start ranks go to one process: ranks want the cores."""
     left_out = [] if config.getoption("--all") else [item for item in items if item.get_closest_marker("slow")]
     if left_out:
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if not item.get_closest_marker("slow")]
     for item in items:
         if item.get_closest_marker("parallel"):
-            item.add_marker(pytest.mark.xdist_group(item.path.stem))
+            item.add_marker(pytest.mark.xdist_group("ranks"))
 
 
 def on_a_worker(config):
