@@ -274,7 +274,7 @@ main() {
   case $command in
     help | -h) help ;;
     setup) setup; warm_up ;;
-    test) setup test; warm_up; exec $PY -m pytest -n auto --maxprocesses 2 --dist loadgroup "${@:2}" ;;
+    test) setup test; warm_up; exec $PY -m pytest -n auto --maxprocesses 2 "${@:2}" ;;
     lint) setup test; ruff check . && ruff format --check . && mypy ;;
     doctor) setup; exec particles-mpi doctor ;;  # alone, so that it can try a start on two ranks itself
     '') setup; warm_up; exec mpirun -n "${RANKS:-2}" $PY -m particles_mpi run particles_mpi/scenes/marbles.toml --output out/marbles --overwrite ;;

@@ -19,16 +19,31 @@ def pytest_addoption(parser):
     parser.addoption("--all", action="store_true", help="run the slow tests too: many ranks, long physics, kills")
 
 
-@pytest.hookimpl(tryfirst=True)  # before xdist looks at the groups
 def pytest_collection_modifyitems(config, items):
-    """Leave out what is slow, unless --all asks for it. Tests that start ranks go to one process: ranks want the cores."""
+    """Leave out what is slow, unless --all asks for it."""
     left_out = [] if config.getoption("--all") else [item for item in items if item.get_closest_marker("slow")]
     if left_out:
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if not item.get_closest_marker("slow")]
-    for item in items:
-        if item.get_closest_marker("parallel"):
-            item.add_marker(pytest.mark.xdist_group("ranks"))
+
+
+# Files whose tests share what one process has made; all other tests go to whichever process is free.
+SHARING = {"test_accuracy_study.py", "test_event_loop.py", "test_kernel_sources.py", "test_study_gravity.py", "test_tree.py"}
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Which tests xdist gives to one process: all of tests/parallel, whose ranks stay and want the cores, and those of SHARING."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Scheduling(LoadScopeScheduling):
+        def _split_scope(self, nodeid):
+            path = nodeid.partition("::")[0]
+            if path.startswith("tests/parallel/"):
+                return "tests/parallel"
+            return path if Path(path).name in SHARING else nodeid
+
+    return Scheduling(config, log)
 
 
 def on_a_worker(config):

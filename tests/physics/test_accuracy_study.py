@@ -6,8 +6,6 @@ import pytest
 from particles_mpi.study.accuracy import encounters, experiments, fluid, losses, orbits
 from particles_mpi.study.measuring.experiment import Lab, slope
 
-pytestmark = pytest.mark.xdist_group("accuracy study")  # one process makes what they share
-
 
 @pytest.fixture(scope="module")
 def lab():

@@ -7,8 +7,6 @@ from particles_mpi.study.accuracy import softening, tree
 from particles_mpi.study.measuring.clock import Seconds
 from particles_mpi.study.measuring.experiment import Experiment, Lab, Row, Setting, slope
 
-pytestmark = pytest.mark.xdist_group("study of gravity")  # one process makes what they share
-
 
 @pytest.fixture(scope="module")
 def trees():

@@ -96,7 +96,6 @@ def interrupted(tmp_path_factory):
         process.wait()
 
 
-@pytest.mark.xdist_group("interrupted")
 @pytest.mark.parametrize("what", ["script", "run with files"])
 def test_ctrl_c_is_heard_within_a_step(interrupted, what):
     process, code = interrupted[what]

@@ -10,8 +10,6 @@ from particles_mpi.setup.kernel_sources import PACKAGE, STATE, Sources
 
 CELL_ALONG = "particles_mpi.neighbours.cells.cell_along"
 
-pytestmark = pytest.mark.xdist_group("kernel sources")  # one process makes what they share
-
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
