@@ -33,7 +33,7 @@ SHARING = {"test_accuracy_study.py", "test_event_loop.py", "test_kernel_sources.
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """Which tests xdist gives to one process: all of tests/parallel, whose ranks stay and want the cores, and those of SHARING."""
+    """Which tests xdist gives to one process: tests/parallel, whose ranks stay and want the cores, and each of SHARING."""
     from xdist.scheduler import LoadScopeScheduling
 
     class Scheduling(LoadScopeScheduling):

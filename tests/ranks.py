@@ -15,12 +15,11 @@ from pathlib import Path
 from time import monotonic, sleep
 
 ROOT = Path(__file__).parents[1]
-MPI_ENVIRONMENT = {  # Open MPI 4 and 5: as root, on more ranks than cores, where a rank that waits lets others work
+MPI_ENVIRONMENT = {  # Open MPI 4 and 5: as root, and on more ranks than cores
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
     "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
     "OMPI_MCA_rmaps_base_oversubscribe": "1",
     "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
-    "OMPI_MCA_mpi_yield_when_idle": "1",
 }
 IMPATIENT = {"OMPI_MCA_odls_base_sigkill_timeout": "0"}  # after a rank failed, kill the others without waiting for them
 NAP = 0.005  # seconds between two looks whether a script has ended

@@ -25,7 +25,7 @@ def parameters():
         yield pytest.param(one, mode, dimension, marks=marks, id=f"{one.name}, {where(mode, dimension)}")
 
 
-@pytest.mark.parametrize(("one", "mode", "dimension"), parameters())
+@pytest.mark.parametrize(("one", "mode", "dimension"), list(parameters()))
 def test_what_must_hold(one, mode, dimension):
     outcome = examine(one, mode, dimension)
     assert outcome.holds, f"{one.must}; measured: {outcome.measured}"

@@ -37,7 +37,7 @@ def parameters():
         yield pytest.param(dimension, force, loss, marks=() if quick else pytest.mark.slow)
 
 
-@pytest.mark.parametrize(("dimension", "force", "loss"), parameters())
+@pytest.mark.parametrize(("dimension", "force", "loss"), list(parameters()))
 def test_bounces_are_of_second_order(dimension, force, loss):
     """A ball a second long, mean over phases of a step: slope 2.0 +- 0.2, at most 3e-4 at h = 0.01; modes do the same."""
     for friction in (False, True):
