@@ -1,31 +1,61 @@
-"""Shared by all tests: starting a script on several ranks."""
+"""Shared by all tests: which of them run, on which process, and that none of them compiles anything."""
 
 import os
 import pickle
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+sys.path.insert(0, str(Path(__file__).parent))  # for the modules that tests share
+from ranks import IMPATIENT, MPI_ENVIRONMENT, ROOT, end_standing_ranks, run_ranks
+
 from particles_mpi.setup.kernel_sources import PACKAGE, Sources
 
-ROOT = Path(__file__).parents[1]
-MPI_ENVIRONMENT = {  # Open MPI 4 and 5: as root, and on more ranks than cores
-    "OMPI_ALLOW_RUN_AS_ROOT": "1",
-    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-    "OMPI_MCA_rmaps_base_oversubscribe": "1",
-    "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
-}
-
-IMPATIENT = {"OMPI_MCA_odls_base_sigkill_timeout": "0"}  # after a rank failed, kill the others without waiting for them
+__all__ = ["IMPATIENT", "MPI_ENVIRONMENT", "ROOT", "run_ranks"]
 
 
-def run_ranks(n: int, *arguments: object, timeout: float = 120) -> subprocess.CompletedProcess[str]:
-    """Run `python arguments...` on n ranks; a hang is a failure (TimeoutExpired), output is text."""
-    environment = MPI_ENVIRONMENT | os.environ | {"PYTHONPATH": str(ROOT), **IMPATIENT}
-    command = ["mpirun", "-n", str(n), sys.executable, *map(str, arguments)]
-    return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=timeout)
+def pytest_addoption(parser):
+    parser.addoption("--all", action="store_true", help="run the slow tests too: many ranks, long physics, kills")
+
+
+def pytest_collection_modifyitems(config, items):
+    """Leave out what is slow, unless --all asks for it."""
+    left_out = [] if config.getoption("--all") else [item for item in items if item.get_closest_marker("slow")]
+    if left_out:
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if not item.get_closest_marker("slow")]
+
+
+# Files whose tests share what one process has made; all other tests go to whichever process is free.
+SHARING = {"test_accuracy_study.py", "test_event_loop.py", "test_kernel_sources.py", "test_study_gravity.py", "test_tree.py"}
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Which tests xdist gives to one process: tests/parallel, whose ranks stay and want the cores, and each of SHARING."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Scheduling(LoadScopeScheduling):
+        def _split_scope(self, nodeid):
+            path = nodeid.partition("::")[0]
+            if path.startswith("tests/parallel/"):
+                return "tests/parallel"
+            return path if Path(path).name in SHARING else nodeid
+
+    return Scheduling(config, log)
+
+
+def on_a_worker(config):
+    """Is this one of the processes among which xdist divides the tests?"""
+    return hasattr(config, "workerinput")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def ranks_that_stay():
+    """Those of `run_ranks` end with the session."""
+    yield
+    end_standing_ranks()
 
 
 def compiled():
@@ -47,12 +77,26 @@ def many_axes(signature):
     return isinstance(number, int) and number > 3
 
 
-@pytest.fixture(scope="session", autouse=True)
-def nothing_is_compiled():
-    """After set-up no test compiles a kernel of the package: what is missing belongs into particles_mpi/setup/warmup.py."""
-    if not Sources(PACKAGE).up_to_date() or "NUMBA_CACHE_DIR" in os.environ:
-        yield  # somebody works on the kernels
-        return
-    before = compiled()
-    yield
-    assert sorted(compiled() - before) == [], "compiled in this session: a scene is missing in particles_mpi/setup/warmup.py"
+COMPILED = pytest.StashKey[set]()  # before the session, by set-up
+MISSING = pytest.StashKey[list]()  # compiled in the session
+
+
+def pytest_sessionstart(session):
+    """Remember what is compiled; nothing is checked while somebody works on the kernels."""
+    if not on_a_worker(session.config) and Sources(PACKAGE).up_to_date() and "NUMBA_CACHE_DIR" not in os.environ:
+        session.config.stash[COMPILED] = compiled()
+
+
+def pytest_sessionfinish(session):
+    """After set-up no test compiles a kernel of the package; one that does makes the session fail."""
+    before = session.config.stash.get(COMPILED, None)
+    if before is not None and (missing := sorted(compiled() - before)):
+        session.config.stash[MISSING] = missing
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    if missing := config.stash.get(MISSING, []):
+        terminalreporter.section("compiled in this session: a scene is missing in particles_mpi/setup/warmup.py", red=True)
+        for kernel in missing:
+            terminalreporter.line(kernel)

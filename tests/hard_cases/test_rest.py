@@ -9,6 +9,7 @@ from particles_mpi import Scene, Simulation
 from particles_mpi.contacts.persistent.solver import project, relative, sweep
 
 MODES = ("rewind", "event")
+LOSSES = (pytest.param(0.0, marks=pytest.mark.slow), 0.5, pytest.param(0.9, marks=pytest.mark.slow))
 
 
 def column(mode, e, n, steps, d=2, apart=1.02):
@@ -30,7 +31,7 @@ def column(mode, e, n, steps, d=2, apart=1.02):
 
 
 @pytest.mark.parametrize("mode", [None, *MODES])
-@pytest.mark.parametrize("e", [0.0, 0.5, 0.9])
+@pytest.mark.parametrize("e", LOSSES)
 def test_a_ball_comes_to_rest(mode, e):
     """Kinetic energy exactly 0, and it stays; never more energy than before; nothing below the floor."""
     sim = column(mode, e, 1, 0)
@@ -65,7 +66,7 @@ def test_an_elastic_ball_never_rests():
 
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize(("n", "d"), [(10, 2), (50, 3)])
-@pytest.mark.parametrize("e", [0.0, 0.5, 0.9])
+@pytest.mark.parametrize("e", LOSSES)
 def test_a_column_comes_to_rest(mode, n, d, e):
     sim = column(mode, e, n, 1000, d)
     sim.run()
@@ -79,7 +80,7 @@ def test_a_column_comes_to_rest(mode, n, d, e):
 
 
 @pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("step", [0.01, 0.1])
+@pytest.mark.parametrize("step", [pytest.param(0.01, marks=pytest.mark.slow), 0.1])
 def test_two_spheres_rest_upon_one_another(mode, step):
     """rebound#865: masses 1, radii 2, from x = +-10 with G = 1 and e = 0.5: at rest at separation 4."""
     sim = Simulation(

@@ -39,6 +39,6 @@ if rank in ("all", str(MPI.COMM_WORLD.Get_rank())):
     else:
         module, place = name.removeprefix("killed:").split(":")
         *owner, function = place.split(".")
-        holder = reduce(getattr, owner, import_module(module.replace("/", ".")))
+        holder = reduce(getattr, owner, import_module(module))
         setattr(holder, function, killed if name.startswith("killed:") else fault)
 main()

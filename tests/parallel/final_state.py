@@ -10,10 +10,10 @@ from particles_mpi import Scene, Simulation
 from particles_mpi.parallel import blocks
 from particles_mpi.parallel.exchange import in_id_order
 
-folder = Path(sys.argv[2])
+folder, FEW = Path(sys.argv[2]), blocks.FEW
 for name, tables in json.loads(Path(sys.argv[1]).read_text()).items():
     windows = tables.pop("windows", False)
-    blocks.FEW = tables.pop("few", blocks.FEW)
+    blocks.FEW = tables.pop("few", FEW)
     scene = Scene.from_dict(tables)
     sim = Simulation(scene)
     if windows and sim.ranks.size > 1:  # divide space however few there are
@@ -31,3 +31,4 @@ for name, tables in json.loads(Path(sys.argv[1]).read_text()).items():
         assert (frame["id"] == np.arange(sim.total)).all()  # a permutation: nobody lost, nobody twice
         about = {"counts": counts, "rows": np.array(rows), "traffic": traffic, "windows": windows, "interactions": interactions}
         np.savez(folder / f"{name}.{sim.ranks.size}.npz", **about, **frame)
+blocks.FEW = FEW

@@ -13,9 +13,10 @@ from pathlib import Path
 
 import h5py
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from ranks import IMPATIENT, MPI_ENVIRONMENT, ROOT
+
 from particles_mpi.output import checkpoint
-from tests.conftest import IMPATIENT, MPI_ENVIRONMENT, ROOT
 
 SCENE = """
 dimension = 2

@@ -40,8 +40,8 @@ diagnostics_every = 5
 """
 
 
-def particles_mpi(ranks, *arguments):
-    return run_ranks(ranks, "-m", "particles_mpi", *arguments)
+def particles_mpi(ranks, *arguments, **how):
+    return run_ranks(ranks, "-m", "particles_mpi", *arguments, **how)
 
 
 def frames(folder):
@@ -66,7 +66,7 @@ def scene(tmp_path):
 
 def test_run_and_resume_give_the_same_bits_on_any_ranks(scene, tmp_path):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
-    done = particles_mpi(1, "run", scene, "--output", whole)
+    done = particles_mpi(1, "run", scene, "--output", whole, fresh=True)  # as users start it
     assert done.returncode == 0, done.stderr
     assert "does not run: drag, friction, mutual_gravity, user_acceleration" in done.stdout and "contact times" in done.stdout
     assert "\x1b" not in done.stdout and "\r" not in done.stdout  # plain where nobody watches
@@ -126,7 +126,7 @@ def test_faults_name_the_key_and_write_nothing(scene, tmp_path, old, new, says):
 
 def test_check_finds_the_same_faults(scene):
     scene.write_text(SCENE.replace("radius = 0.1", "radius = -0.1"))
-    done = particles_mpi(2, "check", scene)
+    done = particles_mpi(2, "check", scene, fresh=True)
     assert done.returncode == 2 and "particles[0].radius" in done.stderr and "Traceback" not in done.stderr, done.stderr
 
 

@@ -10,6 +10,10 @@ import h5py
 import pytest
 from conftest import MPI_ENVIRONMENT, ROOT, run_ranks
 
+from particles_mpi.integrators.leapfrog import Leapfrog
+from particles_mpi.neighbours.neighbour_list import Neighbourhood
+from particles_mpi.output import checkpoint
+from particles_mpi.output.trajectory import Trajectory
 from particles_mpi.parallel.communicator import library
 from particles_mpi.parallel.launcher import Filter
 
@@ -26,7 +30,8 @@ output = {every = 1, checkpoint_every = 5, diagnostics_every = 1}
 """
 WITHIN = 10.0  # seconds from the fault to the end of mpirun
 DIVISION = "unexpected ZeroDivisionError: division by zero (at "
-PAIRS, TRAJECTORY = "particles_mpi/neighbours/pairs", "particles_mpi/output/trajectory"
+ADVANCE, WRITE = (f"{one.__module__}:{one.__name__}.{method}" for one, method in ((Leapfrog, "advance"), (Trajectory, "write")))
+NEIGHBOURS = f"{Neighbourhood.__module__}:{Neighbourhood.__name__}"
 
 
 @pytest.fixture
@@ -51,7 +56,7 @@ def with_fault(folder, fault, rank, *arguments):
     """(exit code, stderr, seconds since the fault) of the program on two ranks."""
     stamp = folder / "stamp"
     program = ["tests/parallel/faulty.py", fault, rank, stamp, *arguments]
-    done = run_ranks(2, *program, timeout=100)
+    done = run_ranks(2, *program, timeout=100, fresh=True)
     return done.returncode, done.stderr, time.time() - stamp.stat().st_mtime if stamp.exists() else 0.0
 
 
@@ -101,12 +106,12 @@ def test_arguments_that_differ(scene, tmp_path):
 @pytest.mark.parametrize(
     ("fault", "rank", "says"),
     [
-        (f"{PAIRS}:Neighbourhood.__init__", 1, "simulation.py"),  # others wait for it inside the set-up
-        (f"{PAIRS}:Neighbourhood.search", 1, "rewind.py"),
-        ("particles_mpi/integrators:Leapfrog.advance", 0, "simulation.py"),
-        ("particles_mpi/integrators:Leapfrog.advance", "all", "simulation.py"),
-        (f"{TRAJECTORY}:Trajectory.write", 1, "job.py"),
-        ("particles_mpi/output/checkpoint:_replace", 0, "checkpoint.py"),
+        (f"{NEIGHBOURS}.__init__", 1, "simulation.py"),  # others wait for it inside the set-up
+        (f"{NEIGHBOURS}.search", 1, "operator.py"),
+        (ADVANCE, 0, "simulation.py"),
+        (ADVANCE, "all", "simulation.py"),
+        (WRITE, 1, "job.py"),
+        (f"{checkpoint.__name__}:_replace", 0, "checkpoint.py"),
     ],
 )
 def test_an_exception_in_any_phase_of_one_rank(scene, tmp_path, fault, rank, says):
@@ -127,8 +132,7 @@ def test_a_disk_that_is_full_on_one_rank(scene, tmp_path):
 
 @pytest.mark.skipif(not library().startswith("Open MPI"), reason="other launchers have words of their own for it")
 def test_a_rank_that_is_killed_is_told_in_one_line(scene, tmp_path):
-    fault = "killed:particles_mpi/integrators:Leapfrog.advance"
-    code, said, seconds = with_fault(tmp_path, fault, 1, "run", scene, "--output", tmp_path / "o", "--quiet")
+    code, said, seconds = with_fault(tmp_path, f"killed:{ADVANCE}", 1, "run", scene, "--output", tmp_path / "o", "--quiet")
     assert code == 137 and said.count("\n") == 1 and said.startswith("mpirun: rank 1 on ") and "signal 9" in said, said
     assert seconds < WITHIN
 
@@ -139,10 +143,10 @@ def test_a_script_that_nobody_catches_errors_in(tmp_path):
     one, both = tmp_path / "one.py", tmp_path / "both.py"
     one.write_text(text + "if MPI.COMM_WORLD.rank:\n    Scene.load('none.toml')\nMPI.COMM_WORLD.Barrier()\n")
     both.write_text(text + "1 / 0\n")
-    done = run_ranks(2, one)
+    done = run_ranks(2, one, fresh=True)
     assert done.returncode == 2
     assert done.stderr == "particles-mpi: rank 1: none.toml: cannot be read (No such file or directory)\n"
-    done = run_ranks(2, both)
+    done = run_ranks(2, both, fresh=True)
     assert done.returncode == 3 and done.stderr.count("Traceback") == 1
     assert done.stderr.endswith("ZeroDivisionError: division by zero\n")
 

@@ -1,6 +1,7 @@
 """The same bits on any number of ranks: positions, velocities, diagnostics, counts; for every effect."""
 
 import json
+from functools import cache
 
 import numpy as np
 import pytest
@@ -301,51 +302,70 @@ SCENES[LARGE] = dict(
 )
 SCENES["cluster, in blocks"] = SCENES["cluster, fixed and without mass"] | {"few": 0}
 WINDOWS = [name for name in SCENES if SCENES[name]["effects"].get("collisions", {}).get("mode") == "event" and name != LARGE]
-SCENES |= {f"{name}: in windows": SCENES[name] | {"windows": True} for name in WINDOWS}
-RANKS = (1, 2, 3, 4, 7, 8)
+SCENES |= {f"{name}: in windows": SCENES[name] | {"windows": True, "few": 0} for name in WINDOWS}
+MANY = [pytest.param(ranks, marks=pytest.mark.slow) for ranks in (4, 7, 8)]
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
-    """All scenes on each number of ranks, one start each: {(name, ranks): arrays}."""
+    """results(name, ranks): the arrays of a scene on a number of ranks. The first call for a number runs all scenes on it."""
     folder = tmp_path_factory.mktemp("bits")
     (folder / "scenes.json").write_text(json.dumps(SCENES))
-    for ranks in RANKS:
+
+    @cache
+    def run(ranks):
         done = run_ranks(ranks, "tests/parallel/final_state.py", folder / "scenes.json", folder, timeout=300)
         assert done.returncode == 0, done.stderr[-2000:]
-    return {(name, ranks): dict(np.load(folder / f"{name}.{ranks}.npz")) for name in SCENES for ranks in RANKS}
+
+    @cache
+    def load(name, ranks):
+        run(ranks)
+        return dict(np.load(folder / f"{name}.{ranks}.npz"))
+
+    return load
 
 
 @pytest.mark.parametrize("name", SCENES)
-@pytest.mark.parametrize("ranks", RANKS[1:])
+@pytest.mark.parametrize("ranks", [2, 3, *MANY])
 def test_same_bits(results, name, ranks):
-    one, many = results[name, 1], results[name, ranks]
+    one, many = results(name, 1), results(name, ranks)
     different = [key for key in one if key not in ("traffic", "windows") and one[key].tobytes() != many[key].tobytes()]
     assert not different
 
 
+@pytest.mark.parametrize("ranks", [3, MANY[0]])
 @pytest.mark.parametrize("name", WINDOWS)
-def test_windows_were_verified(results, name):
+def test_windows_were_verified(results, name, ranks):
     """Forced to, ranks divide even small scenes; where contacts follow one another in no time they give up, and say so."""
-    windows, redone = results[f"{name}: in windows", 4]["windows"]
+    windows, redone = results(f"{name}: in windows", ranks)["windows"]
     assert windows > 0 and redone < windows
-    assert not results[name, 4]["windows"].any()  # too few particles to divide, unless they must
+    assert not results(name, ranks)["windows"].any()  # too few particles to divide, unless they must
 
 
-@pytest.mark.parametrize(("ranks", "divided"), [(1, False), (2, True), (4, True), (8, False)])
+@pytest.mark.parametrize(
+    ("ranks", "divided"),
+    [
+        (1, False),
+        (2, True),
+        (3, True),
+        pytest.param(4, True, marks=pytest.mark.slow),
+        pytest.param(8, False, marks=pytest.mark.slow),
+    ],
+)
 def test_space_is_divided_where_that_pays(results, ranks, divided):
     """2000 particles a rank at least; and few windows are redone."""
-    windows, redone = results[LARGE, ranks]["windows"]
+    windows, redone = results(LARGE, ranks)["windows"]
     assert (windows > 0) == divided
     assert redone <= 0.1 * windows
 
 
+@pytest.mark.parametrize("ranks", [3, MANY[0]])
 @pytest.mark.parametrize("name", SCENES)
-def test_only_pairs_are_worth_a_message(results, name):
+def test_only_pairs_are_worth_a_message(results, name, ranks):
     """Scenes with collisions really are decomposed; without pairs no ghost, no migration, no message."""
-    traffic, particles = results[name, 4]["traffic"], len(results[name, 4]["id"])
+    traffic, particles = results(name, ranks)["traffic"], len(results(name, ranks)["id"])
     if "collisions" in SCENES[name]["effects"] and particles:
-        assert results[name, 1]["counts"][0] > 0
+        assert results(name, 1)["counts"][0] > 0
         assert traffic[0] > 0
     elif "mutual_gravity" in SCENES[name]["effects"]:
         assert traffic[0] > 0 and traffic[1] == 0

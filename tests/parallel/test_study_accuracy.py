@@ -13,21 +13,30 @@ def study(ranks, *arguments):
     return run_ranks(ranks, "-m", "particles_mpi", "study", *arguments, timeout=280)
 
 
+KEYS = {"C": ["C2"], "G": ["G1", "G2", "G3", "G4"], "H": ["H"]}
+
+
+@pytest.fixture(scope="module", params=["CH", pytest.param("CGH", marks=pytest.mark.slow)])
+def only(request):
+    """The letters of the experiments: fluid and effects, and losses too."""
+    return request.param
+
+
 @pytest.fixture(scope="module")
-def reports(tmp_path_factory):
-    """Folders of the quick study of fluid, losses and effects on one rank and on two."""
+def reports(tmp_path_factory, only):
+    """Folders of a quick study on one rank and on two."""
     folders = {}
     for ranks in (1, 2):
         folders[ranks] = tmp_path_factory.mktemp(f"on{ranks}") / "study"
-        done = study(ranks, "accuracy", "--quick", "--only", "CGH", "--output", folders[ranks])
+        done = study(ranks, "accuracy", "--quick", "--only", only, "--output", folders[ranks])
         assert done.returncode == 0, done.stderr
         assert "what ten times more accuracy costs" in done.stdout and "report.html" in done.stdout
     return folders
 
 
-def test_errors_are_the_same_on_any_number_of_ranks(reports):
+def test_errors_are_the_same_on_any_number_of_ranks(reports, only):
     told = {ranks: json.loads((folder / "study.json").read_text())["experiments"] for ranks, folder in reports.items()}
-    assert [e["key"] for e in told[1]] == ["C2", "G1", "G2", "G3", "G4", "H"]
+    assert [e["key"] for e in told[1]] == [key for letter in only for key in KEYS[letter]]
     for one, two in zip(told[1], told[2], strict=True):
         for a, b in zip(one["rows"], two["rows"], strict=True):
             if one["key"] == "H":  # messages are between ranks
@@ -42,15 +51,16 @@ def test_an_effect_alone_sends_nothing(reports):
     assert {name for name, count in sent.items() if count} <= {"collisions", "all but user_acceleration", "all of these"}
 
 
-def test_files(reports):
+def test_files(reports, only):
     with (reports[2] / "C2.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert {row["setting"] for row in rows} == {"event", "rewind, 10 passes", "rewind, 1 pass"}
     assert all(float(row["first quartile"]) <= float(row["seconds"]) <= float(row["third quartile"]) for row in rows)
     page = (reports[2] / "report.html").read_text()
-    assert page.count("<svg") == 6 and "http://" not in page.replace("http://www.w3.org", "").replace(
-        "http://purl.org", ""
-    ).replace("http://creativecommons.org", "")
+    assert page.count("<svg") == sum(len(KEYS[letter]) for letter in only)
+    for names in ("www.w3.org", "purl.org", "creativecommons.org"):  # of what SVG means, not to be loaded
+        page = page.replace(f"http://{names}", "")
+    assert "http://" not in page
 
 
 @pytest.mark.parametrize(

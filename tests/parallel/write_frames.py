@@ -63,8 +63,8 @@ def main() -> None:
     options = parser.parse_args()
     ranks, n, d = Ranks(), options.total, options.dimension
     ids = IdRange(0, n, n)
+    config, get_config = h5py.get_config(), h5py.get_config
     if options.serial:  # as if h5py had come without MPI
-        config = h5py.get_config()
         h5py.get_config = lambda: type("Config", (), {"mpi": False, "track_order": config.track_order})()
     if options.limit:  # stands for a full disk
         resource.setrlimit(resource.RLIMIT_FSIZE, (options.limit, options.limit))
@@ -106,6 +106,8 @@ def main() -> None:
         print(f"STOPPED {ranks.rank} {stopped}", flush=True)
         ranks.comm.Barrier()  # mpirun ends all as soon as one has left
         raise SystemExit(stopped.exit_code) from None
+    finally:
+        h5py.get_config = get_config
 
 
 if __name__ == "__main__":

@@ -13,10 +13,15 @@ def lab():
     return Benchmark(quick=True, samples=1)
 
 
+def quick(lab):
+    """Orbits, drag and friction: what takes no time."""
+    return [*experiments("A", lab), losses.drag(lab), losses.friction(lab)]
+
+
 @pytest.fixture(scope="module")
 def found(lab):
-    """Orbits and losses, by key."""
-    return {one.key: one for key in "AG" for one in experiments(key, lab)}
+    """The quick experiments by key."""
+    return {one.key: one for one in quick(lab)}
 
 
 def test_orders_of_the_integrators(found):
@@ -52,7 +57,13 @@ def test_losses(found):
     assert slope(drag.curve("taylor"), "place") == pytest.approx(1.0, abs=0.05)
     assert max(row.errors["velocity"] for row in drag.curve("leapfrog")) < 1e-12
     assert slope(found["G3"].curve("leapfrog"), "place") == pytest.approx(2.0, abs=0.05)
-    bounces = found["G4"]
+
+
+@pytest.mark.slow
+def test_bounces_and_that_they_are_the_same_twice(lab):
+    """Of second order, as test_order_of_bounces.py finds by itself."""
+    bounces, again = (losses.bouncing(lab) for _ in range(2))
+    assert [(row.errors, row.work) for row in bounces.rows] == [(row.errors, row.work) for row in again.rows]
     assert all(max(row.errors.values()) <= 0.03 * row.setting.parameter for row in bounces.rows)
     assert all(slope(bounces.curve(curve), "fixed sphere") == pytest.approx(2.0, abs=0.3) for curve in bounces.curves)
 
@@ -66,12 +77,13 @@ def test_sliding_keeps_what_it_should():
 
 
 def test_the_same_study_twice(lab, found):
-    again = {one.key: one for key in "AG" for one in experiments(key, lab)}
+    again = {one.key: one for one in quick(lab)}
     for key, one in found.items():
         assert [row.errors for row in one.rows] == [row.errors for row in again[key].rows]
         assert [row.work for row in one.rows] == [row.work for row in again[key].rows]
 
 
+@pytest.mark.slow
 def test_close_encounters(lab):
     (one,) = experiments("B", lab)
     fixed = [row.errors["place, t = 10"] for row in one.rows if row.setting.curve != "adaptive"]
@@ -98,7 +110,9 @@ def test_rewind_against_the_step(lab, moment, passes, least):
     assert errors["collision rate"] < 1.0 - least + 2.0 * errors["noise"]
 
 
+@pytest.mark.slow
 def test_absent_effects(lab):
-    (one,) = experiments("H", lab)
+    """On one rank; tests/parallel/test_study_accuracy.py looks at the same on one and two."""
+    (one,) = experiments("H")["H"](lab)
     for row in one.rows:
         assert row.errors == {"calls": 0.0, "messages": 0.0, "bits": 0.0}, row.setting.curve

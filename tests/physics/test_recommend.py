@@ -14,8 +14,10 @@ from particles_mpi.study.recommend.runs import Start
 PLENTY = 300.0  # seconds that measuring may take: none of these comes near it
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("number", range(len(CASES)))
+QUICK = (0, 5, 6)  # of the cases: with others measuring takes seconds
+
+
+@pytest.mark.parametrize("number", [k if k in QUICK else pytest.param(k, marks=pytest.mark.slow) for k in range(len(CASES))])
 def test_its_setting_reaches_the_tolerance_in_truth(number):
     case = CASES[number]()
     found = recommend(Benchmark(quick=True, samples=3), case.scene, case.tolerance, case.error, PLENTY)

@@ -4,10 +4,10 @@ import csv
 import subprocess
 import sys
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -71,7 +71,7 @@ def test_a_run_without_a_potential_is_written_resumed_and_drawn(tmp_path):
     Simulation.resume(tmp_path / "o" / "checkpoint.h5").run(tmp_path / "o", resumed=True)
     rows = list(csv.DictReader((tmp_path / "o" / "diagnostics.csv").read_text().splitlines()))
     assert [(row["step"], row["potential"], row["total_energy"]) for row in rows] == [(k, "nan", "nan") for k in ("0", "5", "10")]
-    script = Path(__file__).parents[2] / "python_viz" / "plot_diagnostics.py"
+    script = ROOT / "python_viz" / "plot_diagnostics.py"
     subprocess.run([sys.executable, script, tmp_path / "o", "--save", tmp_path / "p.png"], check=True, timeout=100)
     assert (tmp_path / "p.png").stat().st_size > 20_000
 

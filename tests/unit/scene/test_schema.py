@@ -1,9 +1,9 @@
 """Scene files: what is accepted, and that everything else is a SceneError that names the key."""
 
 import tomllib
-from pathlib import Path
 
 import pytest
+from conftest import ROOT
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -11,7 +11,7 @@ from particles_mpi.errors import SceneError
 from particles_mpi.initial.populate import populate
 from particles_mpi.scene.schema import Scene
 
-SCENES = sorted((Path(__file__).parents[2] / "particles_mpi" / "scenes").glob("*.toml"))
+SCENES = sorted((ROOT / "particles_mpi" / "scenes").glob("*.toml"))
 
 
 def tables(**changes):

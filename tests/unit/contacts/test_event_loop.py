@@ -78,18 +78,28 @@ sim.run(%s)
 """
 
 
-@pytest.mark.parametrize(("arguments", "code"), [("", -signal.SIGINT), ("FOLDER", 130)])
-def test_ctrl_c_is_heard_within_a_step(tmp_path, arguments, code):
-    """A step of very many contacts, as a user's script and as a run with files."""
-    script = LONG % (repr(str(tmp_path / "o")) if arguments else "")
-    if arguments:
-        script = script.replace("sim.run", "from particles_mpi.parallel.agreement import end_together\ntry:\n    sim.run")
-        script += "except BaseException as error:\n    raise SystemExit(end_together(error))\n"
-    process = subprocess.Popen(
-        [sys.executable, "-c", script], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    assert process.stdout.readline() == "begins\n"
+@pytest.fixture(scope="module")
+def interrupted(tmp_path_factory):
+    """(process, exit code that is due) of a user's script and of a run with files, well into a step of very many contacts."""
+    plain = LONG % ""
+    run = LONG % repr(str(tmp_path_factory.mktemp("long") / "o"))
+    run = run.replace("sim.run", "from particles_mpi.parallel.agreement import end_together\ntry:\n    sim.run")
+    run += "except BaseException as error:\n    raise SystemExit(end_together(error))\n"
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    processes = [subprocess.Popen([sys.executable, "-c", script], cwd=ROOT, **pipes) for script in (plain, run)]
+    for process in processes:
+        assert process.stdout.readline() == "begins\n"
     sleep(5.0)  # into the step
+    yield dict(zip(("script", "run with files"), zip(processes, (-signal.SIGINT, 130), strict=True), strict=True))
+    for process in processes:
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.parametrize("what", ["script", "run with files"])
+def test_ctrl_c_is_heard_within_a_step(interrupted, what):
+    process, code = interrupted[what]
+    assert process.poll() is None
     os.kill(process.pid, signal.SIGINT)
     said = process.communicate(timeout=20)[1]  # a second, on a machine that is not busy with something else; the step takes days
     assert process.returncode == code, said

@@ -148,7 +148,6 @@ def test_momentum_of_a_periodic_gas_is_round_off():
     assert after["kinetic"] == pytest.approx(before["kinetic"], rel=1e-11)
 
 
-@pytest.mark.slow
 def test_rate_of_a_dense_gas_is_that_of_the_hard_sphere_fluid():
     """reference/: packing 0.30, Gamma dt = 0.1, at most 10 passes: (Z-1)/(Z_ref-1) = 1.00 +- 0.01."""
     n, packing, z = 4000, 0.30, carnahan_starling(0.30)

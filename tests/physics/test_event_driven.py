@@ -80,6 +80,7 @@ def test_oblique_pair_at_any_step(step, b):
     np.testing.assert_allclose(v[0], [1.0, 0.0, 0.0] - n[0] * n, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_sinai_billiard_mean_path():
     """Unit periodic box, fixed disc R = 0.25: (1 - pi R^2)/(2 R) between hits (reference/README.md: 1.607301).
 
@@ -182,8 +183,10 @@ def overlaps(x, radius, length):
     return np.where((radius[:, None] > 0.0) | (radius[None] > 0.0), depth, -1.0).max()
 
 
-@pytest.mark.parametrize("d", [2, 3, 4])
-@pytest.mark.parametrize("periodic", [True, False])
+@pytest.mark.parametrize(
+    ("d", "periodic"),
+    [(2, True), (2, False), (3, True), (3, False), (4, False), pytest.param(4, True, marks=pytest.mark.slow)],
+)
 def test_nothing_ever_overlaps(d, periodic):
     """Every contact is found: whatever the sizes, walls and images; after 3 units of time nobody is in anybody."""
     sim = Simulation(crowd(d, periodic, restitution=0.9))

@@ -1,0 +1,156 @@
+"""Does the default suite notice a fault? Breaks a copy of the package on purpose, one place at a time, and runs the tests.
+
+`python tests/benchmarks/mutations.py [NAME ...]`: all mutations, or those whose names contain one of the words. For each it runs
+the tests that ought to notice, until the first that fails, and prints which one that is. Exit code 1 if a fault goes unnoticed.
+A mutation of a compiled kernel takes a minute or two longer, for what calls the kernel is compiled again.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from time import perf_counter
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[2]
+COPIED = ("particles_mpi", "tests", "python_viz", "pyproject.toml")
+
+
+class Mutation(NamedTuple):
+    """A fault: in `file` the text `old`, which must be there once, becomes `new`; `tests` are what pytest is given."""
+
+    name: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+
+
+EXCHANGE = "    for k in range(len(axes)):\n        v[i, column + k] = keep * (v[i, column + k] - impulse * own * r[k])\n"
+MUTATIONS = (
+    Mutation(
+        "sign of the restitution",
+        "contacts/law.py",
+        "    take = (1.0 + restitution) * approach\n",
+        "    take = (1.0 - restitution) * approach\n",
+        ("tests/physics/test_time_stepped.py",),
+    ),
+    Mutation(
+        "the impulses of a pair are not opposite",
+        "contacts/law.py",
+        EXCHANGE + "        v[j, column + k] = keep * (v[j, column + k] + impulse * other * r[k])\n",
+        EXCHANGE + "        v[j, column + k] = keep * (v[j, column + k] + impulse * own * r[k])\n",
+        ("tests/physics/test_time_stepped.py", "tests/physics/test_event_driven.py"),
+    ),
+    Mutation(
+        "ghosts are not refreshed",
+        "neighbours/halo.py",
+        "        unpack_state(first, message, x, v, a)\n\n\ndef",
+        "        pass\n\n\ndef",
+        ("tests/parallel/test_same_bits.py",),
+    ),
+    Mutation(
+        "the opening angle is ignored",
+        "gravity/tree.py",
+        "= ranks, dimension, angle, softening2\n",
+        "= ranks, dimension, 1.0, softening2\n",
+        ("tests/physics/test_tree.py",),
+    ),
+    Mutation(
+        "a wrong weight of a kick in order4",
+        "integrators/order4.py",
+        "    B = (0.0829844064174052,",
+        "    B = (0.0839844064174052,",
+        ("tests/physics/test_gravity.py",),
+    ),
+    Mutation(
+        "half the rate of the drag",
+        "effects/drag.py",
+        "math.exp(-k * h)",
+        "math.exp(-0.5 * k * h)",
+        ("tests/physics/test_forces.py",),
+    ),
+    Mutation(
+        "a checkpoint forgets which contacts last",
+        "output/checkpoint.py",
+        "    rows = in_id_order(ranks, arrays, ids, 1)\n",
+        "    arrays = arrays | {name: 0 * column for name, column in arrays.items() if name == 'supported'}\n"
+        "    rows = in_id_order(ranks, arrays, ids, 1)\n",
+        ("tests/parallel/test_nothing_lost.py", "-k", "every_effect or signal"),
+    ),
+    Mutation(
+        "a checkpoint forgets the drag of each",
+        "output/checkpoint.py",
+        "    rows = in_id_order(ranks, arrays, ids, 1)\n",
+        "    arrays = arrays | {name: 0 * column for name, column in arrays.items() if name == 'drag'}\n"
+        "    rows = in_id_order(ranks, arrays, ids, 1)\n",
+        ("tests/parallel/test_nothing_lost.py", "-k", "every_effect"),
+    ),
+    Mutation(
+        "normals of oblique planes point the other way",
+        "effects/walls.py",
+        "    losses = [\n",
+        "    normal[np.abs(normal).max(axis=1, initial=0.0) < 1.0] *= -1.0\n    losses = [\n",
+        ("tests/physics/test_order_of_bounces.py", "tests/unit/initial"),
+    ),
+    Mutation(
+        "sums go in the order of rows instead of that of ids",
+        "parallel/blocks.py",
+        "yield everyone if (ids[1:] > ids[:-1]).all() else rows_of(everyone, np.argsort(ids))",
+        "yield everyone",
+        ("tests/parallel/test_same_bits.py",),
+    ),
+    Mutation(
+        "places are not brought back into a periodic box",
+        "simulation.py",
+        "                wrap(p.position, self.lower, self.upper, self.length)\n",
+        "                pass\n",
+        ("tests/unit",),
+    ),
+    Mutation(
+        "the watchdog does not look for the lost",
+        "measure/health.py",
+        "are lost",
+        "are fine",
+        ("tests/unit/measure",),
+    ),
+)
+
+
+def examine(mutation: Mutation, folder: Path) -> str:
+    """What the tests say of the fault, in a copy of the repository in `folder`: the first that fails, or "" """
+    for name in COPIED:
+        source, target = ROOT / name, folder / name
+        shutil.copytree(source, target, symlinks=True) if source.is_dir() else shutil.copy2(source, target)
+    file = folder / "particles_mpi" / mutation.file
+    text = file.read_text()
+    if text.count(mutation.old) != 1:
+        return f"CANNOT BE MADE: {mutation.file} does not hold the text once, but {text.count(mutation.old)} times"
+    file.write_text(text.replace(mutation.old, mutation.new))
+    environment = os.environ | {"PYTHONPATH": str(folder)}
+    subprocess.run([sys.executable, "-P", folder / "particles_mpi/setup/kernel_sources.py"], check=False, env=environment)
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *mutation.tests]
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+    found = re.search(r"^(?:FAILED|ERROR) (.*?)(?: - .*)?$", done.stdout, re.M)
+    if not found and done.returncode:
+        return f"PYTEST FAILED: {done.stdout[-500:]}{done.stderr[-500:]}"
+    return found[1] if found else ""
+
+
+def main() -> None:
+    wanted = [one for one in MUTATIONS if not sys.argv[1:] or any(word in one.name for word in sys.argv[1:])]
+    unnoticed = 0
+    for mutation in wanted:
+        begin = perf_counter()
+        with tempfile.TemporaryDirectory() as folder:
+            told = examine(mutation, Path(folder))
+        unnoticed += not told or told.isupper() or told.startswith(("CANNOT", "PYTEST"))
+        print(f"{mutation.name}: {told or 'NOT NOTICED'} ({perf_counter() - begin:.0f} s)", flush=True)
+    sys.exit(bool(unnoticed))
+
+
+if __name__ == "__main__":
+    main()

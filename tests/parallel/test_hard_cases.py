@@ -1,0 +1,34 @@
+"""Hard cases on several ranks: what must hold, holds, with the bits of one rank."""
+
+import json
+
+import pytest
+from conftest import run_ranks
+
+pytestmark = pytest.mark.parallel
+SPREAD = "on borders|crossing many|one rank's corner|three particles|overlap at|squeezed"
+
+
+@pytest.mark.parametrize("ranks", [2, pytest.param(5, marks=pytest.mark.slow)])
+def test_the_bits_of_one_rank(tmp_path, ranks):
+    """The command on several ranks runs each case on all and on one, and compares."""
+    file = tmp_path / "outcomes.json"
+    done = run_ranks(ranks, "-m", "particles_mpi", "study", "hard-cases", "--only", SPREAD, "--output", file, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    outcomes = json.loads(file.read_text())
+    assert len(outcomes) == 4 * len(SPREAD.split("|"))
+    assert all(outcome["holds"] and outcome["same_bits"] for outcome in outcomes)
+    assert f"{len(outcomes)} of {len(outcomes)} hold, each with the bits of one rank on {ranks}" in done.stdout
+
+
+def test_a_case_that_fails_is_exit_code_3(monkeypatch, capsys):
+    """`study` says so, and which."""
+    from particles_mpi.study.hard_cases import command
+    from particles_mpi.study.hard_cases.catalogue import Case
+
+    wrong = Case("wrong", "nothing", "that 1 is 2", lambda run: ("1", False), (None,), (2,), False)
+    monkeypatch.setattr(command, "catalogue", lambda: [wrong])
+    assert not command.study(None, False, None)
+    assert "FAIL" in capsys.readouterr().out
+    done = run_ranks(1, "-m", "particles_mpi", "study", "hard-cases", "--only", "no such case")
+    assert done.returncode == 2 and "--only: no case" in done.stderr and "Traceback" not in done.stderr
