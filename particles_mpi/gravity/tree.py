@@ -12,8 +12,8 @@ import numpy as np
 from particles_mpi.gravity.locally_essential import around, assemble, essential, fill, quantiles, sample, snap
 from particles_mpi.gravity.octree import divide, levels, moments, morton, skips, sort_ties
 from particles_mpi.gravity.walk import walk
-from particles_mpi.parallel.communicator import Ranks
-from particles_mpi.parallel.exchange import rows_of_everyone, send_rows
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exchange import allgather_rows, send_rows
 from particles_mpi.particles import Array
 
 RESULT = 5  # acceleration on three axes, potential, work
@@ -27,7 +27,7 @@ class Tree:
     up in the last call, over all its targets, themselves included.
     """
 
-    def __init__(self, ranks: Ranks, dimension: int, angle: float, softening2: float, quadrupoles: bool = True):
+    def __init__(self, ranks: Communicator, dimension: int, angle: float, softening2: float, quadrupoles: bool = True):
         self.ranks, self.dimension, self.angle, self.softening2 = ranks, dimension, angle, softening2
         self.quadrupoles, self.interactions = quadrupoles, 0
 
@@ -42,7 +42,7 @@ class Tree:
         ends = np.full(7, -np.inf)
         if len(x):
             ends[:3], ends[3:6], ends[6] = x.max(axis=0), -x.min(axis=0), not np.isfinite(x).all()
-        ends = ranks.largest(ends)
+        ends = ranks.allreduce_max(ends)
         lower, extent = -ends[3:6], float((ends[:3] + ends[3:6]).max())
         if not (extent < np.inf and ends[6] < 1.0):
             return np.full((len(x), RESULT), np.nan)
@@ -70,8 +70,8 @@ class Tree:
 
     def cut(self, keys: Array, work: Array) -> Array:
         """The first key of every rank but the first, from the sorted keys of all. Collective."""
-        cuts = quantiles(self.ranks.rows_of_all(sample(keys, work)))
-        return snap(cuts, self.ranks.total(around(keys, cuts, self.dimension)), self.dimension)
+        cuts = quantiles(self.ranks.allgather_array(sample(keys, work)))
+        return snap(cuts, self.ranks.allreduce_sum(around(keys, cuts, self.dimension)), self.dimension)
 
     def of_my_keys(self, keys: Array, x: Array, mass: Array, low: int, high: int) -> Array:
         """The result (n, 5) of this rank's particles, in the order of keys: all those with keys low ... high. Collective."""
@@ -86,7 +86,7 @@ class Tree:
             "bounds": bounds[roots],
             "rank": np.full(len(roots), ranks.rank),
         }
-        everyone = rows_of_everyone(ranks, mine) if ranks.size > 1 else mine
+        everyone = allgather_rows(ranks, mine) if ranks.size > 1 else mine
         nodes = {"level": level, "count": count, "cell": cells, "root": np.isin(np.arange(len(level)), roots)}
         rows = {"position": x, "mass": mass}
         offset = 0

@@ -6,14 +6,14 @@ from math import nan
 
 import numpy as np
 
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.particles import Array, Particles, row_dot
 
 TURNS = {2: ((0, 1),), 3: ((1, 2), (2, 0), (0, 1))}  # planes of the components of the angular momentum
 
 
-def measure(ranks: Ranks, particles: Particles, potentials: dict[str, Array]) -> dict[str, float]:
+def measure(ranks: Communicator, particles: Particles, potentials: dict[str, Array]) -> dict[str, float]:
     """Kinetic, potential and total energy, momentum and largest speed of all movable particles. Collective.
 
     `potentials`: the potential energy (n,) of each force that has one; with mutual gravity among them also what `attracted`
@@ -31,13 +31,13 @@ def measure(ranks: Ranks, particles: Particles, potentials: dict[str, Array]) ->
     row = {"kinetic": sums[0], "potential": potential, "total_energy": sums[0] + potential}
     names = momentum_names(particles.dimension)
     row.update(zip(names, sums[1:], strict=False))
-    row["max_speed"] = float(np.sqrt(ranks.largest(square.max(initial=0.0))[0]))
+    row["max_speed"] = float(np.sqrt(ranks.allreduce_max(square.max(initial=0.0))[0]))
     if "mutual_gravity" in potentials:
         row |= attracted(ranks, particles, row["kinetic"], potentials["mutual_gravity"])
     return row
 
 
-def attracted(ranks: Ranks, p: Particles, kinetic: float, potential: Array) -> dict[str, float]:
+def attracted(ranks: Communicator, p: Particles, kinetic: float, potential: Array) -> dict[str, float]:
     """Angular momentum about the origin (in two and three dimensions), centre of mass, and 2 K/|W|. Collective."""
     movable = p.fixed == 0
     mass, d = p.mass * movable, p.dimension

@@ -18,14 +18,16 @@ from typing import Any
 
 import numpy as np
 
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.particles import Particles, row_dot
 
 OBSERVABLES = ("temperature", "moment_ratio", "packing", "collision_rate", "free_time", "free_path", "z_virial", "z_rate")
 
 
-def observe(ranks: Ranks, p: Particles, volume: float, time: float, collisions: int, since: list[float]) -> dict[str, float]:
+def observe(
+    ranks: Communicator, p: Particles, volume: float, time: float, collisions: int, since: list[float]
+) -> dict[str, float]:
     """The observables over the interval since (time, collisions, virial) = `since`, which becomes the present one. Collective.
 
     `collisions`: of all ranks since the start; `volume`: of the box, not a number without one.
@@ -37,7 +39,7 @@ def observe(ranks: Ranks, p: Particles, volume: float, time: float, collisions: 
     whole = np.array(sums[2 : 2 + d]) / mass if mass > 0.0 else np.zeros(d)
     own = p.velocity - whole
     square = row_dot(own, own)
-    ends = ranks.largest(
+    ends = ranks.allreduce_max(
         np.array([part.max(initial=-np.inf) for q in (p.radius, p.mass) for part in (q[movable], -q[movable])], float)
     )
     heat, second, fourth, speed = exact_sums(

@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from particles_mpi.errors import SceneError, StoppedError
-from particles_mpi.parallel.agreement import raise_first, unexpected
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.agreement import describe_unexpected, raise_first
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import FIELDS, Array
 
 
 @contextmanager
-def failing_together(ranks: Ranks, task: str) -> Iterator[None]:
+def failing_together(ranks: Communicator, task: str) -> Iterator[None]:
     """Run a block that touches files; what the file system refuses on any rank is a StoppedError on all. Collective.
 
     `task` begins the message: "cannot write out/particles.pvd at step 100". A SceneError stays one, on all ranks. A block may
@@ -35,7 +35,7 @@ def failing_together(ranks: Ranks, task: str) -> Iterator[None]:
     except (OSError, RuntimeError, ValueError, KeyError) as error:  # h5py raises all four for what is wrong with a file
         failure = StoppedError(f"{task}: {_reason(error)}")
     except Exception as error:  # also memory that is refused
-        failure = StoppedError(f"{task}: {unexpected(error)}")
+        failure = StoppedError(f"{task}: {describe_unexpected(error)}")
     raise_first(ranks, failure, root_reads=True)
 
 

@@ -19,15 +19,17 @@ import numpy as np
 
 from particles_mpi.errors import SceneError
 from particles_mpi.output import failing_together, replacing, sync_folder
-from particles_mpi.parallel.communicator import Ranks
-from particles_mpi.parallel.exchange import IdRange, in_id_order, rows_of_everyone
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exchange import IdRange, allgather_rows, in_id_order
 from particles_mpi.particles import FIELDS, Array, shape
 
 MARK, FORMAT = "particles_mpi_checkpoint", 3
 BLOCK = 2**24  # bytes read at once
 
 
-def save(path: Path, ranks: Ranks, arrays: dict[str, Array], ids: IdRange, dimension: int, attributes: dict[str, Any]) -> None:
+def save(
+    path: Path, ranks: Communicator, arrays: dict[str, Array], ids: IdRange, dimension: int, attributes: dict[str, Any]
+) -> None:
     """Write the state of all ranks, whose ids lie in `ids`. Collective.
 
     `arrays`: this rank's owned rows in any order, every field a restart needs; `attributes`: numbers and texts of any length.
@@ -39,9 +41,9 @@ def save(path: Path, ranks: Ranks, arrays: dict[str, Array], ids: IdRange, dimen
             _replace(Path(path), rows, {MARK: FORMAT, "total": ids.total, "dimension": dimension} | attributes)
 
 
-def dump(path: Path, ranks: Ranks, arrays: dict[str, Array], attributes: dict[str, Any]) -> None:
+def dump(path: Path, ranks: Communicator, arrays: dict[str, Array], attributes: dict[str, Any]) -> None:
     """Rows of all ranks as they are, however wrong, and the `rank` that holds each: not to go on from. Collective."""
-    rows = rows_of_everyone(ranks, arrays | {"rank": np.full(len(arrays["id"]), ranks.rank)})
+    rows = allgather_rows(ranks, arrays | {"rank": np.full(len(arrays["id"]), ranks.rank)})
     with failing_together(ranks, f"cannot write {path}"):
         if ranks.is_root:
             with replacing(path) as part, h5py.File(part, "w", locking=False) as file:

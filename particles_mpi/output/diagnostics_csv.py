@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import IO
 
 from particles_mpi.output import check_last, continuing, failing_together, replacing
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 
 
 class Diagnostics:
@@ -19,7 +19,9 @@ class Diagnostics:
     continued, before anything is changed, and StoppedError if the file system refuses.
     """
 
-    def __init__(self, path: Path, ranks: Ranks, columns: list[str], resume_step: int | None = None, last: int | None = None):
+    def __init__(
+        self, path: Path, ranks: Communicator, columns: list[str], resume_step: int | None = None, last: int | None = None
+    ):
         self.path, self.ranks, self.columns = Path(path), ranks, list(columns)
         self.file: IO[str] | None = None
         self.rows: list[list[str]] = []

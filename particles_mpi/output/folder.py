@@ -10,8 +10,8 @@ from typing import Any
 
 from particles_mpi.errors import SceneError
 from particles_mpi.output import checkpoint, failing_together
-from particles_mpi.parallel.agreement import differing
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.agreement import differences
+from particles_mpi.parallel.communicator import Communicator
 
 OURS = ("trajectory.vtkhdf", "particles.pvd", "vtk", "checkpoint.h5", "diagnostics.csv", "run.json", "stopped.h5", "plots")
 FREE = (
@@ -27,10 +27,10 @@ FREE = (
 
 def changed(one: dict[str, Any], two: dict[str, Any]) -> Iterator[str]:
     """The keys in which two scenes, as tables, are not the same run: all but its end, its title and how often it writes."""
-    return (key for key, _, _ in differing(one, two) if key not in FREE)
+    return (key for key, _, _ in differences(one, two) if key not in FREE)
 
 
-def claim(folder: Path, ranks: Ranks, scene: dict[str, Any], resumed: bool, overwrite: bool) -> bool:
+def claim(folder: Path, ranks: Communicator, scene: dict[str, Any], resumed: bool, overwrite: bool) -> bool:
     """Does this run go on in the folder? Otherwise what it held is gone, if that was asked for. Collective."""
     continues = False
     with failing_together(ranks, f"cannot use {folder}"):
@@ -47,7 +47,7 @@ def claim(folder: Path, ranks: Ranks, scene: dict[str, Any], resumed: bool, over
             for name in OURS if not continues else ():
                 path = folder / name
                 shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
-    return bool(ranks.from_root(continues))
+    return bool(ranks.bcast(continues))
 
 
 def _is_of(path: Path, scene: dict[str, Any]) -> bool:

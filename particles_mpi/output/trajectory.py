@@ -21,7 +21,7 @@ import numpy as np
 from particles_mpi.errors import StoppedError
 from particles_mpi.output import check_last, continuing, failing_together, frame_arrays, frame_columns, replacing
 from particles_mpi.output.mpi_io import told_reason
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
 from particles_mpi.particles import FIELDS, Array, field
 
@@ -41,7 +41,7 @@ class Trajectory:
     def __init__(
         self,
         path: Path,
-        ranks: Ranks,
+        ranks: Communicator,
         particles_fields: list[str],
         dimension: int,
         total: int,
@@ -64,7 +64,7 @@ class Trajectory:
             if ranks.is_root and resume_step is not None and self.path.exists():
                 with continuing(self.path):
                     self.frames, self.continued = self._look(resume_step, last, total if held is None else held), True
-        self.frames, self.points, self.parts = ranks.from_root((self.frames, self.points, self.parts))
+        self.frames, self.points, self.parts = ranks.bcast((self.frames, self.points, self.parts))
         self.collective = h5py.h5p.create(h5py.h5p.DATASET_XFER)
         if self.parallel:
             self.collective.set_dxpl_mpio(h5py.h5fd.MPIO_COLLECTIVE)
@@ -89,7 +89,7 @@ class Trajectory:
         """Append a frame. `arrays`: this rank's owned rows in any order, at least the fields given at the start."""
         rows = in_id_order(self.ranks, {n: arrays[n] for n in self.fields}, ids, self.writers)
         frame = frame_arrays(rows, self.dimension)
-        first = self.points + int(self.ranks.rows_of_all(np.array(len(rows["id"])))[: self.ranks.rank].sum())
+        first = self.points + int(self.ranks.allgather_array(np.array(len(rows["id"])))[: self.ranks.rank].sum())
         if ids.total != self.parts[-1]:
             self._attempt(step, self._append_part, ids.total)
             self.parts.append(ids.total)

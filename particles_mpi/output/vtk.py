@@ -10,7 +10,7 @@ import meshio
 import numpy as np
 
 from particles_mpi.output import check_last, continuing, failing_together, frame_arrays, replacing
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
 from particles_mpi.particles import Array, field
 
@@ -28,7 +28,7 @@ class VtkSeries:
     def __init__(
         self,
         folder: Path,
-        ranks: Ranks,
+        ranks: Communicator,
         dimension: int,
         resume_step: int | None = None,
         last: int | None = None,

@@ -1,7 +1,7 @@
 """One rank that fails ends all, with one line that names it.
 
-`alike` and `same_on_all` are for the set-up, where all ranks do the same: what goes wrong on one is raised on all. In the
-time loop the others may be waiting inside a collective call that the failing rank never comes to: `end_together` is for what
+`raising_together` and `same_on_all` are for the set-up, where all ranks do the same: what goes wrong on one is raised on all.
+In the time loop the others may be waiting inside a collective call that the failing rank never comes to: `abort_all` is for what
 nobody caught. It lets the lowest of the ranks that fail speak, and ends all of them.
 """
 
@@ -23,7 +23,7 @@ import numpy as np
 from mpi4py import MPI
 
 from particles_mpi.errors import Interrupted, SceneError, StateError, StoppedError
-from particles_mpi.parallel.communicator import NAP, Ranks
+from particles_mpi.parallel.communicator import NAP, Communicator
 from particles_mpi.particles import Array, Particles
 
 PATIENCE = 1.0  # seconds for other ranks to fail as this one did, before all are ended
@@ -45,7 +45,7 @@ class Notice(NamedTuple):
 
 
 @contextmanager
-def alike(ranks: Ranks) -> Iterator[None]:
+def raising_together(ranks: Communicator) -> Iterator[None]:
     """Run a phase of the set-up on all ranks; an exception on any of them is raised on all. Collective at its end.
 
     It is the lowest failing rank's, its text begins with "rank r: " unless all ranks say the same. A SceneError and a
@@ -67,19 +67,19 @@ def alike(ranks: Ranks) -> Iterator[None]:
         raise_first(ranks, error)
 
 
-def come_together(ranks: Ranks, error: SceneError | StoppedError) -> None:
+def await_all(ranks: Communicator, error: SceneError | StoppedError) -> None:
     """After an error that should have come to all ranks: returns if it has, else ends all. Collective."""
     if ranks.size > 1:
         _await(ranks.comm.Ibarrier(), error, PATIENCE)
 
 
-def raise_first(ranks: Ranks, error: Exception | None, root_reads: bool = False) -> None:
+def raise_first(ranks: Communicator, error: Exception | None, root_reads: bool = False) -> None:
     """Raise the error of the lowest rank that has one on all ranks; nothing happens if none has. Collective.
 
     The text names the rank, unless all say the same, or a SceneError is of what only rank 0 reads for all (`root_reads`).
     """
     mine = None if error is None else (_kind(error), getattr(error, "faults", str(error)))
-    found = ranks.gathered(mine)
+    found = ranks.allgather(mine)
     for rank, failure in enumerate(found):
         if failure is None:
             continue
@@ -89,7 +89,7 @@ def raise_first(ranks: Ranks, error: Exception | None, root_reads: bool = False)
         raise kind(text) from (error.__cause__ if error is not None else None)
 
 
-def same_on_all(ranks: Ranks, tables: dict[str, Any], arrays: dict[str, Array] | None = None) -> None:
+def same_on_all(ranks: Communicator, tables: dict[str, Any], arrays: dict[str, Array] | None = None) -> None:
     """SceneError on all ranks if one has other tables (plain data) or arrays than rank 0: names it, and the keys. Collective."""
     if ranks.size == 1:
         return
@@ -97,22 +97,22 @@ def same_on_all(ranks: Ranks, tables: dict[str, Any], arrays: dict[str, Array] |
     for name, array in (arrays or {}).items():
         digest.update(f"{name}{array.dtype}{array.shape}".encode())
         digest.update(np.ascontiguousarray(array).data)
-    digests = ranks.gathered(digest.digest())
+    digests = ranks.allgather(digest.digest())
     if all(other == digests[0] for other in digests):
         return
-    of_root = ranks.from_root(tables)
-    keys = [f"{key}: {_beside(one, two)}" for key, one, two in differing(tables, of_root)]
+    of_root = ranks.bcast(tables)
+    keys = [f"{key}: {_beside(one, two)}" for key, one, two in differences(tables, of_root)]
     fault = None
     if digests[ranks.rank] != digests[0]:
         fault = SceneError(keys or ["particles: not the same values as on rank 0 (files with other contents?)"])
     raise_first(ranks, fault)
 
 
-def differing(one: Any, two: Any, key: str = "") -> Iterator[tuple[str, Any, Any]]:
+def differences(one: Any, two: Any, key: str = "") -> Iterator[tuple[str, Any, Any]]:
     """The keys in which two tables of plain data differ, with both values; None where there is none."""
     if isinstance(one, dict) and isinstance(two, dict):
         for name in sorted(one.keys() | two.keys()):
-            yield from differing(one.get(name), two.get(name), f"{key}.{name}" if key else name)
+            yield from differences(one.get(name), two.get(name), f"{key}.{name}" if key else name)
     elif one != two:
         yield key, one, two
 
@@ -131,12 +131,12 @@ def _kind(error: Exception) -> type[Exception]:
 def _translated(error: Exception) -> Exception:
     """What nobody expected, as one of the errors that ranks share."""
     kind = SceneError if isinstance(error, MemoryError) else StoppedError
-    shared = kind(unexpected(error))
+    shared = kind(describe_unexpected(error))
     shared.__cause__ = error
     return shared
 
 
-def unexpected(error: BaseException) -> str:
+def describe_unexpected(error: BaseException) -> str:
     """One line: the exception, and the calls of this package that led to it (of all, where there are none)."""
     said = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
     frames = traceback.extract_tb(error.__traceback__)
@@ -154,11 +154,11 @@ def _await(request: MPI.Request, error: Exception | None, patience: float) -> No
     end = perf_counter() + patience
     while not request.Test():
         if perf_counter() > end:
-            end_together(error)
+            abort_all(error)
         sleep(NAP)
 
 
-def end_together(error: BaseException, whole: bool = False) -> int:
+def abort_all(error: BaseException, whole: bool = False) -> int:
     """Say what ended this rank, and end all. Returns the exit code if all ranks share the error, otherwise does not return.
 
     One line, or one a fault of a scene; with `whole` a traceback for what nobody expected. Where several ranks fail within
@@ -190,7 +190,7 @@ def _notice(error: BaseException, whole: bool) -> Notice:
         return Notice(Interrupted.exit_code, str(error) or "interrupted")
     if whole:
         return Notice(StoppedError.exit_code, "".join(traceback.format_exception(error)), trace=True)
-    return Notice(StoppedError.exit_code, unexpected(error))
+    return Notice(StoppedError.exit_code, describe_unexpected(error))
 
 
 def _notices(comm: MPI.Comm, mine: Notice) -> dict[int, Notice]:
@@ -211,20 +211,20 @@ def _notices(comm: MPI.Comm, mine: Notice) -> dict[int, Notice]:
 _pending: list[Any] = []  # a message must outlive the call that sends it
 
 
-def end_all(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+def abort_uncaught(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
     """What nobody caught in a user's script ends all ranks, with the exit code of the error; `sys.excepthook` of every rank."""
-    sys.exit(end_together(error.with_traceback(trace), whole=True))
+    sys.exit(abort_all(error.with_traceback(trace), whole=True))
 
 
 if MPI.COMM_WORLD.Get_size() > 1 and sys.excepthook is sys.__excepthook__:
-    sys.excepthook = end_all
+    sys.excepthook = abort_uncaught
 
 
-def not_finite(ranks: Ranks, p: Particles, when: str) -> str:
+def describe_not_finite(ranks: Communicator, p: Particles, when: str) -> str:
     """Whose position or velocity is not finite, or too large for its square to be. Collective."""
     with np.errstate(over="ignore", invalid="ignore"):
         bad = p.id[~np.isfinite((p.velocity**2).sum(axis=1) + p.position.sum(axis=1))]
-    found = [(int(ids.min()), rank) for rank, ids in enumerate(ranks.gathered(bad)) if len(ids)]
+    found = [(int(ids.min()), rank) for rank, ids in enumerate(ranks.allgather(bad)) if len(ids)]
     if not found:
         return f"{when}: velocities are too large for the sum of their squares"
     particle, rank = min(found)

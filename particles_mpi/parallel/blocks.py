@@ -7,20 +7,20 @@ from collections.abc import Iterator
 import numpy as np
 from mpi4py import MPI
 
-from particles_mpi.parallel.communicator import Ranks
-from particles_mpi.parallel.exchange import IdRange, in_id_order, rows_of_everyone
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exchange import IdRange, allgather_rows, in_id_order
 from particles_mpi.particles import Array, rows_of
 
 FEW = 10_000  # rows that are sent to all in one message
 
 
-def blocks(ranks: Ranks, columns: dict[str, Array], span: IdRange) -> Iterator[dict[str, Array]]:
+def blocks(ranks: Communicator, columns: dict[str, Array], span: IdRange) -> Iterator[dict[str, Array]]:
     """The rows of all ranks in id order, cut into a block a rank; `columns` (with "id") hold float64 or int64. Collective.
 
     A few are one block. Else the next block is on its way while the caller works on one; a rank holds two at a time, O(N/P) rows.
     """
     if ranks.size == 1 or span.total <= FEW:
-        everyone = columns if ranks.size == 1 else rows_of_everyone(ranks, columns)
+        everyone = columns if ranks.size == 1 else allgather_rows(ranks, columns)
         ids = everyone["id"]
         yield everyone if (ids[1:] > ids[:-1]).all() else rows_of(everyone, np.argsort(ids))
         return
@@ -28,7 +28,7 @@ def blocks(ranks: Ranks, columns: dict[str, Array], span: IdRange) -> Iterator[d
     ranks.all_to_alls += 1
     ranks.rows += span.total - len(mine["id"])
     widths = {name: int(np.prod(column.shape[1:])) for name, column in columns.items()}
-    counts = ranks.rows_of_all(np.array(len(mine["id"])))
+    counts = ranks.allgather_array(np.array(len(mine["id"])))
 
     def start(rank: int) -> tuple[Array, MPI.Request]:
         rows = int(counts[rank])

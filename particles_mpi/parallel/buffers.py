@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import by_destination, send_rows
 from particles_mpi.particles import Array, Particles
 
 ROOM = 1.2  # times the rows that are needed, when more are
 
 
-class Store:
+class RowBuffers:
     """Holds the arrays of `particles`, which shows the first `count` rows of them. Ghosts may stand behind."""
 
     def __init__(self, particles: Particles):
@@ -55,12 +55,12 @@ class Store:
             self.buffers[name], self.spare[name] = new, old
         self.show(n)
 
-    def migrate(self, ranks: Ranks, owner: Array) -> int:
+    def migrate(self, ranks: Communicator, owner: Array) -> int:
         """Every row to its owner, any rank; returns how many this rank sent away. Collective."""
         if ranks.size == 1:
             return 0
         n, leaving = self.count, np.flatnonzero(owner != ranks.rank)
-        if ranks.total(len(leaving))[0] == 0:
+        if ranks.allreduce_sum(len(leaving))[0] == 0:
             return 0
         order, counts = by_destination(owner[leaving], ranks.size)
         arrived, _ = send_rows(ranks, self.particles.arrays, leaving[order], counts)
@@ -78,7 +78,7 @@ class Store:
         self.show(after)
         return left
 
-    def behind(self, arrived: dict[str, Array]) -> dict[str, Array]:
+    def append_ghosts(self, arrived: dict[str, Array]) -> dict[str, Array]:
         """Put ghosts behind the particles; gives the arrays of both, of the fields that ghosts have."""
         n = self.count
         rows = n + len(arrived["id"])

@@ -14,7 +14,7 @@ from particles_mpi.particles import Array
 NAP = 0.005  # seconds between two looks of a rank that waits asleep
 
 
-class Ranks:
+class Communicator:
     """Thin over a communicator: on one rank nothing is sent, and every message and reduction is counted for `run.json`.
 
     `rows`: that came from other ranks; `all_to_alls`: exchanges in which every rank may have something for every other.
@@ -29,14 +29,14 @@ class Ranks:
         self.rows = 0
 
     @classmethod
-    def alone(cls) -> Ranks:
+    def alone(cls) -> Communicator:
         """This rank by itself."""
         return cls(MPI.COMM_SELF)
 
-    def first(self, count: int) -> Ranks | None:
+    def first(self, count: int) -> Communicator | None:
         """The first `count` of these, with a communicator of their own; None on the others. Collective."""
         comm = self.comm.Split(0 if self.rank < count else MPI.UNDEFINED, self.rank)
-        return None if comm == MPI.COMM_NULL else Ranks(comm)
+        return None if comm == MPI.COMM_NULL else Communicator(comm)
 
     @property
     def is_root(self) -> bool:
@@ -51,31 +51,31 @@ class Ranks:
         self.comm.Allreduce(values, result, operation)
         return result
 
-    def total(self, values: Any) -> Array:
+    def allreduce_sum(self, values: Any) -> Array:
         """Element-wise sum over ranks; exact, so independent of the ranks, for integers only."""
         return self._reduce(values, MPI.SUM)
 
-    def largest(self, values: Any) -> Array:
+    def allreduce_max(self, values: Any) -> Array:
         """Element-wise maximum over ranks."""
         return self._reduce(values, MPI.MAX)
 
-    def smallest(self, values: Any) -> Array:
+    def allreduce_min(self, values: Any) -> Array:
         """Element-wise minimum over ranks."""
         return self._reduce(values, MPI.MIN)
 
-    def wait_for_all(self) -> None:
+    def barrier(self) -> None:
         """Until every rank has come here."""
         if self.size > 1:
             self.comm.Barrier()
 
-    def wait_asleep(self) -> None:
+    def sleeping_barrier(self) -> None:
         """The same, without keeping a core busy meanwhile."""
         if self.size > 1:
             arrived = self.comm.Ibarrier()
             while not arrived.Test():
                 sleep(NAP)
 
-    def of_root_alone(self, work: Callable[[], Any]) -> Any:
+    def run_on_root(self, work: Callable[[], Any]) -> Any:
         """What `work()` gives on rank 0, where it is called while the others sleep, and None on those. Collective.
 
         An error there is raised on all.
@@ -86,13 +86,13 @@ class Ranks:
                 value = work()
             except Exception as raised:
                 error = raised
-        self.wait_asleep()
-        error = self.from_root(error)
+        self.sleeping_barrier()
+        error = self.bcast(error)
         if error is not None:
             raise error
         return value
 
-    def rows_of_all(self, row: Array) -> Array:
+    def allgather_array(self, row: Array) -> Array:
         """A row of numbers (any shape) from each rank, as a table (ranks, *shape) on all of them."""
         table = np.empty((self.size, *row.shape), row.dtype)
         if self.size == 1:
@@ -102,16 +102,16 @@ class Ranks:
             self.comm.Allgather(row, table)
         return table
 
-    def from_root(self, value: Any) -> Any:
+    def bcast(self, value: Any) -> Any:
         """Any small Python object, as rank 0 has it."""
         return value if self.size == 1 else self.comm.bcast(value)
 
-    def gathered(self, value: Any) -> list[Any]:
+    def allgather(self, value: Any) -> list[Any]:
         """The small Python objects of all ranks, on every rank."""
         return [value] if self.size == 1 else self.comm.allgather(value)
 
 
-def library() -> str:
+def mpi_library() -> str:
     """The MPI library in use, one line."""
     return MPI.Get_library_version().split("\n")[0].split(",")[0].strip("\0 ")
 

@@ -11,14 +11,14 @@ from math import inf
 import numpy as np
 
 from particles_mpi.kernels.jit import kernel
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
 
 BINS = 64  # of a cut's search; each round narrows it 64-fold
 ROUNDS = 4
 
 
-class Domain:
+class Decomposition:
     """The cuts, as arrays over the tree's nodes, and the box of each rank: `lower`, `upper` (size, d).
 
     Node k cuts `axis[k]` at `cut[k]`; `below[k]`, `above[k]` are its children, or -1 - rank.
@@ -33,7 +33,7 @@ class Domain:
         return owners(x, self.axis, self.cut, self.below, self.above)
 
 
-def bisect(ranks: Ranks, x: Array, weight: float) -> Domain:
+def bisect(ranks: Communicator, x: Array, weight: float) -> Decomposition:
     """Cut space so that each rank gets an equal share of the work, `weight` a row of x (n, d) on this rank. Collective."""
     d = x.shape[1]
     axis: list[int] = []
@@ -59,18 +59,18 @@ def bisect(ranks: Ranks, x: Array, weight: float) -> Domain:
         return node
 
     split(0, ranks.size, x)
-    return Domain(
+    return Decomposition(
         np.array(axis, np.int64), np.array(cut, float), np.array(below, np.int64), np.array(above, np.int64), lower, upper
     )
 
 
-def best_cut(ranks: Ranks, x: Array, weight: float, share: float) -> tuple[int, float]:
+def best_cut(ranks: Communicator, x: Array, weight: float, share: float) -> tuple[int, float]:
     """(axis, position) that leaves `share` of the weight of all ranks' rows below, across the longest axis. Collective."""
     d = x.shape[1]
     ends = np.full(2 * d, -inf)
     if len(x):
         ends = np.concatenate((x.max(axis=0), -x.min(axis=0)))
-    ends = ranks.largest(ends)
+    ends = ranks.allreduce_max(ends)
     high, low = ends[:d], -ends[d:]
     if not np.all(high >= low):
         return 0, 0.0  # no rows at all: any cut will do
@@ -80,7 +80,7 @@ def best_cut(ranks: Ranks, x: Array, weight: float, share: float) -> tuple[int, 
     for _ in range(ROUNDS):
         edges = np.linspace(left, right, BINS + 1)
         inside = x[(x[:, k] >= left) & (x[:, k] < right), k]
-        sums = ranks.total(np.bincount(np.searchsorted(edges, inside, "right") - 1, minlength=BINS)[:BINS] * weight)
+        sums = ranks.allreduce_sum(np.bincount(np.searchsorted(edges, inside, "right") - 1, minlength=BINS)[:BINS] * weight)
         if wanted is None:
             wanted = share * sums.sum()
         reached = passed + np.cumsum(sums)

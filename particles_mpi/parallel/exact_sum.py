@@ -11,7 +11,7 @@ from math import inf, nan
 import numpy as np
 
 from particles_mpi.kernels.jit import kernel
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
 
 DIGITS = 68  # 32 bits each, from 2^-1074 to beyond 2^1024, and one digit to hold +-inf and nan
@@ -41,12 +41,12 @@ def accumulate(values, digits):
         digits[digit + 2] += sign * (high >> 32)
 
 
-def exact_sums(ranks: Ranks, columns: list[Array]) -> list[float]:
+def exact_sums(ranks: Communicator, columns: list[Array]) -> list[float]:
     """The sums of the columns over all ranks, each correctly rounded (nan if a value is not finite). One reduction."""
     digits = np.zeros((len(columns), DIGITS), np.int64)
     for row, column in zip(digits, columns, strict=True):
         accumulate(np.ascontiguousarray(column, np.float64), row)
-    return [rounded(row) for row in ranks.total(digits)]
+    return [rounded(row) for row in ranks.allreduce_sum(digits)]
 
 
 def rounded(digits: Array) -> float:

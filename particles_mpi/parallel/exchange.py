@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from mpi4py import MPI
 
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, rows_of
 
 TAG = 0  # of rows; ranks that fail tell one another so with another one
@@ -24,7 +24,7 @@ class IdRange(NamedTuple):
     total: int
 
 
-def send_rows(ranks: Ranks, arrays: dict[str, Array], rows: Array, counts: Array) -> tuple[dict[str, Array], Array]:
+def send_rows(ranks: Communicator, arrays: dict[str, Array], rows: Array, counts: Array) -> tuple[dict[str, Array], Array]:
     """Send `rows` of the arrays, sorted by destination with `counts[p]` of them for rank p.
 
     Returns what arrived, in order of the sender, and how many rows from each. Collective.
@@ -52,14 +52,14 @@ def send_rows(ranks: Ranks, arrays: dict[str, Array], rows: Array, counts: Array
     return arrived, arriving
 
 
-def rows_of_everyone(ranks: Ranks, arrays: dict[str, Array]) -> dict[str, Array]:
+def allgather_rows(ranks: Communicator, arrays: dict[str, Array]) -> dict[str, Array]:
     """The rows of all ranks on every rank, in order of the owner. Collective."""
     n = len(next(iter(arrays.values())))
     rows, counts = np.tile(np.arange(n), ranks.size), np.full(ranks.size, n, np.int32)
     return send_rows(ranks, arrays, rows, counts)[0]
 
 
-def swap(ranks: Ranks, others: Sequence[int], outgoing: Sequence[Array]) -> Array:
+def sendrecv(ranks: Communicator, others: Sequence[int], outgoing: Sequence[Array]) -> Array:
     """One message of float64 to each of the other ranks, all of which do the same; returns theirs, one after the other."""
     comm = ranks.comm
     requests = [comm.Isend([message, MPI.DOUBLE], dest=p, tag=TAG) for p, message in zip(others, outgoing, strict=True)]
@@ -99,14 +99,14 @@ def by_destination(destination: Array, size: int) -> tuple[Array, Array]:
     return np.argsort(destination, kind="stable"), counts
 
 
-def id_range(ranks: Ranks, ids: Array) -> IdRange:
+def id_range(ranks: Communicator, ids: Array) -> IdRange:
     """Where the ids of all ranks lie, `ids` (n,) being this rank's. Collective."""
     low, high = (int(ids.min()), int(ids.max())) if len(ids) else (2**62, -1)
-    ends = ranks.largest(np.array([-low, high], np.int64))
-    return IdRange(max(-int(ends[0]), 0) if ends[1] >= 0 else 0, int(ends[1]) + 1, int(ranks.total(len(ids))[0]))
+    ends = ranks.allreduce_max(np.array([-low, high], np.int64))
+    return IdRange(max(-int(ends[0]), 0) if ends[1] >= 0 else 0, int(ends[1]) + 1, int(ranks.allreduce_sum(len(ids))[0]))
 
 
-def in_id_order(ranks: Ranks, arrays: dict[str, Array], ids: IdRange, writers: int) -> dict[str, Array]:
+def in_id_order(ranks: Communicator, arrays: dict[str, Array], ids: IdRange, writers: int) -> dict[str, Array]:
     """Rows in id order, equal stretches of the ids on each of the first `writers` ranks. Collective."""
     owner = (arrays["id"] - ids.first) * writers // max(ids.end - ids.first, 1)
     order, counts = by_destination(owner, ranks.size)
@@ -122,7 +122,7 @@ class Halo:
     rank that has ghosts of ours, of up to `width` numbers a row.
     """
 
-    def __init__(self, ranks: Ranks, rows: Array, counts: Array, arriving: Array, owned: int, width: int):
+    def __init__(self, ranks: Communicator, rows: Array, counts: Array, arriving: Array, owned: int, width: int):
         self.ranks, self.owned = ranks, owned
         self.rows = rows.astype(np.int32)
         to, of = np.flatnonzero(counts), np.flatnonzero(arriving)

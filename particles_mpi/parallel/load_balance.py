@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from particles_mpi.parallel.communicator import Ranks, now
-from particles_mpi.parallel.decomposition import Domain, bisect
+from particles_mpi.parallel.communicator import Communicator, now
+from particles_mpi.parallel.decomposition import Decomposition, bisect
 from particles_mpi.particles import Array, Particles
 from particles_mpi.timers import Timers
 
@@ -14,18 +14,18 @@ NOISE = 0.05  # of the mean time: what clocks of equal work differ by on a share
 WORK = ("search", "collide", "drift", "pairs")  # phases whose time is a rank's own, not waiting for others
 
 
-class Balance:
+class LoadBalance:
     """Keeps the domain decomposition. Which rank holds a particle never changes a result, so clocks may decide."""
 
-    def __init__(self, ranks: Ranks, timers: Timers):
+    def __init__(self, ranks: Communicator, timers: Timers):
         self.ranks, self.timers = ranks, timers
-        self.domain: Domain
+        self.decomposition: Decomposition
         self.cuts = 0
         self.cost = self.lost = self.worked = 0.0
 
     def owner(self, x: Array) -> Array:
         """The rank that each row of x belongs to."""
-        return self.domain.owner(x)
+        return self.decomposition.owner(x)
 
     def update(self, particles: Particles, searches: int) -> None:
         """Cut space for the first time, or again if that pays. Collective."""
@@ -35,18 +35,18 @@ class Balance:
             worked = sum(self.timers.seconds.get(phase, 0.0) for phase in WORK)
             mine = worked - self.worked
             self.worked = worked
-            times = np.array(self.ranks.gathered(mine))
+            times = np.array(self.ranks.allgather(mine))
             self.lost += float(times.max() - times.mean()) - NOISE * float(times.mean())
             self.lost = max(self.lost, 0.0)
             if self.lost > self.cost:
                 each = mine / max(len(particles), 1)
-                typical = float(times.sum()) / max(int(self.ranks.total(len(particles))[0]), 1)
+                typical = float(times.sum()) / max(int(self.ranks.allreduce_sum(len(particles))[0]), 1)
                 self.cut(particles.position, float(np.clip(each / typical, 0.5, 2.0)) if typical > 0.0 else 1.0)
 
     def cut(self, x: Array, weight: float) -> None:
         """New cuts, `weight` a row of this rank."""
         begin = now()
-        self.domain = bisect(self.ranks, x, weight)
-        self.cost = float(self.ranks.largest(now() - begin)[0]) * 10.0  # the cut itself, and moving the rows
+        self.decomposition = bisect(self.ranks, x, weight)
+        self.cost = float(self.ranks.allreduce_max(now() - begin)[0]) * 10.0  # the cut itself, and moving the rows
         self.lost = 0.0
         self.cuts += 1

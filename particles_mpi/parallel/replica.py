@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from particles_mpi.parallel.communicator import Ranks
-from particles_mpi.parallel.exchange import rows_of_everyone
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.particles import MEETING, Particles, field
 
 
@@ -18,7 +18,7 @@ class Replica:
     same; `everyone.version` rises where a field changed that no drift changes (`MEETING`).
     """
 
-    def __init__(self, particles: Particles, ranks: Ranks, changing: Sequence[str]):
+    def __init__(self, particles: Particles, ranks: Communicator, changing: Sequence[str]):
         self.particles, self.ranks, self.changing = particles, ranks, changing
         self.everyone = particles
         self.version = -1
@@ -27,7 +27,7 @@ class Replica:
             self.everyone = Particles(particles.dimension, self._of_all())
 
     def _of_all(self) -> dict[str, np.ndarray]:
-        return rows_of_everyone(self.ranks, {name: self.particles.arrays[name] for name in self.names})
+        return allgather_rows(self.ranks, {name: self.particles.arrays[name] for name in self.names})
 
     def _find(self) -> None:
         """Where the row of each id stands among everyone; anew when rows were moved."""

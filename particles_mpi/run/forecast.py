@@ -90,7 +90,7 @@ LOADING = TimingListener()  # of this process, whoever looks
 register("numba:compiler_lock", LOADING)  # numba holds it to load a kernel too
 
 
-class Pace:
+class Forecaster:
     """Watches the steps of a run up to step `last`, from its making on, on one rank.
 
     `look`, called after each step and what was written with it, gives a forecast once there is enough to tell it from, which

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from particles_mpi.errors import SceneError
 from particles_mpi.output import failing_together
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.run.console import Screen
 from particles_mpi.scene.schema import Scene
 from particles_mpi.study.accuracy import CHAPTERS, experiments
@@ -22,7 +22,7 @@ NOTES = ["E, float32 against float64: nothing here is offered in float32, so the
 
 def accuracy(scene: Scene | None, keys: str, quick: bool, folder: Path, comm: Any = None) -> list[Experiment]:
     """The built-in experiments of the letters `keys` (all if empty), or those of a scene. Collective."""
-    ranks = Ranks(comm)
+    ranks = Communicator(comm)
     lab = Lab(comm, quick, screen=Screen(ranks.is_root, False))
     begin, found, notes = perf_counter(), [], []
     with failing_together(ranks, f"cannot write into {folder}"):

@@ -10,7 +10,7 @@ import h5py
 import pytest
 from conftest import MPI_ENVIRONMENT, ROOT, run_ranks
 
-from particles_mpi.parallel.communicator import library
+from particles_mpi.parallel.communicator import mpi_library
 from particles_mpi.parallel.launcher import Filter
 
 pytestmark = pytest.mark.parallel
@@ -125,7 +125,7 @@ def test_a_disk_that_is_full_on_one_rank(scene, tmp_path):
     )
 
 
-@pytest.mark.skipif(not library().startswith("Open MPI"), reason="other launchers have words of their own for it")
+@pytest.mark.skipif(not mpi_library().startswith("Open MPI"), reason="other launchers have words of their own for it")
 def test_a_rank_that_is_killed_is_told_in_one_line(scene, tmp_path):
     fault = "killed:particles_mpi/integrators:Leapfrog.advance"
     code, said, seconds = with_fault(tmp_path, fault, 1, "run", scene, "--output", tmp_path / "o", "--quiet")

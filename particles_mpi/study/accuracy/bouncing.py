@@ -183,5 +183,5 @@ def scene(force: str, mode: str, h: float, start: Bounces) -> tuple[dict[str, An
 
 def off(sim: Simulation, shift: Array, end: Bounces) -> Array:
     """Distance of the balls of the scene from their true places at the `end`, the mean over the phases, of each case."""
-    x = snapshot.everyone(sim.ranks, sim.particles).position[: len(shift)] - shift
+    x = snapshot.gather_all(sim.ranks, sim.particles).position[: len(shift)] - shift
     return np.asarray(np.sqrt(((x - end.x[:, 0]) ** 2).sum(axis=1)).reshape(-1, PHASES).mean(axis=1))

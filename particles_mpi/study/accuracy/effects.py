@@ -86,7 +86,7 @@ def bits_that_differ(lab: Lab, name: str) -> int:
     for effects, own in ((falling, {}), (falling | {name: options}, more)):
         sim = lab.simulate(gas(FEW, effects, 0.0, STEPS, **own) | {"time": {"step": 0.05, "steps": STEPS}})
         sim.run()
-        p = snapshot.everyone(sim.ranks, sim.particles)
+        p = snapshot.gather_all(sim.ranks, sim.particles)
         ends.append(np.concatenate([p.position, p.velocity]).view(np.int64))
     return int(np.count_nonzero(ends[0] != ends[1]))
 
@@ -98,7 +98,7 @@ def errors(lab: Lab, name: str, sim: Simulation) -> Errors:
     for _ in range(10):
         sim.step()
     absent = sum(sim.calls.get(other, 0) for other in effect_names() if other not in sim.scene.effects)
-    sent = int(sim.ranks.total(sim.ranks.messages - messages)[0])
+    sent = int(sim.ranks.allreduce_sum(sim.ranks.messages - messages)[0])
     differ = bits_that_differ(lab, name) if name in OFF else 0
     return {"calls": float(absent), "messages": float(sent), "bits": float(differ)}
 

@@ -32,7 +32,7 @@ def errors(sim: Simulation) -> Errors:
     for moment, place in PLACES.items():
         while sim.steps_done < round(moment / sim.h):
             sim.step()
-        body = snapshot.everyone(sim.ranks, sim.particles).position[0]
+        body = snapshot.gather_all(sim.ranks, sim.particles).position[0]
         found[f"place, t = {moment:g}"] = float(np.sqrt(((body - place) ** 2).sum()))
     return found | {"energy": abs(sim.measure()["total_energy"] / start - 1.0)}
 
@@ -62,4 +62,4 @@ def pythagorean(lab: Lab) -> Experiment:
 
 
 def measure(lab: Lab) -> list[Experiment]:
-    return lab.ranks.of_root_alone(lambda: [pythagorean(lab.alone())]) or []
+    return lab.ranks.run_on_root(lambda: [pythagorean(lab.alone())]) or []

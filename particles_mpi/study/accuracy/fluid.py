@@ -63,7 +63,7 @@ def melted(lab: Lab, packing: float, n: int) -> dict[str, Any]:
     crystal = {"count": n, "position": "lattice", "velocity": {"temperature": 1.0}}
     sim = lab.simulate(fluid(packing, n, MELT / collision_rate(packing) / 4.0, 4, crystal, mode="event"))
     sim.run()
-    p = snapshot.everyone(sim.ranks, sim.particles)
+    p = snapshot.gather_all(sim.ranks, sim.particles)
     return {"position": p.position.tolist(), "velocity": p.velocity.tolist()}
 
 

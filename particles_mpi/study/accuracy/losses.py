@@ -62,7 +62,7 @@ def settings(lab: Lab, cases: dict[str, dict[str, Any]], true: tuple[Array, Arra
 
     def errors(sim: Simulation) -> Errors:
         sim.run()
-        p = snapshot.everyone(sim.ranks, sim.particles)
+        p = snapshot.gather_all(sim.ranks, sim.particles)
         return {"place": float(np.abs(p.position[0] - true[0]).max()), "velocity": float(np.abs(p.velocity[0] - true[1]).max())}
 
     def one(curve: str, n: int, case: dict[str, Any]) -> Setting:
@@ -151,4 +151,4 @@ def bouncing(lab: Lab) -> Experiment:
 
 
 def measure(lab: Lab) -> list[Experiment]:
-    return lab.ranks.of_root_alone(lambda: [case(lab.alone()) for case in (drag, stiff, friction, bouncing)]) or []
+    return lab.ranks.run_on_root(lambda: [case(lab.alone()) for case in (drag, stiff, friction, bouncing)]) or []

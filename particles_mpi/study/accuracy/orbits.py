@@ -70,7 +70,7 @@ def run(sim: Simulation, energy: Callable[[Simulation], float]) -> float:
 
 def of_planet(sim: Simulation) -> float:
     """Energy of a unit of mass of the planet; on one rank or on all."""
-    p = snapshot.everyone(sim.ranks, sim.particles)
+    p = snapshot.gather_all(sim.ranks, sim.particles)
     return 0.5 * float((p.velocity[0] ** 2).sum()) - 1.0 / float(np.sqrt(((p.position[0] - p.position[1]) ** 2).sum()))
 
 
@@ -88,7 +88,7 @@ def kepler(lab: Lab) -> Experiment:
 
     def errors(sim: Simulation) -> Errors:
         energy = run(sim, of_planet)
-        place = snapshot.everyone(sim.ranks, sim.particles).position[0]
+        place = snapshot.gather_all(sim.ranks, sim.particles).position[0]
         return {"energy": energy, "place": float(np.sqrt(((place - place_on_ellipse(sim.time)) ** 2).sum()))}
 
     rows = lab.measure("Kepler", list(settings(lab, {"particles": [PLANET]}, 2.0 * pi, orbits, errors)))
@@ -112,7 +112,7 @@ def figure_eight(lab: Lab) -> Experiment:
 
     def errors(sim: Simulation) -> Errors:
         energy = run(sim, lambda s: s.measure()["total_energy"])
-        return {"energy": energy, "place": float(np.abs(snapshot.everyone(sim.ranks, sim.particles).position - start).max())}
+        return {"energy": energy, "place": float(np.abs(snapshot.gather_all(sim.ranks, sim.particles).position - start).max())}
 
     rows = lab.measure("figure eight", list(settings(lab, {"particles": [EIGHT]}, PERIOD, 1, errors)))
     reference = "exact: after one period all are where they were (figures of Chenciner and Montgomery 2000)"
@@ -134,4 +134,4 @@ def slopes(found: Experiment) -> list[str]:
 
 
 def measure(lab: Lab) -> list[Experiment]:
-    return lab.ranks.of_root_alone(lambda: [kepler(lab.alone()), figure_eight(lab.alone())]) or []
+    return lab.ranks.run_on_root(lambda: [kepler(lab.alone()), figure_eight(lab.alone())]) or []

@@ -27,7 +27,7 @@ def measure(lab: Lab, scene: Scene, seconds: float = BUDGET) -> list[Experiment]
     start = Start(lab, scene)
     if start.total > FEW or lab.ranks.size == 1:
         return [settings(start, seconds), effects(start)]
-    alone = lab.ranks.of_root_alone(lambda: [f(Start(lab.alone(), scene)) for f in (lambda s: settings(s, seconds), effects)])
+    alone = lab.ranks.run_on_root(lambda: [f(Start(lab.alone(), scene)) for f in (lambda s: settings(s, seconds), effects)])
     return alone or []
 
 

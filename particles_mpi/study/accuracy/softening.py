@@ -55,7 +55,7 @@ def orbit(lab: Lab, eps: float, n: int, e: float = E, **time: Any) -> Simulation
 def end(sim: Simulation) -> Array:
     """Where the planet is at the end."""
     sim.run()
-    return snapshot.everyone(sim.ranks, sim.particles).position[0]
+    return snapshot.gather_all(sim.ranks, sim.particles).position[0]
 
 
 def away(a: Array, b: Array) -> float:
@@ -197,4 +197,4 @@ def plummer(lab: Lab) -> Experiment:
 
 
 def measure(lab: Lab) -> list[Experiment]:
-    return lab.ranks.of_root_alone(lambda: [kepler(lab.alone()), plummer(lab.alone())]) or []
+    return lab.ranks.run_on_root(lambda: [kepler(lab.alone()), plummer(lab.alone())]) or []

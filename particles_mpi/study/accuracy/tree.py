@@ -12,7 +12,7 @@ import numpy as np
 from particles_mpi import Simulation
 from particles_mpi.gravity.method import choose
 from particles_mpi.measure import snapshot
-from particles_mpi.parallel.exchange import rows_of_everyone
+from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.particles import Array
 from particles_mpi.study.measuring.experiment import Errors, Experiment, Lab, Row, Setting
 
@@ -56,7 +56,7 @@ def settings(lab: Lab, n: int) -> Iterator[Setting]:
         return summary(round_off(sim, exact[0]))
 
     def of_tree(sim: Simulation) -> Errors:
-        return summary(rows_of_everyone(sim.ranks, {"wrong": relative(accelerations(sim), exact[0])})["wrong"])
+        return summary(allgather_rows(sim.ranks, {"wrong": relative(accelerations(sim), exact[0])})["wrong"])
 
     def one(curve: str, angle: float, gravity: dict[str, Any]) -> Setting:
         begin = cache(lambda: lab.simulate(sphere(n, gravity)))
@@ -86,8 +86,8 @@ def summary(wrong: Array) -> Errors:
 
 def round_off(sim: Simulation, a: Array) -> Array:
     """Relative errors of some accelerations, against sums in extended precision. Collective."""
-    everyone = snapshot.everyone(sim.ranks, sim.particles)
-    arrived = rows_of_everyone(sim.ranks, {"id": sim.particles.id, "a": a})
+    everyone = snapshot.gather_all(sim.ranks, sim.particles)
+    arrived = allgather_rows(sim.ranks, {"id": sim.particles.id, "a": a})
     a = arrived["a"][np.argsort(arrived["id"], kind="stable")]
     x, some = everyone.position.astype(np.longdouble), np.arange(0, len(a), max(1, len(a) // TARGETS))
     exact = np.empty((len(some), 3), np.longdouble)

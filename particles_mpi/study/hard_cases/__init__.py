@@ -15,7 +15,7 @@ from typing import Any
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.measure import snapshot
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Particles
 
 CHAPTERS = ("forces", "contacts", "crowds", "resting", "orbits", "numbers", "spread")
@@ -52,7 +52,7 @@ class Bench:
 
 def everyone(sim: Simulation) -> Particles:
     """All particles in id order, on every rank. Collective."""
-    return snapshot.everyone(sim.ranks, sim.particles)
+    return snapshot.gather_all(sim.ranks, sim.particles)
 
 
 @dataclass(frozen=True)
@@ -123,9 +123,9 @@ def examine(one: Case, mode: str | None, dimension: int, comm: Any = None) -> Ou
     """Run a case; on several ranks also on this rank alone, for the bits must be the same. Collective."""
     bench = Bench(mode, dimension, comm)
     measured, holds = one.measure(bench)
-    same_bits, ranks = True, Ranks(comm)
+    same_bits, ranks = True, Communicator(comm)
     if ranks.size > 1:
-        alone = Bench(mode, dimension, Ranks.alone().comm)
+        alone = Bench(mode, dimension, Communicator.alone().comm)
         one.measure(alone)
-        same_bits = bool(ranks.smallest(float(bench.digest() == alone.digest()))[0])
-    return Outcome(one, mode, dimension, measured, bool(ranks.smallest(float(holds))[0]), same_bits)
+        same_bits = bool(ranks.allreduce_min(float(bench.digest() == alone.digest()))[0])
+    return Outcome(one, mode, dimension, measured, bool(ranks.allreduce_min(float(holds))[0]), same_bits)

@@ -49,7 +49,7 @@ def touching(bench: Bench) -> tuple[str, bool]:
         effects={"collisions": {}},
     )
     sim.run()
-    events = int(sim.ranks.total(sim.totals["collisions"])[0])
+    events = int(sim.ranks.allreduce_sum(sim.totals["collisions"])[0])
     return f"{events} events in 100 steps", events == 0
 
 
@@ -78,7 +78,7 @@ def grazing(bench: Bench) -> tuple[str, bool]:
             effects={"collisions": {}},
         )
         sim.step()
-        missed += int(sim.ranks.total(sim.totals["collisions"])[0]) == 0
+        missed += int(sim.ranks.allreduce_sum(sim.totals["collisions"])[0]) == 0
         bench.built.clear()
     return f"{missed} of 300 missed", missed == 0
 
@@ -119,7 +119,7 @@ def corner(bench: Bench) -> tuple[str, bool]:
     right = np.array([[0.9 + 1.0 - (0.3 + 0.1 * k) for k in range(d)]])
     off = np.abs(p.position - right).max()
     holds = off <= 1e-15 * 4 and (p.velocity == 1.0).all()
-    return f"{sim.ranks.total(sim.totals['wall_hits'])[0]} hits, place off {off:.0e}", bool(holds)
+    return f"{sim.ranks.allreduce_sum(sim.totals['wall_hits'])[0]} hits, place off {off:.0e}", bool(holds)
 
 
 @case("acute wedge of two planes (10 degrees)", "leaves through the other plane", "inside; ceil(pi/angle) bounces at most")
@@ -142,7 +142,7 @@ def wedge(bench: Bench) -> tuple[str, bool]:
         sim.step()
         x = everyone(sim).position[0]
         deepest = min(deepest, x[1], np.sin(angle) * x[0] - np.cos(angle) * x[1])
-    hits = int(sim.ranks.total(sim.totals["wall_hits"])[0])
+    hits = int(sim.ranks.allreduce_sum(sim.totals["wall_hits"])[0])
     energy = sim.measure()["kinetic"] / (0.5 * (1.0 + 0.03**2)) - 1.0
     holds = deepest >= 0.1 - 1e-13 and hits <= 18 and abs(energy) <= 1e-14 and everyone(sim).velocity[0, 0] > 0.0
     return f"{hits} bounces, closest {deepest - 0.1:+.0e} beyond a radius, energy {energy:+.0e}", bool(holds)
@@ -187,6 +187,6 @@ def squeezed(bench: Bench) -> tuple[str, bool]:
         effects={"collisions": {}, "walls": {}},
     )
     sim.run()
-    p, missed = everyone(sim), int(sim.ranks.total(sim.totals["missed"])[0])
+    p, missed = everyone(sim), int(sim.ranks.allreduce_sum(sim.totals["missed"])[0])
     off = max(abs(p.position[0, 0] - 0.5), abs(p.position[4, 0] - 10.0))
     return f"{missed} counted as missed, moved {off:.0e}", bool(missed > 0 and off <= 1e-12 and np.isfinite(p.velocity).all())

@@ -28,7 +28,7 @@ def gas(bench: Bench, scale: float, speed: float, offset: float, moves: float = 
         return f"refused: {str(error)[:60]}", True
     unit = np.spacing(abs(offset) + 10.0 * scale) * 8.0  # places are no finer
     inside = (p.position >= offset + 0.5 * scale - unit).all() and (p.position <= offset + 9.5 * scale + unit).all()
-    events = int(sim.ranks.total(sim.totals["collisions"])[0])
+    events = int(sim.ranks.allreduce_sum(sim.totals["collisions"])[0])
     change = after / before - 1.0 if before > 0.0 else after - before
     holds = bool(np.isfinite(p.position).all() and np.isfinite(p.velocity).all() and inside and abs(change) <= 1e-10)
     holds &= events > 0 or moves < 0.01

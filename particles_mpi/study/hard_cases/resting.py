@@ -135,7 +135,7 @@ def bouncing(bench: Bench) -> tuple[str, bool]:
     before, hits = sim.measure()["kinetic"], 0
     while hits < 100000:
         sim.step()
-        hits = int(sim.ranks.total(sim.totals["wall_hits"])[0])
+        hits = int(sim.ranks.allreduce_sum(sim.totals["wall_hits"])[0])
     drift = abs(sim.measure()["kinetic"] / before - 1.0)
     return f"{drift:.0e} after {hits} bounces", drift <= 1e-9
 
@@ -153,7 +153,7 @@ def bouncing_under_gravity(bench: Bench) -> tuple[str, bool]:
     exact, hits, most = 9.81 * heights, 0, 0.0
     while hits < 100000:
         sim.step()
-        hits = int(sim.ranks.total(sim.totals["wall_hits"])[0])
+        hits = int(sim.ranks.allreduce_sum(sim.totals["wall_hits"])[0])
         p = everyone(sim)
         off = (0.5 * p.velocity[:, 1] ** 2 + 9.81 * p.position[:, 1]) / exact - 1.0
         most = max(most, float(np.abs(off).max()))

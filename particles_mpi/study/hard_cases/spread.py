@@ -14,7 +14,7 @@ def watch(sim: Simulation, steps: int) -> tuple[str, bool]:
     for _ in range(steps):
         sim.step()
         lost += not np.array_equal(everyone(sim).id, np.arange(total))
-    counts = sim.ranks.total(np.array([sim.totals["collisions"]]))
+    counts = sim.ranks.allreduce_sum(np.array([sim.totals["collisions"]]))
     return f"{total} ids at each of {steps} steps, {counts[0]} contacts", lost == 0
 
 

@@ -8,7 +8,7 @@ from math import log, nan
 from typing import Any
 
 from particles_mpi import Scene, Simulation
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.run.console import Screen
 from particles_mpi.study.measuring.clock import SAMPLE, SAMPLES, Seconds, Watch, time_in_turns
 
@@ -86,13 +86,13 @@ class Lab:
     """Measures settings on the ranks of a communicator. `quick`: short samples, for a look."""
 
     def __init__(self, comm: Any = None, quick: bool = False, samples: int = SAMPLES, screen: Screen | None = None):
-        self.comm, self.ranks, self.quick = comm, Ranks(comm), quick
+        self.comm, self.ranks, self.quick = comm, Communicator(comm), quick
         self.samples, self.least = samples, 0.02 if quick else SAMPLE
         self.screen = screen or Screen(self.ranks.is_root, True)
 
     def alone(self) -> Lab:
         """This rank's own, for problems of a few bodies that more ranks would only slow down."""
-        return Lab(Ranks.alone().comm, self.quick, self.samples, self.screen)
+        return Lab(Communicator.alone().comm, self.quick, self.samples, self.screen)
 
     def simulate(self, tables: dict[str, Any]) -> Simulation:
         """The simulation of a scene given as tables."""

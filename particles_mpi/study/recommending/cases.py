@@ -37,7 +37,7 @@ class Case:
 
 def everyone(sim: Simulation) -> tuple[Array, Array, Array]:
     """Positions, velocities, masses in id order."""
-    p = snapshot.everyone(sim.ranks, sim.particles)
+    p = snapshot.gather_all(sim.ranks, sim.particles)
     return p.position, p.velocity, p.mass
 
 
@@ -103,8 +103,13 @@ def gas() -> Case:
     time = {"step": 0.01, "steps": 500}
     scene = Scene(dimension=3, seed=2, box=box, time=time, particles=[spheres], effects={"collisions": {}})
     rate = (Z_FLUID - 1.0) * 6.0 / sqrt(pi)  # of a particle at T = 1
-    return Case("hard spheres", scene, "collision rate", 0.02,
-                lambda s, size: abs(2.0 * int(s.ranks.total(s.totals["collisions"])[0]) / (n * s.time * rate) - 1.0))  # fmt: skip
+    return Case(
+        "hard spheres",
+        scene,
+        "collision rate",
+        0.02,
+        lambda s, size: abs(2.0 * int(s.ranks.allreduce_sum(s.totals["collisions"])[0]) / (n * s.time * rate) - 1.0),
+    )
 
 
 def cluster() -> Case:

@@ -18,7 +18,7 @@ import numpy as np
 from particles_mpi import Scene
 from particles_mpi.errors import Interrupted, StoppedError
 from particles_mpi.output import failing_together
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.run.forecast import Forecast
 from particles_mpi.run.job import Job
 from particles_mpi.scene.schema import TOLERANCES
@@ -52,10 +52,14 @@ def predict(start: Start) -> Prediction:
         with scratch(ranks) as folder:
             job = Job(sim, folder, rehearsal=True)
             job.run()
-        forecast: Forecast | None = ranks.from_root(job.forecast)
+        forecast: Forecast | None = ranks.bcast(job.forecast)
         if forecast is None:
             raise Interrupted("stopped before anything could be predicted")
-        rate = 2.0 * int(ranks.total(sim.totals["collisions"])[0]) / (max(int((start.particles.fixed == 0).sum()), 1) * sim.time)
+        rate = (
+            2.0
+            * int(ranks.allreduce_sum(sim.totals["collisions"])[0])
+            / (max(int((start.particles.fixed == 0).sum()), 1) * sim.time)
+        )
         errors = of_contacts(start, rate) if "collisions" in scene.effects else of_steps(start, forecast.step)
     except StoppedError as error:
         return Prediction(None, [f"predicted: stops within the first steps: {str(error).splitlines()[0]}"])
@@ -63,13 +67,13 @@ def predict(start: Start) -> Prediction:
 
 
 @contextmanager
-def scratch(ranks: Ranks) -> Iterator[Path]:
+def scratch(ranks: Communicator) -> Iterator[Path]:
     """A folder that is gone afterwards; where runs write theirs, if one may, for disks differ in speed. Collective."""
     path = ""
     with failing_together(ranks, "cannot write into the working directory"):
         if ranks.is_root:
             path = mkdtemp(prefix=".check-", dir=Path.cwd() if os.access(Path.cwd(), os.W_OK) else None)
-    folder = Path(ranks.from_root(path))
+    folder = Path(ranks.bcast(path))
     try:
         yield folder
     finally:

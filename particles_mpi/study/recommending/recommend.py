@@ -12,7 +12,7 @@ from rich.table import Table
 
 from particles_mpi import Scene
 from particles_mpi.errors import SceneError, StoppedError
-from particles_mpi.parallel.agreement import alike, same_on_all
+from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.run.console import Screen
 from particles_mpi.study.measuring.clock import Seconds, Watch, time_in_turns
 from particles_mpi.study.measuring.experiment import Errors, Lab
@@ -74,9 +74,7 @@ def recommend(lab: Lab, scene: Scene, tolerance: float, error: str = "", seconds
     try:
         if start.total > FEW or lab.ranks.size == 1:
             return found(start, tolerance, error, seconds)
-        result: Recommendation | None = lab.ranks.of_root_alone(
-            lambda: found(Start(lab.alone(), scene), tolerance, error, seconds)
-        )
+        result: Recommendation | None = lab.ranks.run_on_root(lambda: found(Start(lab.alone(), scene), tolerance, error, seconds))
         return result
     finally:
         lab.screen.stop()
@@ -109,7 +107,7 @@ def found(start: Start, tolerance: float, error: str, seconds: float) -> Recomme
         raise StoppedError(f"--tolerance {tolerance:g}: reached by chance only: half the step does not confirm " + dropped[0])
     steps = one.trial.curve.steps(one.trial.fineness, 1.0)
     tables = tuned(start.scene, one.trial.scene, steps)
-    took = float(lab.ranks.largest(perf_counter() - began)[0])
+    took = float(lab.ranks.allreduce_max(perf_counter() - began)[0])
     trials = [trial for trial in search.trials if trial.track is not None]
     return Recommendation(tolerance, error, one, steps, tables, half, difference, timed, mine, yardstick, trials,
                           search.refused, lab.ranks.size, took, dropped)  # fmt: skip
@@ -221,7 +219,7 @@ def recommend_scene(
 ) -> Recommendation | None:
     """What `study recommend` does: find it, tell it, write the tuned scene (to NAME.tuned.toml by default). Collective."""
     lab = Lab(comm)
-    with alike(lab.ranks):
+    with raising_together(lab.ranks):
         scene = Scene.load(path)
     same_on_all(lab.ranks, scene.to_dict())
     lab.screen = Screen(lab.ranks.is_root, False)
@@ -229,7 +227,7 @@ def recommend_scene(
     target = output or path.with_suffix(".tuned.toml")
     if found:
         report(lab.screen, found)
-    lab.ranks.of_root_alone(lambda: save(found, path, target) if found else None)
+    lab.ranks.run_on_root(lambda: save(found, path, target) if found else None)
     lab.screen.say(f"written: {target}")
     return found
 

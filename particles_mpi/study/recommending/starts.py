@@ -11,8 +11,8 @@ from particles_mpi.errors import SceneError
 from particles_mpi.initial.checks import check_start, endless_falls, periodic_length
 from particles_mpi.initial.populate import effect_class, fields_of, populate, room_of
 from particles_mpi.measure import snapshot
-from particles_mpi.parallel.agreement import alike, same_on_all
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.agreement import raising_together, same_on_all
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import ALWAYS, FIELDS, Array, Particles, shape
 from particles_mpi.study.measuring.experiment import Lab
 
@@ -46,7 +46,7 @@ class Start:
 
     def __init__(self, lab: Lab, scene: Scene):
         self.lab, self.scene = lab, scene
-        with alike(lab.ranks):
+        with raising_together(lab.ranks):
             self.particles, self.warnings = populate(scene)
         same_on_all(lab.ranks, scene.to_dict(), self.particles.arrays)
         self.total = len(self.particles)
@@ -107,6 +107,6 @@ def spread(x: Array, center: Array | None = None) -> float:
     return float(np.sqrt(((x - (x.mean(axis=0) if center is None else center)) ** 2).sum(axis=-1).mean())) if len(x) else 0.0
 
 
-def places(ranks: Ranks, sim: Simulation) -> Array:
+def places(ranks: Communicator, sim: Simulation) -> Array:
     """Positions (N, d) of all, in id order, on every rank. Collective."""
-    return snapshot.everyone(ranks, sim.particles).position
+    return snapshot.gather_all(ranks, sim.particles).position

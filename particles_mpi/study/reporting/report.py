@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from particles_mpi.parallel.communicator import Ranks, library
+from particles_mpi.parallel.communicator import Communicator, mpi_library
 from particles_mpi.run.doctor import usable_cores
 from particles_mpi.study.measuring.experiment import Experiment
 from particles_mpi.study.reporting import plots, tables
@@ -23,7 +23,7 @@ p.small, li.small { color: #555; font-size: 13px } svg { max-width: 100%; height
 """
 
 
-def machine(ranks: Ranks) -> dict[str, Any]:
+def machine(ranks: Communicator) -> dict[str, Any]:
     """What it was measured on."""
     name = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
@@ -36,7 +36,7 @@ def machine(ranks: Ranks) -> dict[str, Any]:
         "machine": name,
         "cores": usable_cores(),
         "ranks": ranks.size,
-        "mpi": library(),
+        "mpi": mpi_library(),
         "python": platform.python_version(),
         "when": when,
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from particles_mpi.errors import SceneError, StoppedError
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.simulation import Simulation
 from particles_mpi.study.measuring.clock import Watch
 
@@ -14,7 +14,7 @@ from particles_mpi.study.measuring.clock import Watch
 class Crew(Watch):
     """Times the steps of one setting on the first ranks of `world`, and notes phases and counts; the others sleep meanwhile."""
 
-    world: Ranks = field(kw_only=True)
+    world: Communicator = field(kw_only=True)
     inside: bool = field(kw_only=True)
     spans: list[dict[str, float]] = field(default_factory=list)  # what each sample took, on this rank
 
@@ -30,8 +30,8 @@ class Crew(Watch):
             except (SceneError, StoppedError) as raised:  # on all of the crew together
                 error = raised
         self.spans.append(self.span)
-        self.world.wait_asleep()
-        for slowest, failed in self.world.gathered((seconds, error)):
+        self.world.sleeping_barrier()
+        for slowest, failed in self.world.allgather((seconds, error)):
             seconds = max(seconds, slowest)
             if failed:
                 raise failed

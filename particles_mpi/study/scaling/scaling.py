@@ -17,8 +17,8 @@ import numpy as np
 from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.initial.populate import fields_of
 from particles_mpi.output import failing_together
-from particles_mpi.parallel.agreement import alike
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.agreement import raising_together
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import FIELDS
 from particles_mpi.run.console import Screen
 from particles_mpi.scene.schema import Scene
@@ -39,11 +39,11 @@ TALK = ("agree", "ghosts", "migrate", "exchange")  # phases in which ranks commu
 class Scaling:
     """Measures a scene on the ranks of a communicator. `quick`: short samples, for a look."""
 
-    def __init__(self, scene: Scene, ranks: Ranks, quick: bool):
+    def __init__(self, scene: Scene, ranks: Communicator, quick: bool):
         self.scene, self.world = scene, ranks
         self.least = 0.02 if quick else SAMPLE
         self.crews = {count: ranks.first(count) for count in rank_counts(ranks.size)}
-        self.homes = ranks.gathered((platform.node(), os.sched_getaffinity(0)))
+        self.homes = ranks.allgather((platform.node(), os.sched_getaffinity(0)))
 
     def oversubscribed(self, count: int) -> bool:
         """Have the first `count` ranks fewer cores than they are, on some machine?"""
@@ -66,7 +66,7 @@ class Scaling:
         self.divided = not parts or any(divides(sim) for sim in parts)
         return {setting: self.point(crew, setting[1]) for setting, crew in crews.items()}
 
-    def crew(self, scene: Scene, ranks: Ranks | None) -> Crew:
+    def crew(self, scene: Scene, ranks: Communicator | None) -> Crew:
         """Who times the scene; `ranks`: None where others do."""
         return Crew(
             ranks or self.world,
@@ -79,7 +79,7 @@ class Scaling:
     def point(self, crew: Crew, count: int) -> Point:
         """What the crew's ranks found, put together. Collective."""
         mine = (crew.a_step(), crew.sim.total) if crew.sim else None
-        found = [told for told in self.world.gathered(mine) if told]
+        found = [told for told in self.world.allgather(mine) if told]
         steps = [step for step, _ in found]
         names = [name for name in steps[0] if name.startswith("phase ")]
         phases = {name.removeprefix("phase "): float(np.mean([step[name] for step in steps])) for name in names}
@@ -120,12 +120,12 @@ def scale(scene: Scene | None, folder: Path, quick: bool, comm: Any = None) -> N
 
     `scene`: None for the headline gas, and one LARGER times as large. `quick`: short samples, and that one is left out.
     """
-    ranks = Ranks(comm)
+    ranks = Communicator(comm)
     screen = Screen(ranks.is_root, False)
     with failing_together(ranks, f"cannot write into {folder}"):
         if ranks.is_root:
             folder.mkdir(parents=True, exist_ok=True)
-    with alike(ranks):
+    with raising_together(ranks):
         scene_or_headline = scene or Scene.load(HEADLINE)
     scaling = Scaling(scene_or_headline, ranks, quick)
     no_weak = unable_to_grow(scaling.scene)
@@ -141,7 +141,7 @@ def scale(scene: Scene | None, folder: Path, quick: bool, comm: Any = None) -> N
     law, found = scaling.law(total), list(points.values())
     model = fit(found, law, scaling.row_bytes()) if ranks.size > 1 else None
     result = Result(scaling.scene.title, law, curves, found, model, no_weak, scene is None)
-    ranks.of_root_alone(lambda: write_report(result, folder, screen))
+    ranks.run_on_root(lambda: write_report(result, folder, screen))
 
 
 def write_report(result: Result, folder: Path, screen: Screen) -> None:
