@@ -25,7 +25,7 @@ from particles_mpi.measure import snapshot
 from particles_mpi.measure.diagnostics import COUNTS, measure
 from particles_mpi.measure.snapshot import METADATA
 from particles_mpi.measure.watchdog import WATCH_EVERY, Watchdog
-from particles_mpi.parallel.agreement import describe_not_finite, raising_together, same_on_all
+from particles_mpi.parallel.agreement import raising_together, require_finite, same_on_all
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import id_range
 from particles_mpi.particles import FIELDS, Array, Particles, default_values, places_of
@@ -423,8 +423,7 @@ class Simulation:
             collisions = int(self.ranks.allreduce_sum(self.totals["collisions"])[0])
             volume = float(np.prod(self.upper - self.lower)) if self.scene.box else np.nan
             row |= observe(self.ranks, p, volume, self.time, collisions, self.observed)
-        if not np.isfinite(row["kinetic"]):
-            raise StateError(describe_not_finite(self.ranks, p, f"step {self.steps_done}"))
+        require_finite(self.ranks, p, row["kinetic"], f"step {self.steps_done}")
         return row
 
     def remarks(self) -> list[str]:

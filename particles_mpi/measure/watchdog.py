@@ -6,7 +6,7 @@ import numpy as np
 
 from particles_mpi.errors import StateError
 from particles_mpi.kernels.jit import kernel
-from particles_mpi.parallel.agreement import describe_not_finite
+from particles_mpi.parallel.agreement import require_finite
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange
 from particles_mpi.particles import Array, Particles
@@ -31,7 +31,7 @@ class Watchdog:
         if (sums[:3] != self.id_checksum).any():
             raise StateError(f"step {step}: {self.who_is_lost(p)}")
         if sums[3]:
-            raise StateError(describe_not_finite(self.ranks, p, f"step {step}"))
+            require_finite(self.ranks, p, np.nan, f"step {step}")
         if sums[4]:
             mine = None
             if astray >= 0:

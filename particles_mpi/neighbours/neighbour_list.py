@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from particles_mpi.errors import StateError, StoppedError
+from particles_mpi.errors import StoppedError
 from particles_mpi.kernels.geometry import wrap
 from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.kernels.motion import end_legs
@@ -21,7 +21,7 @@ from particles_mpi.neighbours.halo import any_of, refresh, tell_choices, tell_le
 from particles_mpi.neighbours.halo_region import Fence, nowhere, share
 from particles_mpi.neighbours.rebuild_interval import Rhythm
 from particles_mpi.neighbours.trajectories import fastest
-from particles_mpi.parallel.agreement import describe_not_finite
+from particles_mpi.parallel.agreement import require_finite
 from particles_mpi.parallel.buffers import RowBuffers
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import Halo
@@ -102,7 +102,7 @@ class Neighbourhood:
         with self.timers("migrate"):
             self.balance.update(particles, self.searches)
             self.row_buffers.adopt()
-            self.migrated += self.row_buffers.migrate(self.ranks, self.balance.owner(particles.position))
+            self.migrated += self.row_buffers.migrate(self.ranks, self.balance.decomposition.owner(particles.position))
         with self.timers("agree"):
             end, half, bound, slack = self.horizon(h, at_least)
         with self.timers("pairs"):
@@ -126,8 +126,7 @@ class Neighbourhood:
         mine = np.array([n, fastest(x, particles.velocity), radius.max(initial=0.0), radius.sum(), work, *low, *high])
         table = self.ranks.allgather_array(mine)  # of all in one message
         total, speed, largest = table[:, 0].sum(), table[:, 1].max(), 2.0 * float(table[:, 2].max())
-        if not np.isfinite(table[:, 1:3]).all():
-            raise StateError(describe_not_finite(self.ranks, particles, "in a drift"))
+        require_finite(self.ranks, particles, table[:, 1:3], "in a drift")
         mean = 2.0 * float(table[:, 3].sum()) / max(total, 1.0)
         apart = spacing(table[:, 5 : 5 + d].min(axis=0), table[:, 5 + d :].max(axis=0), int(total)) if total else 1.0
         half = 0.5 * max(0.25 * mean, 0.05 * apart)

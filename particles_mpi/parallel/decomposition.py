@@ -1,7 +1,7 @@
-"""Recursive coordinate bisection: a binary tree of cuts gives every point of space to one rank.
+"""Decomposition decomposition by recursive coordinate bisection: a binary tree of cuts assigns every point of space to one rank.
 
-Half-open: a point on a cut belongs to the upper side. The outermost domains reach to infinity, so every finite position
-has an owner, in a box or in open space.
+A point on a cut belongs to the upper side. The outermost domains extend to infinity, so that every finite position has an
+owner, with or without a box.
 """
 
 from __future__ import annotations
@@ -14,14 +14,13 @@ from particles_mpi.kernels.jit import kernel
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
 
-BINS = 64  # of a cut's search; each round narrows it 64-fold
-ROUNDS = 4
+BINS, ROUNDS = 64, 4  # of the search for a cut: each round divides the interval into so many bins and keeps one
 
 
 class Decomposition:
-    """The cuts, as arrays over the tree's nodes, and the box of each rank: `lower`, `upper` (size, d).
+    """The cuts, as arrays over the nodes of the tree, and the domain of each rank: the box `lower`, `upper` (size, d).
 
-    Node k cuts `axis[k]` at `cut[k]`; `below[k]`, `above[k]` are its children, or -1 - rank.
+    Node k cuts `axis[k]` at `cut[k]`. Its children are `below[k]`, `above[k]`: a node, or -1 - rank if one rank owns that side.
     """
 
     def __init__(self, axis: Array, cut: Array, below: Array, above: Array, lower: Array, upper: Array):
@@ -29,12 +28,12 @@ class Decomposition:
         self.lower, self.upper = lower, upper
 
     def owner(self, x: Array) -> Array:
-        """The rank of each position of x (n, d), shape (n,)."""
+        """The rank that owns each position of x (n, d); shape (n,)."""
         return owners(x, self.axis, self.cut, self.below, self.above)
 
 
 def bisect(ranks: Communicator, x: Array, weight: float) -> Decomposition:
-    """Cut space so that each rank gets an equal share of the work, `weight` a row of x (n, d) on this rank. Collective."""
+    """Cut space so that all ranks get equal work: each position of x (n, d) on this rank means `weight` units. Collective."""
     d = x.shape[1]
     axis: list[int] = []
     cut: list[float] = []
@@ -43,6 +42,7 @@ def bisect(ranks: Communicator, x: Array, weight: float) -> Decomposition:
     lower, upper = np.full((ranks.size, d), -inf), np.full((ranks.size, d), inf)
 
     def split(first: int, last: int, rows: Array) -> int:
+        """Divide the domain of the ranks first ... last - 1, with this rank's positions in it, among them; its node."""
         if last - first == 1:
             return -1 - first
         node, middle = len(cut), (first + last) // 2
@@ -65,7 +65,7 @@ def bisect(ranks: Communicator, x: Array, weight: float) -> Decomposition:
 
 
 def best_cut(ranks: Communicator, x: Array, weight: float, share: float) -> tuple[int, float]:
-    """(axis, position) that leaves `share` of the weight of all ranks' rows below, across the longest axis. Collective."""
+    """(axis, position) of a cut of the longest axis, with `share` of the weight of all ranks' positions below it. Collective."""
     d = x.shape[1]
     ends = np.full(2 * d, -inf)
     if len(x):
@@ -73,7 +73,7 @@ def best_cut(ranks: Communicator, x: Array, weight: float, share: float) -> tupl
     ends = ranks.allreduce_max(ends)
     high, low = ends[:d], -ends[d:]
     if not np.all(high >= low):
-        return 0, 0.0  # no rows at all: any cut will do
+        return 0, 0.0  # no positions at all: any cut will do
     k = int((high - low).argmax())
     left, right, passed = float(low[k]), float(np.nextafter(high[k], inf)), 0.0
     wanted = None
@@ -94,7 +94,7 @@ def best_cut(ranks: Communicator, x: Array, weight: float, share: float) -> tupl
 
 @kernel
 def owners(x, axis, cut, below, above):
-    """The rank that holds each row, by descending the tree."""
+    """The rank that owns each position of x (n, d), found by descending the tree."""
     owner = np.zeros(len(x), np.int64)
     for i in range(len(x)):
         node = 0 if len(axis) else -1

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from time import perf_counter
+
 import numpy as np
 
-from particles_mpi.parallel.communicator import Communicator, now
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.decomposition import Decomposition, bisect
 from particles_mpi.particles import Array, Particles
 from particles_mpi.timers import Timers
 
-LOOK_EVERY = 8  # searches for pairs, between two looks at the clocks
-NOISE = 0.05  # of the mean time: what clocks of equal work differ by on a shared machine
-WORK = ("search", "collide", "drift", "pairs")  # phases whose time is a rank's own, not waiting for others
+LOOK_EVERY = 8  # searches for neighbours between two comparisons of the ranks' times
+NOISE = 0.05  # of the mean time: differences between ranks with equal work on a shared machine
+MOVING = 10.0  # cost of a new decomposition, in units of the time for the cuts: rows have to move too
+WORK = ("search", "collide", "drift", "pairs")  # phases in which a rank works, and does not wait for others
 
 
 class LoadBalance:
-    """Keeps the domain decomposition. Which rank holds a particle never changes a result, so clocks may decide."""
+    """Holds the domain decomposition. Which rank owns a particle never changes a result, so measured times may decide."""
 
     def __init__(self, ranks: Communicator, timers: Timers):
         self.ranks, self.timers = ranks, timers
@@ -23,12 +26,8 @@ class LoadBalance:
         self.cuts = 0
         self.cost = self.lost = self.worked = 0.0
 
-    def owner(self, x: Array) -> Array:
-        """The rank that each row of x belongs to."""
-        return self.decomposition.owner(x)
-
     def update(self, particles: Particles, searches: int) -> None:
-        """Cut space for the first time, or again if that pays. Collective."""
+        """Cut space for the first time, or again if that saves time; `searches`: for neighbours, so far. Collective."""
         if self.cuts == 0:
             self.cut(particles.position, 1.0)
         elif self.ranks.size > 1 and searches % LOOK_EVERY == 0:
@@ -44,9 +43,9 @@ class LoadBalance:
                 self.cut(particles.position, float(np.clip(each / typical, 0.5, 2.0)) if typical > 0.0 else 1.0)
 
     def cut(self, x: Array, weight: float) -> None:
-        """New cuts, `weight` a row of this rank."""
-        begin = now()
+        """A new decomposition, from this rank's positions x (n, d), each of which means `weight` units of work. Collective."""
+        begin = perf_counter()
         self.decomposition = bisect(self.ranks, x, weight)
-        self.cost = float(self.ranks.allreduce_max(now() - begin)[0]) * 10.0  # the cut itself, and moving the rows
+        self.cost = float(self.ranks.allreduce_max(perf_counter() - begin)[0]) * MOVING
         self.lost = 0.0
         self.cuts += 1

@@ -20,11 +20,10 @@ from particles_mpi.contacts.event_driven.event_loop import COLLISIONS, SPARED, W
 from particles_mpi.contacts.event_driven.windows import Windows
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.contacts.walls import Planes, no_planes
-from particles_mpi.errors import StateError
 from particles_mpi.kernels.markers import CROWD
 from particles_mpi.neighbours.cells import bounds, order_in_space
 from particles_mpi.neighbours.trajectories import fastest
-from particles_mpi.parallel.agreement import describe_not_finite
+from particles_mpi.parallel.agreement import require_finite
 from particles_mpi.parallel.buffers import RowBuffers
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows
@@ -190,7 +189,7 @@ class Whole:
     def __init__(self, particles: Particles, ranks: Communicator, engine: Engine, timers: Timers):
         self.engine, self.ranks, self.timers = engine, ranks, timers
         self.replica = Replica(particles, ranks, [name for name in CHANGING if name in particles.arrays])
-        self.particles = self.replica.everyone
+        self.particles = self.replica.all_particles
         self.row_buffers = RowBuffers(self.particles)
         self.version = -1
         self.searches = 0
@@ -202,13 +201,11 @@ class Whole:
             self.replica.gather()
         with self.timers("pairs"):
             if self.version != p.version or engine.moved > SETTLED * len(p):
-                if not np.isfinite(fastest(p.position, p.velocity)):
-                    raise StateError(describe_not_finite(self.ranks, p, f"t = {moment:g}"))
+                require_finite(self.ranks, p, fastest(p.position, p.velocity), f"t = {moment:g}")
                 self.settle()
         with self.timers("search"):
             moved, speed = engine.set_out(p, self.seat)
-            if not np.isfinite(speed):
-                raise StateError(describe_not_finite(self.ranks, p, f"t = {moment:g}"))
+            require_finite(self.ranks, p, speed, f"t = {moment:g}")
             if moved:
                 self.settle()
                 engine.set_out(p, self.seat)
@@ -220,7 +217,7 @@ class Whole:
             squeezed = engine.arrive()
             engine.hand_over(p, self.seat)
         with self.timers("exchange"):
-            self.replica.give_back()
+            self.replica.write_back()
         return np.array([engine.counts[COLLISIONS], engine.counts[WALL_HITS], squeezed])
 
     def settle(self) -> None:

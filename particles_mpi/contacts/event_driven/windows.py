@@ -26,11 +26,10 @@ from particles_mpi.contacts.event_driven.messages import (
     unpack_motion,
 )
 from particles_mpi.contacts.event_driven.rollback import KNOWN, MINE, OWN, record_width
-from particles_mpi.errors import StateError
 from particles_mpi.neighbours.cells import bounds, order_in_space
 from particles_mpi.neighbours.trajectories import fastest
 from particles_mpi.neighbours.verlet_kernels import MARGIN
-from particles_mpi.parallel.agreement import describe_not_finite
+from particles_mpi.parallel.agreement import require_finite
 from particles_mpi.parallel.buffers import RowBuffers
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import by_destination, send_rows, sendrecv
@@ -122,8 +121,7 @@ class Windows:
                 stale = moved or engine.moved > SETTLED * len(engine.leg)
             speed = speed if speed < np.inf else np.inf  # or it is not a number
             stale, speed, self.events = self.ranks.allreduce_max(np.array([stale, speed, engine.events], float))
-            if not np.isfinite(speed):
-                raise StateError(describe_not_finite(self.ranks, p, f"t = {moment:g}"))
+            require_finite(self.ranks, p, speed, f"t = {moment:g}")
             if not stale:
                 break
             self.settle()
@@ -136,7 +134,7 @@ class Windows:
         homes = engine.homes
         self.balance.update(p, self.searches)
         self.row_buffers.adopt()
-        self.migrated += self.row_buffers.migrate(ranks, self.balance.owner(self.wrapped(p.position)))
+        self.migrated += self.row_buffers.migrate(ranks, self.balance.decomposition.owner(self.wrapped(p.position)))
         n, d = len(p), p.dimension
         if n > 1:
             self.row_buffers.sort(order_in_space(p.position, bounds(p.position)))

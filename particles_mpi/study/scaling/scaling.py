@@ -42,7 +42,7 @@ class Scaling:
     def __init__(self, scene: Scene, ranks: Communicator, quick: bool):
         self.scene, self.world = scene, ranks
         self.least = 0.02 if quick else SAMPLE
-        self.crews = {count: ranks.first(count) for count in rank_counts(ranks.size)}
+        self.crews = {count: ranks.subset(count) for count in rank_counts(ranks.size)}
         self.homes = ranks.allgather((platform.node(), os.sched_getaffinity(0)))
 
     def oversubscribed(self, count: int) -> bool:
