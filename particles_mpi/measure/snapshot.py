@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.errors import SceneError
-from particles_mpi.output import failing_together, replacing
+from particles_mpi.output.files import failing_together, replacing
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.particles import FIELDS, Array, Particles, rows_of

@@ -15,8 +15,9 @@ from particles_mpi.errors import Interrupted, SceneError, StateError, StoppedErr
 from particles_mpi.measure.diagnostics import COUNTS, columns
 from particles_mpi.measure.snapshot import METADATA
 from particles_mpi.measure.watchdog import WATCH_EVERY
-from particles_mpi.output import checkpoint, failing_together, replacing
+from particles_mpi.output import checkpoint
 from particles_mpi.output.diagnostics_csv import Diagnostics
+from particles_mpi.output.files import failing_together, replacing
 from particles_mpi.output.folder import claim
 from particles_mpi.parallel.agreement import await_all, same_on_all
 from particles_mpi.parallel.communicator import mpi_library

@@ -9,7 +9,7 @@ from typing import Any
 from rich.table import Table
 
 from particles_mpi.errors import SceneError
-from particles_mpi.output import failing_together
+from particles_mpi.output.files import failing_together
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.run.console import Screen
 from particles_mpi.scene.schema import Scene

@@ -13,7 +13,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from write_frames import EVERY, frame_of
 
 from particles_mpi.errors import SceneError
-from particles_mpi.output import checkpoint, frame_arrays
+from particles_mpi.output import checkpoint
+from particles_mpi.output.files import frame_arrays
 from particles_mpi.particles import FIELDS
 from tests.conftest import run_ranks
 

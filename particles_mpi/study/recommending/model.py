@@ -17,7 +17,7 @@ import numpy as np
 
 from particles_mpi import Scene
 from particles_mpi.errors import Interrupted, StoppedError
-from particles_mpi.output import failing_together
+from particles_mpi.output.files import failing_together
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.run.forecast import Forecast
 from particles_mpi.run.job import Job

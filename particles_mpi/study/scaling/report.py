@@ -8,7 +8,7 @@ from typing import Any
 
 from rich.table import Table
 
-from particles_mpi.output import replacing
+from particles_mpi.output.files import replacing
 from particles_mpi.run.console import Screen
 from particles_mpi.study.scaling.performance_model import Point
 from particles_mpi.study.scaling.plots import draw

@@ -16,7 +16,7 @@ import numpy as np
 
 from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.initial.populate import fields_of
-from particles_mpi.output import failing_together
+from particles_mpi.output.files import failing_together
 from particles_mpi.parallel.agreement import raising_together
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import FIELDS
