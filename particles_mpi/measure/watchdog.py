@@ -1,4 +1,4 @@
-"""Is every particle still there, a number, and where it may be? Asked every few steps: it costs next to nothing."""
+"""The check, every few steps, that all particles are there, finite, and inside the walls and the box. It costs very little."""
 
 from __future__ import annotations
 
@@ -11,21 +11,22 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange
 from particles_mpi.particles import Array, Particles
 
-NAMED = 10  # ids in a message
-ROUND_OFF = 1e-9
+WATCH_EVERY = 10  # steps between two checks
+NAMED = 10  # ids that a message lists
+ROUND_OFF = 1e-9  # relative distance beyond a wall that counts as rounding
 
 
 class Watchdog:
-    """Knows which particles there are, the walls that hold them, and the periodic box. Made, and asked, on all ranks."""
+    """Remembers which particles there are, and knows the walls and the periodic box. Both methods are collective."""
 
     def __init__(self, ranks: Communicator, ids: Array, span: IdRange, planes: tuple[Array, Array], lower: Array, length: Array):
-        """`ids` (n,): those of this rank's particles, all of which are there; `span`: where those of all ranks lie."""
+        """`ids` (n,): of this rank's particles; `span`: range of all ids; `planes`: point and normal (w, d) of the walls."""
         self.ranks, self.span, self.planes = ranks, span, planes
         self.lower, self.length = lower, length
         self.id_checksum = ranks.allreduce_sum(id_checksum(ids))
 
     def look(self, p: Particles, step: int) -> None:
-        """Raises StateError on all ranks, with ids, step and rank, if something is wrong. Collective."""
+        """Raise a StateError on all ranks, which names ids, step and rank, if something is wrong."""
         numbers, astray, wall = find_invalid(p.position, p.velocity, p.fixed, *self.planes, self.lower, self.length)
         sums = self.ranks.allreduce_sum(np.array([*id_checksum(p.id), numbers >= 0, astray >= 0]))
         if (sums[:3] != self.id_checksum).any():
@@ -41,7 +42,7 @@ class Watchdog:
             raise StateError(next(text for text in self.ranks.allgather(mine) if text))
 
     def who_is_lost(self, p: Particles) -> str:
-        """Which ids are missing, and which are there twice. Collective."""
+        """A text: which ids are missing, and which exist more than once. Collective."""
         everyone = self.ranks.allgather(p.id.copy())
         ids, span = np.concatenate(everyone), self.span
         odd = ids[(ids < span.first) | (ids >= span.end)]
@@ -61,19 +62,19 @@ class Watchdog:
 
 
 def first_ids(ids: Array) -> str:
-    """The first ids as a text."""
+    """The first of the ids as a text, and how many more there are."""
     return ", ".join(map(str, ids[:NAMED])) + (f" and {len(ids) - NAMED} more" if len(ids) > NAMED else "")
 
 
 def id_checksum(ids: Array) -> Array:
-    """(3,) sums that tell a permutation of the ids from anything that happens by mistake; they may wrap around."""
+    """(3,) number, sum and sum of squares of the ids, int64: the same for every order of the ids; they may overflow and wrap."""
     with np.errstate(over="ignore"):
         return np.array([len(ids), ids.sum(dtype=np.int64), (ids * ids).sum(dtype=np.int64)])
 
 
 @kernel
 def find_invalid(x, v, fixed, point, normal, lower, length):
-    """(first row that is not finite, first row beyond a wall or a periodic face, which wall); -1 for none."""
+    """(first row that is not finite, first row beyond a wall or outside the periodic box, which wall); -1 for none of them."""
     numbers, astray, at = -1, -1, -1
     for i in range(len(x)):
         sums, size = 0.0, 0.0
@@ -95,6 +96,3 @@ def find_invalid(x, v, fixed, point, normal, lower, length):
             if distance < -ROUND_OFF * scale and astray < 0:
                 astray, at = i, w
     return numbers, astray, at
-
-
-WATCH_EVERY = 10  # steps

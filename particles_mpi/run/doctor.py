@@ -1,8 +1,8 @@
-"""What is installed here, whether it fits together, and what to do about what does not.
+"""What is installed, whether it works together, and what to do if not.
 
-Nothing that needs MPI or HDF5 is imported in this process: small programs started for the purpose do that and answer
-in JSON, so that a broken library, or a hanging one, becomes a row of the table instead of the end of the doctor.
-`python particles_mpi/run/doctor.py` works before the package is installed: run.sh uses it to check its own work.
+Nothing that needs MPI or HDF5 is imported in this process: small programs are started which do that and answer in JSON, so that a
+library that is broken, or hangs, becomes a row of the table and does not end the doctor. `python particles_mpi/run/doctor.py`
+works before the package is installed: run.sh checks the installation with it.
 """
 
 import json
@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 PROBE_SECONDS = 60
 
-# Runs on every rank. Rank 0 answers; the answer of a world of one is the same with size 1 and nothing collective to fail.
+# Runs on every rank, or in a single process; rank 0 answers.
 PROBE = """
 import json, sys
 import numpy as np
@@ -55,20 +55,20 @@ class Row(NamedTuple):
 
 
 def launcher() -> str | None:
-    """The mpirun of this environment: the one beside this Python before any other on the PATH."""
+    """The path of mpirun: the one next to this Python comes before any other on the PATH."""
     path = os.pathsep.join([str(Path(sys.prefix) / "bin"), os.environ.get("PATH", "")])
     return shutil.which("mpirun", path=path) or shutil.which("mpiexec", path=path)
 
 
 def started_ranks() -> int:
-    """How many processes the launcher says it started; 1 without a launcher."""
+    """How many processes the launcher started, by its environment variables; 1 without a launcher."""
     return max(int(os.environ.get(name, 1)) for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE"))
 
 
 def probe(ranks: int) -> dict[str, Any]:
     """Start `ranks` processes (1: without a launcher) that try MPI and HDF5; their answer, or {"error": ...}."""
     start = [str(launcher()), "-n", str(ranks)] if ranks > 1 else []
-    # Inside mpirun, these would tie the new processes to the world this one belongs to; settings (OMPI_MCA_...) stay.
+    # Under mpirun these variables would connect the new processes with this one; settings (OMPI_MCA_...) are kept.
     ties = ("OMPI_COMM_", "OMPI_UNIVERSE", "OMPI_MCA_ess", "OMPI_MCA_orte", "OMPI_MCA_pmix", "PMIX_", "PMI_", "HYDI_", "HYDRA_")
     environment = {name: value for name, value in os.environ.items() if not name.startswith(ties)}
     with tempfile.TemporaryDirectory(prefix="particles_mpi_doctor_") as folder:
@@ -88,7 +88,7 @@ def probe(ranks: int) -> dict[str, Any]:
 
 
 def report(world: int = 1) -> list[Row]:
-    """All rows; `world` is the size of the MPI world this process runs in."""
+    """All rows of the table; `world`: the number of ranks with which this process runs."""
     alone = probe(1)
     rows = [
         Row("Python", f"{platform.python_version()} ({sys.executable})"),
@@ -123,7 +123,7 @@ def _library(alone: dict[str, Any]) -> Row:
 
 
 def _family(text: str) -> str:
-    """Which MPI a version text speaks of; hydra is the launcher of MPICH."""
+    """The MPI implementation that a version text names; hydra is the launcher of MPICH."""
     marks = {"Open MPI": "Open MPI", "OpenRTE": "Open MPI", "Intel": "Intel MPI", "MPICH": "MPICH", "HYDRA": "MPICH"}
     return next((family for mark, family in marks.items() if mark in text), "unknown")
 
@@ -181,7 +181,7 @@ def _hdf5(alone: dict[str, Any]) -> Row:
 
 
 def usable_cores() -> int | None:
-    """That this process may run on."""
+    """The number of cores on which this process may run."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
 
 
@@ -204,7 +204,7 @@ def _kernels(package: Path) -> Row:
 
 
 def main(rank: int = 0, size: int = 1) -> int:
-    """Print the table on rank 0. Exit code 0: all right; 1: something has to be done, and the table says what."""
+    """Print the table on rank 0. Exit code 0: all is right; 1: something has to be done, which the table says."""
     if rank > 0:
         return 0
     from rich.console import Console
