@@ -48,10 +48,11 @@ if comm.rank == 0:
 
 
 class Row(NamedTuple):
+    """A row of the table."""
+
     what: str
     found: str
-    right: bool = True
-    advice: str = ""
+    advice: str = ""  # what to do; empty if all is right
 
 
 def launcher() -> str | None:
@@ -90,12 +91,12 @@ def probe(ranks: int) -> dict[str, Any]:
 def report(world: int = 1) -> list[Row]:
     """All rows of the table; `world`: the number of ranks with which this process runs."""
     alone = probe(1)
-    rows = [
+    return [
         Row("Python", f"{platform.python_version()} ({sys.executable})"),
         *(_package(name) for name in ("numpy", "numba", "scipy", "pydantic", "mpi4py")),
         _library(alone),
         _launcher(alone),
-        _ranks_seen(world) if max(world, started_ranks()) > 1 else _ranks_tried(probe(2) if launcher() else None),
+        _ranks(world),
         _package("h5py"),
         _hdf5(alone),
         _package("meshio"),
@@ -104,21 +105,18 @@ def report(world: int = 1) -> list[Row]:
         _cores(),
         _kernels(Path(__file__).parents[1]),
     ]
-    return rows
 
 
 def _package(name: str, optional_for: str = "") -> Row:
     try:
         return Row(name, metadata.version(name))
     except metadata.PackageNotFoundError:
-        if optional_for:
-            return Row(name, f"not installed ({optional_for})")
-        return Row(name, "not installed", False, "./run.sh setup")
+        return Row(name, f"not installed ({optional_for})") if optional_for else Row(name, "not installed", "./run.sh setup")
 
 
 def _library(alone: dict[str, Any]) -> Row:
     if "error" in alone:
-        return Row("MPI library", alone["error"], False, "mpi4py cannot start MPI: remove .venv and ./run.sh setup")
+        return Row("MPI library", alone["error"], "mpi4py cannot start MPI: remove .venv and ./run.sh setup")
     return Row("MPI library", alone["library"])
 
 
@@ -131,53 +129,47 @@ def _family(text: str) -> str:
 def _launcher(alone: dict[str, Any]) -> Row:
     path = launcher()
     if path is None:
-        return Row("launcher", "no mpirun or mpiexec found", False, "install an MPI, or: PARTICLES_MPI_SETUP=pip ./run.sh setup")
+        return Row("launcher", "no mpirun or mpiexec found", "install an MPI, or: PARTICLES_MPI_SETUP=pip ./run.sh setup")
     try:
         said = subprocess.run([path, "--version"], capture_output=True, text=True, timeout=PROBE_SECONDS)
     except (OSError, subprocess.TimeoutExpired) as error:
-        return Row("launcher", f"{path}: {error}", False, "this launcher does not start")
+        return Row("launcher", f"{path}: {error}", "this launcher does not start")
     ours, theirs = _family(said.stdout + said.stderr), _family(alone.get("library", ""))
     if "unknown" in (ours, theirs) or ours == theirs:
         return Row("launcher", f"{path} ({ours})")
-    return Row("launcher", f"{path} belongs to {ours}, mpi4py to {theirs}", False, f"start with the mpirun of {theirs}")
+    return Row("launcher", f"{path} belongs to {ours}, mpi4py to {theirs}", f"start with the mpirun of {theirs}")
 
 
-def _ranks_seen(world: int) -> Row:
+def _ranks(world: int) -> Row:
+    """Do ranks see each other: those of this run if there are several, otherwise two that are started for it."""
     started = max(started_ranks(), world)
-    if world == started:
-        return Row("ranks", f"{world} started, {world} see each other (this very run)")
-    return Row(
-        "ranks", f"{started} started, but each is alone", False, "this mpirun is of another MPI than mpi4py's: see launcher"
-    )
-
-
-def _ranks_tried(pair: dict[str, Any] | None) -> Row:
-    if pair is None:
-        return Row("2-rank check", "not tried: no launcher", False, "see launcher")
+    if started > 1:
+        if world == started:
+            return Row("ranks", f"{world} started, {world} see each other (this very run)")
+        advice = "this mpirun is of another MPI than mpi4py's: see launcher"
+        return Row("ranks", f"{started} started, but each is alone", advice)
+    if launcher() is None:
+        return Row("2-rank check", "not tried: no launcher", "see launcher")
+    pair = probe(2)
     if "error" in pair:
-        return Row("2-rank check", pair["error"], False, "a 2-rank program does not run: try the launcher by hand")
+        return Row("2-rank check", pair["error"], "a 2-rank program does not run: try the launcher by hand")
     if pair["size"] != 2:
-        return Row("2-rank check", f"2 started, a world of {pair['size']}", False, "launcher and mpi4py are of different MPIs")
+        return Row("2-rank check", f"2 started, a world of {pair['size']}", "launcher and mpi4py are of different MPIs")
     if not pair["sum_right"]:
-        return Row(
-            "2-rank check", "a wrong sum over the ranks", False, "this MPI is broken: PARTICLES_MPI_SETUP=pip ./run.sh setup"
-        )
+        return Row("2-rank check", "a wrong sum over the ranks", "this MPI is broken: PARTICLES_MPI_SETUP=pip ./run.sh setup")
     if "hdf5_error" in pair or pair.get("written") is False:
-        said = pair.get("hdf5_error", "wrong rows")
-        return Row("2-rank check", f"HDF5: {said}", False, "remove .venv and ./run.sh setup")
-    return Row(
-        "2-rank check", "2 ranks see each other, sums right" + (", collective HDF5 write right" if "written" in pair else "")
-    )
+        return Row("2-rank check", f"HDF5: {pair.get('hdf5_error', 'wrong rows')}", "remove .venv and ./run.sh setup")
+    return Row("2-rank check", "2 ranks see each other, sums right" + ", collective HDF5 write right" * ("written" in pair))
 
 
 def _hdf5(alone: dict[str, Any]) -> Row:
     if "hdf5_error" in alone:
-        return Row("HDF5", alone["hdf5_error"], False, "remove .venv and ./run.sh setup")
+        return Row("HDF5", alone["hdf5_error"], "remove .venv and ./run.sh setup")
     if alone.get("parallel"):
         return Row("HDF5", f"{alone['hdf5']}, parallel: every rank writes its own rows")
     if "hdf5" in alone:
         return Row("HDF5", f"{alone['hdf5']}, serial: one rank gathers and writes, the files are the same")
-    return Row("HDF5", "not known: MPI does not start", False, "see MPI library")
+    return Row("HDF5", "not known: MPI does not start", "see MPI library")
 
 
 def usable_cores() -> int | None:
@@ -198,9 +190,7 @@ def _kernels(package: Path) -> Row:
     home = folder if folder.exists() else Path.home()
     if os.access(home, os.W_OK) or os.access(Path.home(), os.W_OK):
         return Row("kernel cache", "empty: the first run compiles (./run.sh setup does it now)")
-    return Row(
-        "kernel cache", f"{folder} cannot be written", False, "every run will compile: set NUMBA_CACHE_DIR to a folder of yours"
-    )
+    return Row("kernel cache", f"{folder} cannot be written", "every run will compile: set NUMBA_CACHE_DIR to a folder of yours")
 
 
 def main(rank: int = 0, size: int = 1) -> int:
@@ -213,10 +203,10 @@ def main(rank: int = 0, size: int = 1) -> int:
     rows = report(size)
     table = Table("", "", "found", "what to do", title="particles_mpi doctor", title_justify="left", box=None, padding=(0, 1))
     for row in rows:
-        mark = "[green]ok[/]" if row.right else "[red]NO[/]"
+        mark = "[red]NO[/]" if row.advice else "[green]ok[/]"
         table.add_row(mark, row.what, row.found, row.advice)
     Console(soft_wrap=False).print(table)
-    return 0 if all(row.right for row in rows) else 1
+    return int(any(row.advice for row in rows))
 
 
 if __name__ == "__main__":  # for run.sh: what two ranks see, as JSON
