@@ -7,6 +7,7 @@ owner, with or without a box.
 from __future__ import annotations
 
 from math import inf
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,15 +18,15 @@ from particles_mpi.particles import Array
 BINS, ROUNDS = 64, 4  # of the search for a cut: each round divides the interval into so many bins and keeps one
 
 
-class Decomposition:
-    """The cuts, as arrays over the nodes of the tree, and the domain of each rank: the box `lower`, `upper` (size, d).
+class Decomposition(NamedTuple):
+    """The cuts as a binary tree, node by node, and the domain of each rank."""
 
-    Node k cuts `axis[k]` at `cut[k]`. Its children are `below[k]`, `above[k]`: a node, or -1 - rank if one rank owns that side.
-    """
-
-    def __init__(self, axis: Array, cut: Array, below: Array, above: Array, lower: Array, upper: Array):
-        self.axis, self.cut, self.below, self.above = axis, cut, below, above
-        self.lower, self.upper = lower, upper
+    axis: Array  # (nodes,) the axis that a node cuts
+    cut: Array  # (nodes,) where
+    below: Array  # (nodes,) the child on either side: a node, or -1 - rank if one rank owns that side
+    above: Array
+    lower: Array  # (ranks, d) corners of each rank's domain, a box
+    upper: Array
 
     def owner(self, x: Array) -> Array:
         """The rank that owns each position of x (n, d); shape (n,)."""
@@ -35,33 +36,25 @@ class Decomposition:
 def bisect(ranks: Communicator, x: Array, weight: float) -> Decomposition:
     """Cut space so that all ranks get equal work: each position of x (n, d) on this rank means `weight` units. Collective."""
     d = x.shape[1]
-    axis: list[int] = []
-    cut: list[float] = []
-    below: list[int] = []
-    above: list[int] = []
+    nodes: list[tuple[int, float, int, int]] = []  # axis, cut, below, above
     lower, upper = np.full((ranks.size, d), -inf), np.full((ranks.size, d), inf)
 
     def split(first: int, last: int, rows: Array) -> int:
         """Divide the domain of the ranks first ... last - 1, with this rank's positions in it, among them; its node."""
         if last - first == 1:
             return -1 - first
-        node, middle = len(cut), (first + last) // 2
+        node, middle = len(nodes), (first + last) // 2
         k, at = best_cut(ranks, rows, weight, (middle - first) / (last - first))
-        axis.append(k)
-        cut.append(at)
-        below.append(0)
-        above.append(0)
+        nodes.append((k, at, 0, 0))
         upper[first:middle, k] = at
         lower[middle:last, k] = at
         under = rows[:, k] < at
-        below[node] = split(first, middle, rows[under])
-        above[node] = split(middle, last, rows[~under])
+        nodes[node] = k, at, split(first, middle, rows[under]), split(middle, last, rows[~under])
         return node
 
     split(0, ranks.size, x)
-    return Decomposition(
-        np.array(axis, np.int64), np.array(cut, float), np.array(below, np.int64), np.array(above, np.int64), lower, upper
-    )
+    axis, cut, below, above = (np.array([node[c] for node in nodes], float if c == 1 else np.int64) for c in range(4))
+    return Decomposition(axis, cut, below, above, lower, upper)
 
 
 def best_cut(ranks: Communicator, x: Array, weight: float, share: float) -> tuple[int, float]:
