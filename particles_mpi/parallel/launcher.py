@@ -4,8 +4,8 @@
 launcher, so that signals, stdin, stdout and the exit code are the launcher's own. Its stderr goes through a second process, which
 passes everything on at once, except paragraphs between two lines of dashes and lines that begin with [host:pid], which are
 written by Open MPI. Of these it removes the ones about an exit code or MPI_Abort, shortens the one about a signal to a line, and
-passes on all others. No setting of Open MPI does that: `orte_execute_quiet` hides also that a rank was killed, or that there is no
-such program.
+passes on all others. No setting of Open MPI does that: `orte_execute_quiet` hides also that a rank was killed, or that there
+is no such program.
 """
 
 import os
