@@ -1,8 +1,8 @@
 """The program: signals first, so that none finds it with half of its imports done and leaves a traceback."""
 
-from particles_mpi.parallel.signals import leave_at_once
+from particles_mpi.parallel.signals import exit_on_signals
 
-leave_at_once()
+exit_on_signals()
 
 from particles_mpi.cli import main  # noqa: E402
 

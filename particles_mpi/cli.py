@@ -12,8 +12,8 @@ from mpi4py import MPI
 from typer.core import TyperGroup
 
 from particles_mpi.errors import SceneError, StoppedError
-from particles_mpi.parallel.agreement import alike, end_together, same_on_all
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.agreement import abort_all, raising_together, same_on_all
+from particles_mpi.parallel.communicator import Communicator
 
 STARTED = perf_counter()
 app = typer.Typer(
@@ -104,8 +104,8 @@ def check(scene: SceneFile) -> None:
         start = Start(Benchmark(), described)
     except SceneError as error:
         raise SceneError([f"{scene}: {fault}" for fault in error.faults]) from None
-    about = plan(described, start.particles, start.total, MPI.COMM_WORLD.Get_size())
-    screen.plan(described.title, about, start.warnings)
+    planned = plan(described, start.particles, start.total, MPI.COMM_WORLD.Get_size())
+    screen.plan(described.title, planned, start.warnings)
     found = predict(start)
     if found.forecast:
         screen.forecast(found.forecast)
@@ -232,8 +232,8 @@ def load(path: Path) -> Any:
     """The scene of a file: the same on all ranks, or refused. Collective."""
     from particles_mpi.scene.schema import Scene
 
-    ranks = Ranks()
-    with alike(ranks):
+    ranks = Communicator()
+    with raising_together(ranks):
         described = Scene.load(path)
     same_on_all(ranks, described.to_dict())
     return described
@@ -248,7 +248,7 @@ def main() -> None:
     """Run the command; what goes wrong on any rank ends all, with one line and the exit code of the error."""
     code: Any = 0
     try:
-        same_on_all(Ranks(), {"arguments": words(sys.argv[1:])})
+        same_on_all(Communicator(), {"arguments": words(sys.argv[1:])})
         app(standalone_mode=False, prog_name="particles-mpi")
     except typer.Exit as error:
         code = error.exit_code
@@ -256,7 +256,7 @@ def main() -> None:
         code = error.code or 0
     except BaseException as error:
         wrong_arguments = getattr(error, "format_message", None)  # typer's own
-        code = end_together(SceneError(wrong_arguments()) if wrong_arguments else error)
+        code = abort_all(SceneError(wrong_arguments()) if wrong_arguments else error)
     sys.stdout.flush()
     sys.exit(code)
 

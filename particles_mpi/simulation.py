@@ -16,10 +16,10 @@ from particles_mpi.integrators.choice import integrator_of
 from particles_mpi.integrators.step_to_contact import step_to_contact
 from particles_mpi.integrators.velocity_flow import Kick
 from particles_mpi.measure.diagnostics import measure
-from particles_mpi.measure.health import WATCH_EVERY, Watchdog
 from particles_mpi.measure.observables import observe
-from particles_mpi.parallel.agreement import alike, not_finite, same_on_all
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.measure.watchdog import WATCH_EVERY, Watchdog
+from particles_mpi.parallel.agreement import raising_together, require_finite, same_on_all
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles
 from particles_mpi.run.job import Job
 from particles_mpi.scene.schema import Scene
@@ -39,12 +39,12 @@ class Simulation(Saved):
 
     def __init__(self, scene: Scene, comm: Any = None, start: Particles | None = None):
         """`start`: all particles in id order on every rank, with the fields that the scene needs, instead of its own."""
-        ranks = Ranks(comm)
+        ranks = Communicator(comm)
         warnings: list[str] = []
-        with alike(ranks):
+        with raising_together(ranks):
             particles, warnings = populate(scene) if start is None else (start, warnings)
         same_on_all(ranks, scene.to_dict() | {"file contents": scene.digests()}, particles.arrays)
-        with alike(ranks):
+        with raising_together(ranks):
             self.begin(scene, ranks, particles)
         self.warnings = warnings
 
@@ -134,11 +134,10 @@ class Simulation(Saved):
         p = self.rows
         row = measure(self.ranks, p, self.accelerations.potentials(p))
         if self.scene.output.observables:
-            collisions = int(self.ranks.total(self.totals["collisions"])[0])
+            collisions = int(self.ranks.allreduce_sum(self.totals["collisions"])[0])
             volume = float(np.prod(self.upper - self.lower)) if self.scene.box else np.nan
             row |= observe(self.ranks, p, volume, self.time, collisions, self.observed)
-        if not np.isfinite(row["kinetic"]):
-            raise StateError(not_finite(self.ranks, p, f"step {self.steps_done}"))
+        require_finite(self.ranks, p, row["kinetic"], f"step {self.steps_done}")
         return row
 
     def replace_force(self, name: str) -> None:
@@ -191,7 +190,7 @@ class Simulation(Saved):
         """
         counted = self.counted()
         events = self.totals["collisions"] + self.totals["wall_hits"]
-        sums = self.ranks.total(np.array([counted["interactions"], counted["pair_tests"], events], np.int64)).tolist()
+        sums = self.ranks.allreduce_sum(np.array([counted["interactions"], counted["pair_tests"], events], np.int64)).tolist()
         forces = max((self.calls.get(name, 0) for name in self.forces), default=0)
         return {"forces": forces, "interactions": sums[0], "pair_tests": sums[1], "events": sums[2]}
 

@@ -1,12 +1,12 @@
-"""Seconds a phase."""
+"""Wall-clock seconds spent in each phase of a run."""
 
 from __future__ import annotations
 
 from time import perf_counter
 
 
-class Phase:
-    """A stop watch: `with phase: ...` adds to its seconds."""
+class Stopwatch:
+    """`with stopwatch: ...` adds the seconds of the block to `seconds`."""
 
     __slots__ = ("begin", "seconds")
 
@@ -21,15 +21,15 @@ class Phase:
 
 
 class Timers:
-    """`with timers("search"): ...` adds to that phase's seconds; `timers.seconds` holds them. Phases do not nest."""
+    """`with timers("search"): ...` adds the seconds of the block to `timers.seconds["search"]`. Phases may not be nested."""
 
     def __init__(self) -> None:
-        self.phases: dict[str, Phase] = {}
+        self.phases: dict[str, Stopwatch] = {}
 
-    def __call__(self, phase: str) -> Phase:
+    def __call__(self, phase: str) -> Stopwatch:
         found = self.phases.get(phase)
         if found is None:
-            found = self.phases[phase] = Phase()
+            found = self.phases[phase] = Stopwatch()
         return found
 
     @property

@@ -15,7 +15,7 @@ from particles_mpi.initial.checks import value_limits
 from particles_mpi.initial.names import listed
 from particles_mpi.initial.populate import add_population
 from particles_mpi.measure import snapshot
-from particles_mpi.parallel.agreement import alike, same_on_all
+from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.particles import FIELDS, Array
 from particles_mpi.scene.effect import Force
 
@@ -29,7 +29,7 @@ class Changeable(State):
             self.particles.collect()
         except StateError as error:
             raise StateError(f"step {self.steps_done + 1}: {error}") from None
-        if self.rest and self.rest.pairs and self.ranks.largest(float(self.rows.edition != self.taken))[0]:
+        if self.rest and self.rest.pairs and self.ranks.allreduce_max(float(self.rows.edition != self.taken))[0]:
             self.forget_contacts()
         self.taken = self.rows.edition
 
@@ -74,9 +74,9 @@ class Changeable(State):
         and are 0 if not. Raises SceneError, as at the start, for particles that cannot be: overlapping others, outside, ...
         """
         self.take_changes()
-        everyone = snapshot.everyone(self.ranks, self.rows)
+        everyone = snapshot.gather_all(self.ranks, self.rows)
         number = len(self.scene.particles) + self.additions
-        with alike(self.ranks):
+        with raising_together(self.ranks):
             all_, warnings = add_population(self.scene, everyone, population, self.next_id, number)
         same_on_all(self.ranks, {}, all_.arrays)
         new = all_.select(np.arange(len(everyone), len(all_)))
@@ -97,10 +97,10 @@ class Changeable(State):
         Raises ValueError, on all ranks, for ids that no particle has.
         """
         self.take_changes()
-        named = np.unique(np.concatenate([np.asarray(of, np.int64).reshape(-1) for of in self.ranks.gathered(ids)]))
+        named = np.unique(np.concatenate([np.asarray(of, np.int64).reshape(-1) for of in self.ranks.allgather(ids)]))
         here = np.isin(self.rows.id, named)
-        if self.ranks.total(np.count_nonzero(here))[0] < len(named):
-            known = np.concatenate(self.ranks.gathered(self.rows.id[here]))
+        if self.ranks.allreduce_sum(np.count_nonzero(here))[0] < len(named):
+            known = np.concatenate(self.ranks.allgather(self.rows.id[here]))
             raise ValueError(f"remove: no {listed(np.setdiff1d(named, known))}")
         self.rows.replace(self.rows.select(np.flatnonzero(~here)).arrays)
         self.particles.close()
@@ -116,5 +116,5 @@ class Changeable(State):
         if name in FIELDS or name in dir(ParticleView) or values.shape[:1] != (self.total,) or values.dtype.kind not in "biuf":
             raise ValueError(f"attach: {name!r} must be a new name, with an array of numbers for {self.total} particles")
         self.take_changes()
-        ids = np.sort(np.concatenate(self.ranks.gathered(self.rows.id)))
+        ids = np.sort(np.concatenate(self.ranks.allgather(self.rows.id)))
         self.rows.arrays[name] = values[np.searchsorted(ids, self.rows.id)]

@@ -8,7 +8,7 @@ import numpy as np
 
 from particles_mpi.between_steps.particle_view import ParticleView
 from particles_mpi.parallel.agreement import same_on_all
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, id_range
 from particles_mpi.particles import Array, Particles, default_values
 from particles_mpi.scene.active import ActiveEffects, fields_of
@@ -27,14 +27,14 @@ class State:
     """
 
     scene: Scene
-    ranks: Ranks
+    ranks: Communicator
     rows: Particles
     ids: IdRange
     total: int
     rest: Any
     drift: Any
 
-    def begin(self, scene: Scene, ranks: Ranks, everyone: Particles, next_id: int = 0) -> None:
+    def begin(self, scene: Scene, ranks: Communicator, everyone: Particles, next_id: int = 0) -> None:
         """Set all of it from all particles (in id order on every rank), of which this rank keeps its share. Collective.
 
         `next_id`: the id of the next particle that is added, if it is larger than those that are there tell.

@@ -11,9 +11,9 @@ from pydantic import Field
 from particles_mpi.gravity.direct import add_potential, attract
 from particles_mpi.gravity.method import TREES, Choice, choose
 from particles_mpi.parallel.blocks import blocks
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange
-from particles_mpi.parallel.signals import breathe
+from particles_mpi.parallel.signals import check_signals
 from particles_mpi.particles import Array, Particles, places_of
 from particles_mpi.scene.effect import Context, Force
 from particles_mpi.scene.model import EffectOptions
@@ -99,7 +99,7 @@ class Effect(Force):
 class DirectSum:
     """Over all pairs, for G = 1."""
 
-    def __init__(self, ranks: Ranks, ids: IdRange, softening2: float):
+    def __init__(self, ranks: Communicator, ids: IdRange, softening2: float):
         self.ranks, self.ids, self.softening2 = ranks, ids, softening2
         self.interactions = 0  # so far
 
@@ -128,14 +128,14 @@ def pieces(targets: int, sources: int) -> Iterator[slice]:
     """The sources in turn, as many at once as take some tenths of a second, so that Ctrl-C is heard in between."""
     each = max(1, PAIRS // max(targets, 1))
     for first in range(0, sources, each):
-        breathe()
+        check_signals()
         yield slice(first, first + each)
 
 
 class TreeSum:
     """By a tree, for G = 1."""
 
-    def __init__(self, ranks: Ranks, dimension: int, angle: float, softening2: float, quadrupoles: bool):
+    def __init__(self, ranks: Communicator, dimension: int, angle: float, softening2: float, quadrupoles: bool):
         from particles_mpi.gravity.tree import Tree
 
         self.ranks, self.tree = ranks, Tree(ranks, dimension, angle, softening2, quadrupoles)
@@ -154,7 +154,7 @@ class TreeSum:
     def potential(self, p: Particles) -> Array:
         """Potential (n,), that of movable sources by half: half that of the last `pull` if none is fixed or moved. Collective."""
         known = self.known == places_of(p) and not p.fixed.any()
-        if self.ranks.smallest(float(known))[0]:
+        if self.ranks.allreduce_min(float(known))[0]:
             return 0.5 * self.depth
         return self.sum(p, halved(p))[:, 3]
 

@@ -1,1 +1,17 @@
-"""Mutual attraction: who pulls whom, and how hard."""
+"""Mutual attraction of all particles: the direct sum over all pairs, and a tree of multipoles.
+
+In the order in which to read them:
+
+- `method`: direct sum or tree, chosen by cost and error
+- `direct`: the sum over all pairs, for each target in the order of ids
+- `octree`: Morton keys, cells, moments, and the opening test `is_far`
+- `walk`: lists of far cells and near particles for a group of targets, and their sum
+- `tree`: the evaluation on all ranks, step by step
+- `locally_essential`: where the keys are cut between ranks, and which nodes another rank needs
+
+How a force is computed. `effects.mutual_gravity` asks for the accelerations of this rank's particles. Direct sum: blocks of
+sources in id order come from every rank in turn (`parallel.blocks`), and every target adds them up in that order. Tree: each
+particle gets the Morton key of its position and is sent to the rank that owns that key; there the rank builds the cells of its
+keys, sends other ranks the nodes that are essential to them, joins what arrives with its own part to one tree, and walks it for
+each group of its targets; the results return to the ranks that the particles came from.
+"""

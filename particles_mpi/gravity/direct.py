@@ -1,7 +1,8 @@
-"""Attraction summed over all pairs. Plain arrays.
+"""The direct sum over all pairs. Arrays only.
 
 Every target adds up its sources in the order of their ids, one after the other, so that its sum has the same bits however
-the sources are cut into blocks. The compiled loop runs over the targets of a tile at a time, which needs no other order.
+the sources are divided into blocks. The innermost loop runs over the targets of a tile, not over the sources: the compiler can
+then use vector instructions without changing the order of any sum.
 """
 
 from __future__ import annotations
@@ -12,21 +13,21 @@ import numpy as np
 
 from particles_mpi.kernels.jit import kernel
 
-TILE = 64  # targets whose coordinates and sums stay in the nearest cache
+TILE = 64  # targets whose coordinates and sums stay in the first-level cache
 
 
 @kernel(error_model="numpy")
 def attract(axes, x, source, mass, softening2, total):
     """total (n, d) += sum_j m_j r_j/(r_j^2 + softening2)^(3/2), r_j = source_j - x.
 
-    A source at the very place of a target, like itself, adds nothing.
+    Positions x and source (., d). A source at the position of a target, like the target itself, adds nothing.
     """
     d = len(axes)
     at, sums = np.empty((d, TILE)), np.empty((d, TILE))
     for first in range(0, len(x), TILE):
         count = min(TILE, len(x) - first)
         for t in range(TILE):
-            for k in range(d):  # the places behind the last target repeat it
+            for k in range(d):  # the rest of the last tile repeats the last target
                 at[k, t] = x[first + min(t, count - 1), k]
                 sums[k, t] = total[first + min(t, count - 1), k]
         for j in range(len(source)):
@@ -47,7 +48,10 @@ def attract(axes, x, source, mass, softening2, total):
 
 @kernel(error_model="numpy")
 def add_potential(axes, x, ids, source, mass, source_ids, softening2, total):
-    """total (n,) -= sum_j m_j/(r_j^2 + softening2)^(1/2) over all sources but itself and those at its very place."""
+    """total (n,) -= sum_j m_j/(r_j^2 + softening2)^(1/2).
+
+    Left out are the target itself, and without softening also sources at its position.
+    """
     for i in range(len(x)):
         u = total[i]
         for j in range(len(source)):

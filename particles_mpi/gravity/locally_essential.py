@@ -1,35 +1,39 @@
-"""Trees of several ranks: where the keys are cut, what of a tree is essential to another rank, how the parts are put together.
+"""One tree on several ranks: where the range of keys is cut, which nodes another rank needs, how the parts are joined.
 
-Plain arrays. A rank owns the particles between two keys. Of the cells of others it needs those that its own particles may
-open (the locally essential tree: M. Warren and J. Salmon, Supercomputing '92, 570); all others it needs closed: moments only.
-Put together in the order of keys they are the one tree of all particles, with branches closed that nobody here opens.
+Arrays only, no messages. A rank owns the particles whose keys lie between two cuts. Of the other ranks' cells it needs with all
+their parts those that its own particles may open; of all others the moments are enough. Together they are its locally
+essential tree (M. Warren and J. Salmon, Supercomputing '92, 570): joined in the order of keys it is the one tree of all
+particles, without the insides of cells that nobody on this rank opens.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from particles_mpi.gravity.octree import CENTER, DEEPEST, GROUP, RADIUS, levels, of_parts
+from particles_mpi.gravity.octree import CENTER, GROUP, RADIUS, combine_moments, is_far, levels
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.particles import Array
 
-SAMPLES = 512  # of its keys that a rank tells
+SAMPLES = 512  # keys that each rank sends to all others, to find the cuts
 
 
-def sample(keys: Array, work: Array) -> Array:
-    """SAMPLES of a rank's sorted keys that cut its work into equal parts, and the work of all: (SAMPLES + 1,) int64."""
+def sample_keys(keys: Array, work: Array) -> Array:
+    """SAMPLES of a rank's sorted keys (n,) that divide its `work` (n,) into equal parts, and its total work; int64.
+
+    The work is a float64 in the last place, as its 64 bits.
+    """
     reached = np.cumsum(work)
     total = reached[-1] if len(keys) else 0.0
     at = np.searchsorted(reached, (np.arange(SAMPLES) + 0.5) / SAMPLES * total)
-    told = np.zeros(SAMPLES + 1, np.int64)
+    row = np.zeros(SAMPLES + 1, np.int64)
     if len(keys):
-        told[:-1] = keys[np.minimum(at, len(keys) - 1)]
-    told[-1:] = np.array([total]).view(np.int64)
-    return told
+        row[:-1] = keys[np.minimum(at, len(keys) - 1)]
+    row[-1:] = np.array([total]).view(np.int64)
+    return row
 
 
 def quantiles(table: Array) -> Array:
-    """size - 1 keys that cut the work of all ranks, whose samples are table (size, SAMPLES + 1), into equal parts."""
+    """The size - 1 keys that divide the work of all ranks into equal parts; table (size, SAMPLES + 1): their samples."""
     size = len(table)
     work = np.repeat(table[:, -1].copy().view(np.float64) / SAMPLES, SAMPLES)
     keys = table[:, :-1].reshape(-1)
@@ -43,7 +47,7 @@ def quantiles(table: Array) -> Array:
 
 
 def cells_of(cuts: Array, d: int) -> tuple[Array, Array]:
-    """First and last key of the cell of each level around each cut, (cuts, levels + 1)."""
+    """First and last key of the cell that contains each cut, for every level: two arrays (cuts, levels + 1)."""
     deep = levels(d)
     shift = d * (deep - np.arange(deep + 1))
     size = np.minimum(shift, 62)
@@ -51,26 +55,31 @@ def cells_of(cuts: Array, d: int) -> tuple[Array, Array]:
     return first, np.where(shift < 63, first + (1 << size) - 1, np.iinfo(np.int64).max)
 
 
-def around(keys: Array, cuts: Array, d: int) -> Array:
-    """How many of the sorted keys lie in the cell of each level around each cut, (cuts, levels + 1)."""
+def count_in_cells(keys: Array, cuts: Array, d: int) -> Array:
+    """How many of the sorted keys lie in the cells of `cells_of`, (cuts, levels + 1)."""
     first, last = cells_of(cuts, d)
     return np.searchsorted(keys, last, "right") - np.searchsorted(keys, first)
 
 
-def snap(cuts: Array, found: Array, d: int) -> Array:
-    """Each cut moved to the first key of its group, which so stays whole; `found` of all ranks together."""
-    small = found <= GROUP
+def cut_between_groups(cuts: Array, counts: Array, d: int) -> Array:
+    """Each cut moved to the first key of the group it lies in, so that no group is divided.
+
+    `counts` (cuts, levels + 1): the sum of `count_in_cells` over all ranks.
+    """
+    small = counts <= GROUP
     small[:, -1] = True
     return cells_of(cuts, d)[0][np.arange(len(cuts)), small.argmax(axis=1)]
 
 
 @kernel
-def essential(skip, count, cells, boxes, angle):
-    """The nodes that a rank needs whose branches lie in boxes (., 6), how many of their rows, and which.
+def select_essential(skip, count, cells, boxes, angle):
+    """What a rank needs of this rank's nodes, if its branches have the bounding boxes `boxes` (b, 6).
 
-    A cell is closed if it is far from all boxes: then it is far from all groups within them, in floating point too, since
-    rounding keeps the order of numbers.
+    Returns the numbers of the nodes, how many of the particles of each are needed, and the rows of those particles. A cell that
+    is far from all boxes is sent without its parts: it is then far from all groups within the boxes, in floating point
+    too, because rounding preserves order, and `is_far` is the very test that the walk makes.
     """
+    angle2 = angle * angle
     nodes, counts = np.empty(len(skip), np.int64), np.empty(len(skip), np.int64)
     first, before = np.empty(len(skip), np.int64), np.int64(0)
     for i in range(len(skip)):
@@ -80,12 +89,9 @@ def essential(skip, count, cells, boxes, angle):
     while node < len(skip) and len(boxes):
         opened = False
         for b in range(len(boxes)):
-            r2 = 0.0
-            for k in range(3):
-                c = cells[node, CENTER + k]
-                r = max(boxes[b, k] - c, c - boxes[b, 3 + k], 0.0)
-                r2 += r * r
-            opened = opened or not angle * angle * r2 > cells[node, RADIUS] * cells[node, RADIUS]
+            lx, ly, lz, hx, hy, hz = boxes[b, 0], boxes[b, 1], boxes[b, 2], boxes[b, 3], boxes[b, 4], boxes[b, 5]
+            cx, cy, cz = cells[node, CENTER], cells[node, CENTER + 1], cells[node, CENTER + 2]
+            opened = opened or not is_far(lx, ly, lz, hx, hy, hz, cx, cy, cz, cells[node, RADIUS], angle2)
         nodes[made], counts[made] = node, count[node] if opened else 0
         taken += counts[made]
         made += 1
@@ -101,16 +107,18 @@ def essential(skip, count, cells, boxes, angle):
 
 @kernel
 def assemble(branch_level, branch_key, level, root, d):
-    """The tree of all: (source, level, place of each branch), from the levels of the branches' nodes; each begins with a `root`.
+    """Join the branches of all ranks to one tree in preorder, with the cells above them, which several ranks share.
 
-    source: a node's place in `level`, or -1 for a cell that belongs to several ranks; those are put in.
+    `branch_level`, `branch_key` (b,): level and first key of every branch; `level`, `root` (n,): the level of every node of
+    the branches that are here, and whether it is the first of its branch. Returns for each node of the joined tree its
+    place in `level`, or -1 for a shared cell, and its level; and for each branch the node that it became.
     """
-    deep = min(63 // d, DEEPEST)
+    deep = levels(d)
     most = len(level) + len(branch_level) * deep
     source, new_level, place = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(len(branch_level), np.int64)
     made, node = 0, 0
     for b in range(len(branch_level)):
-        shared = -1  # the deepest level at which this branch and the one before lie in one cell
+        shared = -1  # the deepest level at which one cell contains both this branch and the one before
         while b > 0 and shared + 1 < branch_level[b]:
             shift = d * (deep - shared - 1)
             if shift < 63 and branch_key[b] >> shift != branch_key[b - 1] >> shift:
@@ -127,8 +135,8 @@ def assemble(branch_level, branch_key, level, root, d):
 
 
 @kernel
-def fill(source, skip, cells, bounds):
-    """The moments of the cells that belong to several ranks, in place."""
+def add_shared_moments(source, skip, cells, bounds):
+    """The moments and bounding boxes of the cells that several ranks share (source -1). In place."""
     for i in range(len(source) - 1, -1, -1):
         if source[i] < 0:
-            of_parts(i, skip, cells, bounds)
+            combine_moments(i, skip, cells, bounds)

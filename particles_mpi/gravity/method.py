@@ -1,7 +1,8 @@
-"""Direct sum or tree, and with which opening angle: what each costs and how accurate it is, fitted to measurements.
+"""Direct sum or tree, and with which opening angle: formulas for cost and error, fitted to measurements.
 
-Errors are the median over particles of the relative error of the acceleration. Measured for Plummer spheres and uniform cubes
-of 1000 to a million particles and angles of 0.3 to 1: the fit is the larger of the two, within a factor of two up to 0.7.
+The error is the median over all particles of the relative error of the acceleration. It was measured for Plummer spheres and
+uniform cubes of 1000 to a million particles with opening angles from 0.3 to 1; the formula follows the larger of the two, within
+a factor of two up to an angle of 0.7.
 """
 
 from __future__ import annotations
@@ -9,17 +10,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import log10
 
-PAIR = 1.2  # ns of a pair in the direct sum
-WORK = {"quadrupole": 1.4, "monopole": 1.0}  # ns of a particle on a list of the tree, which a group adds up
-BUILD = 400.0  # ns a particle: keys, cells, walks
+PAIR = 1.2  # ns for a pair in the direct sum
+WORK = {"quadrupole": 1.4, "monopole": 1.0}  # ns for one source on the list of one target
+BUILD = 400.0  # ns for each particle: keys, cells, walk
 ERROR, SLOPE = 6e-3, 3.5  # error = ERROR * angle^SLOPE
-SMALLEST = 0.1  # opening angle, below which a tree is no use
-TREES = (1, 2, 3)  # dimensions that have trees
+SMALLEST = 0.1  # opening angle below which a tree is of no use
+TREES = (1, 2, 3)  # dimensions in which there is a tree
 
 
 @dataclass(frozen=True)
 class Choice:
-    """`angle`: of the tree, or None for the direct sum; `cost`: ns a particle and evaluation; `words`: for the plan."""
+    """`angle`: opening angle of the tree, None for the direct sum; `cost`: ns a particle; `words`: for the plan."""
 
     angle: float | None
     cost: float
@@ -27,7 +28,7 @@ class Choice:
 
 
 def choose(method: str, angle: float, accuracy: float, dimension: int, total: int, multipole: str = "quadrupole") -> Choice:
-    """What `method` means for `total` particles; "auto" takes the cheapest that is as accurate as wanted, with quadrupoles."""
+    """What `method` means for `total` particles; "auto": the cheaper one whose error is at most `accuracy`, with quadrupoles."""
     direct = PAIR * total
     if method == "direct":
         return Choice(None, direct, "direct sum")
@@ -46,6 +47,6 @@ def choose(method: str, angle: float, accuracy: float, dimension: int, total: in
 
 
 def tree_cost(angle: float, total: int, multipole: str) -> float:
-    """ns a particle: lists grow with the logarithm of the number of particles, and never beyond all of them."""
+    """ns a particle: the lists of sources grow as log N, but a list never has more than all particles."""
     lists = 450.0 + 357.0 * angle**-2.2 * max(log10(max(total, 1)) - 2.8, 0.0)
     return BUILD + WORK[multipole] * min(lists, 450.0 + total)

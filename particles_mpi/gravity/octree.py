@@ -1,11 +1,12 @@
-"""A tree of cells over particles: halved boxes, the same for the same particles whatever the ranks. Plain arrays.
+"""The octree (a quadtree in 2D): a cube is halved along every axis, again and again, until few particles are left in a cell.
 
-Particles stand in the order of their Morton keys: the bits of their coordinates in the box of all, interleaved. A cell is all
-that share the first bits, `d` of them a level; a cell of at most LEAF particles is not divided further. Nodes stand in
-preorder (a cell before its parts), so that `skip`, the node after all parts of a cell, is all that a walk needs.
+The particles are sorted by Morton keys, which interleave the bits of their coordinates within the cube of all particles.
+A cell at level l consists of all particles whose keys agree in the first l d bits, in dimension d; a cell with at most LEAF
+particles, a leaf, is not divided. So the tree depends on the particles alone, and not on the ranks. Nodes are stored in
+preorder, a cell before its parts: `skip[i]`, the first node that does not belong to cell i, is all that a walk needs.
 J. Barnes and P. Hut, Nature 324, 446 (1986); keys: M. Warren and J. Salmon, Supercomputing '93, 12.
 
-Vectors have three components here in any dimension: those beyond it are 0, which changes no bit of any sum.
+Vectors have three components here in every dimension; the additional ones are 0, which changes no bit of any sum.
 """
 
 from __future__ import annotations
@@ -14,27 +15,42 @@ from math import sqrt
 
 import numpy as np
 
-from particles_mpi.kernels.jit import inner, kernel
+from particles_mpi.kernels.jit import inner, kernel, lean_inner
 
-LEAF = 32  # particles of a cell that is not divided
-GROUP = 128  # particles of a cell that looks for its sources together
-DEEPEST = 31  # levels at most
+LEAF = 32  # most particles in a cell that is not divided
+GROUP = 128  # most particles in a group: a cell whose particles are targets with one common list of sources
+DEEPEST = 31  # most levels
 
-# A row of `cells`: mass, centre of mass, second moments about it (xx, xy, xz, yy, yz, zz), and a radius about it that holds all.
+# Columns of `cells`, the multipole moments of a node: mass, centre of mass (3), second moments about that centre (xx, xy, xz,
+# yy, yz, zz), and the radius of a sphere about it that contains all particles of the cell.
 MASS, CENTER, SECOND, RADIUS, WIDTH = 0, 1, 4, 10, 11
-SAFE = 1.0 + 2.0**-40  # more than rounding can take from a radius
+FIRST, END = 0, 1  # columns of `groups`: first row, and last row + 1
+LEVEL, IN_BRANCH, IN_GROUP = 2, 3, 4  # further columns of the stack of `divide`
+SAFE = 1.0 + 2.0**-40  # enlarges a radius by more than rounding can have taken from it
 
 
-def levels(dimension: int) -> int:
-    """How often space can be halved: a key has 63 bits."""
+@kernel
+def levels(dimension):
+    """How often a cell can be halved in this dimension: a key has 63 bits."""
     return min(63 // dimension, DEEPEST)
+
+
+@lean_inner
+def is_far(lx, ly, lz, hx, hy, hz, cx, cy, cz, radius, angle2):
+    """The opening test: is a cell far from the box with lowest corner l and highest corner h?
+
+    The cell has its centre of mass at c; it is far if `radius` < angle * (distance from c to the box), with angle2 = angle^2.
+    J. Salmon and M. Warren, J. Comput. Phys. 111, 136 (1994).
+    """
+    dx, dy, dz = max(lx - cx, cx - hx, 0.0), max(ly - cy, cy - hy, 0.0), max(lz - cz, cz - hz, 0.0)
+    return angle2 * (dx * dx + dy * dy + dz * dz) > radius * radius
 
 
 @kernel
 def morton(x, lower, scale, d):
-    """Keys (n,) of positions x (n, 3) in the cube at `lower` whose side is 2^levels / scale."""
+    """Morton keys (n,) of positions x (n, 3) in the cube with lowest corner `lower` and side 2^levels / scale."""
     keys = np.empty(len(x), np.int64)
-    deep = min(63 // d, DEEPEST)
+    deep = levels(d)
     most = np.float64((np.int64(1) << deep) - 1)
     for i in range(len(x)):
         key = np.int64(0)
@@ -48,7 +64,7 @@ def morton(x, lower, scale, d):
 
 @kernel
 def sort_ties(keys, ids, order):
-    """Where keys[order] are equal, put `order` into the order of ids. In place."""
+    """Where keys[order] are equal, sort `order` by ids. In place."""
     for i in range(1, len(order)):
         row, j = order[i], i
         while j > 0 and keys[order[j - 1]] == keys[row] and ids[order[j - 1]] > ids[row]:
@@ -59,19 +75,19 @@ def sort_ties(keys, ids, order):
 
 @kernel
 def divide(keys, d, low, high):
-    """The cells of sorted `keys` that lie within the keys low ... high of this rank, in preorder.
+    """The cells of the sorted `keys` (n,) that lie within the range low <= key <= high of this rank, in preorder.
 
-    Cells that reach beyond belong to several ranks and are left out; the largest that do not are the branches.
-    Gives level (n,) and number of particles of each node (0 if it is divided), groups (first row, last row + 1), and
-    branches (node, first key).
+    Cells that extend beyond the range are shared by several ranks and are left out; the largest cells within it are the
+    branches. Returns the level of each node (nodes,), its number of particles, 0 if it is divided (nodes,), the groups
+    (groups, 2) as FIRST and END row, and the branches (branches, 2) as node and first key.
     """
-    deep = min(63 // d, DEEPEST)
+    deep = levels(d)
     nodes, groups, branches = np.empty((256, 2), np.int64), np.empty((256, 2), np.int64), np.empty((256, 2), np.int64)
-    stack = np.empty((256, 5), np.int64)  # first row, last row + 1, level, lies in a branch, lies in a group
+    stack = np.empty((256, 5), np.int64)  # cells to be looked at: FIRST, END, LEVEL, IN_BRANCH, IN_GROUP
     made, grouped, top = 0, 0, 0
     roots = 0
     if len(keys):
-        stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3], stack[0, 4] = 0, len(keys), 0, 0, 0
+        stack[0, FIRST], stack[0, END], stack[0, LEVEL], stack[0, IN_BRANCH], stack[0, IN_GROUP] = 0, len(keys), 0, 0, 0
         top = 1
     while top:
         top -= 1
@@ -92,11 +108,11 @@ def divide(keys, d, low, high):
             if not in_group and (leaf or last - first <= GROUP):
                 if grouped == len(groups):
                     groups = longer(groups)
-                groups[grouped, 0], groups[grouped, 1] = first, last
+                groups[grouped, FIRST], groups[grouped, END] = first, last
                 grouped, in_group = grouped + 1, 1
             made += 1
         end = first if leaf else last
-        while end > first:  # the last part first, so that the first is taken first
+        while end > first:  # the last part goes onto the stack first, so that the first part is taken from it first
             part = keys[end - 1] >> (shift - d)
             begin_row, beyond = first, end - 1
             while begin_row < beyond:
@@ -105,8 +121,8 @@ def divide(keys, d, low, high):
                     begin_row = middle + 1
                 else:
                     beyond = middle
-            stack[top, 0], stack[top, 1], stack[top, 2] = begin_row, end, level + 1
-            stack[top, 3], stack[top, 4] = 1 if whole else 0, in_group
+            stack[top, FIRST], stack[top, END], stack[top, LEVEL] = begin_row, end, level + 1
+            stack[top, IN_BRANCH], stack[top, IN_GROUP] = 1 if whole else 0, in_group
             top += 1
             end = begin_row
     return nodes[:made, 0].copy(), nodes[:made, 1].copy(), groups[:grouped].copy(), branches[:roots].copy()
@@ -114,7 +130,7 @@ def divide(keys, d, low, high):
 
 @inner
 def longer(rows):
-    """The same rows with as much room again."""
+    """A copy of the array (n, w) with space for 2 n rows."""
     new = np.empty((2 * len(rows), rows.shape[1]), rows.dtype)
     for r in range(len(rows)):
         for k in range(rows.shape[1]):
@@ -124,7 +140,7 @@ def longer(rows):
 
 @kernel
 def skips(level, roots):
-    """The node after all parts of each node, from the levels of nodes in preorder; `roots`: the nodes where trees begin."""
+    """skip (n,) from the levels (n,) of nodes in preorder; `roots`: the nodes at which separate trees begin."""
     skip = np.empty(len(level), np.int64)
     for tree in range(len(roots) - 1, -1, -1):
         end = roots[tree + 1] if tree + 1 < len(roots) else len(level)
@@ -138,22 +154,25 @@ def skips(level, roots):
 
 @kernel
 def moments(skip, count, x, mass):
-    """cells (n, WIDTH) and bounds (n, 6), lowest and highest corner, of a rank's own nodes with particles x (., 3), mass."""
+    """Moments (n, WIDTH) of a rank's own nodes, and the bounding box of each (n, 6): lowest corner, then highest.
+
+    `count` (n,): particles of each leaf, 0 for other nodes; x (p, 3), mass (p,): the particles of all leaves, in order.
+    """
     n = len(skip)
     cells, bounds = np.zeros((n, WIDTH)), np.empty((n, 6))
     last = len(x)
     for i in range(n - 1, -1, -1):
         if count[i]:
-            of_particles(cells[i], bounds[i], x[last - count[i] : last], mass[last - count[i] : last])
+            leaf_moments(cells[i], bounds[i], x[last - count[i] : last], mass[last - count[i] : last])
             last -= count[i]
         else:
-            of_parts(i, skip, cells, bounds)
+            combine_moments(i, skip, cells, bounds)
     return cells, bounds
 
 
 @inner
-def of_particles(cell, bound, x, mass):
-    """Moments of a leaf."""
+def leaf_moments(cell, bound, x, mass):
+    """Moments (WIDTH,) and bounding box (6,) of a leaf, from its particles x (p, 3), mass (p,). In place."""
     for k in range(3):
         bound[k], bound[3 + k] = x[0, k], x[0, k]
     for p in range(len(x)):
@@ -163,13 +182,13 @@ def of_particles(cell, bound, x, mass):
             bound[k], bound[3 + k] = min(bound[k], x[p, k]), max(bound[3 + k], x[p, k])
     center_of_mass(cell, bound)
     for p in range(len(x)):
-        r2 = add_second(cell, x[p, 0] - cell[1], x[p, 1] - cell[2], x[p, 2] - cell[3], mass[p])
+        r2 = add_second_moments(cell, x[p, 0] - cell[1], x[p, 1] - cell[2], x[p, 2] - cell[3], mass[p])
         cell[RADIUS] = max(cell[RADIUS], sqrt(r2) * SAFE)
 
 
 @inner
-def of_parts(i, skip, cells, bounds):
-    """Moments of node i from those of its parts, in their order."""
+def combine_moments(i, skip, cells, bounds):
+    """Moments and bounding box of node i from those of its parts, in their order. In place."""
     cell, bound = cells[i], bounds[i]
     for e in range(len(cell)):
         cell[e] = 0.0
@@ -186,7 +205,7 @@ def of_parts(i, skip, cells, bounds):
     part = i + 1
     while part < skip[i]:
         dx, dy, dz = cells[part, 1] - cell[1], cells[part, 2] - cell[2], cells[part, 3] - cell[3]
-        r2 = add_second(cell, dx, dy, dz, cells[part, MASS])
+        r2 = add_second_moments(cell, dx, dy, dz, cells[part, MASS])
         for e in range(6):
             cell[SECOND + e] += cells[part, SECOND + e]
         cell[RADIUS] = max(cell[RADIUS], (sqrt(r2) + cells[part, RADIUS]) * SAFE)
@@ -199,15 +218,15 @@ def of_parts(i, skip, cells, bounds):
 
 @inner
 def center_of_mass(cell, bound):
-    """From the sum of mass times position; the middle where there is no mass."""
+    """The centre of mass from the sum of mass times position; without mass the middle of the box. In place."""
     for k in range(3):
         middle = 0.5 * (bound[k] + bound[3 + k])
         cell[CENTER + k] = cell[CENTER + k] / cell[MASS] if cell[MASS] > 0.0 else middle
 
 
 @inner
-def add_second(cell, dx, dy, dz, mass):
-    """Second moments of a mass at (dx, dy, dz) from the centre; returns the distance squared."""
+def add_second_moments(cell, dx, dy, dz, mass):
+    """Add the second moments of a mass at distance (dx, dy, dz) from the centre; returns the distance squared."""
     cell[SECOND] += mass * dx * dx
     cell[SECOND + 1] += mass * dx * dy
     cell[SECOND + 2] += mass * dx * dz

@@ -1,37 +1,62 @@
-"""Attraction from a tree: groups of targets collect cells that are far and particles that are near, then add them up.
+"""Walking the tree: each group of targets lists the cells that are far from it and the particles that are near, and adds them up.
 
-A cell is far from a group if its radius, seen from the nearest place of the group's box, is below the opening angle:
-RADIUS < angle * distance (the criterion of J. Salmon and M. Warren, J. Comput. Phys. 111, 136 (1994)). With an angle of at
-most 1 no cell is far from a particle of its own. Far cells act by mass and quadrupole: with u from target to centre,
-rho^2 = u^2 + eps^2, second moments S, trace T, Q = u.S.u
+A cell is far from a group if it passes the opening test `is_far` against the group's bounding box. With an opening angle of at
+most 1 no cell is far from a particle of its own. Far cells act by mass and quadrupole: with the vector u from target to centre
+of mass, rho^2 = u^2 + eps^2, second moments S, trace T, Q = u.S.u
 
     potential = -(M/rho + (3 Q/rho^2 - T)/(2 rho^3)),     a = u (M/rho^3 + (15 Q/(2 rho^2) - 3 T/2)/rho^5) - 3 S u/rho^5,
 
-the expansion of -m/rho to second order, which is exact for the softened law too; or by mass alone, as a particle would.
+which is the Taylor expansion of -m/rho to second order, with softening too; or by mass alone, as a particle does.
 
-The compiler may add up in vectors here: in an order that depends on how many sources a list has, never on the ranks.
+The compiler may use vector instructions in these sums: the order then depends on the length of a list, never on the ranks.
 """
 
 from __future__ import annotations
 
 from math import sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from particles_mpi.gravity.octree import CENTER, MASS, RADIUS, SECOND
+from particles_mpi.gravity.octree import CENTER, END, FIRST, MASS, RADIUS, SECOND, is_far
 from particles_mpi.kernels.jit import inner, kernel
+from particles_mpi.particles import Array
 
-CELLS, PARTICLES = 256, 512  # sources that are added up at a time: they stay in the nearest cache
-FAR, NEAR, VISIT = 1.7, 1.0, 12.0  # work of a far cell and a near particle for a target, of a node for a group: to balance ranks
+CELLS, PARTICLES = 256, 512  # sources that are added up at a time: they stay in the first-level cache
+POTENTIAL, WORK, RESULT = 3, 4, 5  # columns of a result: acceleration (3), potential, work; and how many these are
+# Work, in units of one particle acting on one target: a far quadrupole for a target, a near particle for a target, and a node
+# that a group visits. Ranks get equal shares of it.
+FAR, NEAR, VISIT = 1.7, 1.0, 12.0
 
 summing: Any = inner(_nrt=False, error_model="numpy", fastmath={"reassoc", "nsz", "contract"})
 walking: Any = inner(_nrt=False, error_model="numpy")
 
 
+class Nodes(NamedTuple):
+    """The nodes of a tree in preorder, and the particles in its leaves."""
+
+    skip: Array  # (nodes,) the first node that does not belong to the cell
+    first: Array  # (nodes,) the first row of a leaf
+    particle_count: Array  # (nodes,) rows of a leaf; 0 for cells that are divided, or whose particles are not on this rank
+    cells: Array  # (nodes, WIDTH) moments
+    x: Array  # (rows, 3) positions
+    mass: Array  # (rows,)
+
+
+class Law(NamedTuple):
+    """How cells and particles act."""
+
+    angle: float  # opening angle
+    softening2: float  # eps^2
+    quadrupoles: bool  # do far cells act by their second moments too?
+
+
 @summing
 def add_particles(near, n, x, y, z, own, softening2, total, t):
-    """total[t] += acceleration and potential by the first n columns of near (4, .): place, mass; column `own` is the target."""
+    """Add to total[t] the acceleration and potential at (x, y, z) of the first n particles of near (4, .): position, mass.
+
+    Column `own` is the target itself, which adds nothing; -1 if it is not among them.
+    """
     ax, ay, az, potential = 0.0, 0.0, 0.0, 0.0
     for j in range(n):
         u, v, w = near[0, j] - x, near[1, j] - y, near[2, j] - z
@@ -44,12 +69,12 @@ def add_particles(near, n, x, y, z, own, softening2, total, t):
     total[t, 0] += ax
     total[t, 1] += ay
     total[t, 2] += az
-    total[t, 3] += potential
+    total[t, POTENTIAL] += potential
 
 
 @summing
 def add_cells(far, n, x, y, z, softening2, total, t):
-    """The same by the first n columns of far (11, .): centre, mass, 3 S, 3 T/2."""
+    """The same for the first n cells of far (11, .): centre of mass (3), mass, 3 S (xx, xy, xz, yy, yz, zz), 3 T/2."""
     ax, ay, az, potential = 0.0, 0.0, 0.0, 0.0
     for j in range(n):
         u, v, w = far[0, j] - x, far[1, j] - y, far[2, j] - z
@@ -68,28 +93,28 @@ def add_cells(far, n, x, y, z, softening2, total, t):
     total[t, 0] += ax
     total[t, 1] += ay
     total[t, 2] += az
-    total[t, 3] += potential
+    total[t, POTENTIAL] += potential
 
 
 @kernel
-def walk(groups, skip, first, count, cells, x, mass, begin, angle, softening2, quadrupoles):
-    """Acceleration, potential and work of the groups' rows, (rows, 5), for G = 1; and the number of interactions.
+def walk(tree, groups, offset, law):
+    """Acceleration, potential and work for G = 1, (rows, RESULT), of the targets; and the number of interactions.
 
-    Nodes: skip, first row and number of rows of an open leaf, cells. Rows: x (., 3), mass; those of groups start at row `begin`.
+    `groups` (g, 2): FIRST and END row of each among the targets, which are the rows of the tree from `offset` on.
     """
-    result, interactions = np.zeros((groups[-1, 1] if len(groups) else 0, 5)), 0
-    far, near = np.empty((11, CELLS)), np.empty((4, PARTICLES))
+    result, interactions = np.zeros((groups[-1, END] if len(groups) else 0, RESULT)), 0
+    lists = np.empty((11, CELLS)), np.empty((4, PARTICLES))
     for g in range(len(groups)):
-        tree, lists = (skip, first, count, cells), (far, near)
-        sources = add_sources(groups[g], tree, x, mass, begin, angle, softening2, quadrupoles, lists, result)
-        interactions += sources * (groups[g, 1] - groups[g, 0])
+        sources = add_sources(groups[g], tree, offset, law, lists, result)
+        interactions += sources * (groups[g, END] - groups[g, FIRST])
     return result, interactions
 
 
 @walking
-def add_sources(group, tree, x, mass, offset, angle, softening2, quadrupoles, lists, result):
-    """All sources of one group: rows begin ... end of the result, which are rows offset + ... of x. Returns how many they are."""
-    (begin, end), (skip, first, count, cells), (far, near) = group, tree, lists
+def add_sources(group, tree, offset, law, lists, result):
+    """All sources act on one group, whose rows are group[FIRST] ... group[END] of the result. Returns how many sources."""
+    (begin, end), (skip, first, count, cells, x, mass), (angle, softening2, quadrupoles) = group, tree, law
+    far, near = lists
     lx, ly, lz = x[offset + begin, 0], x[offset + begin, 1], x[offset + begin, 2]
     hx, hy, hz = lx, ly, lz
     for p in range(offset + begin, offset + end):
@@ -97,13 +122,12 @@ def add_sources(group, tree, x, mass, offset, angle, softening2, quadrupoles, li
         hx, hy, hz = max(hx, x[p, 0]), max(hy, x[p, 1]), max(hz, x[p, 2])
     angle2 = angle * angle
     n_far, n_near, all_far, all_near, visits = 0, 0, 0, 0, 0
-    own, column = -1, 0  # the first row of the group among those in `near`, and its place there
+    own, column = -1, 0  # the first row of the group that is in `near`, and its column there
     node = 0
     while node < len(skip):
         visits += 1
         cx, cy, cz = cells[node, CENTER], cells[node, CENTER + 1], cells[node, CENTER + 2]
-        dx, dy, dz = max(lx - cx, cx - hx, 0.0), max(ly - cy, cy - hy, 0.0), max(lz - cz, cz - hz, 0.0)
-        if angle2 * (dx * dx + dy * dy + dz * dz) > cells[node, RADIUS] * cells[node, RADIUS]:
+        if is_far(lx, ly, lz, hx, hy, hz, cx, cy, cz, cells[node, RADIUS], angle2):
             if n_far == CELLS:
                 flush_far(far, np.int64(n_far), x, begin, end, offset, softening2, quadrupoles, result)
                 all_far, n_far = all_far + n_far, 0
@@ -129,13 +153,13 @@ def add_sources(group, tree, x, mass, offset, angle, softening2, quadrupoles, li
     all_far, all_near = all_far + n_far, all_near + n_near
     work = (FAR if quadrupoles else NEAR) * all_far + NEAR * all_near + VISIT * visits / (end - begin)
     for t in range(begin, end):
-        result[t, 4] = work
+        result[t, WORK] = work
     return all_far + all_near
 
 
 @walking
 def flush_far(far, n, x, begin, end, offset, softening2, quadrupoles, result):
-    """The first n cells of the list act on the whole group."""
+    """The first n cells of the list act on every target of the group."""
     for t in range(begin, end):
         p = offset + t
         if quadrupoles:
@@ -146,7 +170,7 @@ def flush_far(far, n, x, begin, end, offset, softening2, quadrupoles, result):
 
 @walking
 def flush_near(near, n, x, begin, end, offset, own, column, softening2, result):
-    """The first n particles of the list act on the whole group, but none on itself."""
+    """The first n particles of the list act on every target of the group, but none on itself."""
     for t in range(begin, end):
         p = offset + t
         itself = column + p - own if own >= 0 else np.int64(-1)

@@ -8,7 +8,7 @@ import numpy as np
 
 from particles_mpi.initial.names import listed, pair_names
 from particles_mpi.initial.overlaps import check_overlaps
-from particles_mpi.initial.placement import Room
+from particles_mpi.initial.placement import Container
 from particles_mpi.particles import Array, Particles
 from particles_mpi.scene.schema import Scene
 from particles_mpi.scene.values import LARGEST
@@ -16,7 +16,7 @@ from particles_mpi.scene.values import LARGEST
 MOST_CROSSINGS = 1e4  # of the box in a step
 
 
-def check_start(scene: Scene, particles: Particles, room: Room | None, before: int = 0) -> tuple[list[str], list[str]]:
+def check_start(scene: Scene, particles: Particles, room: Container | None, before: int = 0) -> tuple[list[str], list[str]]:
     """(faults, warnings) of particles in id order; overlaps that the scene allows are pushed apart in place.
 
     The first `before` of them were there already: nothing is asked of them but that the others do not overlap them.
@@ -79,7 +79,7 @@ def coincident(scene: Scene, particles: Particles) -> list[str]:
     ]
 
 
-def check_places(scene: Scene, particles: Particles, room: Room | None) -> list[str]:
+def check_places(scene: Scene, particles: Particles, room: Container | None) -> list[str]:
     """Centres outside the box, and movable spheres that are not fully inside a wall (fixed ones may stand in it)."""
     x, faults = particles.position, []
     if scene.box is not None:

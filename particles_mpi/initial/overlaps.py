@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from particles_mpi.initial.names import listed, pair_names
-from particles_mpi.initial.placement import Room
+from particles_mpi.initial.placement import Container
 from particles_mpi.kernels.jit import inner, kernel
 from particles_mpi.neighbours.candidates import touching
 from particles_mpi.particles import Array, Particles
@@ -37,7 +37,7 @@ def overlapping(particles: Particles, length: Array, before: int = 0) -> tuple[A
     return first[deep], second[deep], depth[deep]
 
 
-def check_overlaps(scene: Scene, particles: Particles, room: Room | None, before: int = 0) -> tuple[list[str], list[str]]:
+def check_overlaps(scene: Scene, particles: Particles, room: Container | None, before: int = 0) -> tuple[list[str], list[str]]:
     """Overlapping spheres are a fault, or a warning and pushed apart where the scene allows them."""
     length = periodic_length(scene)
     first, second, depth = overlapping(particles, length, before)
@@ -55,7 +55,7 @@ def check_overlaps(scene: Scene, particles: Particles, room: Room | None, before
     return [], warnings
 
 
-def push_apart(scene: Scene, particles: Particles, room: Room | None) -> tuple[Array, Array, Array]:
+def push_apart(scene: Scene, particles: Particles, room: Container | None) -> tuple[Array, Array, Array]:
     """Move overlapping spheres apart, pair by pair in id order, the lighter one further; returns the overlaps that are left.
 
     Positions only: no velocity changes, so no kinetic energy comes in.

@@ -1,69 +1,78 @@
-"""Where the particles of `position = "random"` and `"lattice"` stand. Plain arrays; the same on every rank."""
+"""Positions for `position = "random"` and `"lattice"`: random sequential addition and lattices. The same on every rank."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import product
 from math import exp, floor, inf, lgamma, log, pi, prod
+from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.kernels.jit import inner, kernel
+from particles_mpi.kernels.jit import kernel, lean, lean_inner
 from particles_mpi.particles import Array
 
-LEVELS = 10  # classes of radius, each half as large as the one before, with a cell grid each
-MOST_TRIES = 100_000  # in a row for one sphere: at packing 0.30 in 3D about 1 try in 1000 succeeds
+LEVELS = 10  # classes of radius, each with radii half as large as in the one before, and with a grid of cells of its own
+MOST_TRIES = 100_000  # failures in a row before a sphere is given up: at packing 0.30 in 3D about 1 try in 1000 succeeds
 JAMMED = {1: 0.7476, 2: 0.547, 3: 0.384}  # packing at which random addition of equal spheres stops (literature)
 
 
-@dataclass(frozen=True)
-class Room:
-    """The space that centres may take: box (lower, upper; d,), `length` of periodic axes (else 0), planes point, normal (w, d).
+class Container(NamedTuple):
+    """The space in which particles are placed, and what they must keep clear of."""
 
-    `solid`: spheres may not overlap one another; `bounded`: they stay a radius away from faces that are not periodic.
-    """
-
-    lower: Array
+    lower: Array  # (d,) corners of the box
     upper: Array
-    length: Array
-    point: Array
-    normal: Array
-    solid: bool
-    bounded: bool
+    length: Array  # (d,) of periodic axes; 0 for others
+    point: Array  # (w, d) a point on each wall
+    normal: Array  # (w, d) of each wall, into the space
+    solid: bool  # spheres may not overlap one another
+    bounded: bool  # spheres stay a radius away from faces of the box that are not periodic
 
 
-def packing(radius: Array, room: Room) -> float:
-    """The part of the box that spheres take, were they all inside."""
+class Grids(NamedTuple):
+    """Linked cells: for each class of radius a grid over the box, and in each cell a linked list of the spheres in it."""
+
+    level: Array  # (n,) class of each sphere
+    head: Array  # (cells of all grids,) first sphere of each cell; -1: none
+    next: Array  # (n,) the next sphere of the same cell; -1: none
+    reach: Array  # (LEVELS,) largest radius of a class; -1: no sphere has this class
+    cells: Array  # (LEVELS, 3) cells of a grid along each axis
+    first: Array  # (LEVELS + 1,) where the cells of a grid begin in `head`
+    lower: Array  # (d,) corner of the box
+    extent: Array  # (d,) its lengths
+
+
+def packing(radius: Array, room: Container) -> float:
+    """The total volume of spheres with these radii (n,), divided by that of the box."""
     d = len(room.lower)
     volume = exp(0.5 * d * log(pi) - lgamma(0.5 * d + 1.0))
     return float((radius / np.exp(np.log(room.upper - room.lower).mean())) ** d @ np.ones(len(radius))) * volume
 
 
 class RandomAddition:
-    """Random sequential addition: spheres are put at random points, one after the other, and those that overlap are redrawn.
+    """Random sequential addition: spheres are put at random points, one after the other; where one overlaps, it is drawn again.
 
-    Spheres are found by linked cells, a grid for each class of radius, so that few large spheres among many small ones
-    cost nothing. `x` (n, d), `radius` (n,) are those of all particles; `known` are rows that have their place already.
+    Overlaps are found with linked cells, a grid for each class of radius, so that a few large spheres among many small ones
+    cost no time. `x` (n, d), `radius` (n,): of all particles; `known`: the rows that have their positions already.
     """
 
-    def __init__(self, room: Room, x: Array, radius: Array, known: Array):
+    def __init__(self, room: Container, x: Array, radius: Array, known: Array):
         self.room, self.x, self.radius = room, x, radius
         largest = radius.max(initial=0.0)
         ratio = np.divide(largest, radius, out=np.full(len(radius), np.inf), where=radius > 0.0)
-        self.level = np.clip(np.log2(ratio), 0, LEVELS - 1).astype(np.int64)
+        level = np.clip(np.log2(ratio), 0, LEVELS - 1).astype(np.int64)
         reach, cells = np.zeros(LEVELS), np.ones((LEVELS, 3), np.int64)
         for k in range(LEVELS):
-            members = radius[self.level == k]
+            members = radius[level == k]
             reach[k] = members.max(initial=0.0) if len(members) else -1.0
             cells[k] = self.cells_of(len(members), 2.0 * reach[k])
         first = np.concatenate([[0], np.cumsum(cells.prod(axis=1))])
-        self.head, self.next = np.full(first[-1], -1, np.int64), np.full(len(x), -1, np.int64)
-        self.grid = (reach, cells, first, room.lower, room.upper - room.lower)
+        head, after = np.full(first[-1], -1, np.int64), np.full(len(x), -1, np.int64)
+        self.grids = Grids(level, head, after, reach, cells, first, room.lower, room.upper - room.lower)
         if room.solid:
-            insert(x, known, self.level, self.head, self.next, *self.grid)
+            insert(x, known, self.grids)
 
     def cells_of(self, count: int, side: float) -> Array:
-        """Cells along three axes, of at least `side`, about two a sphere at most."""
+        """Cells along three axes (3,): each at least `side` wide, and not many more than two for each of `count` spheres."""
         extent = (self.room.upper - self.room.lower)[:3]
         side = max(side, 1e-6 * float(extent.max()))
         while prod(max(1, floor(e / side)) for e in extent) > 2 * count + 64:
@@ -73,69 +82,69 @@ class RandomAddition:
         return cells
 
     def place(self, rows: Array, random: np.random.Generator) -> tuple[int, int]:
-        """Give `rows` their places, large ones first; returns (how many found one, tries)."""
-        room, tries, placed, failures = self.room, 0, 0, 0
+        """Give `rows` (indices) their positions, large spheres first; returns (how many were placed, tries)."""
+        tries, placed, failures = 0, 0, 0
         order = rows[np.argsort(-self.radius[rows], kind="stable")]
         budget = 5_000_000 + 200 * len(rows)
         while placed < len(rows) and failures < MOST_TRIES and tries < budget:
             u = random.random((min(max(len(rows) - placed, 1000), 100_000), self.x.shape[1]))
-            placed, failures = add_spheres(
-                self.x, self.radius, order, placed, failures, u, room.solid, room.bounded, room.length,
-                room.point, room.normal, self.level, self.head, self.next, *self.grid,
-            )  # fmt: skip
+            placed, failures = add_spheres(self.x, self.radius, order, placed, failures, u, self.room, self.grids)
             tries += len(u)
         return placed, tries
 
 
-@inner
+@lean_inner
 def cell_at(position, lower, extent, cells):
-    """The cell of a coordinate, unlimited: below 0 or from `cells` on it lies outside the box."""
+    """The cell that contains a coordinate; below 0 or not below `cells` where it lies outside the box."""
     return int(np.floor((position - lower) / extent * cells))
 
 
-@inner
-def cells_within(k, y, far, lower, extent, cells, length):
-    """First and last cell of axis k within `far` of y: less than a box length beyond a periodic box, never beyond another."""
+@lean_inner
+def cells_within(k, y, far, grid, cells, length):
+    """First and last cell on axis k within the distance `far` of the point y (d,).
+
+    On a periodic axis they may lie outside the box, by less than its length; on others they never do.
+    """
     if k >= len(y) or cells == 1:
         return 0, 0
-    low = cell_at(y[k] - far, lower[k], extent[k], cells)
-    high = cell_at(y[k] + far, lower[k], extent[k], cells)
+    low = cell_at(y[k] - far, grid.lower[k], grid.extent[k], cells)
+    high = cell_at(y[k] + far, grid.lower[k], grid.extent[k], cells)
     if length[k] == 0.0:
         return max(low, 0), min(high, cells - 1)
     return (0, cells - 1) if high - low >= cells else (low, high)
 
 
-@kernel
-def insert(x, rows, level, head, after, reach, cells, first, lower, extent):
-    """Enter rows into the grids of their classes."""
+@lean
+def insert(x, rows, grid):
+    """Enter the spheres `rows` (indices), which have their positions in x (n, d), into the grids of their classes."""
     for i in rows:
-        c = 0
+        c, level = 0, grid.level[i]
         for k in range(3):
-            m = cells[level[i], k]
-            at = min(max(cell_at(x[i, k], lower[k], extent[k], m), 0), m - 1) if k < x.shape[1] else 0
+            m = grid.cells[level, k]
+            at = min(max(cell_at(x[i, k], grid.lower[k], grid.extent[k], m), 0), m - 1) if k < x.shape[1] else 0
             c = c * m + at
-        c += first[level[i]]
-        after[i] = head[c]
-        head[c] = i
+        c += grid.first[level]
+        grid.next[i] = grid.head[c]
+        grid.head[c] = i
 
 
-@inner
-def touches(y, r, x, radius, length, head, after, reach, cells, first, lower, extent):
-    """Whether a sphere of radius r at y would overlap one that has its place."""
-    for which in range(len(reach)):
-        far = (r + reach[which]) * (1.0 + 1e-9)
-        if reach[which] < 0.0 or far == 0.0:
+@lean_inner
+def overlaps(y, r, x, radius, length, grid):
+    """Would a sphere of radius r at the point y (d,) overlap one that is in the grids?"""
+    for level in range(len(grid.reach)):
+        far = (r + grid.reach[level]) * (1.0 + 1e-9)
+        if grid.reach[level] < 0.0 or far == 0.0:
             continue
-        m0, m1, m2 = cells[which, 0], cells[which, 1], cells[which, 2]
-        a0, a1 = cells_within(np.int64(0), y, far, lower, extent, m0, length)
-        b0, b1 = cells_within(np.int64(1), y, far, lower, extent, m1, length)
-        c0, c1 = cells_within(np.int64(2), y, far, lower, extent, m2, length)
+        m0, m1, m2 = grid.cells[level, 0], grid.cells[level, 1], grid.cells[level, 2]
+        a0, a1 = cells_within(np.int64(0), y, far, grid, m0, length)
+        b0, b1 = cells_within(np.int64(1), y, far, grid, m1, length)
+        c0, c1 = cells_within(np.int64(2), y, far, grid, m2, length)
         for a in range(a0, a1 + 1):
             row_a = (a + m0 if a < 0 else a - m0 if a >= m0 else a) * m1
             for b in range(b0, b1 + 1):
-                row = (row_a + (b + m1 if b < 0 else b - m1 if b >= m1 else b)) * m2 + first[which]
+                row = (row_a + (b + m1 if b < 0 else b - m1 if b >= m1 else b)) * m2 + grid.first[level]
                 for c in range(c0, c1 + 1):
-                    j = head[row + (c + m2 if c < 0 else c - m2 if c >= m2 else c)]
+                    j = grid.head[row + (c + m2 if c < 0 else c - m2 if c >= m2 else c)]
                     while j >= 0:
                         r2 = 0.0
                         for k in range(len(y)):
@@ -145,16 +154,18 @@ def touches(y, r, x, radius, length, head, after, reach, cells, first, lower, ex
                             r2 += gap * gap
                         if r2 < ((r + radius[j]) * (1.0 + 1e-12)) ** 2:
                             return True
-                        j = after[j]
+                        j = grid.next[j]
     return False
 
 
 @kernel
-def add_spheres(
-    x, radius, order, placed, failures, u, solid, bounded, length, point, normal,
-    level, head, after, reach, cells, first, lower, extent,
-):  # fmt: skip
-    """Try the points u (t, d) of the unit cube in turn; returns (spheres placed, failures in a row at the end)."""
+def add_spheres(x, radius, order, placed, failures, u, container, grid):
+    """Try the points u (t, d) of the unit cube, one after the other, for the spheres `order` (indices) from order[placed] on.
+
+    `failures`: tries in a row that failed before. Returns (spheres placed, failures in a row at the end).
+    """
+    _, _, length, point, normal, solid, bounded = container
+    lower, extent = grid.lower, grid.extent
     d = x.shape[1]
     y = np.zeros(d)
     for t in range(len(u)):
@@ -172,28 +183,28 @@ def add_spheres(
                 gap += (y[k] - point[w, k]) * normal[w, k]
             free = free and gap >= r * (1.0 - 1e-12)
         if free and solid:
-            free = not touches(y, r, x, radius, length, head, after, reach, cells, first, lower, extent)
+            free = not overlaps(y, r, x, radius, length, grid)
         if not free:
             failures += 1
             continue
         for k in range(d):
             x[i, k] = y[k]
         if solid:
-            insert(x, order[placed : placed + 1], level, head, after, reach, cells, first, lower, extent)
+            insert(x, order[placed : placed + 1], grid)
         placed += 1
         failures = 0
     return placed, failures
 
 
 def thinned(sites: int, count: int) -> Array:
-    """`count` of the sites, evenly."""
+    """`count` of the numbers 0 ... sites - 1, evenly spread."""
     return np.arange(count, dtype=np.int64) * sites // max(count, 1)
 
 
-def lattice(count: int, radius: float, room: Room) -> Array | None:
-    """`count` centres, evenly in the box: simple cubic if spheres of `radius` fit so, else face-centred (hexagonal in 2D).
+def lattice(count: int, radius: float, room: Container) -> Array | None:
+    """The centres (count, d) of a lattice in the box: simple cubic if the spheres fit, else face-centred (hexagonal in 2D).
 
-    None if neither fits.
+    None if they fit in neither.
     """
     if count == 0:
         return np.empty((0, len(room.lower)))
@@ -202,8 +213,8 @@ def lattice(count: int, radius: float, room: Room) -> Array | None:
     return cubic if cubic is not None or len(room.lower) not in (2, 3) else face_centred(count, radius, room)
 
 
-def simple_cubic(count: int, diameter: float, room: Room, margin: float) -> Array | None:
-    """Centres of equal cells; a cell is never narrower than a sphere."""
+def simple_cubic(count: int, diameter: float, room: Container, margin: float) -> Array | None:
+    """The centres of `count` of the equal cells of the box (count, d); None if a cell would be narrower than `diameter`."""
     extent = (room.upper - room.lower).tolist()
     closed = [length == 0.0 for length in room.length.tolist()]
     least = [max(diameter, 2.0 * margin if c else 0.0) for c in closed]
@@ -226,11 +237,11 @@ def simple_cubic(count: int, diameter: float, room: Room, margin: float) -> Arra
     return x
 
 
-def face_centred(count: int, radius: float, room: Room) -> Array | None:
-    """Every second site of a grid of layers q_k at spacing h_k: neighbours are sqrt(h_k^2 + h_m^2) and 2 h_k apart.
+def face_centred(count: int, radius: float, room: Container) -> Array | None:
+    """Every second point of a grid with q_k layers at spacing h_k on axis k: neighbours are sqrt(h_k^2 + h_m^2) or 2 h_k apart.
 
-    Equal h in 3D is the fcc lattice, h_1 = sqrt(3) h_0 in 2D the hexagonal one. Of all numbers of layers near those of
-    the ideal lattice, the ones that keep spheres furthest apart are taken.
+    Equal spacings give the fcc lattice in 3D; h_1 = sqrt(3) h_0 gives the hexagonal lattice in 2D. Of all numbers of layers near
+    those of the ideal lattice, the ones with the largest distance between neighbours are taken. None if spheres do not fit.
     """
     extent, closed = room.upper - room.lower, room.length == 0.0
     free = np.where(closed, extent - 2.0 * radius, extent)

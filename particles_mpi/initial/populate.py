@@ -20,7 +20,7 @@ from pydantic import ValidationError
 from particles_mpi.errors import SceneError
 from particles_mpi.initial.checks import check_start
 from particles_mpi.initial.names import listed
-from particles_mpi.initial.placement import JAMMED, MOST_TRIES, RandomAddition, Room, lattice, packing
+from particles_mpi.initial.placement import JAMMED, MOST_TRIES, Container, RandomAddition, lattice, packing
 from particles_mpi.initial.plummer import plummer_places, plummer_velocities
 from particles_mpi.particles import FIELDS, Array, Particles, default_values
 from particles_mpi.scene.active import ActiveEffects, fields_of
@@ -45,7 +45,7 @@ def populate(scene: Scene) -> tuple[Particles, list[str]]:
         raise SceneError("particles: not enough memory for them") from None
 
 
-def room_of(scene: Scene) -> Room:
+def room_of(scene: Scene) -> Container:
     """Box and walls of a scene as arrays; an open side is infinite."""
     d = scene.dimension
     lower, upper = np.full(d, -inf), np.full(d, inf)
@@ -56,7 +56,7 @@ def room_of(scene: Scene) -> Room:
     if effects.walls:
         point, normal = effects.walls.planes.point, effects.walls.planes.normal
     solid = effects.pairs is not None
-    return Room(lower, upper, periodic_length(scene), point, normal, solid, solid or len(point) > 0)
+    return Container(lower, upper, periodic_length(scene), point, normal, solid, solid or len(point) > 0)
 
 
 def add_population(
@@ -267,7 +267,7 @@ class Populator:
         if len(which):
             self.faults.append(f"{key}: {why} {listed(self.arrays['id'][rows][which])}")
 
-    def positions(self, room: Room) -> None:
+    def positions(self, room: Container) -> None:
         """Lists and files first, then lattices, then random places around them, the largest spheres first."""
         x, radius, scattered = self.arrays["position"], self.arrays["radius"], []
         known = np.ones(len(x), bool)
@@ -294,7 +294,7 @@ class Populator:
         if scattered:
             self.scatter(room, scattered, np.flatnonzero(known))
 
-    def scatter(self, room: Room, numbers: list[int], known: Array) -> None:
+    def scatter(self, room: Container, numbers: list[int], known: Array) -> None:
         radius, d = self.arrays["radius"], self.scene.dimension
         addition = RandomAddition(room, self.arrays["position"], radius, known)
         fraction = packing(radius, room)

@@ -6,7 +6,7 @@ from collections import Counter
 
 import numpy as np
 
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles, places_of
 from particles_mpi.scene.effect import Force
 
@@ -17,7 +17,7 @@ class Accelerations:
     total (n, d): those of the last sum, or None; g (d,): the sum of those that are the same for all particles.
     """
 
-    def __init__(self, forces: dict[str, Force], ranks: Ranks, dimension: int, calls: Counter[str]):
+    def __init__(self, forces: dict[str, Force], ranks: Communicator, dimension: int, calls: Counter[str]):
         self.forces, self.ranks, self.calls = forces, ranks, calls
         self.g: Array = np.zeros(dimension)
         self.total: Array | None = None
@@ -44,7 +44,7 @@ class Accelerations:
         known = places_of(p) if self.place_dependent else (p.version, p.edition)
         same = known == self.known
         if self.collective:  # what one rank must sum anew, all do
-            same = bool(self.ranks.smallest(float(same))[0])
+            same = bool(self.ranks.allreduce_min(float(same))[0])
         if same:
             return self.total
         a = np.zeros_like(p.velocity)

@@ -7,11 +7,11 @@ from typing import Any
 from particles_mpi.integrators.integrator import Integrator
 from particles_mpi.integrators.leapfrog import Leapfrog
 from particles_mpi.integrators.velocity_flow import Kick
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.scene.schema import Scene
 
 
-def integrator_of(scene: Scene, ranks: Ranks, kick: Kick, rest: Any) -> Integrator:
+def integrator_of(scene: Scene, ranks: Communicator, kick: Kick, rest: Any) -> Integrator:
     """The integrator of a scene; `rest` keeps contacts that last, if any do. One that is not named is not imported."""
     name = scene.time.integrator
     if name == "order4":

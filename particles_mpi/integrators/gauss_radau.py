@@ -22,7 +22,7 @@ from numpy.polynomial import legendre
 
 from particles_mpi.errors import StateError
 from particles_mpi.integrators.integrator import Drift, Forces
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles
 from particles_mpi.scene.schema import TOLERANCES
 from particles_mpi.timers import Timers
@@ -112,7 +112,7 @@ def still_to_come(change: float, before: float) -> float:
 class Adaptive:
     """Order 15, with steps of its own choice; `substeps` counts those taken, `rejected` those that were too long."""
 
-    def __init__(self, ranks: Ranks, tolerance: float):
+    def __init__(self, ranks: Communicator, tolerance: float):
         self.ranks, self.tolerance = ranks, tolerance
         self.c, self.once, self.twice, self.once_end, self.twice_end, self.lagrange = radau()
         self.gain = 4.0 * float(np.sqrt((self.lagrange[:, -1] ** 2).sum()))  # of round-off, in the highest coefficient
@@ -163,7 +163,7 @@ class Adaptive:
                     largest = max(largest, float(np.abs(new).max(initial=0.0)))
                     at[i] = new
                 top = np.abs(combine(self.lagrange[:, -1], at)).max(initial=0.0)
-                largest, change, top, noise = self.ranks.largest(np.array([largest, change, top, noise]))
+                largest, change, top, noise = self.ranks.allreduce_max(np.array([largest, change, top, noise]))
                 round_off, left = noise + ROUNDED * largest, still_to_come(change, before)
                 if not left > round_off or (change >= before and change < max(STALLED * largest, NOISY * round_off)):
                     break
@@ -199,13 +199,13 @@ class Adaptive:
         if len(size):
             i = np.lexsort((particles.id, -size))[0]
             mine = float(size[i]), -int(particles.id[i]), particles.position[i]
-        _, pulled, place = max((one for one in self.ranks.gathered(mine) if one), key=lambda one: one[:2])
+        _, pulled, place = max((one for one in self.ranks.allgather(mine) if one), key=lambda one: one[:2])
         apart = [
             (float(distance), int(number))
             for distance, number in zip(np.sqrt(((particles.position - place) ** 2).sum(axis=1)), particles.id, strict=True)
             if number != -pulled
         ]
-        others = [one for one in self.ranks.gathered(min(apart, default=None)) if one]
+        others = [one for one in self.ranks.allgather(min(apart, default=None)) if one]
         if not others:
             return f"particle {-pulled} is pulled too strongly"
         distance, other = min(others)

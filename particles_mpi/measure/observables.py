@@ -1,13 +1,13 @@
-"""What a gas of spheres is measured by: temperature, moments, packing, and rates of collision since the last look.
+"""Observables of a gas of spheres: temperature, moments, packing, and rates of collision since they were last computed.
 
-D axes, N movable particles, T in units of energy (k = 1). Everything is a sum over all particles that does not depend on ranks.
+D axes, N movable particles, T in units of energy (k = 1). All are made of exact sums, the same on any number of ranks.
 
-- temperature: sum m (v - V)^2 / (D (N - 1)), V the velocity of the whole
+- temperature: sum m (v - V)^2 / (D (N - 1)), with V the velocity of the centre of mass
 - moment_ratio: <v^4>/<v^2>^2 of v - V; Maxwell-Boltzmann gives (1 + 2/D) n/(n + 2), n = D (N - 1)
 - packing: volume of all spheres over that of the box
 - collision_rate: Gamma = 2 C/(N t), collisions of a particle in unit time; free_time 1/Gamma, free_path <|v - V|>/Gamma
 - z_virial: p V/(N T) = 1 + sum(-r.dp)/(D N T t) over the collisions, r from partner to partner, dp the momentum it gives
-- z_rate: 1 + sigma Gamma sqrt(pi m/T)/(2 D), for equal spheres of diameter sigma and mass m; not a number for others
+- z_rate: 1 + sigma Gamma sqrt(pi m/T)/(2 D), for equal spheres of diameter sigma and mass m; nan for others
   (Enskog; M. P. Allen and D. J. Tildesley, Computer Simulation of Liquids, 1987, for both)
 """
 
@@ -18,17 +18,19 @@ from typing import Any
 
 import numpy as np
 
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.particles import Particles, row_dot
 
 OBSERVABLES = ("temperature", "moment_ratio", "packing", "collision_rate", "free_time", "free_path", "z_virial", "z_rate")
 
 
-def observe(ranks: Ranks, p: Particles, volume: float, time: float, collisions: int, since: list[float]) -> dict[str, float]:
-    """The observables over the interval since (time, collisions, virial) = `since`, which becomes the present one. Collective.
+def observe(
+    ranks: Communicator, p: Particles, volume: float, time: float, collisions: int, since: list[float]
+) -> dict[str, float]:
+    """The observables, with rates over the interval since `since` = [time, collisions, virial], which is updated. Collective.
 
-    `collisions`: of all ranks since the start; `volume`: of the box, not a number without one.
+    `collisions`: of all ranks since the start; `volume`: of the box, nan without one. What is not defined is nan.
     """
     d, movable = p.dimension, p.fixed == 0
     m = p.mass * movable
@@ -37,7 +39,7 @@ def observe(ranks: Ranks, p: Particles, volume: float, time: float, collisions: 
     whole = np.array(sums[2 : 2 + d]) / mass if mass > 0.0 else np.zeros(d)
     own = p.velocity - whole
     square = row_dot(own, own)
-    ends = ranks.largest(
+    ends = ranks.allreduce_max(
         np.array([part.max(initial=-np.inf) for q in (p.radius, p.mass) for part in (q[movable], -q[movable])], float)
     )
     heat, second, fourth, speed = exact_sums(

@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.errors import SceneError
-from particles_mpi.output import failing_together, replacing
-from particles_mpi.parallel.communicator import Ranks
-from particles_mpi.parallel.exchange import rows_of_everyone
+from particles_mpi.output.files import failing_together, replacing
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.particles import FIELDS, Array, Particles, rows_of
 
 FORMAT = "particles_mpi state 1"
 SHOWN = 20  # rows of a printed table
 
 
-def everyone(ranks: Ranks, particles: Particles) -> Particles:
+def gather_all(ranks: Communicator, particles: Particles) -> Particles:
     """All particles of all ranks in id order, on every rank. Collective."""
-    arrived = rows_of_everyone(ranks, particles.arrays)
+    arrived = allgather_rows(ranks, particles.arrays)
     return Particles(particles.dimension, rows_of(arrived, np.argsort(arrived["id"], kind="stable")))
 
 
@@ -51,14 +51,14 @@ def _cell(value: Any) -> str:
     return f"{value:.6g}"
 
 
-def save_json(path: Path, ranks: Ranks, particles: Particles, about: dict[str, Any], indent: int | None) -> None:
+def save_json(path: Path, ranks: Communicator, particles: Particles, metadata: dict[str, Any], indent: int | None) -> None:
     """Write all particles in id order, floats with the digits that give the same bits back. Collective.
 
     Replaced as a whole: at every moment `path` is the previous file or this one.
     """
-    all_ = everyone(ranks, particles)
+    all_ = gather_all(ranks, particles)
     columns = {name: {"dtype": str(column.dtype), "values": _plain(column)} for name, column in all_.arrays.items()}
-    text = json.dumps({"format": FORMAT, **about, "particles": columns}, indent=indent, allow_nan=False) + "\n"
+    text = json.dumps({"format": FORMAT, **metadata, "particles": columns}, indent=indent, allow_nan=False) + "\n"
     with failing_together(ranks, f"cannot write {path}"):
         if ranks.is_root:
             with replacing(path) as part:
@@ -96,4 +96,4 @@ def _numbers(values: list[Any]) -> list[Any]:
     return [_numbers(v) if isinstance(v, list) else float(v) if isinstance(v, str) else v for v in values]
 
 
-ABOUT = ("step", "moment", "h", "observed", "totals", "next_id", "additions", "kept", "scene")  # what `about` tells
+METADATA = ("step", "moment", "h", "observed", "totals", "next_id", "additions", "kept", "scene")  # what `metadata` tells

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from particles_mpi.neighbours.trajectories import tubes_box, tubes_near
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import send_rows, starts
 from particles_mpi.particles import Array
 
@@ -35,7 +35,7 @@ def overlap(one: Array, boxes: Array, length: Array) -> Array:
 
 
 def share(
-    ranks: Ranks,
+    ranks: Communicator,
     arrays: dict[str, Array],
     state: tuple[Array, Array, Array],
     slack: float,
@@ -47,7 +47,7 @@ def share(
 
     `arrays`: what is sent of a row; `state` = (x, v, radius) of the owned rows, tubes as in `trajectories`.
     """
-    boxes = ranks.rows_of_all(tubes_box(*state, end, half))
+    boxes = ranks.allgather_array(tubes_box(*state, end, half))
     fence, rows, counts = build(boxes, ranks.rank, slack, state, end, half, length)
     return fence, rows, counts, *send_rows(ranks, arrays, rows, counts)
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from particles_mpi.errors import StateError, StoppedError
+from particles_mpi.errors import StoppedError
 from particles_mpi.kernels.geometry import wrap
 from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.kernels.motion import end_legs
@@ -21,11 +21,11 @@ from particles_mpi.neighbours.halo import any_of, refresh, tell_choices, tell_le
 from particles_mpi.neighbours.halo_region import Fence, nowhere, share
 from particles_mpi.neighbours.rebuild_interval import Rhythm
 from particles_mpi.neighbours.trajectories import fastest
-from particles_mpi.parallel.agreement import not_finite
-from particles_mpi.parallel.buffers import Store
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.agreement import require_finite
+from particles_mpi.parallel.buffers import RowBuffers
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import Halo
-from particles_mpi.parallel.load_balance import Balance
+from particles_mpi.parallel.load_balance import LoadBalance
 from particles_mpi.particles import Array, Particles, field
 from particles_mpi.timers import Timers
 
@@ -49,7 +49,7 @@ class Neighbourhood:
     def __init__(
         self,
         particles: Particles,
-        ranks: Ranks,
+        ranks: Communicator,
         box: tuple[Array, Array, Array],
         planes: tuple[Array, Array],
         kicked: bool,
@@ -59,11 +59,11 @@ class Neighbourhood:
         self.lower, self.upper, self.length = box
         length = self.length
         self.axes = (0,) * len(length)
-        self.balance = Balance(ranks, timers)
+        self.balance = LoadBalance(ranks, timers)
         self.version = -1
         self.halo: Any = None  # on one rank; else a Halo
         self.near: Candidates
-        self.store = Store(particles)
+        self.row_buffers = RowBuffers(particles)
         self.mine: Array | None = None
         self.box: Any = None  # bounds of the owned rows at the last search
         self.searches = self.migrated = self.ghost_rows = self.expected = self.pair_tests = 0
@@ -78,7 +78,7 @@ class Neighbourhood:
         if self.kicked:
             needed = max(needed, self.follow_kicks(h))
         with self.timers("agree"):
-            needed = float(self.ranks.largest(needed)[0])
+            needed = float(self.ranks.allreduce_max(needed)[0])
         if needed:
             self.search(h, needed if np.isfinite(needed) else 0.0)
 
@@ -103,8 +103,8 @@ class Neighbourhood:
         particles = self.particles
         with self.timers("migrate"):
             self.balance.update(particles, self.searches)
-            self.store.adopt()
-            self.migrated += self.store.migrate(self.ranks, self.balance.owner(particles.position))
+            self.row_buffers.adopt()
+            self.migrated += self.row_buffers.migrate(self.ranks, self.balance.decomposition.owner(particles.position))
         with self.timers("agree"):
             end, half, bound, slack = self.horizon(h, at_least)
         with self.timers("pairs"):
@@ -126,10 +126,9 @@ class Neighbourhood:
         work = self.rhythm.work(len(self.x), self.near.tests, self.near.asked) if self.searches else 0.0
         radius = particles.radius
         mine = np.array([n, fastest(x, particles.velocity), radius.max(initial=0.0), radius.sum(), work, *low, *high])
-        table = self.ranks.rows_of_all(mine)  # of all in one message
+        table = self.ranks.allgather_array(mine)  # of all in one message
         total, speed, largest = table[:, 0].sum(), table[:, 1].max(), 2.0 * float(table[:, 2].max())
-        if not np.isfinite(table[:, 1:3]).all():
-            raise StateError(not_finite(self.ranks, particles, "in a drift"))
+        require_finite(self.ranks, particles, table[:, 1:3], "in a drift")
         mean = 2.0 * float(table[:, 3].sum()) / max(total, 1.0)
         apart = spacing(table[:, 5 : 5 + d].min(axis=0), table[:, 5 + d :].max(axis=0), int(total)) if total else 1.0
         half = 0.5 * max(0.25 * mean, 0.05 * apart)
@@ -158,7 +157,7 @@ class Neighbourhood:
 
     def sort(self) -> None:
         """Rows that are near in space, near in memory."""
-        self.store.sort(order_in_space(self.particles.position, self.box))
+        self.row_buffers.sort(order_in_space(self.particles.position, self.box))
 
     def fetch_ghosts(self, end: float, half: float, slack: float) -> Fence:
         """Copies of all particles that may meet this rank's, behind the owned rows. Collective."""
@@ -174,7 +173,7 @@ class Neighbourhood:
             self.shared = np.zeros(self.owned + int(arriving.sum()), np.bool_)
             self.shared[rows] = self.shared[self.owned :] = True
             self.ghost_rows += len(arrived["id"])
-            everyone = self.store.behind(arrived)
+            everyone = self.row_buffers.append_ghosts(arrived)
         self.x, self.v, self.ids, self.radius = (everyone[n] for n in ("position", "velocity", "id", "radius"))
         self.w, self.fields = Particles(d, everyone).inverse_mass, everyone
         n = len(self.x)

@@ -1,114 +1,19 @@
-"""What a run leaves on disk: frames (HDF5 and VTK), checkpoints, diagnostics; and what all writers share.
+"""What a run leaves on disk: frames (HDF5 and VTK), checkpoints, and the table of diagnostics.
 
-A writer of a run to be continued first looks (its constructor, which changes nothing) and then cuts (`open`): what is wrong
-with one file of a folder is found before another is touched.
+In the order in which to read them:
+
+- `files`: what all writers share: errors on all ranks together, files that are replaced as a whole, the columns of a frame
+- `folder`: may the output folder be used, or does it belong to another run?
+- `trajectory`: all frames in one HDF5 file, which ParaView opens
+- `vtk`: the same frames as one VTK file each
+- `diagnostics_csv`: a row of sums every few steps
+- `checkpoint`: the exact state in one file, from which a run continues with the same bits
+
+How a frame gets to disk. `run.job` gives each writer this rank's rows. `parallel.exchange.in_id_order` sorts the rows
+of all ranks by id: each rank gets a range of ids where HDF5 is parallel and every rank writes, otherwise rank 0 gets all.
+`frame_arrays` makes the columns that viewers expect, and the writer appends them; the count of frames in the file is raised
+last, so that a killed run leaves a readable file. Every access to a file stands in a block `failing_together`: if the file system
+refuses it on one rank, all ranks raise the same error. A writer that continues a run first reads its old file, in its constructor
+which changes nothing, and then removes what came after the checkpoint, in `open`: a fault in one file is found before
+another one is changed.
 """
-
-from __future__ import annotations
-
-import os
-import re
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
-
-import numpy as np
-
-from particles_mpi.errors import SceneError, StoppedError
-from particles_mpi.parallel.agreement import raise_first, unexpected
-from particles_mpi.parallel.communicator import Ranks
-from particles_mpi.particles import FIELDS, Array
-
-
-@contextmanager
-def failing_together(ranks: Ranks, task: str) -> Iterator[None]:
-    """Run a block that touches files; what the file system refuses on any rank is a StoppedError on all. Collective.
-
-    `task` begins the message: "cannot write out/particles.pvd at step 100". A SceneError stays one, on all ranks. A block may
-    hold at most one collective call, its last: a rank that failed before one would leave the others waiting in it.
-    """
-    failure: Exception | None = None
-    try:
-        yield
-    except SceneError as error:
-        failure = error
-    except (OSError, RuntimeError, ValueError, KeyError) as error:  # h5py raises all four for what is wrong with a file
-        failure = StoppedError(f"{task}: {_reason(error)}")
-    except Exception as error:  # also memory that is refused
-        failure = StoppedError(f"{task}: {unexpected(error)}")
-    raise_first(ranks, failure, root_reads=True)
-
-
-@contextmanager
-def continuing(path: Path) -> Iterator[None]:
-    """Read what a run left behind, in order to go on with it; whatever is wrong with the file is a SceneError that names it."""
-    try:
-        yield
-    except Exception as error:  # damaged files raise anything
-        raise SceneError(f"{path}: cannot be continued: {_reason(error)}") from None
-
-
-def check_last(steps: list[int], resume_step: int, last: int | None) -> None:
-    """Is `last` the last of the steps up to `resume_step` that a file holds? It was so when the checkpoint was written."""
-    if sorted(set(steps)) != steps:
-        raise ValueError("its steps are not in order")
-    found = steps[-1] if steps else -1
-    if last is not None and found != last:
-        raise ValueError(
-            f"it should hold step {last}, and up to step {resume_step} " + (f"ends at {found}" if steps else "is empty")
-        )
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A name to write a file under, which becomes `path` when it is whole: at every moment `path` is the old file or the new."""
-    part = path.with_name(path.name + ".tmp")
-    try:
-        yield part
-        os.replace(part, path)
-    except BaseException:
-        part.unlink(missing_ok=True)  # half a file helps nobody, least of all on a full disk
-        raise
-
-
-def _reason(error: Exception) -> str:
-    """One line; HDF5 hides the one that says why ("No space left on device") in a paragraph of addresses."""
-    said = re.search(r"error message = '([^']+)'", str(error))
-    return said[1] if said else (str(error) or type(error).__name__).splitlines()[0]
-
-
-def frame_columns(name: str, dimension: int) -> dict[str, tuple[int, ...]]:
-    """Names of the columns that a field becomes in a frame, and the shape of one row of each.
-
-    Viewers know three axes: vectors have three columns, z = 0 in two dimensions. Beyond three dimensions the first three
-    axes are drawn, and all of them stand beside: as `position`, and as `velocity_full`, `acceleration_full`.
-    """
-    if not FIELDS[name].vector:
-        return {name: ()}
-    columns: dict[str, tuple[int, ...]] = {"Points" if name == "position" else name: (3,)}
-    if dimension > 3:
-        columns[name if name == "position" else f"{name}_full"] = (dimension,)
-    return columns
-
-
-def frame_arrays(arrays: dict[str, Array], dimension: int) -> dict[str, Array]:
-    """The columns of `frame_columns` for rows of particles; contiguous, bit for bit the values given."""
-    columns = {}
-    for name, values in arrays.items():
-        for column, width in frame_columns(name, dimension).items():
-            if width == (3,) and dimension != 3:
-                padded = np.zeros((len(values), 3))
-                padded[:, : min(dimension, 3)] = values[:, :3]
-                columns[column] = padded
-            else:
-                columns[column] = np.ascontiguousarray(values, FIELDS[name].dtype)
-    return columns
-
-
-def sync_folder(folder: Path) -> None:
-    """Make a rename inside the folder last through a power cut."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -1,10 +1,10 @@
-"""The exact state of a run in one small HDF5 file, replaced as a whole: a restart continues with the same bits.
+"""The exact state of a run in one HDF5 file, which is replaced as a whole: a run continues from it with the same bits.
 
 - /particles/<field>: (N,) or (N, d), in id order, every bit as it was (NaN, -0.0 and subnormals too)
 - @particles_mpi_checkpoint = 3, @total, @dimension, and the attributes given: step, time, scene text, counts
 
-Behind the HDF5 file stands a line with its length and CRC-32, which HDF5 does not look at: a file that was cut short, or of
-which a bit has changed, is never read as a state.
+Behind the HDF5 file there is a line with its length and CRC-32, which HDF5 ignores: a file that was cut short, or of which a bit
+has changed, is never taken for a state.
 """
 
 from __future__ import annotations
@@ -18,20 +18,22 @@ import h5py
 import numpy as np
 
 from particles_mpi.errors import SceneError
-from particles_mpi.output import failing_together, replacing, sync_folder
-from particles_mpi.parallel.communicator import Ranks
-from particles_mpi.parallel.exchange import IdRange, in_id_order, rows_of_everyone
+from particles_mpi.output.files import failing_together, replacing, sync_folder
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exchange import IdRange, allgather_rows, in_id_order
 from particles_mpi.particles import FIELDS, Array, shape
 
 MARK, FORMAT = "particles_mpi_checkpoint", 3
 BLOCK = 2**24  # bytes read at once
 
 
-def save(path: Path, ranks: Ranks, arrays: dict[str, Array], ids: IdRange, dimension: int, attributes: dict[str, Any]) -> None:
+def save(
+    path: Path, ranks: Communicator, arrays: dict[str, Array], ids: IdRange, dimension: int, attributes: dict[str, Any]
+) -> None:
     """Write the state of all ranks, whose ids lie in `ids`. Collective.
 
-    `arrays`: this rank's owned rows in any order, every field a restart needs; `attributes`: numbers and texts of any length.
-    At every moment `path` is the previous checkpoint or this one. Raises StoppedError on all ranks if it cannot be written.
+    `arrays`: this rank's owned rows in any order, with every field that a restart needs; `attributes`: numbers and texts of any
+    length. At any time `path` is the previous checkpoint or this one. Raises a StoppedError on all ranks if it cannot be written.
     """
     rows = in_id_order(ranks, arrays, ids, 1)
     with failing_together(ranks, f"cannot write {path} at step {attributes.get('step', '?')}"):
@@ -39,9 +41,9 @@ def save(path: Path, ranks: Ranks, arrays: dict[str, Array], ids: IdRange, dimen
             _replace(Path(path), rows, {MARK: FORMAT, "total": ids.total, "dimension": dimension} | attributes)
 
 
-def dump(path: Path, ranks: Ranks, arrays: dict[str, Array], attributes: dict[str, Any]) -> None:
-    """Rows of all ranks as they are, however wrong, and the `rank` that holds each: not to go on from. Collective."""
-    rows = rows_of_everyone(ranks, arrays | {"rank": np.full(len(arrays["id"]), ranks.rank)})
+def dump(path: Path, ranks: Communicator, arrays: dict[str, Array], attributes: dict[str, Any]) -> None:
+    """Write all rows, however wrong, and the `rank` that holds each: for inspection, not for a restart. Collective."""
+    rows = allgather_rows(ranks, arrays | {"rank": np.full(len(arrays["id"]), ranks.rank)})
     with failing_together(ranks, f"cannot write {path}"):
         if ranks.is_root:
             with replacing(path) as part, h5py.File(part, "w", locking=False) as file:
@@ -66,7 +68,7 @@ def _replace(path: Path, rows: dict[str, Array], attributes: dict[str, Any]) -> 
 
 
 def _seal(path: Path, length: int) -> bytes:
-    """The line behind a file whose first `length` bytes are the checkpoint."""
+    """The last line of a file, whose first `length` bytes are the HDF5 file."""
     crc, left = 0, length
     with open(path, "rb") as file:
         while left and (block := file.read(min(BLOCK, left))):
@@ -75,7 +77,7 @@ def _seal(path: Path, length: int) -> bytes:
 
 
 def _check_seal(path: Path) -> None:
-    """Is it a checkpoint, and as it was written? HDF5 itself may crash on a file that is not."""
+    """Raise a SceneError unless the file is a checkpoint, as it was written. HDF5 may crash on a file that is not."""
     size = len(_seal(path, 0))
     with open(path, "rb") as file:
         length = file.seek(0, os.SEEK_END) - size
@@ -88,9 +90,9 @@ def _check_seal(path: Path) -> None:
 
 
 def load(path: Path, rows: slice = slice(None)) -> tuple[dict[str, Array], dict[str, Any]]:
-    """(arrays of the rows in id order, attributes with the types they were saved with). Any rank, not collective.
+    """(arrays of the `rows` in id order, attributes with the types that they were saved with). Not collective.
 
-    Raises SceneError, one line, for a file that is missing, cut short, damaged or no checkpoint.
+    Raises a SceneError, one line, for a file that is missing, cut short, damaged or not a checkpoint.
     """
     try:
         _check_seal(Path(path))

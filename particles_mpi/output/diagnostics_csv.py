@@ -1,4 +1,4 @@
-"""`diagnostics.csv`: one row of sums over all particles every few steps."""
+"""`diagnostics.csv`: a row of sums over all particles every few steps."""
 
 from __future__ import annotations
 
@@ -7,19 +7,21 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import IO
 
-from particles_mpi.output import check_last, continuing, failing_together, replacing
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.output.files import check_last, continuing, failing_together, replacing
+from particles_mpi.parallel.communicator import Communicator
 
 
 class Diagnostics:
     """Writer of the table; rank 0 writes, every method is collective.
 
-    columns: the header, `step` first. With `resume_step`, rows of steps up to that one stay, and the last of them must be that
-    of `last`, the last one written when the checkpoint was. Raises SceneError on all ranks for a table that cannot be
-    continued, before anything is changed, and StoppedError if the file system refuses.
+    columns: the header, `step` first. With `resume_step` rows up to that step are kept, and the last of them must be of step
+    `last`, as when the checkpoint was written. Raises a SceneError on all ranks for a table that cannot be continued, before it
+    is changed, and a StoppedError if the file system refuses.
     """
 
-    def __init__(self, path: Path, ranks: Ranks, columns: list[str], resume_step: int | None = None, last: int | None = None):
+    def __init__(
+        self, path: Path, ranks: Communicator, columns: list[str], resume_step: int | None = None, last: int | None = None
+    ):
         self.path, self.ranks, self.columns = Path(path), ranks, list(columns)
         self.file: IO[str] | None = None
         self.rows: list[list[str]] = []
@@ -29,7 +31,7 @@ class Diagnostics:
                     self.rows = self._kept(resume_step, last)
 
     def open(self) -> None:
-        """Make the table, or cut it."""
+        """Make the table, or remove the rows that are not kept."""
         with failing_together(self.ranks, f"cannot prepare {self.path}"):
             if self.ranks.is_root:
                 with replacing(self.path) as part:
@@ -39,7 +41,7 @@ class Diagnostics:
                 self.rows = []
 
     def write(self, values: Mapping[str, float | int | str]) -> None:
-        """Append a row, `values` by column; floats with the fewest digits that give the same bits back."""
+        """Append a row, `values` by column; floats with the fewest digits from which the same bits can be read."""
         with failing_together(self.ranks, f"cannot write {self.path} at step {values.get('step', '?')}"):
             if self.file is not None:
                 row = [repr(float(v)) if isinstance(v := values[name], float) else str(v) for name in self.columns]
@@ -47,13 +49,13 @@ class Diagnostics:
                 self.file.flush()
 
     def close(self) -> None:
-        """Close the file; every row written is there without it."""
+        """Close the file; every row is on disk without it."""
         if self.file is not None:
             self.file.close()
             self.file = None
 
     def _kept(self, resume_step: int, last: int | None) -> list[list[str]]:
-        """The whole rows of steps up to one; what a killed run left behind its last checkpoint may be half a line."""
+        """The rows up to step `resume_step`. Behind them a killed run may have left half a line."""
         header, *lines = self.path.read_text(encoding="utf-8").splitlines(keepends=True) or [""]
         if header.rstrip("\n").split(",") != self.columns:
             raise ValueError("it has other columns than the run to be continued")

@@ -1,4 +1,4 @@
-"""The output folder of a run: free, or held by this very run so that it goes on there, or refused before it is touched."""
+"""May a run use its output folder? It is empty, or has the files of this very run, which goes on; otherwise it is refused."""
 
 from __future__ import annotations
 
@@ -9,29 +9,32 @@ from pathlib import Path
 from typing import Any
 
 from particles_mpi.errors import SceneError
-from particles_mpi.output import checkpoint, failing_together
-from particles_mpi.parallel.agreement import differing
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.output import checkpoint
+from particles_mpi.output.files import failing_together
+from particles_mpi.parallel.agreement import differences
+from particles_mpi.parallel.communicator import Communicator
 
 OURS = ("trajectory.vtkhdf", "particles.pvd", "vtk", "checkpoint.h5", "diagnostics.csv", "run.json", "stopped.h5", "plots")
+# Keys of a scene that may change when a run is continued.
 FREE = (
     "title",
-    "output.every",
-    "output.formats",
-    "output.checkpoint_every",
-    "output.diagnostics_every",
     "time.end",
     "time.steps",
+    *(f"output.{k}" for k in ("every", "formats", "checkpoint_every", "diagnostics_every")),
 )
 
 
 def changed(one: dict[str, Any], two: dict[str, Any]) -> Iterator[str]:
-    """The keys in which two scenes, as tables, are not the same run: all but its end, its title and how often it writes."""
-    return (key for key, _, _ in differing(one, two) if key not in FREE)
+    """The keys in which two scenes, as tables, differ so that they are different runs: all but those in FREE."""
+    return (key for key, _, _ in differences(one, two) if key not in FREE)
 
 
-def claim(folder: Path, ranks: Ranks, scene: dict[str, Any], resumed: bool, overwrite: bool) -> bool:
-    """Does this run go on in the folder? Otherwise what it held is gone, if that was asked for. Collective."""
+def claim(folder: Path, ranks: Communicator, scene: dict[str, Any], resumed: bool, overwrite: bool) -> bool:
+    """Take the folder for a run of this scene; returns whether the run continues one that is in there. Collective.
+
+    A resumed run continues if the folder has its checkpoint. Otherwise files of an earlier run are a SceneError, or are deleted
+    with `overwrite`.
+    """
     continues = False
     with failing_together(ranks, f"cannot use {folder}"):
         if ranks.is_root:
@@ -41,13 +44,13 @@ def claim(folder: Path, ranks: Ranks, scene: dict[str, Any], resumed: bool, over
                 what = "another run than the one to be resumed" if resumed else "a run"
                 way = "--overwrite to replace it, or another folder" if resumed else "--overwrite or --resume"
                 raise SceneError(f"--output: {folder} already holds {what} ({', '.join(held)}); use {way}")
-    with failing_together(ranks, f"cannot write into {folder}"):  # every rank has come here: nothing fails elsewhere any more
+    with failing_together(ranks, f"cannot write into {folder}"):  # only now, when no rank has found a fault
         if ranks.is_root:
             folder.mkdir(parents=True, exist_ok=True)
             for name in OURS if not continues else ():
                 path = folder / name
                 shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
-    return bool(ranks.from_root(continues))
+    return bool(ranks.bcast(continues))
 
 
 def _is_of(path: Path, scene: dict[str, Any]) -> bool:

@@ -1,8 +1,8 @@
-"""All frames of a run in one HDF5 file that ParaView opens as it is: VTKHDF PolyData, see README for the layout.
+"""All frames of a run in one HDF5 file that ParaView opens directly: VTKHDF PolyData; the README has its layout.
 
-Every frame holds the N particles of its time in id order, as one part; frames with the same N share a part, and all of them
-one identity topology. With parallel HDF5 each rank writes its stretch of ids; otherwise rank 0 writes what is gathered to it.
-The file is the same either way.
+A frame has the N particles of its time in id order. Frames with the same N share one part (the numbers of points and cells), and
+all frames share one topology: particle i is cell i. With parallel HDF5 each rank writes its range of ids, otherwise rank 0
+writes all; the file is the same.
 """
 
 from __future__ import annotations
@@ -19,9 +19,16 @@ import h5py
 import numpy as np
 
 from particles_mpi.errors import StoppedError
-from particles_mpi.output import check_last, continuing, failing_together, frame_arrays, frame_columns, replacing
-from particles_mpi.output.mpi_io import told_reason
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.output.files import (
+    check_last,
+    continuing,
+    failing_together,
+    frame_arrays,
+    frame_columns,
+    mpi_io_errors,
+    replacing,
+)
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
 from particles_mpi.particles import FIELDS, Array, field
 
@@ -31,17 +38,17 @@ STEPS_CHUNK = 1024  # frames
 class Trajectory:
     """Writer of `trajectory.vtkhdf`; every method is collective.
 
-    path: the file, made anew unless there is one and `resume_step` is given: then frames of steps up to that one are kept, later
-    ones cut, and writing goes on behind them; the last one kept must be of step `last` and have `held` particles (`total` if
-    that is not given). particles_fields: names in FIELDS, those not meant for frames are skipped. total: N, the particles of
-    all ranks at the start. Raises SceneError on all ranks for a file that cannot be continued, before anything is changed, and
-    StoppedError if the file system refuses.
+    path: the file. It is made anew, unless it exists and `resume_step` is given: then frames up to that step are kept and later
+    ones removed; the last frame kept must be of step `last` and have `held` particles (`total` if that is None).
+    particles_fields: names of fields; those not meant for frames are skipped. total: N at the start, of all ranks. Raises a
+    SceneError on all ranks for a file that cannot be continued, before it is changed, and a StoppedError if the file system
+    refuses.
     """
 
     def __init__(
         self,
         path: Path,
-        ranks: Ranks,
+        ranks: Communicator,
         particles_fields: list[str],
         dimension: int,
         total: int,
@@ -64,7 +71,7 @@ class Trajectory:
             if ranks.is_root and resume_step is not None and self.path.exists():
                 with continuing(self.path):
                     self.frames, self.continued = self._look(resume_step, last, total if held is None else held), True
-        self.frames, self.points, self.parts = ranks.from_root((self.frames, self.points, self.parts))
+        self.frames, self.points, self.parts = ranks.bcast((self.frames, self.points, self.parts))
         self.collective = h5py.h5p.create(h5py.h5p.DATASET_XFER)
         if self.parallel:
             self.collective.set_dxpl_mpio(h5py.h5fd.MPIO_COLLECTIVE)
@@ -89,14 +96,14 @@ class Trajectory:
         """Append a frame. `arrays`: this rank's owned rows in any order, at least the fields given at the start."""
         rows = in_id_order(self.ranks, {n: arrays[n] for n in self.fields}, ids, self.writers)
         frame = frame_arrays(rows, self.dimension)
-        first = self.points + int(self.ranks.rows_of_all(np.array(len(rows["id"])))[: self.ranks.rank].sum())
+        first = self.points + int(self.ranks.allgather_array(np.array(len(rows["id"])))[: self.ranks.rank].sum())
         if ids.total != self.parts[-1]:
             self._attempt(step, self._append_part, ids.total)
             self.parts.append(ids.total)
         for name in frame:
             self._attempt(step, self._append, name, first, frame[name])
         self._attempt(step, self._append_step, step, time)
-        # the count is raised only when all it counts has left this process: a killed run is readable to its last frame
+        # the count is raised after all that it counts has left this process: the file of a killed run is readable
         self._attempt(step, self._flush)
         self._attempt(step, self._raise_count)
         self._attempt(step, self._flush)
@@ -104,7 +111,7 @@ class Trajectory:
         self.points += ids.total
 
     def close(self) -> None:
-        """Close the file; the frames written are safe without it, and after a failure it stays open until the process ends."""
+        """Close the file. The frames are safe without it; after a failure the file stays open until the process ends."""
         if self.file is not None and not self.failed:
             self.file.close()
             self.file = None
@@ -113,7 +120,7 @@ class Trajectory:
         try:
             with failing_together(self.ranks, f"cannot write {self.path} at step {step}"):
                 if self.parallel:
-                    with told_reason():
+                    with mpi_io_errors():
                         action(*arguments)
                 elif self.file is not None:
                     action(*arguments)
@@ -122,21 +129,21 @@ class Trajectory:
             raise
 
     def _abandon(self) -> None:
-        """HDF5 crashes on closing a file that it cannot flush, and again when the process ends: never close it, leave before."""
+        """HDF5 crashes when it closes a file that it cannot flush, also at the end of the process: leave without closing it."""
         self.failed = True
         for kept in (self.file, self.steps, self.columns):
             ctypes.pythonapi.Py_IncRef(ctypes.py_object(kept))
         if self.file is not None:
             atexit.register(_leave)
 
-    def _flush(self) -> None:
-        self.file.flush()
-
     def _raise_count(self) -> None:
         self.file["VTKHDF/Steps"].attrs.modify("NSteps", np.int64(self.frames + 1))
 
+    def _flush(self) -> None:
+        self.file.flush()
+
     def _append(self, name: str, first: int, values: Array) -> None:
-        """This rank's block at row `first`. Ranks without rows select nothing, but take part: leaving them out hangs the rest."""
+        """Write this rank's rows of a column, from row `first` on. Ranks without rows take part too: the call is collective."""
         dataset = self.columns[name]
         dataset.resize(self.points + self.parts[-1], axis=0)
         if self.parts[-1] == 0:
@@ -151,7 +158,7 @@ class Trajectory:
         dataset.id.write(memory, space, values, dxpl=self.collective)
 
     def _append_part(self, count: int) -> None:
-        """From here on frames have `count` particles; the identity topology grows if there were never so many."""
+        """From here on frames have `count` particles; the topology is extended if there were never so many."""
         for name, dataset in self.topology.items():
             kind, what = name.split("/") if "/" in name else ("", name)
             if what in ("Connectivity", "Offsets"):
@@ -177,12 +184,12 @@ class Trajectory:
             self.steps["PartOffsets"][self.frames] = len(self.parts) - 1
 
     def _places(self) -> dict[str, str]:
-        """Where each column of a frame stands below /VTKHDF."""
+        """Where each column of a frame is, below /VTKHDF."""
         names = [column for field in self.fields for column in frame_columns(field, self.dimension)]
         return {name: name if name == "Points" else f"PointData/{name}" for name in names}
 
     def _prepare(self) -> None:
-        """Make the file, or cut it behind the frames that stay. Not collective."""
+        """Make the file, or remove the frames that are not kept. Not collective."""
         if not self.continued:
             with replacing(self.path) as part, h5py.File(part, "w", locking=False) as file:
                 self._create(file)
@@ -200,7 +207,7 @@ class Trajectory:
                     group[name].resize(len(self.parts), axis=0)
 
     def _look(self, resume_step: int, last: int | None, held: int) -> int:
-        """How many frames stay of what a run left behind, the last of them with `held` particles. Not collective."""
+        """How many frames of the old file are kept; the last of them must have `held` particles. Not collective."""
         with h5py.File(self.path, "r", locking=False) as file:
             group = file["VTKHDF"]
             steps = group["Steps"]
@@ -239,26 +246,26 @@ class Trajectory:
         for name, (width, dtype, fill) in _steps_layout().items():
             _dataset(steps, name, (0, *width), dtype, STEPS_CHUNK, fill=fill)
         for place in self._places().values():
-            if place != "Points":  # all columns start where the points do: hard links to one dataset
+            if place != "Points":  # all columns begin where the points do: hard links to one dataset
                 steps[place.replace("PointData/", "PointDataOffsets/")] = steps["PointOffsets"]
 
 
 def _leave() -> None:
-    """End the process as a StoppedError does, without HDF5's own clean-up."""
+    """End the process with the exit code of a StoppedError, without HDF5's own clean-up."""
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(StoppedError.exit_code)
 
 
 def _topology() -> list[str]:
-    """Datasets that tell the number of points and cells of each part, and which point is which cell."""
+    """Datasets with the number of points and cells of each part, and with the point of each cell."""
     kinds = ("Vertices", "Lines", "Polygons", "Strips")
     whats = ("NumberOfCells", "NumberOfConnectivityIds", "Connectivity", "Offsets")
     return ["NumberOfPoints", *(f"{kind}/{what}" for kind in kinds for what in whats)]
 
 
 def _steps_layout() -> dict[str, tuple[tuple[int, ...], str, int]]:
-    """Datasets of Steps: shape of a row, dtype, value where none is written. `Step` is ours, VTK does not look at it."""
+    """Datasets of Steps: {name: (shape of a row, dtype, fill value)}. `Step` is an addition, which VTK ignores."""
     return {
         "Values": ((), "float64", 0),
         "Step": ((), "int64", 0),
@@ -271,11 +278,9 @@ def _steps_layout() -> dict[str, tuple[tuple[int, ...], str, int]]:
 
 
 def _dataset(group: Any, name: str, shape: tuple[int, ...], dtype: str, chunk: int, fill: int | None = None) -> Any:
-    """Chunked and resizable. Without a fill value new chunks are not written twice: the data overwrites them anyway."""
+    """Make a chunked, resizable dataset. Without a fill value new chunks are not written before the data is."""
     properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-    properties.set_alloc_time(
-        h5py.h5d.ALLOC_TIME_EARLY
-    )  # what parallel writing needs, and would not find in a file made serially
+    properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)  # parallel writing needs it, and a file made serially lacks it
     return group.create_dataset(
         name,
         shape,

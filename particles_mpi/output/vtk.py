@@ -1,4 +1,4 @@
-"""The frames once more as `vtk/particles_%06d.vtu` and `particles.pvd`: for VisIt, and ParaView before 5.12."""
+"""The same frames as files `vtk/particles_%06d.vtu` and a list `particles.pvd`: for VisIt, and ParaView before 5.12."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from particles_mpi.output import check_last, continuing, failing_together, frame_arrays, replacing
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.output.files import check_last, continuing, failing_together, frame_arrays, replacing
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
 from particles_mpi.particles import Array, field
 
@@ -18,20 +18,15 @@ VTK_TYPES = {"int64": "Int64", "float64": "Float64", "uint8": "UInt8"}
 
 
 class VtkSeries:
-    """Writer of one .vtu a frame, and of the .pvd that gives them times; every method is collective.
+    """Writer of a .vtu file for each frame, and of the .pvd file that lists them with their times; every method is collective.
 
-    folder: the output folder of the run. With `resume_step`, frames of steps up to that one stay listed, later ones are
-    deleted, and the last that stays must be of step `last`; otherwise the series begins anew. Raises SceneError on all ranks
-    for a listing that cannot be continued, before anything is changed, and StoppedError if the file system refuses.
+    folder: the output folder of the run. With `resume_step` frames up to that step are kept and later ones deleted, and the
+    last one kept must be of step `last`; otherwise the series begins anew. Raises a SceneError on all ranks for a list that
+    cannot be continued, before anything is changed, and a StoppedError if the file system refuses.
     """
 
     def __init__(
-        self,
-        folder: Path,
-        ranks: Ranks,
-        dimension: int,
-        resume_step: int | None = None,
-        last: int | None = None,
+        self, folder: Path, ranks: Communicator, dimension: int, resume_step: int | None = None, last: int | None = None
     ):
         self.folder, self.ranks, self.dimension = Path(folder), ranks, dimension
         self.listing = self.folder / "particles.pvd"
@@ -42,7 +37,7 @@ class VtkSeries:
                     self._look(resume_step, last)
 
     def open(self) -> None:
-        """Make the folder, or cut the series."""
+        """Make the folder, or delete the frames that are not kept."""
         with failing_together(self.ranks, f"cannot prepare {self.listing}"):
             if self.ranks.is_root:
                 (self.folder / "vtk").mkdir(parents=True, exist_ok=True)
@@ -78,7 +73,7 @@ class VtkSeries:
             )
 
     def _look(self, resume_step: int, last: int | None) -> None:
-        """The frames listed up to a step."""
+        """Read the list of frames up to a step."""
         for entry in ElementTree.parse(self.listing).iter("DataSet"):
             numbers = re.findall(r"^vtk/particles_(\d+)\.vtu$", entry.get("file", ""))
             if not numbers:
@@ -89,7 +84,7 @@ class VtkSeries:
 
 
 def _write_vtu(path: Path, columns: dict[str, Array]) -> None:
-    """One frame, binary, uncompressed; each particle is a vertex cell, without which ParaView shows nothing."""
+    """Write one frame, binary and uncompressed. Each particle is a vertex cell: without cells ParaView shows nothing."""
     points = columns.pop("Points")
     if len(points) == 0:
         path.write_text(_empty_vtu(columns))

@@ -1,8 +1,8 @@
-"""One rank that fails ends all, with one line that names it.
+"""An error on one rank becomes an error on all ranks, or ends all of them, with one line that names the rank.
 
-`alike` and `same_on_all` are for the set-up, where all ranks do the same: what goes wrong on one is raised on all. In the
-time loop the others may be waiting inside a collective call that the failing rank never comes to: `end_together` is for what
-nobody caught. It lets the lowest of the ranks that fail speak, and ends all of them.
+`raising_together` and `same_on_all` are for the set-up, where all ranks do the same: what goes wrong on one is raised on all.
+In the time loop the other ranks may wait in a collective call that the failing rank never reaches: an exception that nobody
+caught goes to `abort_all`, which prints the message of the lowest failing rank and ends all ranks.
 """
 
 from __future__ import annotations
@@ -23,40 +23,43 @@ import numpy as np
 from mpi4py import MPI
 
 from particles_mpi.errors import Interrupted, SceneError, StateError, StoppedError
-from particles_mpi.parallel.communicator import NAP, Ranks
+from particles_mpi.parallel.communicator import NAP, Communicator
 from particles_mpi.particles import Array, Particles
 
-PATIENCE = 1.0  # seconds for other ranks to fail as this one did, before all are ended
-SETUP_PATIENCE = 3.0  # seconds for the other ranks to come to the end of a phase of the set-up in which this one failed
-TAG = 1664  # of the messages between ranks that fail; rows go with tag 0
-FRAMES = 5  # calls that a line tells of an unexpected error, the innermost ones
-LENGTH = 2000  # characters of a message between ranks that fail: short ones are sent without the receiver's help
-SHORT = 60  # characters of a value that a line repeats
+PATIENCE = 1.0  # seconds in which other ranks may fail as this one did, before all are ended
+SETUP_PATIENCE = 3.0  # seconds in which the other ranks must end a phase of the set-up in which this one failed
+TAG = 1664  # of the messages between ranks that fail; messages with rows have tag 0
+FRAMES = 5  # innermost calls that the message of an unexpected error names
+LENGTH = 2000  # characters of a message between ranks that fail: MPI sends short ones before the receiver asks for them
+SHORT = 60  # characters of the longest value that a message repeats
 PACKAGE = Path(__file__).parents[1]
 
 
 class Notice(NamedTuple):
-    """What a rank has to say of its end; `shared`: an error that ranks share, after which files and MPI can be closed."""
+    """Why a rank ends."""
 
-    code: int
+    code: int  # exit code
     text: str
-    shared: bool = False
+    shared: bool = False  # an error that is raised on all ranks: files and MPI can be closed in order
     trace: bool = False  # is the text a traceback?
 
 
 @contextmanager
-def alike(ranks: Ranks) -> Iterator[None]:
+def raising_together(ranks: Communicator) -> Iterator[None]:
     """Run a phase of the set-up on all ranks; an exception on any of them is raised on all. Collective at its end.
 
-    It is the lowest failing rank's, its text begins with "rank r: " unless all ranks say the same. A SceneError and a
-    StoppedError keep their kind; memory that is refused is a SceneError, and what nobody expected a StoppedError. A rank that
-    waits for others in vain, because they are in a collective call inside the block, ends all of them.
+    The exception is that of the lowest failing rank, and its text begins with "rank r: " unless all ranks have the same one. A
+    SceneError and a StoppedError keep their type; a MemoryError becomes a SceneError, any other exception a StoppedError. If
+    the other ranks do not come to the end of the block, because they wait in a collective call inside, all ranks are ended.
     """
     error: Exception | None = None
     try:
         yield
     except Exception as raised:
-        error = raised if isinstance(raised, SceneError | StoppedError) else _translated(raised)
+        error = raised
+        if not isinstance(raised, SceneError | StoppedError):
+            error = (SceneError if isinstance(raised, MemoryError) else StoppedError)(describe_unexpected(raised))
+            error.__cause__ = raised
     if ranks.size == 1:
         if error is not None:
             raise error
@@ -67,19 +70,23 @@ def alike(ranks: Ranks) -> Iterator[None]:
         raise_first(ranks, error)
 
 
-def come_together(ranks: Ranks, error: SceneError | StoppedError) -> None:
-    """After an error that should have come to all ranks: returns if it has, else ends all. Collective."""
+def await_all(ranks: Communicator, error: SceneError | StoppedError) -> None:
+    """After an error that should be raised on all ranks: returns if it was, otherwise ends all ranks. Collective."""
     if ranks.size > 1:
         _await(ranks.comm.Ibarrier(), error, PATIENCE)
 
 
-def raise_first(ranks: Ranks, error: Exception | None, root_reads: bool = False) -> None:
-    """Raise the error of the lowest rank that has one on all ranks; nothing happens if none has. Collective.
+def raise_first(ranks: Communicator, error: Exception | None, root_reads: bool = False) -> None:
+    """Raise on all ranks the error of the lowest rank that has one; nothing happens if none has. Collective.
 
-    The text names the rank, unless all say the same, or a SceneError is of what only rank 0 reads for all (`root_reads`).
+    The text names that rank, unless all have the same error, or it is a SceneError about a file that only rank 0 reads
+    (`root_reads`).
     """
-    mine = None if error is None else (_kind(error), getattr(error, "faults", str(error)))
-    found = ranks.gathered(mine)
+    mine = None
+    if error is not None:  # of the types that ranks share, the one that this is
+        kind = next(kind for kind in (SceneError, StateError, StoppedError) if isinstance(error, kind))
+        mine = kind, getattr(error, "faults", str(error))
+    found = ranks.allgather(mine)
     for rank, failure in enumerate(found):
         if failure is None:
             continue
@@ -89,55 +96,45 @@ def raise_first(ranks: Ranks, error: Exception | None, root_reads: bool = False)
         raise kind(text) from (error.__cause__ if error is not None else None)
 
 
-def same_on_all(ranks: Ranks, tables: dict[str, Any], arrays: dict[str, Array] | None = None) -> None:
-    """SceneError on all ranks if one has other tables (plain data) or arrays than rank 0: names it, and the keys. Collective."""
+def same_on_all(ranks: Communicator, tables: dict[str, Any], arrays: dict[str, Array] | None = None) -> None:
+    """Raise a SceneError on all ranks if one has other `tables` (plain data) or `arrays` than rank 0. Collective.
+
+    The message names the rank and the keys that differ.
+    """
     if ranks.size == 1:
         return
     digest = hashlib.blake2b(json.dumps(tables, sort_keys=True, default=str).encode())
     for name, array in (arrays or {}).items():
         digest.update(f"{name}{array.dtype}{array.shape}".encode())
         digest.update(np.ascontiguousarray(array).data)
-    digests = ranks.gathered(digest.digest())
+    digests = ranks.allgather(digest.digest())
     if all(other == digests[0] for other in digests):
         return
-    of_root = ranks.from_root(tables)
-    keys = [f"{key}: {_beside(one, two)}" for key, one, two in differing(tables, of_root)]
+    of_root = ranks.bcast(tables)
+    keys = [f"{key}: {_beside(one, two)}" for key, one, two in differences(tables, of_root)]
     fault = None
     if digests[ranks.rank] != digests[0]:
         fault = SceneError(keys or ["particles: not the same values as on rank 0 (files with other contents?)"])
     raise_first(ranks, fault)
 
 
-def differing(one: Any, two: Any, key: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """The keys in which two tables of plain data differ, with both values; None where there is none."""
+def differences(one: Any, two: Any, key: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """The keys in which two nested tables of plain data differ, "a.b.c", and both values; None where one has no such key."""
     if isinstance(one, dict) and isinstance(two, dict):
         for name in sorted(one.keys() | two.keys()):
-            yield from differing(one.get(name), two.get(name), f"{key}.{name}" if key else name)
+            yield from differences(one.get(name), two.get(name), f"{key}.{name}" if key else name)
     elif one != two:
         yield key, one, two
 
 
 def _beside(one: Any, two: Any) -> str:
-    """Two values that differ, if they can be told in a line."""
+    """Two values that differ, as a text; without the values if they are long."""
     texts = [value if isinstance(value, str) else json.dumps(value, default=str) for value in (one, two)]
     return "not as on rank 0" if max(map(len, texts)) > SHORT else f"{texts[0]}, but {texts[1]} on rank 0"
 
 
-def _kind(error: Exception) -> type[Exception]:
-    """Of the errors that ranks share, the one that this is."""
-    return next(kind for kind in (SceneError, StateError, StoppedError) if isinstance(error, kind))
-
-
-def _translated(error: Exception) -> Exception:
-    """What nobody expected, as one of the errors that ranks share."""
-    kind = SceneError if isinstance(error, MemoryError) else StoppedError
-    shared = kind(unexpected(error))
-    shared.__cause__ = error
-    return shared
-
-
-def unexpected(error: BaseException) -> str:
-    """One line: the exception, and the calls of this package that led to it (of all, where there are none)."""
+def describe_unexpected(error: BaseException) -> str:
+    """One line: the exception and the calls of this package that led to it; other calls if none of them is in the package."""
     said = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
     frames = traceback.extract_tb(error.__traceback__)
     ours = [f for f in frames if PACKAGE in Path(f.filename).parents and f.filename != __file__] or frames
@@ -147,22 +144,22 @@ def unexpected(error: BaseException) -> str:
 
 
 def _await(request: MPI.Request, error: Exception | None, patience: float) -> None:
-    """Until all ranks have come; one with an error does not wait for ever for those that may be waiting for it elsewhere."""
+    """Wait for all ranks; a rank with an error waits for `patience` seconds only, then it ends all ranks."""
     if error is None:
         request.Wait()
         return
     end = perf_counter() + patience
     while not request.Test():
         if perf_counter() > end:
-            end_together(error)
+            abort_all(error)
         sleep(NAP)
 
 
-def end_together(error: BaseException, whole: bool = False) -> int:
-    """Say what ended this rank, and end all. Returns the exit code if all ranks share the error, otherwise does not return.
+def abort_all(error: BaseException, whole: bool = False) -> int:
+    """Print why this rank ends, and end all ranks. Returns the exit code if all ranks have the same error; otherwise never.
 
-    One line, or one a fault of a scene; with `whole` a traceback for what nobody expected. Where several ranks fail within
-    PATIENCE, only the lowest speaks.
+    Prints one line, or one for each fault of a scene; with `whole` the traceback of an unexpected exception. Where several
+    ranks fail within PATIENCE seconds, only the lowest prints.
     """
     comm, notice = MPI.COMM_WORLD, _notice(error, whole)
     found = {0: notice} if comm.Get_size() == 1 else _notices(comm, notice)
@@ -176,25 +173,25 @@ def end_together(error: BaseException, whole: bool = False) -> int:
         sys.stderr.flush()
     if comm.Get_size() > 1 and not (complete and all(other.shared for other in found.values())):
         if comm.Get_rank() != lowest:
-            sleep(PATIENCE)  # the lowest ends all, when it has spoken
+            sleep(PATIENCE)  # the lowest rank ends all when it has printed its message
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # MPICH would add a line of its own
         comm.Abort(code)
     return code
 
 
 def _notice(error: BaseException, whole: bool) -> Notice:
-    """What a rank has to say of its end."""
+    """Why a rank ends with this exception."""
     if isinstance(error, SceneError | StoppedError | Interrupted):
         return Notice(error.exit_code, str(error), shared=True)
     if isinstance(error, KeyboardInterrupt):
         return Notice(Interrupted.exit_code, str(error) or "interrupted")
     if whole:
         return Notice(StoppedError.exit_code, "".join(traceback.format_exception(error)), trace=True)
-    return Notice(StoppedError.exit_code, unexpected(error))
+    return Notice(StoppedError.exit_code, describe_unexpected(error))
 
 
 def _notices(comm: MPI.Comm, mine: Notice) -> dict[int, Notice]:
-    """What this rank, and others that fail within PATIENCE, have to say, by rank."""
+    """The notices of this rank and of those that fail within PATIENCE seconds, by rank."""
     found = {comm.Get_rank(): mine}
     short = mine._replace(text=mine.text[:LENGTH])
     sent = [comm.isend(short, p, TAG) for p in range(comm.Get_size()) if p not in found]
@@ -211,21 +208,26 @@ def _notices(comm: MPI.Comm, mine: Notice) -> dict[int, Notice]:
 _pending: list[Any] = []  # a message must outlive the call that sends it
 
 
-def end_all(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """What nobody caught in a user's script ends all ranks, with the exit code of the error; `sys.excepthook` of every rank."""
-    sys.exit(end_together(error.with_traceback(trace), whole=True))
+def abort_uncaught(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """An exception that nobody caught in a user's script ends all ranks, with its exit code; this is `sys.excepthook` then."""
+    sys.exit(abort_all(error.with_traceback(trace), whole=True))
 
 
 if MPI.COMM_WORLD.Get_size() > 1 and sys.excepthook is sys.__excepthook__:
-    sys.excepthook = end_all
+    sys.excepthook = abort_uncaught
 
 
-def not_finite(ranks: Ranks, p: Particles, when: str) -> str:
-    """Whose position or velocity is not finite, or too large for its square to be. Collective."""
+def require_finite(ranks: Communicator, p: Particles, values: Any, when: str) -> None:
+    """Raise a StateError on all ranks if one of `values`, the same on all ranks, is not finite.
+
+    The message names the particle with the lowest id whose position or squared velocity is not finite. Collective then.
+    """
+    if np.isfinite(values).all():
+        return
     with np.errstate(over="ignore", invalid="ignore"):
         bad = p.id[~np.isfinite((p.velocity**2).sum(axis=1) + p.position.sum(axis=1))]
-    found = [(int(ids.min()), rank) for rank, ids in enumerate(ranks.gathered(bad)) if len(ids)]
+    found = [(int(ids.min()), rank) for rank, ids in enumerate(ranks.allgather(bad)) if len(ids)]
     if not found:
-        return f"{when}: velocities are too large for the sum of their squares"
+        raise StateError(f"{when}: velocities are too large for the sum of their squares")
     particle, rank = min(found)
-    return f"{when}: particle {particle} on rank {rank} has a position or velocity that is not finite"
+    raise StateError(f"{when}: particle {particle} on rank {rank} has a position or velocity that is not finite")

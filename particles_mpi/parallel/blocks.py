@@ -1,4 +1,4 @@
-"""All particles on every rank, a block at a time, in the order of their ids: for sums over all pairs."""
+"""All particles on every rank, one rank's share at a time and in the order of their ids: for sums over all pairs."""
 
 from __future__ import annotations
 
@@ -7,36 +7,35 @@ from collections.abc import Iterator
 import numpy as np
 from mpi4py import MPI
 
-from particles_mpi.parallel.communicator import Ranks
-from particles_mpi.parallel.exchange import IdRange, in_id_order, rows_of_everyone
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exchange import IdRange, allgather_rows, in_id_order
 from particles_mpi.particles import Array, rows_of
 
-FEW = 10_000  # rows that are sent to all in one message
+FEW = 10_000  # most rows that are sent to all ranks in one message
 
 
-def blocks(ranks: Ranks, columns: dict[str, Array], span: IdRange) -> Iterator[dict[str, Array]]:
-    """The rows of all ranks in id order, cut into a block a rank; `columns` (with "id") hold float64 or int64. Collective.
+def blocks(ranks: Communicator, columns: dict[str, Array], ids: IdRange) -> Iterator[dict[str, Array]]:
+    """The rows of all ranks in id order, as one block for each rank; `columns` (with "id") are float64 or int64. Collective.
 
-    A few are one block. Else the next block is on its way while the caller works on one; a rank holds two at a time, O(N/P) rows.
+    Few rows are a single block. Otherwise the next block is on its way while the caller works on one: a rank holds two blocks
+    at a time, which are O(N/P) rows.
     """
-    if ranks.size == 1 or span.total <= FEW:
-        everyone = columns if ranks.size == 1 else rows_of_everyone(ranks, columns)
-        ids = everyone["id"]
-        yield everyone if (ids[1:] > ids[:-1]).all() else rows_of(everyone, np.argsort(ids))
+    if ranks.size == 1 or ids.total <= FEW:
+        rows = columns if ranks.size == 1 else allgather_rows(ranks, columns)
+        yield rows if (rows["id"][1:] > rows["id"][:-1]).all() else rows_of(rows, np.argsort(rows["id"]))
         return
-    mine = in_id_order(ranks, columns, span, ranks.size)
+    mine = in_id_order(ranks, columns, ids, ranks.size)
     ranks.all_to_alls += 1
-    ranks.rows += span.total - len(mine["id"])
+    ranks.rows += ids.total - len(mine["id"])
     widths = {name: int(np.prod(column.shape[1:])) for name, column in columns.items()}
-    counts = ranks.rows_of_all(np.array(len(mine["id"])))
+    counts = ranks.allgather_array(np.array(len(mine["id"])))
 
     def start(rank: int) -> tuple[Array, MPI.Request]:
-        rows = int(counts[rank])
+        """Begin to send the block of a rank to all; its numbers, column after column."""
         if rank == ranks.rank:
-            parts = [mine[name].reshape(rows, -1).view(np.float64) for name in columns]
-            buffer = np.concatenate([part.ravel() for part in parts])
+            buffer = np.concatenate([mine[name].reshape(-1).view(np.float64) for name in columns])
         else:
-            buffer = np.empty(rows * sum(widths.values()))
+            buffer = np.empty(int(counts[rank]) * sum(widths.values()))
         ranks.messages += rank == ranks.rank
         return buffer, ranks.comm.Ibcast([buffer, MPI.DOUBLE], root=rank)
 
@@ -46,9 +45,9 @@ def blocks(ranks: Ranks, columns: dict[str, Array], span: IdRange) -> Iterator[d
         request.Wait()
         if rank + 1 < ranks.size:
             coming = start(rank + 1)
-        rows, begin, block = int(counts[rank]), 0, {}
+        count, begin, block = int(counts[rank]), 0, {}
         for name, column in columns.items():
-            end = begin + rows * widths[name]
-            block[name] = buffer[begin:end].view(column.dtype).reshape(rows, *column.shape[1:])
+            end = begin + count * widths[name]
+            block[name] = buffer[begin:end].view(column.dtype).reshape(count, *column.shape[1:])
             begin = end
         yield block

@@ -1,18 +1,18 @@
-"""The rows of a rank in arrays with room behind them: rows come, go, change places and get ghosts without new arrays."""
+"""The rows of a rank in arrays with spare space: rows arrive, leave, are sorted and get ghosts without new arrays."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import by_destination, send_rows
 from particles_mpi.particles import Array, Particles
 
-ROOM = 1.2  # times the rows that are needed, when more are
+GROWTH = 1.2  # of the rows that are needed: how many new arrays have space for
 
 
-class Store:
-    """Holds the arrays of `particles`, which shows the first `count` rows of them. Ghosts may stand behind."""
+class RowBuffers:
+    """Holds the arrays of `particles`, which shows their first `count` rows. Behind these ghosts may stand."""
 
     def __init__(self, particles: Particles):
         self.particles = particles
@@ -24,7 +24,7 @@ class Store:
         return len(self.particles)
 
     def adopt(self) -> None:
-        """Take in rows that somebody else has put into `particles`."""
+        """Copy the arrays of `particles` into the buffers, if somebody else has put new ones there."""
         arrays = self.particles.arrays
         if any(array.base is not self.buffers.get(name, self) for name, array in arrays.items()):
             self.buffers = {name: np.array(array, order="C") for name, array in arrays.items()}
@@ -32,22 +32,22 @@ class Store:
             self.show(len(self.buffers["id"]))
 
     def show(self, count: int) -> None:
-        """The first `count` rows are the particles."""
+        """From here on the first `count` rows are the particles."""
         self.particles.replace({name: array[:count] for name, array in self.buffers.items()})
 
     def reserve(self, rows: int) -> None:
-        """Room for so many rows; those that the particles show stay."""
+        """Make space for so many rows; the particles keep theirs."""
         if rows <= len(self.buffers["id"]):
             return
         n = self.count
         for name, old in self.buffers.items():
-            size = (int(rows * ROOM) + 1, *old.shape[1:])
+            size = (int(rows * GROWTH) + 1, *old.shape[1:])
             self.buffers[name], self.spare[name] = np.empty(size, old.dtype), np.empty(size, old.dtype)
             self.buffers[name][:n] = old[:n]
         self.show(n)
 
     def sort(self, order: Array) -> None:
-        """Rows in another order."""
+        """Put the rows into another order: row i becomes what row order[i] was."""
         n = len(order)
         for name, old in self.buffers.items():
             new = self.spare[name]
@@ -55,19 +55,19 @@ class Store:
             self.buffers[name], self.spare[name] = new, old
         self.show(n)
 
-    def migrate(self, ranks: Ranks, owner: Array) -> int:
-        """Every row to its owner, any rank; returns how many this rank sent away. Collective."""
+    def migrate(self, ranks: Communicator, owner: Array) -> int:
+        """Send every row to its owner (n,), any rank; returns how many rows this rank sent away. Collective."""
         if ranks.size == 1:
             return 0
         n, leaving = self.count, np.flatnonzero(owner != ranks.rank)
-        if ranks.total(len(leaving))[0] == 0:
+        if ranks.allreduce_sum(len(leaving))[0] == 0:
             return 0
         order, counts = by_destination(owner[leaving], ranks.size)
         arrived, _ = send_rows(ranks, self.particles.arrays, leaving[order], counts)
         left, came = len(leaving), len(arrived["id"])
         after = n - left + came
         self.reserve(after)
-        # Those who come take the places of those who left; if fewer come, the last rows fill the other places.
+        # Arriving rows take the places of those that left; if fewer arrive, the last rows fill the other places.
         places = np.concatenate((leaving[:came], np.arange(n, after)))
         holes = leaving[came:]
         holes = holes[holes < after]
@@ -78,8 +78,8 @@ class Store:
         self.show(after)
         return left
 
-    def behind(self, arrived: dict[str, Array]) -> dict[str, Array]:
-        """Put ghosts behind the particles; gives the arrays of both, of the fields that ghosts have."""
+    def append_ghosts(self, arrived: dict[str, Array]) -> dict[str, Array]:
+        """Put ghosts behind the particles; returns the arrays of both together, for the fields that ghosts have."""
         n = self.count
         rows = n + len(arrived["id"])
         self.reserve(rows)

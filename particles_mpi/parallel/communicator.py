@@ -1,4 +1,4 @@
-"""The ranks of a run: a communicator, passed in, with the few reductions that the program needs, counted."""
+"""The ranks of a run: an MPI communicator with the collective calls that the program needs, which are counted."""
 
 from __future__ import annotations
 
@@ -11,38 +11,34 @@ from mpi4py import MPI
 
 from particles_mpi.particles import Array
 
-NAP = 0.005  # seconds between two looks of a rank that waits asleep
+NAP = 0.005  # seconds between two checks of a rank that sleeps while it waits
 
 
-class Ranks:
-    """Thin over a communicator: on one rank nothing is sent, and every message and reduction is counted for `run.json`.
+class Communicator:
+    """A thin layer over an MPI communicator. On a single rank nothing is sent.
 
-    `rows`: that came from other ranks; `all_to_alls`: exchanges in which every rank may have something for every other.
+    It counts, for `run.json` and the scaling study: `messages` sent to single ranks; `reductions`; `all_to_alls`, exchanges in
+    which every rank may send to every other; and `rows` of particles received.
     """
 
     def __init__(self, comm: MPI.Comm | None = None):
+        """`comm`: by default all ranks that were started."""
         self.comm = MPI.COMM_WORLD if comm is None else comm
         self.rank, self.size = self.comm.Get_rank(), self.comm.Get_size()
-        self.messages = 0
-        self.reductions = 0
-        self.all_to_alls = 0
-        self.rows = 0
+        self.is_root = self.rank == 0
+        self.messages = self.reductions = self.all_to_alls = self.rows = 0
 
     @classmethod
-    def alone(cls) -> Ranks:
+    def alone(cls) -> Communicator:
         """This rank by itself."""
         return cls(MPI.COMM_SELF)
 
-    def first(self, count: int) -> Ranks | None:
-        """The first `count` of these, with a communicator of their own; None on the others. Collective."""
+    def subset(self, count: int) -> Communicator | None:
+        """The first `count` ranks with a communicator of their own; None on the others. Collective."""
         comm = self.comm.Split(0 if self.rank < count else MPI.UNDEFINED, self.rank)
-        return None if comm == MPI.COMM_NULL else Ranks(comm)
+        return None if comm == MPI.COMM_NULL else Communicator(comm)
 
-    @property
-    def is_root(self) -> bool:
-        return self.rank == 0
-
-    def _reduce(self, values: Any, operation: MPI.Op) -> Array:
+    def _allreduce(self, values: Any, operation: MPI.Op) -> Array:
         values = np.atleast_1d(values)
         if self.size == 1:
             return values
@@ -51,49 +47,20 @@ class Ranks:
         self.comm.Allreduce(values, result, operation)
         return result
 
-    def total(self, values: Any) -> Array:
-        """Element-wise sum over ranks; exact, so independent of the ranks, for integers only."""
-        return self._reduce(values, MPI.SUM)
+    def allreduce_sum(self, values: Any) -> Array:
+        """Sum over the ranks, for each element. Exact, and so independent of the number of ranks, for integers only."""
+        return self._allreduce(values, MPI.SUM)
 
-    def largest(self, values: Any) -> Array:
-        """Element-wise maximum over ranks."""
-        return self._reduce(values, MPI.MAX)
+    def allreduce_max(self, values: Any) -> Array:
+        """Maximum over the ranks, for each element."""
+        return self._allreduce(values, MPI.MAX)
 
-    def smallest(self, values: Any) -> Array:
-        """Element-wise minimum over ranks."""
-        return self._reduce(values, MPI.MIN)
+    def allreduce_min(self, values: Any) -> Array:
+        """Minimum over the ranks, for each element."""
+        return self._allreduce(values, MPI.MIN)
 
-    def wait_for_all(self) -> None:
-        """Until every rank has come here."""
-        if self.size > 1:
-            self.comm.Barrier()
-
-    def wait_asleep(self) -> None:
-        """The same, without keeping a core busy meanwhile."""
-        if self.size > 1:
-            arrived = self.comm.Ibarrier()
-            while not arrived.Test():
-                sleep(NAP)
-
-    def of_root_alone(self, work: Callable[[], Any]) -> Any:
-        """What `work()` gives on rank 0, where it is called while the others sleep, and None on those. Collective.
-
-        An error there is raised on all.
-        """
-        value, error = None, None
-        if self.is_root:
-            try:
-                value = work()
-            except Exception as raised:
-                error = raised
-        self.wait_asleep()
-        error = self.from_root(error)
-        if error is not None:
-            raise error
-        return value
-
-    def rows_of_all(self, row: Array) -> Array:
-        """A row of numbers (any shape) from each rank, as a table (ranks, *shape) on all of them."""
+    def allgather_array(self, row: Array) -> Array:
+        """The arrays of all ranks, which have the same shape on each, as one of shape (ranks, *shape) on every rank."""
         table = np.empty((self.size, *row.shape), row.dtype)
         if self.size == 1:
             table[0] = row
@@ -102,20 +69,44 @@ class Ranks:
             self.comm.Allgather(row, table)
         return table
 
-    def from_root(self, value: Any) -> Any:
-        """Any small Python object, as rank 0 has it."""
-        return value if self.size == 1 else self.comm.bcast(value)
-
-    def gathered(self, value: Any) -> list[Any]:
+    def allgather(self, value: Any) -> list[Any]:
         """The small Python objects of all ranks, on every rank."""
         return [value] if self.size == 1 else self.comm.allgather(value)
 
+    def bcast(self, value: Any) -> Any:
+        """The small Python object that rank 0 has, on every rank."""
+        return value if self.size == 1 else self.comm.bcast(value)
 
-def library() -> str:
-    """The MPI library in use, one line."""
+    def barrier(self) -> None:
+        """Wait until all ranks have come here."""
+        if self.size > 1:
+            self.comm.Barrier()
+
+    def sleeping_barrier(self) -> None:
+        """The same, but a rank that waits leaves its core free for others."""
+        if self.size > 1:
+            arrived = self.comm.Ibarrier()
+            while not arrived.Test():
+                sleep(NAP)
+
+    def run_on_root(self, work: Callable[[], Any]) -> Any:
+        """Call `work()` on rank 0 while the others sleep; returns its value there and None elsewhere. Collective.
+
+        An exception in `work` is raised on all ranks.
+        """
+        value, error = None, None
+        if self.is_root:
+            try:
+                value = work()
+            except Exception as raised:
+                error = raised
+        self.sleeping_barrier()
+        error = self.bcast(error)
+        if error is not None:
+            raise error
+        return value
+
+
+def mpi_library() -> str:
+    """The name and version of the MPI library in use, on one line."""
     return MPI.Get_library_version().split("\n")[0].split(",")[0].strip("\0 ")
-
-
-def now() -> float:
-    """Seconds of the MPI clock."""
-    return MPI.Wtime()

@@ -1,86 +1,79 @@
-"""Recursive coordinate bisection: a binary tree of cuts gives every point of space to one rank.
+"""Decomposition decomposition by recursive coordinate bisection: a binary tree of cuts assigns every point of space to one rank.
 
-Half-open: a point on a cut belongs to the upper side. The outermost domains reach to infinity, so every finite position
-has an owner, in a box or in open space.
+A point on a cut belongs to the upper side. The outermost domains extend to infinity, so that every finite position has an
+owner, with or without a box.
 """
 
 from __future__ import annotations
 
 from math import inf
+from typing import NamedTuple
 
 import numpy as np
 
 from particles_mpi.kernels.jit import kernel
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
 
-BINS = 64  # of a cut's search; each round narrows it 64-fold
-ROUNDS = 4
+BINS, ROUNDS = 64, 4  # of the search for a cut: each round divides the interval into so many bins and keeps one
 
 
-class Domain:
-    """The cuts, as arrays over the tree's nodes, and the box of each rank: `lower`, `upper` (size, d).
+class Decomposition(NamedTuple):
+    """The cuts as a binary tree, node by node, and the domain of each rank."""
 
-    Node k cuts `axis[k]` at `cut[k]`; `below[k]`, `above[k]` are its children, or -1 - rank.
-    """
-
-    def __init__(self, axis: Array, cut: Array, below: Array, above: Array, lower: Array, upper: Array):
-        self.axis, self.cut, self.below, self.above = axis, cut, below, above
-        self.lower, self.upper = lower, upper
+    axis: Array  # (nodes,) the axis that a node cuts
+    cut: Array  # (nodes,) where
+    below: Array  # (nodes,) the child on either side: a node, or -1 - rank if one rank owns that side
+    above: Array
+    lower: Array  # (ranks, d) corners of each rank's domain, a box
+    upper: Array
 
     def owner(self, x: Array) -> Array:
-        """The rank of each position of x (n, d), shape (n,)."""
+        """The rank that owns each position of x (n, d); shape (n,)."""
         return owners(x, self.axis, self.cut, self.below, self.above)
 
 
-def bisect(ranks: Ranks, x: Array, weight: float) -> Domain:
-    """Cut space so that each rank gets an equal share of the work, `weight` a row of x (n, d) on this rank. Collective."""
+def bisect(ranks: Communicator, x: Array, weight: float) -> Decomposition:
+    """Cut space so that all ranks get equal work: each position of x (n, d) on this rank means `weight` units. Collective."""
     d = x.shape[1]
-    axis: list[int] = []
-    cut: list[float] = []
-    below: list[int] = []
-    above: list[int] = []
+    nodes: list[tuple[int, float, int, int]] = []  # axis, cut, below, above
     lower, upper = np.full((ranks.size, d), -inf), np.full((ranks.size, d), inf)
 
     def split(first: int, last: int, rows: Array) -> int:
+        """Divide the domain of the ranks first ... last - 1, with this rank's positions in it, among them; its node."""
         if last - first == 1:
             return -1 - first
-        node, middle = len(cut), (first + last) // 2
+        node, middle = len(nodes), (first + last) // 2
         k, at = best_cut(ranks, rows, weight, (middle - first) / (last - first))
-        axis.append(k)
-        cut.append(at)
-        below.append(0)
-        above.append(0)
+        nodes.append((k, at, 0, 0))
         upper[first:middle, k] = at
         lower[middle:last, k] = at
         under = rows[:, k] < at
-        below[node] = split(first, middle, rows[under])
-        above[node] = split(middle, last, rows[~under])
+        nodes[node] = k, at, split(first, middle, rows[under]), split(middle, last, rows[~under])
         return node
 
     split(0, ranks.size, x)
-    return Domain(
-        np.array(axis, np.int64), np.array(cut, float), np.array(below, np.int64), np.array(above, np.int64), lower, upper
-    )
+    axis, cut, below, above = (np.array([node[c] for node in nodes], float if c == 1 else np.int64) for c in range(4))
+    return Decomposition(axis, cut, below, above, lower, upper)
 
 
-def best_cut(ranks: Ranks, x: Array, weight: float, share: float) -> tuple[int, float]:
-    """(axis, position) that leaves `share` of the weight of all ranks' rows below, across the longest axis. Collective."""
+def best_cut(ranks: Communicator, x: Array, weight: float, share: float) -> tuple[int, float]:
+    """(axis, position) of a cut of the longest axis, with `share` of the weight of all ranks' positions below it. Collective."""
     d = x.shape[1]
     ends = np.full(2 * d, -inf)
     if len(x):
         ends = np.concatenate((x.max(axis=0), -x.min(axis=0)))
-    ends = ranks.largest(ends)
+    ends = ranks.allreduce_max(ends)
     high, low = ends[:d], -ends[d:]
     if not np.all(high >= low):
-        return 0, 0.0  # no rows at all: any cut will do
+        return 0, 0.0  # no positions at all: any cut will do
     k = int((high - low).argmax())
     left, right, passed = float(low[k]), float(np.nextafter(high[k], inf)), 0.0
     wanted = None
     for _ in range(ROUNDS):
         edges = np.linspace(left, right, BINS + 1)
         inside = x[(x[:, k] >= left) & (x[:, k] < right), k]
-        sums = ranks.total(np.bincount(np.searchsorted(edges, inside, "right") - 1, minlength=BINS)[:BINS] * weight)
+        sums = ranks.allreduce_sum(np.bincount(np.searchsorted(edges, inside, "right") - 1, minlength=BINS)[:BINS] * weight)
         if wanted is None:
             wanted = share * sums.sum()
         reached = passed + np.cumsum(sums)
@@ -94,7 +87,7 @@ def best_cut(ranks: Ranks, x: Array, weight: float, share: float) -> tuple[int, 
 
 @kernel
 def owners(x, axis, cut, below, above):
-    """The rank that holds each row, by descending the tree."""
+    """The rank that owns each position of x (n, d), found by descending the tree."""
     owner = np.zeros(len(x), np.int64)
     for i in range(len(x)):
         node = 0 if len(axis) else -1

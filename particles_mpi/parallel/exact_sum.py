@@ -1,7 +1,7 @@
-"""Sums over all particles that are exact, hence the same bits in any order and on any number of ranks.
+"""Exact sums over all particles, which have the same bits in any order and on any number of ranks.
 
-Every float64 is an integer multiple of 2^-1074. A sum is held as an integer in base 2^32, one int64 a digit, which can take
-2^30 numbers before a digit overflows; integers add exactly across ranks; one rounding at the end.
+Every float64 is an integer multiple of 2^-1074. A sum is kept as such an integer in base 2^32, with an int64 for each digit: 2^30
+numbers can be added before a digit overflows. Integers are added exactly across the ranks, and the total is rounded once.
 """
 
 from __future__ import annotations
@@ -11,22 +11,22 @@ from math import inf, nan
 import numpy as np
 
 from particles_mpi.kernels.jit import kernel
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
 
-DIGITS = 68  # 32 bits each, from 2^-1074 to beyond 2^1024, and one digit to hold +-inf and nan
+DIGITS = 68  # of 32 bits each, from 2^-1074 to beyond 2^1024; the last one counts values that are not finite
 
 
 @kernel
 def accumulate(values, digits):
-    """Add float64 values (n,) to digits (68,) int64, exactly."""
+    """Add float64 values (n,) exactly to the sum with these digits (DIGITS,) int64. In place."""
     bits = values.view(np.int64)
     mask = np.int64(0xFFFFFFFF)
     for i in range(len(bits)):
         exponent = (bits[i] >> 52) & 0x7FF
         mantissa = bits[i] & 0xFFFFFFFFFFFFF
         if exponent == 0x7FF:
-            digits[67] += 1
+            digits[DIGITS - 1] += 1
             continue
         if exponent > 0:
             mantissa |= np.int64(1) << 52
@@ -41,12 +41,12 @@ def accumulate(values, digits):
         digits[digit + 2] += sign * (high >> 32)
 
 
-def exact_sums(ranks: Ranks, columns: list[Array]) -> list[float]:
-    """The sums of the columns over all ranks, each correctly rounded (nan if a value is not finite). One reduction."""
+def exact_sums(ranks: Communicator, columns: list[Array]) -> list[float]:
+    """The sums of the columns (n,) over all ranks, correctly rounded; nan if a value is not finite. Collective: one reduction."""
     digits = np.zeros((len(columns), DIGITS), np.int64)
     for row, column in zip(digits, columns, strict=True):
         accumulate(np.ascontiguousarray(column, np.float64), row)
-    return [rounded(row) for row in ranks.total(digits)]
+    return [rounded(row) for row in ranks.allreduce_sum(digits)]
 
 
 def rounded(digits: Array) -> float:

@@ -1,4 +1,4 @@
-"""Rows to ranks: migration to any rank, rows in id order for files, and ghosts that are refreshed as they change."""
+"""Rows between ranks: to any rank, to all ranks, in id order for files, and ghosts that are refreshed as they change."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from typing import NamedTuple
 import numpy as np
 from mpi4py import MPI
 
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, rows_of
 
-TAG = 0  # of rows; ranks that fail tell one another so with another one
-WORD = 8  # bytes; messages are counted in words, so that 2^31 of them suffice for any rank's rows
+TAG = 0  # of messages with rows; `agreement` uses another one
+WORD = 8  # bytes: messages are counted in words, because MPI counts to 2^31 at most
 
 
 class IdRange(NamedTuple):
-    """The ids of all particles of all ranks: from `first` up to but not including `end`, `total` of them."""
+    """The ids of all particles of all ranks lie in first <= id < end; there are `total` of them."""
 
     first: int
     end: int
     total: int
 
 
-def send_rows(ranks: Ranks, arrays: dict[str, Array], rows: Array, counts: Array) -> tuple[dict[str, Array], Array]:
-    """Send `rows` of the arrays, sorted by destination with `counts[p]` of them for rank p.
+def send_rows(ranks: Communicator, arrays: dict[str, Array], rows: Array, counts: Array) -> tuple[dict[str, Array], Array]:
+    """Send the `rows` (indices) of the arrays, sorted by destination: counts[p] of them to rank p; see `by_destination`.
 
-    Returns what arrived, in order of the sender, and how many rows from each. Collective.
+    Returns the rows that arrived, sorted by sender, and how many came from each rank. Collective.
     """
     if ranks.size == 1:
         return rows_of(arrays, rows), counts
@@ -37,30 +37,30 @@ def send_rows(ranks: Ranks, arrays: dict[str, Array], rows: Array, counts: Array
     ranks.all_to_alls += 1
     ranks.rows += int(arriving.sum() - arriving[ranks.rank])
     row_size = sum(column.dtype.itemsize * prod(column.shape[1:]) for column in arrays.values())
-    to, of = (-(row_size * numbers.astype(np.int64) // -WORD) for numbers in (counts, arriving))
-    outgoing, incoming = np.empty(to.sum(), np.int64), np.empty(of.sum(), np.int64)
-    begins, froms = starts(counts), starts(arriving)
+    words_out, words_in = (-(row_size * numbers.astype(np.int64) // -WORD) for numbers in (counts, arriving))
+    outgoing, incoming = np.empty(words_out.sum(), np.int64), np.empty(words_in.sum(), np.int64)
+    first_out, first_in = starts(counts), starts(arriving)
     for p in np.flatnonzero(counts):
-        mine = rows[begins[p] : begins[p] + counts[p]]
-        for name, part in columns(outgoing[starts(to)[p] :], int(counts[p]), arrays):
+        mine = rows[first_out[p] : first_out[p] + counts[p]]
+        for name, part in columns(outgoing[starts(words_out)[p] :], int(counts[p]), arrays):
             arrays[name].take(mine, axis=0, out=part, mode="clip")
-    ranks.comm.Alltoallv([outgoing, (to, starts(to))], [incoming, (of, starts(of))])
+    ranks.comm.Alltoallv([outgoing, (words_out, starts(words_out))], [incoming, (words_in, starts(words_in))])
     arrived = {name: np.empty((int(arriving.sum()), *column.shape[1:]), column.dtype) for name, column in arrays.items()}
     for p in np.flatnonzero(arriving):
-        for name, part in columns(incoming[starts(of)[p] :], int(arriving[p]), arrays):
-            arrived[name][froms[p] : froms[p] + arriving[p]] = part
+        for name, part in columns(incoming[starts(words_in)[p] :], int(arriving[p]), arrays):
+            arrived[name][first_in[p] : first_in[p] + arriving[p]] = part
     return arrived, arriving
 
 
-def rows_of_everyone(ranks: Ranks, arrays: dict[str, Array]) -> dict[str, Array]:
-    """The rows of all ranks on every rank, in order of the owner. Collective."""
+def allgather_rows(ranks: Communicator, arrays: dict[str, Array]) -> dict[str, Array]:
+    """The rows of all ranks on every rank, sorted by owner. Collective."""
     n = len(next(iter(arrays.values())))
     rows, counts = np.tile(np.arange(n), ranks.size), np.full(ranks.size, n, np.int32)
     return send_rows(ranks, arrays, rows, counts)[0]
 
 
-def swap(ranks: Ranks, others: Sequence[int], outgoing: Sequence[Array]) -> Array:
-    """One message of float64 to each of the other ranks, all of which do the same; returns theirs, one after the other."""
+def sendrecv(ranks: Communicator, others: Sequence[int], outgoing: Sequence[Array]) -> Array:
+    """Send one float64 message to each of the `others`, which do the same; returns what they sent, one after the other."""
     comm = ranks.comm
     requests = [comm.Isend([message, MPI.DOUBLE], dest=p, tag=TAG) for p, message in zip(others, outgoing, strict=True)]
     ranks.messages += len(requests)
@@ -76,9 +76,9 @@ def swap(ranks: Ranks, others: Sequence[int], outgoing: Sequence[Array]) -> Arra
 
 
 def columns(words: Array, count: int, like: dict[str, Array]) -> Iterator[tuple[str, Array]]:
-    """(name, view of `count` rows) in one rank's part of a message, the beginning of `words`.
+    """(name, view of `count` rows) for each column of one rank's part of a message, which begins at words[0].
 
-    Column after column, the widest numbers first, so that each is aligned: whole columns are copied faster than rows.
+    The columns of `like` stand one after the other, those with the widest numbers first so that each is aligned in memory.
     """
     data, begin = words.view(np.uint8), 0
     for name in sorted(like, key=lambda name: -like[name].dtype.itemsize):
@@ -89,25 +89,25 @@ def columns(words: Array, count: int, like: dict[str, Array]) -> Iterator[tuple[
 
 
 def starts(counts: Array) -> Array:
-    """Where each part begins: the exclusive cumulative sum."""
+    """Where each of the parts with these lengths begins: the cumulative sum without the last."""
     return np.concatenate(([0], np.cumsum(counts)[:-1])).astype(counts.dtype)
 
 
 def by_destination(destination: Array, size: int) -> tuple[Array, Array]:
-    """(rows sorted by destination, rows for each rank)."""
+    """(rows sorted by their destination (n,), how many go to each of `size` ranks): what `send_rows` takes."""
     counts = np.bincount(destination, minlength=size).astype(np.int32)
     return np.argsort(destination, kind="stable"), counts
 
 
-def id_range(ranks: Ranks, ids: Array) -> IdRange:
-    """Where the ids of all ranks lie, `ids` (n,) being this rank's. Collective."""
+def id_range(ranks: Communicator, ids: Array) -> IdRange:
+    """The range of the ids of all ranks; `ids` (n,): those of this rank. Collective."""
     low, high = (int(ids.min()), int(ids.max())) if len(ids) else (2**62, -1)
-    ends = ranks.largest(np.array([-low, high], np.int64))
-    return IdRange(max(-int(ends[0]), 0) if ends[1] >= 0 else 0, int(ends[1]) + 1, int(ranks.total(len(ids))[0]))
+    ends = ranks.allreduce_max(np.array([-low, high], np.int64))
+    return IdRange(max(-int(ends[0]), 0) if ends[1] >= 0 else 0, int(ends[1]) + 1, int(ranks.allreduce_sum(len(ids))[0]))
 
 
-def in_id_order(ranks: Ranks, arrays: dict[str, Array], ids: IdRange, writers: int) -> dict[str, Array]:
-    """Rows in id order, equal stretches of the ids on each of the first `writers` ranks. Collective."""
+def in_id_order(ranks: Communicator, arrays: dict[str, Array], ids: IdRange, writers: int) -> dict[str, Array]:
+    """Rows in id order: the range of ids is divided evenly among the first `writers` ranks. Collective."""
     owner = (arrays["id"] - ids.first) * writers // max(ids.end - ids.first, 1)
     order, counts = by_destination(owner, ranks.size)
     arrived, _ = send_rows(ranks, arrays, order, counts)
@@ -116,28 +116,29 @@ def in_id_order(ranks: Ranks, arrays: dict[str, Array], ids: IdRange, writers: i
 
 
 class Halo:
-    """The ghosts of a rank: which rows go to which rank, and where theirs arrive, until the next search for pairs.
+    """The ghosts of a rank until the next search for neighbours: which rows are sent to which rank, and where theirs arrive.
 
-    Ghost rows stand behind the owned ones, in order of their owner. Each exchange is one non-blocking message to each
-    rank that has ghosts of ours, of up to `width` numbers a row.
+    Ghost rows stand behind the `owned` ones, sorted by owner. An exchange is one non-blocking message to each rank that holds
+    ghosts of this one, with up to `width` numbers for a row.
     """
 
-    def __init__(self, ranks: Ranks, rows: Array, counts: Array, arriving: Array, owned: int, width: int):
+    def __init__(self, ranks: Communicator, rows: Array, counts: Array, arriving: Array, owned: int, width: int):
+        """`rows`, `counts`: as for `send_rows`; `arriving` (ranks,): how many ghosts come from each rank."""
         self.ranks, self.owned = ranks, owned
         self.rows = rows.astype(np.int32)
-        to, of = np.flatnonzero(counts), np.flatnonzero(arriving)
-        self.outgoing = list(zip(to.tolist(), starts(counts)[to].tolist(), np.cumsum(counts)[to].tolist(), strict=True))
-        ends = np.cumsum(arriving)
-        self.incoming = list(zip(of.tolist(), starts(arriving)[of].tolist(), ends[of].tolist(), strict=True))
-        self.out = [np.empty((end - begin) * width) for _, begin, end in self.outgoing]
-        self.into = [np.empty((end - begin) * width) for _, begin, end in self.incoming]
+        self.outgoing, self.incoming = parts(counts), parts(arriving)
+        self.send_buffers = [np.empty((end - begin) * width) for _, begin, end in self.outgoing]
+        self.receive_buffers = [np.empty((end - begin) * width) for _, begin, end in self.incoming]
 
     def exchange(self, pack: Callable[[Array, Array], int]) -> list[tuple[int, Array]]:
-        """`pack(rows, buffer)` writes a message and returns its length; gives (first ghost row, message) of all that arrived."""
+        """Refresh the ghosts; returns (first ghost row, message) for each message that arrived. Collective.
+
+        `pack(rows, buffer)` writes the message about the rows into the buffer and returns its length.
+        """
         comm, requests = self.ranks.comm, []
-        for (p, _, _), buffer in zip(self.incoming, self.into, strict=True):
+        for (p, _, _), buffer in zip(self.incoming, self.receive_buffers, strict=True):
             requests.append(comm.Irecv([buffer, MPI.DOUBLE], source=p, tag=TAG))
-        for (p, begin, end), buffer in zip(self.outgoing, self.out, strict=True):
+        for (p, begin, end), buffer in zip(self.outgoing, self.send_buffers, strict=True):
             size = pack(self.rows[begin:end], buffer)
             requests.append(comm.Isend([buffer, size, MPI.DOUBLE], dest=p, tag=TAG))
         self.ranks.messages += len(self.outgoing)
@@ -145,5 +146,11 @@ class Halo:
         MPI.Request.Waitall(requests, statuses)
         return [
             (self.owned + begin, buffer[: status.Get_count(MPI.DOUBLE)])
-            for (_, begin, _), buffer, status in zip(self.incoming, self.into, statuses, strict=False)
+            for (_, begin, _), buffer, status in zip(self.incoming, self.receive_buffers, statuses, strict=False)
         ]
+
+
+def parts(counts: Array) -> list[tuple[int, int, int]]:
+    """(rank, first, last + 1) of the rows of every rank that has some, of counts[rank] each, one after the other."""
+    ends = np.cumsum(counts)
+    return [(int(p), int(ends[p] - counts[p]), int(ends[p])) for p in np.flatnonzero(counts)]

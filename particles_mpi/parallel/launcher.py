@@ -1,10 +1,11 @@
-"""Starts mpirun, and leaves out of what it says on stderr the paragraphs about ranks that have said themselves why they end.
+"""Starts mpirun and removes from its stderr the paragraphs about ranks that have printed themselves why they end.
 
-`python particles_mpi/parallel/launcher.py LAUNCHER ARGUMENTS...`, which the mpirun of .venv/bin does. This process becomes the
-launcher, so that signals, stdin, stdout and the exit code are the launcher's own. Its stderr goes through a process beside it,
-which passes everything on at once, but for paragraphs between two lines of dashes, and lines that begin with [host:pid]: those
-are Open MPI's. The ones that tell of an exit code or of MPI_Abort are left out, the one about a signal becomes one line, all
-others pass. No setting does that: `orte_execute_quiet` also hides that a rank was killed, or that there is no such program.
+`python particles_mpi/parallel/launcher.py LAUNCHER ARGUMENTS...` is what the mpirun in .venv/bin runs. This process becomes the
+launcher, so that signals, stdin, stdout and the exit code are the launcher's own. Its stderr goes through a second process, which
+passes everything on at once, except paragraphs between two lines of dashes and lines that begin with [host:pid], which are
+written by Open MPI. Of these it removes the ones about an exit code or MPI_Abort, shortens the one about a signal to a line, and
+passes on all others. No setting of Open MPI does that: `orte_execute_quiet` hides also that a rank was killed, or that there
+is no such program.
 """
 
 import os
@@ -14,8 +15,8 @@ import signal
 import sys
 
 RULE = b"-" * 74 + b"\n"
-PATIENCE = 0.5  # seconds until what looks like the beginning of a paragraph passes, if nothing follows
-LONGEST = 4000  # bytes of a paragraph; what is longer is none
+PATIENCE = 0.5  # seconds after which what looks like the beginning of a paragraph is passed on, if nothing follows
+LONGEST = 4000  # bytes of a paragraph; a longer text is none
 KNOWN = re.compile(
     rb"Primary job +terminated normally, but \d+ process"
     rb"|detected that one or more processes exited with non-zero status"
@@ -29,15 +30,15 @@ ADVICE = re.compile(rb"\[[^\]]*\] Set MCA parameter \"orte_base_help_aggregate\"
 
 
 class Filter:
-    """What passes of the bytes that are fed to it."""
+    """Takes the bytes of stderr piece by piece and returns those that are to be printed."""
 
     def __init__(self) -> None:
-        self.held = b""  # of a paragraph that has not ended, or of a line that may begin one
-        self.at_start = True  # of a line
+        self.held = b""  # bytes of a paragraph that has not ended, or of a line that may begin one
+        self.at_start = True  # does the next byte begin a line?
         self.counted = False  # was the line before left out as COUNTED?
 
     def feed(self, data: bytes) -> bytes:
-        """What can be told already."""
+        """The bytes that can be printed now."""
         data, self.held, passed = self.held + data, b"", b""
         while data:
             if self.at_start and (RULE.startswith(data) or data.startswith(RULE)):
@@ -61,7 +62,7 @@ class Filter:
         return passed
 
     def paragraph(self, text: bytes) -> bytes:
-        """What remains of a paragraph of the launcher."""
+        """What is printed of a paragraph of the launcher."""
         said = b" ".join(text.split())
         killed = SIGNAL.search(said)
         if killed:
@@ -69,26 +70,26 @@ class Filter:
         return b"" if KNOWN.search(said) else text
 
     def line(self, text: bytes) -> bytes:
-        """A line passes, if it is not about the paragraphs themselves: how many are left out, or that one was not understood."""
+        """What is printed of a line: nothing if it says how many paragraphs were left out, or that one was not understood."""
         counted, self.counted = self.counted, bool(self.at_start and COUNTED.fullmatch(text))
         about = self.counted or (counted and ADVICE.fullmatch(text)) or (self.at_start and STUMBLED.fullmatch(text))
         return b"" if about else text
 
     def rest(self) -> bytes:
-        """What was held, when no more comes."""
+        """The bytes that were held back, when no more come."""
         held, self.held = self.held, b""
         self.at_start = held.endswith(b"\n") or (not held and self.at_start)
         return held
 
 
 def write(data: bytes) -> None:
-    """All of it, to stderr."""
+    """Write all of it to stderr."""
     while data:
         data = data[os.write(2, data) :]
 
 
 def relay(source: int) -> None:
-    """Pass on what comes until nobody can write any more; signals are for the launcher."""
+    """Pass on what comes from `source` until it is closed; signals are left to the launcher."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
         signal.signal(number, signal.SIG_IGN)
     passing = Filter()
@@ -101,7 +102,7 @@ def relay(source: int) -> None:
 
 
 def main() -> None:
-    """Start the process beside, which is nobody's child, and become the launcher."""
+    """Start the second process, detached from this one, and become the launcher."""
     source, end = os.pipe()
     child = os.fork()
     if child == 0:

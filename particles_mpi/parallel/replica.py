@@ -1,4 +1,4 @@
-"""All particles on every rank: for what is computed in one order of time, by all ranks alike."""
+"""All particles on every rank, for a computation in one order of time that all ranks make alike."""
 
 from __future__ import annotations
 
@@ -6,51 +6,52 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from particles_mpi.parallel.communicator import Ranks
-from particles_mpi.parallel.exchange import rows_of_everyone
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.particles import MEETING, Particles, field
 
 
 class Replica:
-    """`everyone` holds the rows of all ranks, in any order; on one rank it is `particles` itself.
+    """`all_particles` holds the rows of all ranks, in any order; on one rank it is `particles` itself.
 
-    `gather` brings all rows up to date, `give_back` the `changing` fields of this rank's own rows. Who is there stays the
-    same; `everyone.version` rises where a field changed that no drift changes (`MEETING`).
+    `gather` brings all rows up to date, `write_back` copies the `changing` fields of this rank's rows to `particles`. The set of
+    particles stays the same. `all_particles.version` is raised where a field of `MEETING` changed that no drift changes.
     """
 
-    def __init__(self, particles: Particles, ranks: Ranks, changing: Sequence[str]):
+    def __init__(self, particles: Particles, ranks: Communicator, changing: Sequence[str]):
         self.particles, self.ranks, self.changing = particles, ranks, changing
-        self.everyone = particles
+        self.all_particles = particles
         self.version = -1
         self.names = [name for name in particles.arrays if field(name).ghost or name in changing]
         if ranks.size > 1:
-            self.everyone = Particles(particles.dimension, self._of_all())
+            self.all_particles = Particles(particles.dimension, self._allgather())
 
-    def _of_all(self) -> dict[str, np.ndarray]:
-        return rows_of_everyone(self.ranks, {name: self.particles.arrays[name] for name in self.names})
+    def _allgather(self) -> dict[str, np.ndarray]:
+        return allgather_rows(self.ranks, {name: self.particles.arrays[name] for name in self.names})
 
-    def _find(self) -> None:
-        """Where the row of each id stands among everyone; anew when rows were moved."""
-        if self.version != self.everyone.version:
-            self.row_of = np.empty(int(self.everyone.id.max(initial=-1)) + 1, np.int64)
-            self.row_of[self.everyone.id] = np.arange(len(self.everyone))
-            self.version = self.everyone.version
+    def _index(self) -> None:
+        """`row_of[id]`: the row of each particle in `all_particles`; made anew when rows were moved."""
+        if self.version != self.all_particles.version:
+            self.row_of = np.empty(int(self.all_particles.id.max(initial=-1)) + 1, np.int64)
+            self.row_of[self.all_particles.id] = np.arange(len(self.all_particles))
+            self.version = self.all_particles.version
 
     def gather(self) -> None:
-        """`everyone` as the owners have them. Collective."""
+        """Bring `all_particles` to the state that the owners have. Collective."""
         if self.ranks.size > 1:
-            arrived = self._of_all()
-            self._find()
+            arrived = self._allgather()
+            self._index()
             rows = self.row_of[arrived.pop("id")]
             for name, column in arrived.items():
-                if name in MEETING and name not in self.changing and not np.array_equal(self.everyone[name][rows], column):
-                    self.everyone.version += 1
-                self.everyone[name][rows] = column
+                changed = name in MEETING and name not in self.changing
+                if changed and not np.array_equal(self.all_particles[name][rows], column):
+                    self.all_particles.version += 1
+                self.all_particles[name][rows] = column
 
-    def give_back(self) -> None:
-        """This rank's rows as they are among everyone."""
+    def write_back(self) -> None:
+        """Copy the changing fields of this rank's rows from `all_particles` to `particles`."""
         if self.ranks.size > 1:
-            self._find()
+            self._index()
             rows = self.row_of[self.particles.id]
             for name in self.changing:
-                self.particles[name][:] = self.everyone[name][rows]
+                self.particles[name][:] = self.all_particles[name][rows]

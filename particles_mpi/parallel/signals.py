@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and the wall-time limit: before anything is written they end the program, then they ask for a checkpoint."""
+"""Ctrl-C, SIGTERM and the wall-time limit: first they end the program, later they ask a run for a checkpoint."""
 
 from __future__ import annotations
 
@@ -12,62 +12,62 @@ import numpy as np
 from particles_mpi.errors import EXIT_ON_SIGNAL
 
 if TYPE_CHECKING:  # signals are caught before anything that takes long is imported
-    from particles_mpi.parallel.communicator import Ranks
+    from particles_mpi.parallel.communicator import Communicator
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-GRACE = 0.4  # seconds for a step to end after a signal, if it looks in between
-LOOK_STEPS, LOOK_SECONDS = 10, 0.2  # between two looks whether a rank was told to stop: whichever is less
+GRACE = 0.4  # seconds that a step has to end after a signal, where `check_signals` is called within it
+POLL_STEPS, POLL_SECONDS = 10, 0.2  # between two polls of all ranks: whichever is less
 
 
-def leave_at_once() -> None:
-    """End the process on a signal, as long as there is nothing to save; its launcher then ends the other ranks.
+def exit_on_signals() -> None:
+    """From here on a signal ends the process, as long as there is nothing to save; its launcher then ends the other ranks.
 
-    An exception instead would have to pass through MPI_Finalize, which waits for them.
+    An exception would not do: the process would wait for the other ranks in MPI_Finalize.
     """
     for number in SIGNALS:
         signal.signal(number, lambda *_: os._exit(EXIT_ON_SIGNAL))
 
 
-class Request:
-    """Asked to stop? Catches the signals from its making to `close`; `wall_time` (s, if any) counts from `began`."""
+class StopRequest:
+    """Was the run asked to stop, by a signal, or by `wall_time` seconds since `began`? Holds the signals until `close`."""
 
-    def __init__(self, ranks: Ranks, began: float, wall_time: float | None):
-        self.ranks, self.told = ranks, False
+    def __init__(self, ranks: Communicator, began: float, wall_time: float | None):
+        self.ranks, self.asked = ranks, False
         self.end = np.inf if wall_time is None else began + wall_time
-        self.looked, self.step, self.next = perf_counter(), 0, 0
-        self.told_at = np.inf
-        self.before = {number: signal.signal(number, self._tell) for number in SIGNALS}
+        self.polled, self.step, self.next = perf_counter(), 0, 0
+        self.asked_at = np.inf
+        self.before = {number: signal.signal(number, self._ask) for number in SIGNALS}
         _requests.append(self)
 
-    def _tell(self, *_: object) -> None:
-        self.told, self.told_at = True, min(self.told_at, perf_counter())
+    def _ask(self, *_: object) -> None:
+        self.asked, self.asked_at = True, min(self.asked_at, perf_counter())
 
-    def made(self, step: int) -> bool:
-        """Was any rank told to stop, or is the time up? Looks every few steps, all ranks at the same ones. Collective.
+    def poll(self, step: int) -> bool:
+        """Was any rank asked to stop, or is the time over? Ranks compare only every few steps, all at the same ones. Collective.
 
-        mpirun kills its ranks a few seconds after it was told to stop, so where steps take long every one looks.
+        They compare after every step where steps take long: mpirun kills its ranks a few seconds after a signal.
         """
         if step < self.next:
             return False
         now = perf_counter()
-        pace = (now - self.looked) / max(step - self.step, 1)
-        stop, pace = self.ranks.largest(np.array([self.told or now > self.end, pace]))
-        self.looked, self.step = now, step
-        self.next = step + int(np.clip(LOOK_SECONDS / max(pace, 1e-9), 1, LOOK_STEPS))
+        pace = (now - self.polled) / max(step - self.step, 1)
+        stop, pace = self.ranks.allreduce_max(np.array([self.asked or now > self.end, pace]))
+        self.polled, self.step = now, step
+        self.next = step + int(np.clip(POLL_SECONDS / max(pace, 1e-9), 1, POLL_STEPS))
         return bool(stop)
 
     def close(self) -> None:
-        """Signals mean again what they did before."""
+        """Give the signals back their former meaning."""
         _requests.remove(self)
         for number, handler in self.before.items():
             signal.signal(number, handler)
 
 
-_requests: list[Request] = []  # those that catch signals now
+_requests: list[StopRequest] = []  # those that catch signals at present
 
 
-def breathe() -> None:
-    """Called between the pieces of a long computation within a step, which ends here if a signal came some time ago."""
+def check_signals() -> None:
+    """For the middle of long computations: raises KeyboardInterrupt if a signal came more than GRACE seconds ago."""
     for request in _requests:
-        if perf_counter() > request.told_at + GRACE:
+        if perf_counter() > request.asked_at + GRACE:
             raise KeyboardInterrupt("stopped within a step that takes long: what counts is the last checkpoint")

@@ -1,1 +1,1 @@
-"""One run of the program from its plan to its phase table, and what is needed around it: set-up, signals, forecast."""
+"""One run of the program from its plan to its phase table, with progress, forecast, and a check of the installation (doctor)."""

@@ -1,4 +1,4 @@
-"""What a person sees: the plan, a progress bar, the phase table. Rank 0 only; plain lines when not a terminal."""
+"""What a user sees: the plan, a progress bar, the phase table. Printed by rank 0; plain lines where there is no terminal."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from math import isfinite
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
+from rich.table import Column, Table
 
 from particles_mpi.run.forecast import Forecast
 from particles_mpi.scene.plan import size
@@ -34,9 +34,13 @@ PHASES = {
     "other": "everything else",
 }
 
+LEAST = 0.05  # of a step: phases that take less are not named in a forecast
+COMPILING = 20  # seconds to compile the kernels of one dimension that a scene uses
+WIDE = 200  # columns of a table that is not shown on a terminal
+
 
 def watched() -> bool:
-    """Does a person see what is printed? Open MPI gives its ranks a terminal of their own: ask where mpirun's output goes."""
+    """Is the output shown on a terminal? Open MPI gives its ranks a terminal of their own: what counts is mpirun's output."""
     if "OMPI_COMM_WORLD_SIZE" not in os.environ:
         return os.isatty(1)
     try:
@@ -45,13 +49,8 @@ def watched() -> bool:
         return False
 
 
-LEAST = 0.05  # of a step: phases that take less are not told beforehand
-COMPILING = 20  # seconds for the kernels of one dimension, as one scene uses them
-WIDE = 200  # columns of a table that no terminal cuts
-
-
 def tell_of_compiling(dimension: int) -> None:
-    """Say it, once, if this process has to compile a kernel: set-up did so for the dimensions up to 3."""
+    """From here on print a line, once, if this process has to compile a kernel; set-up compiles those up to dimension 3."""
     from numba.core import event
 
     class Teller(event.Listener):
@@ -68,7 +67,7 @@ def tell_of_compiling(dimension: int) -> None:
 
 
 class Screen:
-    """Talks on rank 0, unless told to be quiet."""
+    """Prints on rank 0, unless `quiet`."""
 
     def __init__(self, is_root: bool, quiet: bool):
         self.loud = is_root and not quiet
@@ -82,12 +81,12 @@ class Screen:
             self.console.print(text)
 
     def table(self, table: Table) -> None:
-        """A wide table; where it does not go to a terminal it may be as wide as it is."""
+        """Print a table, in its full width if it is not shown on a terminal."""
         if self.loud:
             self.console.print(table, width=None if self.console.is_terminal else WIDE, crop=False)
 
     def plan(self, title: str, plan: dict[str, Any], warnings: list[str]) -> None:
-        """The plan before the run."""
+        """Print the plan, before the run."""
         if not self.loud:
             return
         say = self.console.print
@@ -110,70 +109,67 @@ class Screen:
             say(f"  [yellow]warning:[/yellow] {line}")
 
     def forecast(self, forecast: Forecast, again: bool = False) -> None:
-        """How long a run takes; `again` if that was told before, and turns out otherwise."""
+        """Print how long the run will take; `again`: the forecast before was wrong."""
         self.say(f"  predicted{' now' if again else ''}: {forecast}")
 
     def shares(self, forecast: Forecast) -> None:
-        """What a step consists of, the dearest phases first."""
+        """Print the share of each phase in a step, the largest first."""
         total = sum(forecast.phases.values())
         shares = sorted(((s / total, name) for name, s in forecast.phases.items() if s >= LEAST * total > 0.0), reverse=True)
         if shares:
             self.say(f"  of a step: {', '.join(f'{PHASES.get(name, name)} {share:.0%}' for share, name in shares)}")
 
     def start(self, done: int, steps: int) -> Callable[[int, dict[str, Any]], None]:
-        """Begin the progress bar; returns what to call with (steps done, last row of diagnostics)."""
-        if not self.loud or not self.console.is_terminal:
-            return lambda step, row: None
-        self.progress = Progress(
-            MofNCompleteColumn(), BarColumn(), TextColumn("{task.fields[rate]}"), TimeRemainingColumn(),
-            TextColumn("{task.fields[state]}"),
-            console=self.console,
-        )  # fmt: skip
-        task = self.progress.add_task("steps", total=steps, completed=done, rate="", state="")
-        self.progress.start()
+        """Begin the progress bar; returns a function to be called with (steps done, last row of diagnostics)."""
+        bar = self._progress("steps", steps, done, MofNCompleteColumn(), BarColumn(), TextColumn("{task.fields[rate]}"),
+                             TimeRemainingColumn(), TextColumn("{task.fields[state]}"))  # fmt: skip
 
         def update(step: int, row: dict[str, Any]) -> None:
-            assert self.progress
-            speed = self.progress.tasks[0].speed
-            rate = f"{speed:.0f} steps/s" if speed else ""
+            if bar is None:
+                return
+            speed = bar.tasks[0].speed
             name, energy = ("E", row["total_energy"]) if row else ("", 0.0)
-            if not isfinite(energy):  # a force along a periodic axis
+            if not isfinite(energy):  # a force along a periodic axis has no potential
                 name, energy = "kinetic E", row["kinetic"]
             state = f"{name} {energy:.6g}  collisions {row['collisions_so_far']}" if row else ""
-            self.progress.update(task, completed=step, rate=rate, state=state)
+            bar.update(bar.tasks[0].id, completed=step, rate=f"{speed:.0f} steps/s" if speed else "", state=state)
 
         return update
 
     def count(self, what: str, number: int) -> Callable[[str], None]:
-        """Begin a progress bar over so many of them; returns what to call with the name of each as it begins."""
-        if not self.loud or not self.console.is_terminal:
-            return lambda name: None
-        self.progress = Progress(
-            MofNCompleteColumn(), BarColumn(), TimeRemainingColumn(), TextColumn("{task.fields[name]}"), console=self.console
+        """Begin a progress bar for a `number` of tasks; returns a function to be called with the name of each as it begins."""
+        bar = self._progress(
+            what, number, -1, MofNCompleteColumn(), BarColumn(), TimeRemainingColumn(), TextColumn("{task.fields[state]}")
         )
-        task = self.progress.add_task(what, total=number, completed=-1, name="")
-        self.progress.start()
 
         def advance(name: str) -> None:
-            assert self.progress
-            self.progress.update(task, advance=1, name=name)
+            if bar is not None:
+                bar.update(bar.tasks[0].id, advance=1, state=name)
 
         return advance
 
+    def _progress(self, what: str, total: int, done: int, *columns: ProgressColumn) -> Progress | None:
+        """A progress bar with these columns, begun; None where nobody sees it."""
+        if not self.loud or not self.console.is_terminal:
+            return None
+        self.progress = Progress(*columns, console=self.console)
+        self.progress.add_task(what, total=total, completed=done, rate="", state="")
+        self.progress.start()
+        return self.progress
+
     def stop(self) -> None:
-        """End the progress bar, on any way out."""
+        """Remove the progress bar, if there is one."""
         if self.progress:
             self.progress.stop()
             self.progress = None
 
     def phases(self, timers: dict[str, dict[str, float]], steps: int, particles: int) -> None:
-        """The course's table: seconds of each phase over the ranks, and its share of the loop."""
+        """Print the phase table: seconds of each phase over the ranks, and its share of the loop."""
         if not self.loud:
             return
         loop = timers["loop"]["mean"]
-        table = Table("phase", "min s", "mean s", "max s", "share", box=None, padding=(0, 2, 0, 0))
-        for column in table.columns[1:]:
-            column.justify = "right"
+        numbers = [Column(name, justify="right") for name in ("min s", "mean s", "max s", "share")]
+        table = Table("phase", *numbers, box=None, padding=(0, 2, 0, 0))
         for name in [*(p for p in PHASES if p in timers), "loop", "setup"]:
             t = timers[name]
             share = f"{t['mean'] / loop:.1%}" if loop > 0.0 and name != "setup" else ""

@@ -1,8 +1,8 @@
-"""What is installed here, whether it fits together, and what to do about what does not.
+"""What is installed, whether it works together, and what to do if not.
 
-Nothing that needs MPI or HDF5 is imported in this process: small programs started for the purpose do that and answer
-in JSON, so that a broken library, or a hanging one, becomes a row of the table instead of the end of the doctor.
-`python particles_mpi/run/doctor.py` works before the package is installed: run.sh uses it to check its own work.
+Nothing that needs MPI or HDF5 is imported in this process: small programs are started which do that and answer in JSON, so that a
+library that is broken, or hangs, becomes a row of the table and does not end the doctor. `python particles_mpi/run/doctor.py`
+works before the package is installed: run.sh checks the installation with it.
 """
 
 import json
@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 PROBE_SECONDS = 60
 
-# Runs on every rank. Rank 0 answers; the answer of a world of one is the same with size 1 and nothing collective to fail.
+# Runs on every rank, or in a single process; rank 0 answers.
 PROBE = """
 import json, sys
 import numpy as np
@@ -48,27 +48,28 @@ if comm.rank == 0:
 
 
 class Row(NamedTuple):
+    """A row of the table."""
+
     what: str
     found: str
-    right: bool = True
-    advice: str = ""
+    advice: str = ""  # what to do; empty if all is right
 
 
 def launcher() -> str | None:
-    """The mpirun of this environment: the one beside this Python before any other on the PATH."""
+    """The path of mpirun: the one next to this Python comes before any other on the PATH."""
     path = os.pathsep.join([str(Path(sys.prefix) / "bin"), os.environ.get("PATH", "")])
     return shutil.which("mpirun", path=path) or shutil.which("mpiexec", path=path)
 
 
 def started_ranks() -> int:
-    """How many processes the launcher says it started; 1 without a launcher."""
+    """How many processes the launcher started, by its environment variables; 1 without a launcher."""
     return max(int(os.environ.get(name, 1)) for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE"))
 
 
 def probe(ranks: int) -> dict[str, Any]:
     """Start `ranks` processes (1: without a launcher) that try MPI and HDF5; their answer, or {"error": ...}."""
     start = [str(launcher()), "-n", str(ranks)] if ranks > 1 else []
-    # Inside mpirun, these would tie the new processes to the world this one belongs to; settings (OMPI_MCA_...) stay.
+    # Under mpirun these variables would connect the new processes with this one; settings (OMPI_MCA_...) are kept.
     ties = ("OMPI_COMM_", "OMPI_UNIVERSE", "OMPI_MCA_ess", "OMPI_MCA_orte", "OMPI_MCA_pmix", "PMIX_", "PMI_", "HYDI_", "HYDRA_")
     environment = {name: value for name, value in os.environ.items() if not name.startswith(ties)}
     with tempfile.TemporaryDirectory(prefix="particles_mpi_doctor_") as folder:
@@ -88,14 +89,14 @@ def probe(ranks: int) -> dict[str, Any]:
 
 
 def report(world: int = 1) -> list[Row]:
-    """All rows; `world` is the size of the MPI world this process runs in."""
+    """All rows of the table; `world`: the number of ranks with which this process runs."""
     alone = probe(1)
-    rows = [
+    return [
         Row("Python", f"{platform.python_version()} ({sys.executable})"),
         *(_package(name) for name in ("numpy", "numba", "scipy", "pydantic", "mpi4py")),
         _library(alone),
         _launcher(alone),
-        _ranks_seen(world) if max(world, started_ranks()) > 1 else _ranks_tried(probe(2) if launcher() else None),
+        _ranks(world),
         _package("h5py"),
         _hdf5(alone),
         _package("meshio"),
@@ -104,26 +105,23 @@ def report(world: int = 1) -> list[Row]:
         _cores(),
         _kernels(Path(__file__).parents[1]),
     ]
-    return rows
 
 
 def _package(name: str, optional_for: str = "") -> Row:
     try:
         return Row(name, metadata.version(name))
     except metadata.PackageNotFoundError:
-        if optional_for:
-            return Row(name, f"not installed ({optional_for})")
-        return Row(name, "not installed", False, "./run.sh setup")
+        return Row(name, f"not installed ({optional_for})") if optional_for else Row(name, "not installed", "./run.sh setup")
 
 
 def _library(alone: dict[str, Any]) -> Row:
     if "error" in alone:
-        return Row("MPI library", alone["error"], False, "mpi4py cannot start MPI: remove .venv and ./run.sh setup")
+        return Row("MPI library", alone["error"], "mpi4py cannot start MPI: remove .venv and ./run.sh setup")
     return Row("MPI library", alone["library"])
 
 
 def _family(text: str) -> str:
-    """Which MPI a version text speaks of; hydra is the launcher of MPICH."""
+    """The MPI implementation that a version text names; hydra is the launcher of MPICH."""
     marks = {"Open MPI": "Open MPI", "OpenRTE": "Open MPI", "Intel": "Intel MPI", "MPICH": "MPICH", "HYDRA": "MPICH"}
     return next((family for mark, family in marks.items() if mark in text), "unknown")
 
@@ -131,57 +129,51 @@ def _family(text: str) -> str:
 def _launcher(alone: dict[str, Any]) -> Row:
     path = launcher()
     if path is None:
-        return Row("launcher", "no mpirun or mpiexec found", False, "install an MPI, or: PARTICLES_MPI_SETUP=pip ./run.sh setup")
+        return Row("launcher", "no mpirun or mpiexec found", "install an MPI, or: PARTICLES_MPI_SETUP=pip ./run.sh setup")
     try:
         said = subprocess.run([path, "--version"], capture_output=True, text=True, timeout=PROBE_SECONDS)
     except (OSError, subprocess.TimeoutExpired) as error:
-        return Row("launcher", f"{path}: {error}", False, "this launcher does not start")
+        return Row("launcher", f"{path}: {error}", "this launcher does not start")
     ours, theirs = _family(said.stdout + said.stderr), _family(alone.get("library", ""))
     if "unknown" in (ours, theirs) or ours == theirs:
         return Row("launcher", f"{path} ({ours})")
-    return Row("launcher", f"{path} belongs to {ours}, mpi4py to {theirs}", False, f"start with the mpirun of {theirs}")
+    return Row("launcher", f"{path} belongs to {ours}, mpi4py to {theirs}", f"start with the mpirun of {theirs}")
 
 
-def _ranks_seen(world: int) -> Row:
+def _ranks(world: int) -> Row:
+    """Do ranks see each other: those of this run if there are several, otherwise two that are started for it."""
     started = max(started_ranks(), world)
-    if world == started:
-        return Row("ranks", f"{world} started, {world} see each other (this very run)")
-    return Row(
-        "ranks", f"{started} started, but each is alone", False, "this mpirun is of another MPI than mpi4py's: see launcher"
-    )
-
-
-def _ranks_tried(pair: dict[str, Any] | None) -> Row:
-    if pair is None:
-        return Row("2-rank check", "not tried: no launcher", False, "see launcher")
+    if started > 1:
+        if world == started:
+            return Row("ranks", f"{world} started, {world} see each other (this very run)")
+        advice = "this mpirun is of another MPI than mpi4py's: see launcher"
+        return Row("ranks", f"{started} started, but each is alone", advice)
+    if launcher() is None:
+        return Row("2-rank check", "not tried: no launcher", "see launcher")
+    pair = probe(2)
     if "error" in pair:
-        return Row("2-rank check", pair["error"], False, "a 2-rank program does not run: try the launcher by hand")
+        return Row("2-rank check", pair["error"], "a 2-rank program does not run: try the launcher by hand")
     if pair["size"] != 2:
-        return Row("2-rank check", f"2 started, a world of {pair['size']}", False, "launcher and mpi4py are of different MPIs")
+        return Row("2-rank check", f"2 started, a world of {pair['size']}", "launcher and mpi4py are of different MPIs")
     if not pair["sum_right"]:
-        return Row(
-            "2-rank check", "a wrong sum over the ranks", False, "this MPI is broken: PARTICLES_MPI_SETUP=pip ./run.sh setup"
-        )
+        return Row("2-rank check", "a wrong sum over the ranks", "this MPI is broken: PARTICLES_MPI_SETUP=pip ./run.sh setup")
     if "hdf5_error" in pair or pair.get("written") is False:
-        said = pair.get("hdf5_error", "wrong rows")
-        return Row("2-rank check", f"HDF5: {said}", False, "remove .venv and ./run.sh setup")
-    return Row(
-        "2-rank check", "2 ranks see each other, sums right" + (", collective HDF5 write right" if "written" in pair else "")
-    )
+        return Row("2-rank check", f"HDF5: {pair.get('hdf5_error', 'wrong rows')}", "remove .venv and ./run.sh setup")
+    return Row("2-rank check", "2 ranks see each other, sums right" + ", collective HDF5 write right" * ("written" in pair))
 
 
 def _hdf5(alone: dict[str, Any]) -> Row:
     if "hdf5_error" in alone:
-        return Row("HDF5", alone["hdf5_error"], False, "remove .venv and ./run.sh setup")
+        return Row("HDF5", alone["hdf5_error"], "remove .venv and ./run.sh setup")
     if alone.get("parallel"):
         return Row("HDF5", f"{alone['hdf5']}, parallel: every rank writes its own rows")
     if "hdf5" in alone:
         return Row("HDF5", f"{alone['hdf5']}, serial: one rank gathers and writes, the files are the same")
-    return Row("HDF5", "not known: MPI does not start", False, "see MPI library")
+    return Row("HDF5", "not known: MPI does not start", "see MPI library")
 
 
 def usable_cores() -> int | None:
-    """That this process may run on."""
+    """The number of cores on which this process may run."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
 
 
@@ -198,13 +190,11 @@ def _kernels(package: Path) -> Row:
     home = folder if folder.exists() else Path.home()
     if os.access(home, os.W_OK) or os.access(Path.home(), os.W_OK):
         return Row("kernel cache", "empty: the first run compiles (./run.sh setup does it now)")
-    return Row(
-        "kernel cache", f"{folder} cannot be written", False, "every run will compile: set NUMBA_CACHE_DIR to a folder of yours"
-    )
+    return Row("kernel cache", f"{folder} cannot be written", "every run will compile: set NUMBA_CACHE_DIR to a folder of yours")
 
 
 def main(rank: int = 0, size: int = 1) -> int:
-    """Print the table on rank 0. Exit code 0: all right; 1: something has to be done, and the table says what."""
+    """Print the table on rank 0. Exit code 0: all is right; 1: something has to be done, which the table says."""
     if rank > 0:
         return 0
     from rich.console import Console
@@ -213,10 +203,10 @@ def main(rank: int = 0, size: int = 1) -> int:
     rows = report(size)
     table = Table("", "", "found", "what to do", title="particles_mpi doctor", title_justify="left", box=None, padding=(0, 1))
     for row in rows:
-        mark = "[green]ok[/]" if row.right else "[red]NO[/]"
+        mark = "[red]NO[/]" if row.advice else "[green]ok[/]"
         table.add_row(mark, row.what, row.found, row.advice)
     Console(soft_wrap=False).print(table)
-    return 0 if all(row.right for row in rows) else 1
+    return int(any(row.advice for row in rows))
 
 
 if __name__ == "__main__":  # for run.sh: what two ranks see, as JSON

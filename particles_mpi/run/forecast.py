@@ -1,8 +1,8 @@
-"""How long a run takes, told from its own first steps: they are part of the run, so that to measure them costs nothing.
+"""How long a run will take, from the times of its own first steps; these belong to the run, so that measuring them costs nothing.
 
-A step costs what it cost so far, as do frames, rows of diagnostics and checkpoints, each as often as the scene asks for it.
-Seconds in which kernels were compiled or loaded do not count as those of steps. Where a scene lets one foresee that later steps
-cost more, the forecast is a range, with the reason. No constant of any machine is in it.
+Later steps are assumed to take as long as those measured, and so are frames, rows of diagnostics and checkpoints, each as often
+as the scene asks for it. Time in which kernels are compiled or loaded is not counted. Where the scene shows that later steps
+may cost more or less, the forecast is a range, with the reason. There are no constants of any machine in it.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from particles_mpi.scene.plan import duration
 from particles_mpi.scene.schema import Scene
 
 PROBE = 0.5  # seconds of steps that are enough for a forecast
-SLOW = 2.0  # seconds: a first step that takes so long is measured too, though it may do what no other does
+SLOW = 2.0  # seconds: a first step that takes longer is measured too, though the first step also does what is done only once
 TRUST = 1.5  # factor within which a forecast should be right
-HEAPING = 0.9  # restitution, below which what falls soon lies in heaps
+HEAPING = 0.9  # restitution below which falling particles soon lie in heaps
 WRITING = {"output": "every", "diagnostics": "diagnostics_every", "checkpoint": "checkpoint_every"}  # phases and their periods
 
 
 @dataclass(frozen=True)
 class Outlook:
-    """Later steps cost between `least` and `most` times as much as those at the start; why, if that is more than TRUST."""
+    """Later steps take between `least` and `most` times as long as those at the start; `reason`: why, if that exceeds TRUST."""
 
     least: float = 1.0 / TRUST
     most: float = TRUST
@@ -34,7 +34,7 @@ class Outlook:
 
 
 def outlook(scene: Scene) -> Outlook:
-    """What a scene lets one foresee; the factors are what such scenes took at most, here, rounded up."""
+    """The outlook for a scene; the factors are the largest ones that were measured with such scenes, rounded up."""
     effects = ActiveEffects(scene)
     if scene.time.integrator == "adaptive":
         return Outlook(0.3, 3.0, "steps are cut where bodies come close, and how often that will be is not known")
@@ -49,24 +49,20 @@ def outlook(scene: Scene) -> Outlook:
 
 @dataclass(frozen=True)
 class Forecast:
-    """`seconds` of the loop if all goes on as it began, between `least` and `most` with what is foreseen, for the `reason`.
+    """How long the time loop will take."""
 
-    step: seconds of one, measured over `timed` of them; writing: seconds of `seconds` for frames, diagnostics and checkpoints;
-    phases: seconds of a step by phase.
-    """
-
-    seconds: float
-    least: float
+    seconds: float  # if steps go on as they began
+    least: float  # by the outlook
     most: float
-    reason: str
-    step: float
-    timed: int
-    writing: float
+    reason: str  # of the outlook
+    step: float  # seconds of a step
+    timed: int  # steps over which that was measured
+    writing: float  # part of `seconds` for frames, diagnostics and checkpoints
     ranks: int
-    phases: dict[str, float] = field(default_factory=dict)
+    phases: dict[str, float] = field(default_factory=dict)  # seconds of a step by phase
 
     def __str__(self) -> str:
-        """One line for people."""
+        """One line for the user."""
         told = f"about {duration(self.seconds)}" if not self.reason else f"{duration(self.least)} to {duration(self.most)}"
         written = f"; {duration(self.writing)} in all for output" if self.writing > 0.0 else ""
         return (
@@ -77,7 +73,7 @@ class Forecast:
 
 @dataclass(frozen=True)
 class Mark:
-    """Where a run stood: steps done, the clock, seconds in which kernels were compiled or loaded, and those of each phase."""
+    """A run at one time: steps done, the clock, seconds spent to compile or load kernels, and those of each phase."""
 
     step: int
     clock: float
@@ -85,15 +81,15 @@ class Mark:
     phases: dict[str, float]
 
 
-LOADING = TimingListener()  # of this process, whoever looks
-register("numba:compiler_lock", LOADING)  # numba holds it to load a kernel too
+LOADING = TimingListener()  # of this process
+register("numba:compiler_lock", LOADING)  # numba holds this lock while it compiles or loads a kernel
 
 
-class Pace:
-    """Watches the steps of a run up to step `last`, from its making on, on one rank.
+class Forecaster:
+    """Measures the steps of a run up to step `last`, on one rank, from the moment it is made.
 
-    `look`, called after each step and what was written with it, gives a forecast once there is enough to tell it from, which
-    is at half of the steps at the latest, and again each time that the run has taken twice as long, from the steps since.
+    `look` is to be called after each step and the output that belongs to it. It gives a forecast when enough steps were
+    measured, after half of the steps at the latest, and again whenever the time since the start has doubled.
     """
 
     def __init__(self, sim: Any, last: int):
@@ -104,21 +100,21 @@ class Pace:
         self.outlook = outlook(sim.scene)
 
     def here(self) -> Mark:
-        """The mark of this moment."""
+        """The mark of the present moment."""
         loading = LOADING.duration if LOADING.done else 0.0
         return Mark(self.sim.steps_done, perf_counter(), loading, self.sim.timers.seconds)
 
     def reported(self) -> None:
-        """The first row of diagnostics is written, before any step; it may have loaded kernels, as no later one does."""
+        """To be called after the first row of diagnostics, before any step: only that row may have loaded kernels."""
         self.loaded = self.here().loading - self.began.loading
 
     def look(self) -> Forecast | None:
-        """A forecast, if it is time for one."""
+        """A forecast, or None if it is not time for one."""
         if perf_counter() < self.due and self.sim.steps_done < self.half:
             return None
         now = self.here()
         own = self.own(now)
-        if self.first is self.began and own < SLOW and now.step < self.last:  # the first step, and all that is done once
+        if self.first is self.began and own < SLOW and now.step < self.last:  # the first step, with all that is done only once
             self.first = self.since = now
             return None
         if own < PROBE and now.step < self.half:
@@ -130,7 +126,7 @@ class Pace:
         return forecast
 
     def own(self, now: Mark) -> float:
-        """Seconds of steps alone since the last mark."""
+        """Seconds spent in steps alone since the last mark."""
         written = sum(now.phases.get(name, 0.0) - self.since.phases.get(name, 0.0) for name in WRITING)
         loading = now.loading - self.since.loading
         if self.since is self.began:
@@ -138,7 +134,7 @@ class Pace:
         return now.clock - self.since.clock - loading - written
 
     def forecast(self, now: Mark, own: float) -> Forecast:
-        """From the steps since the last mark, which took `own` seconds."""
+        """The forecast from the steps since the last mark, which took `own` seconds."""
         timed, left = now.step - self.since.step, self.last - now.step
         step, gone = own / timed, now.clock - self.began.clock
         to_write = sum(self.cost(name, now) * self.number(name, now.step, self.last) for name in WRITING)
@@ -161,13 +157,13 @@ class Pace:
         )
 
     def number(self, name: str, begin: int, end: int) -> int:
-        """How many frames, rows or checkpoints are written after step `begin`, up to step `end`; the run ends with the latter."""
+        """How many frames, rows or checkpoints are written after step `begin` and up to step `end`."""
         every = getattr(self.sim.scene.output, WRITING[name])
         final = name != "output" and begin < end == self.last and end % every > 0
         return int(end // every - begin // every + final)
 
     def cost(self, name: str, now: Mark) -> float:
-        """Seconds of one: without the first ones, if there are others; of a checkpoint those of a frame, until one is written."""
+        """Seconds for one of them, without the first if there are others; a checkpoint counts as a frame at first."""
         seconds, number = now.phases.get(name, 0.0), self.number(name, self.first.step, now.step)
         if number and self.first is not self.began:
             return (seconds - self.first.phases.get(name, 0.0)) / number

@@ -14,17 +14,18 @@ import numpy as np
 from particles_mpi.contacts.drift import COUNTS
 from particles_mpi.errors import Interrupted, SceneError, StateError, StoppedError
 from particles_mpi.measure.diagnostics import columns
-from particles_mpi.measure.health import WATCH_EVERY
-from particles_mpi.measure.snapshot import ABOUT
-from particles_mpi.output import checkpoint, failing_together, replacing
+from particles_mpi.measure.snapshot import METADATA
+from particles_mpi.measure.watchdog import WATCH_EVERY
+from particles_mpi.output import checkpoint
 from particles_mpi.output.diagnostics_csv import Diagnostics
+from particles_mpi.output.files import failing_together, replacing
 from particles_mpi.output.folder import claim
-from particles_mpi.parallel.agreement import come_together, same_on_all
-from particles_mpi.parallel.communicator import library
-from particles_mpi.parallel.signals import Request
+from particles_mpi.parallel.agreement import await_all, same_on_all
+from particles_mpi.parallel.communicator import mpi_library
+from particles_mpi.parallel.signals import StopRequest
 from particles_mpi.particles import Array, field
 from particles_mpi.run.console import Screen
-from particles_mpi.run.forecast import Forecast, Pace
+from particles_mpi.run.forecast import Forecast, Forecaster
 from particles_mpi.scene.plan import plan
 
 SHOW_EVERY = 10  # steps between two moves of the progress bar
@@ -61,8 +62,8 @@ class Job:
         self.forecast: Forecast | None = None
         self.screen = Screen(self.ranks.is_root, quiet or rehearsal)
         self.plan = plan(self.scene, sim.rows, sim.total, self.ranks.size)
-        self.plan["fixed"] = int(self.ranks.total(self.plan["fixed"])[0])
-        self.request = Request(self.ranks, self.setup_began, wall_time)  # from here on a signal must not leave half a file
+        self.plan["fixed"] = int(self.ranks.allreduce_sum(self.plan["fixed"])[0])
+        self.request = StopRequest(self.ranks, self.setup_began, wall_time)  # from here on a signal must not leave half a file
         self.continues = claim(folder, self.ranks, self.scene.to_dict(), resumed, overwrite)
         self.written = sim.written = sim.written if self.continues else {"row": -1, "frame": -1}
         self._open()
@@ -104,7 +105,7 @@ class Job:
         self.screen.plan(self.scene.title, self.plan, sim.warnings)
         setup = perf_counter() - self.setup_began
         begin, done = perf_counter(), sim.steps_done
-        pace = Pace(sim, self.last) if self.screen.loud or (self.rehearsal and self.ranks.is_root) else None
+        pace = Forecaster(sim, self.last) if self.screen.loud or (self.rehearsal and self.ranks.is_root) else None
         show = self.screen.start(done, self.last)
         row: dict[str, Any] = {}
         stopped = False
@@ -116,7 +117,7 @@ class Job:
                 self.write_frame()
             elif not self.continues:
                 self.save()  # what is in this folder begins here
-            while sim.steps_done < self.last and not (stopped := self.request.made(sim.steps_done)):
+            while sim.steps_done < self.last and not (stopped := self.request.poll(sim.steps_done)):
                 sim.step()
                 n, final = sim.steps_done, sim.steps_done == self.last
                 if final or any(n % k == 0 for k in (WATCH_EVERY, output.every, output.checkpoint_every)):
@@ -140,7 +141,7 @@ class Job:
             self.close()
             self.finish(setup, perf_counter() - begin, sim.steps_done - done)
         except (SceneError, StoppedError) as error:
-            come_together(self.ranks, error)  # to close a file would wait for ranks that have no error
+            await_all(self.ranks, error)  # to close a file would wait for ranks that have no error
             self.close()
             if isinstance(error, StateError) and not self.rehearsal:
                 raise StateError(f"{error}; {self.keep_for_inspection(str(error))}") from None
@@ -156,7 +157,7 @@ class Job:
     def foretell(self, forecast: Forecast) -> None:
         """Say how long the run takes, and say it again where it turns out otherwise."""
         if self.rehearsal:
-            self.forecast, self.request.told = forecast, True
+            self.forecast, self.request.asked = forecast, True
         elif self.forecast is None:
             self.forecast = forecast
             self.plan["predicted_seconds"] = forecast.seconds
@@ -171,8 +172,8 @@ class Job:
         sim = self.sim
         with sim.timers("diagnostics"):
             state = sim.measure()
-            totals = self.ranks.total(np.array([sim.totals[name] for name in COUNTS]))
-            held = float(self.ranks.largest(float(len(sim.rows)))[0])
+            totals = self.ranks.allreduce_sum(np.array([sim.totals[name] for name in COUNTS]))
+            held = float(self.ranks.allreduce_max(float(len(sim.rows)))[0])
             since = dict(zip(COUNTS, (totals - self.since).tolist(), strict=True))
             imbalance = held * self.ranks.size / sim.total if sim.total else 1.0
             self.since = totals
@@ -194,9 +195,9 @@ class Job:
         """The exact state; replaces the checkpoint before."""
         sim = self.sim
         with sim.timers("checkpoint"):
-            about = sim.about()
-            state: dict[str, Any] = {name: json.dumps(about[name]) for name in ABOUT}
-            state |= {"step": about["step"], "time": sim.time, "reported": json.dumps(self.since.tolist())}
+            metadata = sim.metadata()
+            state: dict[str, Any] = {name: json.dumps(metadata[name]) for name in METADATA}
+            state |= {"step": metadata["step"], "time": sim.time, "reported": json.dumps(self.since.tolist())}
             state["written"] = json.dumps(self.written)
             checkpoint.save(self.folder / "checkpoint.h5", self.ranks, sim.rows.arrays, sim.ids, self.scene.dimension, state)
 
@@ -218,7 +219,7 @@ class Job:
         sim = self.sim
         seconds = {"setup": setup, "loop": loop, **sim.timers.seconds}
         seconds["other"] = loop - sum(sim.timers.seconds.values())
-        everyone = self.ranks.gathered(seconds)
+        everyone = self.ranks.allgather(seconds)
         timers = {}
         for name in sorted({n for s in everyone for n in s}, key=lambda n: (n not in ("setup", "loop"), n)):
             values = [s.get(name, 0.0) for s in everyone]
@@ -246,7 +247,7 @@ class Job:
         sim, here = self.sim, self.sim.counted()
         counted = {name: sim.totals[name] for name in COUNTS}
         counted |= {"messages": self.ranks.messages, "ghost_rows": here["ghost_rows"]}
-        totals = self.ranks.total(np.array(list(counted.values()), np.int64))
+        totals = self.ranks.allreduce_sum(np.array(list(counted.values()), np.int64))
         result = dict(zip(counted, totals.tolist(), strict=True))
         if here["windows"]:
             result |= {name: here[name] for name in ("windows", "windows_redone")}
@@ -258,7 +259,7 @@ class Job:
         for row in self.plan["effects"]:
             row["calls"] = sim.calls.get(row["effect"], 0)
         self.plan["not_run"] = [{"effect": name, "calls": sim.calls.get(name, 0)} for name in self.plan["not_run"]]
-        versions = {name: version(name) for name in LIBRARIES} | {"python": platform.python_version(), "mpi": library()}
+        versions = {name: version(name) for name in LIBRARIES} | {"python": platform.python_version(), "mpi": mpi_library()}
         text = {
             "scene": self.scene.to_dict(),
             "plan": self.plan,

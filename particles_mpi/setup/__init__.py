@@ -1,1 +1,1 @@
-"""What set-up does once: all kernels are compiled before the first run."""
+"""Set-up: all kernels are compiled once, before the first run, and again when their source has changed."""

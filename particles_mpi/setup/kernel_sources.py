@@ -1,11 +1,11 @@
-"""Which compiled kernels are out of date.
+"""Which compiled kernels are out of date?
 
-`python -P particles_mpi/setup/kernel_sources.py` forgets those, and ends with exit code 1 if there are any.
+`python -P particles_mpi/setup/kernel_sources.py` deletes what was compiled of those, and ends with exit code 1 if there are any.
 
-Numba compiles a kernel again when the file that defines it has changed, but not when one has that it calls, or takes a constant
-from. So each kernel is known here by a digest of all definitions in the package that it can reach by name, as syntax trees
-without docstrings and comments: what changes there, and nothing else, is compiled again. Imports nothing of the package, so
-that it takes no time.
+Numba compiles a kernel again when the file that defines it has changed, but not when another file has changed whose functions or
+constants it uses. Therefore a digest of each kernel is kept: of all definitions in the package that it uses, directly or through
+others, as syntax trees without docstrings and comments. A kernel is compiled again exactly if its digest changes. This module
+imports nothing of the package, so that it runs quickly.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from hashlib import sha256
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1]
-STATE = "__pycache__/kernels.json"  # digests of when all kernels were compiled
+STATE = "__pycache__/kernels.json"  # the digests at the time when all kernels were compiled
 COMPILER = ("numba", "njit")
 
 Place = tuple[str, str]  # a module and a name in it
 
 
 class Sources:
-    """The definitions of a package: `defined[module, name]` are those at the top of its modules, as syntax trees."""
+    """The definitions of a package: `defined[module, name]` are the statements at the top of a module that define a name."""
 
     def __init__(self, package: Path):
         self.package = package
         self.files: dict[str, Path] = {}
         self.defined: dict[Place, list[ast.stmt]] = {}
-        self.links: dict[Place, Place] = {}  # where an imported name is from
+        self.links: dict[Place, Place] = {}  # where an imported name is defined
         self.calls: dict[Place, set[Place]] = {}
         for path in sorted(package.rglob("*.py")):
             module = ".".join((package.name, *path.relative_to(package).with_suffix("").parts)).removesuffix(".__init__")
@@ -39,7 +39,7 @@ class Sources:
                 self.enter(module, statement)
 
     def enter(self, module: str, statement: ast.stmt) -> None:
-        """What a statement at the top of a module defines."""
+        """Enter the names that a statement at the top of a module defines or imports."""
         if isinstance(statement, ast.ImportFrom):
             for name in statement.names:
                 self.links[module, name.asname or name.name] = statement.module or "", name.name
@@ -52,7 +52,7 @@ class Sources:
                     self.defined.setdefault((module, node.id), []).append(statement)
 
     def mentioned(self, module: str, tree: ast.AST) -> set[Place]:
-        """Names of the package, or imported into it, that a syntax tree of `module` mentions."""
+        """The names of the package that a syntax tree in `module` uses, and COMPILER."""
         found = set()
         for node in ast.walk(tree):
             if isinstance(node, ast.Name):
@@ -64,7 +64,7 @@ class Sources:
         return found
 
     def reached(self, places: set[Place]) -> set[Place]:
-        """These places, and all that their definitions mention, and so on."""
+        """These places and all that their definitions use, directly or through others."""
         known, waiting = set(places), list(places)
         while waiting:
             place = waiting.pop()
@@ -75,39 +75,39 @@ class Sources:
         return known
 
     def kernels(self) -> dict[str, str]:
-        """A digest of each compiled function, "module.name"."""
+        """{"module.name": digest} of each compiled function."""
         digests, texts = {}, {}
         for place, trees in self.defined.items():
             decorators = [d for tree in trees if isinstance(tree, ast.FunctionDef) for d in tree.decorator_list]
             used = {found for decorator in decorators for found in self.mentioned(place[0], decorator)}
             if COMPILER in self.reached(used):
-                slice_ = sorted(self.reached({place}) - {COMPILER})
-                for part in slice_:
+                parts = sorted(self.reached({place}) - {COMPILER})
+                for part in parts:
                     if part not in texts:
                         texts[part] = "".join(ast.dump(without_docstrings(tree)) for tree in self.defined[part])
-                digests[".".join(place)] = digest("".join(f"{'.'.join(part)} {texts[part]}\n" for part in slice_))
+                digests[".".join(place)] = digest("".join(f"{'.'.join(part)} {texts[part]}\n" for part in parts))
         return digests
 
     def state(self) -> dict[str, dict[str, str]]:
-        """Digests of all kernels, and of the files that define them: a file that has changed numba compiles anew by itself."""
+        """Digests of all kernels, and of the files that define them: numba itself compiles those of a changed file again."""
         kernels = self.kernels()
         modules = sorted({name.rpartition(".")[0] for name in kernels})
         return {"kernels": kernels, "files": {m: digest(self.files[m].read_text(encoding="utf-8")) for m in modules}}
 
     def stale(self) -> list[str]:
-        """Kernels that are not what they were when all were compiled."""
+        """The kernels whose digest is not what it was when all were compiled."""
         before, now = self.compiled().get("kernels", {}), self.kernels()
         return sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name))
 
     def compiled(self) -> dict[str, dict[str, str]]:
-        """The state when all kernels were compiled, as it was noted; empty if they never were."""
+        """The state that `note` saved; empty if there is none."""
         try:
             return dict(json.loads((self.package / STATE).read_text()))
         except (OSError, ValueError):
             return {}
 
     def up_to_date(self) -> bool:
-        """Has every kernel been compiled as it is now?"""
+        """Are all kernels compiled from their present source?"""
         return self.compiled() == self.state()
 
     def forget_stale(self) -> None:
@@ -119,7 +119,7 @@ class Sources:
                 old.unlink(missing_ok=True)
 
     def note(self) -> None:
-        """All kernels have been compiled."""
+        """Save the state: all kernels have been compiled."""
         (self.package / STATE).parent.mkdir(exist_ok=True)
         (self.package / STATE).write_text(json.dumps(self.state(), indent=1))
 

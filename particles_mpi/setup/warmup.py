@@ -1,8 +1,8 @@
-"""Compile the kernels once, so that a first run does not wait for it: `mpirun -n 2 python -m particles_mpi.setup.warmup`.
+"""Compile all kernels once, so that no run has to wait for it: `mpirun -n 2 python -m particles_mpi.setup.warmup`.
 
-Tiny scenes are run that between them use every kernel with every combination of types it is ever called with, in 1, 2 and 3
-dimensions, alone and on two ranks. The suite looks after them: at its end no test may have compiled anything that these had
-not. Whoever adds an effect, an operator or a kernel adds a scene here when it says so.
+Very small scenes are run which together use every kernel with every combination of types, in 1, 2 and 3 dimensions, on one rank
+and on two. The test suite fails at its end if a test has compiled something that these scenes had not: then a scene has to
+be added here, usually with a new effect, operator or kernel.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.contacts.event_driven.operator import Event
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.scene.schema import Scene
 from particles_mpi.setup.kernel_sources import PACKAGE, Sources
 from particles_mpi.simulation import Simulation
 
 DIMENSIONS = (3, 2, 1)
 LOSSY = {"restitution": 0.5}
-ROOM = 4.0  # length of the box
-NO_NEWS = 4  # a part of a message that is none of those of `news`
+EDGE = 4.0  # length of the box
+NO_NEWS = 4  # a kind of part that no message has
 
-Job = Callable[[Ranks], None]
+Job = Callable[[Communicator], None]
 
 
 def scene(d: int, effects: dict[str, Any], *, periodic: bool = False, **more: Any) -> Scene:
-    """A few particles that meet one another, walls and periodic faces within two steps; one lies on the floor."""
+    """A few particles that meet one another, walls and periodic faces within two steps; one of them lies on the floor."""
     some = {"radius": 0.2, "mass": 1.0}
     tables: dict[str, Any] = {
-        "box": {"lower": [0.0] * d, "upper": [ROOM] * d, "periodic": periodic},
+        "box": {"lower": [0.0] * d, "upper": [EDGE] * d, "periodic": periodic},
         "particles": [
             {"position": [[2.0] * (d - 1) + [0.2]], **some},
             {"count": 4, "position": "random", "velocity": {"speed": 10.0}, **some},
@@ -45,8 +45,8 @@ def scene(d: int, effects: dict[str, Any], *, periodic: bool = False, **more: An
     return Scene(dimension=d, time=time, effects=effects, **tables)
 
 
-def run(described: Scene, ranks: Ranks) -> Simulation:
-    """All that a run computes: steps, a look of the watchdog, diagnostics."""
+def run(described: Scene, ranks: Communicator) -> Simulation:
+    """Compute all that a run computes: steps, the watchdog, diagnostics."""
     sim = Simulation(described, ranks.comm)
     if isinstance(sim.near, Event) and ranks.size > 1:  # windows of time on divided space, however few particles there are
         sim.near.divided = sim.near.windows.always = True
@@ -58,41 +58,42 @@ def run(described: Scene, ranks: Ranks) -> Simulation:
 
 
 def down(d: int) -> dict[str, Any]:
+    """Options of a uniform gravity along the last axis."""
     return {"acceleration": [0.0] * (d - 1) + [-1.0]}
 
 
 def struck_row(d: int, count: int) -> list[dict[str, Any]]:
-    """Spheres that touch, across the middle of the box, and one that hits them."""
-    aside, radius = [0.5 * ROOM] * (d - 1), 1.5 / (count + 2.5)
-    end = 0.5 * ROOM + radius * count
+    """A row of `count` spheres that touch, across the middle of the box, and one that hits it."""
+    aside, radius = [0.5 * EDGE] * (d - 1), 1.5 / (count + 2.5)
+    end = 0.5 * EDGE + radius * count
     return [
         {"position": [[end - 2.0 * radius * (k + 0.5), *aside] for k in range(count)], "radius": radius},
         {"position": [[end + 1.1 * radius, *aside]], "velocity": [-10.0] + [0.0] * (d - 1), "radius": radius},
     ]
 
 
-def event(d: int, ranks: Ranks) -> None:
+def event(d: int, ranks: Communicator) -> None:
     """Mode event: with and without walls, a periodic box, observables."""
     collisions: dict[str, Any] = {"mode": "event"}
     run(scene(d, {"collisions": collisions, "walls": {}}, output={"observables": True}), ranks)
     run(scene(d, {"collisions": collisions}, periodic=True), ranks)
     if ranks.size == 1:
         Simulation(scene(d, {"collisions": collisions}), ranks.comm).step_to_collision()
-    else:  # particles that go from rank to rank, and windows that must be undone
+    else:  # particles that change their rank, and windows that have to be undone
         gas = [{"count": 8 * d, "position": "random", "velocity": {"speed": 10.0}, "radius": 0.05}]
         run(scene(d, {"collisions": collisions}, periodic=True, particles=gas, time={"step": 0.05, "steps": 12}), ranks)
         run(scene(d, {"collisions": collisions}, particles=struck_row(d, 12), time={"step": 0.05}), ranks)
         losses(d, ranks)
 
 
-def losses(d: int, ranks: Ranks) -> None:
+def losses(d: int, ranks: Communicator) -> None:
     """Mode event where spheres come to rest."""
     lossy: dict[str, Any] = {"collisions": LOSSY | {"mode": "event"}, "walls": LOSSY, "uniform_gravity": down(d)}
     run(scene(d, lossy), ranks)
 
 
-def rewind(d: int, ranks: Ranks) -> None:
-    """Mode rewind: the same."""
+def rewind(d: int, ranks: Communicator) -> None:
+    """Mode rewind: with and without walls, losses, forces and a periodic box."""
     lossy: dict[str, Any] = {"collisions": LOSSY, "walls": LOSSY}
     run(scene(d, {"collisions": {}, "walls": {}}, output={"observables": True}), ranks)
     run(scene(d, {"collisions": {}, "drag": {"rate": 0.1}}, periodic=True), ranks)
@@ -101,7 +102,7 @@ def rewind(d: int, ranks: Ranks) -> None:
     crowd = [{"count": 2, "position": [[1.0] * d, [1.1] * d], "radius": 0.3}, {"position": [[2.0] * d], "radius": 0.3}]
     run(scene(d, {"collisions": {"allow_overlap": True}, "walls": {}}, particles=crowd), ranks)
     lasting = {"uniform_gravity": down(d), "collisions": {"restitution": 0.9}}
-    for count in (2, 7):  # in order after two passes; in a muddle after three, so that the operator `event` takes over
+    for count in (2, 7):  # settled after two passes; not settled after three, so that the operator `event` takes over
         run(scene(d, lasting, particles=struck_row(d, count), time={"step": 0.03}), ranks)
     bouncing = [{"position": [[2.0] * d], "velocity": [50.0] + [0.0] * (d - 1), "radius": 1.9}]  # off more walls than passes
     run(scene(d, {"collisions": {"passes": 1}, "walls": {}}, particles=bouncing), ranks)
@@ -109,8 +110,8 @@ def rewind(d: int, ranks: Ranks) -> None:
     run(scene(d, {"collisions": few, "walls": {}, "uniform_gravity": down(d)}, time={"step": 0.03}), ranks)
 
 
-def others(d: int, ranks: Ranks) -> None:
-    """No pairs: walls alone, integrators, the direct sum."""
+def others(d: int, ranks: Communicator) -> None:
+    """Scenes without pairs: walls alone, integrators, the direct sum."""
     run(scene(d, {"uniform_gravity": down(d), "walls": LOSSY}), ranks)
     run(scene(d, {"walls": {}}), ranks)
     for integrator in ("taylor", "leapfrog", "order4", "adaptive"):
@@ -120,8 +121,8 @@ def others(d: int, ranks: Ranks) -> None:
     run(scene(d, {}), ranks)
 
 
-def windows(ranks: Ranks) -> None:
-    """What ranks tell one another in mode event, which is the same in all dimensions: by one rank, to itself."""
+def windows(ranks: Communicator) -> None:
+    """The messages between ranks in mode event, the same in all dimensions: one rank sends them to itself."""
     sim = Simulation(scene(3, {"collisions": {"mode": "event"}}), ranks.comm)
     assert isinstance(sim.near, Event)
     divided = sim.near.windows
@@ -135,24 +136,24 @@ def windows(ranks: Ranks) -> None:
     divided.accept(nothing, *divided.plan_moves())
 
 
-def tree(ranks: Ranks) -> None:
-    """The tree, which is the same in all dimensions; enough particles for cells that are far."""
+def tree(ranks: Communicator) -> None:
+    """The tree, the same in all dimensions; with enough particles for far cells."""
     many = [{"count": 300, "position": "random"}]
     for multipole in ("quadrupole", "monopole"):
         run(scene(3, {"mutual_gravity": {"method": "tree", "multipole": multipole}}, particles=many), ranks)
 
 
-def orbits(ranks: Ranks) -> None:
-    """The study's own kernel."""
+def orbits(ranks: Communicator) -> None:
+    """The kernel of the study."""
     from particles_mpi.study.hard_cases.orbits import circle
 
     circle(1, 4, False)
 
 
 def jobs() -> Iterator[Job]:
-    """For one rank each: those that take longest first, and neighbours in the list share as few kernels as may be.
+    """Each for one rank: those that take longest first, in an order in which neighbours share few kernels.
 
-    Mode `rewind` too needs the kernels of mode `event`, one of which takes longer to compile than any other.
+    Mode `rewind` needs the kernels of mode `event` too, one of which takes longer to compile than any other.
     """
     yield partial(event, 3)
     yield partial(event, 2)
@@ -171,19 +172,19 @@ def jobs() -> Iterator[Job]:
 
 
 def main() -> None:
-    """Each rank takes the next job that nobody has; then those of several ranks together."""
+    """Each rank takes the next job that no other has taken; then all ranks run those of several ranks together."""
     begin = perf_counter()
-    world, alone = Ranks(), Ranks.alone()
+    world, alone = Communicator(), Communicator.alone()
     if world.is_root:
         Sources(PACKAGE).forget_stale()
-    claims = Path(world.from_root(tempfile.mkdtemp() if world.is_root else None))
+    claims = Path(world.bcast(tempfile.mkdtemp() if world.is_root else None))
     for number, job in enumerate(jobs()):
         try:
             (claims / str(number)).mkdir()
         except FileExistsError:
             continue
         job(alone)
-    world.wait_asleep()
+    world.sleeping_barrier()
     for d in DIMENSIONS:
         event(d, world)
         rewind(d, world)

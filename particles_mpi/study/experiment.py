@@ -11,7 +11,7 @@ import numpy as np
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.measure import snapshot
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Particles
 from particles_mpi.run.console import Screen
 from particles_mpi.study.timing import SAMPLE, SAMPLES, Seconds, StepTimer, time_in_turns
@@ -98,17 +98,17 @@ class Benchmark:
     """Measures settings on the ranks of a communicator. `quick`: short samples and fewer settings, for a look."""
 
     def __init__(self, comm: Any = None, quick: bool = False, samples: int = SAMPLES, screen: Screen | None = None):
-        self.comm, self.ranks, self.quick = comm, Ranks(comm), quick
+        self.comm, self.ranks, self.quick = comm, Communicator(comm), quick
         self.samples, self.least = samples, 0.02 if quick else SAMPLE
         self.screen = screen or Screen(self.ranks.is_root, True)
 
     def alone(self) -> Benchmark:
         """One of this rank's own, for problems of a few bodies that more ranks would only slow down."""
-        return Benchmark(Ranks.alone().comm, self.quick, self.samples, self.screen)
+        return Benchmark(Communicator.alone().comm, self.quick, self.samples, self.screen)
 
     def on_few(self, few: bool, work: Callable[[Benchmark], Any]) -> Any:
         """`work(self)`; for a `few` bodies on rank 0 alone, which gives None on the others. Collective."""
-        return self.ranks.of_root_alone(lambda: work(self.alone())) if few and self.ranks.size > 1 else work(self)
+        return self.ranks.run_on_root(lambda: work(self.alone())) if few and self.ranks.size > 1 else work(self)
 
     def simulate(self, tables: dict[str, Any]) -> Simulation:
         """The simulation of a scene given as tables. Collective."""
@@ -176,12 +176,12 @@ def slope(rows: Sequence[Row], error: str) -> float:
 
 def everyone(sim: Simulation) -> Particles:
     """All particles in id order, on every rank. Collective."""
-    return snapshot.everyone(sim.ranks, sim.particles)
+    return snapshot.gather_all(sim.ranks, sim.particles)
 
 
 def total(sim: Simulation, counter: str) -> int:
     """A counter of the simulation ("collisions", "wall_hits", "missed"), summed over all ranks. Collective."""
-    return int(sim.ranks.total(sim.totals[counter])[0])
+    return int(sim.ranks.allreduce_sum(sim.totals[counter])[0])
 
 
 def distance(a: Any, b: Any) -> float:

@@ -16,7 +16,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from particles_mpi.parallel.communicator import Ranks, library
+from particles_mpi.parallel.communicator import Communicator, mpi_library
 from particles_mpi.run.console import WIDE
 from particles_mpi.run.doctor import usable_cores
 from particles_mpi.study import plots
@@ -126,14 +126,14 @@ def plain(found: Experiment) -> dict[str, Any]:
     return {"key": found.key, "title": found.title, "reference": found.reference, "rows": rows, "answers": found.answers}
 
 
-def machine(ranks: Ranks) -> dict[str, Any]:
+def machine(ranks: Communicator) -> dict[str, Any]:
     """What was measured on, and when."""
     name, cpuinfo = platform.processor() or platform.machine(), Path("/proc/cpuinfo")
     if cpuinfo.exists():
         models = (line.split(":")[1].strip() for line in cpuinfo.read_text().splitlines() if line.startswith("model name"))
         name = next(models, name)
     when = datetime.now().astimezone().isoformat(timespec="minutes")
-    versions = {"mpi": library(), "python": platform.python_version()}
+    versions = {"mpi": mpi_library(), "python": platform.python_version()}
     return {"machine": name, "cores": usable_cores(), "ranks": ranks.size, **versions, "when": when}
 
 

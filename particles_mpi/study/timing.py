@@ -13,7 +13,7 @@ from time import perf_counter
 
 import numpy as np
 
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.simulation import Simulation
 
 SAMPLES, SAMPLE = 7, 0.2  # samples of a setting; least seconds of one
@@ -40,7 +40,7 @@ class StepTimer:
     steps differ from one another, and seconds are those of one evaluation of the forces.
     """
 
-    ranks: Ranks
+    ranks: Communicator
     begin: Callable[[], Simulation]
     steps: int
     by_forces: bool = False
@@ -65,11 +65,11 @@ class StepTimer:
 
     def clock(self, sim: Simulation, steps: int) -> float:
         """Seconds that the slowest rank takes for these steps. Collective."""
-        self.ranks.wait_for_all()
+        self.ranks.barrier()
         begin = perf_counter()
         for _ in range(steps):
             sim.step()
-        return float(self.ranks.largest(perf_counter() - begin)[0])
+        return float(self.ranks.allreduce_max(perf_counter() - begin)[0])
 
     @property
     def seconds(self) -> Seconds:

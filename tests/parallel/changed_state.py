@@ -111,11 +111,11 @@ KINDS = (
 
 
 def all_ids(sim):
-    return np.concatenate(sim.ranks.gathered(sim.particles.id))
+    return np.concatenate(sim.ranks.allgather(sim.particles.id))
 
 
 def same(one, other, fields):
-    a, b = (snapshot.everyone(sim.ranks, sim.particles) for sim in (one, other))
+    a, b = (snapshot.gather_all(sim.ranks, sim.particles) for sim in (one, other))
     return [name for name in fields if a[name].tobytes() != b[name].tobytes()]
 
 
@@ -127,14 +127,14 @@ def differences(tables, before, changes, after, divided=False):
         sim.step()
     sim.attach("charge", np.arange(sim.total, dtype=float))
     found = []
-    old, clock = snapshot.everyone(sim.ranks, sim.particles), (sim.scene, sim.time, sim.h)
+    old, clock = snapshot.gather_all(sim.ranks, sim.particles), (sim.scene, sim.time, sim.h)
     for kind, seed in changes:
         change(sim, kind, seed)
-    if snapshot.same(old, snapshot.everyone(sim.ranks, sim.particles)) and clock == (sim.scene, sim.time, sim.h):
+    if snapshot.same(old, snapshot.gather_all(sim.ranks, sim.particles)) and clock == (sim.scene, sim.time, sim.h):
         sim.h = sim.h  # a change too: what contacts carried is forgotten, which a fresh start does not know
     divide(sim, divided)
     twin = sim.copy()
-    fresh = Simulation(sim.scene, start=snapshot.everyone(sim.ranks, sim.particles))
+    fresh = Simulation(sim.scene, start=snapshot.gather_all(sim.ranks, sim.particles))
     fresh.time, fresh.h = sim.time, sim.h
     for _ in range(after):
         for one in (sim, twin, fresh):

@@ -37,7 +37,7 @@ sim = Simulation(Scene(**tables))
 sim.run(folder, steps=10)
 first = sim.add({"count": 8, "position": "random", "radius": 0.1})
 sim.run(folder, steps=20, resumed=True)
-place = snapshot.everyone(sim.ranks, sim.rows).position[7]
+place = snapshot.gather_all(sim.ranks, sim.rows).position[7]
 said = {
     "overlap": refused(lambda: sim.add({"position": place[None] + 0.1, "radius": 0.2})),
     "outside": refused(lambda: sim.add({"position": [[10.5, 1.0]], "radius": 0.1})),
@@ -52,7 +52,7 @@ again = Simulation.resume(folder / "checkpoint.h5")
 sim.to_json(folder / f"state.{sim.ranks.size}.json")
 said |= {
     "ids": [first.tolist(), second.tolist()],
-    "total": [sim.total, again.total, len(snapshot.everyone(sim.ranks, sim.rows))],
+    "total": [sim.total, again.total, len(snapshot.gather_all(sim.ranks, sim.rows))],
     "next id": [sim.next_id, again.next_id],
     "resumed": again == sim,
     "json": Simulation.from_json(folder / f"state.{sim.ranks.size}.json") == sim,

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from particles_mpi.parallel.buffers import Store
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.buffers import RowBuffers
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import by_destination, id_range, in_id_order, send_rows
 from particles_mpi.particles import Particles
 
-ranks = Ranks()
+ranks = Communicator()
 
 
 def everyone(random, total, dimension):
@@ -37,7 +37,7 @@ for seed, total, dimension, emptied in json.loads(Path(sys.argv[1]).read_text())
     for name, column in every.items():
         assert arrived[name].dtype == column.dtype and (arrived[name] == column[expected]).all(), (seed, name)
 
-    store = Store(Particles(dimension, held))
+    store = RowBuffers(Particles(dimension, held))
     store.adopt()
     left = store.migrate(ranks, owner[mine])
     assert left == np.count_nonzero(owner[mine] != ranks.rank)
@@ -50,7 +50,7 @@ for seed, total, dimension, emptied in json.loads(Path(sys.argv[1]).read_text())
 
     writers = 1 + seed % ranks.size
     block = in_id_order(ranks, shown, id_range(ranks, shown["id"]), writers)["id"]
-    assert (np.concatenate(ranks.gathered(block)) == np.arange(total)).all()
+    assert (np.concatenate(ranks.allgather(block)) == np.arange(total)).all()
     assert len(block) <= -(-total // writers)
 if ranks.is_root:
     print("all arrived")

@@ -22,8 +22,10 @@ for name, tables in json.loads(Path(sys.argv[1]).read_text()).items():
     for _ in range(scene.steps):
         sim.step()
         rows.append(list(sim.measure().values()))
-    counts = sim.ranks.total(np.array([sim.totals[name] for name in ("collisions", "wall_hits", "missed")]))
-    traffic = sim.ranks.total(np.array([sim.ranks.messages, sim.totals["exchanges"], sim.near.ghost_rows if sim.near else 0]))
+    counts = sim.ranks.allreduce_sum(np.array([sim.totals[name] for name in ("collisions", "wall_hits", "missed")]))
+    traffic = sim.ranks.allreduce_sum(
+        np.array([sim.ranks.messages, sim.totals["exchanges"], sim.near.ghost_rows if sim.near else 0])
+    )
     windows = np.array(getattr(sim.near, "windows_redone", None) or (0, 0))
     interactions = np.array(sim.work()["interactions"])
     frame = in_id_order(sim.ranks, sim.particles.arrays, sim.ids, 1)

@@ -33,12 +33,12 @@ roaming = Simulation(Scene.from_dict(tables))
 roaming.attach("charge", np.arange(30) * 0.5)
 roaming.run()
 p = roaming.particles
-away = int(roaming.ranks.total(roaming.totals["exchanges"])[0])
+away = int(roaming.ranks.allreduce_sum(roaming.totals["exchanges"])[0])
 met.append(("charge", bool((p.charge == p.id * 0.5).all()), away > 0 or roaming.ranks.size == 1))
 roaming.to_json(folder / f"{roaming.ranks.size}.json")
 roaming.ranks.comm.Barrier()
 met.append(("json", Simulation.from_json(folder / f"{roaming.ranks.size}.json") == roaming))
-everywhere = roaming.ranks.gathered(met)
+everywhere = roaming.ranks.allgather(met)
 assert all(other == met for other in everywhere), everywhere
 if roaming.ranks.is_root:
     print(met)

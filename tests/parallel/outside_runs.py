@@ -23,7 +23,7 @@ for path in sorted(folder.glob("*.toml")):
     again.run()
     whole = Simulation(scene)
     whole.run()
-    same = snapshot.same(*(snapshot.everyone(one.ranks, one.rows) for one in (again, whole)))
+    same = snapshot.same(*(snapshot.gather_all(one.ranks, one.rows) for one in (again, whole)))
     row = list(whole.measure().values())
     frame = in_id_order(whole.ranks, whole.particles.arrays, whole.ids, 1)
     if whole.ranks.is_root:

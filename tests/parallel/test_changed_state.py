@@ -91,13 +91,13 @@ def test_velocities_reversed_lead_back_to_the_start(mode):
     effects = {"collisions": {"mode": mode}, "walls": {}}
     box, time = {"lower": [0, 0], "upper": [10, 10]}, {"step": 0.01, "steps": 1}
     sim = Simulation(Scene(dimension=2, seed=1, box=box, time=time, particles=[discs], effects=effects))
-    start = snapshot.everyone(sim.ranks, sim.particles)
+    start = snapshot.gather_all(sim.ranks, sim.particles)
     while sim.totals["collisions"] < 20:
         sim.step()
     sim.particles.velocity *= -1
     for _ in range(sim.steps_done):
         sim.step()
-    end = snapshot.everyone(sim.ranks, sim.particles)
+    end = snapshot.gather_all(sim.ranks, sim.particles)
     assert sim.totals["collisions"] >= 40
     assert np.abs(end.position - start.position).max() < 1e-9 and np.abs(end.velocity + start.velocity).max() < 1e-9
 

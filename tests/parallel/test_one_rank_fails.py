@@ -14,7 +14,7 @@ from particles_mpi.integrators.leapfrog import Leapfrog
 from particles_mpi.neighbours.neighbour_list import Neighbourhood
 from particles_mpi.output import checkpoint
 from particles_mpi.output.trajectory import Trajectory
-from particles_mpi.parallel.communicator import library
+from particles_mpi.parallel.communicator import mpi_library
 from particles_mpi.parallel.launcher import Filter
 
 pytestmark = pytest.mark.parallel
@@ -130,7 +130,7 @@ def test_a_disk_that_is_full_on_one_rank(scene, tmp_path):
     )
 
 
-@pytest.mark.skipif(not library().startswith("Open MPI"), reason="other launchers have words of their own for it")
+@pytest.mark.skipif(not mpi_library().startswith("Open MPI"), reason="other launchers have words of their own for it")
 def test_a_rank_that_is_killed_is_told_in_one_line(scene, tmp_path):
     code, said, seconds = with_fault(tmp_path, f"killed:{ADVANCE}", 1, "run", scene, "--output", tmp_path / "o", "--quiet")
     assert code == 137 and said.count("\n") == 1 and said.startswith("mpirun: rank 1 on ") and "signal 9" in said, said

@@ -11,7 +11,8 @@ from conftest import run_ranks
 from write_frames import EVERY, frame_of
 
 from particles_mpi.errors import SceneError
-from particles_mpi.output import checkpoint, frame_arrays
+from particles_mpi.output import checkpoint
+from particles_mpi.output.files import frame_arrays
 from particles_mpi.particles import FIELDS
 
 WRITER = str(Path(__file__).parent / "write_frames.py")

@@ -17,7 +17,7 @@ from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.output import checkpoint
 from particles_mpi.output.diagnostics_csv import Diagnostics
 from particles_mpi.output.trajectory import Trajectory
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange
 from particles_mpi.particles import FIELDS, shape
 
@@ -40,7 +40,7 @@ def frame_of(step: int, total: int, dimension: int) -> dict[str, np.ndarray]:
     return arrays
 
 
-def owned(ranks: Ranks, arrays: dict[str, np.ndarray], step: int) -> dict[str, np.ndarray]:
+def owned(ranks: Communicator, arrays: dict[str, np.ndarray], step: int) -> dict[str, np.ndarray]:
     """This rank's rows in random order; rank 1 has none, as a rank of an empty region."""
     total = len(arrays["id"])
     rng = np.random.default_rng(1000 + step)
@@ -61,7 +61,7 @@ def main() -> None:
     for name in ("--serial", "--no-vtk", "--time"):
         parser.add_argument(name, action="store_true")
     options = parser.parse_args()
-    ranks, n, d = Ranks(), options.total, options.dimension
+    ranks, n, d = Communicator(), options.total, options.dimension
     ids = IdRange(0, n, n)
     config, get_config = h5py.get_config(), h5py.get_config
     if options.serial:  # as if h5py had come without MPI

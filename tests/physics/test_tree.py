@@ -11,11 +11,11 @@ from particles_mpi.gravity.method import choose
 from particles_mpi.gravity.octree import CENTER, GROUP, MASS, RADIUS, divide, levels, moments, morton, skips
 from particles_mpi.gravity.tree import Tree
 from particles_mpi.initial.plummer import plummer_places
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 
 
 def by_tree(x, mass, angle, softening=0.0, quadrupoles=True):
-    tree = Tree(Ranks.alone(), x.shape[1], angle, softening**2, quadrupoles)
+    tree = Tree(Communicator.alone(), x.shape[1], angle, softening**2, quadrupoles)
     return tree.attract(np.arange(len(x)), x, mass, np.ones(len(x)))
 
 
@@ -90,11 +90,11 @@ def test_monopoles_keep_the_momentum_as_well_as_they_are_accurate(sphere):
 def test_interactions_are_counted(quadrupoles):
     """All pairs where every cell is open; two cells of which one is far: its own and that cell, for each particle."""
     x = np.random.default_rng(4).random((600, 3))
-    tree = Tree(Ranks.alone(), 3, 1e-3, 0.0, quadrupoles)
+    tree = Tree(Communicator.alone(), 3, 1e-3, 0.0, quadrupoles)
     tree.attract(np.arange(600), x, np.ones(600), np.ones(600))
     assert tree.interactions == 600**2
     x = np.concatenate((x[:100], x[100:160] + 1000.0))
-    tree = Tree(Ranks.alone(), 3, 0.5, 0.0, quadrupoles)
+    tree = Tree(Communicator.alone(), 3, 0.5, 0.0, quadrupoles)
     tree.attract(np.arange(160), x, np.ones(160), np.ones(160))
     assert tree.interactions == 100 * (100 + 1) + 60 * (60 + 1)
 

@@ -24,7 +24,7 @@ from particles_mpi.contacts.velocity_flow import Rates, no_rates
 from particles_mpi.contacts.walls import Planes
 from particles_mpi.errors import StateError
 from particles_mpi.neighbours.verlet_lists import Homes, aligned, enlarged
-from particles_mpi.parallel.signals import breathe
+from particles_mpi.parallel.signals import check_signals
 from particles_mpi.particles import Array, Particles
 
 CONTACTS = 1.0  # expected in a bucket of the queue
@@ -145,7 +145,7 @@ class Engine:
             if short == STANDSTILL:
                 raise StateError(self.standstill(moment + reached[0]))
             if short == BREATH:
-                breathe()
+                check_signals()
             else:
                 homes.enlarge(short)
             pending = 0

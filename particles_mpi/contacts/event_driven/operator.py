@@ -20,14 +20,13 @@ from particles_mpi.contacts.event_driven.event_loop import COLLISIONS, SPARED, W
 from particles_mpi.contacts.event_driven.windows import Windows
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.contacts.walls import Planes, no_planes
-from particles_mpi.errors import StateError
 from particles_mpi.kernels.markers import CROWD
 from particles_mpi.neighbours.cells import bounds, order_in_space
 from particles_mpi.neighbours.trajectories import fastest
-from particles_mpi.parallel.agreement import not_finite
-from particles_mpi.parallel.buffers import Store
-from particles_mpi.parallel.communicator import Ranks
-from particles_mpi.parallel.exchange import rows_of_everyone
+from particles_mpi.parallel.agreement import require_finite
+from particles_mpi.parallel.buffers import RowBuffers
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.parallel.replica import Replica
 from particles_mpi.particles import Array, Particles, rows_of
 from particles_mpi.timers import Timers
@@ -48,7 +47,7 @@ class Event:
     def __init__(
         self,
         particles: Particles,
-        ranks: Ranks,
+        ranks: Communicator,
         box: tuple[Array, Array, Array],
         loss: tuple[float, float],
         duration: float | None,
@@ -58,7 +57,7 @@ class Event:
         self.ranks, self.duration, self.soft = ranks, duration, 0.0
         self.particles, self.box, self.timers = particles, box, timers
         self.rules = box, loss, planes or no_planes(particles.dimension)
-        self.divided = ranks.size > 1 and ranks.total(len(particles))[0] >= LEAST * ranks.size
+        self.divided = ranks.size > 1 and ranks.allreduce_sum(len(particles))[0] >= LEAST * ranks.size
         self.eased = 0
         self.first_eased: tuple[float, Array] = np.inf, np.empty((0, 3))  # moment of a step, (time, id, id or wall) there
         self.crowded_steps = 0
@@ -109,7 +108,7 @@ class Event:
         for left in range(ROUNDS, -1, -1):
             before, told = self.particles.select(np.arange(len(self.particles))), (self.eased, self.first_eased)
             happened = self.drift_once(h, moment, False, CROWDED if left else NEVER_CROWDED)
-            if not left or not self.ranks.largest(float((self.particles["supported"] == CROWD).any()))[0]:
+            if not left or not self.ranks.allreduce_max(float((self.particles["supported"] == CROWD).any()))[0]:
                 break
             self.undo(before)
             self.eased, self.first_eased = told
@@ -120,11 +119,11 @@ class Event:
     def undo(self, before: Particles) -> None:
         """Everyone as before the drift. Collective."""
         p = self.particles
-        moved = self.ranks.largest(float(not np.array_equal(p.id, before.id)))[0]
+        moved = self.ranks.allreduce_max(float(not np.array_equal(p.id, before.id)))[0]
         names = ["id", *(name for name in CHANGING if name in p.arrays and name != "supported")]
         rows = {name: before[name] for name in names}
         if moved:
-            rows = rows_of_everyone(self.ranks, rows)
+            rows = allgather_rows(self.ranks, rows)
             order = np.argsort(rows["id"])
             rows = rows_of(rows, order[np.searchsorted(rows["id"], p.id, sorter=order)])
         for name in names:
@@ -163,7 +162,7 @@ class Event:
 
     def remarks(self) -> list[str]:
         """What a user should be told at the end. Collective."""
-        told = self.ranks.gathered((self.eased, *self.first_eased))
+        told = self.ranks.allgather((self.eased, *self.first_eased))
         eased = sum(number for number, _, _ in told)
         crowds = []
         if self.crowded_steps:
@@ -189,11 +188,11 @@ class Event:
 class Whole:
     """Every rank has all particles during a drift and computes all contacts: as fast as one rank, and nothing to agree on."""
 
-    def __init__(self, particles: Particles, ranks: Ranks, engine: Engine, timers: Timers):
+    def __init__(self, particles: Particles, ranks: Communicator, engine: Engine, timers: Timers):
         self.engine, self.ranks, self.timers = engine, ranks, timers
         self.replica = Replica(particles, ranks, [name for name in CHANGING if name in particles.arrays])
-        self.particles = self.replica.everyone
-        self.store = Store(self.particles)
+        self.particles = self.replica.all_particles
+        self.row_buffers = RowBuffers(self.particles)
         self.version = -1
         self.searches = 0
 
@@ -204,13 +203,11 @@ class Whole:
             self.replica.gather()
         with self.timers("pairs"):
             if self.version != p.version or engine.moved > SETTLED * len(p):
-                if not np.isfinite(fastest(p.position, p.velocity)):
-                    raise StateError(not_finite(self.ranks, p, f"t = {moment:g}"))
+                require_finite(self.ranks, p, fastest(p.position, p.velocity), f"t = {moment:g}")
                 self.settle()
         with self.timers("search"):
             moved, speed = engine.set_out(p, self.seat)
-            if not np.isfinite(speed):
-                raise StateError(not_finite(self.ranks, p, f"t = {moment:g}"))
+            require_finite(self.ranks, p, speed, f"t = {moment:g}")
             if moved:
                 self.settle()
                 engine.set_out(p, self.seat)
@@ -222,15 +219,15 @@ class Whole:
             squeezed = engine.arrive()
             engine.hand_over(p, self.seat)
         with self.timers("exchange"):
-            self.replica.give_back()
+            self.replica.write_back()
         return np.array([engine.counts[COLLISIONS], engine.counts[WALL_HITS], squeezed])
 
     def settle(self) -> None:
         """Rows sorted in space, with new homes, and all that goes with them."""
         p = self.particles
-        self.store.adopt()
+        self.row_buffers.adopt()
         if len(p) > 1:
-            self.store.sort(order_in_space(p.position, bounds(p.position)))
+            self.row_buffers.sort(order_in_space(p.position, bounds(p.position)))
         self.engine.homes.settle(p.position, p.radius, p.inverse_mass)
         self.engine.settle(p, len(p))
         self.seat = np.arange(len(p), dtype=np.int32)

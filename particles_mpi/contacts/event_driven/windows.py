@@ -26,15 +26,14 @@ from particles_mpi.contacts.event_driven.messages import (
     unpack_motion,
 )
 from particles_mpi.contacts.event_driven.rollback import KNOWN, MINE, OWN, record_width
-from particles_mpi.errors import StateError
 from particles_mpi.neighbours.cells import bounds, order_in_space
 from particles_mpi.neighbours.trajectories import fastest
 from particles_mpi.neighbours.verlet_kernels import MARGIN
-from particles_mpi.parallel.agreement import not_finite
-from particles_mpi.parallel.buffers import Store
-from particles_mpi.parallel.communicator import Ranks
-from particles_mpi.parallel.exchange import by_destination, send_rows, swap
-from particles_mpi.parallel.load_balance import Balance
+from particles_mpi.parallel.agreement import require_finite
+from particles_mpi.parallel.buffers import RowBuffers
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exchange import by_destination, send_rows, sendrecv
+from particles_mpi.parallel.load_balance import LoadBalance
 from particles_mpi.particles import Array, Particles, field
 from particles_mpi.timers import Timers
 
@@ -55,18 +54,20 @@ class Windows:
     `always`: even where it does not pay, for tests and to compile everything.
     """
 
-    def __init__(self, particles: Particles, ranks: Ranks, engine: Engine, box: tuple[Array, Array, Array], timers: Timers):
+    def __init__(
+        self, particles: Particles, ranks: Communicator, engine: Engine, box: tuple[Array, Array, Array], timers: Timers
+    ):
         self.particles, self.ranks, self.engine, self.timers = particles, ranks, engine, timers
         self.lower, self.upper, self.length = box
-        self.balance, self.store = Balance(ranks, timers), Store(particles)
+        self.balance, self.row_buffers = LoadBalance(ranks, timers), RowBuffers(particles)
         self.version = -1
         self.searches = self.migrated = self.ghost_rows = self.count = self.redone = 0
         self.always = False
         self.window = 0.0
         self.growing = True
         self.buffers: dict[int, Array] = {}
-        self.total = int(ranks.total(len(particles))[0])
-        self.row_of = np.full(int(ranks.largest(particles.id.max(initial=-1))[0]) + 1, -1, np.int32)  # of each id here
+        self.total = int(ranks.allreduce_sum(len(particles))[0])
+        self.row_of = np.full(int(ranks.allreduce_max(particles.id.max(initial=-1))[0]) + 1, -1, np.int32)  # of each id here
 
     def drift(self, h: float, moment: float) -> Array | None:
         """(collisions, wall hits, missed) of this rank, or None where it cannot be done; then nothing has changed. Collective."""
@@ -119,9 +120,8 @@ class Windows:
                 moved, speed = engine.set_out(p, self.seat)
                 stale = moved or engine.moved > SETTLED * len(engine.leg)
             speed = speed if speed < np.inf else np.inf  # or it is not a number
-            stale, speed, self.events = self.ranks.largest(np.array([stale, speed, engine.events], float))
-            if not np.isfinite(speed):
-                raise StateError(not_finite(self.ranks, p, f"t = {moment:g}"))
+            stale, speed, self.events = self.ranks.allreduce_max(np.array([stale, speed, engine.events], float))
+            require_finite(self.ranks, p, speed, f"t = {moment:g}")
             if not stale:
                 break
             self.settle()
@@ -133,16 +133,16 @@ class Windows:
         p, engine, ranks = self.particles, self.engine, self.ranks
         homes = engine.homes
         self.balance.update(p, self.searches)
-        self.store.adopt()
-        self.migrated += self.store.migrate(ranks, self.balance.owner(self.wrapped(p.position)))
+        self.row_buffers.adopt()
+        self.migrated += self.row_buffers.migrate(ranks, self.balance.decomposition.owner(self.wrapped(p.position)))
         n, d = len(p), p.dimension
         if n > 1:
-            self.store.sort(order_in_space(p.position, bounds(p.position)))
+            self.row_buffers.sort(order_in_space(p.position, bounds(p.position)))
         homes.settle(p.position, p.radius, p.inverse_mass)
         total = self.total
         mine = np.array([homes.shell, p.radius.max(initial=0.0)])
-        self.shell, largest = (float(value) for value in ranks.largest(mine))
-        mean = float(ranks.rows_of_all(np.array([p.radius.sum()])).sum()) / max(total, 1)
+        self.shell, largest = (float(value) for value in ranks.allreduce_max(mine))
+        mean = float(ranks.allgather_array(np.array([p.radius.sum()])).sum()) / max(total, 1)
         self.stray = STRAY * self.shell
         # Between a region and whom its particles may meet in a window, less the radius of that one:
         self.reach = (self.shell + 2.0 * self.stray + largest) * MARGIN
@@ -179,7 +179,7 @@ class Windows:
         self.row_of[:] = -1
         self.row_of[rows.id] = np.arange(len(rows))
         self.seat = np.arange(n, dtype=np.int32)
-        self.crowded = bool(ranks.largest(float(len(rows)))[0] > CROWDED * total)
+        self.crowded = bool(ranks.allreduce_max(float(len(rows)))[0] > CROWDED * total)
         self.ghost_rows += ghosts
         self.version = p.version
         self.searches += 1
@@ -193,7 +193,7 @@ class Windows:
 
     def cut(self) -> None:
         """The regions of all ranks: `low`, `high` (ranks, d), within the box where it is periodic."""
-        domain, periodic = self.balance.domain, self.length > 0.0
+        domain, periodic = self.balance.decomposition, self.length > 0.0
         self.low = np.where(periodic, np.maximum(domain.lower, self.lower), domain.lower)
         self.high = np.where(periodic, np.minimum(domain.upper, self.upper), domain.upper)
 
@@ -219,7 +219,7 @@ class Windows:
             buffer = self.buffer(rank, len(engine.leg) * (1 + 3 * len(engine.axes)))
             size = pack_motion(engine.leg, engine.state, engine.accelerations, self.told, rank, buffer, buffer.view(np.int64))
             outgoing.append(buffer[:size])
-        message = swap(self.ranks, self.near, outgoing)
+        message = sendrecv(self.ranks, self.near, outgoing)
         unpack_motion(engine.leg, engine.state, engine.accelerations, self.row_of, message, message.view(np.int64))
 
     def buffer(self, rank: int, size: int) -> Array:
@@ -239,11 +239,11 @@ class Windows:
             engine.run(begin, until, moment)
         with self.timers("ghosts"):
             wanted, owner = self.plan_moves()
-            incoming = swap(self.ranks, self.near, [self.news(rank, wanted, owner) for rank in self.near])
+            incoming = sendrecv(self.ranks, self.near, [self.news(rank, wanted, owner) for rank in self.near])
             wrong = self.wrong(begin, incoming)
         with self.timers("agree"):
             given = self.given + int((owner != self.ranks.rank).sum())
-            wrong, fastest2, given = self.ranks.largest(np.array([wrong, log.fastest[0], given], float))
+            wrong, fastest2, given = self.ranks.allreduce_max(np.array([wrong, log.fastest[0], given], float))
         with self.timers("ghosts"):
             if wrong or np.sqrt(fastest2) * length > self.stray:
                 self.undo(before)
@@ -256,7 +256,7 @@ class Windows:
     def plan_moves(self) -> tuple[Array, Array]:
         """(masks of who must know them, owner) of own rows that got new homes."""
         log, me = self.engine.log, self.ranks.rank
-        domain = self.balance.domain
+        domain = self.balance.decomposition
         tree = domain.axis, domain.cut, domain.below, domain.above
         moved = int(log.moved[0])
         wanted, owner = np.zeros((moved, self.told.shape[1]), np.int64), np.empty(moved, np.int64)
@@ -335,7 +335,7 @@ class Windows:
         asked, of = send_rows(ranks, {"row": self.holder[:, 1]}, came[order], counts)
         owner = np.full(len(p), ranks.rank)
         owner[asked["row"]] = np.repeat(np.arange(ranks.size), of)
-        self.store.adopt()
-        self.migrated += self.store.migrate(ranks, owner)
+        self.row_buffers.adopt()
+        self.migrated += self.row_buffers.migrate(ranks, owner)
         self.seat = self.row_of[p.id]
         self.version = p.version

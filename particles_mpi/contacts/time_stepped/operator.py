@@ -121,7 +121,7 @@ class Rewind:
             with self.timers("agree"):
                 late = self.exact is not None and self.passes - left >= CROWDED and self.late(all_, hits)
                 mine = np.array([len(hits[0]), needed, all_.concern_others(hits), late], float)
-                waiting, needed, shared, late = all_.ranks.largest(mine)
+                waiting, needed, shared, late = all_.ranks.allreduce_max(mine)
             if needed:
                 raise TooFarError(float(needed))
             if self.exact and (late or (waiting and not left)):
@@ -158,7 +158,7 @@ class Rewind:
         near = all_.near
         pairs = near.first[: near.pairs], near.second[: near.pairs], all_.particles["supported"]
         most = deepest_at(all_.x, all_.v, all_.s, all_.radius, *pairs, h, all_.length)
-        return float(all_.ranks.largest(most)[0]) > DEEP
+        return float(all_.ranks.allreduce_max(most)[0]) > DEEP
 
     def find(self, all_: Neighbourhood, h: float, everything: bool) -> tuple[Array, Array, Array]:
         """The hits on the present legs: all of them, or those of rows that are live."""

@@ -9,8 +9,8 @@ from time import perf_counter
 from typing import Any, NamedTuple
 
 from particles_mpi.errors import SceneError
-from particles_mpi.output import failing_together
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.output.files import failing_together
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.run.console import Screen
 from particles_mpi.scene.schema import Scene
 from particles_mpi.study.experiment import Benchmark, Experiment
@@ -48,7 +48,7 @@ def experiments(key: str, benchmark: Benchmark) -> list[Experiment]:
 
 def accuracy(scene: Scene | None, keys: str, quick: bool, folder: Path, comm: Any = None) -> list[Experiment]:
     """The built-in experiments of the letters `keys` (all if empty), or those of a scene. Collective."""
-    ranks = Ranks(comm)
+    ranks = Communicator(comm)
     screen = Screen(ranks.is_root, False)
     benchmark = Benchmark(comm, quick, screen=screen)
     begin, found, notes = perf_counter(), [], []

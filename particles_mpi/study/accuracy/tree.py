@@ -11,7 +11,7 @@ import numpy as np
 
 from particles_mpi import Simulation
 from particles_mpi.gravity.method import choose
-from particles_mpi.parallel.exchange import rows_of_everyone
+from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.particles import Array
 from particles_mpi.study.accuracy.orbits import plummer_sphere
 from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Row, Setting, everyone
@@ -42,7 +42,7 @@ def settings(benchmark: Benchmark, n: int) -> Iterator[Setting]:
         return summary(round_off(sim, exact[0]))
 
     def of_tree(sim: Simulation) -> Errors:
-        return summary(rows_of_everyone(sim.ranks, {"wrong": relative(accelerations(sim), exact[0])})["wrong"])
+        return summary(allgather_rows(sim.ranks, {"wrong": relative(accelerations(sim), exact[0])})["wrong"])
 
     def one(curve: str, angle: float, **gravity: Any) -> Setting:
         begin = cache(lambda: benchmark.simulate(plummer_sphere(n, STEP, **gravity)))
@@ -74,7 +74,7 @@ def summary(wrong: Array) -> Errors:
 def round_off(sim: Simulation, a: Array) -> Array:
     """Relative errors of some accelerations, against sums in extended precision. Collective."""
     p = everyone(sim)
-    arrived = rows_of_everyone(sim.ranks, {"id": sim.particles.id, "a": a})
+    arrived = allgather_rows(sim.ranks, {"id": sim.particles.id, "a": a})
     a = arrived["a"][np.argsort(arrived["id"], kind="stable")]
     x, some = p.position.astype(np.longdouble), np.arange(0, len(a), max(1, len(a) // TARGETS))
     exact = np.empty((len(some), 3), np.longdouble)

@@ -13,7 +13,7 @@ from importlib import import_module
 from typing import Any, NamedTuple
 
 from particles_mpi import Scene, Simulation
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.study.experiment import everyone
 
 CHAPTERS = ("forces", "contacts", "crowds", "resting", "orbits", "numbers", "spread")
@@ -129,10 +129,10 @@ def settings(cases: list[Case]) -> Iterator[tuple[Case, str | None, int]]:
 
 def examine(one: Case, mode: str | None, dimension: int, comm: Any = None) -> Outcome:
     """Run a case; on several ranks also on this rank alone, for the bits must be the same. Collective."""
-    run, ranks, same_bits = CaseRun(mode, dimension, comm), Ranks(comm), True
+    run, ranks, same_bits = CaseRun(mode, dimension, comm), Communicator(comm), True
     measured, holds = one.measure(run)
     if ranks.size > 1:
-        alone = CaseRun(mode, dimension, Ranks.alone().comm)
+        alone = CaseRun(mode, dimension, Communicator.alone().comm)
         one.measure(alone)
-        same_bits = bool(ranks.smallest(float(run.digest() == alone.digest()))[0])
-    return Outcome(one, mode, dimension, measured, bool(ranks.smallest(float(holds))[0]), same_bits)
+        same_bits = bool(ranks.allreduce_min(float(run.digest() == alone.digest()))[0])
+    return Outcome(one, mode, dimension, measured, bool(ranks.allreduce_min(float(holds))[0]), same_bits)

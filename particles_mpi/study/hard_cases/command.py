@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from particles_mpi.errors import SceneError
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.run.console import Screen
 from particles_mpi.study.hard_cases.catalogue import Case, Outcome, catalogue, examine, settings
 
@@ -23,7 +23,7 @@ def chosen(only: str | None, full: bool) -> list[Case]:
 
 def study(only: str | None, full: bool, into: Path | None, comm: Any = None) -> bool:
     """The table, row by row as cases end, and whether all that must hold does. `into`: the outcomes as JSON. Collective."""
-    ranks = Ranks(comm)
+    ranks = Communicator(comm)
     screen, outcomes, before = Screen(ranks.is_root, False), list[Outcome](), None
     waiting = list(settings(chosen(only, full)))
     advance = screen.count("cases", len(waiting))

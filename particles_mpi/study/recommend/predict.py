@@ -20,8 +20,8 @@ import numpy as np
 
 from particles_mpi import Scene
 from particles_mpi.errors import Interrupted, StoppedError
-from particles_mpi.output import failing_together
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.output.files import failing_together
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.run.forecast import Forecast
 from particles_mpi.run.job import Job
 from particles_mpi.scene.schema import TOLERANCES
@@ -54,7 +54,7 @@ def predict(start: Start) -> Prediction:
         with scratch(ranks) as folder:
             job = Job(sim, folder, rehearsal=True)
             job.run()
-        forecast: Forecast | None = ranks.from_root(job.forecast)
+        forecast: Forecast | None = ranks.bcast(job.forecast)
         if forecast is None:
             raise Interrupted("stopped before anything could be predicted")
         rate = 2.0 * total(sim, "collisions") / (max(int((start.particles.fixed == 0).sum()), 1) * sim.time)
@@ -65,13 +65,13 @@ def predict(start: Start) -> Prediction:
 
 
 @contextmanager
-def scratch(ranks: Ranks) -> Iterator[Path]:
+def scratch(ranks: Communicator) -> Iterator[Path]:
     """A folder that is gone afterwards; where runs write theirs, if one may, for disks differ in speed. Collective."""
     path = ""
     with failing_together(ranks, "cannot write into the working directory"):
         if ranks.is_root:
             path = mkdtemp(prefix=".check-", dir=Path.cwd() if os.access(Path.cwd(), os.W_OK) else None)
-    folder = Path(ranks.from_root(path))
+    folder = Path(ranks.bcast(path))
     try:
         yield folder
     finally:

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from particles_mpi import Scene
 from particles_mpi.errors import SceneError, StoppedError
-from particles_mpi.parallel.agreement import alike, same_on_all
+from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.run.console import Screen
 from particles_mpi.study.experiment import Benchmark, Errors
 from particles_mpi.study.recommend.error_metric import ErrorMetric
@@ -190,7 +190,7 @@ def recommend_scene(
 ) -> Recommendation | None:
     """What `study recommend` does: find it, print it, write the tuned scene (to NAME.tuned.toml by default). Collective."""
     benchmark = Benchmark(comm)
-    with alike(benchmark.ranks):
+    with raising_together(benchmark.ranks):
         scene = Scene.load(path)
     same_on_all(benchmark.ranks, scene.to_dict())
     benchmark.screen = Screen(benchmark.ranks.is_root, False)
@@ -198,7 +198,7 @@ def recommend_scene(
     target = output or path.with_suffix(".tuned.toml")
     if found:
         report(benchmark.screen, found)
-    benchmark.ranks.of_root_alone(lambda: save(found, path, target) if found else None)
+    benchmark.ranks.run_on_root(lambda: save(found, path, target) if found else None)
     benchmark.screen.say(f"written: {target}")
     return found
 

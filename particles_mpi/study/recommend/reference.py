@@ -84,7 +84,7 @@ def cost(start: Start, sim: Simulation, seconds: float, longer: float = 1.0) -> 
     while clocked < seconds and passed < start.duration:
         began = perf_counter()
         sim.step()
-        rates.append(float(sim.ranks.largest(perf_counter() - began)[0]) / sim.h)
+        rates.append(float(sim.ranks.allreduce_max(perf_counter() - began)[0]) / sim.h)
         passed, clocked = passed + sim.h, clocked + rates[-1] * sim.h
         sim.h *= longer
     return rates[-1] if longer > 1.0 else float(np.median(rates[1:] or rates))  # a kernel may be loaded on the way
@@ -149,7 +149,7 @@ def converge(found: ErrorMetric, first: Record, steps: int, seconds: float) -> t
         better = change < 0.5 * uncertainty  # if not, round-off or corners are all that is left
         if change <= uncertainty:
             best, uncertainty = value, change
-        clocked = float(start.benchmark.ranks.largest(perf_counter() - began)[0])
+        clocked = float(start.benchmark.ranks.allreduce_max(perf_counter() - began)[0])
     one, two = (apart(a.places, b.places, found.start.length) for a, b in pairwise(records[:3]))
     found.order = float(np.log2(one / two)) if two > limit else nan
     kind = "event" if "collisions" in start.scene.effects else "leapfrog"

@@ -13,7 +13,7 @@ from particles_mpi import Scene, Simulation
 from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.initial.checks import check_start, endless_falls
 from particles_mpi.initial.populate import populate, room_of
-from particles_mpi.parallel.agreement import alike, same_on_all
+from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.particles import Array, Particles, default_values
 from particles_mpi.scene.active import ActiveEffects, fields_of
 from particles_mpi.scene.schema import periodic_length
@@ -57,7 +57,7 @@ class Start:
 
     def __init__(self, benchmark: Benchmark, scene: Scene):
         self.benchmark, self.scene = benchmark, scene
-        with alike(benchmark.ranks):
+        with raising_together(benchmark.ranks):
             self.particles, self.warnings = populate(scene)
         same_on_all(benchmark.ranks, scene.to_dict(), self.particles.arrays)
         self.total = len(self.particles)
@@ -132,20 +132,20 @@ def follow(start: Start, sim: Simulation, patience: float = np.inf) -> Record:
         sim.step()
         if sim.steps_done % peek == 0 or sim.steps_done == steps:
             energies.append(energy(sim))
-            seconds = float(ranks.largest(perf_counter() - began)[0])
+            seconds = float(ranks.allreduce_max(perf_counter() - began)[0])
             if seconds > patience and sim.steps_done < steps:
                 raise TooLongError(f"longer than {patience:.3g} s")
         if sim.steps_done % look == 0:
             places.append(everyone(sim).position)
             at_looks.append(energy(sim)[0])
     sim.watch()
-    counts = ranks.total(np.array([sim.totals["collisions"], sim.totals["wall_hits"]], np.int64)).tolist()
+    counts = ranks.allreduce_sum(np.array([sim.totals["collisions"], sim.totals["wall_hits"]], np.int64)).tolist()
     found = np.array(places).reshape(LOOKS, start.total, sim.scene.dimension)
     size = float(np.sqrt((sim.g**2).sum()))
     up = -sim.g / size if size > 0.0 else sim.g
     heights = (found.mean(axis=1) * up).sum(axis=1) if start.total else np.zeros(LOOKS)
     table: Array = np.array(energies)
-    seconds = float(ranks.largest(perf_counter() - began)[0])
+    seconds = float(ranks.allreduce_max(perf_counter() - began)[0])
     return Record(found, np.array(at_looks), table[:, 0], table[:, 1], counts[0], counts[1], heights, steps * sim.h, seconds)
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from particles_mpi.errors import SceneError
-from particles_mpi.output import failing_together
-from particles_mpi.parallel.agreement import alike
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.output.files import failing_together
+from particles_mpi.parallel.agreement import raising_together
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.run.console import Screen
 from particles_mpi.scene.schema import Scene
 from particles_mpi.study.scaling.measure import Scaling
@@ -29,12 +29,12 @@ def scale(scene: Scene | None, folder: Path, quick: bool, comm: Any = None) -> N
 
     `scene`: None for the headline gas, and one LARGER times as large. `quick`: short samples, and that one is left out.
     """
-    ranks = Ranks(comm)
+    ranks = Communicator(comm)
     screen = Screen(ranks.is_root, False)
     with failing_together(ranks, f"cannot write into {folder}"):
         if ranks.is_root:
             folder.mkdir(parents=True, exist_ok=True)
-    with alike(ranks):
+    with raising_together(ranks):
         scene_or_headline = scene or Scene.load(HEADLINE)
     scaling = Scaling(scene_or_headline, ranks, quick)
     no_weak = unable_to_grow(scaling.scene)
@@ -51,7 +51,7 @@ def scale(scene: Scene | None, folder: Path, quick: bool, comm: Any = None) -> N
     model = fit(found, law, scaling.row_bytes()) if ranks.size > 1 else None
     result = Result(scaling.scene.title, law, curves, found, model, no_weak, scene is None)
     with failing_together(ranks, f"cannot write into {folder}"):
-        ranks.of_root_alone(lambda: write(result, folder, screen))
+        ranks.run_on_root(lambda: write(result, folder, screen))
 
 
 def write(result: Result, folder: Path, screen: Screen) -> None:

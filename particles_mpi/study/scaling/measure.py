@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from particles_mpi.errors import SceneError, StoppedError
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import FIELDS
 from particles_mpi.run.console import Screen
 from particles_mpi.scene.active import fields_of
@@ -35,7 +35,7 @@ class RankSubsetTimer(StepTimer):
     `inside`: is this rank one of them? `sums`: seconds and counts on this rank over all samples, by name.
     """
 
-    world: Ranks = field(kw_only=True)
+    world: Communicator = field(kw_only=True)
     inside: bool = field(kw_only=True)
     sums: dict[str, float] = field(default_factory=dict)
 
@@ -49,8 +49,8 @@ class RankSubsetTimer(StepTimer):
                 seconds = super().sample(least)
             except (SceneError, StoppedError) as raised:  # on all of the subset together
                 error = raised
-        self.world.wait_asleep()
-        for slowest, failed in self.world.gathered((seconds, error)):
+        self.world.sleeping_barrier()
+        for slowest, failed in self.world.allgather((seconds, error)):
             seconds = max(seconds, slowest)
             if failed:
                 raise failed
@@ -93,11 +93,11 @@ def counters(sim: Simulation) -> dict[str, float]:
 class Scaling:
     """Measures a scene on the ranks of a communicator. `quick`: short samples, for a look."""
 
-    def __init__(self, scene: Scene, ranks: Ranks, quick: bool):
+    def __init__(self, scene: Scene, ranks: Communicator, quick: bool):
         self.scene, self.world = scene, ranks
         self.least = 0.02 if quick else SAMPLE
-        self.subsets = {count: ranks.first(count) for count in rank_counts(ranks.size)}
-        self.cores = ranks.gathered((platform.node(), os.sched_getaffinity(0)))
+        self.subsets = {count: ranks.subset(count) for count in rank_counts(ranks.size)}
+        self.cores = ranks.allgather((platform.node(), os.sched_getaffinity(0)))
 
     def oversubscribed(self, count: int) -> bool:
         """Have the first `count` ranks fewer cores than they are, on some machine?"""
@@ -120,7 +120,7 @@ class Scaling:
         self.divided = not parallel or any(divides(sim) for sim in parallel)
         return {setting: self.point(timer, setting[1]) for setting, timer in timers.items()}
 
-    def timer(self, scene: Scene, ranks: Ranks | None) -> RankSubsetTimer:
+    def timer(self, scene: Scene, ranks: Communicator | None) -> RankSubsetTimer:
         """Times the scene on `ranks`; None on the ranks that are not among them."""
         begin = lambda: Simulation(scene, comm=ranks.comm if ranks else None)  # noqa: E731
         return RankSubsetTimer(ranks or self.world, begin, max(scene.steps, 1), world=self.world, inside=ranks is not None)
@@ -128,7 +128,7 @@ class Scaling:
     def point(self, timer: RankSubsetTimer, count: int) -> Point:
         """What the ranks of a timer found, put together. Collective."""
         own_part = (timer.a_step(), timer.sim.total) if timer.sim else None
-        found = [part for part in self.world.gathered(own_part) if part]
+        found = [part for part in self.world.allgather(own_part) if part]
         steps = [step for step, _ in found]
         names = [name for name in steps[0] if name.startswith(PHASE)]
         phases = {name.removeprefix(PHASE): float(np.mean([step[name] for step in steps])) for name in names}

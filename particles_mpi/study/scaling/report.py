@@ -10,7 +10,7 @@ from typing import Any
 
 from rich.table import Table
 
-from particles_mpi.output import replacing
+from particles_mpi.output.files import replacing
 from particles_mpi.run.console import Screen
 from particles_mpi.study.scaling.performance_model import Law, Model, Point
 

@@ -83,8 +83,8 @@ def interrupted(tmp_path_factory):
     """(process, exit code that is due) of a user's script and of a run with files, well into a step of very many contacts."""
     plain = LONG % ""
     run = LONG % repr(str(tmp_path_factory.mktemp("long") / "o"))
-    run = run.replace("sim.run", "from particles_mpi.parallel.agreement import end_together\ntry:\n    sim.run")
-    run += "except BaseException as error:\n    raise SystemExit(end_together(error))\n"
+    run = run.replace("sim.run", "from particles_mpi.parallel.agreement import abort_all\ntry:\n    sim.run")
+    run += "except BaseException as error:\n    raise SystemExit(abort_all(error))\n"
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     processes = [subprocess.Popen([sys.executable, "-c", script], cwd=ROOT, **pipes) for script in (plain, run)]
     for process in processes:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from particles_mpi import Scene, SceneError, Simulation
 from particles_mpi.measure.snapshot import load_json, same, save_json
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Particles
 
 
@@ -67,7 +67,7 @@ def test_json_gives_every_float_back(tmp_path_factory, rows):
     x = np.array([row[:2] for row in rows], float).reshape(-1, 2)
     arrays = {"id": np.arange(len(rows)), "position": x, "load": np.array([row[2] for row in rows], np.float32)}
     path = tmp_path_factory.mktemp("json") / "state.json"
-    save_json(path, Ranks(), Particles(2, arrays), {"scene": {"dimension": 2}}, None)
+    save_json(path, Communicator(), Particles(2, arrays), {"scene": {"dimension": 2}}, None)
     assert same(Particles(2, load_json(path)[0]), Particles(2, arrays))
 
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from particles_mpi import Scene, Simulation
 from particles_mpi.cli import check
 from particles_mpi.run import forecast
-from particles_mpi.run.forecast import PROBE, TRUST, Pace, outlook
+from particles_mpi.run.forecast import PROBE, TRUST, Forecaster, outlook
 from particles_mpi.run.job import Job
 
 LINE = re.compile(
@@ -45,7 +45,7 @@ def invented(monkeypatch, steps, every, step_costs, frame, row, saved, loading):
         sim.timers = SimpleNamespace(seconds=dict(seconds))
 
     spend(0.0)
-    pace = Pace(sim, steps)
+    pace = Forecaster(sim, steps)
     loader.duration += loading
     spend(loading + row, "diagnostics")
     pace.reported()

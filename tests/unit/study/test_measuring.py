@@ -7,7 +7,7 @@ from math import isnan
 
 import pytest
 
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.study import plots, report
 from particles_mpi.study.experiment import Benchmark, Experiment, Row, Setting, observe_orders, slope
 from particles_mpi.study.timing import Seconds, StepTimer, time_in_turns
@@ -54,7 +54,7 @@ def test_settings_take_turns_and_begin_anew_off_the_clock():
         begun[name] += 1
         return Stepper(name)
 
-    watches = [StepTimer(Ranks.alone(), lambda name=name: begin(name), 7) for name in "ab"]
+    watches = [StepTimer(Communicator.alone(), lambda name=name: begin(name), 7) for name in "ab"]
     told = []
     time_in_turns(watches, samples=4, least=1e-4, progress=lambda: told.append(1))
     assert len(told) == 2 * 5 and [len(w.samples) for w in watches] == [4, 4]
@@ -67,7 +67,7 @@ def test_settings_take_turns_and_begin_anew_off_the_clock():
 def test_by_forces_a_unit_is_an_evaluation(monkeypatch):
     clock = iter(range(10**6))
     monkeypatch.setattr("particles_mpi.study.timing.perf_counter", lambda: float(next(clock)))  # a second a look
-    steps, forces = (StepTimer(Ranks.alone(), lambda: Stepper("a"), 100, by_forces) for by_forces in (False, True))
+    steps, forces = (StepTimer(Communicator.alone(), lambda: Stepper("a"), 100, by_forces) for by_forces in (False, True))
     assert steps.sample(0.5) == 1.0
     assert forces.sample(0.5) == pytest.approx(1.0 / 3.0)
 
@@ -102,7 +102,7 @@ def test_tables(found, tmp_path):
 
 def test_a_page_that_opens_offline(found, tmp_path):
     found.answers = ["twice as fast & right"]
-    about = report.machine(Ranks.alone()) | {"samples": 7, "least_seconds": 0.2, "seconds": 1.0}
+    about = report.machine(Communicator.alone()) | {"samples": 7, "least_seconds": 0.2, "seconds": 1.0}
     path = report.write(tmp_path / "there", "What accuracy costs", [found], about, ["nothing else"])
     text = path.read_text()
     assert "<svg" in text and "A &lt;problem&gt;" in text and "twice as fast &amp; right" in text

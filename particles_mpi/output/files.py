@@ -1,0 +1,143 @@
+"""What all writers share: errors of the file system on all ranks, files that are replaced as a whole, the columns of a frame."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from particles_mpi.errors import SceneError, StoppedError
+from particles_mpi.parallel.agreement import describe_unexpected, raise_first
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.particles import FIELDS, Array
+
+MPI_IO_ERROR = re.compile(r"error in \(?p?\)?\(?(?:write|read)\(?v?\)?: *(.+)")
+
+
+@contextmanager
+def failing_together(ranks: Communicator, task: str) -> Iterator[None]:
+    """Run a block that uses files; what the file system refuses on any rank is a StoppedError on all ranks. Collective.
+
+    `task` begins the message: "cannot write out/particles.pvd at step 100". A SceneError remains one, on all ranks. A block may
+    contain one collective call at most, as its last: otherwise a rank that fails leaves the others waiting in that call.
+    """
+    failure: Exception | None = None
+    try:
+        yield
+    except SceneError as error:
+        failure = error
+    except (OSError, RuntimeError, ValueError, KeyError) as error:  # h5py raises all four for what is wrong with a file
+        failure = StoppedError(f"{task}: {_reason(error)}")
+    except Exception as error:  # also memory that is refused
+        failure = StoppedError(f"{task}: {describe_unexpected(error)}")
+    raise_first(ranks, failure, root_reads=True)
+
+
+@contextmanager
+def continuing(path: Path) -> Iterator[None]:
+    """Read a file of the run that is to be continued; whatever is wrong with the file is a SceneError that names it."""
+    try:
+        yield
+    except Exception as error:  # damaged files raise anything
+        raise SceneError(f"{path}: cannot be continued: {_reason(error)}") from None
+
+
+def check_last(steps: list[int], resume_step: int, last: int | None) -> None:
+    """Raise a ValueError unless the `steps` in a file are in order and end with `last`, as when the checkpoint was written.
+
+    `steps`: those up to `resume_step`, the step of the checkpoint. `last` is -1 if there were none, None if that is not known.
+    """
+    if sorted(set(steps)) != steps:
+        raise ValueError("its steps are not in order")
+    found = steps[-1] if steps else -1
+    if last is not None and found != last:
+        raise ValueError(
+            f"it should hold step {last}, and up to step {resume_step} " + (f"ends at {found}" if steps else "is empty")
+        )
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Gives the name of a temporary file, which becomes `path` at the end: at any time `path` is the old file or the new one."""
+    part = path.with_name(path.name + ".tmp")
+    try:
+        yield part
+        os.replace(part, path)
+    except BaseException:
+        part.unlink(missing_ok=True)  # half a file is of no use
+        raise
+
+
+def _reason(error: Exception) -> str:
+    """One line. Where HDF5 gives a paragraph, it is the part that says why, such as "No space left on device"."""
+    said = re.search(r"error message = '([^']+)'", str(error))
+    return said[1] if said else (str(error) or type(error).__name__).splitlines()[0]
+
+
+@contextmanager
+def mpi_io_errors() -> Iterator[None]:
+    """Run a block that writes through MPI-IO; the reason of a failure becomes the text of an OSError.
+
+    Open MPI prints that reason and does not return it: HDF5 knows only that the call failed. So stderr is caught during the
+    block; what is not a reason is printed after it.
+    """
+    held, stderr = os.memfd_create("stderr"), os.dup(2)
+    os.dup2(held, 2)
+    failure = None
+    try:
+        yield
+    except (OSError, RuntimeError, ValueError, KeyError) as error:
+        failure = error
+    finally:
+        os.dup2(stderr, 2)
+        os.close(stderr)
+        said = os.pread(held, os.lseek(held, 0, os.SEEK_END), 0)
+        os.close(held)
+    reason = MPI_IO_ERROR.search(said.decode(errors="replace")) if failure else None
+    if reason:
+        raise OSError(reason[1].strip()) from failure
+    if said:
+        os.write(2, said)
+    if failure:
+        raise failure
+
+
+def frame_columns(name: str, dimension: int) -> dict[str, tuple[int, ...]]:
+    """The columns in a frame for a field: {name: shape of one row}.
+
+    Viewers know three axes, so vectors have three components, with z = 0 in two dimensions. Beyond three dimensions these are the
+    first three, and a second column has all of them: `position`, `velocity_full`, `acceleration_full`.
+    """
+    if not FIELDS[name].vector:
+        return {name: ()}
+    columns: dict[str, tuple[int, ...]] = {"Points" if name == "position" else name: (3,)}
+    if dimension > 3:
+        columns[name if name == "position" else f"{name}_full"] = (dimension,)
+    return columns
+
+
+def frame_arrays(arrays: dict[str, Array], dimension: int) -> dict[str, Array]:
+    """The columns of `frame_columns` for the rows of `arrays`: contiguous arrays, with the same bits as the values given."""
+    columns = {}
+    for name, values in arrays.items():
+        for column, width in frame_columns(name, dimension).items():
+            if width == (3,) and dimension != 3:
+                padded = np.zeros((len(values), 3))
+                padded[:, : min(dimension, 3)] = values[:, :3]
+                columns[column] = padded
+            else:
+                columns[column] = np.ascontiguousarray(values, FIELDS[name].dtype)
+    return columns
+
+
+def sync_folder(folder: Path) -> None:
+    """Make sure that a rename inside the folder is on the disk, and so lasts through a power cut."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
