@@ -27,11 +27,11 @@ def measure(ranks: Communicator, particles: Particles, potentials: dict[str, Arr
     columns = [0.5 * particles.mass * square * movable]
     columns += [momentum[:, k] for k in range(particles.dimension)]
     columns += [np.where(movable, u, 0.0) for u in potentials.values()]
-    sums = exact_sums(ranks, columns)
-    potential = float(sum(sums[1 + particles.dimension :]))
-    row = {"kinetic": sums[0], "potential": potential, "total_energy": sums[0] + potential}
+    kinetic, *sums = exact_sums(ranks, columns)
+    potential = float(sum(sums[particles.dimension :]))
+    row = {"kinetic": kinetic, "potential": potential, "total_energy": kinetic + potential}
     names = momentum_names(particles.dimension)
-    row.update(zip(names, sums[1:], strict=False))
+    row.update(zip(names, sums, strict=False))
     row["max_speed"] = float(np.sqrt(ranks.allreduce_max(square.max(initial=0.0))[0]))
     if "mutual_gravity" in potentials:
         row |= measure_gravity(ranks, particles, row["kinetic"], potentials["mutual_gravity"])

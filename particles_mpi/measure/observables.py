@@ -34,12 +34,12 @@ def observe(
     """
     d, movable = p.dimension, p.fixed == 0
     m = p.mass * movable
-    sums = exact_sums(ranks, [m, movable.astype(float), *[m * p.velocity[:, k] for k in range(d)], p.virial, p.radius**d])
-    mass, count, virial, balls = sums[0], sums[1], sums[2 + d], sums[3 + d]
-    whole = np.array(sums[2 : 2 + d]) / mass if mass > 0.0 else np.zeros(d)
+    columns = [m, movable.astype(float), *[m * p.velocity[:, k] for k in range(d)], p.virial, p.radius**d]
+    mass, count, *momentum, virial, balls = exact_sums(ranks, columns)
+    whole = np.array(momentum) / mass if mass > 0.0 else np.zeros(d)
     own = p.velocity - whole
     square = row_dot(own, own)
-    ends = ranks.allreduce_max(
+    largest, minus_smallest, heaviest, minus_lightest = ranks.allreduce_max(
         np.array([part.max(initial=-np.inf) for q in (p.radius, p.mass) for part in (q[movable], -q[movable])], float)
     )
     heat, second, fourth, speed = exact_sums(
@@ -59,6 +59,6 @@ def observe(
     row["z_virial"] = 1.0 + given / (d * count * temperature * lasted)
     if rate > 0.0:
         row["free_time"], row["free_path"] = 1.0 / rate, speed / count / rate
-    if ends[0] == -ends[1] and ends[2] == -ends[3]:
-        row["z_rate"] = 1.0 + 2.0 * float(ends[0]) * rate * sqrt(pi * float(ends[2]) / temperature) / (2.0 * d)
+    if largest == -minus_smallest and heaviest == -minus_lightest:
+        row["z_rate"] = 1.0 + 2.0 * float(largest) * rate * sqrt(pi * float(heaviest) / temperature) / (2.0 * d)
     return row

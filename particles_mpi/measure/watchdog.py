@@ -6,7 +6,6 @@ import numpy as np
 
 from particles_mpi.errors import StateError
 from particles_mpi.kernels.jit import kernel
-from particles_mpi.parallel.agreement import require_finite
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange
 from particles_mpi.particles import Array, Particles
@@ -29,11 +28,12 @@ class Watchdog:
         """Raise a StateError on all ranks, which names ids, step and rank, if something is wrong."""
         numbers, astray, wall = find_invalid(p.position, p.velocity, p.fixed, *self.planes, self.lower, self.length)
         sums = self.ranks.allreduce_sum(np.array([*id_checksum(p.id), numbers >= 0, astray >= 0]))
-        if (sums[:3] != self.id_checksum).any():
+        checksum, (require_finite, outside) = sums[:3], sums[3:]
+        if (checksum != self.id_checksum).any():
             raise StateError(f"step {step}: {self.who_is_lost(p)}")
-        if sums[3]:
+        if require_finite:
             require_finite(self.ranks, p, np.nan, f"step {step}")
-        if sums[4]:
+        if outside:
             mine = None
             if astray >= 0:
                 where = f"beyond wall {wall}" if wall >= 0 else "outside the periodic box"
