@@ -18,7 +18,7 @@ from math import floor
 
 import numpy as np
 
-from particles_mpi.kernels.geometry import boxes_between
+from particles_mpi.kernels.geometry import image_shift
 from particles_mpi.kernels.jit import inner, kernel, lean_inner, prefetch
 from particles_mpi.particles import Array
 
@@ -103,7 +103,7 @@ def near_homes(axes, home, i, j, length, far):
     for k in range(d):
         r = home[i, k] - home[j, k]
         if far:
-            r -= boxes_between(r, length[k])
+            r -= image_shift(r, length[k])
         else:
             r -= length[k] * (np.float64(r > 0.5 * length[k]) - np.float64(r < -0.5 * length[k]))
         r2 += r * r

@@ -135,7 +135,7 @@ class Engine:
             short = run(
                 self.axes, self.leg, self.leg.view(np.int64), self.state, self.reals, self.h, now, until, moment, self.length,
                 homes.pool, homes.lists, homes.top, homes.home, homes.links, homes.level, homes.head, homes.grid,
-                walls, planes.restitution, planes.keep, rates, self.restitution, self.keep, self.soft, queue,
+                walls, planes.restitution, planes.velocity_factor, rates, self.restitution, self.keep, self.soft, queue,
                 self.counts, self.spared,
                 self.ahead, self.lower, homes.around, self.todo, pending, self.stop, self.stopped, self.crowded,
                 reached, log,

@@ -40,7 +40,7 @@ from particles_mpi.contacts.event_driven.rollback import (
 )
 from particles_mpi.contacts.law import exchange, may_come_near
 from particles_mpi.contacts.walls import bounce, may_hit, wall_contact
-from particles_mpi.kernels.geometry import boxes_between
+from particles_mpi.kernels.geometry import image_shift
 from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch
 from particles_mpi.kernels.markers import CROWD, NEVER, NOBODY
 from particles_mpi.neighbours.verlet_kernels import BEGIN, COUNT, move_in, move_out, neighbours, room_for
@@ -66,7 +66,7 @@ def apart(leg, d, i, j, k, start, now, length, far):
     r = (leg[i, k] + leg[i, d + k] * (start - leg[i, 2 * d])) - (leg[j, k] + leg[j, d + k] * (start - leg[j, 2 * d]))
     at = r + (leg[i, d + k] - leg[j, d + k]) * (now - start)
     if far:
-        return r - boxes_between(at, length[k])
+        return r - image_shift(at, length[k])
     return r - (length[k] if at > 0.5 * length[k] else (-length[k] if at < -0.5 * length[k] else 0.0))
 
 
@@ -163,7 +163,7 @@ def collide(axes, leg, home, i, j, t, restitution, keep, length, rates, r):
     move_leg(axes, leg, j, t)
     for k in range(d):
         r[k] = leg[i, k] - leg[j, k]
-        r[k] -= boxes_between(r[k], length[k])
+        r[k] -= image_shift(r[k], length[k])
     if d == 1:  # there is one normal, even for points, whose distance is none
         approach = r[0] * (leg[i, d] - leg[j, d])
         r[0] = 1.0 if leg[i, d] < leg[j, d] else -1.0
