@@ -11,6 +11,7 @@ import numpy as np
 
 from particles_mpi.between_steps.effect_view import RunningEffect, changed_options
 from particles_mpi.between_steps.particle_view import ParticleView
+from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.errors import SceneError, StateError
 from particles_mpi.initial.checks import listed, value_limits
@@ -19,7 +20,7 @@ from particles_mpi.integrators.integrator import Integrator
 from particles_mpi.integrators.leapfrog import Leapfrog
 from particles_mpi.integrators.order4 import Order4
 from particles_mpi.integrators.taylor import Taylor
-from particles_mpi.kernels.geometry import wrap
+from particles_mpi.kernels.geometry import Box, wrap
 from particles_mpi.kernels.motion import free_drift
 from particles_mpi.measure import snapshot
 from particles_mpi.measure.diagnostics import COUNTS, measure
@@ -158,7 +159,7 @@ class Simulation:
     def _enter_collisions(self, c: Any) -> None:
         """Only a scene with pairs loads a collision operator, the one it names, and its search for neighbours."""
         planes = self.walls.planes if self.walls else None
-        box, loss = (self.lower, self.upper, self.length), (c.restitution, c.keep)
+        box, loss = Box(self.lower, self.upper, self.length), Loss(c.restitution, c.keep)
         exact: Any = None
         if c.options.mode == "event" or self.keeps_contacts:
             from particles_mpi.contacts.event_driven.operator import Event

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.kernels.geometry import boxes_between
+from particles_mpi.kernels.geometry import Box, image_shift
 from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch
 from particles_mpi.particles import Array
 
@@ -52,23 +52,22 @@ class Lists(NamedTuple):
     head: Array  # (cells,) int32, first row in each cell, or -1
     nearby: Array  # (n + 2,) int32, scratch: rows that `find_nearby` found
     grid: Grid
-    lower: Array  # (d,) corner of the box
-    length: Array  # (d,) of the box, 0 where it is not periodic
+    box: Box
 
 
-def make_grid(x: Array, size: Array, box: tuple[Array, Array, Array], share: float) -> tuple[Grid, Array]:
+def make_grid(x: Array, size: Array, box: Box, share: float) -> tuple[Grid, Array]:
     """A grid for reference positions x (n, d) and sizes (n,), and the level of each row in it.
 
-    `box`: (lower, upper, length); axes without walls may be infinite, then the rows decide. The grid is made for `share` times
-    as many rows as these. Positions outside belong to the outermost cells, or to their image if the axis is periodic.
+    Where the box is open, the rows decide how far the cells reach. The grid is made for `share` times as many rows as these.
+    Positions outside belong to the outermost cells, or to their image if the axis is periodic.
     """
     g = min(x.shape[1], GRIDDED)
-    low, high = (np.array(side[:g], float) for side in box[:2])
+    low, high = (np.array(side[:g], float) for side in (box.lower, box.upper))
     if len(x):
         low = np.where(np.isfinite(low), np.maximum(low, x[:, :g].min(axis=0)), x[:, :g].min(axis=0))
         high = np.where(np.isfinite(high), np.minimum(high, x[:, :g].max(axis=0)), x[:, :g].max(axis=0))
-    periodic = box[2][:g] > 0.0
-    low, high = np.where(periodic, box[0][:g], low), np.where(periodic, box[1][:g], high)
+    periodic = box.length[:g] > 0.0
+    low, high = np.where(periodic, box.lower[:g], low), np.where(periodic, box.upper[:g], high)
     moving = size[size > 0.0]
     typical = float(np.median(moving)) * 1.5 if len(moving) else 1.0
     steps = np.ceil(np.log(np.maximum(size, 1e-300) / typical) / np.log(FACTOR))
@@ -129,7 +128,7 @@ def may_meet(axes, reference, i, j, length, far):
     for k in range(d):
         r = reference[i, k] - reference[j, k]
         if far:
-            r -= boxes_between(r, length[k])
+            r -= image_shift(r, length[k])
         else:
             r -= length[k] * (np.float64(r > 0.5 * length[k]) - np.float64(r < -0.5 * length[k]))
         r2 += r * r
@@ -140,7 +139,7 @@ def may_meet(axes, reference, i, j, length, far):
 @lean_inner
 def find_nearby(axes, lists, i, far):
     """Write the rows that `may_meet` row i to `lists.nearby`; returns how many. `far` as there."""
-    reference, links, head, nearby, length = lists.reference, lists.links, lists.head, lists.nearby, lists.length
+    reference, links, head, nearby, length = lists.reference, lists.links, lists.head, lists.nearby, lists.box.length
     low, per_length, cells, first, largest = lists.grid
     d = len(axes)
     waiting = 0
@@ -234,7 +233,7 @@ def insert(axes, lists, i, found):
     c = np.int64(0)
     for m in range(min(d, GRIDDED)):
         at = floor((reference[i, m] - low[m]) * per_length[step, m])
-        if lists.length[m] > 0.0:
+        if lists.box.length[m] > 0.0:
             at -= floor(at / cells[step, m]) * cells[step, m]
         c = c * cells[step, m] + np.int64(min(max(at, 0.0), cells[step, m] - 1.0))
     cell = first[step] + c

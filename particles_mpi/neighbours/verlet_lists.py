@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from particles_mpi.kernels.geometry import Box
 from particles_mpi.neighbours.cells import spacing
 from particles_mpi.neighbours.verlet_kernels import (
     BEGIN,
@@ -27,12 +28,12 @@ LOOSE = 1.3  # times more or fewer neighbours than wanted are accepted
 class VerletLists:
     """Lists of all rows, in `arrays` for the kernels; `tune` or `build` make them.
 
-    box: (lower, upper, length) (d,), length 0 where not periodic. `width`: of the skins, 0 before the first `tune`.
+    `width`: of the skins, 0 before the first `tune`.
     """
 
     arrays: Lists
 
-    def __init__(self, box: tuple[Array, Array, Array]):
+    def __init__(self, box: Box):
         self.box = box
         self.width = 0.0
         self.share = 1.0  # all rows of the box, divided by those that are here
@@ -62,7 +63,7 @@ class VerletLists:
 
     def widest_skin(self, diameter: float) -> float:
         """Two rows in each other's list must have one nearest image only, wherever within their skins they are."""
-        periodic = self.box[2][self.box[2] > 0.0]
+        periodic = self.box.length[self.box.length > 0.0]
         return float(periodic.min() - 2.0 * diameter) / 8.0 if len(periodic) else np.inf
 
     def build(self, x: Array, radius: Array, w: Array, spare: int = 0) -> None:
@@ -81,7 +82,7 @@ class VerletLists:
         self.arrays = Lists(
             reference, reference.view(np.int32), level, spans, np.empty(rows * (PLACES + PLACES // 2) + 64, np.int32),
             np.array([rows * PLACES]), np.full(grid.first[-1], -1, np.int32), np.empty(rows + 2, np.int32), grid,
-            self.box[0], self.box[2],
+            self.box,
         )  # fmt: skip
         row = 0
         while row < n:

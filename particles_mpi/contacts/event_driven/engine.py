@@ -16,7 +16,6 @@ from particles_mpi.contacts.event_driven.event_loop import (
     WALL_HITS,
     Interval,
     Rules,
-    Walls,
     Work,
     run,
 )
@@ -35,9 +34,11 @@ from particles_mpi.contacts.event_driven.rows import (
     start_drift,
     write_back,
 )
+from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.velocity_flow import Rates, no_rates
 from particles_mpi.contacts.walls import Planes
 from particles_mpi.errors import StateError
+from particles_mpi.kernels.geometry import Box
 from particles_mpi.neighbours.verlet_lists import VerletLists, aligned, enlarged
 from particles_mpi.parallel.signals import breathe
 from particles_mpi.particles import Array, Particles
@@ -59,12 +60,9 @@ class Engine:
     rows: Rows
     queue: Queue
 
-    def __init__(self, box: tuple[Array, Array, Array], loss: tuple[float, float], planes: Planes):
-        d = len(box[2])
-        self.loss = loss
-        self.walls = Walls(
-            planes.point, planes.normal, planes.restitution, planes.keep, planes.lower, planes.upper, planes.oblique
-        )
+    def __init__(self, box: Box, loss: Loss, planes: Planes):
+        d = len(box.length)
+        self.loss, self.planes = loss, planes
         self.axes = (0,) * d
         self.lists = VerletLists(box)
         self.work = Work(
@@ -148,7 +146,7 @@ class Engine:
         """All events from `now` to `until`, times since the start of the drift at `moment`."""
         queue, work = self.queue, self.work
         queue.present[0] = min(int(now * queue.per_time), len(queue.first) - 1)  # nothing is left from before
-        rules = Rules(*self.loss, self.contact_duration, self.crowded, self.walls, self.rates.of(self.fields))
+        rules = Rules(self.loss, self.contact_duration, self.crowded, self.planes, self.rates.of(self.fields))
         interval = Interval(self.h, moment, now, until, self.ahead)
         work.progress[:] = now, 0.0
         pending, self.pending = self.pending, 0

@@ -43,8 +43,9 @@ from particles_mpi.contacts.event_driven.segments import (
     move_to,
     touch_time,
 )
+from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.velocity_flow import Rates
-from particles_mpi.contacts.walls import bounce, may_hit, wall_contact
+from particles_mpi.contacts.walls import Planes, bounce, may_hit, wall_contact
 from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch
 from particles_mpi.kernels.markers import NEVER
 from particles_mpi.neighbours import verlet_kernels as verlet
@@ -63,26 +64,13 @@ MOST_STANDING, FEW = 2.0 * SQUEEZED / ZERO_TIME_EVENT, 100  # events a row while
 EARLY, SOON, NEXT_ONES = 6, 4, 2  # buckets ahead of the present one, for which memory is prefetched
 
 
-class Walls(NamedTuple):
-    """See `walls.Planes`."""
-
-    point: Array
-    normal: Array
-    restitution: Array
-    velocity_factor: Array
-    lower: Array
-    upper: Array
-    oblique: bool
-
-
 class Rules(NamedTuple):
     """What happens at a contact in this step."""
 
-    restitution: float
-    velocity_factor: float  # of both velocities after a collision, the course's damping
+    loss: Loss
     contact_duration: float  # t_c: a contact within it after the last one of either partner takes no energy
     crowded: int  # rows with so many quick contacts have no more in this drift
-    walls: Walls
+    planes: Planes
     rates: Rates  # how velocities change in the step
 
 
@@ -111,10 +99,10 @@ class Work(NamedTuple):
 
 
 @inner(inline="always")
-def next_event(axes, rows, lists, walls, work, i, now, h):
+def next_event(axes, rows, lists, planes, work, i, now, h):
     """(time, partner) of the next event of row i on the present segments: its first contact, or LIST_EXPIRY."""
     segment, state, reference, spans, pool = rows.segment, rows.state, lists.reference, lists.spans, lists.pool
-    nearby, length, flags, r = lists.nearby, lists.length, work.flags, work.r
+    nearby, length, flags, r = lists.nearby, lists.box.length, work.flags, work.r
     d = len(axes)
     best = h
     partner = np.int64(NO_EVENT)
@@ -148,13 +136,13 @@ def next_event(axes, rows, lists, walls, work, i, now, h):
             ):
                 best = t
                 partner = j
-        if len(walls.point) and may_hit(
-            axes, segment, segment, np.int64(d), segment[i, 2 * d + START], i, segment[i, 2 * d + RADIUS], h, walls.lower,
-            walls.upper, walls.oblique,
+        if len(planes.point) and may_hit(
+            axes, segment, segment, np.int64(d), segment[i, 2 * d + START], i, segment[i, 2 * d + RADIUS], h, planes.lower,
+            planes.upper, planes.oblique,
         ):  # fmt: skip
             t, wall = wall_contact(
                 axes, segment, segment, np.int64(d), segment[i, 2 * d + START], i, segment[i, 2 * d + RADIUS],
-                state[i, LAST_PARTNER], h, walls.point, walls.normal,
+                state[i, LAST_PARTNER], h, planes.point, planes.normal,
             )  # fmt: skip
             if wall >= 0 and (t < best or partner == NO_EVENT):
                 best = t
@@ -253,8 +241,8 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
 
     One kernel with everything in it: a call with so many arrays costs as much as the look it would be for.
     """
-    segment, state, reals, reference, length = rows.segment, rows.state, rows.reals, lists.reference, lists.length
-    restitution, velocity_factor, contact_duration, crowded, walls, rates = rules
+    segment, state, reals, reference, box = rows.segment, rows.state, rows.reals, lists.reference, lists.box
+    (restitution, velocity_factor), contact_duration, crowded, planes, rates = rules
     h, moment, now, until, ahead = interval
     stale, counts, flags, progress, node, times = work.stale, work.counts, work.flags, work.progress, queue.node, queue.times
     d = len(axes)
@@ -267,7 +255,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             if state[i, OWNERSHIP] == NOT_HERE:
                 continue
             remove(queue, i)
-            t, partner = next_event(axes, rows, lists, walls, work, i, now, h)
+            t, partner = next_event(axes, rows, lists, planes, work, i, now, h)
             if partner != NO_EVENT:
                 push(queue, i, t, partner, state[partner, EVENT_COUNT] if partner >= 0 else 0)
             continue
@@ -299,7 +287,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             for k in range(d):
                 reference[i, k] = segment[i, k] + segment[i, d + k] * (now - segment[i, 2 * d + START] + lead)
                 flags[MANY_BOXES] |= (
-                    length[k] > 0.0 and not -0.25 * length[k] < reference[i, k] - lists.lower[k] < 1.25 * length[k]
+                    box.length[k] > 0.0 and not -0.25 * box.length[k] < reference[i, k] - box.lower[k] < 1.25 * box.length[k]
                 )
             found = verlet.find_nearby(axes, lists, i, flags[MANY_BOXES])
             short = verlet.shortage(lists, i, found)
@@ -312,13 +300,13 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
                 note_move(i, log)
         elif j < 0:
             wall = -1 - j
-            lossy = walls.restitution[wall] * walls.velocity_factor[wall] < 1.0
+            lossy = planes.restitution[wall] * planes.velocity_factor[wall] < 1.0
             elastic = lossy and abs(moment + t - reals[i, LAST_CONTACT]) < contact_duration
             note_contact(axes, rows, i, t, j, moment, QUICK * h, crowded, flags)
             move_to(axes, segment, i, t)
             own = state[i, OWNERSHIP] >= OWN
-            e, factor = (1.0, 1.0) if elastic else (walls.restitution[wall], walls.velocity_factor[wall])
-            bounce(axes, segment, np.int64(d), i, wall, walls.normal, e, factor, reference[i, d + INVERSE_MASS], t, rates)
+            e, factor = (1.0, 1.0) if elastic else (planes.restitution[wall], planes.velocity_factor[wall])
+            bounce(axes, segment, np.int64(d), i, wall, planes.normal, e, factor, reference[i, d + INVERSE_MASS], t, rates)
             if elastic and own:
                 note_tc_elastic(work, moment + t, state[i, ID], j)
             counts[WALL_HITS] += own
@@ -337,7 +325,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             note_contact(axes, rows, j, t, state[i, ID], moment, QUICK * h, crowded, flags)
             own = state[i, OWNERSHIP] >= OWN
             e, factor = (1.0, 1.0) if elastic else (restitution, velocity_factor)
-            reals[i, VIRIAL] += collide(axes, segment, reference, i, j, t, e, factor, length, rates, work.r)
+            reals[i, VIRIAL] += collide(axes, segment, reference, i, j, t, e, factor, box.length, rates, work.r)
             if elastic and own:
                 note_tc_elastic(work, moment + t, state[i, ID], state[j, ID])
             counts[COLLISIONS] += own

@@ -255,7 +255,7 @@ def apply_moves(rows, lists, queue, directory, message, at, skin, stale, pending
     """
     numbers, bits = message
     row_of, holders, free, free_count = directory.row_of, directory.holders, directory.free, directory.free_count
-    segment, state, reference, length = rows.segment, rows.state, lists.reference, lists.length
+    segment, state, reference, length = rows.segment, rows.state, lists.reference, lists.box.length
     d, extra = dimension(rows), extra_width(rows)
     record, masks = record_width(d), holders.shape[1]
     while at < len(numbers):

@@ -18,9 +18,11 @@ import numpy as np
 from particles_mpi.contacts.event_driven.engine import MOST_EXPIRIES, NAMED, NEVER_CROWDED, Engine
 from particles_mpi.contacts.event_driven.event_loop import COLLISIONS, TC_ELASTIC, WALL_HITS
 from particles_mpi.contacts.event_driven.windows import Windows
+from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.contacts.walls import Planes, no_planes
 from particles_mpi.errors import StateError
+from particles_mpi.kernels.geometry import Box
 from particles_mpi.kernels.markers import CROWD
 from particles_mpi.neighbours.cells import bounds, order_in_space
 from particles_mpi.neighbours.trajectories import fastest
@@ -47,8 +49,8 @@ class Event:
         self,
         particles: Particles,
         ranks: Ranks,
-        box: tuple[Array, Array, Array],
-        loss: tuple[float, float],
+        box: Box,
+        loss: Loss,
         duration: float | None,
         planes: Planes | None,
         timers: Timers,

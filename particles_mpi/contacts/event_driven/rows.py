@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from particles_mpi.kernels.geometry import into_box
 from particles_mpi.kernels.jit import inner, lean
 from particles_mpi.kernels.markers import CROWD, NOBODY
 from particles_mpi.particles import Array
@@ -78,7 +79,7 @@ def start_drift(axes, rows, x, v, radius, last_contact, virial, acceleration, ow
 @lean
 def end_drift(axes, rows, h, lists):
     """All rows to time h, in a periodic box together with their reference positions. Returns how many own ones were squeezed."""
-    segment, state, lower, length = rows.segment, rows.state, lists.lower, lists.length
+    segment, state, lower, length = rows.segment, rows.state, lists.box.lower, lists.box.length
     d = len(axes)
     squeezed = 0
     for i in range(len(segment)):
@@ -90,8 +91,7 @@ def end_drift(axes, rows, h, lists):
         for k in range(d):
             at = segment[i, k] + segment[i, d + k] * (h - segment[i, 2 * d + START])
             if length[k] > 0.0 and not lower[k] <= at < lower[k] + length[k]:
-                inside = lower[k] + (at - lower[k]) % length[k]
-                inside = inside if inside < lower[k] + length[k] else lower[k]
+                inside = into_box(at, lower[k], lower[k] + length[k], length[k])
                 lists.reference[i, k] += inside - at
                 at = inside
             segment[i, k] = at

@@ -1,7 +1,8 @@
 """The contact of two rows on their straight segments: when they touch, and how their velocities change.
 
-`touch_time` and `collide` are copies of `law.contact_time` and `law.meet`, for rows that hold everything of a particle's path
-together: one line of memory is read for it instead of four. `tests/unit/test_contact_law.py` holds them to the same bits.
+`touch_time` and `collide` are copies of `law.contact_time` and `law.collide_pair` for rows that hold everything of a
+particle's path together: one line of memory is read for it instead of four.
+`tests/unit/test_contact_law.py` holds them to the same bits.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 
 from particles_mpi.contacts.event_driven.rows import RADIUS, START
 from particles_mpi.contacts.law import exchange, may_come_near
-from particles_mpi.kernels.geometry import boxes_between
+from particles_mpi.kernels.geometry import image_shift
 from particles_mpi.kernels.jit import inner, lean_inner
 from particles_mpi.kernels.markers import NEVER
 from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS
@@ -29,7 +30,7 @@ def distance_along(segment, d, i, j, k, start, now, length, far):
     )
     at = r + (segment[i, d + k] - segment[j, d + k]) * (now - start)
     if far:
-        return r - boxes_between(at, length[k])
+        return r - image_shift(at, length[k])
     return r - (length[k] if at > 0.5 * length[k] else (-length[k] if at < -0.5 * length[k] else 0.0))
 
 
@@ -134,7 +135,7 @@ def move_to(axes, segment, i, t):
 
 @lean_inner
 def collide(axes, segment, reference, i, j, t, restitution, velocity_factor, length, rates, r):
-    """The contact of rows i and j at time t: `law.meet` on segments. Returns its virial, -r.dp; r (d,) is scratch.
+    """The contact of rows i and j at time t: `law.collide_pair` on segments. Returns its virial, -r.dp; r (d,) is scratch.
 
     On a line there is one normal even for points, which have no distance when they touch: there, the impulse is that of r = 1.
     """
@@ -144,7 +145,7 @@ def collide(axes, segment, reference, i, j, t, restitution, velocity_factor, len
     move_to(axes, segment, j, t)
     for k in range(d):
         r[k] = segment[i, k] - segment[j, k]
-        r[k] -= boxes_between(r[k], length[k])
+        r[k] -= image_shift(r[k], length[k])
     if d == 1:
         approach = r[0] * (segment[i, d] - segment[j, d])
         r[0] = 1.0 if segment[i, d] < segment[j, d] else -1.0

@@ -33,6 +33,7 @@ from particles_mpi.contacts.event_driven.regions import Regions, is_wrong, mark_
 from particles_mpi.contacts.event_driven.rollback import record_width
 from particles_mpi.contacts.event_driven.rows import OWN, OWNERSHIP, SHARED
 from particles_mpi.errors import StateError
+from particles_mpi.kernels.geometry import Box
 from particles_mpi.neighbours.cells import bounds, order_in_space
 from particles_mpi.neighbours.trajectories import fastest
 from particles_mpi.neighbours.verlet_kernels import MARGIN, SIZE
@@ -66,9 +67,9 @@ class Windows:
     directory: Directory
     regions: Regions
 
-    def __init__(self, particles: Particles, ranks: Ranks, engine: Engine, box: tuple[Array, Array, Array], timers: Timers):
+    def __init__(self, particles: Particles, ranks: Ranks, engine: Engine, box: Box, timers: Timers):
         self.particles, self.ranks, self.engine, self.timers = particles, ranks, engine, timers
-        self.lower, self.upper, self.length = box
+        self.box = box
         self.balance, self.store = Balance(ranks, timers), Store(particles)
         self.version = -1
         self.searches = self.migrated = self.ghost_rows = self.count = self.redone = 0
@@ -189,30 +190,31 @@ class Windows:
 
     def wrapped(self, x: Array) -> Array:
         """Positions x (n, d) in the box where it is periodic."""
-        periodic = self.length > 0.0
+        lower, _, length = self.box
+        periodic = length > 0.0
         x = x.copy()
-        x[:, periodic] -= np.floor((x - self.lower)[:, periodic] / self.length[periodic]) * self.length[periodic]
+        x[:, periodic] -= np.floor((x - lower)[:, periodic] / length[periodic]) * length[periodic]
         return x
 
     def divide(self, largest: float, mean: float) -> None:
         """The regions of all ranks, and those who may have to exchange messages; `largest`, `mean`: radius of all particles."""
-        me, domain, periodic = self.ranks.rank, self.balance.domain, self.length > 0.0
-        low = np.where(periodic, np.maximum(domain.lower, self.lower), domain.lower)
-        high = np.where(periodic, np.minimum(domain.upper, self.upper), domain.upper)
+        me, domain, length = self.ranks.rank, self.balance.domain, self.box.length
+        low = np.where(length > 0.0, np.maximum(domain.lower, self.box.lower), domain.lower)
+        high = np.where(length > 0.0, np.minimum(domain.upper, self.box.upper), domain.upper)
         reach = (self.skin + 2.0 * self.displacement_bound + largest) * MARGIN
         depth = (reach + 2.0 * max(DEPTH * mean, largest)) * MARGIN
         apart = np.full(low.shape, np.inf)  # from the region of this rank to the nearest image of each
-        for shift in (0.0, self.length, -self.length):
+        for shift in (0.0, length, -length):
             apart = np.minimum(apart, np.maximum(np.maximum(low[me] + shift - high, low - high[me] - shift), 0.0))
         within = depth + largest + self.skin + 2.0 * self.skin + self.displacement_bound
         self.near = [int(rank) for rank in np.flatnonzero((apart**2).sum(axis=1) <= within**2) if rank != me]
-        self.regions = Regions(low, high, self.lower, self.length, me, np.array([*self.near, me]), reach, depth)
+        self.regions = Regions(low, high, self.box, me, np.array([*self.near, me]), reach, depth)
 
     def send_motion(self) -> None:
         """Ghosts start on the segments that their owners' rows start on. Collective."""
         rows, outgoing = self.engine.rows, []
         for rank in self.near:
-            message = message_of(self.buffer(rank, len(rows.segment) * (1 + 3 * len(self.length))))
+            message = message_of(self.buffer(rank, len(rows.segment) * (1 + 3 * len(self.box.length))))
             outgoing.append(message.numbers[: pack_motion(rows, self.directory.holders, rank, message)])
         unpack_motion(rows, self.directory.row_of, message_of(swap(self.ranks, self.near, outgoing)))
 
@@ -259,7 +261,7 @@ class Windows:
 
     def changes_for(self, rank: int, moves: Moves) -> Array:
         """What happened in the window, for a rank."""
-        engine, log, d = self.engine, self.engine.log, len(self.length)
+        engine, log, d = self.engine, self.engine.log, len(self.box.length)
         widest = record_width(d) + d + 6 + moves.holders.shape[1] + engine.differing
         message = message_of(self.buffer(rank, (int(log.border_count[0]) + 3 * int(log.moved_count[0])) * widest))
         size = pack_changes(engine.rows, engine.lists.arrays.reference, self.directory, log, moves, rank, message)
