@@ -166,7 +166,8 @@ class Candidates:
         needed, until = renew_paths(
             rows, tuple(segments), owned, self.path_arrays, self.region, tuple(self.horizon), self.length, self.time, h
         )
-        self.horizon = self.horizon._replace(valid_until=until)
+        if until != self.horizon.valid_until:
+            self.horizon = self.horizon._replace(valid_until=until)
         if needed:
             return float(needed)
         move_rows(rows, self.path_arrays, owned, self.index)
