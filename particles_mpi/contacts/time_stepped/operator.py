@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from particles_mpi.contacts.law import Loss
+from particles_mpi.contacts.time_stepped.contact_search import deepest_hit, deepest_supported, find_contacts, find_wall_hits
 from particles_mpi.contacts.time_stepped.passes import (
     MISSED,
     WALL_HITS,
@@ -25,10 +26,6 @@ from particles_mpi.contacts.time_stepped.passes import (
     Selection,
     UndoLog,
     apply_contacts,
-    deepest_hit,
-    deepest_supported,
-    find_contacts,
-    find_wall_hits,
     finish_walls,
     select_contacts,
 )
