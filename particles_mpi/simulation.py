@@ -14,7 +14,7 @@ from particles_mpi.between_steps.particle_view import ParticleView
 from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.errors import SceneError, StateError
-from particles_mpi.initial.checks import listed, value_limits
+from particles_mpi.initial.checks import listed, periodic_length, value_limits
 from particles_mpi.initial.populate import effect_class, fields_of, keeps_contacts, populate
 from particles_mpi.integrators.integrator import Integrator
 from particles_mpi.integrators.leapfrog import Leapfrog
@@ -95,7 +95,7 @@ class Simulation:
         d, box = scene.dimension, scene.box
         self.lower = np.array(box.lower, float) if box else np.zeros(d)
         self.upper = np.array(box.upper, float) if box else np.zeros(d)
-        self.length = np.where(scene.periodic, self.upper - self.lower, 0.0)
+        self.length = periodic_length(scene)
         self._build()
 
     def _build(self) -> None:

@@ -8,6 +8,7 @@ from math import exp, floor, inf, lgamma, log, pi, prod
 
 import numpy as np
 
+from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import inner, kernel
 from particles_mpi.particles import Array
 
@@ -139,9 +140,7 @@ def touches(y, r, x, radius, length, head, after, reach, cells, first, lower, ex
                     while j >= 0:
                         r2 = 0.0
                         for k in range(len(y)):
-                            gap = abs(y[k] - x[j, k])
-                            if length[k] > 0.0 and gap > 0.5 * length[k]:
-                                gap = length[k] - gap
+                            gap = nearest(y[k] - x[j, k], length[k])
                             r2 += gap * gap
                         if r2 < ((r + radius[j]) * (1.0 + 1e-12)) ** 2:
                             return True

@@ -10,19 +10,8 @@ from particles_mpi.kernels.jit import plain
 from particles_mpi.kernels.motion import Segments
 from particles_mpi.neighbours.cells import FINE, LinkedCells, grid, sort_rows, spacing
 from particles_mpi.neighbours.halo_region import HaloRegion, everywhere
-from particles_mpi.neighbours.pair_search import (
-    AT_ONCE,
-    SLOW,
-    Scratch,
-    SearchIndex,
-    SortedCells,
-    drop_pairs,
-    fill_cells,
-    find_partners,
-    levels,
-    move_rows,
-    unmark,
-)
+from particles_mpi.neighbours.pair_search import AT_ONCE, Scratch, drop_pairs, find_partners
+from particles_mpi.neighbours.search_index import SLOW, SearchIndex, SortedCells, fill_cells, levels, move_rows
 from particles_mpi.neighbours.trajectories import (
     AT_REST,
     Horizon,
@@ -141,7 +130,7 @@ class Candidates:
                 rows, self.paths.path, tuple(self.horizon), self.spheres.owned, *self.planes, marked,
                 self.wall_rows, self.wall_count,
             )  # fmt: skip
-        unmark(rows, marked)
+        marked[rows] = False
 
     def leaving(self, h: float) -> Array:
         """Rows that a drift over h from now takes away from their paths."""
@@ -166,7 +155,8 @@ class Candidates:
         needed, until = renew_paths(
             rows, tuple(segments), owned, self.path_arrays, self.region, tuple(self.horizon), self.length, self.time, h
         )
-        self.horizon = self.horizon._replace(valid_until=until)
+        if until != self.horizon.valid_until:
+            self.horizon = self.horizon._replace(valid_until=until)
         if needed:
             return float(needed)
         move_rows(rows, self.path_arrays, owned, self.index)

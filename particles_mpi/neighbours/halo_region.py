@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.neighbours.trajectories import Horizon, rows_near_box, swept_box
+from particles_mpi.neighbours.rank_boxes import rows_near_box, swept_box
+from particles_mpi.neighbours.trajectories import Horizon
 from particles_mpi.parallel.communicator import Ranks
 from particles_mpi.parallel.exchange import send_rows, starts
 from particles_mpi.particles import Array

@@ -7,7 +7,8 @@ from test_candidates import at_start, closest, listed
 
 from particles_mpi.neighbours.candidates import Candidates
 from particles_mpi.neighbours.halo_region import build
-from particles_mpi.neighbours.trajectories import Horizon, Spheres, swept_box
+from particles_mpi.neighbours.rank_boxes import swept_box
+from particles_mpi.neighbours.trajectories import Horizon, Spheres
 
 
 @settings(max_examples=60, deadline=None)

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from particles_mpi.contacts.law import Loss
+from particles_mpi.contacts.time_stepped.contact_search import deepest_hit, deepest_supported, find_contacts, find_wall_hits
 from particles_mpi.contacts.time_stepped.passes import (
     MISSED,
     WALL_HITS,
@@ -25,10 +26,6 @@ from particles_mpi.contacts.time_stepped.passes import (
     Selection,
     UndoLog,
     apply_contacts,
-    deepest_hit,
-    deepest_supported,
-    find_contacts,
-    find_wall_hits,
     finish_walls,
     select_contacts,
 )
@@ -171,13 +168,13 @@ class Rewind:
     def find(self, h: float, everything: bool) -> Hits:
         """The hits on the present segments: all of them, or those of active rows."""
         near, active = self.near, self.near.active.flag
-        hits = tuple(near.candidates.hits)
+        first, second, time = hits = tuple(near.candidates.hits)
         pairs = near.candidates.pairs
         found = find_contacts(near.axes, *near.rows, *pairs, h, near.length, everything, active, hits)
         if self.walls:
             radius, rows = near.spheres.radius, near.candidates.near_wall
             found = find_wall_hits(near.axes, near.rows[0], radius, rows, h, everything, active, self.planes, hits, found)
-        return Hits(*(column[:found] for column in hits))
+        return Hits(first[:found], second[:found], time[:found])
 
     def one_pass(self, hits: Hits, h: float, counts: Array, shared: bool) -> float:
         """Select by the total order, tell the other ranks, apply the selected contacts, find who is in the way now.

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from particles_mpi.kernels.geometry import image_shifts
 from particles_mpi.study.hard_cases import Bench, case, everyone
 
 
@@ -120,7 +121,7 @@ def dense_fluid(bench: Bench) -> tuple[str, bool]:
         sim.step()
     row, p = sim.measure(), everyone(sim)
     r = p.position[:, None] - p.position[None]
-    r -= side * np.rint(r / side)
+    r -= image_shifts(r, side)
     closest = np.sqrt((r**2).sum(axis=2))[np.triu_indices(500, 1)].min()
     z = row["z_virial"]
     missed = int(sim.ranks.total(sim.totals["missed"])[0])

@@ -13,6 +13,7 @@ import numpy as np
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.errors import SceneError, StoppedError
+from particles_mpi.kernels.geometry import image_shifts
 from particles_mpi.particles import Array
 from particles_mpi.study.recommending.error_metric import ROUND_OFF, Yardstick, observables
 from particles_mpi.study.recommending.starts import DIRECT, SHIFT, Start, spread, variant
@@ -161,10 +162,7 @@ def converge(found: Yardstick, first: Track, steps: int, seconds: float) -> tupl
 
 def packed(track: Track, first: Track, length: Array) -> Array:
     """Places and energies in a row; on periodic axes the image that is nearest to the first."""
-    x = track.places.copy()
-    periodic = length > 0.0
-    turns = np.round((x - first.places)[..., periodic] / length[periodic])
-    x[..., periodic] -= turns * length[periodic]
+    x = track.places - image_shifts(track.places - first.places, length)
     return np.concatenate([x.ravel(), track.energy])
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from particles_mpi import Simulation
 from particles_mpi.errors import StoppedError
+from particles_mpi.kernels.geometry import image_shifts
 from particles_mpi.particles import Array
 from particles_mpi.study.recommending.starts import Start, places
 
@@ -78,8 +79,7 @@ def energy(sim: Simulation) -> tuple[float, float]:
 def apart(one: Array, other: Array, length: Array) -> float:
     """The largest distance of any particle in one from itself in the other, over all looks; the shorter way round."""
     away = one - other
-    periodic = length > 0.0
-    away[..., periodic] -= length[periodic] * np.round(away[..., periodic] / length[periodic])
+    away -= image_shifts(away, length)
     return float(np.sqrt((away**2).sum(axis=-1)).max(initial=0.0))
 
 
