@@ -24,10 +24,10 @@ from particles_mpi.kernels.geometry import Box, wrap
 from particles_mpi.kernels.motion import free_drift
 from particles_mpi.measure import snapshot
 from particles_mpi.measure.diagnostics import COUNTS, measure
-from particles_mpi.measure.health import WATCH_EVERY, Watchdog
-from particles_mpi.measure.snapshot import ABOUT
-from particles_mpi.parallel.agreement import alike, not_finite, same_on_all
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.measure.snapshot import METADATA
+from particles_mpi.measure.watchdog import WATCH_EVERY, Watchdog
+from particles_mpi.parallel.agreement import raising_together, require_finite, same_on_all
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import id_range
 from particles_mpi.particles import FIELDS, Array, Particles, default_values, places_of
 from particles_mpi.scene.schema import Scene
@@ -60,14 +60,14 @@ class Simulation:
 
     def __init__(self, scene: Scene, comm: Any = None, start: Particles | None = None):
         """`start`: all particles in id order on every rank, with the fields that the scene needs, instead of its own."""
-        ranks = Ranks(comm)
-        with alike(ranks):
+        ranks = Communicator(comm)
+        with raising_together(ranks):
             particles, self.warnings = populate(scene) if start is None else (start, [])
         same_on_all(ranks, scene.to_dict(), particles.arrays)
-        with alike(ranks):
+        with raising_together(ranks):
             self._assemble(scene, ranks, particles)
 
-    def _assemble(self, scene: Scene, ranks: Ranks, everyone: Particles, next_id: int = 0) -> None:
+    def _assemble(self, scene: Scene, ranks: Communicator, everyone: Particles, next_id: int = 0) -> None:
         """Build the run around all particles (in id order on every rank), of which this rank keeps its share.
 
         `next_id`: the id of the next particle that is added, if it is larger than those that are there tell.
@@ -249,7 +249,7 @@ class Simulation:
             self.particles.collect()
         except StateError as error:
             raise StateError(f"step {self.steps_done + 1}: {error}") from None
-        if self.rest and self.rest.pairs and self.ranks.largest(float(self.rows.edition != self.taken))[0]:
+        if self.rest and self.rest.pairs and self.ranks.allreduce_max(float(self.rows.edition != self.taken))[0]:
             self._forget_contacts()
         self.taken = self.rows.edition
 
@@ -368,7 +368,7 @@ class Simulation:
         known = (p.version, p.edition) if all(f.constant for f in self.forces.values()) else places_of(p)
         same = known == self.known
         if any(hasattr(f, "enter") for f in self.forces.values()):  # what one rank does not know, none does
-            same = bool(self.ranks.smallest(float(same))[0])
+            same = bool(self.ranks.allreduce_min(float(same))[0])
         if same:
             return self.accelerations
         a = np.zeros_like(p.velocity)
@@ -405,7 +405,7 @@ class Simulation:
         """
         counted = self.counted()
         events = self.totals["collisions"] + self.totals["wall_hits"]
-        sums = self.ranks.total(np.array([counted["interactions"], counted["pair_tests"], events], np.int64)).tolist()
+        sums = self.ranks.allreduce_sum(np.array([counted["interactions"], counted["pair_tests"], events], np.int64)).tolist()
         forces = max((self.calls.get(name, 0) for name in self.forces), default=0)
         return {"forces": forces, "interactions": sums[0], "pair_tests": sums[1], "events": sums[2]}
 
@@ -421,11 +421,10 @@ class Simulation:
         if self.scene.output.observables:
             from particles_mpi.measure.observables import observe
 
-            collisions = int(self.ranks.total(self.totals["collisions"])[0])
+            collisions = int(self.ranks.allreduce_sum(self.totals["collisions"])[0])
             volume = float(np.prod(self.upper - self.lower)) if self.scene.box else np.nan
             row |= observe(self.ranks, p, volume, self.time, collisions, self.observed)
-        if not np.isfinite(row["kinetic"]):
-            raise StateError(not_finite(self.ranks, p, f"step {self.steps_done}"))
+        require_finite(self.ranks, p, row["kinetic"], f"step {self.steps_done}")
         return row
 
     def remarks(self) -> list[str]:
@@ -455,11 +454,11 @@ class Simulation:
         """The run that wrote the checkpoint, where it stood, on any number of ranks; the same bits from there on."""
         from particles_mpi.output.checkpoint import load
 
-        ranks = Ranks(comm)
-        with alike(ranks):
+        ranks = Communicator(comm)
+        with raising_together(ranks):
             arrays, saved = load(Path(path))
-            about = {name: json.loads(str(saved[name])) for name in ABOUT}
-        sim = cls._read(ranks, arrays, about)
+            metadata = {name: json.loads(str(saved[name])) for name in METADATA}
+        sim = cls._read(ranks, arrays, metadata)
         sim.reported, sim.written = json.loads(saved["reported"]), json.loads(saved["written"])
         return sim
 
@@ -472,9 +471,9 @@ class Simulation:
         from particles_mpi.initial.populate import add_population
 
         self.take_changes()
-        everyone = snapshot.everyone(self.ranks, self.rows)
+        everyone = snapshot.gather_all(self.ranks, self.rows)
         number = len(self.scene.particles) + self.additions
-        with alike(self.ranks):
+        with raising_together(self.ranks):
             all_, warnings = add_population(self.scene, everyone, population, self.next_id, number)
         same_on_all(self.ranks, {}, all_.arrays)
         new = all_.select(np.arange(len(everyone), len(all_)))
@@ -495,10 +494,10 @@ class Simulation:
         Raises ValueError, on all ranks, for ids that no particle has.
         """
         self.take_changes()
-        named = np.unique(np.concatenate([np.asarray(of, np.int64).reshape(-1) for of in self.ranks.gathered(ids)]))
+        named = np.unique(np.concatenate([np.asarray(of, np.int64).reshape(-1) for of in self.ranks.allgather(ids)]))
         here = np.isin(self.rows.id, named)
-        if self.ranks.total(np.count_nonzero(here))[0] < len(named):
-            known = np.concatenate(self.ranks.gathered(self.rows.id[here]))
+        if self.ranks.allreduce_sum(np.count_nonzero(here))[0] < len(named):
+            known = np.concatenate(self.ranks.allgather(self.rows.id[here]))
             raise ValueError(f"remove: no {listed(np.setdiff1d(named, known))}")
         self.rows.replace(self.rows.select(np.flatnonzero(~here)).arrays)
         self.particles.close()
@@ -514,57 +513,57 @@ class Simulation:
         if name in FIELDS or name in dir(ParticleView) or values.shape[:1] != (self.total,) or values.dtype.kind not in "biuf":
             raise ValueError(f"attach: {name!r} must be a new name, with an array of numbers for {self.total} particles")
         self.take_changes()
-        ids = np.sort(np.concatenate(self.ranks.gathered(self.rows.id)))
+        ids = np.sort(np.concatenate(self.ranks.allgather(self.rows.id)))
         self.rows.arrays[name] = values[np.searchsorted(ids, self.rows.id)]
 
-    def about(self) -> dict[str, Any]:
+    def metadata(self) -> dict[str, Any]:
         """Clock, counts over all ranks, and scene, as plain data: what a state is besides its particles. Collective."""
         self.take_changes()
-        totals = self.ranks.total(np.array([self.totals[name] for name in COUNTS])).tolist()
+        totals = self.ranks.allreduce_sum(np.array([self.totals[name] for name in COUNTS])).tolist()
         clock = {"step": self.steps_done, "moment": self.moment, "h": self._h, "observed": self.observed}
         kept = [column.tolist() for column in self.rest.memory] if self.rest else []
         counts = {"totals": totals, "next_id": self.next_id, "additions": self.additions}
         return {**clock, **counts, "kept": kept, "scene": self.scene.to_dict()}
 
     @classmethod
-    def _restored(cls, scene: Scene, ranks: Ranks, everyone: Particles, about: dict[str, Any]) -> Simulation:
+    def _restored(cls, scene: Scene, ranks: Communicator, everyone: Particles, metadata: dict[str, Any]) -> Simulation:
         sim = cls.__new__(cls)
         sim.warnings = []
-        sim._assemble(scene, ranks, everyone, about["next_id"])
-        sim.steps_done, sim._h, sim.additions = about["step"], about["h"], about["additions"]
-        sim.moment = about["moment"][0], about["moment"][1]
-        sim.observed = list(about["observed"])
-        if sim.rest and about["kept"]:
-            sim.rest.memory = np.array(about["kept"][0], np.int64), np.array(about["kept"][1], float)
+        sim._assemble(scene, ranks, everyone, metadata["next_id"])
+        sim.steps_done, sim._h, sim.additions = metadata["step"], metadata["h"], metadata["additions"]
+        sim.moment = metadata["moment"][0], metadata["moment"][1]
+        sim.observed = list(metadata["observed"])
+        if sim.rest and metadata["kept"]:
+            sim.rest.memory = np.array(metadata["kept"][0], np.int64), np.array(metadata["kept"][1], float)
         if ranks.is_root:  # counts are sums over ranks: one rank carries those from before
-            sim.totals.update(zip(COUNTS, about["totals"], strict=True))
+            sim.totals.update(zip(COUNTS, metadata["totals"], strict=True))
         return sim
 
     def copy(self) -> Simulation:
         """Another simulation in the same state. Collective."""
-        about = self.about()
-        return self._restored(self.scene, self.ranks, snapshot.everyone(self.ranks, self.rows), about)
+        metadata = self.metadata()
+        return self._restored(self.scene, self.ranks, snapshot.gather_all(self.ranks, self.rows), metadata)
 
     def to_json(self, path: str | Path, indent: int | None = None) -> None:
         """Save scene and state, exact to the bit; compact, or readable with `indent`. Collective."""
-        about = self.about()
-        snapshot.save_json(Path(path), self.ranks, self.rows, about, indent)
+        metadata = self.metadata()
+        snapshot.save_json(Path(path), self.ranks, self.rows, metadata, indent)
 
     @classmethod
     def from_json(cls, path: str | Path, comm: Any = None) -> Simulation:
         """What `to_json` saved, on any number of ranks."""
-        ranks = Ranks(comm)
-        with alike(ranks):
-            arrays, about = snapshot.load_json(Path(path))
-        return cls._read(ranks, arrays, about)
+        ranks = Communicator(comm)
+        with raising_together(ranks):
+            arrays, metadata = snapshot.load_json(Path(path))
+        return cls._read(ranks, arrays, metadata)
 
     @classmethod
-    def _read(cls, ranks: Ranks, arrays: dict[str, Array], about: dict[str, Any]) -> Simulation:
+    def _read(cls, ranks: Communicator, arrays: dict[str, Array], metadata: dict[str, Any]) -> Simulation:
         """The simulation of a state that every rank has read from a file: it must be the same on all."""
-        same_on_all(ranks, about, arrays)
-        with alike(ranks):
-            scene = Scene.from_dict(about["scene"])
-            return cls._restored(scene, ranks, Particles(scene.dimension, arrays), about)
+        same_on_all(ranks, metadata, arrays)
+        with raising_together(ranks):
+            scene = Scene.from_dict(metadata["scene"])
+            return cls._restored(scene, ranks, Particles(scene.dimension, arrays), metadata)
 
     def __eq__(self, other: object) -> bool:
         """The same scene, time, step length and particles, to the bit. Collective."""
@@ -572,7 +571,7 @@ class Simulation:
             return NotImplemented
         for sim in (self, other):
             sim.take_changes()
-        mine, theirs = (snapshot.everyone(sim.ranks, sim.rows) for sim in (self, other))
+        mine, theirs = (snapshot.gather_all(sim.ranks, sim.rows) for sim in (self, other))
         clocks = [(sim.time, sim.h, sim.next_id) for sim in (self, other)]
         return self.scene == other.scene and clocks[0] == clocks[1] and snapshot.same(mine, theirs)
 

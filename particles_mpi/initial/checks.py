@@ -7,7 +7,7 @@ from math import floor, log10
 
 import numpy as np
 
-from particles_mpi.initial.placement import Room
+from particles_mpi.initial.placement import Container
 from particles_mpi.kernels.geometry import image_shift, image_shifts
 from particles_mpi.kernels.jit import inner, kernel
 from particles_mpi.neighbours.candidates import touching
@@ -33,7 +33,7 @@ def pair_names(first: Array, second: Array) -> list[str]:
     return [f"{i}-{j}" for i, j in zip(first.tolist(), second.tolist())]
 
 
-def check_start(scene: Scene, particles: Particles, room: Room | None, before: int = 0) -> tuple[list[str], list[str]]:
+def check_start(scene: Scene, particles: Particles, room: Container | None, before: int = 0) -> tuple[list[str], list[str]]:
     """(faults, warnings) of particles in id order; overlaps that the scene allows are pushed apart in place.
 
     The first `before` of them were there already: nothing is asked of them but that the others do not overlap them.
@@ -96,7 +96,7 @@ def coincident(scene: Scene, particles: Particles) -> list[str]:
     ]
 
 
-def check_places(scene: Scene, particles: Particles, room: Room | None) -> list[str]:
+def check_places(scene: Scene, particles: Particles, room: Container | None) -> list[str]:
     """Centres outside the box, and movable spheres that are not fully inside a wall (fixed ones may stand in it)."""
     x, faults = particles.position, []
     if scene.box is not None:
@@ -220,7 +220,7 @@ def overlapping(particles: Particles, length: Array, before: int = 0) -> tuple[A
     return first[deep], second[deep], depth[deep]
 
 
-def check_overlaps(scene: Scene, particles: Particles, room: Room | None, before: int = 0) -> tuple[list[str], list[str]]:
+def check_overlaps(scene: Scene, particles: Particles, room: Container | None, before: int = 0) -> tuple[list[str], list[str]]:
     """Overlapping spheres are a fault, or a warning and pushed apart where the scene allows them."""
     length = periodic_length(scene)
     first, second, depth = overlapping(particles, length, before)
@@ -245,7 +245,7 @@ def periodic_length(scene: Scene) -> Array:
     return np.where(scene.periodic, np.array(scene.box.upper, float) - np.array(scene.box.lower, float), 0.0)
 
 
-def push_apart(scene: Scene, particles: Particles, room: Room | None) -> tuple[Array, Array, Array]:
+def push_apart(scene: Scene, particles: Particles, room: Container | None) -> tuple[Array, Array, Array]:
     """Move overlapping spheres apart, pair by pair in id order, the lighter one further; returns the overlaps that are left.
 
     Positions only: no velocity changes, so no kinetic energy comes in.

@@ -15,7 +15,7 @@ import numpy as np
 
 from particles_mpi.neighbours.rank_boxes import rows_near_box, swept_box
 from particles_mpi.neighbours.trajectories import Horizon
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import send_rows, starts
 from particles_mpi.particles import Array
 
@@ -48,13 +48,13 @@ def overlapping(one: Array, boxes: Array, length: Array) -> Array:
 
 
 def fetch_near_rows(
-    ranks: Ranks, arrays: dict[str, Array], state: tuple[Array, Array, Array], horizon: Horizon, length: Array
+    ranks: Communicator, arrays: dict[str, Array], state: tuple[Array, Array, Array], horizon: Horizon, length: Array
 ) -> tuple[HaloRegion, Array, Array, dict[str, Array], Array]:
     """(region, our rows that others need, how many each, theirs that we need, how many of each rank). Collective.
 
     `arrays`: what is sent of a row; `state` = (x, v, radius) of the owned rows, which start now.
     """
-    boxes = ranks.rows_of_all(swept_box(*state, horizon))
+    boxes = ranks.allgather_array(swept_box(*state, horizon))
     region, rows, counts = build(boxes, ranks.rank, state, horizon, length)
     return region, rows, counts, *send_rows(ranks, arrays, rows, counts)
 

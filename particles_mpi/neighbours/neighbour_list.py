@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from particles_mpi.errors import StateError, StoppedError
+from particles_mpi.errors import StoppedError
 from particles_mpi.kernels.geometry import Box, wrap
 from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.kernels.motion import Segments, end_segments
@@ -21,11 +21,11 @@ from particles_mpi.neighbours.halo import Active, any_of, exchange_segments, exc
 from particles_mpi.neighbours.halo_region import HaloRegion, everywhere, fetch_near_rows
 from particles_mpi.neighbours.rebuild_interval import RebuildTuner
 from particles_mpi.neighbours.trajectories import Horizon, Spheres, fastest
-from particles_mpi.parallel.agreement import not_finite
-from particles_mpi.parallel.buffers import Store
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.agreement import require_finite
+from particles_mpi.parallel.buffers import RowBuffers
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import Halo
-from particles_mpi.parallel.load_balance import Balance
+from particles_mpi.parallel.load_balance import LoadBalance
 from particles_mpi.particles import Array, Particles, field
 from particles_mpi.timers import Timers
 
@@ -47,7 +47,7 @@ class Neighbourhood:
     def __init__(
         self,
         particles: Particles,
-        ranks: Ranks,
+        ranks: Communicator,
         box: Box,
         planes: tuple[Array, Array],
         kicked: bool,
@@ -56,11 +56,11 @@ class Neighbourhood:
         self.particles, self.ranks, self.planes, self.kicked, self.timers = particles, ranks, planes, kicked, timers
         self.box, self.length = box, box.length
         self.axes = (0,) * len(self.length)
-        self.balance = Balance(ranks, timers)
+        self.balance = LoadBalance(ranks, timers)
         self.version = -1
         self.halo: Any = None  # on one rank; else a Halo
         self.candidates: Candidates
-        self.store = Store(particles)
+        self.row_buffers = RowBuffers(particles)
         self.position: Array | None = None  # the particles' own array at the last search
         self.searches = self.migrated = self.ghost_rows = self.expected = self.pair_tests = 0
         self.tuner = RebuildTuner()
@@ -74,7 +74,7 @@ class Neighbourhood:
         if self.kicked:
             needed = max(needed, self.follow_kicks(h))
         with self.timers("agree"):
-            needed = float(self.ranks.largest(needed)[0])
+            needed = float(self.ranks.allreduce_max(needed)[0])
         if needed:
             self.search(h, needed if np.isfinite(needed) else 0.0)
 
@@ -99,14 +99,14 @@ class Neighbourhood:
         particles = self.particles
         with self.timers("migrate"):
             self.balance.update(particles, self.searches)
-            self.store.adopt()
-            self.migrated += self.store.migrate(self.ranks, self.balance.owner(particles.position))
+            self.row_buffers.adopt()
+            self.migrated += self.row_buffers.migrate(self.ranks, self.balance.decomposition.owner(particles.position))
         with self.timers("agree"):
             extent = bounds(particles.position)
             horizon = self.horizon(h, at_least, extent)
         with self.timers("pairs"):
             if self.searches % SORT_EVERY == 0 and len(particles) > 1:
-                self.store.sort(order_in_space(particles.position, extent))
+                self.row_buffers.sort(order_in_space(particles.position, extent))
         with self.timers("ghosts"):
             region = self.fetch_ghosts(horizon)
         with self.timers("pairs"):
@@ -121,11 +121,10 @@ class Neighbourhood:
         work = self.tuner.work(len(self.x), self.candidates.tests, self.candidates.asked) if self.searches else 0.0
         radius = particles.radius
         mine = np.array([n, fastest(x, particles.velocity), radius.max(initial=0.0), radius.sum(), work, *extent[0], *extent[1]])
-        table = self.ranks.rows_of_all(mine)  # of all in one message
+        table = self.ranks.allgather_array(mine)  # of all in one message
         counts, speeds, largest_radii, radii, works = table[:, :5].T
         lowest, highest = table[:, 5 : 5 + d].min(axis=0), table[:, 5 + d :].max(axis=0)
-        if not np.isfinite(table[:, 1:3]).all():
-            raise StateError(not_finite(self.ranks, particles, "in a drift"))
+        require_finite(self.ranks, particles, table[:, 1:3], "in a drift")
         total, speed, largest = counts.sum(), speeds.max(), 2.0 * float(largest_radii.max())
         mean = 2.0 * float(radii.sum()) / max(total, 1.0)
         apart = spacing(lowest, highest, int(total)) if total else 1.0
@@ -165,7 +164,7 @@ class Neighbourhood:
             self.shared = np.zeros(owned + int(arriving.sum()), np.bool_)
             self.shared[rows] = self.shared[owned:] = True
             self.ghost_rows += len(arrived["id"])
-            everyone = self.store.behind(arrived)
+            everyone = self.row_buffers.append_ghosts(arrived)
         self.fields, self.x, self.v = everyone, everyone["position"], everyone["velocity"]
         self.spheres = Spheres(everyone["radius"], Particles(d, everyone).inverse_mass, everyone["id"], owned)
         n = len(self.x)

@@ -18,7 +18,7 @@ import numpy as np
 
 from particles_mpi.contacts.event_driven.messages import message_of
 from particles_mpi.contacts.event_driven.operator import Event
-from particles_mpi.parallel.communicator import Ranks
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.scene.schema import Scene
 from particles_mpi.setup.kernel_sources import PACKAGE, Sources
 from particles_mpi.simulation import Simulation
@@ -28,7 +28,7 @@ LOSSY = {"restitution": 0.5}
 ROOM = 4.0  # length of the box
 NO_PART = 4  # a part of a message that is none of those of `messages`
 
-Job = Callable[[Ranks], None]
+Job = Callable[[Communicator], None]
 
 
 def scene(d: int, effects: dict[str, Any], *, periodic: bool = False, **more: Any) -> Scene:
@@ -46,7 +46,7 @@ def scene(d: int, effects: dict[str, Any], *, periodic: bool = False, **more: An
     return Scene(dimension=d, time=time, effects=effects, **tables)
 
 
-def run(described: Scene, ranks: Ranks) -> Simulation:
+def run(described: Scene, ranks: Communicator) -> Simulation:
     """All that a run computes: steps, a look of the watchdog, diagnostics."""
     sim = Simulation(described, ranks.comm)
     if isinstance(sim.near, Event) and ranks.size > 1:  # windows of time on divided space, however few particles there are
@@ -72,7 +72,7 @@ def struck_row(d: int, count: int) -> list[dict[str, Any]]:
     ]
 
 
-def event(d: int, ranks: Ranks) -> None:
+def event(d: int, ranks: Communicator) -> None:
     """Mode event: with and without walls, a periodic box, observables."""
     collisions: dict[str, Any] = {"mode": "event"}
     run(scene(d, {"collisions": collisions, "walls": {}}, output={"observables": True}), ranks)
@@ -86,13 +86,13 @@ def event(d: int, ranks: Ranks) -> None:
         losses(d, ranks)
 
 
-def losses(d: int, ranks: Ranks) -> None:
+def losses(d: int, ranks: Communicator) -> None:
     """Mode event where spheres come to rest."""
     lossy: dict[str, Any] = {"collisions": LOSSY | {"mode": "event"}, "walls": LOSSY, "uniform_gravity": down(d)}
     run(scene(d, lossy), ranks)
 
 
-def rewind(d: int, ranks: Ranks) -> None:
+def rewind(d: int, ranks: Communicator) -> None:
     """Mode rewind: the same."""
     lossy: dict[str, Any] = {"collisions": LOSSY, "walls": LOSSY}
     run(scene(d, {"collisions": {}, "walls": {}}, output={"observables": True}), ranks)
@@ -110,7 +110,7 @@ def rewind(d: int, ranks: Ranks) -> None:
     run(scene(d, {"collisions": few, "walls": {}, "uniform_gravity": down(d)}, time={"step": 0.03}), ranks)
 
 
-def others(d: int, ranks: Ranks) -> None:
+def others(d: int, ranks: Communicator) -> None:
     """No pairs: walls alone, integrators, the direct sum."""
     run(scene(d, {"uniform_gravity": down(d), "walls": LOSSY}), ranks)
     run(scene(d, {"walls": {}}), ranks)
@@ -121,7 +121,7 @@ def others(d: int, ranks: Ranks) -> None:
     run(scene(d, {}), ranks)
 
 
-def windows(ranks: Ranks) -> None:
+def windows(ranks: Communicator) -> None:
     """What ranks tell one another in mode event, which is the same in all dimensions: by one rank, to itself."""
     sim = Simulation(scene(3, {"collisions": {"mode": "event"}}), ranks.comm)
     assert isinstance(sim.near, Event)
@@ -136,14 +136,14 @@ def windows(ranks: Ranks) -> None:
     divided.accept(nothing, divided.plan_moves())
 
 
-def tree(ranks: Ranks) -> None:
+def tree(ranks: Communicator) -> None:
     """The tree, which is the same in all dimensions; enough particles for cells that are far."""
     many = [{"count": 300, "position": "random"}]
     for multipole in ("quadrupole", "monopole"):
         run(scene(3, {"mutual_gravity": {"method": "tree", "multipole": multipole}}, particles=many), ranks)
 
 
-def orbits(ranks: Ranks) -> None:
+def orbits(ranks: Communicator) -> None:
     """The study's own kernel."""
     from particles_mpi.study.hard_cases.orbits import circle
 
@@ -174,17 +174,17 @@ def jobs() -> Iterator[Job]:
 def main() -> None:
     """Each rank takes the next job that nobody has; then those of several ranks together."""
     begin = perf_counter()
-    world, alone = Ranks(), Ranks.alone()
+    world, alone = Communicator(), Communicator.alone()
     if world.is_root:
         Sources(PACKAGE).forget_stale()
-    claims = Path(world.from_root(tempfile.mkdtemp() if world.is_root else None))
+    claims = Path(world.bcast(tempfile.mkdtemp() if world.is_root else None))
     for number, job in enumerate(jobs()):
         try:
             (claims / str(number)).mkdir()
         except FileExistsError:
             continue
         job(alone)
-    world.wait_asleep()
+    world.sleeping_barrier()
     for d in DIMENSIONS:
         event(d, world)
         rewind(d, world)

@@ -84,8 +84,8 @@ def test_ctrl_c_is_heard_within_a_step(tmp_path, arguments, code):
     """A step of very many contacts, as a user's script and as a run with files."""
     script = LONG % (repr(str(tmp_path / "o")) if arguments else "")
     if arguments:
-        script = script.replace("sim.run", "from particles_mpi.parallel.agreement import end_together\ntry:\n    sim.run")
-        script += "except BaseException as error:\n    raise SystemExit(end_together(error))\n"
+        script = script.replace("sim.run", "from particles_mpi.parallel.agreement import abort_all\ntry:\n    sim.run")
+        script += "except BaseException as error:\n    raise SystemExit(abort_all(error))\n"
     process = subprocess.Popen(
         [sys.executable, "-c", script], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )

@@ -40,7 +40,7 @@ from particles_mpi.contacts.walls import Planes
 from particles_mpi.errors import StateError
 from particles_mpi.kernels.geometry import Box
 from particles_mpi.neighbours.verlet_lists import VerletLists, aligned, enlarged
-from particles_mpi.parallel.signals import breathe
+from particles_mpi.parallel.signals import check_signals
 from particles_mpi.particles import Array, Particles
 
 CONTACTS = 1.0  # expected in a bucket of the queue
@@ -158,7 +158,7 @@ class Engine:
             if short == STANDSTILL:
                 raise StateError(self.standstill(moment + work.progress[LAST_PROGRESS]))
             if short == INTERRUPTED:
-                breathe()
+                check_signals()
             else:
                 self.lists.enlarge(short)
             pending = 0

@@ -21,15 +21,14 @@ from particles_mpi.contacts.event_driven.windows import Windows
 from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.contacts.walls import Planes, no_planes
-from particles_mpi.errors import StateError
 from particles_mpi.kernels.geometry import Box
 from particles_mpi.kernels.markers import CROWD
 from particles_mpi.neighbours.cells import bounds, order_in_space
 from particles_mpi.neighbours.trajectories import fastest
-from particles_mpi.parallel.agreement import not_finite
-from particles_mpi.parallel.buffers import Store
-from particles_mpi.parallel.communicator import Ranks
-from particles_mpi.parallel.exchange import rows_of_everyone
+from particles_mpi.parallel.agreement import require_finite
+from particles_mpi.parallel.buffers import RowBuffers
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.parallel.replica import Replica
 from particles_mpi.particles import Array, Particles, rows_of
 from particles_mpi.timers import Timers
@@ -48,7 +47,7 @@ class Event:
     def __init__(
         self,
         particles: Particles,
-        ranks: Ranks,
+        ranks: Communicator,
         box: Box,
         loss: Loss,
         duration: float | None,
@@ -58,7 +57,7 @@ class Event:
         self.ranks, self.given_duration, self.contact_duration = ranks, duration, 0.0
         self.particles, self.box, self.timers = particles, box, timers
         self.rules = box, loss, planes or no_planes(particles.dimension)
-        self.divided = ranks.size > 1 and ranks.total(len(particles))[0] >= LEAST * ranks.size
+        self.divided = ranks.size > 1 and ranks.allreduce_sum(len(particles))[0] >= LEAST * ranks.size
         self.tc_elastic = 0  # contacts of this rank that took no energy
         self.first_tc_elastic: tuple[float, Array] = np.inf, np.empty((0, 3))  # moment of a step, and (time, id, id or wall)
         self.crowded_steps = 0
@@ -110,7 +109,7 @@ class Event:
             before = self.particles.select(np.arange(len(self.particles)))
             tc_elastic_before = self.tc_elastic, self.first_tc_elastic
             happened = self.drift_once(h, moment, False, CROWDED if left else NEVER_CROWDED)
-            if not left or not self.ranks.largest(float((self.particles["supported"] == CROWD).any()))[0]:
+            if not left or not self.ranks.allreduce_max(float((self.particles["supported"] == CROWD).any()))[0]:
                 break
             self.undo(before)
             self.tc_elastic, self.first_tc_elastic = tc_elastic_before
@@ -121,11 +120,11 @@ class Event:
     def undo(self, before: Particles) -> None:
         """Everyone as before the drift. Collective."""
         p = self.particles
-        moved = self.ranks.largest(float(not np.array_equal(p.id, before.id)))[0]
+        moved = self.ranks.allreduce_max(float(not np.array_equal(p.id, before.id)))[0]
         names = ["id", *(name for name in CHANGING if name in p.arrays and name != "supported")]
         rows = {name: before[name] for name in names}
         if moved:
-            rows = rows_of_everyone(self.ranks, rows)
+            rows = allgather_rows(self.ranks, rows)
             order = np.argsort(rows["id"])
             rows = rows_of(rows, order[np.searchsorted(rows["id"], p.id, sorter=order)])
         for name in names:
@@ -164,7 +163,7 @@ class Event:
 
     def remarks(self) -> list[str]:
         """What a user should be told at the end. Collective."""
-        found = self.ranks.gathered((self.tc_elastic, *self.first_tc_elastic))
+        found = self.ranks.allgather((self.tc_elastic, *self.first_tc_elastic))
         count = sum(number for number, _, _ in found)
         crowds = []
         if self.crowded_steps:
@@ -190,11 +189,11 @@ class Event:
 class Whole:
     """Every rank has all particles during a drift and computes all contacts: as fast as one rank, and nothing to agree on."""
 
-    def __init__(self, particles: Particles, ranks: Ranks, engine: Engine, timers: Timers):
+    def __init__(self, particles: Particles, ranks: Communicator, engine: Engine, timers: Timers):
         self.engine, self.ranks, self.timers = engine, ranks, timers
         self.replica = Replica(particles, ranks, [name for name in CHANGING if name in particles.arrays])
-        self.particles = self.replica.everyone
-        self.store = Store(self.particles)
+        self.particles = self.replica.all_particles
+        self.row_buffers = RowBuffers(self.particles)
         self.version = -1
         self.searches = 0
 
@@ -221,20 +220,19 @@ class Whole:
             squeezed = engine.end_drift()
             engine.write_back(p, self.own_rows)
         with self.timers("exchange"):
-            self.replica.give_back()
+            self.replica.write_back()
         return np.array([engine.work.counts[COLLISIONS], engine.work.counts[WALL_HITS], squeezed])
 
     def check(self, speed: float, moment: float) -> None:
         """Raise where the largest speed shows that a number is not finite."""
-        if not np.isfinite(speed):
-            raise StateError(not_finite(self.ranks, self.particles, f"t = {moment:g}"))
+        require_finite(self.ranks, self.particles, speed, f"t = {moment:g}")
 
     def reload(self) -> None:
         """Sort the particles in space and load them into the engine, with new lists."""
         p = self.particles
-        self.store.adopt()
+        self.row_buffers.adopt()
         if len(p) > 1:
-            self.store.sort(order_in_space(p.position, bounds(p.position)))
+            self.row_buffers.sort(order_in_space(p.position, bounds(p.position)))
         self.engine.lists.tune(p.position, p.radius, p.inverse_mass)
         self.engine.load(p, len(p))
         self.own_rows = np.arange(len(p), dtype=np.int32)

@@ -32,17 +32,16 @@ from particles_mpi.contacts.event_driven.messages import (
 from particles_mpi.contacts.event_driven.regions import Regions, is_wrong, mark_holders, plan_moves
 from particles_mpi.contacts.event_driven.rollback import record_width
 from particles_mpi.contacts.event_driven.rows import OWN, OWNERSHIP, SHARED
-from particles_mpi.errors import StateError
 from particles_mpi.kernels.geometry import Box
 from particles_mpi.neighbours.cells import bounds, order_in_space
 from particles_mpi.neighbours.trajectories import fastest
 from particles_mpi.neighbours.verlet_kernels import MARGIN, SIZE
 from particles_mpi.neighbours.verlet_lists import enlarged
-from particles_mpi.parallel.agreement import not_finite
-from particles_mpi.parallel.buffers import Store
-from particles_mpi.parallel.communicator import Ranks
-from particles_mpi.parallel.exchange import by_destination, send_rows, swap
-from particles_mpi.parallel.load_balance import Balance
+from particles_mpi.parallel.agreement import require_finite
+from particles_mpi.parallel.buffers import RowBuffers
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exchange import by_destination, send_rows, sendrecv
+from particles_mpi.parallel.load_balance import LoadBalance
 from particles_mpi.particles import Array, Particles, field
 from particles_mpi.timers import Timers
 
@@ -67,18 +66,18 @@ class Windows:
     directory: Directory
     regions: Regions
 
-    def __init__(self, particles: Particles, ranks: Ranks, engine: Engine, box: Box, timers: Timers):
+    def __init__(self, particles: Particles, ranks: Communicator, engine: Engine, box: Box, timers: Timers):
         self.particles, self.ranks, self.engine, self.timers = particles, ranks, engine, timers
         self.box = box
-        self.balance, self.store = Balance(ranks, timers), Store(particles)
+        self.balance, self.row_buffers = LoadBalance(ranks, timers), RowBuffers(particles)
         self.version = -1
         self.searches = self.migrated = self.ghost_rows = self.count = self.redone = 0
         self.always = False
         self.window = 0.0  # length of the next one
         self.growing = True
         self.buffers: dict[int, Array] = {}
-        self.total = int(ranks.total(len(particles))[0])
-        self.ids = int(ranks.largest(particles.id.max(initial=-1))[0]) + 1
+        self.total = int(ranks.allreduce_sum(len(particles))[0])
+        self.ids = int(ranks.allreduce_max(particles.id.max(initial=-1))[0]) + 1
 
     def drift(self, h: float, moment: float) -> Array | None:
         """(collisions, wall hits, missed) of this rank, or None where it cannot be done; then nothing has changed. Collective."""
@@ -131,9 +130,8 @@ class Windows:
                 moved, speed = engine.start_drift(p, self.own_rows)
                 outdated = moved or engine.expiries > MOST_EXPIRIES * len(engine.rows.segment)
             speed = speed if speed < np.inf else np.inf  # or it is not a number
-            outdated, speed, self.events = self.ranks.largest(np.array([outdated, speed, engine.events], float))
-            if not np.isfinite(speed):
-                raise StateError(not_finite(self.ranks, p, f"t = {moment:g}"))
+            outdated, speed, self.events = self.ranks.allreduce_max(np.array([outdated, speed, engine.events], float))
+            require_finite(self.ranks, p, speed, f"t = {moment:g}")
             if not outdated:
                 break
             self.redistribute()
@@ -145,14 +143,14 @@ class Windows:
         """Particles to the ranks whose regions they are in, ghosts to all who need them, new lists for all. Collective."""
         p, engine, ranks, lists = self.particles, self.engine, self.ranks, self.engine.lists
         self.balance.update(p, self.searches)
-        self.store.adopt()
-        self.migrated += self.store.migrate(ranks, self.balance.owner(self.wrapped(p.position)))
+        self.row_buffers.adopt()
+        self.migrated += self.row_buffers.migrate(ranks, self.balance.decomposition.owner(self.wrapped(p.position)))
         n, d = len(p), p.dimension
         if n > 1:
-            self.store.sort(order_in_space(p.position, bounds(p.position)))
+            self.row_buffers.sort(order_in_space(p.position, bounds(p.position)))
         lists.tune(p.position, p.radius, p.inverse_mass)
-        self.skin, largest = (float(value) for value in ranks.largest(np.array([lists.skin, p.radius.max(initial=0.0)])))
-        mean = float(ranks.rows_of_all(np.array([p.radius.sum()])).sum()) / max(self.total, 1)
+        self.skin, largest = (float(value) for value in ranks.allreduce_max(np.array([lists.skin, p.radius.max(initial=0.0)])))
+        mean = float(ranks.allgather_array(np.array([p.radius.sum()])).sum()) / max(self.total, 1)
         self.displacement_bound = DISPLACEMENT_BOUND * self.skin
         lists.width = self.skin
         self.divide(largest, mean)
@@ -183,7 +181,7 @@ class Windows:
             np.zeros(total, np.int64), np.roll(np.arange(total, dtype=np.int32), spare), np.array([spare]),
         )  # fmt: skip
         self.own_rows = np.arange(n, dtype=np.int32)
-        self.crowded = bool(ranks.largest(float(len(here)))[0] > CROWDED * self.total)
+        self.crowded = bool(ranks.allreduce_max(float(len(here)))[0] > CROWDED * self.total)
         self.ghost_rows += ghosts
         self.version = p.version
         self.searches += 1
@@ -198,7 +196,7 @@ class Windows:
 
     def divide(self, largest: float, mean: float) -> None:
         """The regions of all ranks, and those who may have to exchange messages; `largest`, `mean`: radius of all particles."""
-        me, domain, length = self.ranks.rank, self.balance.domain, self.box.length
+        me, domain, length = self.ranks.rank, self.balance.decomposition, self.box.length
         low = np.where(length > 0.0, np.maximum(domain.lower, self.box.lower), domain.lower)
         high = np.where(length > 0.0, np.minimum(domain.upper, self.box.upper), domain.upper)
         reach = (self.skin + 2.0 * self.displacement_bound + largest) * MARGIN
@@ -216,7 +214,7 @@ class Windows:
         for rank in self.near:
             message = message_of(self.buffer(rank, len(self.engine.rows.segment) * (1 + 3 * len(self.box.length))))
             outgoing.append(message.numbers[: pack_motion(rows, self.directory.holders, rank, tuple(message))])
-        unpack_motion(rows, self.directory.row_of, tuple(message_of(swap(self.ranks, self.near, outgoing))))
+        unpack_motion(rows, self.directory.row_of, tuple(message_of(sendrecv(self.ranks, self.near, outgoing))))
 
     def buffer(self, rank: int, size: int) -> Array:
         """Room for a message to a rank."""
@@ -235,12 +233,12 @@ class Windows:
             engine.run(begin, until, moment)
         with self.timers("ghosts"):
             moves = self.plan_moves()
-            message = message_of(swap(ranks, self.near, [self.changes_for(rank, moves) for rank in self.near]))
+            message = message_of(sendrecv(ranks, self.near, [self.changes_for(rank, moves) for rank in self.near]))
             rows, directory, regions = tuple(engine.rows), tuple(self.directory), tuple(self.regions)
             wrong = is_wrong(rows, directory, tuple(log), regions, begin, tuple(message))
         with self.timers("agree"):
             transferred = self.transferred + int((moves.owner != ranks.rank).sum())
-            wrong, fastest2, transferred = ranks.largest(np.array([wrong, log.fastest2[0], transferred], float))
+            wrong, fastest2, transferred = ranks.allreduce_max(np.array([wrong, log.fastest2[0], transferred], float))
         with self.timers("ghosts"):
             if wrong or np.sqrt(fastest2) * length > self.displacement_bound:
                 self.undo(before)
@@ -253,7 +251,7 @@ class Windows:
 
     def plan_moves(self) -> Moves:
         """For the own rows that got new reference positions: who must hold them, and who owns them."""
-        log, domain = self.engine.log, self.balance.domain
+        log, domain = self.engine.log, self.balance.decomposition
         moved = int(log.moved_count[0])
         moves = Moves(np.zeros((moved, self.directory.holders.shape[1]), np.int64), np.empty(moved, np.int64))
         tree = domain.axis, domain.cut, domain.below, domain.above
@@ -311,7 +309,7 @@ class Windows:
         asked, of = send_rows(ranks, {"row": fields_at[:, PLACE]}, came[order], counts)
         owner = np.full(len(p), ranks.rank)
         owner[asked["row"]] = np.repeat(np.arange(ranks.size), of)
-        self.store.adopt()
-        self.migrated += self.store.migrate(ranks, owner)
+        self.row_buffers.adopt()
+        self.migrated += self.row_buffers.migrate(ranks, owner)
         self.own_rows = self.directory.row_of[p.id]
         self.version = p.version

@@ -38,8 +38,8 @@ from particles_mpi.kernels.markers import CROWD, PRESSED
 from particles_mpi.neighbours.candidates import touching
 from particles_mpi.neighbours.halo_region import fetch_near_rows
 from particles_mpi.neighbours.trajectories import AT_REST
-from particles_mpi.parallel.communicator import Ranks
-from particles_mpi.parallel.exchange import rows_of_everyone
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.particles import Array, Particles, places_of, row_dot, rows_of
 from particles_mpi.timers import Timers
 
@@ -56,7 +56,9 @@ class Rest:
     one another.
     """
 
-    def __init__(self, ranks: Ranks, bound: int, length: Array, pairs: bool, planes: Planes, uniform: bool, timers: Timers):
+    def __init__(
+        self, ranks: Communicator, bound: int, length: Array, pairs: bool, planes: Planes, uniform: bool, timers: Timers
+    ):
         self.ranks, self.bound, self.length = ranks, bound, length
         self.pairs, self.uniform, self.timers = pairs, uniform, timers
         self.memory = NOTHING
@@ -80,14 +82,14 @@ class Rest:
             involved = near_walls(*state, h, *self.walls)
             if self.pairs and not self.uniform:
                 involved = np.union1d(involved, self.close(p, a, h))
-            if not (self.ranks.total(len(involved))[0] if self.pairs else len(involved)):
+            if not (self.ranks.allreduce_sum(len(involved))[0] if self.pairs else len(involved)):
                 return
             rows = self.rows(p, a, h, involved)
             rows["supported"] = np.minimum(rows["supported"], PRESSED)
             if self.pairs:
-                rows = rows_of_everyone(self.ranks, rows)
+                rows = allgather_rows(self.ranks, rows)
                 while self.uniform:
-                    joining = rows_of_everyone(self.ranks, self.joining(p, a, h, rows, involved))
+                    joining = allgather_rows(self.ranks, self.joining(p, a, h, rows, involved))
                     rows = {name: np.concatenate((column, joining[name])) for name, column in rows.items()}
                     if len(self.memory[0]) or not len(joining["id"]):
                         break
@@ -99,7 +101,7 @@ class Rest:
         """As `keep`, but contacts with those that are CROWD, and with all who touch them, are kept at any speed. Collective."""
         with self.timers("rest"):
             rows = self.rows(p, a, h, np.arange(len(p)))
-            rows = rows_of_everyone(self.ranks, rows)
+            rows = allgather_rows(self.ranks, rows)
             rows = rows_of(rows, np.argsort(rows["id"]))
             touch = rows["wide"]
             fast = rows["radius"] + h * np.sqrt(row_dot(rows["velocity"], rows["velocity"]))
@@ -124,7 +126,7 @@ class Rest:
         """Our rows that are no further from another, ours or not, than their widths. Collective."""
         wide, w = widths(p.radius, SLOW * h * a, h), p.inverse_mass
         here = places_of(p), fingerprint(np.stack((wide, w)))
-        if self.ranks.smallest(float(here == self.looked))[0]:  # as at the end of the last step
+        if self.ranks.allreduce_min(float(here == self.looked))[0]:  # as at the end of the last step
             return self.found
         known = {"id": p.id, "position": p.position, "wide": wide, "w": w}
         if self.ranks.size > 1:

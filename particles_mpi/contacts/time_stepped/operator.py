@@ -133,7 +133,7 @@ class Rewind:
             with self.timers("agree"):
                 late = self.exact is not None and self.passes - left >= CROWDED and self.late(hits)
                 mine = np.array([len(hits.first), needed, near.concern_others(hits), late], float)
-                waiting, needed, shared, late = near.ranks.largest(mine)
+                waiting, needed, shared, late = near.ranks.allreduce_max(mine)
             if needed:
                 raise TooFarError(float(needed))
             if self.exact and (late or (waiting and not left)):
@@ -163,7 +163,7 @@ class Rewind:
         near, supported = self.near, self.near.particles["supported"]
         pairs = near.candidates.pairs
         most = deepest_supported(near.rows[0], near.spheres.radius, *pairs, supported, h, near.length)
-        return float(near.ranks.largest(most)[0]) > DEEP
+        return float(near.ranks.allreduce_max(most)[0]) > DEEP
 
     def find(self, h: float, everything: bool) -> Hits:
         """The hits on the present segments: all of them, or those of active rows."""

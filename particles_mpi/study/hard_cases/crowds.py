@@ -46,7 +46,7 @@ def rack(bench: Bench) -> tuple[str, bool]:
     sim.run()
     row = sim.measure()
     energy, momentum = abs(row["kinetic"] / 8.0 - 1.0), abs(row["momentum_x"] - 4.0)
-    holds = energy <= 1e-14 and momentum <= 1e-14 * 8.0 and int(sim.ranks.total(sim.totals["missed"])[0]) == 0
+    holds = energy <= 1e-14 and momentum <= 1e-14 * 8.0 and int(sim.ranks.allreduce_sum(sim.totals["missed"])[0]) == 0
     return f"energy off {energy:.0e}, momentum {momentum:.0e}", bool(holds)
 
 
@@ -68,8 +68,8 @@ def collapse(bench: Bench, beads: list[float], speeds: list[float], e: float, wa
         energy = sim.measure()["kinetic"]
         risen, before = max(risen, (energy - before) / start), energy
         lowest = min(lowest, float(np.diff(everyone(sim).position[:, 0]).min()))
-    events = int(sim.ranks.total(sim.totals["collisions"])[0])
-    missed = int(sim.ranks.total(sim.totals["missed"])[0])
+    events = int(sim.ranks.allreduce_sum(sim.totals["collisions"])[0])
+    missed = int(sim.ranks.allreduce_sum(sim.totals["missed"])[0])
     holds = risen <= 1e-14 and np.isfinite(before) and (lowest >= 1.0 - 1e-9 or missed > 0)
     return f"{events} contacts, {missed} missed, energy at most {risen:+.0e} a step, closest {lowest:.9f}", bool(holds)
 
@@ -124,6 +124,6 @@ def dense_fluid(bench: Bench) -> tuple[str, bool]:
     r -= image_shifts(r, side)
     closest = np.sqrt((r**2).sum(axis=2))[np.triu_indices(500, 1)].min()
     z = row["z_virial"]
-    missed = int(sim.ranks.total(sim.totals["missed"])[0])
+    missed = int(sim.ranks.allreduce_sum(sim.totals["missed"])[0])
     holds = len(p) == 500 and closest >= 1.0 - 1e-9 and missed == 0 and abs(z / 11.515 - 1.0) < 0.02
     return f"Z {z:.2f}, closest {closest:.6f} diameters, {missed} missed", bool(holds)

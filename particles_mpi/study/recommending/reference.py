@@ -69,7 +69,7 @@ def reference(start: Start, seconds: float, error: str = "") -> Yardstick:
         found = conserved(start, seconds)
     else:
         found = (by_order_15(start, seconds) if start.free else None) or by_steps(start, seconds)
-    found.seconds = float(ranks.largest(perf_counter() - began)[0])
+    found.seconds = float(ranks.allreduce_max(perf_counter() - began)[0])
     return found
 
 
@@ -88,7 +88,7 @@ def rate(start: Start, sim: Simulation, seconds: float, longer: float = 1.0) -> 
     while took < seconds and passed < start.duration:
         began = perf_counter()
         sim.step()
-        rates.append(float(sim.ranks.largest(perf_counter() - began)[0]) / sim.h)
+        rates.append(float(sim.ranks.allreduce_max(perf_counter() - began)[0]) / sim.h)
         passed, took = passed + sim.h, took + rates[-1] * sim.h
         sim.h *= longer
     return rates[-1] if longer > 1.0 else float(np.median(rates[1:] or rates))  # a kernel may be loaded on the way
@@ -151,7 +151,7 @@ def converge(found: Yardstick, first: Track, steps: int, seconds: float) -> tupl
         better = change < 0.5 * wrong  # if not, round-off or corners are all that is left
         if change <= wrong:
             best, wrong = value, change
-        took = float(start.lab.ranks.largest(perf_counter() - began)[0])
+        took = float(start.lab.ranks.allreduce_max(perf_counter() - began)[0])
     one, two = (apart(a.places, b.places, found.start.length) for a, b in pairwise(tracks[:3]))
     found.order = float(np.log2(one / two)) if two > floor else nan
     kind = "event" if "collisions" in start.scene.effects else "leapfrog"

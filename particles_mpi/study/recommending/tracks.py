@@ -53,20 +53,20 @@ def follow(start: Start, sim: Simulation, patience: float = np.inf) -> Track:
         sim.step()
         if sim.steps_done % peek == 0 or sim.steps_done == steps:
             seen.append(energy(sim))
-            took = float(ranks.largest(perf_counter() - began)[0])
+            took = float(ranks.allreduce_max(perf_counter() - began)[0])
             if took > patience and sim.steps_done < steps:
                 raise TooLongError(f"longer than {patience:.3g} s")
         if sim.steps_done % look == 0:
             rows.append(places(ranks, sim))
             at_looks.append(energy(sim)[0])
     sim.watch()
-    counts = ranks.total(np.array([sim.totals["collisions"], sim.totals["wall_hits"]], np.int64)).tolist()
+    counts = ranks.allreduce_sum(np.array([sim.totals["collisions"], sim.totals["wall_hits"]], np.int64)).tolist()
     found = np.array(rows).reshape(LOOKS, start.total, sim.scene.dimension)
     size = float(np.sqrt((sim.g**2).sum()))
     up = -sim.g / size if size > 0.0 else sim.g
     heights = (found.mean(axis=1) * up).sum(axis=1) if start.total else np.zeros(LOOKS)
     table: Array = np.array(seen)
-    took = float(ranks.largest(perf_counter() - began)[0])
+    took = float(ranks.allreduce_max(perf_counter() - began)[0])
     return Track(found, np.array(at_looks), table[:, 0], table[:, 1], counts[0], counts[1], heights, steps * sim.h, took)
 
 
