@@ -1,1 +1,20 @@
-"""Hard spheres and walls: when they touch on straight paths, and how their velocities change."""
+"""Hard spheres and walls: when they touch on straight paths, and how their velocities change.
+
+The files and folders, in the order in which one reads them:
+
+    law              the contact of two spheres: its time on straight segments, and its impulse, with or without a loss
+    walls            the contact of a sphere and a plane, and a drift with walls alone
+    velocity_flow    how forces, drag and friction change velocities between the middle of a step and a contact in it
+    time_stepped/    mode `rewind`: the contacts of a drift in a few passes over all candidate pairs
+    event_driven/    mode `event`: the contacts of a drift one after the other, in exact order of time
+    persistent/      contacts that last, where forces press particles that lose energy onto one another
+
+The way of one drift in mode `rewind` (`time_stepped.operator.Rewind.drift`): `Neighbourhood.prepare` sees that the candidate
+pairs hold for this step. Then, in each pass, `find_contacts` and `find_wall_hits` compute the time of contact on the present
+segments; `select_contacts` chooses for each particle the earliest; ranks exchange what they chose; `apply_contacts` lets
+those contacts happen that both partners chose, by `law.collide_pair` and `walls.bounce`, and each partner begins a new segment;
+ranks exchange those, and `Neighbourhood.follow` finds who is in the way of them. When no contact is left, all move to the end.
+
+In mode `event` (`event_driven.operator.Event.drift`) a queue holds the next event of each particle; the first one of all takes
+place by the same law, and only those whom it concerns look for their next events again.
+"""

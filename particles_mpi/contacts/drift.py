@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.contacts.walls import no_planes
-from particles_mpi.kernels.geometry import wrap
+from particles_mpi.kernels.geometry import Box, wrap
 from particles_mpi.kernels.motion import free_drift
 from particles_mpi.particles import Array, Particles
 from particles_mpi.scene.active import ActiveEffects
@@ -58,7 +59,7 @@ class Drift:
     def load_operator(self, pairs: PairContacts, accelerations: Callable[[], Any]) -> None:
         """The collision operator that the scene names, and its search for neighbours."""
         context, planes = self.context, self.effects.walls.planes if self.effects.walls else None
-        box, loss = (context.lower, context.upper, context.length), (pairs.restitution, pairs.keep)
+        box, loss = Box(context.lower, context.upper, context.length), Loss(pairs.restitution, pairs.keep)
         exact: Any = None
         if pairs.options.mode == "event" or self.effects.keeps_contacts:
             from particles_mpi.contacts.event_driven.operator import Event as EventDriven

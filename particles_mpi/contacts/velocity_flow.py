@@ -1,7 +1,7 @@
 """How velocities change between contacts, so that a contact reflects the velocity that its partners have at its own moment.
 
-In a step, forces, drag and friction act before and after the drift, and within it paths are straight *legs*. The velocity v
-of a leg is that of the middle of the step. At a contact, a time tau later (or earlier, tau < 0), the true velocity is
+In a step, forces, drag and friction act before and after the drift, and within it paths are straight segments. The velocity v
+of a segment is that of the middle of the step. At a contact, a time tau later (or earlier, tau < 0), the true velocity is
 
     w = v + (a - k v - alpha v/(m |v|)) tau + O(tau^2).
 
@@ -24,7 +24,7 @@ LONGEST = 0.5  # times the time in which drag and friction would stop a particle
 
 
 class Rates(NamedTuple):
-    """dv/dt = a - k v - alpha v/(m |v|), and the `middle` of the step, as a time from the start of the drift.
+    """dv/dt = a - k v - alpha v/(m |v|); `t_mid` is the middle of the step, as a time from the start of the drift.
 
     a: acceleration (n, d), at the start of the step; one row if it is the same for all particles that are not fixed, no row
     if nothing at all changes velocities. k: rate of drag (n,), no row without drag; any row before `of`. alpha: strength of
@@ -34,7 +34,7 @@ class Rates(NamedTuple):
     a: Array
     k: Array
     alpha: float
-    middle: float
+    t_mid: float
 
     def of(self, arrays: dict[str, Array]) -> Rates:
         """The same with what differs from particle to particle, as these fields say."""
@@ -68,7 +68,7 @@ def change(speed, k, b, time):
 
 @lean_inner
 def row_of(i, rates):
-    """Where the acceleration of particle i stands."""
+    """The row of `rates.a` that holds the acceleration of particle i."""
     return i if len(rates.a) > 1 else 0
 
 

@@ -1,8 +1,11 @@
-"""Planes that reflect spheres: contact at (x-p).n = R with v.n < 0, then v -= (1+e)(v.n) n. Scalars and arrays only."""
+"""Planes that reflect spheres: contact at (x-p).n = R with v.n < 0, then v -= (1+e)(v.n) n. Scalars and arrays only.
+
+The velocity of row i stands in `v[i, column:]`, because rows of mode event hold place, velocity and more in one array.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,9 +18,8 @@ from particles_mpi.particles import Array
 MOST_BOUNCES = 1000  # of one particle in one step; past it (a wedge without end) it waits where it is for the next step
 
 
-@dataclass(frozen=True)
-class Planes:
-    """Walls as arrays: point and normal (w, d), restitution and keep (w,).
+class Planes(NamedTuple):
+    """Walls as arrays: point and normal (w, d), restitution and velocity_factor (w,) as in `law.Loss`.
 
     `lower`, `upper` (d,) are the innermost faces normal to an axis (-inf, inf where none): a particle whose drift ends
     between them met none of those, which is all that most particles need to know. `oblique`: there are other planes too.
@@ -26,7 +28,7 @@ class Planes:
     point: Array
     normal: Array
     restitution: Array
-    keep: Array
+    velocity_factor: Array
     lower: Array
     upper: Array
     oblique: bool
@@ -34,10 +36,13 @@ class Planes:
     @property
     def lossy(self) -> Array:
         """Which of them take energy, (w,)."""
-        return (self.restitution < 1.0) | (self.keep < 1.0)
+        return (self.restitution < 1.0) | (self.velocity_factor < 1.0)
 
-    def arrays(self) -> tuple[Array | bool, ...]:
-        return self.point, self.normal, self.restitution, self.keep, self.lower, self.upper, self.oblique
+
+def no_planes(dimension: int) -> Planes:
+    """No walls at all, for kernels that always take some."""
+    none, open_ = np.empty(0), np.full(dimension, np.inf)
+    return Planes(np.empty((0, dimension)), np.empty((0, dimension)), none, none, -open_, open_, False)
 
 
 @lean_inner
@@ -51,10 +56,7 @@ def wall_distance(axes, x, i, w, point, normal):
 
 @lean_inner
 def may_hit(axes, x, v, column, start, i, radius, h, lower, upper, oblique):
-    """Cheap and never wrong: False only if the leg of row i from `start` to h meets no wall.
-
-    Its velocity stands in `v` from `column` on, here as in all that follow: mode event has rows of both, x and v.
-    """
+    """False only if the segment of row i, from `start` to h, meets no wall: quick to compute, and never wrongly False."""
     inside = not oblique
     for k in range(len(axes)):
         end = x[i, k] + v[i, column + k] * (h - start)
@@ -63,10 +65,10 @@ def may_hit(axes, x, v, column, start, i, radius, h, lower, upper, oblique):
 
 
 @lean_inner
-def wall_contact(axes, x, v, column, start, i, radius, met, h, point, normal):
-    """(time, wall) of the earliest wall contact of row i's leg in [start, h], lowest wall first; wall -1 if none.
+def wall_contact(axes, x, v, column, start, i, radius, last_partner, h, point, normal):
+    """(time, wall) of the earliest wall contact of row i's segment in [start, h], lowest wall first; wall -1 if none.
 
-    The wall that this leg started from (`met` = -1 - wall) is left out: round-off must not hit it twice.
+    The wall that this segment started from (`last_partner` = -1 - wall) is left out: round-off must not hit it twice.
     """
     first = h
     which = -1
@@ -74,7 +76,7 @@ def wall_contact(axes, x, v, column, start, i, radius, met, h, point, normal):
         speed = 0.0
         for k in range(len(axes)):
             speed += v[i, column + k] * normal[w, k]
-        if not speed < 0.0 or met == -1 - w:
+        if not speed < 0.0 or last_partner == -1 - w:
             continue
         gap = wall_distance(axes, x, i, w, point, normal) - radius
         t = start - gap / speed if gap > 0.0 else start
@@ -85,48 +87,51 @@ def wall_contact(axes, x, v, column, start, i, radius, met, h, point, normal):
 
 
 @lean_inner
-def bounce(axes, v, column, i, w, normal, restitution, keep, inverse_mass, t, rates):
-    """The law of a contact with wall w at time t: v -= (1+e)(v.n) n, then times keep. `law.exchange` is that of a pair."""
+def bounce(axes, v, column, i, w, normal, restitution, velocity_factor, inverse_mass, t, rates):
+    """The law of a contact with wall w at time t: v -= (1+e)(v.n) n, then v times `velocity_factor`.
+
+    `law.exchange` is the law of a pair.
+    """
     speed = 0.0
     for k in range(len(axes)):
         speed += v[i, column + k] * normal[w, k]
     if len(rates.a) > 0 and bounce_at_contact(
-        v, column, i, w, normal, speed, restitution, keep, inverse_mass, t - rates.middle, rates
+        v, column, i, w, normal, speed, restitution, velocity_factor, inverse_mass, t - rates.t_mid, rates
     ):
         return
     after = speed - (1.0 + restitution) * speed
     for k in range(len(axes)):
-        v[i, column + k] = keep * ((v[i, column + k] - speed * normal[w, k]) + after * normal[w, k])
+        v[i, column + k] = velocity_factor * ((v[i, column + k] - speed * normal[w, k]) + after * normal[w, k])
 
 
 @lean_inner
-def bounce_at_contact(v, column, i, w, normal, speed, restitution, keep, inverse_mass, tau, rates):
+def bounce_at_contact(v, column, i, w, normal, speed, restitution, velocity_factor, inverse_mass, tau, rates):
     """`bounce` of the velocity at the moment of contact, a time tau after the middle of the step: see `velocity_flow`.
 
-    `speed`: v.n of the leg. Returns False, and changes nothing, for a leg so slow that it would have come outwards at the
-    contact, or would leave it inwards.
+    `speed`: v.n of the segment. Returns False, and changes nothing, for a particle so slow that it would have moved off the
+    wall at the contact, or would move into it afterwards.
     """
     a, at = rates.a, row_of(i, rates)
     v2 = 0.0
     for k in range(normal.shape[1]):
         v2 += v[i, column + k] * v[i, column + k]
     decay, push = change_of(i, v2, inverse_mass, tau, rates)
-    lead = 0.0
+    acceleration_offset = 0.0
     for k in range(normal.shape[1]):
-        lead += push * a[at, k] * normal[w, k]
-    real = decay * speed + lead
-    if not real < 0.0:
+        acceleration_offset += push * a[at, k] * normal[w, k]
+    approach = decay * speed + acceleration_offset
+    if not approach < 0.0:
         return False
-    take = (1.0 + restitution) * real
+    change = (1.0 + restitution) * approach
     v2, along = 0.0, 0.0
     for k in range(normal.shape[1]):
-        v2 += (keep * (decay * v[i, column + k] + push * a[at, k] - take * normal[w, k])) ** 2
+        v2 += (velocity_factor * (decay * v[i, column + k] + push * a[at, k] - change * normal[w, k])) ** 2
         along += a[at, k] * normal[w, k]
     back, pull = change_of(i, v2, inverse_mass, -tau, rates)
-    back *= keep
-    if back * (real - take) + pull * along < 0.0 and lead != 0.0:
+    back *= velocity_factor
+    if back * (approach - change) + pull * along < 0.0 and acceleration_offset != 0.0:
         return False
-    after = speed - take / decay
+    after = speed - change / decay
     left = back * push + pull  # 0 without a loss
     for k in range(normal.shape[1]):
         v[i, column + k] = back * decay * ((v[i, column + k] - speed * normal[w, k]) + after * normal[w, k]) + left * a[at, k]
@@ -134,37 +139,33 @@ def bounce_at_contact(v, column, i, w, normal, speed, restitution, keep, inverse
 
 
 @lean_inner
-def bounce_until(axes, x, v, s, met, i, radius, inverse_mass, h, point, normal, restitution, keep, rates):
+def bounce_until(axes, x, v, start, last_partner, i, radius, inverse_mass, h, planes, rates):
     """Take row i through all its wall contacts up to time h, at most MOST_BOUNCES; returns their number."""
+    point, normal, restitution, velocity_factor, _, _, _ = planes
     for hits in range(MOST_BOUNCES):
-        t, w = wall_contact(axes, x, v, np.int64(0), s[i], i, radius, met, h, point, normal)
+        t, w = wall_contact(axes, x, v, np.int64(0), start[i], i, radius, last_partner, h, point, normal)
         if w < 0:
             return hits
-        move_to(axes, x, v, s, i, t)
-        bounce(axes, v, np.int64(0), i, w, normal, restitution[w], keep[w], inverse_mass, t, rates)
-        met = -1 - w
-    s[i] = h  # stays inside, at the last contact
+        move_to(axes, x, v, start, i, t)
+        bounce(axes, v, np.int64(0), i, w, normal, restitution[w], velocity_factor[w], inverse_mass, t, rates)
+        last_partner = -1 - w
+    start[i] = h  # stays inside, at the last contact
     return MOST_BOUNCES
 
 
 @kernel
-def drift_with_walls(axes, x, v, radius, inverse_mass, h, point, normal, restitution, keep, lower, upper, oblique, rates):
+def drift_with_walls(axes, x, v, radius, inverse_mass, h, planes, rates):
     """x += v h, reflected by walls on the way. In place on x, v (n, d); returns the number of hits.
 
     `inverse_mass` (n,), or no row where nothing depends on it.
     """
+    _, _, _, _, lower, upper, oblique = planes
     hits = 0
-    s = np.zeros(len(x))  # when the last leg began
+    start = np.zeros(len(x))  # of the last segments
     for i in range(len(x)):
         if may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i], h, lower, upper, oblique):
             w = inverse_mass[i] if len(inverse_mass) > 0 else 1.0
-            hits += bounce_until(axes, x, v, s, np.int64(NOBODY), i, radius[i], w, h, point, normal, restitution, keep, rates)
+            hits += bounce_until(axes, x, v, start, np.int64(NOBODY), i, radius[i], w, h, planes, rates)
         for k in range(len(axes)):
-            x[i, k] += v[i, k] * (h - s[i])
+            x[i, k] += v[i, k] * (h - start[i])
     return hits
-
-
-def no_planes(dimension: int) -> Planes:
-    """No walls at all, for kernels that always take some."""
-    none, open_ = np.empty(0), np.full(dimension, np.inf)
-    return Planes(np.empty((0, dimension)), np.empty((0, dimension)), none, none, -open_, open_, False)

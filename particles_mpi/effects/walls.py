@@ -78,8 +78,8 @@ def planes_of(options: Options, scene: Scene) -> Planes:
             lower[k] = max(lower[k], x[k])
         else:
             upper[k] = min(upper[k], x[k])
-    e, keep = (np.array(column, float) for column in zip(*losses, strict=True)) if losses else (np.empty(0), np.empty(0))
-    return Planes(point, normal, e, keep, lower, upper, bool(oblique.any()))
+    e, factor = (np.array(column, float) for column in zip(*losses, strict=True)) if losses else (np.empty(0), np.empty(0))
+    return Planes(point, normal, e, factor, lower, upper, bool(oblique.any()))
 
 
 class Effect(WallContacts):
@@ -96,4 +96,4 @@ class Effect(WallContacts):
         """Drift over h with walls alone, while velocities change by `rates`; returns the number of wall hits. Purely local."""
         p, axes = particles, (0,) * particles.dimension
         w = p.inverse_mass if rates.alpha else np.empty(0)
-        return drift_with_walls(axes, p.position, p.velocity, p.radius, w, h, *self.planes.arrays(), rates)
+        return drift_with_walls(axes, p.position, p.velocity, p.radius, w, h, tuple(self.planes), rates)

@@ -6,6 +6,7 @@ import numpy as np
 
 from particles_mpi.initial.names import listed, pair_names
 from particles_mpi.initial.placement import Container
+from particles_mpi.kernels.geometry import image_shift, image_shifts
 from particles_mpi.kernels.jit import inner, kernel
 from particles_mpi.neighbours.candidates import touching
 from particles_mpi.particles import Array, Particles
@@ -30,7 +31,7 @@ def overlapping(particles: Particles, length: Array, before: int = 0) -> tuple[A
     order = np.lexsort((second, first))
     first, second = first[order].astype(np.int64), second[order].astype(np.int64)
     r = x[first] - x[second]
-    r -= length * np.rint(np.divide(r, length, out=np.zeros_like(r), where=length > 0.0))
+    r -= image_shifts(r, length)
     sum_of_radii = radius[first] + radius[second]
     depth = sum_of_radii - np.sqrt((r**2).sum(axis=1))
     deep = (depth > TOUCH * sum_of_radii) & (np.maximum(first, second) >= before)
@@ -87,8 +88,7 @@ def separate(x, radius, w, first, second, lower, upper, length, point, normal):
         r2 = 0.0
         for k in range(d):
             r[k] = x[i, k] - x[j, k]
-            if length[k] > 0.0:
-                r[k] -= length[k] * np.rint(r[k] / length[k])
+            r[k] -= image_shift(r[k], length[k])
             r2 += r[k] * r[k]
         distance = r2**0.5
         diameter = (radius[i] + radius[j]) * (1.0 + 1e-9)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import kernel, lean, lean_inner
 from particles_mpi.particles import Array
 
@@ -148,9 +149,7 @@ def overlaps(y, r, x, radius, length, grid):
                     while j >= 0:
                         r2 = 0.0
                         for k in range(len(y)):
-                            gap = abs(y[k] - x[j, k])
-                            if length[k] > 0.0 and gap > 0.5 * length[k]:
-                                gap = length[k] - gap
+                            gap = nearest(y[k] - x[j, k], length[k])
                             r2 += gap * gap
                         if r2 < ((r + radius[j]) * (1.0 + 1e-12)) ** 2:
                             return True

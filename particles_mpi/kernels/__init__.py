@@ -1,1 +1,1 @@
-"""What compiled kernels stand on: how they are compiled, distances in a periodic box, straight paths."""
+"""What compiled kernels stand on: how they are compiled, distances in a periodic box, straight segments and kicks."""

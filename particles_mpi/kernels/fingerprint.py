@@ -9,7 +9,7 @@ from particles_mpi.kernels.jit import kernel
 
 @kernel
 def fingerprint(x):
-    """A number that changes when somebody changes a row of x (n, d)."""
+    """A hash of the bits of x (n, d) float64: it is another number (but for one case in 2^64) when any of them changes."""
     total = np.int64(0)
     for number in x.reshape(-1).view(np.int64):
         total = (total ^ number) * np.int64(-7046029254386353131)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import inf
 
-NOBODY = -(2**62)  # "last met" before the first contact of a drift; partners are ids >= 0, walls -1, -2, ...
+NOBODY = -(2**62)  # last partner before the first contact of a drift; other partners are ids >= 0 and walls -1, -2, ...
 
 
 NEVER = inf

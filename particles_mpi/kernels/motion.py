@@ -1,8 +1,25 @@
-"""Straight paths and kicks: the kernels that every step is made of. Arrays only."""
+"""Kicks, and motion on straight lines: the kernels that every step is made of. Arrays only."""
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
+from numpy.typing import NDArray
+
 from particles_mpi.kernels.jit import kernel, lean, lean_inner
+
+
+class Segments(NamedTuple):
+    """The straight segments of all rows in a drift: row i is at x + v (t - start) at time t after the drift began.
+
+    x, v (n, d): place and velocity at the start of the row's present segment. start (n,): the time of that, 0 or that of the
+    row's last contact. last_partner (n,) int64: whom that contact was with, an id, a wall as -1 - wall, or `NOBODY`.
+    """
+
+    x: NDArray[Any]
+    v: NDArray[Any]
+    start: NDArray[Any]
+    last_partner: NDArray[Any]
 
 
 @kernel
@@ -30,16 +47,16 @@ def free_drift(x, v, h):
 
 
 @lean_inner
-def move_to(axes, x, v, s, i, t):
-    """Bring row i along its leg to time t, where a new leg begins."""
+def move_to(axes, x, v, start, i, t):
+    """Bring row i along its segment to time t, where a new segment begins."""
     for k in range(len(axes)):
-        x[i, k] += v[i, k] * (t - s[i])
-    s[i] = t
+        x[i, k] += v[i, k] * (t - start[i])
+    start[i] = t
 
 
 @lean
-def end_legs(axes, x, v, s, h):
-    """From the start of the last leg to the end of the drift: x += v (h - s), in place."""
+def end_segments(axes, x, v, start, h):
+    """From the start of each row's last segment to the end of the drift: x += v (h - start), in place."""
     for i in range(len(x)):
         for k in range(len(axes)):
-            x[i, k] += v[i, k] * (h - s[i])
+            x[i, k] += v[i, k] * (h - start[i])

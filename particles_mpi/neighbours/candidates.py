@@ -1,148 +1,165 @@
-"""The candidates of one search: pairs, and particles near walls, that can touch until a horizon.
-
-See `trajectories` for the idea.
-"""
+"""The candidates of one search: pairs, and particles near walls, that can touch until a horizon. See `trajectories`."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from particles_mpi.neighbours.cells import FINE, grid, sort_rows, spacing
-from particles_mpi.neighbours.halo_region import Fence, nowhere
-from particles_mpi.neighbours.pair_search import AT_ONCE, SLOW, drop_pairs, fill_cells, find_partners, levels, move_rows, unmark
-from particles_mpi.neighbours.trajectories import find_near_walls, set_out, set_out_anew, strayed, turned
+from particles_mpi.kernels.jit import plain
+from particles_mpi.kernels.motion import Segments
+from particles_mpi.neighbours.cells import FINE, LinkedCells, grid, sort_rows, spacing
+from particles_mpi.neighbours.halo_region import HaloRegion, everywhere
+from particles_mpi.neighbours.pair_search import AT_ONCE, Scratch, drop_pairs, find_partners
+from particles_mpi.neighbours.search_index import SLOW, SearchIndex, SortedCells, fill_cells, levels, move_rows
+from particles_mpi.neighbours.trajectories import (
+    AT_REST,
+    Horizon,
+    Paths,
+    Spheres,
+    find_near_walls,
+    renew_paths,
+    rows_leaving,
+    rows_turned,
+    start_paths,
+)
 from particles_mpi.particles import Array
 
-SLOWEST = 2.2  # times the mean reach: rows beyond it are fast, one in a hundred of a gas
-GIANTS = 8.0  # times the mean reach: beyond it are giants, if they are few
+SLOWEST = 2.2  # times the mean bounding radius: rows beyond it are FAST, one in a hundred of a gas
+LARGEST = 8.0  # times the mean bounding radius: rows beyond it are OVERSIZE, if they are few
 FEW = 64
 EXPECTED = 6  # contacts of a sphere in a heap, twice what are needed to rest
 ALONE = 4  # times as long takes a test for a row that asks alone: its surroundings are not in the cache
 
 
-class Candidates:
-    """`first[:pairs]`, `second[:pairs]` are the candidate pairs as rows, `near_wall[:walls]` the rows near walls.
+class Hits(NamedTuple):
+    """Contacts on the present segments: rows `first` and `second` (m,) int32 at `time` (m,); a wall is second = -1 - wall."""
 
-    x, v (n, d), radius, w = 1/m, ids (n,): the first `owned` rows are this rank's, ghosts follow. They may change in place;
-    `strays` finds those that forces bent out of their tubes, `turned` those that contacts turned, `follow` renews both.
-    `bound`: no row may get further than that from the middle of its first path; nor an owned row out of its `fence`.
+    first: Array
+    second: Array
+    time: Array
+
+
+class Candidates:
+    """`pairs` are the candidate pairs as rows (first, second), `near_wall` the rows near walls, `hits` room for contacts of both.
+
+    x, v (n, d) may change in place: `leaving` finds rows that forces bend away from their paths, `turned` those that contacts
+    turned, and `follow` gives them new ones. The first `expected` pairs have room from the start.
     """
 
     def __init__(
         self,
-        state: tuple[Array, Array, Array, Array, Array],
-        owned: int,
+        x: Array,
+        v: Array,
+        spheres: Spheres,
         length: Array,
         planes: tuple[Array, Array],
-        end: float,
-        half: float,
-        bound: float,
-        fence: Fence,
+        horizon: Horizon,
+        region: HaloRegion,
         expected: int,
     ):
-        self.x, self.v, self.radius, self.w, self.ids = state
-        self.owned, self.length, self.planes = owned, length, planes
-        self.end, self.half, self.bound, self.fence = end, half, bound, fence
-        self.axes = (0,) * self.x.shape[1]
+        self.x, self.v, self.spheres = x, v, spheres
+        self.length, self.planes, self.horizon, self.region = length, planes, horizon, tuple(region)
+        self.axes = (0,) * x.shape[1]
         self.time = 0.0  # since the search
-        n = len(self.x)
-        self.marked, self.few = np.zeros(n, np.bool_), np.empty(n, np.int32)
-        self.pairs = self.walls = self.tests = self.asked = 0
+        n = len(x)
+        self.scratch = Scratch(np.zeros(n, np.bool_), np.empty(n + AT_ONCE, np.int32))
+        self.chosen = np.empty(n, np.int32)
+        self.pair_count = self.wall_count = self.tests = self.asked = 0
         self.first, self.second = np.empty(0, np.int32), np.empty(0, np.int32)
         self.reserve(expected + expected // 4 + 256)
-        self.near_wall, self.around = np.empty(owned, np.int32), np.empty(n + AT_ONCE, np.int32)
+        self.wall_rows = np.empty(spheres.owned, np.int32)
         self.search()
+
+    @property
+    def pairs(self) -> tuple[Array, Array]:
+        return self.first[: self.pair_count], self.second[: self.pair_count]
+
+    @property
+    def near_wall(self) -> Array:
+        return self.wall_rows[: self.wall_count]
 
     def reserve(self, capacity: int) -> None:
         """Room for pairs."""
         first, second = np.empty(capacity, np.int32), np.empty(capacity, np.int32)
-        first[: self.pairs], second[: self.pairs] = self.first[: self.pairs], self.second[: self.pairs]
+        first[: self.pair_count], second[: self.pair_count] = self.pairs
         self.first, self.second = first, second
-        size = capacity + self.owned
-        self.hits = np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size)
+        size = capacity + self.spheres.owned
+        self.hits = Hits(np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size))
 
     def search(self) -> None:
         """All candidates, from cells made anew."""
-        n = len(self.x)
-        self.path, self.home, self.reach, mean, (self.lowest, self.highest), (self.own_low, self.own_high) = set_out(
-            self.axes, self.x, self.v, self.radius, self.end, self.half, self.owned
+        n, radius = len(self.x), self.spheres.radius
+        path, first_midpoint, bounding_radius, mean, box, own_box = start_paths(
+            self.axes, self.x, self.v, radius, self.horizon, self.spheres.owned
         )
-        self.seen = self.home.copy()
-        self.limit = GIANTS * mean
-        largest, periodic = float(self.radius.max(initial=0.0)), self.length[self.length > 0.0]
-        if len(periodic) and 2.0 * largest + 4.0 * self.bound > 0.5 * periodic.min():
-            self.limit = np.inf  # no giants: they only know the nearest image of a partner
-        self.level, self.giants, self.known, self.caps = levels(self.reach, SLOWEST * mean, self.limit, FEW)
-        apart = spacing(self.lowest, self.highest, n)
-        box = self.lowest, self.highest
-        cells = grid(self.seen, box, max(0.9 * apart, 0.6 * mean), FINE)
-        order, start = sort_rows(self.seen, self.level, SLOW, *cells)
-        self.coarse = grid(self.seen, box, max(2.0 * apart, 2.0 * mean), 1)
-        place, entry, *self.lists = fill_cells(self.seen, self.reach, self.level, order, *self.coarse)
-        self.slow = order, place, start, entry, *cells
-        self.fast = *self.lists[:2], *self.coarse
+        midpoint = first_midpoint.copy()
+        limit = LARGEST * mean
+        largest, periodic = float(radius.max(initial=0.0)), self.length[self.length > 0.0]
+        if len(periodic) and 2.0 * largest + 4.0 * self.horizon.bound > 0.5 * periodic.min():
+            limit = np.inf  # no row is OVERSIZE: those only know the nearest image of a partner
+        level, oversize, count, reaches = levels(bounding_radius, SLOWEST * mean, limit, FEW)
+        self.paths = Paths(path, midpoint, bounding_radius, level, first_midpoint)
+        low, high = box
+        apart = spacing(low, high, n)
+        fine = grid(midpoint, (low, high), max(0.9 * apart, 0.6 * mean), FINE)
+        order, start = sort_rows(midpoint, level, SLOW, fine)
+        coarse = grid(midpoint, (low, high), max(2.0 * apart, 2.0 * mean), 1)
+        place, entry, head, after, before, cell_of = fill_cells(self.paths, order, coarse)
+        cells = SortedCells(order, start, place, entry, fine), LinkedCells(head, after, before, cell_of, coarse)
+        self.index = plain(SearchIndex(*cells, oversize, np.array([count]), reaches, limit, low, high, *own_box))
+        self.path_arrays = tuple(self.paths)
         self.ask(np.arange(n, dtype=np.int32), everything=True)
 
     def ask(self, rows: Array, everything: bool) -> None:
         """Replace the candidates of `rows`."""
-        self.pairs = drop_pairs(rows, self.marked, self.first, self.second, self.pairs)
+        marked = self.scratch.marked
+        self.pair_count = drop_pairs(rows, marked, self.first, self.second, self.pair_count)
         while True:
             found, tests = find_partners(
-                self.axes, rows, everything, self.marked, self.path, self.seen, self.reach, self.level, self.end, self.half,
-                self.slow, self.fast, self.giants[: self.known], self.caps, self.lowest, self.highest, self.length,
-                self.owned, self.own_low, self.own_high, self.ids, self.w, self.around, self.first, self.second, self.pairs,
+                self.axes, rows, everything, self.path_arrays, tuple(self.horizon), self.length, self.index,
+                tuple(self.spheres), tuple(self.scratch), self.first, self.second, self.pair_count,
             )  # fmt: skip
             if found <= len(self.first):
                 break
             self.reserve(found + found // 4)
-        self.pairs = found
+        self.pair_count = found
         self.tests += tests if everything else ALONE * tests
-        point, normal = self.planes
-        if len(point):
-            self.walls = find_near_walls(
-                rows,
-                self.path,
-                self.end,
-                self.half,
-                self.owned,
-                point,
-                normal,
-                self.marked,
-                self.near_wall,
-                self.walls,
-            )
-        unmark(rows, self.marked)
+        if len(self.planes[0]):
+            self.wall_count = find_near_walls(
+                rows, self.paths.path, tuple(self.horizon), self.spheres.owned, *self.planes, marked,
+                self.wall_rows, self.wall_count,
+            )  # fmt: skip
+        marked[rows] = False
 
-    def strays(self, h: float) -> Array:
-        """Rows that a drift over h from now takes out of their tubes."""
-        found = strayed(self.axes, self.x, self.v, self.path, self.time, h, self.half, self.length, self.few)
-        return self.few[:found]
+    def leaving(self, h: float) -> Array:
+        """Rows that a drift over h from now takes away from their paths."""
+        found = rows_leaving(
+            self.axes, self.x, self.v, self.paths.path, self.time, h, self.horizon.tolerance, self.length, self.chosen
+        )
+        return self.chosen[:found]
 
-    def turned(self, rows: Array, s: Array) -> Array:
-        """Those of `rows` whose legs, begun at s, leave their tubes before the horizon; reorders `rows`."""
-        return rows[: turned(self.x, self.v, s, self.path, rows, self.time, self.end, self.half, self.length)]
+    def turned(self, rows: Array, start: Array) -> Array:
+        """Those of `rows` whose segments, begun at `start` (n,), leave their paths before the horizon; reorders `rows`."""
+        found = rows_turned(self.x, self.v, start, self.paths.path, rows, self.time, tuple(self.horizon), self.length)
+        return rows[:found]
 
-    def follow(self, rows: Array, s: Array, h: float) -> float:
-        """New paths and candidates for `rows`, on legs that began at s in the drift over h.
+    def follow(self, rows: Array, segments: Segments, h: float) -> float:
+        """New paths and candidates for `rows`, on their segments in the drift over h.
 
-        Returns 0, or how far a row gets in this drift if bound or fence forbid it: then all must be searched anew.
+        Returns 0, or how far a row gets in this drift if bound or region forbid it: then all must be searched anew.
         """
         if not len(rows):
             return 0.0
-        needed, self.end = set_out_anew(
-            rows, self.x, self.v, s, self.home, self.path, self.seen, self.reach, self.length,
-            self.time, h, self.end, self.half, self.bound, self.owned, self.fence,
-        )  # fmt: skip
+        owned = self.spheres.owned
+        needed, until = renew_paths(
+            rows, tuple(segments), owned, self.path_arrays, self.region, tuple(self.horizon), self.length, self.time, h
+        )
+        if until != self.horizon.valid_until:
+            self.horizon = self.horizon._replace(valid_until=until)
         if needed:
             return float(needed)
-        place, entry = self.slow[1], self.slow[3]
-        head, after, before, cell_of = self.lists
-        origin, per, cells = self.coarse
-        self.known = move_rows(
-            rows, self.seen, self.reach, self.level, place, entry, head, after, before, cell_of, origin, per, cells,
-            self.caps, self.limit,
-            self.giants, self.known, self.lowest, self.highest, self.owned, self.own_low, self.own_high,
-        )  # fmt: skip
+        move_rows(rows, self.path_arrays, owned, self.index)
         self.asked += len(rows)
         self.ask(rows, everything=False)
         return 0.0
@@ -150,7 +167,7 @@ class Candidates:
 
 def touching(x: Array, radius: Array, w: Array, ids: Array, length: Array) -> tuple[Array, Array]:
     """(first, second): rows of all pairs of resting spheres that touch, each once, the lower id first, not both with w = 0."""
-    n, none = len(x), np.empty((0, x.shape[1]))
-    state, walls = (x, np.zeros_like(x), radius, w, ids), (none, none)
-    c = Candidates(state, n, length, walls, 0.0, 0.0, 0.0, nowhere(x.shape[1]), EXPECTED * n)
-    return c.first[: c.pairs], c.second[: c.pairs]
+    n, d = x.shape
+    none = np.empty((0, d))
+    spheres = Spheres(radius, w, ids, n)
+    return Candidates(x, np.zeros_like(x), spheres, length, (none, none), AT_REST, everywhere(d), EXPECTED * n).pairs

@@ -1,23 +1,40 @@
 """Linked cells on at most three axes. Plain arrays.
 
-A grid is (origin, cells a unit length, cells), each of shape (3,); in fewer dimensions the first axes have one cell. Places
-outside belong to the outermost cells, so that a grid may leave outliers out, a few of which would else make all cells coarse.
+In fewer dimensions the first axes have one cell. Places outside belong to the outermost cells, so that a grid may leave
+outliers out, a few of which would else make all cells coarse.
 """
 
 from __future__ import annotations
 
 from math import inf
+from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.kernels.jit import inner, kernel
+from particles_mpi.kernels.jit import kernel, lean_inner
 from particles_mpi.particles import Array
 
 GRIDDED = 3  # axes with cells; more would cost 3^d cells to visit, and the others are tested by distance anyway
 FINE = 4  # cells to a side on the last axis of a sorted grid: runs along it can be any length, so that they may be tight
 SAMPLE = 512  # rows that tell where the bulk of the particles is
 
-Grid = tuple[Array, Array, Array]
+
+class Grid(NamedTuple):
+    """Corner of the first cell, cells a unit length, and number of cells, each of shape (3,)."""
+
+    origin: Array
+    per: Array
+    cells: Array
+
+
+class LinkedCells(NamedTuple):
+    """A list of rows for each cell: head (cells,) is the first row or -1; after, before, cell_of (n,): its neighbours there."""
+
+    head: Array
+    after: Array
+    before: Array
+    cell_of: Array
+    grid: Grid
 
 
 def grid(x: Array, box: tuple[Array, Array], side: float, fine: int) -> Grid:
@@ -26,7 +43,7 @@ def grid(x: Array, box: tuple[Array, Array], side: float, fine: int) -> Grid:
     first = GRIDDED - g
     origin, per, cells = np.zeros(GRIDDED), np.zeros(GRIDDED), np.ones(GRIDDED, np.int64)
     if len(x) == 0:
-        return origin, per, cells
+        return Grid(origin, per, cells)
     sample = np.sort(x[:: max(len(x) // SAMPLE, 1), :g], axis=0)
     left, right = sample[len(sample) // 20], sample[-1 - len(sample) // 20]
     low, high = box
@@ -40,7 +57,7 @@ def grid(x: Array, box: tuple[Array, Array], side: float, fine: int) -> Grid:
     per[first:] = 1.0 / side
     per[-1] *= fine
     cells[first:] = (extent * per[first:]).astype(np.int64) + 1
-    return origin, per, cells
+    return Grid(origin, per, cells)
 
 
 def spacing(low: Array, high: Array, n: int) -> float:
@@ -61,15 +78,16 @@ def bounds(x):
     return low, high
 
 
-@inner
+@lean_inner
 def cell_along(y, origin, per, cells):
     """The cell of coordinate y on one axis; monotone in y, so that an interval of y is an interval of cells."""
     return int(min(max((y - origin) * per, 0.0), cells - 1.0))
 
 
-@inner
-def cell_at(x, i, origin, per, cells):
+@lean_inner
+def cell_at(x, i, grid):
     """The cell of row i of x (n, d)."""
+    origin, per, cells = grid
     first = max(0, 3 - x.shape[1])
     c = 0
     for m in range(first, 3):
@@ -78,15 +96,16 @@ def cell_at(x, i, origin, per, cells):
 
 
 @kernel(error_model="numpy")
-def sort_rows(x, level, wanted, origin, per, cells):
+def sort_rows(x, level, wanted, grid):
     """(order, start): rows of one level sorted by cell (rows in order within one), and where each cell starts among them."""
     n = len(x)
+    cells = grid.cells
     cell_of = np.empty(n, np.int32)
     start = np.zeros(cells[0] * cells[1] * cells[2] + 2, np.int32)  # rows of cell c counted at c + 2, then its place at c + 1
     count = 0
     for i in range(n):
         if level[i] == wanted:
-            c = cell_at(x, i, origin, per, cells)
+            c = cell_at(x, i, grid)
             cell_of[i] = c
             start[c + 2] += 1
             count += 1
@@ -103,13 +122,14 @@ def sort_rows(x, level, wanted, origin, per, cells):
 
 def order_in_space(x: Array, box: tuple[Array, Array]) -> Array:
     """Rows of x (n, d) in `box`, those that are near in space near one another; n > 0."""
-    order, _ = sort_rows(x, np.zeros(len(x), np.int8), 0, *grid(x, box, spacing(*box, len(x)), 1))
+    order, _ = sort_rows(x, np.zeros(len(x), np.int8), 0, grid(x, box, spacing(*box, len(x)), 1))
     return order
 
 
-@inner
-def link(i, c, head, after, before, cell_of):
+@lean_inner
+def link(i, c, linked):
     """Put row i into the list of cell c."""
+    head, after, before, cell_of, _ = linked
     j = head[c]
     after[i], before[i], cell_of[i] = j, -1, c
     if j >= 0:
@@ -117,9 +137,10 @@ def link(i, c, head, after, before, cell_of):
     head[c] = i
 
 
-@inner
-def unlink(i, head, after, before, cell_of):
+@lean_inner
+def unlink(i, linked):
     """Take row i out of the list of its cell."""
+    head, after, before, cell_of, _ = linked
     if before[i] >= 0:
         after[before[i]] = after[i]
     else:

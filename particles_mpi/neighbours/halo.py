@@ -1,21 +1,33 @@
-"""What ranks tell one another of the particles that others hold as ghosts: states, choices of a pass, new legs.
+"""What ranks tell one another of the particles that others hold as ghosts: states, selected partners in a pass, new segments.
 
-After a pass a message holds only the rows to which something happened.
+After a pass a message holds only the rows to which something happened. `Halo.exchange` sends what `pack_...` wrote into a buffer
+of numbers, and `unpack_...` reads it; `words` is such a buffer seen as int64.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.kernels.markers import NOBODY
-from particles_mpi.neighbours.trajectories import place_of
+from particles_mpi.kernels.motion import Segments
+from particles_mpi.neighbours.rank_boxes import index_of
 from particles_mpi.parallel.exchange import Halo
 from particles_mpi.particles import Array
 
 
-def width(dimension: int) -> int:
-    """Numbers in the longest row of a message: place, last met, start of the leg, x, v; or x, v, acceleration."""
+class Active(NamedTuple):
+    """The rows whose contacts must be sought in the next pass: flag (n,) bool, and listed as the first number[0] of rows (n,)."""
+
+    flag: Array
+    rows: Array
+    number: Array
+
+
+def message_width(dimension: int) -> int:
+    """Numbers in the longest row of a message: place, last partner, start, x, v of a segment; or x, v, acceleration."""
     return max(3 + 2 * dimension, 3 * dimension)
 
 
@@ -25,23 +37,22 @@ def refresh(halo: Halo, x: Array, v: Array, a: Array) -> None:
         unpack_state(first, message, x, v, a)
 
 
-def tell_choices(halo: Halo, choice: Array, a: Array, b: Array, marked: Array) -> None:
-    """The choices of owned rows among the hits (a, b) to all who hold them as ghosts. `marked`: no row, now and after."""
-    for first, message in halo.exchange(
-        lambda rows, buffer: pack_choices(rows, choice, a, b, halo.owned, marked, buffer.view(np.int64))
-    ):
-        unpack_choices(first, message.view(np.int64), choice)
+def exchange_selections(halo: Halo, selected: Array, first_rows: Array, second_rows: Array, marked: Array) -> None:
+    """The selected partners of owned rows with hits, to all who hold them as ghosts. `marked`: no row, now and after."""
+
+    def pack(rows: Array, buffer: Array) -> int:
+        return int(pack_selections(rows, selected, first_rows, second_rows, halo.owned, marked, buffer.view(np.int64)))
+
+    for first, message in halo.exchange(pack):
+        unpack_selections(first, message.view(np.int64), selected)
 
 
-def tell_legs(halo: Halo, live: Array, x: Array, v: Array, s: Array, met: Array, touched: Array, count: int) -> int:
-    """New legs of the owned ones of the live rows, touched[:count], to all who hold them as ghosts.
-
-    They are live there too if their leg is news. Returns the count with the ghosts that came to it.
-    """
-    mine = touched[:count]
-    for first, message in halo.exchange(lambda rows, buffer: pack_legs(rows, mine, x, v, s, met, buffer, buffer.view(np.int64))):
-        count = unpack_legs(first, message, message.view(np.int64), live, x, v, s, met, touched, count)
-    return count
+def exchange_segments(halo: Halo, active: Active, segments: Segments) -> None:
+    """New segments of active owned rows to all who hold them as ghosts; they are active there too if the segment is new."""
+    own = active.rows[: active.number[0]]  # at this moment
+    all_ = tuple(segments)
+    for first, message in halo.exchange(lambda rows, buffer: pack_segments(rows, own, all_, buffer, buffer.view(np.int64))):
+        unpack_segments(first, message, message.view(np.int64), tuple(active), all_)
 
 
 @kernel
@@ -82,40 +93,41 @@ def unpack_state(first, message, x, v, a):
 
 
 @kernel
-def pack_choices(rows, choice, a, b, owned, marked, out):
-    """(place among rows, choice) of the owned rows of the hits that are among them."""
+def pack_selections(rows, selected, first_rows, second_rows, owned, marked, words):
+    """(place among rows, selected partner) of the owned rows of the hits that are among them."""
     size = 0
     for told in (True, False):  # each row once, and all unmarked again
-        for p in range(len(a)):
-            for i in (a[p], b[p]):
+        for p in range(len(first_rows)):
+            for i in (first_rows[p], second_rows[p]):
                 if 0 <= i < owned and marked[i] != told:
                     marked[i] = told
-                    place = place_of(i, rows) if told and choice[i] != NOBODY else -1
+                    place = index_of(i, rows) if told and selected[i] != NOBODY else -1
                     if place >= 0:
-                        out[size] = place
-                        out[size + 1] = choice[i]
+                        words[size] = place
+                        words[size + 1] = selected[i]
                         size += 2
     return size
 
 
 @kernel
-def unpack_choices(first, message, choice):
-    """What pack_choices wrote."""
-    for m in range(0, len(message), 2):
-        choice[first + message[m]] = message[m + 1]
+def unpack_selections(first, words, selected):
+    """What pack_selections wrote."""
+    for m in range(0, len(words), 2):
+        selected[first + words[m]] = words[m + 1]
 
 
 @kernel
-def pack_legs(rows, touched, x, v, s, met, out, words):
-    """(place among rows, met, s, x, v) of the touched rows that are among them; `words` is `out` as integers."""
+def pack_segments(rows, active_rows, segments, out, words):
+    """(place among rows, last partner, start, x, v) of the active rows that are among them."""
+    x, v, start, last_partner = segments
     d = x.shape[1]
     size = 0
-    for i in touched:
-        place = place_of(i, rows)
+    for i in active_rows:
+        place = index_of(i, rows)
         if place >= 0:
             words[size] = place
-            words[size + 1] = met[i]
-            out[size + 2] = s[i]
+            words[size + 1] = last_partner[i]
+            out[size + 2] = start[i]
             for k in range(d):
                 out[size + 3 + k] = x[i, k]
                 out[size + 3 + d + k] = v[i, k]
@@ -124,24 +136,27 @@ def pack_legs(rows, touched, x, v, s, met, out, words):
 
 
 @kernel
-def unpack_legs(first, message, words, live, x, v, s, met, touched, count):
-    """What pack_legs wrote; rows whose leg is news become live and touched.
+def unpack_segments(first, message, words, active, segments):
+    """What pack_segments wrote; rows whose segment is new become active.
 
-    Two who overlap may meet again in no time, after one of them met another: then only the velocity tells the legs apart.
+    Two who overlap may meet again in no time, after one of them met another: then only the velocity tells the segments apart.
     """
+    x, v, start, last_partner = segments
+    flag, active_rows, number = active
     d = x.shape[1]
+    count = number[0]
     for m in range(0, len(message), 3 + 2 * d):
         i = first + words[m]
-        news = met[i] != words[m + 1] or s[i] != message[m + 2]
+        is_new = last_partner[i] != words[m + 1] or start[i] != message[m + 2]
         for k in range(d):
-            news |= v[i, k] != message[m + 3 + d + k]
-        if news and not live[i]:
-            live[i] = True
-            touched[count] = i
+            is_new |= v[i, k] != message[m + 3 + d + k]
+        if is_new and not flag[i]:
+            flag[i] = True
+            active_rows[count] = i
             count += 1
-        met[i] = words[m + 1]
-        s[i] = message[m + 2]
+        last_partner[i] = words[m + 1]
+        start[i] = message[m + 2]
         for k in range(d):
             x[i, k] = message[m + 3 + k]
             v[i, k] = message[m + 3 + d + k]
-    return count
+    number[0] = count

@@ -1,72 +1,80 @@
 """How far ranks must look into one another's space, and where their particles may go until the next search.
 
-Each rank has a box around the tubes of its own rows. It gets as ghosts all rows whose tubes come within 2 `slack` of that
+Each rank has a box around all that its own rows may cover. It gets as ghosts all rows whose paths come within 2 `slack` of that
 box. Until the horizon its rows stay within `slack` of it, whatever turns them, and rows that it does not hold stay out of
-there: so no row can meet one that its rank does not know. A row that would get over this fence brings the horizon nearer.
-The boxes are those of straight paths, which only rows near the border stretch; the slack is for those that are turned there.
+there: so no row can meet one that its rank does not know. A row that would break this brings the horizon nearer
+(`trajectories.renew_paths`). The boxes are those of straight paths, which only rows near the border stretch; the slack is for
+those that are turned there.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from particles_mpi.neighbours.trajectories import tubes_box, tubes_near
+from particles_mpi.neighbours.rank_boxes import rows_near_box, swept_box
+from particles_mpi.neighbours.trajectories import Horizon
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import send_rows, starts
 from particles_mpi.particles import Array
 
-# own box with its slack (2, d); those of other ranks that it overlaps (m, 2, d); the rows that they hold as ghosts
-# of ours, rows[sent[p] : sent[p + 1]] ascending for the p-th of them.
-Fence = tuple[Array, Array, Array, Array]
 
+class HaloRegion(NamedTuple):
+    """Where rows may go without meeting anyone that their rank does not know.
 
-def nowhere(dimension: int) -> Fence:
-    """The fence of a single rank: none."""
-    own = np.array([[-np.inf] * dimension, [np.inf] * dimension])
-    return own, np.empty((0, 2, dimension)), np.zeros(1, np.int32), np.empty(0, np.int32)
-
-
-def overlap(one: Array, boxes: Array, length: Array) -> Array:
-    """Which of the boxes (m, 2, d) overlap the box `one` (2, d), or an image of it; (m,)."""
-    meet = np.zeros(boxes.shape[::2], bool)
-    for shift in (0.0, length, -length):
-        meet |= (one[0] + shift <= boxes[:, 1]) & (one[1] + shift >= boxes[:, 0])
-    return np.asarray(meet.all(axis=1))
-
-
-def share(
-    ranks: Communicator,
-    arrays: dict[str, Array],
-    state: tuple[Array, Array, Array],
-    slack: float,
-    end: float,
-    half: float,
-    length: Array,
-) -> tuple[Fence, Array, Array, dict[str, Array], Array]:
-    """(fence, our rows that others need, how many each, theirs that we need, how many of each rank). Collective.
-
-    `arrays`: what is sent of a row; `state` = (x, v, radius) of the owned rows, tubes as in `trajectories`.
+    own (2, d): the rank's box with its slack, which owned rows stay in. others (m, 2, d): those of the ranks whose boxes it
+    overlaps; rank p of them holds our rows known[sent[p] : sent[p + 1]], ascending, as ghosts, and no other enters there.
     """
-    boxes = ranks.allgather_array(tubes_box(*state, end, half))
-    fence, rows, counts = build(boxes, ranks.rank, slack, state, end, half, length)
-    return fence, rows, counts, *send_rows(ranks, arrays, rows, counts)
+
+    own: Array
+    others: Array
+    sent: Array
+    known: Array
+
+
+def everywhere(dimension: int) -> HaloRegion:
+    """The region of a single rank."""
+    own = np.array([[-np.inf] * dimension, [np.inf] * dimension])
+    return HaloRegion(own, np.empty((0, 2, dimension)), np.zeros(1, np.int32), np.empty(0, np.int32))
+
+
+def overlapping(one: Array, boxes: Array, length: Array) -> Array:
+    """Which of the boxes (m, 2, d) overlap the box `one` (2, d), or an image of it; (m,)."""
+    overlap = np.zeros(boxes.shape[::2], bool)
+    for shift in (0.0, length, -length):
+        overlap |= (one[0] + shift <= boxes[:, 1]) & (one[1] + shift >= boxes[:, 0])
+    return np.asarray(overlap.all(axis=1))
+
+
+def fetch_near_rows(
+    ranks: Communicator, arrays: dict[str, Array], state: tuple[Array, Array, Array], horizon: Horizon, length: Array
+) -> tuple[HaloRegion, Array, Array, dict[str, Array], Array]:
+    """(region, our rows that others need, how many each, theirs that we need, how many of each rank). Collective.
+
+    `arrays`: what is sent of a row; `state` = (x, v, radius) of the owned rows, which start now.
+    """
+    boxes = ranks.allgather_array(swept_box(*state, horizon))
+    region, rows, counts = build(boxes, ranks.rank, state, horizon, length)
+    return region, rows, counts, *send_rows(ranks, arrays, rows, counts)
 
 
 def build(
-    boxes: Array, rank: int, slack: float, state: tuple[Array, Array, Array], end: float, half: float, length: Array
-) -> tuple[Fence, Array, Array]:
-    """(fence, rows to send sorted by rank, how many to each rank) from the boxes (ranks, 2, d) of all ranks' tubes.
+    boxes: Array, rank: int, state: tuple[Array, Array, Array], horizon: Horizon, length: Array
+) -> tuple[HaloRegion, Array, Array]:
+    """(region, rows to send sorted by rank, how many to each rank) from the boxes (ranks, 2, d) that all ranks' rows may cover.
 
     `state` = (x, v, radius) of the owned rows; boxes of ranks without rows are (inf, -inf), and overlap nothing.
     """
     d = boxes.shape[2]
-    wide = boxes + slack * np.array([[-1.0] * d, [1.0] * d])
-    others = overlap(wide[rank], wide, length)
+    slack = horizon.slack * np.array([[-1.0] * d, [1.0] * d])
+    wide = boxes + slack
+    others = overlapping(wide[rank], wide, length)
     others[rank] = False
     places = np.flatnonzero(others)
-    outer = wide + slack * np.array([[-1.0] * d, [1.0] * d])
-    sent = [tubes_near(*state, end, half, outer[p, 0], outer[p, 1], length) for p in places]
+    outer = wide + slack
+    sent = [rows_near_box(*state, horizon, outer[p, 0], outer[p, 1], length) for p in places]
     rows = np.concatenate([*sent, np.empty(0, np.int32)])
     counts = np.zeros(len(boxes), np.int32)
     counts[places] = [len(s) for s in sent]
-    return (wide[rank], wide[others], starts(np.array([*map(len, sent), 0], np.int32)), rows), rows, counts
+    return HaloRegion(wide[rank], wide[others], starts(np.array([*map(len, sent), 0], np.int32)), rows), rows, counts

@@ -1,103 +1,29 @@
-"""Who can meet whom: the pairs of tubes that touch, by cells. See `trajectories` for paths, tubes, `seen` and `reach`.
+"""Which pairs can meet: those whose paths come near each other before the horizon, found by cells. See `trajectories`.
 
-Rows are held by three levels of reach, so that most need not look as far as the few fast ones get: SLOW ones in sorted cells,
-FAST ones and all that were turned in coarse cells of linked lists, and a few GIANTS one by one.
+How rows are held in cells, by their bounding radius, is described in `search_index`.
 """
 
+from __future__ import annotations
+
 from math import inf, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
 from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import inner, kernel
-from particles_mpi.neighbours.cells import GRIDDED, cell_along, cell_at, link, unlink
+from particles_mpi.neighbours.cells import GRIDDED, cell_along
+from particles_mpi.neighbours.search_index import FAST, OVERSIZE, SLOW
+from particles_mpi.particles import Array
 
-SLOW, FAST, GIANT = 0, 1, 2
 AT_ONCE = 8
 
 
-@kernel
-def levels(reach, slow, fast, most):
-    """(level of each row, giants, largest reach of slow rows, of fast ones): up to `slow`, up to `fast`, and beyond.
+class Scratch(NamedTuple):
+    """Room to work in: marked (n,) bool, of which none is set between calls, and around (n + AT_ONCE,) int32."""
 
-    More than `most` giants are no giants, but fast.
-    """
-    beyond = 0
-    for r in reach:
-        beyond += r > fast
-    level = np.empty(len(reach), np.int8)
-    giants = np.empty(len(reach), np.int32)
-    count = 0
-    caps = np.zeros(2)
-    for i in range(len(reach)):
-        if reach[i] <= slow:
-            level[i] = SLOW
-        elif reach[i] <= fast or beyond > most:
-            level[i] = FAST
-        else:
-            level[i] = GIANT
-            giants[count] = i
-            count += 1
-            continue
-        caps[level[i]] = max(caps[level[i]], reach[i])
-    return level, giants, count, caps
-
-
-@kernel
-def fill_cells(seen, reach, level, order, origin, per, cells):
-    """(place, entry) of the sorted cells: where each slow row is in `order`, and (seen, reach) in that order.
-
-    And the linked lists of the fast rows: (head, after, before, cell_of).
-    """
-    n, g = len(seen), min(seen.shape[1], 3)
-    place = np.empty(n, np.int32)
-    entry = np.empty((len(order), g + 1))
-    for e in range(len(order)):
-        i = order[e]
-        place[i] = e
-        for k in range(g):
-            entry[e, k] = seen[i, k]
-        entry[e, g] = reach[i]
-    head = np.full(cells[0] * cells[1] * cells[2], -1, np.int32)
-    after, before, cell_of = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
-    for i in range(n):
-        if level[i] == FAST:
-            link(i, cell_at(seen, i, origin, per, cells), head, after, before, cell_of)
-    return place, entry, head, after, before, cell_of
-
-
-@kernel
-def move_rows(
-    rows, seen, reach, level, place, entry, head, after, before, cell_of, origin, per, cells, caps, limit,
-    giants, known, lowest, highest, owned, own_low, own_high,
-):  # fmt: skip
-    """Rows with new paths change places: into the lists of the fast, or, with a reach beyond `limit`, to the giants.
-
-    Returns the number of giants.
-    """
-    for r in range(len(rows)):
-        i = np.int64(rows[r])
-        for k in range(seen.shape[1]):
-            lowest[k] = min(lowest[k], seen[i, k])
-            highest[k] = max(highest[k], seen[i, k])
-            if i < owned:
-                own_low[k] = min(own_low[k], seen[i, k])
-                own_high[k] = max(own_high[k], seen[i, k])
-        if level[i] == GIANT:
-            continue
-        if level[i] == SLOW:
-            entry[place[i], 0] = inf  # no one meets it there
-        else:
-            unlink(i, head, after, before, cell_of)
-        if reach[i] > limit:
-            level[i] = GIANT
-            giants[known] = i
-            known += 1
-        else:
-            level[i] = FAST
-            caps[FAST] = max(caps[FAST], reach[i])
-            link(i, cell_at(seen, i, origin, per, cells), head, after, before, cell_of)
-    return known
+    marked: Array
+    around: Array
 
 
 @kernel
@@ -137,8 +63,8 @@ def cover(d, middle, extent, margin, origin, per, cells, low, high):
 
 
 @inner
-def list_slow(low, high, cells, start, around):
-    """Entries of the sorted cells in the ranges low..high; into `around`, returns how many.
+def list_sorted(low, high, cells, start, around):
+    """Places in the sorted cells in the ranges low..high; into `around`, returns how many.
 
     Runs are short: AT_ONCE places are written whatever their length, without a loop whose end the processor must guess.
     """
@@ -157,7 +83,7 @@ def list_slow(low, high, cells, start, around):
 
 
 @inner
-def list_fast(low, high, cells, head, after, around, listed):
+def list_linked(low, high, cells, head, after, around, listed):
     """Rows in the linked lists of the cells in the ranges low..high; behind the first `listed` of `around`."""
     for c0 in range(low[0], high[0] + 1):
         for c1 in range(low[1], high[1] + 1):
@@ -171,8 +97,8 @@ def list_fast(low, high, cells, head, after, around, listed):
 
 
 @inner(error_model="numpy", inline="always")
-def may_meet(axes, y, path, i, j, window, half, length):
-    """Do the paths of i, at y at its start, and of j come nearer than R_i + R_j + 2 half within `window` from then?
+def may_meet(axes, y, path, i, j, window, tolerance, length):
+    """Do the paths of i, at y at its start, and of j come nearer than R_i + R_j + 2 tolerance within `window` from then?
 
     With a margin for round-off. On the gridded axes y is the image that is meant.
     """
@@ -193,38 +119,39 @@ def may_meet(axes, y, path, i, j, window, half, length):
     t = t if t > 0.0 else 0.0  # not max and min: those branch
     t = t if t < window else window
     size = path[i, 2 * d + 1] + path[j, 2 * d + 1]
-    cut = size + 2.0 * half
+    cut = size + 2.0 * tolerance
     return (size > 0.0) & (r2 + t * (2.0 * ru + t * u2) <= cut * cut + 1e-12 * r2)
 
 
 @kernel(error_model="numpy")
-def find_partners(
-    axes, rows, everything, marked, path, seen, reach, level, end, half, slow, fast, giants, caps,
-    lowest, highest, length, owned, own_low, own_high, ids, w, around, first, second, found,
-):  # fmt: skip
+def find_partners(axes, rows, everything, paths, horizon, length, index, spheres, scratch, first, second, found):
     """Candidate pairs of `rows` (all of them marked) with all rows, each once, behind the first `found` pairs.
 
     Returns (number of pairs then: more than len(first): enlarge, call again; number of tests). Kept are pairs with an owned
-    partner (row < owned) and a movable one (w > 0), the lower id first. Of two marked rows the one that reaches further
-    finds the other: where `everything` is marked no search need look further than its own reach, and slow rows need not
-    look for fast ones. `slow` = (order, place, start, entry, grid...), `fast` = (head, after, grid...). Nearly every test is a
-    coin toss: nothing branches on it; each place is written, and the next one over it if it does not count.
-    `around` is room for len(path) + AT_ONCE rows.
+    partner and a movable one, the lower id first. Of two marked rows the one with the larger bounding radius finds the
+    other: with `everything` marked no search need look further than the row's own radius, and SLOW rows need not look for FAST
+    ones. Nearly every test is a coin toss: nothing branches on it; each place is written, and the next one over it if it does
+    not count.
     """
+    path, midpoint, bounding_radius, level, _ = paths
+    end, tolerance, _, _ = horizon
+    sorted_, linked, oversize, number, largest, _, lowest, highest, own_low, own_high = index
+    order, start, place, entry, (origin, per, cells) = sorted_
+    head, after, _, _, (linked_origin, linked_per, linked_cells) = linked
+    _, w, ids, owned = spheres
+    marked, around = scratch
     d = len(axes)
     g = min(d, 3)
-    order, place, start, entry, origin, per, cells = slow
-    head, after, fast_origin, fast_per, fast_cells = fast
     low, high = np.zeros(3, np.int64), np.zeros(3, np.int64)
     by, images = np.zeros((3, 3)), np.ones(3, np.int64)
     y, middle, extent = np.empty(d), np.empty(d), np.empty(g)
     tests = 0
     for i in rows:
         window = end - path[i, 2 * d]
-        base = path[i, 2 * d + 1] + half
-        limit = reach[i] if everything else inf
-        to_slow = base + min(limit, caps[SLOW])
-        to_fast = base + min(limit, caps[FAST])
+        base = path[i, 2 * d + 1] + tolerance
+        limit = bounding_radius[i] if everything else inf
+        to_slow = base + min(limit, largest[SLOW])
+        to_fast = base + min(limit, largest[FAST])
         also_fast = not everything or level[i] != SLOW
         own = 0.0
         outside = i >= owned
@@ -237,16 +164,18 @@ def find_partners(
             mid = path[i, k] + 0.5 * path[i, d + k] * window
             extent[k] = abs(0.5 * path[i, d + k] * window)
             images[k] = shifts(mid - extent[k] - far, mid + extent[k] + far, lowest[k], highest[k], length[k], by[k])
-        if also_fast and (not everything or level[i] == GIANT):
-            tests += len(giants)
-            for a in range(len(giants)):
-                giant = np.int64(giants[a])
+        if also_fast and (not everything or level[i] == OVERSIZE):
+            tests += number[0]
+            for a in range(number[0]):
+                other = np.int64(oversize[a])
                 for k in range(g):
-                    r = path[i, k] - (path[giant, k] + path[giant, d + k] * (path[i, 2 * d] - path[giant, 2 * d]))
+                    r = path[i, k] - (path[other, k] + path[other, d + k] * (path[i, 2 * d] - path[other, 2 * d]))
                     y[k] = path[i, k] + nearest(r, length[k]) - r
-                if wanted(i, giant, marked, reach, owned, ids, w) and may_meet(axes, y, path, i, giant, window, half, length):
+                if wanted(i, other, marked, bounding_radius, owned, ids, w) and may_meet(
+                    axes, y, path, i, other, window, tolerance, length
+                ):
                     if found < len(first):
-                        first[found], second[found] = (i, giant) if ids[i] < ids[giant] else (giant, i)
+                        first[found], second[found] = (i, other) if ids[i] < ids[other] else (other, i)
                     found += 1
         for p0 in range(images[0]):
             for p1 in range(images[1]):
@@ -259,7 +188,7 @@ def find_partners(
                     if outside and apart > far:  # a ghost, nowhere near an owned row
                         continue
                     cover(d, middle, extent, to_slow, origin, per, cells, low, high)
-                    listed = list_slow(low, high, cells, start, around)
+                    listed = list_sorted(low, high, cells, start, around)
                     tests += listed
                     near = np.int64(0)
                     self = np.uint64(place[i]) if level[i] == SLOW else np.uint64(len(path))
@@ -272,20 +201,20 @@ def find_partners(
                         around[np.uint64(near)] = order[e]
                         near += (r2 <= (own + others) ** 2) & (others <= limit) & (e != self)
                     if also_fast:
-                        cover(d, middle, extent, to_fast, fast_origin, fast_per, fast_cells, low, high)
-                        listed = list_fast(low, high, fast_cells, head, after, around, near)
+                        cover(d, middle, extent, to_fast, linked_origin, linked_per, linked_cells, low, high)
+                        listed = list_linked(low, high, linked_cells, head, after, around, near)
                         tests += listed - near
                         for p in range(near, listed):
                             j = np.uint64(around[p])
                             r2 = 0.0
                             for k in range(g):
-                                r2 += (middle[k] - seen[j, k]) ** 2
+                                r2 += (middle[k] - midpoint[j, k]) ** 2
                             around[near] = j
-                            near += (r2 <= (own + reach[j]) ** 2) & (i != j)
+                            near += (r2 <= (own + bounding_radius[j]) ** 2) & (i != j)
                     for p in range(near):
                         other = np.int64(around[p])
-                        if may_meet(axes, y, path, i, np.uint64(other), window, half, length) and wanted(
-                            i, other, marked, reach, owned, ids, w
+                        if may_meet(axes, y, path, i, np.uint64(other), window, tolerance, length) and wanted(
+                            i, other, marked, bounding_radius, owned, ids, w
                         ):
                             if found < len(first):
                                 first[found], second[found] = (i, other) if ids[i] < ids[other] else (other, i)
@@ -294,15 +223,10 @@ def find_partners(
 
 
 @inner
-def wanted(i, j, marked, reach, owned, ids, w):
+def wanted(i, j, marked, bounding_radius, owned, ids, w):
     """Is this a pair to keep, found from i?"""
     if i == j or not (i < owned or j < owned) or (w[i] == 0.0 and w[j] == 0.0):
         return False
-    return not (marked[j] and (reach[j] > reach[i] or (reach[j] == reach[i] and ids[j] > ids[i])))
-
-
-@kernel
-def unmark(rows, marked):
-    """Take the marks off."""
-    for i in rows:
-        marked[i] = False
+    return not (
+        marked[j] and (bounding_radius[j] > bounding_radius[i] or (bounding_radius[j] == bounding_radius[i] and ids[j] > ids[i]))
+    )

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 MOST_STEPS = 400
 STRIDE = 0.15  # of the steps, from one try to the next
-WORSE = 1.003  # above it the cost has risen
+WORSE = 1.003  # times the cost before: above it the cost has risen
 # Costs of a search, a row in it, a row that asks for itself, a pair in a step; in the time of one pair test (about 5 ns).
 SEARCH, ROW, ASKED, PAIR = 2e4, 50.0, 100.0, 1.0
 
 
-class Rhythm:
+class RebuildTuner:
     """`steps`: how many the next candidates shall last. More of them: fewer searches, of more candidates among more rows."""
 
     def __init__(self) -> None:
         self.steps = 0
         self.upwards = True
-        self.before = float("inf")
+        self.cost_before = float("inf")
         self.lasted = 0
         self.pair_steps = 0
 
@@ -37,9 +37,9 @@ class Rhythm:
             self.steps = int(crossing)
         elif self.lasted:
             cost = work / self.lasted
-            if cost > WORSE * self.before:
+            if cost > WORSE * self.cost_before:
                 self.upwards = not self.upwards
-            self.before = cost
+            self.cost_before = cost
             self.steps = min(self.steps, self.lasted)  # what did not last as long as it should, need not be longer
             stride = max(1, round(STRIDE * self.steps))
             self.steps += stride if self.upwards else -stride

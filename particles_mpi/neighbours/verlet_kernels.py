@@ -1,92 +1,115 @@
-"""Neighbour lists for particles that move one at a time: every particle has a home, and a shell around it.
+"""Neighbour lists for particles that move one at a time: Verlet lists with a skin, updated for each particle by itself.
 
-A particle stays within `shell` of its `home` until it is given a new one, so two that can touch are in each other's list:
-their homes are no further apart than R_i + R_j + shell_i + shell_j. A particle that reaches its shell gets a new home and
-a new list, found in cells that hold the homes. Homes are in unwrapped coordinates, near x; distances take the nearest image.
+Each particle has a reference position and stays within `skin` of it; when it gets that far, it is given a new reference
+position and a new list. Two particles that can touch are in each other's list: their reference positions are no further apart
+than R_i + R_j + skin_i + skin_j. They are found in cells that hold the reference positions, which are unwrapped coordinates:
+distances take the nearest periodic image. Lists are supersets of what can touch: they cost time and change no result.
 
-What a look at a neighbour needs stands together in a row of `home` (n, width): home (d), size = R + shell, shell, w = 1/m, and,
-as integers seen through `links`, the next and the last row in the same cell, and the cell. `lists` (n, 4) int32: where
-the list of a row begins in the pool, how many it holds, and how many it can.
-
-Cells come in levels: a particle stands in the level of its reach R + shell, whose cells are about as wide, so that a few
-large spheres do not make the search of all the small ones coarse. Lists are supersets: they cost time and change no result.
+Cells come in levels: a particle is in the level of its size R + skin, whose cells are about as wide, so that a few large spheres
+do not make the search of all small ones coarse.
 """
 
 from __future__ import annotations
 
 from math import floor
+from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.kernels.geometry import boxes_between
-from particles_mpi.kernels.jit import inner, kernel, lean_inner, prefetch
+from particles_mpi.kernels.geometry import Box, image_shift
+from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch
 from particles_mpi.particles import Array
 
 GRIDDED = 3  # axes with cells
-LEVELS, FACTOR = 5, 3.0  # each level of cells is for reaches up to FACTOR times those of the one before
-WIDTH = 1.4  # of a cell, in reaches of the largest row in it
+LEVELS, FACTOR = 5, 3.0  # each level of cells is for sizes up to FACTOR times those of the one before
+WIDTH = 1.4  # of a cell, in sizes of the largest row in it
 PLACES = 16  # in a new list; a list that gets full moves to one twice as long
-AFTER, BEFORE, CELL = 6, 7, 8  # int32 places in a row of `links`, behind 2 d
-BEGIN, COUNT, ROOM = 0, 1, 2
-MARGIN = 1.0 + 1e-9  # on distances between homes, far above round-off
+SIZE, SKIN, INVERSE_MASS = 0, 1, 2  # columns of `reference`, after the d coordinates
+NEXT_ROW, PREVIOUS_ROW, CELL = 6, 7, 8  # columns of `links`, after 2 d: behind those float64 numbers
+BEGIN, COUNT, ROOM = 0, 1, 2  # columns of `spans`
+MARGIN = 1.0 + 1e-9  # on distances between reference positions, far above round-off
 
-Grid = tuple[Array, Array, Array, Array, Array]
+
+class Grid(NamedTuple):
+    """Cells of all levels; their numbers follow one another, level after level."""
+
+    low: Array  # (3,) corner of the cells
+    per_length: Array  # (levels, 3) cells in a unit of length
+    cells: Array  # (levels, 3) cells along each axis
+    first: Array  # (levels + 1,) number of the first cell
+    largest: Array  # (levels,) size R + skin of the largest row in the level, -1 if the level is not used
 
 
-def grids(x: Array, reach: Array, box: tuple[Array, Array], length: Array, share: float = 1.0) -> tuple[Grid, Array]:
-    """(grid, level of each row) for homes x (n, d): grid = (low (3,), per (levels, 3), cells (levels, 3), first, caps (levels,)).
+class Lists(NamedTuple):
+    """The lists of n rows, as the kernels take them. What is needed of a neighbour together stands in one row of `reference`."""
 
-    `box`: the corners of the region; open axes of it may be infinite, then the rows decide. It may hold
-    `share` times as many rows as these. Places outside belong to the outermost cells, or to their image if the axis is periodic.
+    reference: Array  # (n, width): reference position (d), then SIZE = R + skin, SKIN, INVERSE_MASS
+    links: Array  # (n, 2 width) int32, the same memory: NEXT_ROW and PREVIOUS_ROW in the same cell (-1: none), and CELL
+    level: Array  # (n,) int8, of each row in the grid
+    spans: Array  # (n, 4) int32: where the list of a row begins in the pool, how many it holds, how many it has room for
+    pool: Array  # int32, the rows in all lists
+    used: Array  # (1,) places of the pool that are in use
+    head: Array  # (cells,) int32, first row in each cell, or -1
+    nearby: Array  # (n + 2,) int32, scratch: rows that `find_nearby` found
+    grid: tuple[Array, ...]  # a `Grid`, as a plain tuple: see `jit.plain`
+    box: tuple[Array, ...]  # a `Box`, as a plain tuple
+
+
+def make_grid(x: Array, size: Array, box: Box, share: float) -> tuple[Grid, Array]:
+    """A grid for reference positions x (n, d) and sizes (n,), and the level of each row in it.
+
+    Where the box is open, the rows decide how far the cells reach. The grid is made for `share` times as many rows as these.
+    Positions outside belong to the outermost cells, or to their image if the axis is periodic.
     """
     g = min(x.shape[1], GRIDDED)
-    low, high = (np.array(side[:g], float) for side in box)
+    low, high = (np.array(side[:g], float) for side in (box.lower, box.upper))
     if len(x):
         low = np.where(np.isfinite(low), np.maximum(low, x[:, :g].min(axis=0)), x[:, :g].min(axis=0))
         high = np.where(np.isfinite(high), np.minimum(high, x[:, :g].max(axis=0)), x[:, :g].max(axis=0))
-    periodic = length[:g] > 0.0
-    low, high = np.where(periodic, box[0][:g], low), np.where(periodic, box[1][:g], high)
-    moving = reach[reach > 0.0]
+    periodic = box.length[:g] > 0.0
+    low, high = np.where(periodic, box.lower[:g], low), np.where(periodic, box.upper[:g], high)
+    moving = size[size > 0.0]
     typical = float(np.median(moving)) * 1.5 if len(moving) else 1.0
-    steps = np.ceil(np.log(np.maximum(reach, 1e-300) / typical) / np.log(FACTOR))
+    steps = np.ceil(np.log(np.maximum(size, 1e-300) / typical) / np.log(FACTOR))
     level = np.clip(steps, 0, LEVELS - 1).astype(np.int8)
-    per, cells = np.zeros((LEVELS, GRIDDED)), np.ones((LEVELS, GRIDDED), np.int64)
-    caps, first = np.full(LEVELS, -1.0), np.zeros(LEVELS + 1, np.int64)
+    per_length, cells = np.zeros((LEVELS, GRIDDED)), np.ones((LEVELS, GRIDDED), np.int64)
+    largest, first = np.full(LEVELS, -1.0), np.zeros(LEVELS + 1, np.int64)
     for step in range(LEVELS):
         rows = np.flatnonzero(level == step)
         if len(rows):
-            caps[step] = reach[rows].max()
+            largest[step] = size[rows].max()
             extent = np.maximum(high - low, 1e-300)
-            side = max(WIDTH * float(caps[step]), float(extent.max()) * 1e-5, 1e-300)
+            side = max(WIDTH * float(largest[step]), float(extent.max()) * 1e-5, 1e-300)
             while np.prod(np.floor(extent / side) + 1.0) > max(2 * len(rows) * share, 64):
                 side *= 1.25
             count = np.maximum(np.floor(extent / side), 1.0)
             cells[step, :g] = count.astype(np.int64)
-            per[step, :g] = count / extent
+            per_length[step, :g] = count / extent
         first[step + 1] = first[step] + cells[step].prod()
     corner = np.zeros(GRIDDED)
     corner[:g] = low
-    return (corner, per, cells, first, caps), level
+    return Grid(corner, per_length, cells, first, largest), level
 
 
 @inner
-def level_of(reach, caps):
-    """The level for one row more, of this reach; the widest one may have to hold wider rows than it was made for."""
+def level_of(size, lists):
+    """The level for one row more, of this size; the widest one may have to hold wider rows than it was made for."""
+    _, _, _, _, largest = lists.grid
     widest = 0
-    for step in range(len(caps)):
-        if caps[step] >= reach:
+    for step in range(len(largest)):
+        if largest[step] >= size:
             return step
-        if caps[step] >= 0.0:
+        if largest[step] >= 0.0:
             widest = step
-    caps[widest] = reach
+    largest[widest] = size
     return widest
 
 
 @lean_inner
-def along(y, reach, low, per, cells, periodic):
+def cells_along(y, reach, low, per_length, cells, periodic):
     """(first cell, number of cells) of the interval y +- reach on one axis; on a periodic one they may pass the end."""
-    begin = floor((y - reach - low) * per)
-    end = floor((y + reach - low) * per)
+    begin = floor((y - reach - low) * per_length)
+    end = floor((y + reach - low) * per_length)
     if periodic:
         if end - begin + 1.0 >= cells:
             return 0, np.int64(cells)
@@ -96,61 +119,43 @@ def along(y, reach, low, per, cells, periodic):
 
 
 @inner(inline="always")
-def near_homes(axes, home, i, j, length, far):
-    """May rows i and j touch while both are in their shells? Never both immovable."""
+def may_meet(axes, reference, i, j, length, far):
+    """May rows i and j touch while both are within their skins? Not if both are fixed.
+
+    `far`: reference positions may be several boxes apart.
+    """
     d = len(axes)
     r2 = 0.0
     for k in range(d):
-        r = home[i, k] - home[j, k]
+        r = reference[i, k] - reference[j, k]
         if far:
-            r -= boxes_between(r, length[k])
+            r -= image_shift(r, length[k])
         else:
             r -= length[k] * (np.float64(r > 0.5 * length[k]) - np.float64(r < -0.5 * length[k]))
         r2 += r * r
-    reach = (home[i, d] + home[j, d]) * MARGIN
-    return (r2 <= reach * reach) & (i != j) & ((home[i, d + 2] > 0.0) | (home[j, d + 2] > 0.0))
+    reach = (reference[i, d + SIZE] + reference[j, d + SIZE]) * MARGIN
+    return (r2 <= reach * reach) & (i != j) & ((reference[i, d + INVERSE_MASS] > 0.0) | (reference[j, d + INVERSE_MASS] > 0.0))
 
 
 @lean_inner
-def listed(pool, lists, top, i, j):
-    """Put j into the list of i, for which there is room in the pool."""
-    if lists[i, COUNT] == lists[i, ROOM]:
-        for p in range(lists[i, COUNT]):
-            pool[top[0] + p] = pool[lists[i, BEGIN] + p]
-        lists[i, BEGIN] = top[0]
-        lists[i, ROOM] *= 2
-        top[0] += lists[i, ROOM]
-    pool[lists[i, BEGIN] + lists[i, COUNT]] = j
-    lists[i, COUNT] += 1
-
-
-@lean_inner
-def unlisted(pool, lists, i, j):
-    """Take j out of the list of i."""
-    last = lists[i, BEGIN] + lists[i, COUNT] - 1
-    for p in range(lists[i, BEGIN], last + 1):
-        if pool[p] == j:
-            pool[p] = pool[last]
-            lists[i, COUNT] -= 1
-            return
-
-
-@lean_inner
-def neighbours(axes, i, home, links, head, low, per, cells, first, caps, length, far, around):
-    """Rows in the cells that may be in touch with row i, into `around`; returns how many."""
+def find_nearby(axes, lists, i, far):
+    """Write the rows that `may_meet` row i to `lists.nearby`; returns how many. `far` as there."""
+    reference, links, head, nearby = lists.reference, lists.links, lists.head, lists.nearby
+    _, _, length = lists.box
+    low, per_length, cells, first, largest = lists.grid
     d = len(axes)
     waiting = 0
     f0 = f1 = f2 = 0
     m0 = m1 = m2 = 1
-    for step in range(len(caps)):
-        if caps[step] < 0.0:
+    for step in range(len(largest)):
+        if largest[step] < 0.0:
             continue
-        reach = (home[i, d] + caps[step]) * MARGIN
-        f0, m0 = along(home[i, 0], reach, low[0], per[step, 0], cells[step, 0], length[0] > 0.0)
+        reach = (reference[i, d + SIZE] + largest[step]) * MARGIN
+        f0, m0 = cells_along(reference[i, 0], reach, low[0], per_length[step, 0], cells[step, 0], length[0] > 0.0)
         if d > 1:
-            f1, m1 = along(home[i, 1], reach, low[1], per[step, 1], cells[step, 1], length[1] > 0.0)
+            f1, m1 = cells_along(reference[i, 1], reach, low[1], per_length[step, 1], cells[step, 1], length[1] > 0.0)
         if d > 2:
-            f2, m2 = along(home[i, 2], reach, low[2], per[step, 2], cells[step, 2], length[2] > 0.0)
+            f2, m2 = cells_along(reference[i, 2], reach, low[2], per_length[step, 2], cells[step, 2], length[2] > 0.0)
         for a in range(m0):
             c0 = f0 + a if f0 + a < cells[step, 0] else f0 + a - cells[step, 0]
             for b in range(m1):
@@ -158,101 +163,125 @@ def neighbours(axes, i, home, links, head, low, per, cells, first, caps, length,
                 for c in range(m2):
                     c2 = f2 + c if f2 + c < cells[step, 2] else f2 + c - cells[step, 2]
                     j = head[np.uint64(first[step] + (c0 * cells[step, 1] + c1) * cells[step, 2] + c2)]
-                    prefetch(home, j)  # for -1 it asks in vain
-                    around[np.uint64(waiting)] = j
+                    prefetch(reference, j)  # for -1 it asks in vain
+                    nearby[np.uint64(waiting)] = j
                     waiting += j >= 0
     # Each is taken from the front, the next one in its cell is put behind: without a branch the memory answers many at once.
     found = 0
     p = 0
     while p < waiting:
-        j = np.uint64(around[np.uint64(p)])
+        j = np.uint64(nearby[np.uint64(p)])
         p += 1
-        after = links[j, 2 * d + AFTER]
-        prefetch(home, after)
-        around[np.uint64(waiting)] = after
+        after = links[j, 2 * d + NEXT_ROW]
+        prefetch(reference, after)
+        nearby[np.uint64(waiting)] = after
         waiting += after >= 0
-        around[np.uint64(found)] = j
-        found += near_homes(axes, home, np.uint64(i), j, length, far)
+        nearby[np.uint64(found)] = j
+        found += may_meet(axes, reference, np.uint64(i), j, length, far)
     return found
 
 
 @lean_inner
-def room_for(i, around, found, lists):
-    """Places that the pool needs at most to list `found` rows `around` i, and i with each of them."""
+def shortage(lists, i, found):
+    """How many places the pool may lack to list the `found` nearby rows with i, and i with each of them; then `enlarge` it."""
+    spans, nearby = lists.spans, lists.nearby
     need = np.int64(0)
-    longer = np.int64(lists[i, ROOM])
+    longer = np.int64(spans[i, ROOM])
     while longer < found:
         longer *= 2
         need += longer
     for p in range(found):
-        j = around[p]
-        if lists[j, COUNT] == lists[j, ROOM]:
-            need += 2 * lists[j, ROOM]
-    return need
+        j = nearby[p]
+        if spans[j, COUNT] == spans[j, ROOM]:
+            need += 2 * spans[j, ROOM]
+    return lists.used[0] + need - len(lists.pool)
 
 
 @lean_inner
-def move_in(axes, i, home, links, level, around, found, pool, lists, top, head, low, per, cells, first, length):
-    """List row i with the rows `around` it, and put it into its cell."""
+def add_to_list(pool, spans, used, i, j):
+    """Put j into the list of i, for which there is room in the pool."""
+    if spans[i, COUNT] == spans[i, ROOM]:
+        for p in range(spans[i, COUNT]):
+            pool[used[0] + p] = pool[spans[i, BEGIN] + p]
+        spans[i, BEGIN] = used[0]
+        spans[i, ROOM] *= 2
+        used[0] += spans[i, ROOM]
+    pool[spans[i, BEGIN] + spans[i, COUNT]] = j
+    spans[i, COUNT] += 1
+
+
+@lean_inner
+def take_from_list(pool, spans, i, j):
+    """Take j out of the list of i."""
+    last = spans[i, BEGIN] + spans[i, COUNT] - 1
+    for p in range(spans[i, BEGIN], last + 1):
+        if pool[p] == j:
+            pool[p] = pool[last]
+            spans[i, COUNT] -= 1
+            return
+
+
+@lean_inner
+def insert(axes, lists, i, found):
+    """List row i with the `found` nearby rows, and put it into its cell."""
+    reference, links, spans, pool, used, head = lists.reference, lists.links, lists.spans, lists.pool, lists.used, lists.head
+    low, per_length, cells, first, _ = lists.grid
+    _, _, length = lists.box
     d = len(axes)
     for p in range(found):
-        j = np.int64(around[p])
-        listed(pool, lists, top, i, j)
-        listed(pool, lists, top, j, i)
-    step = level[i]
+        j = np.int64(lists.nearby[p])
+        add_to_list(pool, spans, used, i, j)
+        add_to_list(pool, spans, used, j, i)
+    step = lists.level[i]
     c = np.int64(0)
-    for m in range(min(d, 3)):
-        at = floor((home[i, m] - low[m]) * per[step, m])
+    for m in range(min(d, GRIDDED)):
+        at = floor((reference[i, m] - low[m]) * per_length[step, m])
         if length[m] > 0.0:
             at -= floor(at / cells[step, m]) * cells[step, m]
         c = c * cells[step, m] + np.int64(min(max(at, 0.0), cells[step, m] - 1.0))
     cell = first[step] + c
     j = np.int64(head[cell])
-    links[i, 2 * d + AFTER], links[i, 2 * d + BEFORE], links[i, 2 * d + CELL] = j, -1, cell
+    links[i, 2 * d + NEXT_ROW], links[i, 2 * d + PREVIOUS_ROW], links[i, 2 * d + CELL] = j, -1, cell
     if j >= 0:
-        links[j, 2 * d + BEFORE] = i
+        links[j, 2 * d + PREVIOUS_ROW] = i
     head[cell] = i
 
 
 @lean_inner
-def move_out(axes, i, links, pool, lists, head):
-    """Row i leaves its cell and all lists."""
+def remove(axes, lists, i):
+    """Take row i out of its cell and of all lists."""
+    links, spans, pool = lists.links, lists.spans, lists.pool
     d = len(axes)
-    for p in range(lists[i, BEGIN], lists[i, BEGIN] + lists[i, COUNT]):
-        prefetch(lists, pool[p])
-    for p in range(lists[i, BEGIN], lists[i, BEGIN] + lists[i, COUNT]):
-        prefetch(pool, lists[pool[p], BEGIN])
-    for p in range(lists[i, BEGIN], lists[i, BEGIN] + lists[i, COUNT]):
-        unlisted(pool, lists, pool[p], i)
-    lists[i, COUNT] = 0
-    after, before = links[i, 2 * d + AFTER], links[i, 2 * d + BEFORE]
+    for p in range(spans[i, BEGIN], spans[i, BEGIN] + spans[i, COUNT]):
+        prefetch(spans, pool[p])
+    for p in range(spans[i, BEGIN], spans[i, BEGIN] + spans[i, COUNT]):
+        prefetch(pool, spans[pool[p], BEGIN])
+    for p in range(spans[i, BEGIN], spans[i, BEGIN] + spans[i, COUNT]):
+        take_from_list(pool, spans, pool[p], i)
+    spans[i, COUNT] = 0
+    after, before = links[i, 2 * d + NEXT_ROW], links[i, 2 * d + PREVIOUS_ROW]
     if before >= 0:
-        links[before, 2 * d + AFTER] = after
+        links[before, 2 * d + NEXT_ROW] = after
     else:
-        head[links[i, 2 * d + CELL]] = after
+        lists.head[links[i, 2 * d + CELL]] = after
     if after >= 0:
-        links[after, 2 * d + BEFORE] = before
+        links[after, 2 * d + PREVIOUS_ROW] = before
 
 
-@inner
-def larger(pool, used, need):
-    """The pool, or a copy with room for `need` more places than are used."""
-    if used + need <= len(pool):
-        return pool
-    copy = np.empty(2 * len(pool) + need, np.int32)
-    for p in range(used):
-        copy[p] = pool[p]
-    return copy
+@lean
+def list_rows(axes, lists, x, row):
+    """Give the rows from `row` on the reference positions x (n, d) and list them with those before them.
 
-
-@kernel
-def settle_all(axes, x, home, links, level, pool, lists, top, head, grid, length, around):
-    """Homes of all rows where they are. Returns the pool."""
-    low, per, cells, first, caps = grid
-    for i in range(len(x)):
+    Returns (row, shortage): (n, 0) in the end, or the row for which the pool is too small by so many places; then enlarge it
+    and call again from that row.
+    """
+    lists = Lists(*lists)
+    for i in range(row, len(x)):
         for k in range(len(axes)):
-            home[i, k] = x[i, k]
-        found = neighbours(axes, i, home, links, head, low, per, cells, first, caps, length, np.bool_(True), around)
-        pool = larger(pool, top[0], room_for(i, around, found, lists))
-        move_in(axes, i, home, links, level, around, found, pool, lists, top, head, low, per, cells, first, length)
-    return pool
+            lists.reference[i, k] = x[i, k]
+        found = find_nearby(axes, lists, i, np.bool_(True))
+        short = shortage(lists, i, found)
+        if short > 0:
+            return i, short
+        insert(axes, lists, i, found)
+    return len(x), 0

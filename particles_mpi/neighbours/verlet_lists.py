@@ -1,100 +1,117 @@
-"""The homes and lists of a rank's particles as one object; see `verlet_kernels` for the idea."""
+"""The neighbour lists of a rank's particles as one object; see `verlet_kernels` for the idea."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from particles_mpi.kernels.geometry import Box
 from particles_mpi.neighbours.cells import spacing
-from particles_mpi.neighbours.verlet_kernels import BEGIN, COUNT, PLACES, ROOM, grids, settle_all
+from particles_mpi.neighbours.verlet_kernels import (
+    BEGIN,
+    COUNT,
+    INVERSE_MASS,
+    PLACES,
+    ROOM,
+    SIZE,
+    SKIN,
+    Lists,
+    list_rows,
+    make_grid,
+)
 from particles_mpi.particles import Array
 
-WANTED = {1: 3.0, 2: 7.0, 3: 12.0}  # neighbours in a list: fewer, and homes change too often; more, and looks take longer
+WANTED = {1: 3.0, 2: 7.0, 3: 12.0}  # neighbours in a list: fewer, and lists expire too often; more, and looks take longer
 MANY = 20.0  # in more dimensions
-LOOSE = 1.3  # times more or fewer neighbours than wanted are borne
+LOOSE = 1.3  # times more or fewer neighbours than wanted are accepted
 
 
-class Homes:
-    """`home`, `links`, `lists`, `pool`, `head`, `grid`: homes and lists of all rows, as arrays for the kernels.
+class VerletLists:
+    """Lists of all rows, in `arrays` for the kernels; `tune` or `build` make them.
 
-    box: (lower, upper, length) (d,), length 0 where not periodic. `settle` gives all rows homes where they are.
+    `width`: of the skins, 0 before the first `tune`.
     """
 
-    def __init__(self, box: tuple[Array, Array, Array]):
-        self.lower, self.upper, self.length = box
-        self.shell_width = 0.0
-        self.share = 1.0  # all rows of the box, in those that are here
+    arrays: Lists
 
-    def settle(self, x: Array, radius: Array, w: Array) -> None:
-        """New homes and lists, with shells as wide as serves the density found (`shell_width`)."""
+    def __init__(self, box: Box):
+        self.box = box
+        self.width = 0.0
+        self.share = 1.0  # all rows of the box, divided by those that are here
+
+    def tune(self, x: Array, radius: Array, w: Array) -> None:
+        """New lists for positions x (n, d), radii and inverse masses (n,), with skins as wide as serves the density found."""
         n, d = x.shape
         movable = radius[w > 0.0].max(initial=0.0)
-        largest = self.largest_shell(float(radius.max(initial=0.0) + movable))
-        if not self.shell_width:
+        widest = self.widest_skin(float(radius.max(initial=0.0) + movable))
+        if not self.width:
             low, high = (x.min(axis=0), x.max(axis=0)) if n else (np.zeros(d), np.ones(d))
-            self.shell_width = max(0.5 * spacing(low, high, n), 0.05 * float(radius.mean()) if n else 0.0)
+            self.width = max(0.5 * spacing(low, high, n), 0.05 * float(radius.mean()) if n else 0.0)
         wanted = WANTED.get(d, MANY)
         for _ in range(6):
-            self.shell_width = min(self.shell_width, largest)
+            self.width = min(self.width, widest)
             self.build(x, radius, w)
-            mean = self.lists[:, COUNT].mean() if n else wanted
+            mean = self.arrays.spans[:, COUNT].mean() if n else wanted
             if wanted / LOOSE < mean < wanted * LOOSE or n < 3:
                 break
             diameter = 2.0 * float(radius.mean())
             longer = (max(mean, 0.2) / wanted) ** (-1.0 / d)
-            width = 0.5 * ((diameter + 2.0 * self.shell_width) * longer - diameter)
-            width = min(max(width, 0.4 * self.shell_width), 2.5 * self.shell_width, largest)
-            if abs(width - self.shell_width) < 0.05 * self.shell_width:
+            width = 0.5 * ((diameter + 2.0 * self.width) * longer - diameter)
+            width = min(max(width, 0.4 * self.width), 2.5 * self.width, widest)
+            if abs(width - self.width) < 0.05 * self.width:
                 break
-            self.shell_width = width
+            self.width = width
 
-    def largest_shell(self, diameter: float) -> float:
-        """Two rows in each other's list must have one nearest image only, wherever in their shells they are."""
-        periodic = self.length[self.length > 0.0]
+    def widest_skin(self, diameter: float) -> float:
+        """Two rows in each other's list must have one nearest image only, wherever within their skins they are."""
+        periodic = self.box.length[self.box.length > 0.0]
         return float(periodic.min() - 2.0 * diameter) / 8.0 if len(periodic) else np.inf
 
     def build(self, x: Array, radius: Array, w: Array, spare: int = 0) -> None:
-        """Homes at x, shells of the present width, cells and lists; and room for `spare` rows more."""
+        """New lists with skins of the present width, and room for `spare` rows more. Arguments as in `tune`."""
         n, d = x.shape
         rows = n + spare
-        floor_ = 64.0 * np.finfo(float).eps * float(np.abs(x).max(initial=0.0))
-        self.home = aligned(rows, 8 * ((d + 5 + 7) // 8))
-        self.links = self.home.view(np.int32)
-        self.shell = max(self.shell_width, floor_)
-        shell = self.home[:n, d + 1] = np.where(w > 0.0, self.shell, 0.0)
-        size = self.home[:n, d] = radius + shell
-        self.home[:n, d + 2] = w
-        self.level = np.zeros(rows, np.int8)
-        self.grid, self.level[:n] = grids(x, size, (self.lower, self.upper), self.length, self.share)
-        self.lists = np.zeros((rows, 4), np.int32)
-        self.lists[:, BEGIN], self.lists[:, ROOM] = np.arange(rows) * PLACES, PLACES
-        self.top = np.array([rows * PLACES])
-        self.head = np.full(self.grid[3][-1], -1, np.int32)
-        pool = np.empty(rows * (PLACES + PLACES // 2) + 64, np.int32)
-        self.around = np.empty(rows + 2, np.int32)
-        self.pool = settle_all(
-            (0,) * d, x, self.home, self.links, self.level, pool, self.lists, self.top, self.head, self.grid, self.length,
-            self.around,
+        self.skin = max(self.width, 64.0 * np.finfo(float).eps * float(np.abs(x).max(initial=0.0)))  # above round-off of x
+        reference = aligned(rows, 8 * ((d + 5 + 7) // 8))
+        skin = reference[:n, d + SKIN] = np.where(w > 0.0, self.skin, 0.0)
+        size = reference[:n, d + SIZE] = radius + skin
+        reference[:n, d + INVERSE_MASS] = w
+        level = np.zeros(rows, np.int8)
+        grid, level[:n] = make_grid(x, size, self.box, self.share)
+        spans = np.zeros((rows, 4), np.int32)
+        spans[:, BEGIN], spans[:, ROOM] = np.arange(rows) * PLACES, PLACES
+        self.arrays = Lists(
+            reference, reference.view(np.int32), level, spans, np.empty(rows * (PLACES + PLACES // 2) + 64, np.int32),
+            np.array([rows * PLACES]), np.full(grid.first[-1], -1, np.int32), np.empty(rows + 2, np.int32), tuple(grid),
+            tuple(self.box),
         )  # fmt: skip
+        row = 0
+        while row < n:
+            row, short = list_rows((0,) * d, tuple(self.arrays), x, row)
+            self.enlarge(short)
 
     def enlarge(self, short: int) -> None:
-        """A pool with at least `short` places more."""
-        self.pool = np.concatenate((self.pool, np.empty(short + len(self.pool), np.int32)))
+        """Where the pool is too small by so many places, replace it by one more than twice as large."""
+        if short > 0:
+            pool = self.arrays.pool
+            self.arrays = self.arrays._replace(pool=enlarged(pool, np.empty(2 * len(pool) + short, np.int32)))
 
     def grow(self) -> None:
         """Room for twice as many rows."""
-        rows, width = self.home.shape
-        self.home = enlarged(self.home, aligned(2 * rows, width))
-        self.links = self.home.view(np.int32)
-        self.level = enlarged(self.level, np.zeros(2 * rows, np.int8))
-        self.lists = enlarged(self.lists, np.zeros((2 * rows, 4), np.int32))
+        old = self.arrays
+        rows, width = old.reference.shape
+        reference = enlarged(old.reference, aligned(2 * rows, width))
+        spans = enlarged(old.spans, np.zeros((2 * rows, 4), np.int32))
+        spans[rows:, BEGIN], spans[rows:, ROOM] = old.used[0] + np.arange(rows) * PLACES, PLACES
+        old.used[0] += rows * PLACES
+        self.arrays = old._replace(
+            reference=reference, links=reference.view(np.int32), level=enlarged(old.level, np.zeros(2 * rows, np.int8)),
+            spans=spans, nearby=np.empty(2 * rows + 2, np.int32),
+        )  # fmt: skip
         self.enlarge(rows * PLACES)
-        self.lists[rows:, BEGIN], self.lists[rows:, ROOM] = self.top[0] + np.arange(rows) * PLACES, PLACES
-        self.top += rows * PLACES
-        self.around = np.empty(2 * rows + 2, np.int32)
 
 
 def aligned(rows: int, width: int) -> Array:
-    """Room for rows of numbers that begin where lines of the cache (64 bytes) do: eight to a row are read at once."""
+    """Room for rows of float64 that begin where lines of the cache (64 bytes) do: eight numbers of a row are read at once."""
     room = np.empty(rows * width + 8)
     first = -room.ctypes.data // 8 % 8
     return room[first : first + rows * width].reshape(rows, width)

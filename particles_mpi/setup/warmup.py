@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from particles_mpi.contacts.event_driven.messages import message_of
 from particles_mpi.contacts.event_driven.operator import Event
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.scene.schema import Scene
@@ -25,7 +26,7 @@ from particles_mpi.simulation import Simulation
 DIMENSIONS = (3, 2, 1)
 LOSSY = {"restitution": 0.5}
 EDGE = 4.0  # length of the box
-NO_NEWS = 4  # a kind of part that no message has
+NO_PART = 4  # a kind of part that no message has
 
 Job = Callable[[Communicator], None]
 
@@ -129,11 +130,11 @@ def windows(ranks: Communicator) -> None:
     sim.near.divided = divided.always = True
     sim.step()
     divided.near = [0]
-    divided.tell_motion()
-    divided.news(0, *divided.plan_moves())
-    divided.undo(divided.engine.counts)
-    nothing = np.array([NO_NEWS, 0]).view(float)
-    divided.accept(nothing, *divided.plan_moves())
+    divided.send_motion()
+    divided.changes_for(0, divided.plan_moves())
+    divided.undo(divided.engine.work.counts)
+    nothing = message_of(np.array([NO_PART, 0]).view(float))
+    divided.accept(nothing, divided.plan_moves())
 
 
 def tree(ranks: Communicator) -> None:

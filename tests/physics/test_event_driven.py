@@ -199,15 +199,15 @@ def test_nothing_ever_overlaps(d, periodic):
     assert sim.totals["missed"] == 0
 
 
-def test_shells_leave_no_trace_in_the_bits():
-    """Neighbours found with other shells, at other times: the same bits."""
+def test_skins_leave_no_trace_in_the_bits():
+    """Neighbours found with other skins, at other times: the same bits."""
     final = []
     for width in (None, 0.01, 0.5):
         sim = Simulation(crowd(3, False, restitution=0.8))
         if width:
-            homes = sim.near.whole.engine.homes
-            homes.shell_width = width
-            homes.settle = homes.build
+            lists = sim.near.whole.engine.lists
+            lists.width = width
+            lists.tune = lists.build
         sim.run()
         final.append(by_id(sim))
     for x, v in final[1:]:

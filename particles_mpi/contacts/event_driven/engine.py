@@ -1,4 +1,4 @@
-"""Rows on straight legs, their homes, and the queue of their next events: what the kernels of `event_loop` work on."""
+"""The rows, neighbour lists and event queue of a rank, and one drift of them: what the kernels of `event_loop` work on."""
 
 from __future__ import annotations
 
@@ -6,187 +6,185 @@ from math import prod
 
 import numpy as np
 
-from particles_mpi.contacts.event_driven.calendar_queue import LEAVING, NOTHING, SLOT
+from particles_mpi.contacts.event_driven.calendar_queue import LIST_EXPIRY, NO_EVENT, NODE, PARTNER, Queue
 from particles_mpi.contacts.event_driven.event_loop import (
-    AHEAD,
-    BREATH,
     COLLISIONS,
-    HOMES,
+    EXPIRIES,
+    INTERRUPTED,
+    LAST_PROGRESS,
     STANDSTILL,
     WALL_HITS,
-    arrive,
-    hand_over,
+    Interval,
+    Rules,
+    Work,
     run,
-    set_out,
 )
-from particles_mpi.contacts.event_driven.rollback import GHOST, ID, LAST, MINE, NOT_HERE, OWN, VIRIAL, Log
+from particles_mpi.contacts.event_driven.rollback import enlarged_log, new_log
+from particles_mpi.contacts.event_driven.rows import (
+    GHOST,
+    ID,
+    LAST_CONTACT,
+    NOT_HERE,
+    OWN,
+    OWNERSHIP,
+    RADIUS,
+    VIRIAL,
+    Rows,
+    end_drift,
+    start_drift,
+    write_back,
+)
+from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.velocity_flow import Rates, no_rates
 from particles_mpi.contacts.walls import Planes
 from particles_mpi.errors import StateError
-from particles_mpi.neighbours.verlet_lists import Homes, aligned, enlarged
+from particles_mpi.kernels.geometry import Box
+from particles_mpi.neighbours.verlet_lists import VerletLists, aligned, enlarged
 from particles_mpi.parallel.signals import check_signals
 from particles_mpi.particles import Array, Particles
 
 CONTACTS = 1.0  # expected in a bucket of the queue
-SETTLED = 8  # new homes a row, on average; then all are sorted in space and settled again
+AHEAD = 0.8  # of a skin: how far before it a particle's reference position lies, where flights are longer than skins
+MOST_EXPIRIES = 8  # of the list of a row, on average; then all rows are sorted in space and listed anew
 NEVER_CROWDED = 2**31
 DIFFERING = "total_acceleration", "drag"  # fields by which velocities change otherwise from row to row
-NAMED = 64  # contacts without loss that are remembered by name
+NAMED = 64  # contacts without loss whose time and partners are kept
 
 
 class Engine:
-    """Computes contacts in order of time among the rows it was given by `settle`: own ones, and ghosts that others own.
+    """Computes contacts in order of time among the rows that `load` gave it: own ones, and ghosts that others own.
 
-    A drift is `set_out`, `begin`, `run` once or more, and `arrive`, `hand_over`. `counts` are those of own rows since `begin`,
-    `stopped` and `stop` what `run` stopped for, `spared` the (time, id, id or wall) of the first contacts that took no energy.
+    A drift is `start_drift`, `begin`, `run` once or more, `end_drift` and `write_back`. What it found is in `work`.
     """
 
-    def __init__(self, box: tuple[Array, Array, Array], loss: tuple[float, float], planes: Planes):
-        self.lower, _, self.length = box
-        self.restitution, self.keep = loss
-        self.soft, self.planes = 0.0, planes  # duration of a contact, in this step
-        self.axes = (0,) * len(self.length)
-        self.homes = Homes(box)
-        self.counts = np.zeros(4, np.int64)
-        self.events = 0  # in the last drift
-        self.ahead, self.moved = 0.0, 0
-        self.stop, self.stopped = np.zeros(3, np.int64), np.zeros(1)
-        self.spared = np.empty((NAMED, 3))
-        self.pending = 0
-        self.crowded = NEVER_CROWDED
-        self.rates = no_rates(len(self.length))  # in this step, for whom they differ in `fields`
+    rows: Rows
+    queue: Queue
 
-    def set_step(self, crowded: int, rates: Rates, soft: float) -> None:
-        """For this step: quick contacts that make a crowd, how velocities change, and the duration of a contact."""
-        self.crowded, self.rates, self.soft = crowded, rates, soft
-
-    def settle(self, p: Particles, owned: int, spare: int = 0) -> None:
-        """Rows of p, the first `owned` of them own ones; `homes` were built for them, with `spare` rows."""
-        n, d = p.position.shape
-        rows = n + spare
-        self.leg = aligned(rows, 2 * d + 2)
-        self.leg[:n, :d], self.leg[:n, 2 * d + 1] = p.position, p.radius
-        self.state = aligned(rows, 8).view(np.int64)
-        self.reals = self.state.view(np.float64)
-        self.state[:] = 0
-        self.state[:n, ID], self.state[:n, MINE] = p.id, GHOST
-        self.state[:owned, MINE] = OWN
-        self.reals[:n, LAST] = p.contacted
-        if "virial" in p.arrays:
-            self.reals[:n, VIRIAL] = p.virial
-        self.slot = np.full((rows, SLOT), NOTHING, np.int32)
-        self.todo = np.empty(2 * rows + 2, np.int32)
-        self.log = Log(rows, d)
-        self.fields = {name: enlarged(p[name], np.zeros((rows, *p[name].shape[1:]))) for name in DIFFERING if name in p.arrays}
-        self.moved = 0
-
-    def set_out(self, p: Particles, seat: Array) -> tuple[bool, float]:
-        """Own rows on their way: (did anyone move them, largest speed)."""
-        virial = p.arrays.get("virial", np.empty(0))
-        a = p.arrays.get("total_acceleration", np.empty((0, 0)))
-        moved, speed = set_out(
-            self.axes, self.leg, self.state, self.reals, self.accelerations, p.position, p.velocity, p.radius, p.contacted,
-            virial, a, seat,
+    def __init__(self, box: Box, loss: Loss, planes: Planes):
+        d = len(box.length)
+        self.loss, self.planes = tuple(loss), tuple(planes)
+        self.axes = (0,) * d
+        self.lists = VerletLists(box)
+        self.work = Work(
+            np.empty(0, np.int32), np.zeros(4, np.int64), np.empty((NAMED, 3)), np.zeros(3, np.int64), np.zeros(1), np.zeros(2),
+            np.zeros(2, np.bool_), np.empty(d), np.empty(d),
         )  # fmt: skip
-        return bool(moved), float(speed)
+        self.events = 0  # in the last drift
+        self.expiries = 0  # of lists since `load`
+        self.ahead = 0.0
+        self.pending = 0  # rows in work.stale
+        self.set_step(NEVER_CROWDED, no_rates(d), 0.0)
 
-    @property
-    def accelerations(self) -> Array:
-        """Of the rows, or no row where they are the same for all."""
-        return self.fields.get("total_acceleration", np.empty((0, len(self.axes))))
+    def set_step(self, crowded: int, rates: Rates, contact_duration: float) -> None:
+        """For this step: quick contacts that make a crowd, how velocities change, and the duration of a contact."""
+        self.crowded, self.rates, self.contact_duration = crowded, rates, contact_duration
 
-    @property
-    def drags(self) -> Array:
-        """Of the rows, or no row without drag."""
-        return self.fields.get("drag", np.empty(0))
+    def load(self, p: Particles, owned: int, spare: int = 0) -> None:
+        """Rows of p, the first `owned` of them own ones, and `spare` free ones; `lists` were built for them."""
+        n, d = p.position.shape
+        total = n + spare
+        self.fields = {name: enlarged(p[name], np.zeros((total, *p[name].shape[1:]))) for name in DIFFERING if name in p.arrays}
+        self.set_rows(aligned(total, 2 * d + 2), aligned(total, 8).view(np.int64))
+        segment, state, reals = self.rows.segment, self.rows.state, self.rows.reals
+        segment[:n, :d], segment[:n, 2 * d + RADIUS] = p.position, p.radius
+        state[:] = 0
+        state[:n, ID], state[:n, OWNERSHIP] = p.id, GHOST
+        state[:owned, OWNERSHIP] = OWN
+        reals[:n, LAST_CONTACT] = p.contacted
+        if "virial" in p.arrays:
+            reals[:n, VIRIAL] = p.virial
+        self.node = np.full((total, NODE), NO_EVENT, np.int32)
+        self.work = self.work._replace(stale=np.empty(2 * total + 2, np.int32))
+        self.log = new_log(total, d)
+        self.expiries = 0
+
+    def set_rows(self, segment: Array, state: Array) -> None:
+        """Rows with these arrays and `fields`."""
+        acceleration = self.fields.get("total_acceleration", np.empty((0, len(self.axes))))
+        drag = self.fields.get("drag", np.empty(0))
+        self.rows = Rows(segment, segment.view(np.int64), state, state.view(np.float64), acceleration, drag)
+
+    def grow(self) -> Array:
+        """Twice as many rows; returns the new ones, which are free."""
+        n, width = self.rows.segment.shape
+        state = enlarged(self.rows.state, aligned(2 * n, 8).view(np.int64))
+        state[n:] = 0
+        self.fields = {name: enlarged(old, np.zeros((2 * n, *old.shape[1:]))) for name, old in self.fields.items()}
+        self.set_rows(enlarged(self.rows.segment, aligned(2 * n, width)), state)
+        self.work = self.work._replace(stale=enlarged(self.work.stale, np.empty(4 * n + 2, np.int32)))
+        self.node = enlarged(self.node, np.full((2 * n, NODE), NO_EVENT, np.int32))
+        self.queue = self.queue._replace(node=self.node, times=self.node.view(np.float64))
+        self.log = enlarged_log(self.log)
+        self.lists.grow()
+        return np.arange(n, 2 * n, dtype=np.int32)
 
     @property
     def differing(self) -> int:
         """Numbers a row of what differs from row to row."""
         return sum(prod(field.shape[1:]) for field in self.fields.values())
 
+    def start_drift(self, p: Particles, own_rows: Array) -> tuple[bool, float]:
+        """Own rows on their way, particle r in row own_rows[r]: (did anyone move them since `end_drift`, largest speed)."""
+        virial = p.arrays.get("virial", np.empty(0))
+        a = p.arrays.get("total_acceleration", np.empty((0, 0)))
+        moved, speed = start_drift(
+            self.axes, tuple(self.rows), p.position, p.velocity, p.radius, p.contacted, virial, a, own_rows
+        )
+        return bool(moved), float(speed)
+
     def begin(self, h: float) -> None:
         """An empty queue for a drift over h; all rows are to find their next events."""
-        here = np.flatnonzero(self.state[:, MINE] != NOT_HERE)
-        self.todo[: len(here)] = here
+        here = np.flatnonzero(self.rows.state[:, OWNERSHIP] != NOT_HERE)
         self.pending = len(here)
-        self.slot[:, 0] = NOTHING
-        self.buckets = int(min(max(self.events / CONTACTS, len(here)), 4 * len(here))) + 64
-        self.heads = np.full(self.buckets, -1, np.int32)
+        self.work.stale[: self.pending] = here
+        self.work.counts[:], self.work.flags[:], self.work.stopped[0] = 0, False, h
+        self.node[:, PARTNER] = NO_EVENT
+        buckets = int(min(max(self.events / CONTACTS, len(here)), 4 * len(here))) + 64
+        first = np.full(buckets, -1, np.int32)
         self.h = h
-        self.clock, self.far = np.zeros(1, np.int64), np.zeros(2, np.bool_)  # far: flights of many boxes, and squeezed rows
-        self.counts[:] = 0
-        self.stopped[0] = h
-        d = len(self.axes)
-        self.scribble = np.empty(d), np.empty(d)
+        self.queue = Queue(self.node, self.node.view(np.float64), first, buckets / h, np.zeros(1, np.int64))
 
     def run(self, now: float, until: float, moment: float) -> None:
-        """All events from `now` to `until`."""
-        homes, planes = self.homes, self.planes
-        walls = planes.point, planes.normal, planes.lower, planes.upper, planes.oblique
-        when = self.slot.view(np.float64)
-        per_time = self.buckets / self.h
-        self.clock[0] = min(int(now * per_time), self.buckets - 1)  # nothing is left from before
-        queue = self.slot, when, self.heads, per_time, self.clock, self.far, *self.scribble
-        log, rates = self.log.arrays(), self.rates.of(self.fields)
+        """All events from `now` to `until`, times since the start of the drift at `moment`."""
+        queue, work = self.queue, self.work
+        queue.present[0] = min(int(now * queue.per_time), len(queue.first) - 1)  # nothing is left from before
+        rates = self.rates.of(self.fields)
+        rules = tuple(Rules(self.loss, self.contact_duration, self.crowded, self.planes, rates))
+        interval = tuple(Interval(self.h, moment, now, until, self.ahead))
+        rows, written, log = tuple(self.rows), tuple(work), tuple(self.log)
+        work.progress[:] = now, 0.0
         pending, self.pending = self.pending, 0
-        reached = np.array([now, 0.0])
-        while True:
-            short = run(
-                self.axes, self.leg, self.leg.view(np.int64), self.state, self.reals, self.h, now, until, moment, self.length,
-                homes.pool, homes.lists, homes.top, homes.home, homes.links, homes.level, homes.head, homes.grid,
-                walls, planes.restitution, planes.keep, rates, self.restitution, self.keep, self.soft, queue,
-                self.counts, self.spared,
-                self.ahead, self.lower, homes.around, self.todo, pending, self.stop, self.stopped, self.crowded,
-                reached, log,
-            )  # fmt: skip
-            if not short:
-                return
+        while short := run(self.axes, rows, tuple(self.lists.arrays), tuple(queue), rules, interval, written, log, pending):
             if short == STANDSTILL:
-                raise StateError(self.standstill(moment + reached[0]))
-            if short == BREATH:
+                raise StateError(self.standstill(moment + work.progress[LAST_PROGRESS]))
+            if short == INTERRUPTED:
                 check_signals()
             else:
-                homes.enlarge(short)
+                self.lists.enlarge(short)
             pending = 0
 
     def standstill(self, time: float) -> str:
         """Who meets whom for ever."""
-        row, partner = int(self.todo[0]), int(self.todo[1])
-        with_ = f"particle {self.state[partner, ID]}" if partner >= 0 else f"wall {-1 - partner}"
-        with_ = "nobody, but leaves its neighbourhood" if partner == LEAVING else with_
+        (row, partner), state = self.work.stale[:2], self.rows.state
+        with_ = f"particle {state[partner, ID]}" if partner >= 0 else f"wall {-1 - partner}"
+        with_ = "nobody, but leaves its neighbourhood" if partner == LIST_EXPIRY else with_
         return (
             f"time stands still at t = {time:.9g}: events follow one another without end, the last one of particle"
-            f" {self.state[row, ID]} with {with_}"
+            f" {state[row, ID]} with {with_}"
         )
 
-    def arrive(self) -> int:
+    def end_drift(self) -> int:
         """All rows to the end of the drift. Returns how many own ones were squeezed."""
-        squeezed = arrive(self.axes, self.leg, self.state, float(self.stopped[0]), self.homes.home, self.length, self.lower)
-        counts = self.counts
-        self.moved += int(counts[HOMES])
-        self.events = int(counts[COLLISIONS] + counts[WALL_HITS] + counts[HOMES])
-        self.ahead = AHEAD / (1.0 + 2.0 * counts[COLLISIONS] / max(counts[HOMES], 1))
+        lists = self.lists.arrays
+        squeezed = end_drift(self.axes, tuple(self.rows), float(self.work.stopped[0]), lists.reference, lists.box)
+        counts = self.work.counts
+        self.expiries += int(counts[EXPIRIES])
+        self.events = int(counts[COLLISIONS] + counts[WALL_HITS] + counts[EXPIRIES])
+        self.ahead = AHEAD / (1.0 + 2.0 * counts[COLLISIONS] / max(counts[EXPIRIES], 1))
         return int(squeezed)
 
-    def grow(self) -> Array:
-        """Twice as many rows; returns the new ones, which are free."""
-        rows, d = len(self.leg), len(self.axes)
-        self.leg = enlarged(self.leg, aligned(2 * rows, 2 * d + 2))
-        self.state = enlarged(self.state, aligned(2 * rows, 8).view(np.int64))
-        self.state[rows:] = 0
-        self.reals = self.state.view(np.float64)
-        self.slot = enlarged(self.slot, np.full((2 * rows, SLOT), NOTHING, np.int32))
-        self.todo = enlarged(self.todo, np.empty(4 * rows + 2, np.int32))
-        self.log.grow()
-        self.fields = {name: enlarged(old, np.zeros((2 * rows, *old.shape[1:]))) for name, old in self.fields.items()}
-        self.homes.grow()
-        return np.arange(rows, 2 * rows, dtype=np.int32)
-
-    def hand_over(self, p: Particles, seat: Array) -> None:
-        """Particle r of p as row seat[r] is."""
+    def write_back(self, p: Particles, own_rows: Array) -> None:
+        """Particle r of p as row own_rows[r] is."""
         virial, supported = p.arrays.get("virial", np.empty(0)), p.arrays.get("supported", np.empty(0, np.uint8))
-        hand_over(
-            self.axes, self.leg, self.state, self.reals, p.position, p.velocity, p.contacted, virial, supported,
-            self.crowded, seat,
-        )  # fmt: skip
+        rows = tuple(self.rows)
+        write_back(self.axes, rows, p.position, p.velocity, p.contacted, virial, supported, self.crowded, own_rows)

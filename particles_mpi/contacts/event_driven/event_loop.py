@@ -1,487 +1,341 @@
-"""The compiled loop of the operator `event`: contacts one after the other, in exact order of time.
-
-A row of `leg` (n, 2d + 2) is (x, v, s, R): the straight path x + v (t - s) that the particle has been on since s, when its
-last contact was. Positions are not brought to a common time between contacts; a contact's time is a function of the two legs
-alone, so how neighbours are found, and when they are looked at, leaves no trace in the bits.
-"""
+"""The compiled loop of mode `event`: all contacts of a rank's rows, one after the other in exact order of time."""
 
 from __future__ import annotations
 
 from math import sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from particles_mpi.contacts.event_driven.calendar_queue import (
-    LEAVING,
+    LIST_EXPIRY,
     NEXT,
-    NOTHING,
+    NO_EVENT,
     PARTNER,
-    STAMP,
-    WHEN,
-    before_other,
-    first,
-    put,
-    take,
+    PARTNER_COUNT,
+    TIME,
+    Queue,
+    comes_before,
+    find_first,
+    push,
+    remove,
 )
-from particles_mpi.contacts.event_driven.rollback import (
-    HISTORY,
+from particles_mpi.contacts.event_driven.rollback import Log, note_move, note_segment, save_once
+from particles_mpi.contacts.event_driven.rows import (
+    EVENT_COUNT,
     ID,
-    LAST,
-    MET,
-    MINE,
+    LAST_CONTACT,
+    LAST_PARTNER,
     NOT_HERE,
     OWN,
-    STUCK,
-    TURNS,
+    OWNERSHIP,
+    RADIUS,
+    RAPID_EVENTS,
+    SQUEEZED,
+    START,
     VIRIAL,
-    note_home,
-    note_leg,
-    remember,
+    ZERO_TIME_EVENT,
+    Rows,
 )
-from particles_mpi.contacts.law import exchange, may_come_near
-from particles_mpi.contacts.walls import bounce, may_hit, wall_contact
-from particles_mpi.kernels.geometry import boxes_between
+from particles_mpi.contacts.event_driven.segments import (
+    collide,
+    is_nearest_image,
+    may_touch,
+    may_touch_from_now,
+    move_to,
+    touch_time,
+)
+from particles_mpi.contacts.velocity_flow import Rates
+from particles_mpi.contacts.walls import Planes, bounce, may_hit, wall_contact
 from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch
-from particles_mpi.kernels.markers import CROWD, NEVER, NOBODY
-from particles_mpi.neighbours.verlet_kernels import BEGIN, COUNT, move_in, move_out, neighbours, room_for
+from particles_mpi.kernels.markers import NEVER
+from particles_mpi.neighbours import verlet_kernels as verlet
+from particles_mpi.neighbours.verlet_kernels import BEGIN, COUNT, INVERSE_MASS, SKIN, Lists
+from particles_mpi.particles import Array
 
-COLLISIONS, WALL_HITS, SPARED, HOMES = 0, 1, 2, 3  # what `counts` counts
-NO_TIME = 2**32  # STUCK counts contacts in a row without time passing in units of this, and below it quick ones of the drift
-PATIENCE = 1000 * NO_TIME  # past it a particle is squeezed, and waits for the next step
+COLLISIONS, WALL_HITS, TC_ELASTIC, EXPIRIES = range(4)  # what `counts` counts
+ASKED, LOWER, HIGHER = range(3)  # columns of `stop`
+LAST_PROGRESS, EVENTS_SINCE = range(2)  # columns of `progress`
+MANY_BOXES, ANY_SQUEEZED = range(2)  # columns of `flags`
+INTERRUPTED, STANDSTILL = -1, -2  # what `run` returns
 QUICK = 0.01  # of a drift: a contact so soon after the last one is quick
-BREATH, STANDSTILL = -1, -2  # what `run` returns
 PIECE = 100_000  # events, about a tenth of a second
 STANDING = 1e-9  # of a drift: time that does not count as passed
-MOST_STANDING, FEW = 2.0 * PATIENCE / NO_TIME, 100  # events a row while no time passes; more than PATIENCE ever allows
-EARLY, SOON, NEXT_ONES = 6, 4, 2  # buckets
-AHEAD = 0.8  # of the shell: a new home lies that far ahead where flights are longer than shells
+MOST_STANDING, FEW = 2.0 * SQUEEZED / ZERO_TIME_EVENT, 100  # events a row while no time passes: more than SQUEEZED ever allows
+EARLY, SOON, NEXT_ONES = 6, 4, 2  # buckets ahead of the present one, for which memory is prefetched
+
+
+class Rules(NamedTuple):
+    """What happens at a contact in this step."""
+
+    loss: tuple[float, ...]  # `law.Loss`, as a plain tuple
+    contact_duration: float  # t_c: a contact within it after the last one of either partner takes no energy
+    crowded: int  # rows with so many quick contacts have no more in this drift
+    planes: tuple[Any, ...]  # `walls.Planes`, as a plain tuple
+    rates: Rates  # how velocities change in the step
+
+
+class Interval(NamedTuple):
+    """The part of a drift that `run` computes; times are counted from the start of the drift."""
+
+    h: float  # length of the drift
+    moment: float  # when the drift began
+    now: float
+    until: float
+    ahead: float  # of a skin: how far before a particle its new reference position lies
+
+
+class Work(NamedTuple):
+    """What `run` writes besides rows, lists, queue and log. Counted is what own rows did, a pair by the row with the lower id."""
+
+    stale: Array  # (2 n + 2,) int32: rows whose next event is not known; at a standstill, a row and its partner
+    counts: Array  # (4,) COLLISIONS, WALL_HITS, those of them that were TC_ELASTIC, and list EXPIRIES of all rows
+    tc_elastic: Array  # (m, 3) the first contacts that took no energy: time, id, id or -1 - wall
+    stop: Array  # (3,) int64: is it ASKED to end after the first collision, then its LOWER and HIGHER id
+    stopped: Array  # (1,) time of that collision
+    progress: Array  # (2,) LAST_PROGRESS: a time later than that before by more than STANDING; EVENTS_SINCE then
+    flags: Array  # (2,) bool: MANY_BOXES may lie between two rows that touch; ANY_SQUEEZED row
+    r: Array  # (d,) scratch
+    u: Array  # (d,) scratch
 
 
 @inner(inline="always")
-def apart(leg, d, i, j, k, start, now, length, far):
-    """Component k of x_i - x_j at `start`, for the periodic images of the two that are nearest at time `now`.
-
-    Not `far`: at most one box lies between them. Conditional expressions, because these do not branch.
-    """
-    r = (leg[i, k] + leg[i, d + k] * (start - leg[i, 2 * d])) - (leg[j, k] + leg[j, d + k] * (start - leg[j, 2 * d]))
-    at = r + (leg[i, d + k] - leg[j, d + k]) * (now - start)
-    if far:
-        return r - boxes_between(at, length[k])
-    return r - (length[k] if at > 0.5 * length[k] else (-length[k] if at < -0.5 * length[k] else 0.0))
-
-
-@inner(inline="always")
-def may_touch(axes, leg, i, j, now, best, length):
-    """False for most: rows whose legs move apart, or are clear of each other until `best` (by margins above round-off)."""
-    d = len(axes)
-    start = leg[i, 2 * d] if leg[i, 2 * d] >= leg[j, 2 * d] else leg[j, 2 * d]
-    a = 0.0
-    b = 0.0
-    r2 = 0.0
-    for k in range(d):
-        r = apart(leg, d, i, j, k, start, now, length, False)
-        u = leg[i, d + k] - leg[j, d + k]
-        a += u * u
-        b += r * u
-        r2 += r * r
-    diameter = leg[i, 2 * d + 1] + leg[j, 2 * d + 1]
-    return may_come_near(a, b, r2, diameter, best - start)
-
-
-@inner(inline="always")
-def may_touch_from(axes, leg, i, j, now, best, length):
-    """`may_touch` for a row i whose leg begins now."""
-    d = len(axes)
-    a = 0.0
-    b = 0.0
-    r2 = 0.0
-    for k in range(d):
-        r = leg[i, k] - (leg[j, k] + leg[j, d + k] * (now - leg[j, 2 * d]))
-        r -= length[k] * (np.float64(r > 0.5 * length[k]) - np.float64(r < -0.5 * length[k]))
-        u = leg[i, d + k] - leg[j, d + k]
-        a += u * u
-        b += r * u
-        r2 += r * r
-    diameter = leg[i, 2 * d + 1] + leg[j, 2 * d + 1]
-    return may_come_near(a, b, r2, diameter, best - now)
-
-
-@inner(inline="always")
-def touch_time(axes, leg, i, j, now, h, length, far, r, u):
-    """Time at which the legs of i and j first touch, up to h, or NEVER: the root of `law.contact_time`.
-
-    `now`, at or after both starts, only tells which periodic images are meant; r, u (d,) are for scribbling.
-    """
-    d = len(axes)
-    start = leg[i, 2 * d] if leg[i, 2 * d] >= leg[j, 2 * d] else leg[j, 2 * d]
-    a = 0.0
-    b = 0.0
-    r2 = 0.0
-    own = 0.0
-    for k in range(d):
-        r[k] = apart(leg, d, i, j, k, start, now, length, far)
-        u[k] = leg[i, d + k] - leg[j, d + k]
-        a += u[k] * u[k]
-        b += r[k] * u[k]
-        r2 += r[k] * r[k]
-        own += leg[i, d + k] * leg[i, d + k] + leg[j, d + k] * leg[j, d + k]
-    if not b < 0.0 or b * b <= 1e-28 * r2 * own:  # together but for round-off is no approach
-        return NEVER
-    diameter = leg[i, 2 * d + 1] + leg[j, 2 * d + 1]
-    if diameter == 0.0 and d > 1:  # points meet on a line only
-        return NEVER
-    distance = sqrt(r2)
-    gap = distance - diameter
-    if gap <= 0.0:
-        return start
-    disc = a * diameter * diameter
-    for k in range(d):
-        for m in range(k):
-            cross = r[k] * u[m] - r[m] * u[k]
-            disc -= cross * cross
-    if disc < 0.0:
-        return NEVER
-    t = start + gap * (distance + diameter) / (sqrt(disc) - b)
-    return t if t <= h else NEVER
-
-
-@lean_inner
-def move_leg(axes, leg, i, t):
-    """A new leg of row i begins at time t, where the old one gets then."""
-    d = len(axes)
-    for k in range(d):
-        leg[i, k] += leg[i, d + k] * (t - leg[i, 2 * d])
-    leg[i, 2 * d] = t
-
-
-@lean_inner
-def collide(axes, leg, home, i, j, t, restitution, keep, length, rates, r):
-    """The contact of rows i and j at time t: `law.meet` on legs. Returns its virial, -r.dp."""
-    d = len(axes)
-    own, other = home[i, d + 2], home[j, d + 2]  # inverse masses
-    move_leg(axes, leg, i, t)
-    move_leg(axes, leg, j, t)
-    for k in range(d):
-        r[k] = leg[i, k] - leg[j, k]
-        r[k] -= boxes_between(r[k], length[k])
-    if d == 1:  # there is one normal, even for points, whose distance is none
-        approach = r[0] * (leg[i, d] - leg[j, d])
-        r[0] = 1.0 if leg[i, d] < leg[j, d] else -1.0
-        nearing = r[0] * (leg[i, d] - leg[j, d])
-        take = exchange(axes, leg, np.int64(d), r, i, j, own, other, t, restitution, keep, rates)
-        return -((1.0 + restitution if len(rates.a) == 0 else take / nearing) * approach) / (own + other)
-    return -exchange(axes, leg, np.int64(d), r, i, j, own, other, t, restitution, keep, rates) / (own + other)
-
-
-@lean_inner
-def nearest_image(d, r, length):
-    """Is r the nearest periodic image of a distance? Of partners who last met each other it is the one that met."""
-    nearest = True
-    for k in range(d):
-        nearest &= length[k] == 0.0 or abs(r[k]) <= 0.5 * length[k]
-    return nearest
-
-
-@inner(inline="always")
-def next_event(
-    axes, leg, state, i, now, h, length, pool, lists, home, point, normal, lower, upper, oblique, far, r, u, around,
-):  # fmt: skip
-    """(time, partner) of the next event of row i, on the legs of now: its first contact of all, or that it leaves its shell."""
+def next_event(axes, rows, lists, planes, work, i, now, h):
+    """(time, partner) of the next event of row i on the present segments: its first contact, or LIST_EXPIRY."""
+    segment, state, reference, spans, pool = rows.segment, rows.state, lists.reference, lists.spans, lists.pool
+    nearby, flags, r = lists.nearby, work.flags, work.r
+    _, _, length = lists.box
     d = len(axes)
     best = h
-    partner = np.int64(NOTHING)
-    if state[i, STUCK] < PATIENCE:
+    partner = np.int64(NO_EVENT)
+    if state[i, RAPID_EVENTS] < SQUEEZED:
         likely = 0
         warm = 0.0  # all at once to the cache: the loops below would ask for one after the other
-        for p in range(np.uint64(lists[i, BEGIN]), np.uint64(lists[i, BEGIN] + lists[i, COUNT])):
-            warm += leg[np.uint64(pool[p]), 0]
+        for p in range(np.uint64(spans[i, BEGIN]), np.uint64(spans[i, BEGIN] + spans[i, COUNT])):
+            warm += segment[np.uint64(pool[p]), 0]
         r[0] = warm
-        if leg[i, 2 * d] == now and not far[0]:  # it sets out now, and most others set out before: less to compute
-            for p in range(np.uint64(lists[i, BEGIN]), np.uint64(lists[i, BEGIN] + lists[i, COUNT])):
-                around[np.uint64(likely)] = pool[p]
-                likely += may_touch_from(axes, leg, np.uint64(i), np.uint64(pool[p]), now, h, length)
+        if segment[i, 2 * d + START] == now and not flags[MANY_BOXES]:  # most others started before: less to compute
+            for p in range(np.uint64(spans[i, BEGIN]), np.uint64(spans[i, BEGIN] + spans[i, COUNT])):
+                nearby[np.uint64(likely)] = pool[p]
+                likely += may_touch_from_now(axes, segment, np.uint64(i), np.uint64(pool[p]), now, h, length)
         else:
-            for p in range(np.uint64(lists[i, BEGIN]), np.uint64(lists[i, BEGIN] + lists[i, COUNT])):
-                around[np.uint64(likely)] = pool[p]
-                likely += far[0] | may_touch(axes, leg, np.uint64(i), np.uint64(pool[p]), now, h, length)
+            for p in range(np.uint64(spans[i, BEGIN]), np.uint64(spans[i, BEGIN] + spans[i, COUNT])):
+                nearby[np.uint64(likely)] = pool[p]
+                likely += flags[MANY_BOXES] | may_touch(axes, segment, np.uint64(i), np.uint64(pool[p]), now, h, length)
         for p in range(likely):
-            j = np.int64(around[p])
-            t = touch_time(axes, leg, np.uint64(i), np.uint64(j), now, best, length, far[0], r, u)
+            j = np.int64(nearby[p])
+            t = touch_time(axes, segment, np.uint64(i), np.uint64(j), now, best, length, flags[MANY_BOXES], r, work.u)
             if (
                 t != NEVER
-                and (t < best or partner == NOTHING or before_other(i, j, i, partner, state))
-                and not (far[1] and state[j, STUCK] >= PATIENCE)
+                and (t < best or partner == NO_EVENT or comes_before(i, j, i, partner, state))
+                and not (flags[ANY_SQUEEZED] and state[j, RAPID_EVENTS] >= SQUEEZED)
                 and not (
-                    leg[i, 2 * d] == leg[j, 2 * d]
-                    and state[i, MET] == state[j, ID]
-                    and state[j, MET] == state[i, ID]
-                    and nearest_image(d, r, length)
+                    segment[i, 2 * d + START] == segment[j, 2 * d + START]
+                    and state[i, LAST_PARTNER] == state[j, ID]
+                    and state[j, LAST_PARTNER] == state[i, ID]
+                    and is_nearest_image(d, r, length)
                 )
             ):
                 best = t
                 partner = j
-        if len(point) and may_hit(axes, leg, leg, np.int64(d), leg[i, 2 * d], i, leg[i, 2 * d + 1], h, lower, upper, oblique):
+        if len(planes.point) and may_hit(
+            axes, segment, segment, np.int64(d), segment[i, 2 * d + START], i, segment[i, 2 * d + RADIUS], h, planes.lower,
+            planes.upper, planes.oblique,
+        ):  # fmt: skip
             t, wall = wall_contact(
-                axes, leg, leg, np.int64(d), leg[i, 2 * d], i, leg[i, 2 * d + 1], state[i, MET], h, point, normal
-            )
-            if wall >= 0 and (t < best or partner == NOTHING):
+                axes, segment, segment, np.int64(d), segment[i, 2 * d + START], i, segment[i, 2 * d + RADIUS],
+                state[i, LAST_PARTNER], h, planes.point, planes.normal,
+            )  # fmt: skip
+            if wall >= 0 and (t < best or partner == NO_EVENT):
                 best = t
                 partner = np.int64(-1 - wall)
     a = 0.0
     b = 0.0
-    c = -home[i, d + 1] * home[i, d + 1]
+    c = -reference[i, d + SKIN] * reference[i, d + SKIN]
     for k in range(d):
-        away = leg[i, k] + leg[i, d + k] * (now - leg[i, 2 * d]) - home[i, k]
-        a += leg[i, d + k] * leg[i, d + k]
-        b += away * leg[i, d + k]
+        away = segment[i, k] + segment[i, d + k] * (now - segment[i, 2 * d + START]) - reference[i, k]
+        a += segment[i, d + k] * segment[i, d + k]
+        b += away * segment[i, d + k]
         c += away * away
-    # It leaves before `best` if it is out of its shell then: most do not, and need no root.
+    # Its list expires before `best` if it is further than its skin from its reference position then. Most need no root.
     until = best - now
     if c + until * (2.0 * b + a * until) > 0.0 and (a > 0.0 or c > 0.0):
         best = now
         if c < 0.0:
             root = sqrt(max(b * b - a * c, 0.0))
             best += -c / (b + root) if b > 0.0 else (root - b) / a
-        partner = np.int64(LEAVING)
+        partner = np.int64(LIST_EXPIRY)
     return best, partner
 
 
 @lean_inner
-def turn(axes, leg, state, reals, i, t, partner, moment, quickly, crowded, far):
-    """Row i is about to begin a new leg at time t: what must be remembered of it. Crowded rows wait as squeezed ones do."""
-    if t != leg[i, 2 * len(axes)]:
-        state[i, STUCK] %= NO_TIME
+def note_contact(axes, rows, i, t, partner, moment, quickly, crowded, flags):
+    """Row i is about to begin a new segment at time t: change its state. Rows of a crowd wait as squeezed ones do."""
+    state, reals = rows.state, rows.reals
+    if t != rows.segment[i, 2 * len(axes) + START]:
+        state[i, RAPID_EVENTS] %= ZERO_TIME_EVENT
     else:
-        state[i, STUCK] += NO_TIME
-    state[i, STUCK] += abs(moment + t - reals[i, LAST]) <= quickly
-    if state[i, STUCK] % NO_TIME >= crowded and state[i, STUCK] < PATIENCE:
-        state[i, STUCK] += PATIENCE
-    far[1] |= state[i, STUCK] >= PATIENCE
-    state[i, MET] = partner
-    state[i, TURNS] += 1
-    reals[i, LAST] = moment + t
+        state[i, RAPID_EVENTS] += ZERO_TIME_EVENT
+    state[i, RAPID_EVENTS] += abs(moment + t - reals[i, LAST_CONTACT]) <= quickly
+    if state[i, RAPID_EVENTS] % ZERO_TIME_EVENT >= crowded and state[i, RAPID_EVENTS] < SQUEEZED:
+        state[i, RAPID_EVENTS] += SQUEEZED
+    flags[ANY_SQUEEZED] |= state[i, RAPID_EVENTS] >= SQUEEZED
+    state[i, LAST_PARTNER] = partner
+    state[i, EVENT_COUNT] += 1
+    reals[i, LAST_CONTACT] = moment + t
 
 
 @lean_inner
-def fetch(axes, leg, state, slot, lists, pool, home, heads, clock):
+def note_tc_elastic(work, t, one, other):
+    """One more contact that took no energy; the first ones by name."""
+    counts, named = work.counts, work.tc_elastic
+    if counts[TC_ELASTIC] < len(named):
+        named[counts[TC_ELASTIC], 0], named[counts[TC_ELASTIC], 1], named[counts[TC_ELASTIC], 2] = t, one, other
+    counts[TC_ELASTIC] += 1
+
+
+@lean_inner
+def prefetch_next(rows, lists, queue):
     """What the next events will need comes to the cache while this one is worked on: rows, then lists, then neighbours."""
-    last = len(heads) - 1
-    i = np.int64(heads[min(clock[0] + EARLY, last)])
+    segment, state, reference, spans, pool = rows.segment, rows.state, lists.reference, lists.spans, lists.pool
+    node, first, present = queue.node, queue.first, queue.present
+    last = len(first) - 1
+    i = np.int64(first[min(present[0] + EARLY, last)])
     if i >= 0:
-        prefetch(slot, i)
-        prefetch(lists, i)
-        prefetch(leg, i)
+        prefetch(node, i)
+        prefetch(spans, i)
+        prefetch(segment, i)
         prefetch(state, i)
-        prefetch(home, i)
-    i = np.int64(heads[min(clock[0] + SOON, last)])
+        prefetch(reference, i)
+    i = np.int64(first[min(present[0] + SOON, last)])
     if i >= 0:
-        prefetch(pool, lists[i, BEGIN])
-        prefetch(slot, slot[i, NEXT])
-        j = np.int64(slot[i, PARTNER])
+        prefetch(pool, spans[i, BEGIN])
+        prefetch(node, node[i, NEXT])
+        j = np.int64(node[i, PARTNER])
         if j >= 0:
-            prefetch(slot, j)
-            prefetch(lists, j)
-            prefetch(leg, j)
+            prefetch(node, j)
+            prefetch(spans, j)
+            prefetch(segment, j)
             prefetch(state, j)
-            prefetch(home, j)
-    i = np.int64(heads[min(clock[0] + NEXT_ONES, last)])
+            prefetch(reference, j)
+    i = np.int64(first[min(present[0] + NEXT_ONES, last)])
     if i >= 0:
-        for p in range(np.uint64(lists[i, BEGIN]), np.uint64(lists[i, BEGIN] + lists[i, COUNT])):
-            prefetch(leg, pool[p])
-        j = np.int64(slot[i, PARTNER])
+        for p in range(np.uint64(spans[i, BEGIN]), np.uint64(spans[i, BEGIN] + spans[i, COUNT])):
+            prefetch(segment, pool[p])
+        j = np.int64(node[i, PARTNER])
         if j >= 0:
-            for p in range(np.uint64(lists[j, BEGIN]), np.uint64(lists[j, BEGIN] + lists[j, COUNT])):
-                prefetch(leg, pool[p])
+            for p in range(np.uint64(spans[j, BEGIN]), np.uint64(spans[j, BEGIN] + spans[j, COUNT])):
+                prefetch(segment, pool[p])
 
 
 @lean
-def run(
-    axes, leg, leg_words, state, reals, h, now, until, moment, length, pool, lists, top, home, links, level, head, grid,
-    walls, wall_restitution, wall_keep, rates, restitution, keep, soft, queue, counts, spared, ahead, box_low, around,
-    todo, pending, stop, stopped, crowded, reached, log,
-):  # fmt: skip
-    """All events from `now` to `until`, in order, of a drift over h that began at `moment`. `soft`: duration t_c of a contact.
+def run(axes, rows, lists, queue, rules, interval, work, log, pending):
+    """All events of an interval, in order. work.stale[:pending] are rows whose next event is not known.
 
-    Rows with `crowded` quick contacts have no more in this drift.
-    With stop[0] it ends after the first collision, whose time goes to `stopped` and ids to stop[1:].
-    Returns 0; or how many places the pool is short of: then call again with a larger one; or BREATH after so many events that
-    a user may have pressed Ctrl-C: then call again; or STANDSTILL, where events follow one another for ever but time does not
-    pass: todo[0] is then a row, todo[1] its partner. `reached` (2,): the last time that is further on than the one before by
-    a part STANDING of the drift, and how many events there have been since.
+    With stop[ASKED] the loop ends after the first collision.
+
+    Returns 0; or how many places the pool of the lists is short of: then call again with a larger one; or INTERRUPTED after so
+    many events that a user may have pressed Ctrl-C: then call again; or STANDSTILL, where events follow one another for ever
+    but time does not pass.
 
     A contact within t_c of the last one of either partner takes no energy: the TC model (Luding and McNamara, Granular
-    Matter 1, 113, 1998), which keeps inelastic collapse from stopping the clock. `spared` lists the first of them.
-    What is counted is what own rows did, a pair by its lower id. todo[:pending]: rows whose next event is not known.
+    Matter 1, 113, 1998), which keeps inelastic collapse from stopping the clock.
 
-    One kernel with everything in it: a call with so many arrays costs as much as the look it would be for.
+    One kernel with everything in it: a call with so many arrays costs as much as the look it would be for. The bundles come as
+    plain tuples, as in all kernels of this folder that Python calls: see `jit.plain`.
     """
+    rows, lists, queue, work, log = Rows(*rows), Lists(*lists), Queue(*queue), Work(*work), Log(*log)
+    segment, state, reals, reference = rows.segment, rows.state, rows.reals, lists.reference
+    low, _, length = lists.box
+    (restitution, velocity_factor), contact_duration, crowded, planes, rates = rules
+    planes = Planes(*planes)
+    h, moment, now, until, ahead = interval
+    stale, counts, flags, progress, node, times = work.stale, work.counts, work.flags, work.progress, queue.node, queue.times
     d = len(axes)
-    slot, when, heads, per_time, clock, far, r, u = queue
-    low, per, cells, corners, caps = grid
-    point, normal, lower, upper, oblique = walls
-    logging = log[0][0] > 0
+    logging = log.window[0] > 0
     events = 0
     while True:
         if pending > 0:
             pending -= 1
-            i = np.int64(todo[pending])
-            if state[i, MINE] == NOT_HERE:
+            i = np.int64(stale[pending])
+            if state[i, OWNERSHIP] == NOT_HERE:
                 continue
-            take(slot, heads, i)
-            t, partner = next_event(
-                axes, leg, state, i, now, h, length, pool, lists, home, point, normal, lower, upper, oblique, far, r, u,
-                around,
-            )  # fmt: skip
-            if partner != NOTHING:
-                put(slot, when, heads, per_time, clock, i, t, partner, state[partner, TURNS] if partner >= 0 else 0)
+            remove(queue, i)
+            t, partner = next_event(axes, rows, lists, planes, work, i, now, h)
+            if partner != NO_EVENT:
+                push(queue, i, t, partner, state[partner, EVENT_COUNT] if partner >= 0 else 0)
             continue
-        fetch(axes, leg, state, slot, lists, pool, home, heads, clock)
-        i = first(slot, when, heads, clock, state)
-        if i < 0 or when[i, WHEN] >= until:
+        prefetch_next(rows, lists, queue)
+        i = find_first(queue, state)
+        if i < 0 or times[i, TIME] >= until:
             return 0
-        t = when[i, WHEN]
-        j = np.int64(slot[i, PARTNER])
-        reached[1] += 1.0
-        if t > reached[0] + STANDING * h:
-            reached[0], reached[1] = t, 0.0
-        elif reached[1] > MOST_STANDING * (len(leg) + FEW):
-            todo[0], todo[1] = i, j
+        t = times[i, TIME]
+        j = np.int64(node[i, PARTNER])
+        progress[EVENTS_SINCE] += 1.0
+        if t > progress[LAST_PROGRESS] + STANDING * h:
+            progress[LAST_PROGRESS], progress[EVENTS_SINCE] = t, 0.0
+        elif progress[EVENTS_SINCE] > MOST_STANDING * (len(segment) + FEW):
+            stale[0], stale[1] = i, j
             return STANDSTILL
         events += 1
         if events > PIECE:
-            return BREATH
+            return INTERRUPTED
         now = max(now, t)
         if logging:
-            remember(axes, leg, state, i, log)
-        todo[0] = i
+            save_once(axes, rows, i, log)
+        stale[0] = i
         pending = 1
-        if j == LEAVING:
-            speed = 0.0
+        if j == LIST_EXPIRY:
+            speed2 = 0.0
             for k in range(d):
-                speed += leg[i, d + k] * leg[i, d + k]
-            lead = ahead * home[i, d + 1] / sqrt(speed) if speed > 0.0 else 0.0
+                speed2 += segment[i, d + k] * segment[i, d + k]
+            lead = ahead * reference[i, d + SKIN] / sqrt(speed2) if speed2 > 0.0 else 0.0
             for k in range(d):
-                home[i, k] = leg[i, k] + leg[i, d + k] * (now - leg[i, 2 * d] + lead)
-                far[0] |= length[k] > 0.0 and not -0.25 * length[k] < home[i, k] - box_low[k] < 1.25 * length[k]
-            found = neighbours(axes, i, home, links, head, low, per, cells, corners, caps, length, far[0], around)
-            short = top[0] + room_for(i, around, found, lists) - len(pool)
+                reference[i, k] = segment[i, k] + segment[i, d + k] * (now - segment[i, 2 * d + START] + lead)
+                flags[MANY_BOXES] |= length[k] > 0.0 and not -0.25 * length[k] < reference[i, k] - low[k] < 1.25 * length[k]
+            found = verlet.find_nearby(axes, lists, i, flags[MANY_BOXES])
+            short = verlet.shortage(lists, i, found)
             if short > 0:
                 return short
-            move_out(axes, i, links, pool, lists, head)
-            move_in(axes, i, home, links, level, around, found, pool, lists, top, head, low, per, cells, corners, length)
-            counts[HOMES] += 1
-            if logging and state[i, MINE] >= OWN:
-                note_home(i, log)
+            verlet.remove(axes, lists, i)
+            verlet.insert(axes, lists, i, found)
+            counts[EXPIRIES] += 1
+            if logging and state[i, OWNERSHIP] >= OWN:
+                note_move(i, log)
         elif j < 0:
             wall = -1 - j
-            lossy = wall_restitution[wall] * wall_keep[wall] < 1.0
-            easy = lossy and abs(moment + t - reals[i, LAST]) < soft
-            turn(axes, leg, state, reals, i, t, j, moment, QUICK * h, crowded, far)
-            move_leg(axes, leg, i, t)
-            mine = state[i, MINE] >= OWN
-            e, kept = (1.0, 1.0) if easy else (wall_restitution[wall], wall_keep[wall])
-            bounce(axes, leg, np.int64(d), i, wall, normal, e, kept, home[i, d + 2], t, rates)
-            if easy and mine:
-                note(spared, counts, moment + t, state[i, ID], j)
-            counts[WALL_HITS] += mine
+            lossy = planes.restitution[wall] * planes.velocity_factor[wall] < 1.0
+            elastic = lossy and abs(moment + t - reals[i, LAST_CONTACT]) < contact_duration
+            note_contact(axes, rows, i, t, j, moment, QUICK * h, crowded, flags)
+            move_to(axes, segment, i, t)
+            own = state[i, OWNERSHIP] >= OWN
+            e, factor = (1.0, 1.0) if elastic else (planes.restitution[wall], planes.velocity_factor[wall])
+            bounce(axes, segment, np.int64(d), i, wall, planes.normal, e, factor, reference[i, d + INVERSE_MASS], t, rates)
+            if elastic and own:
+                note_tc_elastic(work, moment + t, state[i, ID], j)
+            counts[WALL_HITS] += own
             if logging:
-                note_leg(axes, leg, leg_words, state, i, log)
-        elif slot[i, STAMP] == state[j, TURNS]:
+                note_segment(axes, rows, i, log)
+        elif node[i, PARTNER_COUNT] == state[j, EVENT_COUNT]:
             if logging:
-                remember(axes, leg, state, j, log)
-            todo[1] = j
+                save_once(axes, rows, j, log)
+            stale[1] = j
             pending = 2
             if state[j, ID] < state[i, ID]:
                 i, j = j, i
-            easy = restitution * keep < 1.0 and abs(moment + t - max(reals[i, LAST], reals[j, LAST])) < soft
-            turn(axes, leg, state, reals, i, t, state[j, ID], moment, QUICK * h, crowded, far)
-            turn(axes, leg, state, reals, j, t, state[i, ID], moment, QUICK * h, crowded, far)
-            mine = state[i, MINE] >= OWN
-            e, kept = (1.0, 1.0) if easy else (restitution, keep)
-            reals[i, VIRIAL] += collide(axes, leg, home, i, j, t, e, kept, length, rates, r)
-            if easy and mine:
-                note(spared, counts, moment + t, state[i, ID], state[j, ID])
-            counts[COLLISIONS] += mine
+            last_contact = max(reals[i, LAST_CONTACT], reals[j, LAST_CONTACT])
+            elastic = restitution * velocity_factor < 1.0 and abs(moment + t - last_contact) < contact_duration
+            note_contact(axes, rows, i, t, state[j, ID], moment, QUICK * h, crowded, flags)
+            note_contact(axes, rows, j, t, state[i, ID], moment, QUICK * h, crowded, flags)
+            own = state[i, OWNERSHIP] >= OWN
+            e, factor = (1.0, 1.0) if elastic else (restitution, velocity_factor)
+            reals[i, VIRIAL] += collide(axes, segment, reference, i, j, t, e, factor, length, rates, work.r)
+            if elastic and own:
+                note_tc_elastic(work, moment + t, state[i, ID], state[j, ID])
+            counts[COLLISIONS] += own
             if logging:
-                note_leg(axes, leg, leg_words, state, i, log)
-                note_leg(axes, leg, leg_words, state, j, log)
-            if stop[0]:
-                stop[1], stop[2], stopped[0] = state[i, ID], state[j, ID], t
+                note_segment(axes, rows, i, log)
+                note_segment(axes, rows, j, log)
+            if work.stop[ASKED]:
+                work.stop[LOWER], work.stop[HIGHER], work.stopped[0] = state[i, ID], state[j, ID], t
                 return 0
-
-
-@lean_inner
-def note(spared, counts, t, one, other):
-    """One more contact that took no energy; the first ones by name."""
-    if counts[SPARED] < len(spared):
-        spared[counts[SPARED], 0], spared[counts[SPARED], 1], spared[counts[SPARED], 2] = t, one, other
-    counts[SPARED] += 1
-
-
-@lean
-def set_out(axes, leg, state, reals, acceleration, x, v, radius, contacted, virial, a, seat):
-    """Own rows on legs from (x, v) at time 0, with accelerations a where these differ; particle r is row seat[r].
-
-    Returns (moved, speed): did anyone change a position or radius since `arrive`, and the largest speed, inf if
-    anything is not finite.
-    """
-    d = len(axes)
-    moved = False
-    fastest = 0.0
-    for r in range(len(x)):
-        i = seat[r]
-        speed = 0.0
-        for k in range(d):
-            moved |= leg[i, k] != x[r, k]
-            leg[i, k] = x[r, k]
-            leg[i, d + k] = v[r, k]
-            speed += v[r, k] * v[r, k] + 0.0 * x[r, k]
-        moved |= leg[i, 2 * d + 1] != radius[r]
-        fastest = max(fastest, speed) if speed < np.inf else np.inf
-        leg[i, 2 * d] = 0.0
-        state[i, MET], state[i, STUCK], state[i, HISTORY] = NOBODY, 0, 0
-        reals[i, LAST] = contacted[r]
-        reals[i, VIRIAL] = virial[r] if len(virial) else 0.0
-        if len(a) > 0:
-            for k in range(d):
-                acceleration[i, k] = a[r, k]
-    return moved, sqrt(fastest)
-
-
-@lean
-def arrive(axes, leg, state, h, home, length, lower):
-    """All rows to time h, back in a periodic box with their homes. Returns how many own ones were squeezed."""
-    d = len(axes)
-    squeezed = 0
-    for i in range(len(leg)):
-        if state[i, MINE] == NOT_HERE:
-            continue
-        if state[i, STUCK] >= PATIENCE:
-            squeezed += state[i, MINE] >= OWN
-            leg[i, 2 * d] = h  # it stays where its last contact was
-        for k in range(d):
-            at = leg[i, k] + leg[i, d + k] * (h - leg[i, 2 * d])
-            if length[k] > 0.0 and not lower[k] <= at < lower[k] + length[k]:
-                inside = lower[k] + (at - lower[k]) % length[k]
-                inside = inside if inside < lower[k] + length[k] else lower[k]
-                home[i, k] += inside - at
-                at = inside
-            leg[i, k] = at
-        leg[i, 2 * d] = 0.0
-    return squeezed
-
-
-@lean
-def hand_over(axes, leg, state, reals, x, v, contacted, virial, supported, crowded, seat):
-    """Particles as their rows are."""
-    d = len(axes)
-    for r in range(len(x)):
-        i = seat[r]
-        for k in range(d):
-            x[r, k] = leg[i, k]
-            v[r, k] = leg[i, d + k]
-        contacted[r] = reals[i, LAST]
-        if len(virial):
-            virial[r] = reals[i, VIRIAL]
-        if len(supported) and state[i, STUCK] % NO_TIME >= crowded:
-            supported[r] = CROWD

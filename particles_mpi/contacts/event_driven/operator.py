@@ -1,8 +1,8 @@
 """The operator `event`: hard spheres and walls in exact order of time, the reference for `rewind`.
 
-Every particle is on a straight leg since its last contact and knows its next event: the first contact on the present legs, or
-that it leaves its shell (`neighbours.shells`). The first event of all takes place, the partners set out on new legs, and
-only they, and those who had meant to meet them, look for their next events again: O(1) work a contact, whatever N is.
+Every particle is on a straight segment since its last contact and knows its next event: the first contact on the present
+segments, or that its neighbour list expires. The first event of all takes place, the partners set out on new segments, and only
+they, and those who had been about to touch them, look for their next events again: O(1) work a contact, whatever N is.
 
 On several ranks space is divided and ranks compute their parts in verified windows of time (`windows`), or, where
 there is too little to divide, every rank computes everything (`Whole`). The bits are the same.
@@ -15,11 +15,13 @@ from functools import cached_property
 
 import numpy as np
 
-from particles_mpi.contacts.event_driven.engine import NAMED, NEVER_CROWDED, SETTLED, Engine
-from particles_mpi.contacts.event_driven.event_loop import COLLISIONS, SPARED, WALL_HITS
+from particles_mpi.contacts.event_driven.engine import MOST_EXPIRIES, NAMED, NEVER_CROWDED, Engine
+from particles_mpi.contacts.event_driven.event_loop import COLLISIONS, TC_ELASTIC, WALL_HITS
 from particles_mpi.contacts.event_driven.windows import Windows
+from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.contacts.walls import Planes, no_planes
+from particles_mpi.kernels.geometry import Box
 from particles_mpi.kernels.markers import CROWD
 from particles_mpi.neighbours.cells import bounds, order_in_space
 from particles_mpi.neighbours.trajectories import fastest
@@ -32,10 +34,10 @@ from particles_mpi.particles import Array, Particles, rows_of
 from particles_mpi.timers import Timers
 
 LEAST = 2000  # particles a rank; with fewer, space is not divided
-LONGEST_REST = 64  # drifts
+LONGEST_PAUSE = 64  # drifts
 CROWDED = 8  # quick contacts in a drift; then a particle is one of a crowd that collapses
 ROUNDS = 3
-SOFT = 1e-4  # of a step: the duration of a contact, where a scene gives none
+DURATION = 1e-4  # of a step: that of a contact, where a scene gives none
 CHANGING = ("position", "velocity", "contacted", "virial", "supported", "total_acceleration")
 
 
@@ -48,20 +50,20 @@ class Event:
         self,
         particles: Particles,
         ranks: Communicator,
-        box: tuple[Array, Array, Array],
-        loss: tuple[float, float],
+        box: Box,
+        loss: Loss,
         duration: float | None,
         planes: Planes | None,
         timers: Timers,
     ):
-        self.ranks, self.duration, self.soft = ranks, duration, 0.0
+        self.ranks, self.given_duration, self.contact_duration = ranks, duration, 0.0
         self.particles, self.box, self.timers = particles, box, timers
         self.rules = box, loss, planes or no_planes(particles.dimension)
         self.divided = ranks.size > 1 and ranks.allreduce_sum(len(particles))[0] >= LEAST * ranks.size
-        self.eased = 0
-        self.first_eased: tuple[float, Array] = np.inf, np.empty((0, 3))  # moment of a step, (time, id, id or wall) there
+        self.tc_elastic = 0  # contacts of this rank that took no energy
+        self.first_tc_elastic: tuple[float, Array] = np.inf, np.empty((0, 3))  # moment of a step, and (time, id, id or wall)
         self.crowded_steps = 0
-        self.resting, self.rest = 0, 1  # drifts that every rank computes as a whole, after windows that did not pay
+        self.pause, self.next_pause = 0, 1  # drifts that every rank computes as a whole, after windows that did not pay
         self.stop, self.stopped = np.array([0, -1, -1]), np.zeros(1)
         self.hold: Callable[[float], None] | None = None  # a crowd's contacts, where forces press: see rest
 
@@ -102,16 +104,17 @@ class Event:
         With `stop` it ends with the first collision of two particles, after `self.stopped[0]` (h if there is none), and
         `self.stop[1:]` are their ids, the lower one first, or -1.
         """
-        self.rates, self.soft = rates, SOFT * h if self.duration is None else self.duration
+        self.rates, self.contact_duration = rates, DURATION * h if self.given_duration is None else self.given_duration
         if self.hold is None or stop:
             return self.drift_once(h, moment, stop, NEVER_CROWDED)
         for left in range(ROUNDS, -1, -1):
-            before, told = self.particles.select(np.arange(len(self.particles))), (self.eased, self.first_eased)
+            before = self.particles.select(np.arange(len(self.particles)))
+            tc_elastic_before = self.tc_elastic, self.first_tc_elastic
             happened = self.drift_once(h, moment, False, CROWDED if left else NEVER_CROWDED)
             if not left or not self.ranks.allreduce_max(float((self.particles["supported"] == CROWD).any()))[0]:
                 break
             self.undo(before)
-            self.eased, self.first_eased = told
+            self.tc_elastic, self.first_tc_elastic = tc_elastic_before
             self.hold(h)
             self.crowded_steps += left == ROUNDS
         return happened
@@ -132,45 +135,45 @@ class Event:
     def drift_once(self, h: float, moment: float, stop: bool, crowded: int) -> Array:
         """The same; particles with `crowded` quick contacts have no more."""
         if self.divided and not stop:
-            if self.resting:
-                self.resting -= 1
+            if self.pause:
+                self.pause -= 1
             else:
-                self.windows.engine.set_step(crowded, self.rates, self.soft)
+                self.windows.engine.set_step(crowded, self.rates, self.contact_duration)
                 happened = self.windows.drift(h, moment)
                 if happened is not None:
-                    self.rest = 1
-                    self.remember(moment, self.windows.engine)
+                    self.next_pause = 1
+                    self.count_tc_elastic(moment, self.windows.engine)
                     return happened
-                self.resting = self.rest
-                self.rest = min(2 * self.rest, LONGEST_REST)
-        self.whole.engine.set_step(crowded, self.rates, self.soft)
+                self.pause = self.next_pause
+                self.next_pause = min(2 * self.next_pause, LONGEST_PAUSE)
+        self.whole.engine.set_step(crowded, self.rates, self.contact_duration)
         happened = self.whole.drift(h, moment, stop)
         engine = self.whole.engine
         if self.divided:
             self.windows.engine.events = engine.events // self.ranks.size  # what a rank has to expect
-        self.stop[:], self.stopped[:] = engine.stop, engine.stopped
+        self.stop[:], self.stopped[:] = engine.work.stop, engine.work.stopped
         if self.ranks.is_root:  # all ranks saw the same
-            self.remember(moment, engine)
+            self.count_tc_elastic(moment, engine)
         return happened * self.ranks.is_root
 
-    def remember(self, moment: float, engine: Engine) -> None:
+    def count_tc_elastic(self, moment: float, engine: Engine) -> None:
         """How many contacts took no energy, and which were the first."""
-        eased = int(engine.counts[SPARED])
-        self.eased += eased
-        if eased and not len(self.first_eased[1]):
-            self.first_eased = moment, engine.spared[:eased].copy()
+        count = int(engine.work.counts[TC_ELASTIC])
+        self.tc_elastic += count
+        if count and not len(self.first_tc_elastic[1]):
+            self.first_tc_elastic = moment, engine.work.tc_elastic[:count].copy()
 
     def remarks(self) -> list[str]:
         """What a user should be told at the end. Collective."""
-        told = self.ranks.allgather((self.eased, *self.first_eased))
-        eased = sum(number for number, _, _ in told)
+        found = self.ranks.allgather((self.tc_elastic, *self.first_tc_elastic))
+        count = sum(number for number, _, _ in found)
         crowds = []
         if self.crowded_steps:
             crowds = [f"collapsing crowds: in {self.crowded_steps} steps some contacts took all of the approach, as if e = 0"]
-        if not eased:
+        if not count:
             return crowds
-        moment = min(moment for _, moment, _ in told)
-        first = sorted(tuple(row) for _, begin, rows in told if begin == moment for row in rows)
+        moment = min(moment for _, moment, _ in found)
+        first = sorted(tuple(row) for _, begin, rows in found if begin == moment for row in rows)
         pairs = [(int(a), int(b)) for _, a, b in first[:NAMED]]
         cluster = set(pairs[0])
         for pair in pairs:  # in order of time: a cluster grows from its first pair
@@ -180,7 +183,7 @@ class Event:
         where = f"particles {', '.join(ids)}" + (f" and wall {', '.join(walls)}" if walls else "")
         return [
             *crowds,
-            f"inelastic collapse: {eased} contacts within {self.soft:.3g} of the last one took no energy, "
+            f"inelastic collapse: {count} contacts within {self.contact_duration:.3g} of the last one took no energy, "
             f"the first in the step from t = {moment:g} among {where}",
         ]
 
@@ -202,34 +205,38 @@ class Whole:
         with self.timers("exchange"):
             self.replica.gather()
         with self.timers("pairs"):
-            if self.version != p.version or engine.moved > SETTLED * len(p):
-                require_finite(self.ranks, p, fastest(p.position, p.velocity), f"t = {moment:g}")
-                self.settle()
+            if self.version != p.version or engine.expiries > MOST_EXPIRIES * len(p):
+                self.check(fastest(p.position, p.velocity), moment)
+                self.reload()
         with self.timers("search"):
-            moved, speed = engine.set_out(p, self.seat)
-            require_finite(self.ranks, p, speed, f"t = {moment:g}")
+            moved, speed = engine.start_drift(p, self.own_rows)
+            self.check(speed, moment)
             if moved:
-                self.settle()
-                engine.set_out(p, self.seat)
-            engine.stop[:] = stop, -1, -1
+                self.reload()
+                engine.start_drift(p, self.own_rows)
+            engine.work.stop[:] = stop, -1, -1
             engine.begin(h)
         with self.timers("collide"):
             engine.run(0.0, np.inf, moment)
         with self.timers("drift"):
-            squeezed = engine.arrive()
-            engine.hand_over(p, self.seat)
+            squeezed = engine.end_drift()
+            engine.write_back(p, self.own_rows)
         with self.timers("exchange"):
             self.replica.write_back()
-        return np.array([engine.counts[COLLISIONS], engine.counts[WALL_HITS], squeezed])
+        return np.array([engine.work.counts[COLLISIONS], engine.work.counts[WALL_HITS], squeezed])
 
-    def settle(self) -> None:
-        """Rows sorted in space, with new homes, and all that goes with them."""
+    def check(self, speed: float, moment: float) -> None:
+        """Raise where the largest speed shows that a number is not finite."""
+        require_finite(self.ranks, self.particles, speed, f"t = {moment:g}")
+
+    def reload(self) -> None:
+        """Sort the particles in space and load them into the engine, with new lists."""
         p = self.particles
         self.row_buffers.adopt()
         if len(p) > 1:
             self.row_buffers.sort(order_in_space(p.position, bounds(p.position)))
-        self.engine.homes.settle(p.position, p.radius, p.inverse_mass)
-        self.engine.settle(p, len(p))
-        self.seat = np.arange(len(p), dtype=np.int32)
+        self.engine.lists.tune(p.position, p.radius, p.inverse_mass)
+        self.engine.load(p, len(p))
+        self.own_rows = np.arange(len(p), dtype=np.int32)
         self.version = p.version
         self.searches += 1

@@ -1,129 +1,146 @@
-"""The state of a row besides its leg, and the log of rows that something happened to, so that it can be undone or told.
+"""The log of a window of time: which rows were changed, and what they were before, so that changes can be sent or undone.
 
-A row of `state` (n, 8) int64, one line of the cache, is (id, met, turns, stuck, history, mine, last, virial), the last two
-float64 and seen through `reals`: whom it met last, how often it was turned (which tells others that what they foresaw of it
-is void), contacts in a row without time passing, a hash of all its legs in this drift, whether this rank answers for it,
-when its last contact was, and the sum of its -r.dp.
-
-A record of a row is (leg without R, met, stuck, history, last, virial), as float64 or, through `words`, int64.
+A record of a row is a series of numbers: its segment without the radius and, of its state, LAST_PARTNER, RAPID_EVENTS,
+TRAJECTORY_HASH, LAST_CONTACT and VIRIAL. The segment is float64, the state int64 in the same memory.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from particles_mpi.contacts.event_driven.rows import (
+    EVENT_COUNT,
+    LAST_CONTACT,
+    LAST_PARTNER,
+    OWN,
+    OWNERSHIP,
+    RAPID_EVENTS,
+    START,
+    TRAJECTORY_HASH,
+    VIRIAL,
+)
 from particles_mpi.kernels.jit import inner, lean_inner
 from particles_mpi.particles import Array
 
-ID, MET, TURNS, STUCK, HISTORY, MINE, LAST, VIRIAL = range(8)
-NOT_HERE, GHOST, OWN, KNOWN = (
-    0,
-    1,
-    2,
-    3,
-)  # values of MINE: a free row; another rank answers for it; this one does, and others know it
+WINDOW, PLACE = 0, 1  # columns of `mark`
 ODD = -7046029254386353131  # an odd number with many bits, to multiply with
 
 
 @inner(inline="always")
-def record_width(dimension):
-    """Numbers in a record."""
-    return 2 * dimension + 6
+def record_width(d):
+    """Numbers in a record, in d dimensions."""
+    return 2 * d + 6
 
 
 @inner(inline="always")
-def history_place(dimension):
-    """Where the history stands in a record."""
-    return 2 * dimension + 3
+def hash_place(d):
+    """Where TRAJECTORY_HASH stands in a record."""
+    return 2 * d + 3
 
 
-class Log:
-    """Rows in the order in which something first happened to them in the present window, and what they were before.
+class Log(NamedTuple):
+    """Changes of n rows in the present window of time."""
 
-    `window` (1,) is the number of the window, 0 while nobody needs a log; `mark` (n, 2) the last one a row was noted in, and
-    at which place.
-    `fastest` (1,) is the largest square of a speed that a contact gave. `moved`: own rows that got new homes. `border`: places
-    of the rows that more than one rank knows.
-    """
+    window: Array  # (1,) number of the window, 0 while no log is needed
+    changed_count: Array  # (1,) rows that were changed in the window
+    changed: Array  # (n,) int32, these, in the order of their first changes
+    mark: Array  # (n, 2): the last WINDOW in which a row was changed, and its PLACE in `changed`
+    saved: Array  # (n * record_width,) records of these rows, as they were before
+    saved_bits: Array  # the same memory as int64
+    fastest2: Array  # (1,) the largest square of a speed that a contact gave
+    moved_count: Array  # (1,) own rows that got new reference positions, since `reconcile` last dealt with them
+    moved: Array  # (n,) int32, these
+    is_moved: Array  # (n,) bool
+    border_count: Array  # (1,) changed rows that more than one rank knows
+    border: Array  # (n,) int32, places of these in `changed`
 
-    def __init__(self, rows: int, dimension: int):
-        self.window, self.count, self.fastest = np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1)
-        self.mark, self.rows = np.zeros((rows, 2), np.int64), np.empty(rows, np.int32)
-        self.saved = np.empty((rows, record_width(dimension)))
-        self.moved, self.movers, self.is_mover = np.zeros(1, np.int64), np.empty(rows, np.int32), np.zeros(rows, np.bool_)
-        self.shared, self.border = np.zeros(1, np.int64), np.empty(rows, np.int32)
 
-    def grow(self) -> None:
-        """For twice as many rows."""
-        for name in ("mark", "rows", "saved", "movers", "is_mover", "border"):
-            old = getattr(self, name)
-            setattr(self, name, np.concatenate((old, np.zeros_like(old))))
+def new_log(n: int, d: int) -> Log:
+    """For n rows in d dimensions."""
+    saved = np.empty(n * record_width(d))
+    one = np.zeros((4, 1), np.int64)
+    return Log(
+        one[0], one[1], np.empty(n, np.int32), np.zeros((n, 2), np.int64), saved, saved.view(np.int64), np.zeros(1),
+        one[2], np.empty(n, np.int32), np.zeros(n, np.bool_), one[3], np.empty(n, np.int32),
+    )  # fmt: skip
 
-    def arrays(self) -> tuple[Array, ...]:
-        """What the kernels take; records one after the other."""
-        return (
-            self.window, self.mark, self.rows, self.count, self.saved.ravel(), self.saved.ravel().view(np.int64),
-            self.fastest, self.moved, self.movers, self.is_mover, self.shared, self.border,
-        )  # fmt: skip
+
+def enlarged_log(log: Log) -> Log:
+    """For twice as many rows."""
+    per_row = {name: getattr(log, name) for name in ("changed", "mark", "saved", "moved", "is_moved", "border")}
+    doubled = {name: np.concatenate((old, np.zeros_like(old))) for name, old in per_row.items()}
+    return log._replace(**doubled, saved_bits=doubled["saved"].view(np.int64))
 
 
 @lean_inner
-def save_row(d, leg, state, i, out, words, at):
-    """The record of row i, in d dimensions, to `out` from place `at` on; returns where it ends."""
-    for k in range(2 * d + 1):
-        out[at + k] = leg[i, k]
-    at += 2 * d + 1
-    words[at], words[at + 1], words[at + 2] = state[i, MET], state[i, STUCK], state[i, HISTORY]
-    words[at + 3], words[at + 4] = state[i, LAST], state[i, VIRIAL]
+def save_row(d, rows, i, out, out_bits, at):
+    """Write the record of row i, in d dimensions, to `out` from place `at` on; returns where it ends."""
+    segment, state = rows.segment, rows.state
+    for k in range(2 * d + START + 1):
+        out[at + k] = segment[i, k]
+    at += 2 * d + START + 1
+    out_bits[at], out_bits[at + 1], out_bits[at + 2] = state[i, LAST_PARTNER], state[i, RAPID_EVENTS], state[i, TRAJECTORY_HASH]
+    out_bits[at + 3], out_bits[at + 4] = state[i, LAST_CONTACT], state[i, VIRIAL]
     return at + 5
 
 
 @lean_inner
-def load_row(leg, state, i, out, words, at):
-    """Row i as the record at place `at` of `out` says. What others foresaw of it is void."""
-    last = leg.shape[1] - 1  # where the radius is
-    for k in range(last):
-        leg[i, k] = out[at + k]
-    at += last
-    state[i, MET], state[i, STUCK], state[i, HISTORY] = words[at], words[at + 1], words[at + 2]
-    state[i, LAST], state[i, VIRIAL] = words[at + 3], words[at + 4]
-    state[i, TURNS] += 1
+def load_row(d, rows, i, record, bits, at):
+    """Restore row i from the record at place `at`; raise its event count, so that queued events with it are void."""
+    segment, state = rows.segment, rows.state
+    for k in range(2 * d + START + 1):
+        segment[i, k] = record[at + k]
+    at += 2 * d + START + 1
+    state[i, LAST_PARTNER], state[i, RAPID_EVENTS], state[i, TRAJECTORY_HASH] = (
+        bits[at],
+        bits[at + 1],
+        bits[at + 2],
+    )
+    state[i, LAST_CONTACT], state[i, VIRIAL] = bits[at + 3], bits[at + 4]
+    state[i, EVENT_COUNT] += 1
 
 
 @lean_inner
-def remember(axes, leg, state, i, log):
-    """Something is about to happen to row i."""
-    window, mark, rows, count, saved, words, _, _, _, _, shared, border = log
-    if mark[i, 0] != window[0]:
-        mark[i, 0], mark[i, 1] = window[0], count[0]
-        rows[count[0]] = i
-        if state[i, MINE] != OWN:
-            border[shared[0]] = count[0]
-            shared[0] += 1
-        save_row(np.int64(len(axes)), leg, state, i, saved, words, count[0] * record_width(len(axes)))
+def save_once(axes, rows, i, log):
+    """Row i is about to change: save it, once in a window."""
+    mark, count = log.mark, log.changed_count
+    if mark[i, WINDOW] != log.window[0]:
+        mark[i, WINDOW], mark[i, PLACE] = log.window[0], count[0]
+        log.changed[count[0]] = i
+        if rows.state[i, OWNERSHIP] != OWN:
+            log.border[log.border_count[0]] = count[0]
+            log.border_count[0] += 1
+        save_row(np.int64(len(axes)), rows, i, log.saved, log.saved_bits, count[0] * record_width(len(axes)))
         count[0] += 1
 
 
 @lean_inner
-def note_leg(axes, leg, leg_words, state, i, log):
-    """Row i has begun a new leg: into its history, and was it ever so fast?"""
+def note_segment(axes, rows, i, log):
+    """Row i has begun a new segment: add it to the row's hash, and its speed to the log."""
+    segment, bits, state = rows.segment, rows.segment_bits, rows.state
     d = len(axes)
-    fastest = log[6]
-    speed = 0.0
-    h = state[i, HISTORY] ^ state[i, MET]
+    speed2 = 0.0
+    h = state[i, TRAJECTORY_HASH] ^ state[i, LAST_PARTNER]
     for k in range(d):
-        speed += leg[i, d + k] * leg[i, d + k]
-        h = (h ^ leg_words[i, d + k]) * ODD
+        speed2 += segment[i, d + k] * segment[i, d + k]
+        h = (h ^ bits[i, d + k]) * ODD
         h ^= h >> 29
-    state[i, HISTORY] = (h ^ leg_words[i, 2 * d]) * ODD
-    fastest[0] = max(fastest[0], speed)
+    state[i, TRAJECTORY_HASH] = (h ^ bits[i, 2 * d + START]) * ODD
+    log.fastest2[0] = max(log.fastest2[0], speed2)
 
 
 @lean_inner
-def note_home(i, log):
-    """Row i has a new home."""
-    moved, movers, is_mover = log[7], log[8], log[9]
-    if not is_mover[i]:
-        is_mover[i] = True
-        movers[moved[0]] = i
-        moved[0] += 1
+def note_move(i, log):
+    """Row i has a new reference position."""
+    if not log.is_moved[i]:
+        log.is_moved[i] = True
+        log.moved[log.moved_count[0]] = i
+        log.moved_count[0] += 1
+
+
+@lean_inner
+def has_new_segment(d, rows, log, p):
+    """Has the row at place p of the log got a new segment in the window, or only a new reference position?"""
+    return log.saved_bits[p * record_width(d) + hash_place(d)] != rows.state[log.changed[p], TRAJECTORY_HASH]

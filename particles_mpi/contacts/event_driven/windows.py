@@ -1,34 +1,42 @@
 """Mode `event` on several ranks: each computes its part of space a short window of time ahead, and ranks verify one another.
 
-Space is divided into regions. A rank owns the particles whose homes are in its region and has the others near it as ghosts,
-and computes all contacts among these rows in the window as if there were nobody else. That is right for particles of its own
-unless one of them met, or should have met, a ghost that had a wrong history here, for lack of what is beyond the ghosts. So
-owners tell what happened to their rows; if a ghost that may have met an own particle had another history here, all ranks undo
-the window and compute half of it. If not, the union of what the owners found is the exact run (README, by induction over the
-contacts in order of time). Ghosts that went wrong further out are corrected. Windows leave no trace in the bits.
+Space is divided into regions. A rank owns the particles whose reference positions are in its region, has those near it as
+ghosts, and computes all contacts among these rows in the window as if there were no others. That is right for its own particles
+unless one of them touched, or should have touched, a ghost that went wrong here for lack of what is beyond the ghosts. So after
+a window owners send what happened to their rows. If a ghost that can have touched an own particle has another trajectory hash
+at its owner, all ranks undo the window and compute half of it. If there is none, the union of what the owners found is the exact
+run (README, by induction over the contacts in order of time); ghosts that went wrong further out are corrected. Windows leave
+no trace in the bits.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from particles_mpi.contacts.event_driven.engine import SETTLED, Engine
-from particles_mpi.contacts.event_driven.event_loop import COLLISIONS, WALL_HITS
+from particles_mpi.contacts.event_driven.engine import MOST_EXPIRIES, Engine
+from particles_mpi.contacts.event_driven.event_loop import ANY_SQUEEZED, COLLISIONS, WALL_HITS
 from particles_mpi.contacts.event_driven.messages import (
-    admit,
-    check,
-    correct,
-    mark_holders,
+    HOLDER,
+    PLACE,
+    Directory,
+    Message,
+    Moves,
+    apply_moves,
+    message_of,
+    pack_changes,
     pack_motion,
-    pack_news,
-    plan_moves,
-    undo,
+    reconcile,
+    roll_back,
     unpack_motion,
 )
-from particles_mpi.contacts.event_driven.rollback import KNOWN, MINE, OWN, record_width
+from particles_mpi.contacts.event_driven.regions import Regions, is_wrong, mark_holders, plan_moves
+from particles_mpi.contacts.event_driven.rollback import record_width
+from particles_mpi.contacts.event_driven.rows import OWN, OWNERSHIP, SHARED
+from particles_mpi.kernels.geometry import Box
 from particles_mpi.neighbours.cells import bounds, order_in_space
 from particles_mpi.neighbours.trajectories import fastest
-from particles_mpi.neighbours.verlet_kernels import MARGIN
+from particles_mpi.neighbours.verlet_kernels import MARGIN, SIZE
+from particles_mpi.neighbours.verlet_lists import enlarged
 from particles_mpi.parallel.agreement import require_finite
 from particles_mpi.parallel.buffers import RowBuffers
 from particles_mpi.parallel.communicator import Communicator
@@ -37,8 +45,8 @@ from particles_mpi.parallel.load_balance import LoadBalance
 from particles_mpi.particles import Array, Particles, field
 from particles_mpi.timers import Timers
 
-STRAY = 0.125  # of a shell: how far a row may get in a window
-DEPTH = 1.2  # mean diameters of ghosts beyond those that own particles can meet: wrong histories have to come through them
+DISPLACEMENT_BOUND = 0.125  # of a skin: how far a row may get in a window
+DEPTH = 1.2  # mean diameters of ghosts beyond those that own particles can touch: what went wrong has to come through them
 CROWDED = 0.75  # of all particles on one rank, ghosts included: then each may as well compute everything
 FASTER, SLOWER = 1.015, 0.6  # what success and failure do to the length of a window: in balance about 3 % fail
 START, GROWING = 0.25, 1.2  # of the longest window: the first one; and how it grows until one fails
@@ -51,42 +59,44 @@ UNTRIED = 1000  # windows a step at most where the number of contacts is not kno
 class Windows:
     """Drifts the particles of all ranks; `count` and `redone` are the numbers of windows.
 
-    `always`: even where it does not pay, for tests and to compile everything.
+    `always`: even where it does not pay, for tests and to compile everything. `version` of the particles for which the rows of
+    the engine were loaded, `own_rows` (particles,) the row of each.
     """
 
-    def __init__(
-        self, particles: Particles, ranks: Communicator, engine: Engine, box: tuple[Array, Array, Array], timers: Timers
-    ):
+    directory: Directory
+    regions: Regions
+
+    def __init__(self, particles: Particles, ranks: Communicator, engine: Engine, box: Box, timers: Timers):
         self.particles, self.ranks, self.engine, self.timers = particles, ranks, engine, timers
-        self.lower, self.upper, self.length = box
+        self.box = box
         self.balance, self.row_buffers = LoadBalance(ranks, timers), RowBuffers(particles)
         self.version = -1
         self.searches = self.migrated = self.ghost_rows = self.count = self.redone = 0
         self.always = False
-        self.window = 0.0
+        self.window = 0.0  # length of the next one
         self.growing = True
         self.buffers: dict[int, Array] = {}
         self.total = int(ranks.allreduce_sum(len(particles))[0])
-        self.row_of = np.full(int(ranks.allreduce_max(particles.id.max(initial=-1))[0]) + 1, -1, np.int32)  # of each id here
+        self.ids = int(ranks.allreduce_max(particles.id.max(initial=-1))[0]) + 1
 
     def drift(self, h: float, moment: float) -> Array | None:
         """(collisions, wall hits, missed) of this rank, or None where it cannot be done; then nothing has changed. Collective."""
         engine, p = self.engine, self.particles
         with self.timers("agree"):
-            speed = self.set_out(moment)
+            speed = self.prepare(moment)
         if self.crowded and not self.always:
             return None
-        self.longest = 0.9 * self.stray / speed if speed > 0.0 else np.inf
+        self.longest = 0.9 * self.displacement_bound / speed if speed > 0.0 else np.inf
         if h / self.longest > (self.events / WORTH if self.events else UNTRIED) and not self.always:
             return None
         self.window = min(self.window or START * self.longest, self.longest)
         with self.timers("ghosts"):
-            self.tell_motion()
+            self.send_motion()
         with self.timers("search"):
             engine.begin(h)
-            engine.far[1] = True  # a squeezed ghost may come by message
+            engine.work.flags[ANY_SQUEEZED] = True  # a squeezed ghost may come by message
         begin = end = 0.0
-        tries = self.given = 0
+        tries = self.transferred = 0
         while begin < h:
             end = begin + self.window if tries == 0 else begin + 0.5 * (min(end, h) - begin)
             last = end >= h
@@ -103,124 +113,108 @@ class Windows:
                     self.window, self.growing = 0.0, True
                     return None
         with self.timers("drift"):
-            squeezed = engine.arrive()
+            squeezed = engine.end_drift()
         with self.timers("migrate"):
             self.migrate()
-            engine.hand_over(p, self.seat)
-        return np.array([engine.counts[COLLISIONS], engine.counts[WALL_HITS], squeezed])
+            engine.write_back(p, self.own_rows)
+        return np.array([engine.work.counts[COLLISIONS], engine.work.counts[WALL_HITS], squeezed])
 
-    def set_out(self, moment: float) -> float:
-        """Own rows on their way, all rows settled where they must be; returns the largest speed of all."""
+    def prepare(self, moment: float) -> float:
+        """Own rows on their way, after `redistribute` where it is time for that; returns the largest speed of all. Collective."""
         p, engine = self.particles, self.engine
         while True:
-            stale = self.version != p.version
-            if stale:
+            outdated = self.version != p.version
+            if outdated:
                 speed = fastest(p.position, p.velocity)
             else:
-                moved, speed = engine.set_out(p, self.seat)
-                stale = moved or engine.moved > SETTLED * len(engine.leg)
+                moved, speed = engine.start_drift(p, self.own_rows)
+                outdated = moved or engine.expiries > MOST_EXPIRIES * len(engine.rows.segment)
             speed = speed if speed < np.inf else np.inf  # or it is not a number
-            stale, speed, self.events = self.ranks.allreduce_max(np.array([stale, speed, engine.events], float))
+            outdated, speed, self.events = self.ranks.allreduce_max(np.array([outdated, speed, engine.events], float))
             require_finite(self.ranks, p, speed, f"t = {moment:g}")
-            if not stale:
+            if not outdated:
                 break
-            self.settle()
-        self.holder[self.seat, 0], self.holder[self.seat, 1] = self.ranks.rank, np.arange(len(p))
+            self.redistribute()
+        self.directory.fields_at[self.own_rows, HOLDER] = self.ranks.rank
+        self.directory.fields_at[self.own_rows, PLACE] = np.arange(len(p))
         return float(speed)
 
-    def settle(self) -> None:
-        """Particles to the ranks whose regions they are in, ghosts to all who need them, new homes for all. Collective."""
-        p, engine, ranks = self.particles, self.engine, self.ranks
-        homes = engine.homes
+    def redistribute(self) -> None:
+        """Particles to the ranks whose regions they are in, ghosts to all who need them, new lists for all. Collective."""
+        p, engine, ranks, lists = self.particles, self.engine, self.ranks, self.engine.lists
         self.balance.update(p, self.searches)
         self.row_buffers.adopt()
         self.migrated += self.row_buffers.migrate(ranks, self.balance.decomposition.owner(self.wrapped(p.position)))
         n, d = len(p), p.dimension
         if n > 1:
             self.row_buffers.sort(order_in_space(p.position, bounds(p.position)))
-        homes.settle(p.position, p.radius, p.inverse_mass)
-        total = self.total
-        mine = np.array([homes.shell, p.radius.max(initial=0.0)])
-        self.shell, largest = (float(value) for value in ranks.allreduce_max(mine))
-        mean = float(ranks.allgather_array(np.array([p.radius.sum()])).sum()) / max(total, 1)
-        self.stray = STRAY * self.shell
-        # Between a region and whom its particles may meet in a window, less the radius of that one:
-        self.reach = (self.shell + 2.0 * self.stray + largest) * MARGIN
-        self.depth = (self.reach + 2.0 * max(DEPTH * mean, largest)) * MARGIN
-        homes.shell_width = self.shell
-        self.cut()
-        self.near = self.neighbours(self.depth + largest + self.shell + 2.0 * self.shell + self.stray)
-        self.known = np.array([*self.near, ranks.rank])
-        told = np.zeros((n, ranks.size // 64 + 1), np.int64)
-        homes.home[:n, d] = p.radius + np.where(p.inverse_mass > 0.0, self.shell, 0.0)
-        self.mark(np.arange(n, dtype=np.int32), told)
-        bits = [told[:, r >> 6] >> (r & 63) & 1 for r in range(ranks.size)]
+        lists.tune(p.position, p.radius, p.inverse_mass)
+        self.skin, largest = (float(value) for value in ranks.allreduce_max(np.array([lists.skin, p.radius.max(initial=0.0)])))
+        mean = float(ranks.allgather_array(np.array([p.radius.sum()])).sum()) / max(self.total, 1)
+        self.displacement_bound = DISPLACEMENT_BOUND * self.skin
+        lists.width = self.skin
+        self.divide(largest, mean)
+        holders = np.zeros((n, ranks.size // 64 + 1), np.int64)
+        reference = lists.arrays.reference
+        reference[:n, d + SIZE] = p.radius + np.where(p.inverse_mass > 0.0, self.skin, 0.0)
+        mark_holders(reference, np.arange(n, dtype=np.int32), tuple(self.regions), holders)
+        bits = [holders[:, r >> 6] >> (r & 63) & 1 for r in range(ranks.size)]
         sent = [np.flatnonzero(bit) if r != ranks.rank else np.empty(0, int) for r, bit in enumerate(bits)]
         names = [name for name in p.arrays if field(name).ghost or name == "virial"]
         arrived, _ = send_rows(
             ranks, {name: p[name] for name in names}, np.concatenate(sent), np.array([len(rows) for rows in sent], np.int32)
         )
-        rows = Particles(d, {name: np.concatenate((p[name], arrived[name])) for name in names})
-        ghosts = len(rows) - n
+        here = Particles(d, {name: np.concatenate((p[name], arrived[name])) for name in names})
+        ghosts = len(here) - n
         spare = ghosts // 2 + 256
-        homes.share = total / max(len(rows), 1)
-        homes.build(rows.position, rows.radius, rows.inverse_mass, spare)
-        engine.settle(rows, n, spare)
-        others = told.copy()
+        lists.share = self.total / max(len(here), 1)
+        lists.build(here.position, here.radius, here.inverse_mass, spare)
+        engine.load(here, n, spare)
+        others = holders.copy()
         others[:, ranks.rank >> 6] &= ~(np.int64(1) << np.int64(ranks.rank & 63))
-        engine.state[:n, MINE][others.any(axis=1)] = KNOWN
-        self.told, self.holder, self.heard = (
-            np.concatenate((told, np.zeros((ghosts + spare, told.shape[1]), np.int64))),
-            np.zeros((n + ghosts + spare, 2), np.int64),
-            np.zeros(n + ghosts + spare, np.int64),
-        )
-        self.free = np.roll(np.arange(n + ghosts + spare, dtype=np.int32), spare)  # the first `free_count` of these
-        self.free_count = np.array([spare])
-        self.row_of[:] = -1
-        self.row_of[rows.id] = np.arange(len(rows))
-        self.seat = np.arange(n, dtype=np.int32)
-        self.crowded = bool(ranks.allreduce_max(float(len(rows)))[0] > CROWDED * total)
+        engine.rows.state[:n, OWNERSHIP][others.any(axis=1)] = SHARED
+        total = len(here) + spare
+        row_of = np.full(self.ids, -1, np.int32)
+        row_of[here.id] = np.arange(len(here))
+        self.directory = Directory(
+            row_of, enlarged(holders, np.zeros((total, holders.shape[1]), np.int64)), np.zeros((total, 2), np.int64),
+            np.zeros(total, np.int64), np.roll(np.arange(total, dtype=np.int32), spare), np.array([spare]),
+        )  # fmt: skip
+        self.own_rows = np.arange(n, dtype=np.int32)
+        self.crowded = bool(ranks.allreduce_max(float(len(here)))[0] > CROWDED * self.total)
         self.ghost_rows += ghosts
         self.version = p.version
         self.searches += 1
 
     def wrapped(self, x: Array) -> Array:
-        """Places x (n, d) in the box where it is periodic."""
-        periodic = self.length > 0.0
+        """Positions x (n, d) in the box where it is periodic."""
+        lower, _, length = self.box
+        periodic = length > 0.0
         x = x.copy()
-        x[:, periodic] -= np.floor((x - self.lower)[:, periodic] / self.length[periodic]) * self.length[periodic]
+        x[:, periodic] -= np.floor((x - lower)[:, periodic] / length[periodic]) * length[periodic]
         return x
 
-    def cut(self) -> None:
-        """The regions of all ranks: `low`, `high` (ranks, d), within the box where it is periodic."""
-        domain, periodic = self.balance.decomposition, self.length > 0.0
-        self.low = np.where(periodic, np.maximum(domain.lower, self.lower), domain.lower)
-        self.high = np.where(periodic, np.minimum(domain.upper, self.upper), domain.upper)
+    def divide(self, largest: float, mean: float) -> None:
+        """The regions of all ranks, and those who may have to exchange messages; `largest`, `mean`: radius of all particles."""
+        me, domain, length = self.ranks.rank, self.balance.decomposition, self.box.length
+        low = np.where(length > 0.0, np.maximum(domain.lower, self.box.lower), domain.lower)
+        high = np.where(length > 0.0, np.minimum(domain.upper, self.box.upper), domain.upper)
+        reach = (self.skin + 2.0 * self.displacement_bound + largest) * MARGIN
+        depth = (reach + 2.0 * max(DEPTH * mean, largest)) * MARGIN
+        apart = np.full(low.shape, np.inf)  # from the region of this rank to the nearest image of each
+        for shift in (0.0, length, -length):
+            apart = np.minimum(apart, np.maximum(np.maximum(low[me] + shift - high, low - high[me] - shift), 0.0))
+        within = depth + largest + self.skin + 2.0 * self.skin + self.displacement_bound
+        self.near = [int(rank) for rank in np.flatnonzero((apart**2).sum(axis=1) <= within**2) if rank != me]
+        self.regions = Regions(low, high, tuple(self.box), me, np.array([*self.near, me]), reach, depth)
 
-    def neighbours(self, distance: float) -> list[int]:
-        """The ranks whose regions, or images of them, are no further than this from this one's."""
-        me, apart = self.ranks.rank, np.full(self.low.shape, np.inf)
-        for shift in (0.0, self.length, -self.length):
-            gap = np.maximum(np.maximum(self.low[me] + shift - self.high, self.low - self.high[me] - shift), 0.0)
-            apart = np.minimum(apart, gap)
-        near = np.flatnonzero((apart**2).sum(axis=1) <= distance**2)
-        return [int(rank) for rank in near if rank != me]
-
-    def mark(self, rows: Array, masks: Array) -> None:
-        """masks[p]: all ranks that must know row rows[p], this one too."""
-        engine = self.engine
-        mark_holders(engine.homes.home, rows, self.known, self.low, self.high, self.length, self.lower, self.depth, masks)
-
-    def tell_motion(self) -> None:
-        """Ghosts on their way as their owners are."""
-        engine = self.engine
-        outgoing = []
+    def send_motion(self) -> None:
+        """Ghosts start on the segments that their owners' rows start on. Collective."""
+        rows, outgoing = tuple(self.engine.rows), []
         for rank in self.near:
-            buffer = self.buffer(rank, len(engine.leg) * (1 + 3 * len(engine.axes)))
-            size = pack_motion(engine.leg, engine.state, engine.accelerations, self.told, rank, buffer, buffer.view(np.int64))
-            outgoing.append(buffer[:size])
-        message = sendrecv(self.ranks, self.near, outgoing)
-        unpack_motion(engine.leg, engine.state, engine.accelerations, self.row_of, message, message.view(np.int64))
+            message = message_of(self.buffer(rank, len(self.engine.rows.segment) * (1 + 3 * len(self.box.length))))
+            outgoing.append(message.numbers[: pack_motion(rows, self.directory.holders, rank, tuple(message))])
+        unpack_motion(rows, self.directory.row_of, tuple(message_of(sendrecv(self.ranks, self.near, outgoing))))
 
     def buffer(self, rank: int, size: int) -> Array:
         """Room for a message to a rank."""
@@ -230,112 +224,92 @@ class Windows:
 
     def one_window(self, begin: float, until: float, length: float, moment: float) -> bool:
         """All contacts from `begin` to `until`, verified; False if they had to be undone. Collective."""
-        engine, log = self.engine, self.engine.log
+        engine, log, ranks = self.engine, self.engine.log, self.ranks
         self.count += 1
         log.window[0] = self.count
-        log.count[0], log.shared[0], log.fastest[0] = 0, 0, 0.0
-        before = engine.counts.copy()
+        log.changed_count[0], log.border_count[0], log.fastest2[0] = 0, 0, 0.0
+        before = engine.work.counts.copy()
         with self.timers("collide"):
             engine.run(begin, until, moment)
         with self.timers("ghosts"):
-            wanted, owner = self.plan_moves()
-            incoming = sendrecv(self.ranks, self.near, [self.news(rank, wanted, owner) for rank in self.near])
-            wrong = self.wrong(begin, incoming)
+            moves = self.plan_moves()
+            message = message_of(sendrecv(ranks, self.near, [self.changes_for(rank, moves) for rank in self.near]))
+            rows, directory, regions = tuple(engine.rows), tuple(self.directory), tuple(self.regions)
+            wrong = is_wrong(rows, directory, tuple(log), regions, begin, tuple(message))
         with self.timers("agree"):
-            given = self.given + int((owner != self.ranks.rank).sum())
-            wrong, fastest2, given = self.ranks.allreduce_max(np.array([wrong, log.fastest[0], given], float))
+            transferred = self.transferred + int((moves.owner != ranks.rank).sum())
+            wrong, fastest2, transferred = ranks.allreduce_max(np.array([wrong, log.fastest2[0], transferred], float))
         with self.timers("ghosts"):
-            if wrong or np.sqrt(fastest2) * length > self.stray:
+            if wrong or np.sqrt(fastest2) * length > self.displacement_bound:
                 self.undo(before)
                 return False
-            self.given = int(given)
-            self.longest = min(self.longest, 0.9 * self.stray / np.sqrt(fastest2)) if fastest2 > 0.0 else self.longest
-            self.accept(incoming, wanted, owner)
+            self.transferred = int(transferred)
+            if fastest2 > 0.0:
+                self.longest = min(self.longest, 0.9 * self.displacement_bound / np.sqrt(fastest2))
+            self.accept(message, moves)
         return True
 
-    def plan_moves(self) -> tuple[Array, Array]:
-        """(masks of who must know them, owner) of own rows that got new homes."""
-        log, me = self.engine.log, self.ranks.rank
-        domain = self.balance.decomposition
+    def plan_moves(self) -> Moves:
+        """For the own rows that got new reference positions: who must hold them, and who owns them."""
+        log, domain = self.engine.log, self.balance.decomposition
+        moved = int(log.moved_count[0])
+        moves = Moves(np.zeros((moved, self.directory.holders.shape[1]), np.int64), np.empty(moved, np.int64))
         tree = domain.axis, domain.cut, domain.below, domain.above
-        moved = int(log.moved[0])
-        wanted, owner = np.zeros((moved, self.told.shape[1]), np.int64), np.empty(moved, np.int64)
-        plan_moves(
-            self.engine.homes.home, log.arrays(), me, self.known, self.low, self.high, self.length,
-            self.lower, self.depth, tree, wanted, owner,
-        )  # fmt: skip
-        return wanted, owner
+        plan_moves(self.engine.lists.arrays.reference, tuple(log), tuple(self.regions), tree, tuple(moves))
+        return moves
 
-    def news(self, rank: int, wanted: Array, owner: Array) -> Array:
-        """What a rank must hear."""
-        engine, log, d = self.engine, self.engine.log, len(self.length)
-        part = record_width(d) + d + 6 + self.told.shape[1] + engine.differing
-        buffer = self.buffer(rank, (int(log.shared[0]) + 3 * int(log.moved[0])) * part)
-        size = pack_news(
-            engine.leg, engine.state, engine.homes.home, engine.accelerations, engine.drags, self.told, self.holder,
-            log.arrays(), wanted, owner, rank, buffer, buffer.view(np.int64),
-        )  # fmt: skip
-        return buffer[:size]
-
-    def wrong(self, begin: float, message: Array) -> bool:
-        """Had a ghost that may have met an own row another history at its owner?"""
-        engine, me = self.engine, self.ranks.rank
-        return check(
-            engine.leg, engine.state, self.row_of, engine.log.arrays(), self.heard, begin, self.low[me],
-            self.high[me], self.length, self.lower, self.reach, message, message.view(np.int64), self.told.shape[1],
-            engine.differing,
-        )  # fmt: skip
+    def changes_for(self, rank: int, moves: Moves) -> Array:
+        """What happened in the window, for a rank."""
+        engine, log, d = self.engine, self.engine.log, len(self.box.length)
+        widest = record_width(d) + d + 6 + moves.holders.shape[1] + engine.differing
+        message = message_of(self.buffer(rank, (int(log.border_count[0]) + 3 * int(log.moved_count[0])) * widest))
+        rows, directory, reference = tuple(engine.rows), tuple(self.directory), engine.lists.arrays.reference
+        size = pack_changes(rows, reference, directory, tuple(log), tuple(moves), rank, tuple(message))
+        return message.numbers[:size]
 
     def undo(self, before: Array) -> None:
         """All rows and counts as they were when the window began."""
         engine = self.engine
-        engine.pending = undo(engine.leg, engine.state, engine.log.arrays(), engine.todo)
-        engine.counts[:] = before
+        engine.pending = roll_back(tuple(engine.rows), tuple(engine.log), engine.work.stale)
+        engine.work.counts[:] = before
         self.redone += 1
 
-    def accept(self, message: Array, wanted: Array, owner: Array) -> None:
+    def accept(self, message: Message, moves: Moves) -> None:
         """The window is right: correct the other ghosts, and let rows come, go and change owners."""
-        engine, words = self.engine, message.view(np.int64)
-        pending = np.zeros(1, np.int64)
-        pending[0] = correct(
-            engine.leg, engine.state, self.row_of, engine.log.arrays(), self.heard, message, words,
-            engine.differing, self.told, wanted, owner, self.ranks.rank, engine.todo,
-        )  # fmt: skip
-        at = 0
-        while at < len(message):
-            homes = engine.homes
-            places = homes.home, homes.links, homes.lists, homes.pool, homes.top, homes.head, homes.around
-            at, short = admit(
-                engine.leg, engine.state, engine.accelerations, engine.drags, engine.slot, engine.heads, self.row_of,
-                places, homes.grid, homes.level, self.shell, self.length, self.told, self.holder, self.free, self.free_count,
-                engine.todo, pending, message, words, at,
+        engine, at = self.engine, 0
+        rows, directory, log = tuple(engine.rows), tuple(self.directory), tuple(engine.log)
+        pending = reconcile(rows, directory, log, tuple(message), tuple(moves), self.ranks.rank, engine.work.stale)
+        stale_count = np.array([pending])
+        while at < len(message.numbers):
+            at, short = apply_moves(
+                tuple(engine.rows), tuple(engine.lists.arrays), tuple(engine.queue), tuple(self.directory), tuple(message), at,
+                self.skin, engine.work.stale, stale_count,
             )  # fmt: skip
             if short > 0:
-                homes.enlarge(short)
+                engine.lists.enlarge(short)
             elif short < 0:
                 self.grow()
-        engine.pending = int(pending[0])
+        engine.pending = int(stale_count[0])
 
     def grow(self) -> None:
         """More rows than there is room for came near."""
-        more = self.engine.grow()
-        self.free = np.concatenate((more, self.free))
-        self.free_count[0] = len(more)
-        self.told, self.holder, self.heard = (
-            np.concatenate((old, np.zeros_like(old))) for old in (self.told, self.holder, self.heard)
-        )
+        more, old = self.engine.grow(), self.directory
+        old.free_count[0] = len(more)
+        rows = {name: getattr(old, name) for name in ("holders", "fields_at", "updated")}
+        doubled = {name: np.concatenate((array, np.zeros_like(array))) for name, array in rows.items()}
+        self.directory = old._replace(**doubled, free=np.concatenate((more, old.free)))
 
     def migrate(self) -> None:
         """The fields of particles that changed owner go to their new owners. Collective."""
-        if not self.given:
+        if not self.transferred:
             return
-        engine, p, ranks = self.engine, self.particles, self.ranks
-        came = np.flatnonzero((engine.state[:, MINE] >= OWN) & (self.holder[:, 0] != ranks.rank))
-        order, counts = by_destination(self.holder[came, 0], ranks.size)
-        asked, of = send_rows(ranks, {"row": self.holder[:, 1]}, came[order], counts)
+        p, ranks, fields_at = self.particles, self.ranks, self.directory.fields_at
+        came = np.flatnonzero((self.engine.rows.state[:, OWNERSHIP] >= OWN) & (fields_at[:, HOLDER] != ranks.rank))
+        order, counts = by_destination(fields_at[came, HOLDER], ranks.size)
+        asked, of = send_rows(ranks, {"row": fields_at[:, PLACE]}, came[order], counts)
         owner = np.full(len(p), ranks.rank)
         owner[asked["row"]] = np.repeat(np.arange(ranks.size), of)
         self.row_buffers.adopt()
         self.migrated += self.row_buffers.migrate(ranks, owner)
-        self.seat = self.row_of[p.id]
+        self.own_rows = self.directory.row_of[p.id]
         self.version = p.version

@@ -36,7 +36,8 @@ from particles_mpi.contacts.walls import Planes
 from particles_mpi.kernels.fingerprint import fingerprint
 from particles_mpi.kernels.markers import CROWD, PRESSED
 from particles_mpi.neighbours.candidates import touching
-from particles_mpi.neighbours.halo_region import share
+from particles_mpi.neighbours.halo_region import fetch_near_rows
+from particles_mpi.neighbours.trajectories import AT_REST
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.particles import Array, Particles, places_of, row_dot, rows_of
@@ -130,7 +131,7 @@ class Rest:
         known = {"id": p.id, "position": p.position, "wide": wide, "w": w}
         if self.ranks.size > 1:
             still = p.position, np.zeros_like(p.position), CLOSE * wide
-            _, _, _, theirs, _ = share(self.ranks, known, still, 0.0, 0.0, 0.0, self.length)
+            _, _, _, theirs, _ = fetch_near_rows(self.ranks, known, still, AT_REST, self.length)
             known = {name: np.concatenate((column, theirs[name])) for name, column in known.items()}
         first, second = touching(known["position"], known["wide"], known["w"], known["id"], self.length)
         rows = np.concatenate((first, second))

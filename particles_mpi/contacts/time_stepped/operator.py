@@ -1,13 +1,13 @@
 """The operator `rewind`: go back to the instant of contact, change the velocities, move forward again; several passes.
 
-In a pass each candidate pair, and each particle near a wall, gets the time of its first contact on the present legs. A
+In a pass each candidate pair, and each particle near a wall, gets the time of its first contact on the present segments. A
 contact takes place if it is, for both partners, the earliest under the total order (time, pair before wall, lower id,
 higher id or wall). That rule looks only at the two partners' own contacts, so the owners of the partners come to the same
 decision on any number of ranks: they publish which contact is first for their particles, and each changes its copy of both
 partners by the same arithmetic. What is left after the last pass is counted as missed. Where forces press particles
 together, which would then sink into one another and get hot, such a drift is done again by the operator `event`.
 
-Legs are searched over the whole drift, not only for an overlap at its end: a pair that meets and separates within one step,
+Segments are searched over the whole drift, not only for an overlap at its end: a pair that meets and separates within one step,
 or is past its closest approach at the end, collides like any other, so one contact is exact at every step length.
 """
 
@@ -17,17 +17,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from particles_mpi.contacts.law import Loss
+from particles_mpi.contacts.time_stepped.contact_search import deepest_hit, deepest_supported, find_contacts, find_wall_hits
 from particles_mpi.contacts.time_stepped.passes import (
-    choose,
-    deepest,
-    deepest_at,
-    find_contacts,
-    find_wall_hits,
+    MISSED,
+    WALL_HITS,
+    ContactRules,
+    Selection,
+    UndoLog,
+    apply_contacts,
     finish_walls,
-    take_place,
+    select_contacts,
 )
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.contacts.walls import Planes, no_planes
+from particles_mpi.kernels.jit import plain
+from particles_mpi.kernels.markers import NOBODY
+from particles_mpi.neighbours.candidates import Hits
 from particles_mpi.neighbours.neighbour_list import Neighbourhood
 from particles_mpi.particles import Array
 from particles_mpi.timers import Timers
@@ -38,7 +44,7 @@ if TYPE_CHECKING:
 NONE = np.empty(0)
 LATE = 1e-6  # of a radius: an overlap that is no round-off
 DEEP = 0.5e-3  # of a radius: an overlap at the end of a drift, which nobody may keep
-CROWDED = 3  # passes, after which that is no matter of two who soon move apart
+CROWDED = 3  # passes, after which partners that overlap are taken as a sign of a crowd, not of two who soon move apart
 
 
 class TooFarError(Exception):
@@ -53,22 +59,17 @@ class TooDenseError(Exception):
 
 
 class Rewind:
-    """Drifts particles that collide with one another, and with walls if there are any."""
+    """Drifts particles that collide with one another, and with walls if there are any.
 
-    def __init__(
-        self,
-        near: Neighbourhood,
-        loss: tuple[float, float],
-        passes: int,
-        planes: Planes | None,
-        timers: Timers,
-        exact: Event | None,
-    ):
+    `exact`: the operator that does drifts with more contacts than `passes` put in order, or None if they are just counted.
+    """
+
+    def __init__(self, near: Neighbourhood, loss: Loss, passes: int, planes: Planes | None, timers: Timers, exact: Event | None):
         self.near, self.passes, self.timers, self.exact = near, passes, timers, exact
-        self.restitution, self.keep = loss
+        self.loss, self.walls = loss, planes is not None
+        self.planes = plain(planes or no_planes(len(near.axes)))
         self.dense_steps = 0
-        self.walls = planes is not None
-        self.planes = planes or no_planes(len(near.axes))
+        self.searches = -1  # the search of `near` that the arrays by row belong to
 
     def drift(self, h: float, moment: float, rates: Rates) -> Array:
         """x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
@@ -79,28 +80,41 @@ class Rewind:
         If a collision throws a particle further than the candidates reach, the drift is undone, candidates are sought with
         a longer reach, and it is done again: the result is that of a reach long enough from the start.
         """
-        all_ = self.near
-        all_.prepare(h)
-        self.rates = rates.of(all_.fields)
+        near = self.near
+        near.prepare(h)
         travel = 0.0
         while True:
+            self.renew(rates)
             try:
-                counts = self.contacts(all_, h)
+                counts = self.all_passes(h)
                 break
             except TooDenseError:
                 assert self.exact
-                self.undo(all_)
-                all_.distrust()
+                self.undo()
+                near.distrust()
                 self.dense_steps += 1
                 return self.exact.drift(h, moment, rates)
             except TooFarError as far:
-                self.undo(all_)
+                self.undo()
                 travel = max(far.travel, 1.2 * travel)
-                all_.search(h, travel)
-                self.rates = rates.of(all_.fields)
+                near.search(h, travel)
         with self.timers("drift"):
-            all_.advance(h)
+            near.advance(h)
+            self.forget_contacts()
         return counts
+
+    def renew(self, rates: Rates) -> None:
+        """What depends on the rows that are here since the last search, and on the step."""
+        near = self.near
+        n, d, owned = len(near.x), len(near.axes), near.spheres.owned
+        if self.searches != near.searches:
+            self.searches = near.searches
+            self.selection = Selection(np.full(n, NOBODY), np.empty((owned, 3)))
+            self.log = UndoLog(np.empty(owned, np.int32), np.empty((owned, d)), np.empty((owned, d)), np.zeros(1, np.int64))
+        self.rates = rates.of(near.fields)
+        self.rules = ContactRules(self.loss, self.planes, self.rates, near.length)
+        self.virial = near.particles.arrays.get("virial", NONE)
+        self.virial_before = self.virial.copy()
 
     def remarks(self) -> list[str]:
         """What a user should be told at the end. Collective."""
@@ -110,100 +124,105 @@ class Rewind:
         dense = f"{self.dense_steps} steps had more contacts than passes put in order: those were done in order of time"
         return [dense, *self.exact.remarks()]
 
-    def contacts(self, all_: Neighbourhood, h: float) -> Array:
-        """All passes; leaves each row at the start of its last leg. Returns (collisions, wall hits, missed) of this rank."""
-        counts, needed = np.zeros(3, np.int64), 0.0
-        self.virial = all_.particles.arrays.get("virial", NONE)
-        self.virial_before = self.virial.copy()
+    def all_passes(self, h: float) -> Array:
+        """All passes; leaves each row at the start of its last segment. Returns (collisions, wall hits, missed) of this rank."""
+        near, counts, needed = self.near, np.zeros(3, np.int64), 0.0
         for left in range(self.passes, -1, -1):
             with self.timers("search"):
-                hits = self.find(all_, h, left == self.passes)
+                hits = self.find(h, left == self.passes)
             with self.timers("agree"):
-                late = self.exact is not None and self.passes - left >= CROWDED and self.late(all_, hits)
-                mine = np.array([len(hits[0]), needed, all_.concern_others(hits), late], float)
-                waiting, needed, shared, late = all_.ranks.allreduce_max(mine)
+                late = self.exact is not None and self.passes - left >= CROWDED and self.late(hits)
+                mine = np.array([len(hits.first), needed, near.concern_others(hits), late], float)
+                waiting, needed, shared, late = near.ranks.allreduce_max(mine)
             if needed:
                 raise TooFarError(float(needed))
             if self.exact and (late or (waiting and not left)):
                 raise TooDenseError
             if not waiting:
-                if self.passes - left >= 2 and self.exact and self.overlapping(all_, h):
+                if self.passes - left >= 2 and self.exact and self.overlapping(h):
                     raise TooDenseError
                 break
             if not left:
-                a, b, _ = hits
-                counts[2] = np.count_nonzero((b >= 0) & (a < all_.owned))
+                counts[MISSED] = np.count_nonzero((hits.second >= 0) & (hits.first < near.spheres.owned))
                 if self.walls:
-                    if all_.halo:
-                        all_.distrust()  # walls that are blind to others turn rows which are ghosts elsewhere
-                    all_.note(a[b < 0])
-                    point, normal, restitution, keep, *_ = self.planes.arrays()
-                    counts[1] += finish_walls(
-                        all_.axes, all_.x, all_.v, all_.s, all_.met, all_.radius, all_.w, a, b, h, point, normal, restitution,
-                        keep, self.rates,
-                    )  # fmt: skip
+                    counts[WALL_HITS] += self.finish_walls(hits, h)
                 break
-            needed = self.one_pass(all_, hits, h, counts, bool(shared))
+            needed = self.one_pass(hits, h, counts, bool(shared))
         return counts
 
-    def late(self, all_: Neighbourhood, hits: tuple[Array, Array, Array]) -> bool:
+    def late(self, hits: Hits) -> bool:
         """Do partners meet that already overlap? Passes go forward in time for each particle, but not for all together."""
-        return float(deepest(all_.x, all_.v, all_.s, all_.radius, *hits, all_.length)) > LATE
+        near = self.near
+        return float(deepest_hit(near.rows[0], near.spheres.radius, tuple(hits), near.length)) > LATE
 
-    def overlapping(self, all_: Neighbourhood, h: float) -> bool:
+    def overlapping(self, h: float) -> bool:
         """Does a supported particle overlap with another in the end, because a pass was late? Collective.
 
         In a pile that would add up; others soon move apart.
         """
-        near = all_.near
-        pairs = near.first[: near.pairs], near.second[: near.pairs], all_.particles["supported"]
-        most = deepest_at(all_.x, all_.v, all_.s, all_.radius, *pairs, h, all_.length)
-        return float(all_.ranks.allreduce_max(most)[0]) > DEEP
+        near, supported = self.near, self.near.particles["supported"]
+        pairs = near.candidates.pairs
+        most = deepest_supported(near.rows[0], near.spheres.radius, *pairs, supported, h, near.length)
+        return float(near.ranks.allreduce_max(most)[0]) > DEEP
 
-    def find(self, all_: Neighbourhood, h: float, everything: bool) -> tuple[Array, Array, Array]:
-        """The hits on the present legs: all of them, or those of rows that are live."""
-        near = all_.near
-        a, b, time = near.hits
-        found = find_contacts(
-            all_.axes, all_.x, all_.v, all_.s, all_.met, all_.ids, all_.radius,
-            near.first[: near.pairs], near.second[: near.pairs], h, all_.length, everything, all_.live, a, b, time,
-        )  # fmt: skip
+    def find(self, h: float, everything: bool) -> Hits:
+        """The hits on the present segments: all of them, or those of active rows."""
+        near, active = self.near, self.near.active.flag
+        first, second, time = hits = tuple(near.candidates.hits)
+        pairs = near.candidates.pairs
+        found = find_contacts(near.axes, *near.rows, *pairs, h, near.length, everything, active, hits)
         if self.walls:
-            point, normal, _, _, lower, upper, oblique = self.planes.arrays()
-            found = find_wall_hits(
-                all_.axes, all_.x, all_.v, all_.s, all_.met, all_.radius, near.near_wall[: near.walls], h, everything, all_.live,
-                point, normal, lower, upper, oblique, a, b, time, found,
-            )  # fmt: skip
-        return a[:found], b[:found], time[:found]
+            radius, rows = near.spheres.radius, near.candidates.near_wall
+            found = find_wall_hits(near.axes, near.rows[0], radius, rows, h, everything, active, self.planes, hits, found)
+        return Hits(first[:found], second[:found], time[:found])
 
-    def one_pass(self, all_: Neighbourhood, hits: tuple[Array, Array, Array], h: float, counts: Array, shared: bool) -> float:
-        """Choose by the total order, tell the other ranks, let the chosen hits take place, find who is in the way now.
+    def one_pass(self, hits: Hits, h: float, counts: Array, shared: bool) -> float:
+        """Select by the total order, tell the other ranks, apply the selected contacts, find who is in the way now.
 
         `shared`: some rank has hits that concern another one, so that there is something to tell.
         Returns 0, or how far a row needs candidates to reach.
         """
+        near, selected = self.near, self.selection.partner
         with self.timers("collide"):
-            choose(all_.ids, all_.owned, *hits, all_.choice, all_.best)
+            select_contacts(near.spheres.id, near.spheres.owned, tuple(hits), tuple(self.selection))
         if shared:
             with self.timers("ghosts"):
-                all_.tell_choices(hits)
+                near.exchange_selections(selected, hits)
         with self.timers("collide"):
-            all_.forget_live()
-            all_.touches, all_.logged = take_place(
-                all_.axes, all_.x, all_.v, all_.s, all_.met, all_.w, all_.ids, all_.owned, *hits, all_.choice,
-                self.restitution, self.keep, all_.length, self.planes.normal, self.planes.restitution, self.planes.keep,
-                self.rates, all_.live, all_.touched, all_.log, all_.log_x, all_.log_v, all_.logged, counts, self.virial,
+            near.deactivate()
+            apply_contacts(
+                near.axes, *near.rows, tuple(hits), selected, tuple(self.rules), tuple(near.active), tuple(self.log), counts,
+                self.virial,
             )  # fmt: skip
         if shared:
             with self.timers("ghosts"):
-                all_.tell_legs()
+                selected[near.spheres.owned :] = NOBODY
+                near.exchange_segments()
         with self.timers("pairs"):
-            return all_.follow(h)
+            return near.follow(h)
 
-    def undo(self, all_: Neighbourhood) -> None:
+    def finish_walls(self, hits: Hits, h: float) -> int:
+        """After the last pass particles still may not leave through walls: they meet those, and nobody else."""
+        near, log = self.near, self.log
+        if near.halo:
+            near.distrust()  # walls that are blind to others turn rows which are ghosts elsewhere
+        rows = hits.first[hits.second < 0]
+        rows = rows[near.segments.last_partner[rows] == NOBODY]  # owned rows whose first contact this is, each once
+        count = log.number[0]
+        log.rows[count : count + len(rows)] = rows
+        log.number[0] += len(rows)
+        return int(finish_walls(near.axes, *near.rows, tuple(hits), h, self.planes, self.rates))
+
+    def undo(self) -> None:
         """Owned rows go back to where they were before their contacts in this drift."""
-        rows = all_.log[: all_.logged]
-        all_.x[rows] = all_.log_x[: all_.logged]
-        all_.v[rows] = all_.log_v[: all_.logged]
+        near, log = self.near, self.log
+        count = log.number[0]
+        rows = log.rows[:count]
+        near.x[rows], near.v[rows] = log.x[:count], log.v[:count]
         self.virial[:] = self.virial_before
-        all_.forget_legs()
+        self.forget_contacts()
+
+    def forget_contacts(self) -> None:
+        """All segments begin at time 0, and no one has met anyone."""
+        self.near.forget_segments(self.log.rows[: self.log.number[0]])
+        self.log.number[0] = 0

@@ -4,6 +4,7 @@ from functools import partial
 
 import numpy as np
 
+from particles_mpi.kernels.geometry import image_shifts
 from particles_mpi.study.experiment import everyone, total
 from particles_mpi.study.hard_cases.catalogue import CaseRun, Effects, Finding, case
 
@@ -89,7 +90,7 @@ def dense_fluid(run: CaseRun) -> Finding:
         sim.step()
     row, p = sim.measure(), everyone(sim)
     r = p.position[:, None] - p.position[None]
-    r -= side * np.rint(r / side)
+    r -= image_shifts(r, side)
     closest = np.sqrt((r**2).sum(axis=2))[np.triu_indices(500, 1)].min()
     z, missed = row["z_virial"], total(sim, "missed")
     holds = len(p) == 500 and closest >= 1.0 - 1e-9 and missed == 0 and abs(z / 11.515 - 1.0) < 0.02

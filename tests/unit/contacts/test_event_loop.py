@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.errors import StateError, StoppedError
+from particles_mpi.neighbours.verlet_kernels import SKIN
 
 
 def discs(mode="event", **population):
@@ -44,7 +45,7 @@ def test_time_that_stands_still_is_told_with_ids_and_time():
     sim = discs(velocity=[[0, 0], [1.0, 0.0], [0.0, 0.0]])
     sim.step()
     engine = sim.near.whole.engine
-    engine.homes.home[:, 3] = 0.0  # shells
+    engine.lists.arrays.reference[:, 2 + SKIN] = 0.0
     with pytest.raises(StateError, match=r"step 2: time stands still at t = [0-9.]+: .* particle 1 with nobody, but leaves"):
         sim.step()
     assert StateError.exit_code == 3

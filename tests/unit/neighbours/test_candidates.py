@@ -5,8 +5,10 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from particles_mpi.kernels.motion import Segments
 from particles_mpi.neighbours.candidates import Candidates, touching
-from particles_mpi.neighbours.halo_region import nowhere
+from particles_mpi.neighbours.halo_region import everywhere
+from particles_mpi.neighbours.trajectories import Horizon, Spheres
 
 
 def closest(x, v, start, end, length):
@@ -22,7 +24,13 @@ def closest(x, v, start, end, length):
 
 
 def listed(c):
-    return set(zip(c.first[: c.pairs].tolist(), c.second[: c.pairs].tolist(), strict=True))
+    first, second = c.pairs
+    return set(zip(first.tolist(), second.tolist(), strict=True))
+
+
+def at_start(c):
+    """All rows on segments that begin now."""
+    return Segments(c.x, c.v, np.zeros(len(c.x)), np.full(len(c.x), -1))
 
 
 @settings(max_examples=25, deadline=None)
@@ -52,12 +60,13 @@ def test_every_pair_whose_paths_come_near_is_listed_once(seed, d, n, periodic, g
         assume(4.0 * radius.max() < side)
         end = bound = half = 0.0
     none = np.empty((0, d))
-    c = Candidates((x, v, radius, w, ids), owned, length, (none, none), end, half, bound, nowhere(d), 0)
+    horizon = Horizon(end, half, bound, 0.0)
+    c = Candidates(x, v, Spheres(radius, w, ids, owned), length, (none, none), horizon, everywhere(d), 0)
 
     def check(x, v, start):
         near = closest(x, v, start, np.maximum(end, start[:, None]), length) <= (radius[:, None] + radius[None]) * (1.0 - 1e-12)
         found = listed(c)
-        assert len(found) == c.pairs
+        assert len(found) == c.pair_count
         for i, j in np.argwhere(np.triu(near, 1)).tolist():
             kept = (i < owned or j < owned) and (w[i] > 0.0 or w[j] > 0.0) and radius[i] + radius[j] > 0.0
             first, second = (i, j) if ids[i] < ids[j] else (j, i)
@@ -73,8 +82,8 @@ def test_every_pair_whose_paths_come_near_is_listed_once(seed, d, n, periodic, g
     c.x[:] = x + now * v
     c.v[turning] = random.permutation(c.v[turning])
     c.time = now
-    if c.follow(turning, np.zeros(n), 0.01) == 0.0:
-        end = c.end
+    if c.follow(turning, at_start(c), 0.01) == 0.0:
+        end = c.horizon.valid_until
         check(c.x, c.v, np.full(n, now))
 
 
@@ -96,6 +105,6 @@ def test_only_rows_near_a_wall_are_listed(wall):
     x = np.array([[0.5, 5.0], [5.0, 5.0], [9.8, 5.0], [5.0, 0.1]])
     v = np.array([[-1.0, 0.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
     point, normal = np.array([[0.0, 0.0], [10.0, 10.0]]), np.array([[1.0, 0.0], [-1.0, 0.0]])
-    state = x, v, np.full(4, 0.1), np.ones(4), np.arange(4)
-    c = Candidates(state, 4, np.zeros(2), (point[[wall]], normal[[wall]]), 0.5, 0.01, 2.0, nowhere(2), 0)
-    assert c.near_wall[: c.walls].tolist() == [[0], [2]][wall]
+    spheres, horizon = Spheres(np.full(4, 0.1), np.ones(4), np.arange(4), 4), Horizon(0.5, 0.01, 2.0, 0.0)
+    c = Candidates(x, v, spheres, np.zeros(2), (point[[wall]], normal[[wall]]), horizon, everywhere(2), 0)
+    assert c.near_wall.tolist() == [[0], [2]][wall]

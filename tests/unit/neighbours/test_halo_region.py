@@ -3,11 +3,12 @@
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_candidates import closest, listed
+from test_candidates import at_start, closest, listed
 
 from particles_mpi.neighbours.candidates import Candidates
 from particles_mpi.neighbours.halo_region import build
-from particles_mpi.neighbours.trajectories import tubes_box
+from particles_mpi.neighbours.rank_boxes import swept_box
+from particles_mpi.neighbours.trajectories import Horizon, Spheres
 
 
 @settings(max_examples=60, deadline=None)
@@ -30,8 +31,9 @@ def test_turned_rows_meet_only_rows_that_their_rank_holds(seed, d, ranks, n, per
         v *= min(1.0, 0.5 * bound / (end * np.sqrt((v**2).sum(axis=1)).max()))
     owner = np.minimum((x[:, 0] / side * ranks).astype(int), ranks - 1)
     mine = [np.flatnonzero(owner == p) for p in range(ranks)]
-    boxes = np.array([tubes_box(x[m], v[m], radius[m], end, half) for m in mine])
-    fences = [build(boxes, p, slack, (x[m], v[m], radius[m]), end, half, length) for p, m in enumerate(mine)]
+    horizon = Horizon(end, half, bound, slack)
+    boxes = np.array([swept_box(x[m], v[m], radius[m], horizon) for m in mine])
+    fences = [build(boxes, p, (x[m], v[m], radius[m]), horizon, length) for p, m in enumerate(mine)]
 
     turning = random.random(n) < 0.2
     after = np.where(turning[:, None], 6.0 * random.permutation(v), v)
@@ -43,15 +45,15 @@ def test_turned_rows_meet_only_rows_that_their_rank_holds(seed, d, ranks, n, per
             begin = counts[:p].sum()
             known.append(mine[q][rows[begin : begin + counts[p]]])
         all_ = np.concatenate(known)
-        state = x[all_], v[all_], radius[all_], w[all_], ids[all_]
+        spheres = Spheres(radius[all_], w[all_], ids[all_], len(mine[p]))
         none = np.empty((0, d))
-        c = Candidates(state, len(mine[p]), length, (none, none), end, half, bound, fences[p][0], 0)
+        c = Candidates(x[all_], v[all_], spheres, length, (none, none), horizon, fences[p][0], 0)
         c.x[:], c.v[:], c.time = then[all_], after[all_], now
-        if c.follow(np.flatnonzero(turning[all_]).astype(np.int32), np.zeros(len(all_)), h):
+        if c.follow(np.flatnonzero(turning[all_]).astype(np.int32), at_start(c), h):
             return  # someone gets over a fence in this very step: all would search anew
         searched.append(c)
         held.append(all_)
-    end = min(c.end for c in searched)
+    end = min(c.horizon.valid_until for c in searched)
     near = closest(then, after, np.full(n, now), np.full((n, 1), end), length) <= (radius[:, None] + radius[None]) * (1 - 1e-12)
     for p, (c, all_) in enumerate(zip(searched, held, strict=True)):
         found = {frozenset(all_[list(pair)].tolist()) for pair in listed(c)}
@@ -64,12 +66,13 @@ def test_a_turned_row_does_not_leave_the_space_that_its_rank_knows():
     x, v = np.array([[-0.1, 0.0], [5.0, 0.0], [9.0, 0.0]]), np.zeros((3, 2))
     radius, w, ids, length, end, half = np.full(3, 0.2), np.ones(3), np.arange(3), np.zeros(2), 1.0, 0.01
     a, b = np.array([0]), np.array([1, 2])
-    boxes = np.array([tubes_box(x[m], v[m], radius[m], end, half) for m in (a, b)])
+    horizon = Horizon(end, half, np.inf, 0.1)
+    boxes = np.array([swept_box(x[m], v[m], radius[m], horizon) for m in (a, b)])
     boxes[1, 0, 0] = -0.05  # some other row of the rank of B reaches there
-    fence, rows, _ = build(boxes, 0, 0.1, (x[a], v[a], radius[a]), end, half, length)
+    fence, rows, _ = build(boxes, 0, (x[a], v[a], radius[a]), horizon, length)
     assert rows.tolist() == [0]
     none = np.empty((0, 2))
-    c = Candidates((x[a], v[a], radius[a], w[a], ids[a]), 1, length, (none, none), end, half, np.inf, fence, 0)
+    c = Candidates(x[a], v[a], Spheres(radius[a], w[a], ids[a], 1), length, (none, none), horizon, fence, 0)
     c.v[0] = 8.0, 0.0
-    assert c.follow(np.array([0], np.int32), np.zeros(1), 1e-3) == 0.0
-    assert 0.1 / 8.0 * 0.9 < c.end <= 0.1 / 8.0
+    assert c.follow(np.array([0], np.int32), at_start(c), 1e-3) == 0.0
+    assert 0.1 / 8.0 * 0.9 < c.horizon.valid_until <= 0.1 / 8.0

@@ -1,0 +1,145 @@
+"""The regions of space that ranks own: which ranks must know a row, and which ghosts can affect own rows."""
+
+from __future__ import annotations
+
+from math import floor
+from typing import NamedTuple
+
+import numpy as np
+
+from particles_mpi.contacts.event_driven.messages import HEAD, UPDATE, Directory, Moves, extra_width, part_width
+from particles_mpi.contacts.event_driven.rollback import PLACE, WINDOW, Log, has_new_segment, hash_place, record_width
+from particles_mpi.contacts.event_driven.rows import GHOST, OWNERSHIP, RADIUS, START, TRAJECTORY_HASH, Rows
+from particles_mpi.kernels.jit import inner, kernel, lean_inner, prefetch
+from particles_mpi.neighbours.verlet_kernels import SIZE
+from particles_mpi.parallel.decomposition import owners
+from particles_mpi.particles import Array
+
+
+class Regions(NamedTuple):
+    """The regions of all ranks, as one rank needs them."""
+
+    low: Array  # (ranks, d) corner of each region, within the box where that is periodic
+    high: Array  # (ranks, d)
+    box: tuple[Array, ...]  # a `Box`, as a plain tuple
+    rank: int  # this one
+    known: Array  # the ranks that may have to know rows of this one, and itself
+    reach: float  # between a region and the surface of a ghost that own rows may meet in a window
+    depth: float  # between a region and the skin of a row that its rank must know: `reach`, and some ghosts more
+
+
+@inner
+def in_box(y, length, lower):
+    """The coordinate y, in the box if its axis is periodic (length > 0)."""
+    return y - floor((y - lower) / length) * length if length > 0.0 else y
+
+
+@lean_inner
+def distance2(regions, rank, x, i):
+    """Square of the distance of position x[i] from a rank's region, or from its nearest periodic image."""
+    low, high = regions.low, regions.high
+    lower, _, length = regions.box
+    total = 0.0
+    for k in range(len(length)):
+        y = in_box(x[i, k], length[k], lower[k])
+        gap = max(low[rank, k] - y, y - high[rank, k], 0.0)
+        if length[k] > 0.0:
+            gap = min(gap, max(low[rank, k] - y - length[k], 0.0, y + length[k] - high[rank, k]))
+            gap = min(gap, max(low[rank, k] - y + length[k], 0.0, y - length[k] - high[rank, k]))
+        total += gap * gap
+    return total
+
+
+@kernel
+def mark_holders(reference, rows, regions, masks):
+    """masks[p] (p, masks): which ranks must know row rows[p]: those whose region is within `depth` of its skin."""
+    regions = Regions(*regions)
+    d = regions.low.shape[1]
+    for p in range(len(rows)):
+        i = np.int64(rows[p])
+        within = regions.depth + reference[i, d + SIZE]
+        for b in range(masks.shape[1]):
+            masks[p, b] = 0
+        for rank in regions.known:
+            if distance2(regions, rank, reference, i) <= within * within:
+                masks[p, rank >> 6] |= np.int64(1) << (rank & 63)
+
+
+@kernel
+def plan_moves(reference, log, regions, tree, moves):
+    """Fill in `moves` for the own rows that got new reference positions; `tree`: arguments of `owners`, which cut space."""
+    plain_regions = regions
+    log, regions, moves = Log(*log), Regions(*regions), Moves(*moves)
+    low, high, me = regions.low, regions.high, regions.rank
+    lower, _, length = regions.box
+    d = len(length)
+    place = np.empty((1, d))
+    for m in range(log.moved_count[0]):
+        prefetch(reference, log.moved[m])
+    for m in range(log.moved_count[0]):
+        i = np.int64(log.moved[m])
+        moves.owner[m] = me
+        within = regions.depth + reference[i, d + SIZE]
+        deep = True
+        for k in range(d):
+            deep &= low[me, k] + within < reference[i, k] < high[me, k] - within
+        if not deep:
+            mark_holders(reference, log.moved[m : m + 1], plain_regions, moves.holders[m : m + 1])
+            for k in range(d):
+                place[0, k] = in_box(reference[i, k], length[k], lower[k])
+            moves.owner[m] = owners(place, *tree)[0]
+        moves.holders[m, me >> 6] |= np.int64(1) << (me & 63)  # it stays here for now, as a ghost if not as an own row
+
+
+@lean_inner
+def can_affect_owned(rows, log, regions, i, begin, place):
+    """May row i, wherever it went in the window that began at `begin`, have touched an own row? `place` (1, d) is scratch."""
+    segment, saved = rows.segment, log.saved
+    d = regions.low.shape[1]
+    changed = log.mark[i, WINDOW] == log.window[0]
+    for k in range(d):
+        if changed:
+            at = log.mark[i, PLACE] * record_width(d)
+            place[0, k] = saved[at + k] + saved[at + d + k] * (begin - saved[at + 2 * d + START])
+        else:
+            place[0, k] = segment[i, k] + segment[i, d + k] * (begin - segment[i, 2 * d + START])
+    within = regions.reach + segment[i, 2 * d + RADIUS]
+    return distance2(regions, regions.rank, place, np.int64(0)) <= within * within
+
+
+@kernel
+def is_wrong(rows, directory, log, regions, begin, message):
+    """Must the window that began at `begin` be rolled back? True if a ghost that could have touched an own row has another hash
+    at its owner.
+
+    `message`: all that arrived. A ghost of which no UPDATE tells did not change at its owner.
+    """
+    rows, directory, log, regions = Rows(*rows), Directory(*directory), Log(*log), Regions(*regions)
+    numbers, bits = message
+    state, row_of, updated = rows.state, directory.row_of, directory.updated
+    d, masks, extra, window = regions.low.shape[1], directory.holders.shape[1], extra_width(rows), log.window[0]
+    place = np.empty((1, d))
+    wrong = False
+    for step in range(2):  # first to the cache
+        at = 0
+        while at < len(numbers):
+            if bits[at] == UPDATE:
+                if step == 0:
+                    prefetch(row_of, bits[at + 1])
+                else:
+                    prefetch(state, row_of[bits[at + 1]])
+                    prefetch(updated, row_of[bits[at + 1]])
+            at += part_width(bits[at], d, masks, extra)
+    at = 0
+    while at < len(numbers):
+        if bits[at] == UPDATE:
+            i = np.int64(row_of[bits[at + 1]])
+            updated[i] = window
+            if bits[at + HEAD + hash_place(d)] != state[i, TRAJECTORY_HASH]:
+                wrong |= can_affect_owned(rows, log, regions, i, begin, place)
+        at += part_width(bits[at], d, masks, extra)
+    for p in log.border[: log.border_count[0]]:
+        i = np.int64(log.changed[p])
+        if state[i, OWNERSHIP] == GHOST and updated[i] != window and has_new_segment(d, rows, log, p):
+            wrong |= can_affect_owned(rows, log, regions, i, begin, place)
+    return wrong

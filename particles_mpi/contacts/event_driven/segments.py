@@ -1,0 +1,155 @@
+"""The contact of two rows on their straight segments: when they touch, and how their velocities change.
+
+`touch_time` and `collide` are copies of `law.contact_time` and `law.collide_pair` for rows that hold everything of a
+particle's path together: one line of memory is read for it instead of four.
+`tests/unit/test_contact_law.py` holds them to the same bits.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+
+from particles_mpi.contacts.event_driven.rows import RADIUS, START
+from particles_mpi.contacts.law import exchange, may_come_near
+from particles_mpi.kernels.geometry import image_shift
+from particles_mpi.kernels.jit import inner, lean_inner
+from particles_mpi.kernels.markers import NEVER
+from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS
+
+
+@inner(inline="always")
+def distance_along(segment, d, i, j, k, start, now, length, far):
+    """Component k of x_i - x_j at `start`, for the periodic images of the two that are nearest at time `now`.
+
+    `far`: they may be many boxes apart; else at most one box lies between them. Conditional expressions do not branch.
+    """
+    r = (segment[i, k] + segment[i, d + k] * (start - segment[i, 2 * d + START])) - (
+        segment[j, k] + segment[j, d + k] * (start - segment[j, 2 * d + START])
+    )
+    at = r + (segment[i, d + k] - segment[j, d + k]) * (now - start)
+    if far:
+        return r - image_shift(at, length[k])
+    return r - (length[k] if at > 0.5 * length[k] else (-length[k] if at < -0.5 * length[k] else 0.0))
+
+
+@inner(inline="always")
+def later_start(segment, d, i, j):
+    """When the later of two segments starts."""
+    return segment[i, 2 * d + START] if segment[i, 2 * d + START] >= segment[j, 2 * d + START] else segment[j, 2 * d + START]
+
+
+@inner(inline="always")
+def may_touch(axes, segment, i, j, now, until, length):
+    """False for most: rows that move apart, or are clear of each other until then (by margins above round-off)."""
+    d = len(axes)
+    start = later_start(segment, d, i, j)
+    a = 0.0
+    b = 0.0
+    r2 = 0.0
+    for k in range(d):
+        r = distance_along(segment, d, i, j, k, start, now, length, False)
+        u = segment[i, d + k] - segment[j, d + k]
+        a += u * u
+        b += r * u
+        r2 += r * r
+    diameter = segment[i, 2 * d + RADIUS] + segment[j, 2 * d + RADIUS]
+    return may_come_near(a, b, r2, diameter, until - start)
+
+
+@inner(inline="always")
+def may_touch_from_now(axes, segment, i, j, now, until, length):
+    """`may_touch` for a row i whose segment begins now: there is less to compute."""
+    d = len(axes)
+    a = 0.0
+    b = 0.0
+    r2 = 0.0
+    for k in range(d):
+        r = segment[i, k] - (segment[j, k] + segment[j, d + k] * (now - segment[j, 2 * d + START]))
+        r -= length[k] * (np.float64(r > 0.5 * length[k]) - np.float64(r < -0.5 * length[k]))
+        u = segment[i, d + k] - segment[j, d + k]
+        a += u * u
+        b += r * u
+        r2 += r * r
+    diameter = segment[i, 2 * d + RADIUS] + segment[j, 2 * d + RADIUS]
+    return may_come_near(a, b, r2, diameter, until - now)
+
+
+@inner(inline="always")
+def touch_time(axes, segment, i, j, now, h, length, far, r, u):
+    """Time at which the segments of i and j first touch, up to h, or NEVER: the root of `law.contact_time`.
+
+    `now`, at or after both starts, only tells which periodic images are meant; r, u (d,) are scratch, and r is x_i - x_j then.
+    """
+    d = len(axes)
+    start = later_start(segment, d, i, j)
+    a = 0.0
+    b = 0.0
+    r2 = 0.0
+    own = 0.0
+    for k in range(d):
+        r[k] = distance_along(segment, d, i, j, k, start, now, length, far)
+        u[k] = segment[i, d + k] - segment[j, d + k]
+        a += u[k] * u[k]
+        b += r[k] * u[k]
+        r2 += r[k] * r[k]
+        own += segment[i, d + k] * segment[i, d + k] + segment[j, d + k] * segment[j, d + k]
+    if not b < 0.0 or b * b <= 1e-28 * r2 * own:  # together but for round-off is no approach
+        return NEVER
+    diameter = segment[i, 2 * d + RADIUS] + segment[j, 2 * d + RADIUS]
+    if diameter == 0.0 and d > 1:  # points meet on a line only
+        return NEVER
+    distance = sqrt(r2)
+    gap = distance - diameter
+    if gap <= 0.0:
+        return start
+    disc = a * diameter * diameter
+    for k in range(d):
+        for m in range(k):
+            cross = r[k] * u[m] - r[m] * u[k]
+            disc -= cross * cross
+    if disc < 0.0:
+        return NEVER
+    t = start + gap * (distance + diameter) / (sqrt(disc) - b)
+    return t if t <= h else NEVER
+
+
+@lean_inner
+def is_nearest_image(d, r, length):
+    """Is r the nearest periodic image of a distance? Two rows whose last contact was with each other touched at that one."""
+    nearest = True
+    for k in range(d):
+        nearest &= length[k] == 0.0 or abs(r[k]) <= 0.5 * length[k]
+    return nearest
+
+
+@lean_inner
+def move_to(axes, segment, i, t):
+    """A new segment of row i begins at time t, where the old one gets then. The same as `kernels.motion.move_to`."""
+    d = len(axes)
+    for k in range(d):
+        segment[i, k] += segment[i, d + k] * (t - segment[i, 2 * d + START])
+    segment[i, 2 * d + START] = t
+
+
+@lean_inner
+def collide(axes, segment, reference, i, j, t, restitution, velocity_factor, length, rates, r):
+    """The contact of rows i and j at time t: `law.collide_pair` on segments. Returns its virial, -r.dp; r (d,) is scratch.
+
+    On a line there is one normal even for points, which have no distance when they touch: there, the impulse is that of r = 1.
+    """
+    d = len(axes)
+    own, other = reference[i, d + INVERSE_MASS], reference[j, d + INVERSE_MASS]
+    move_to(axes, segment, i, t)
+    move_to(axes, segment, j, t)
+    for k in range(d):
+        r[k] = segment[i, k] - segment[j, k]
+        r[k] -= image_shift(r[k], length[k])
+    if d == 1:
+        approach = r[0] * (segment[i, d] - segment[j, d])
+        r[0] = 1.0 if segment[i, d] < segment[j, d] else -1.0
+        nearing = r[0] * (segment[i, d] - segment[j, d])
+        take = exchange(axes, segment, np.int64(d), r, i, j, own, other, t, restitution, velocity_factor, rates)
+        return -((1.0 + restitution if len(rates.a) == 0 else take / nearing) * approach) / (own + other)
+    return -exchange(axes, segment, np.int64(d), r, i, j, own, other, t, restitution, velocity_factor, rates) / (own + other)

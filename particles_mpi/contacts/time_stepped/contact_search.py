@@ -1,0 +1,146 @@
+"""The compiled loops of the operator `rewind` that find contacts on the present segments, and overlaps.
+
+All times count from the beginning of the drift, over a time h. `axes` is a tuple with one entry an axis.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from particles_mpi.contacts.law import contact_time, may_come_near, separation
+from particles_mpi.contacts.walls import may_hit, wall_contact
+from particles_mpi.kernels.geometry import nearest
+from particles_mpi.kernels.jit import lean, lean_inner
+from particles_mpi.kernels.markers import NEVER
+
+
+@lean_inner(error_model="numpy")
+def approaching(axes, x, v, radius, first, second, h, length, periodic, a, b):
+    """Candidate pairs (first, second) whose segments, all from now, may touch within h; into a and b, returns how many.
+
+    Left out: partners that move apart, or are clear of each other when they are nearest, at h or before. Nothing branches:
+    each pair is written, and the next one over it if it does not count. Unsigned indices spare the test for a negative one.
+    """
+    found = 0
+    for p in range(len(first)):
+        i = np.uint64(first[p])
+        j = np.uint64(second[p])
+        u2 = 0.0
+        ru = 0.0
+        r2 = 0.0
+        for k in range(len(axes)):
+            r = x[i, k] - x[j, k]
+            if periodic:
+                r = nearest(r, length[k])
+            u = v[i, k] - v[j, k]
+            u2 += u * u
+            ru += r * u
+            r2 += r * r
+        a[found] = i
+        b[found] = j
+        found += may_come_near(u2, ru, r2, radius[i] + radius[j], h)
+    return found
+
+
+@lean_inner
+def with_active_row(start, last_partner, ids, active, first, second, a, b):
+    """Candidate pairs (first, second) of which one row is active; into a and b, returns how many.
+
+    Partners whose segments both began when they met each other are left out: round-off must not make them meet twice.
+    """
+    found = 0
+    for p in range(len(first)):
+        i = np.int64(first[p])
+        j = np.int64(second[p])
+        if active[np.uint64(i)] | active[np.uint64(j)] and not (
+            last_partner[i] == ids[j] and last_partner[j] == ids[i] and start[i] == start[j]
+        ):
+            a[found] = i
+            b[found] = j
+            found += 1
+    return found
+
+
+@lean
+def find_contacts(axes, segments, spheres, first, second, h, length, everything, active, hits):
+    """Candidate pairs (first, second) that touch on their present segments, into `hits`; returns how many.
+
+    In the first pass, in which all segments begin at time 0, with `everything`; later of the pairs with an active row only.
+    """
+    x, v, start, last_partner = segments
+    radius, _, ids, _ = spheres
+    a, b, time = hits
+    if everything:
+        periodic = length[0] > 0.0
+        for k in range(1, len(axes)):
+            periodic |= length[k] > 0.0
+        likely = approaching(axes, x, v, radius, first, second, h, length, periodic, a, b)
+    else:
+        likely = with_active_row(start, last_partner, ids, active, first, second, a, b)
+    found = 0
+    for p in range(likely):
+        i = np.int64(a[p])
+        j = np.int64(b[p])
+        t = contact_time(axes, x, v, start, i, j, radius[i] + radius[j], h, length)
+        if t != NEVER:
+            a[found] = i
+            b[found] = j
+            time[found] = t
+            found += 1
+    return found
+
+
+@lean
+def find_wall_hits(axes, segments, radius, rows, h, everything, active, planes, hits, found):
+    """Add to the first `found` hits the earliest wall contact of each of `rows`, or of the active ones among them.
+
+    Returns the number of hits then.
+    """
+    x, v, start, last_partner = segments
+    point, normal, _, _, lower, upper, oblique = planes
+    a, b, time = hits
+    for p in range(len(rows)):
+        i = np.int64(rows[p])
+        if (everything or active[i]) and may_hit(axes, x, v, np.int64(0), start[i], i, radius[i], h, lower, upper, oblique):
+            t, w = wall_contact(axes, x, v, np.int64(0), start[i], i, radius[i], last_partner[i], h, point, normal)
+            if w >= 0:
+                a[found] = i
+                b[found] = -1 - w
+                time[found] = t
+                found += 1
+    return found
+
+
+@lean_inner(error_model="numpy")
+def overlap_in_radii(segments, radius, i, j, t, length):
+    """How far rows i and j overlap at time t, in units of the smaller radius; 0 if they do not."""
+    x, v, start, _ = segments
+    r2 = 0.0
+    for k in range(len(length)):
+        r = separation(x, v, start, i, j, k, t, length)
+        r2 += r * r
+    sum_of_radii = radius[i] + radius[j]
+    return (sum_of_radii - r2**0.5) / min(radius[i], radius[j]) if r2 < sum_of_radii**2 else 0.0
+
+
+@lean
+def deepest_hit(segments, radius, hits, length):
+    """The largest overlap, in smaller radii, of the partners of any hit when they meet: a third one came between them late."""
+    a, b, time = hits
+    most = 0.0
+    for p in range(len(a)):
+        if b[p] >= 0:
+            i, j = np.int64(a[p]), np.int64(b[p])
+            most = max(most, overlap_in_radii(segments, radius, i, j, time[p], length))
+    return most
+
+
+@lean
+def deepest_supported(segments, radius, first, second, supported, t, length):
+    """The largest overlap, in smaller radii, at time t of candidate pairs with a supported row; `supported`: of owned rows."""
+    most = 0.0
+    for p in range(len(first)):
+        i, j = np.int64(first[p]), np.int64(second[p])
+        if (i < len(supported) and supported[i]) or (j < len(supported) and supported[j]):
+            most = max(most, overlap_in_radii(segments, radius, i, j, t, length))
+    return most

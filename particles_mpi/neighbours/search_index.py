@@ -1,0 +1,131 @@
+"""By what rows are found: cells of their midpoints, on three levels of bounding radius. See `trajectories` for both.
+
+Most rows need not look as far as the few fast ones get: SLOW ones are held in sorted cells, FAST ones and all that got a new path
+in coarser cells of linked lists, and a few OVERSIZE ones one by one.
+"""
+
+from __future__ import annotations
+
+from math import inf
+from typing import NamedTuple
+
+import numpy as np
+
+from particles_mpi.kernels.jit import kernel, lean
+from particles_mpi.neighbours.cells import Grid, LinkedCells, cell_at, link, unlink
+from particles_mpi.particles import Array
+
+SLOW, FAST, OVERSIZE = 0, 1, 2
+
+
+class SortedCells(NamedTuple):
+    """SLOW rows in the order of their cells: rows `order` (m,) by place, and places where each cell starts (cells + 1 or more).
+
+    place (n,): where a row is in `order`. entry (m, g + 1): by place, midpoint on the g gridded axes and bounding radius.
+    """
+
+    order: Array
+    start: Array
+    place: Array
+    entry: Array
+    grid: Grid
+
+
+class SearchIndex(NamedTuple):
+    """By what `find_partners` finds rows: SLOW ones in `sorted`, FAST ones in `linked`, the first number[0] of `oversize`.
+
+    largest (2,): the largest bounding radius of SLOW and of FAST rows; with a larger one than `limit` a row is OVERSIZE.
+    low, high (d,): bounds of all midpoints, and own_low, own_high of those of owned rows.
+    """
+
+    sorted: SortedCells
+    linked: LinkedCells
+    oversize: Array
+    number: Array
+    largest: Array
+    limit: float
+    low: Array
+    high: Array
+    own_low: Array
+    own_high: Array
+
+
+@kernel
+def levels(bounding_radius, slow, fast, most):
+    """(level of each row, OVERSIZE rows, their number, largest bounding radius of SLOW rows and of FAST ones).
+
+    SLOW are rows with a bounding radius up to `slow`, FAST up to `fast`, and OVERSIZE beyond; but if more than `most` are
+    beyond, they are FAST.
+    """
+    beyond = 0
+    for r in bounding_radius:
+        beyond += r > fast
+    level = np.empty(len(bounding_radius), np.int8)
+    oversize = np.empty(len(bounding_radius), np.int32)
+    count = 0
+    largest = np.zeros(2)
+    for i in range(len(bounding_radius)):
+        if bounding_radius[i] <= slow:
+            level[i] = SLOW
+        elif bounding_radius[i] <= fast or beyond > most:
+            level[i] = FAST
+        else:
+            level[i] = OVERSIZE
+            oversize[count] = i
+            count += 1
+            continue
+        largest[level[i]] = max(largest[level[i]], bounding_radius[i])
+    return level, oversize, count, largest
+
+
+@kernel
+def fill_cells(paths, order, grid):
+    """(place, entry) of `SortedCells` for SLOW rows `order`; (head, after, before, cell_of) of `LinkedCells` for FAST ones."""
+    _, midpoint, bounding_radius, level, _ = paths
+    n, g = len(midpoint), min(midpoint.shape[1], 3)
+    place = np.empty(n, np.int32)
+    entry = np.empty((len(order), g + 1))
+    for e in range(len(order)):
+        i = order[e]
+        place[i] = e
+        for k in range(g):
+            entry[e, k] = midpoint[i, k]
+        entry[e, g] = bounding_radius[i]
+    head = np.full(grid.cells[0] * grid.cells[1] * grid.cells[2], -1, np.int32)
+    after, before, cell_of = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
+    linked = LinkedCells(head, after, before, cell_of, grid)
+    for i in range(n):
+        if level[i] == FAST:
+            link(i, cell_at(midpoint, i, grid), linked)
+    return place, entry, head, after, before, cell_of
+
+
+@lean
+def move_rows(rows, paths, owned, index):
+    """Rows with new paths change places: into the lists of the FAST rows, or to the OVERSIZE ones."""
+    _, midpoint, bounding_radius, level, _ = paths
+    sorted_, linked, oversize, number, largest, limit, low, high, own_low, own_high = index
+    _, _, place, entry, _ = sorted_
+    _, _, _, _, grid = linked
+    for r in range(len(rows)):
+        i = np.int64(rows[r])
+        for k in range(midpoint.shape[1]):
+            low[k] = min(low[k], midpoint[i, k])
+            high[k] = max(high[k], midpoint[i, k])
+            if i < owned:
+                own_low[k] = min(own_low[k], midpoint[i, k])
+                own_high[k] = max(own_high[k], midpoint[i, k])
+        if level[i] == OVERSIZE:
+            continue
+        if level[i] == SLOW:
+            entry[place[i], 0] = inf  # no one meets it there
+        else:
+            unlink(i, linked)
+        if bounding_radius[i] > limit:
+            level[i] = OVERSIZE
+            oversize[number[0]] = i
+            number[0] += 1
+        else:
+            level[i] = FAST
+            largest[FAST] = max(largest[FAST], bounding_radius[i])
+            link(i, cell_at(midpoint, i, grid), linked)

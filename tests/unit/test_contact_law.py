@@ -1,0 +1,81 @@
+"""The contact law is written twice, for arrays of positions and velocities and for rows of mode event: the same bits."""
+
+import numpy as np
+import pytest
+
+from particles_mpi.contacts import law
+from particles_mpi.contacts.event_driven import segments
+from particles_mpi.contacts.event_driven.rows import RADIUS, START
+from particles_mpi.contacts.velocity_flow import Rates, no_rates
+from particles_mpi.kernels.markers import NEVER
+from particles_mpi.kernels.motion import Segments, move_to
+from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS
+
+
+def pairs(d, count):
+    """Pairs of spheres on segments that began at different times, in a box of side 4 that is periodic along some axes."""
+    random = np.random.default_rng(d)
+    for _ in range(count):
+        length = np.where(random.random(d) < 0.5, 4.0, 0.0)
+        x, v, radius = random.uniform(0.0, 4.0, (2, d)), random.normal(size=(2, d)), random.uniform(0.1, 0.8, 2)
+        start = np.where(random.random(2) < 0.3, 0.0, random.uniform(0.0, 0.5, 2))
+        w = np.where(random.random(2) < 0.2, 0.0, random.uniform(0.1, 3.0, 2))
+        if not w.any():
+            w[0] = 1.0
+        segment = np.empty((2, 2 * d + 2))
+        segment[:, :d], segment[:, d : 2 * d] = x, v
+        segment[:, 2 * d + START], segment[:, 2 * d + RADIUS] = start, radius
+        reference = np.zeros((2, d + 3))
+        reference[:, d + INVERSE_MASS] = w
+        yield Segments(x, v, start, np.zeros(2, np.int64)), radius, w, segment, reference, length, random
+
+
+def is_same(one, other):
+    return np.asarray(one).tobytes() == np.asarray(other).tobytes()
+
+
+@pytest.mark.parametrize("d", [1, 2, 3, 4])
+def test_the_time_of_a_contact(d):
+    touched = 0
+    for (x, v, start, _), radius, _, segment, _, length, _ in pairs(d, 1000):
+        axes, r, u, now = (0,) * d, np.empty(d), np.empty(d), start.max()
+        t = law.contact_time.py_func(axes, x, v, start, 0, 1, radius.sum(), 2.0, length)
+        for far in (False, True):
+            assert is_same(t, segments.touch_time(axes, segment, 0, 1, now, 2.0, length, far, r, u))
+        if start[0] == now:
+            assert t == NEVER or segments.may_touch_from_now(axes, segment, 0, 1, now, 2.0, length)
+        assert t == NEVER or segments.may_touch(axes, segment, 0, 1, now, 2.0, length)
+        touched += t != NEVER
+    assert touched > 20
+
+
+@pytest.mark.parametrize("changing", [False, True])
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_what_a_contact_does(d, changing):
+    """On a line the rows of mode event take r = 1 for the normal, which rounds otherwise: there, equal to round-off."""
+    collided = 0
+    for parts, radius, w, segment, reference, length, random in pairs(d, 1000):
+        x, v, start, _ = parts
+        axes, r = (0,) * d, np.empty(d)
+        t = law.contact_time.py_func(axes, x, v, start, 0, 1, radius.sum(), 2.0, length)
+        if t == NEVER:
+            continue
+        rates = Rates(random.normal(size=(2, d)), random.uniform(0.0, 0.3, 2), 0.1, 1.0) if changing else no_rates(d)
+        loss = law.Loss(random.choice([1.0, 0.5, 0.0]), random.choice([1.0, 0.9]))
+        virial = law.collide_pair(axes, parts, w, 0, 1, t, loss, length, rates, r)
+        other = segments.collide(axes, segment, reference, 0, 1, t, loss.restitution, loss.velocity_factor, length, rates, r)
+        collided += 1
+        assert is_same(segment[:, :d], x) and is_same(segment[:, 2 * d + START], start)
+        if d > 1:
+            assert is_same(segment[:, d : 2 * d], v) and is_same(other, virial)
+        else:
+            assert np.allclose(segment[:, d : 2 * d], v, rtol=1e-12, atol=1e-14) and np.isclose(other, virial, rtol=1e-12, atol=0)
+    assert collided > 20
+
+
+def test_the_way_along_a_segment():
+    for (x, v, start, _), _, _, segment, _, _, random in pairs(3, 50):
+        t = random.uniform(0.5, 2.0)
+        move_to((0,) * 3, x, v, start, 1, t)
+        segments.move_to((0,) * 3, segment, 1, t)
+        assert is_same(segment[:, :3], x) and is_same(segment[:, 6 + START], start)
