@@ -172,9 +172,10 @@ def collide_pair(axes, segments, w, i, j, t, loss, length, rates, r):
     Returns the virial -r.dp. `segments.collide` is the same for the rows of mode event.
     """
     x, v, start, _ = segments
+    restitution, velocity_factor = loss
     move_to(axes, x, v, start, i, t)
     move_to(axes, x, v, start, j, t)
     for k in range(len(axes)):
         r[k] = separation(x, v, start, i, j, k, t, length)
-    change = exchange(axes, v, np.int64(0), r, i, j, w[i], w[j], t, loss.restitution, loss.velocity_factor, rates)
+    change = exchange(axes, v, np.int64(0), r, i, j, w[i], w[j], t, restitution, velocity_factor, rates)
     return -change / (w[i] + w[j])

@@ -141,14 +141,13 @@ def bounce_at_contact(v, column, i, w, normal, speed, restitution, velocity_fact
 @lean_inner
 def bounce_until(axes, x, v, start, last_partner, i, radius, inverse_mass, h, planes, rates):
     """Take row i through all its wall contacts up to time h, at most MOST_BOUNCES; returns their number."""
-    point, normal = planes.point, planes.normal
+    point, normal, restitution, velocity_factor, _, _, _ = planes
     for hits in range(MOST_BOUNCES):
         t, w = wall_contact(axes, x, v, np.int64(0), start[i], i, radius, last_partner, h, point, normal)
         if w < 0:
             return hits
         move_to(axes, x, v, start, i, t)
-        e, factor = planes.restitution[w], planes.velocity_factor[w]
-        bounce(axes, v, np.int64(0), i, w, normal, e, factor, inverse_mass, t, rates)
+        bounce(axes, v, np.int64(0), i, w, normal, restitution[w], velocity_factor[w], inverse_mass, t, rates)
         last_partner = -1 - w
     start[i] = h  # stays inside, at the last contact
     return MOST_BOUNCES
@@ -160,7 +159,7 @@ def drift_with_walls(axes, x, v, radius, inverse_mass, h, planes, rates):
 
     `inverse_mass` (n,), or no row where nothing depends on it.
     """
-    lower, upper, oblique = planes.lower, planes.upper, planes.oblique
+    _, _, _, _, lower, upper, oblique = planes
     hits = 0
     start = np.zeros(len(x))  # of the last segments
     for i in range(len(x)):

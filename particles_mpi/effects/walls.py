@@ -95,4 +95,4 @@ class Effect:
         """Drift over h with walls alone, while velocities change by `rates`; returns the number of wall hits. Purely local."""
         p, axes = particles, (0,) * particles.dimension
         w = p.inverse_mass if rates.alpha else np.empty(0)
-        return drift_with_walls(axes, p.position, p.velocity, p.radius, w, h, self.planes, rates)
+        return drift_with_walls(axes, p.position, p.velocity, p.radius, w, h, tuple(self.planes), rates)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from particles_mpi.kernels.jit import plain
 from particles_mpi.kernels.motion import Segments
 from particles_mpi.neighbours.cells import FINE, LinkedCells, grid, sort_rows, spacing
 from particles_mpi.neighbours.halo_region import HaloRegion, everywhere
@@ -69,7 +70,7 @@ class Candidates:
         expected: int,
     ):
         self.x, self.v, self.spheres = x, v, spheres
-        self.length, self.planes, self.horizon, self.region = length, planes, horizon, region
+        self.length, self.planes, self.horizon, self.region = length, planes, horizon, tuple(region)
         self.axes = (0,) * x.shape[1]
         self.time = 0.0  # since the search
         n = len(x)
@@ -116,10 +117,9 @@ class Candidates:
         order, start = sort_rows(midpoint, level, SLOW, fine)
         coarse = grid(midpoint, (low, high), max(2.0 * apart, 2.0 * mean), 1)
         place, entry, head, after, before, cell_of = fill_cells(self.paths, order, coarse)
-        self.index = SearchIndex(
-            SortedCells(order, start, place, entry, fine), LinkedCells(head, after, before, cell_of, coarse),
-            oversize, np.array([count]), reaches, limit, low, high, *own_box,
-        )  # fmt: skip
+        cells = SortedCells(order, start, place, entry, fine), LinkedCells(head, after, before, cell_of, coarse)
+        self.index = plain(SearchIndex(*cells, oversize, np.array([count]), reaches, limit, low, high, *own_box))
+        self.path_arrays = tuple(self.paths)
         self.ask(np.arange(n, dtype=np.int32), everything=True)
 
     def ask(self, rows: Array, everything: bool) -> None:
@@ -128,8 +128,8 @@ class Candidates:
         self.pair_count = drop_pairs(rows, marked, self.first, self.second, self.pair_count)
         while True:
             found, tests = find_partners(
-                self.axes, rows, everything, self.paths, self.horizon, self.length, self.index, self.spheres, self.scratch,
-                self.first, self.second, self.pair_count,
+                self.axes, rows, everything, self.path_arrays, tuple(self.horizon), self.length, self.index,
+                tuple(self.spheres), tuple(self.scratch), self.first, self.second, self.pair_count,
             )  # fmt: skip
             if found <= len(self.first):
                 break
@@ -138,8 +138,9 @@ class Candidates:
         self.tests += tests if everything else ALONE * tests
         if len(self.planes[0]):
             self.wall_count = find_near_walls(
-                rows, self.paths.path, self.horizon, self.spheres.owned, *self.planes, marked, self.wall_rows, self.wall_count
-            )
+                rows, self.paths.path, tuple(self.horizon), self.spheres.owned, *self.planes, marked,
+                self.wall_rows, self.wall_count,
+            )  # fmt: skip
         unmark(rows, marked)
 
     def leaving(self, h: float) -> Array:
@@ -151,7 +152,7 @@ class Candidates:
 
     def turned(self, rows: Array, start: Array) -> Array:
         """Those of `rows` whose segments, begun at `start` (n,), leave their paths before the horizon; reorders `rows`."""
-        found = rows_turned(self.x, self.v, start, self.paths.path, rows, self.time, self.horizon, self.length)
+        found = rows_turned(self.x, self.v, start, self.paths.path, rows, self.time, tuple(self.horizon), self.length)
         return rows[:found]
 
     def follow(self, rows: Array, segments: Segments, h: float) -> float:
@@ -162,11 +163,13 @@ class Candidates:
         if not len(rows):
             return 0.0
         owned = self.spheres.owned
-        needed, until = renew_paths(rows, segments, owned, self.paths, self.region, self.horizon, self.length, self.time, h)
+        needed, until = renew_paths(
+            rows, tuple(segments), owned, self.path_arrays, self.region, tuple(self.horizon), self.length, self.time, h
+        )
         self.horizon = self.horizon._replace(valid_until=until)
         if needed:
             return float(needed)
-        move_rows(rows, self.paths, owned, self.index)
+        move_rows(rows, self.path_arrays, owned, self.index)
         self.asked += len(rows)
         self.ask(rows, everything=False)
         return 0.0

@@ -50,8 +50,9 @@ def exchange_selections(halo: Halo, selected: Array, first_rows: Array, second_r
 def exchange_segments(halo: Halo, active: Active, segments: Segments) -> None:
     """New segments of active owned rows to all who hold them as ghosts; they are active there too if the segment is new."""
     own = active.rows[: active.number[0]]  # at this moment
-    for first, message in halo.exchange(lambda rows, buffer: pack_segments(rows, own, segments, buffer, buffer.view(np.int64))):
-        unpack_segments(first, message, message.view(np.int64), active, segments)
+    all_ = tuple(segments)
+    for first, message in halo.exchange(lambda rows, buffer: pack_segments(rows, own, all_, buffer, buffer.view(np.int64))):
+        unpack_segments(first, message, message.view(np.int64), tuple(active), all_)
 
 
 @kernel

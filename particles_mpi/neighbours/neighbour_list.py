@@ -38,9 +38,10 @@ TOO_MANY = 0.1  # of the rows left their paths at once: a search of all is cheap
 class Neighbourhood:
     """Ghosts and candidates of this rank: `prepare` renews them where a drift needs it, `follow` after contacts.
 
-    `segments`, `spheres` and the arrays of `fields` hold the owned rows, then ghosts; x, v are those of `segments`. `active`:
-    rows with news in this pass. `candidates`: the pairs among all these that can touch. `planes`: (point, normal) of the walls.
-    `kicked`: do forces or dissipation change velocities? If not, ghosts fly on by themselves, and only contacts need a message.
+    `segments`, `spheres` and the arrays of `fields` hold the owned rows, then ghosts; x, v are those of `segments`, and `rows`
+    are both as plain tuples, for kernels. `active`: rows with news in this pass. `candidates`: the pairs among all these that
+    can touch. `planes`: (point, normal) of the walls. `kicked`: do forces or dissipation change velocities? If not, ghosts fly
+    on by themselves, and only contacts need a message.
     """
 
     def __init__(
@@ -170,6 +171,7 @@ class Neighbourhood:
         n = len(self.x)
         self.segments = Segments(self.x, self.v, np.zeros(n), np.full(n, NOBODY))
         self.active = Active(np.zeros(n, np.bool_), np.empty(n, np.int32), np.zeros(1, np.int64))
+        self.rows = tuple(self.segments), tuple(self.spheres)
         self.position, self.version = particles.position, particles.version
         return region
 

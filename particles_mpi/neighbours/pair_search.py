@@ -113,28 +113,31 @@ def fill_cells(paths, order, grid):
 def move_rows(rows, paths, owned, index):
     """Rows with new paths change places: into the lists of the FAST rows, or to the OVERSIZE ones."""
     _, midpoint, bounding_radius, level, _ = paths
+    sorted_, linked, oversize, number, largest, limit, low, high, own_low, own_high = index
+    _, _, place, entry, _ = sorted_
+    _, _, _, _, grid = linked
     for r in range(len(rows)):
         i = np.int64(rows[r])
         for k in range(midpoint.shape[1]):
-            index.low[k] = min(index.low[k], midpoint[i, k])
-            index.high[k] = max(index.high[k], midpoint[i, k])
+            low[k] = min(low[k], midpoint[i, k])
+            high[k] = max(high[k], midpoint[i, k])
             if i < owned:
-                index.own_low[k] = min(index.own_low[k], midpoint[i, k])
-                index.own_high[k] = max(index.own_high[k], midpoint[i, k])
+                own_low[k] = min(own_low[k], midpoint[i, k])
+                own_high[k] = max(own_high[k], midpoint[i, k])
         if level[i] == OVERSIZE:
             continue
         if level[i] == SLOW:
-            index.sorted.entry[index.sorted.place[i], 0] = inf  # no one meets it there
+            entry[place[i], 0] = inf  # no one meets it there
         else:
-            unlink(i, index.linked)
-        if bounding_radius[i] > index.limit:
+            unlink(i, linked)
+        if bounding_radius[i] > limit:
             level[i] = OVERSIZE
-            index.oversize[index.number[0]] = i
-            index.number[0] += 1
+            oversize[number[0]] = i
+            number[0] += 1
         else:
             level[i] = FAST
-            index.largest[FAST] = max(index.largest[FAST], bounding_radius[i])
-            link(i, cell_at(midpoint, i, index.linked.grid), index.linked)
+            largest[FAST] = max(largest[FAST], bounding_radius[i])
+            link(i, cell_at(midpoint, i, grid), linked)
 
 
 @kernel

@@ -137,7 +137,7 @@ def rows_turned(x, v, start, path, rows, time, horizon, length):
     To the front of `rows`; returns how many. Segment and path are straight: where they end decides.
     """
     d = x.shape[1]
-    until, tolerance = horizon.valid_until, horizon.tolerance
+    until, tolerance, _, _ = horizon
     found = 0
     for i in rows:
         outside = False
@@ -310,6 +310,7 @@ def find_near_walls(rows, path, horizon, owned, point, normal, marked, near, cou
     Returns the number then.
     """
     d = normal.shape[1]
+    until, tolerance, _, _ = horizon
     kept = 0
     for p in range(count):
         near[kept] = near[p]
@@ -317,8 +318,8 @@ def find_near_walls(rows, path, horizon, owned, point, normal, marked, near, cou
     for i in rows:
         if i >= owned:
             continue
-        window = horizon.valid_until - path[i, 2 * d]
-        size = path[i, 2 * d + 1] + horizon.tolerance * 1.000001
+        window = until - path[i, 2 * d]
+        size = path[i, 2 * d + 1] + tolerance * 1.000001
         travel = 0.0
         for k in range(d):
             travel += path[i, d + k] ** 2

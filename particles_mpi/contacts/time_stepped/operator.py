@@ -34,6 +34,7 @@ from particles_mpi.contacts.time_stepped.passes import (
 )
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.contacts.walls import Planes, no_planes
+from particles_mpi.kernels.jit import plain
 from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.neighbours.candidates import Hits
 from particles_mpi.neighbours.neighbour_list import Neighbourhood
@@ -69,7 +70,7 @@ class Rewind:
     def __init__(self, near: Neighbourhood, loss: Loss, passes: int, planes: Planes | None, timers: Timers, exact: Event | None):
         self.near, self.passes, self.timers, self.exact = near, passes, timers, exact
         self.loss, self.walls = loss, planes is not None
-        self.planes = planes or no_planes(len(near.axes))
+        self.planes = plain(planes or no_planes(len(near.axes)))
         self.dense_steps = 0
         self.searches = -1  # the search of `near` that the arrays by row belong to
 
@@ -113,7 +114,8 @@ class Rewind:
             self.searches = near.searches
             self.selection = Selection(np.full(n, NOBODY), np.empty((owned, 3)))
             self.log = UndoLog(np.empty(owned, np.int32), np.empty((owned, d)), np.empty((owned, d)), np.zeros(1, np.int64))
-        self.rules = ContactRules(self.loss, self.planes, rates.of(near.fields), near.length)
+        self.rates = rates.of(near.fields)
+        self.rules = ContactRules(self.loss, self.planes, self.rates, near.length)
         self.virial = near.particles.arrays.get("virial", NONE)
         self.virial_before = self.virial.copy()
 
@@ -154,7 +156,7 @@ class Rewind:
     def late(self, hits: Hits) -> bool:
         """Do partners meet that already overlap? Passes go forward in time for each particle, but not for all together."""
         near = self.near
-        return float(deepest_hit(near.segments, near.spheres.radius, hits, near.length)) > LATE
+        return float(deepest_hit(near.rows[0], near.spheres.radius, tuple(hits), near.length)) > LATE
 
     def overlapping(self, h: float) -> bool:
         """Does a supported particle overlap with another in the end, because a pass was late? Collective.
@@ -163,18 +165,18 @@ class Rewind:
         """
         near, supported = self.near, self.near.particles["supported"]
         pairs = near.candidates.pairs
-        most = deepest_supported(near.segments, near.spheres.radius, *pairs, supported, h, near.length)
+        most = deepest_supported(near.rows[0], near.spheres.radius, *pairs, supported, h, near.length)
         return float(near.ranks.largest(most)[0]) > DEEP
 
     def find(self, h: float, everything: bool) -> Hits:
         """The hits on the present segments: all of them, or those of active rows."""
         near, active = self.near, self.near.active.flag
-        hits = near.candidates.hits
+        hits = tuple(near.candidates.hits)
         pairs = near.candidates.pairs
-        found = find_contacts(near.axes, near.segments, near.spheres, *pairs, h, near.length, everything, active, hits)
+        found = find_contacts(near.axes, *near.rows, *pairs, h, near.length, everything, active, hits)
         if self.walls:
             radius, rows = near.spheres.radius, near.candidates.near_wall
-            found = find_wall_hits(near.axes, near.segments, radius, rows, h, everything, active, self.planes, hits, found)
+            found = find_wall_hits(near.axes, near.rows[0], radius, rows, h, everything, active, self.planes, hits, found)
         return Hits(*(column[:found] for column in hits))
 
     def one_pass(self, hits: Hits, h: float, counts: Array, shared: bool) -> float:
@@ -185,15 +187,16 @@ class Rewind:
         """
         near, selected = self.near, self.selection.partner
         with self.timers("collide"):
-            select_contacts(near.spheres.id, near.spheres.owned, hits, self.selection)
+            select_contacts(near.spheres.id, near.spheres.owned, tuple(hits), tuple(self.selection))
         if shared:
             with self.timers("ghosts"):
                 near.exchange_selections(selected, hits)
         with self.timers("collide"):
             near.deactivate()
             apply_contacts(
-                near.axes, near.segments, near.spheres, hits, selected, self.rules, near.active, self.log, counts, self.virial
-            )
+                near.axes, *near.rows, tuple(hits), selected, tuple(self.rules), tuple(near.active), tuple(self.log), counts,
+                self.virial,
+            )  # fmt: skip
         if shared:
             with self.timers("ghosts"):
                 selected[near.spheres.owned :] = NOBODY
@@ -211,7 +214,7 @@ class Rewind:
         count = log.number[0]
         log.rows[count : count + len(rows)] = rows
         log.number[0] += len(rows)
-        return int(finish_walls(near.axes, near.segments, near.spheres, hits, h, self.planes, self.rules.rates))
+        return int(finish_walls(near.axes, *near.rows, tuple(hits), h, self.planes, self.rates))
 
     def undo(self) -> None:
         """Owned rows go back to where they were before their contacts in this drift."""

@@ -5,13 +5,13 @@ All times count from the beginning of the drift, over a time h. `axes` is a tupl
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from particles_mpi.contacts.law import Loss, collide_pair, contact_time, may_come_near, separation
 from particles_mpi.contacts.velocity_flow import Rates
-from particles_mpi.contacts.walls import Planes, bounce, bounce_until, may_hit, wall_contact
+from particles_mpi.contacts.walls import bounce, bounce_until, may_hit, wall_contact
 from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import kernel, lean, lean_inner
 from particles_mpi.kernels.markers import NEVER, NOBODY
@@ -26,7 +26,7 @@ class ContactRules(NamedTuple):
     """What a contact does to velocities: loss between particles, walls, how forces act meanwhile, periodic lengths (d,)."""
 
     loss: Loss
-    planes: Planes
+    planes: tuple[Any, ...]  # `Planes`, as a plain tuple
     rates: Rates
     length: Array
 
@@ -108,7 +108,7 @@ def find_contacts(axes, segments, spheres, first, second, h, length, everything,
     In the first pass, in which all segments begin at time 0, with `everything`; later of the pairs with an active row only.
     """
     x, v, start, last_partner = segments
-    radius, ids = spheres.radius, spheres.id
+    radius, _, ids, _ = spheres
     a, b, time = hits
     if everything:
         periodic = length[0] > 0.0
@@ -137,12 +137,12 @@ def find_wall_hits(axes, segments, radius, rows, h, everything, active, planes, 
     Returns the number of hits then.
     """
     x, v, start, last_partner = segments
-    lower, upper, oblique = planes.lower, planes.upper, planes.oblique
+    point, normal, _, _, lower, upper, oblique = planes
     a, b, time = hits
     for p in range(len(rows)):
         i = np.int64(rows[p])
         if (everything or active[i]) and may_hit(axes, x, v, np.int64(0), start[i], i, radius[i], h, lower, upper, oblique):
-            t, w = wall_contact(axes, x, v, np.int64(0), start[i], i, radius[i], last_partner[i], h, planes.point, planes.normal)
+            t, w = wall_contact(axes, x, v, np.int64(0), start[i], i, radius[i], last_partner[i], h, point, normal)
             if w >= 0:
                 a[found] = i
                 b[found] = -1 - w
@@ -154,9 +154,10 @@ def find_wall_hits(axes, segments, radius, rows, h, everything, active, planes, 
 @lean_inner(error_model="numpy")
 def overlap_in_radii(segments, radius, i, j, t, length):
     """How far rows i and j overlap at time t, in units of the smaller radius; 0 if they do not."""
+    x, v, start, _ = segments
     r2 = 0.0
     for k in range(len(length)):
-        r = separation(segments.x, segments.v, segments.start, i, j, k, t, length)
+        r = separation(x, v, start, i, j, k, t, length)
         r2 += r * r
     sum_of_radii = radius[i] + radius[j]
     return (sum_of_radii - r2**0.5) / min(radius[i], radius[j]) if r2 < sum_of_radii**2 else 0.0
@@ -165,11 +166,12 @@ def overlap_in_radii(segments, radius, i, j, t, length):
 @lean
 def deepest_hit(segments, radius, hits, length):
     """The largest overlap, in smaller radii, of the partners of any hit when they meet: a third one came between them late."""
+    a, b, time = hits
     most = 0.0
-    for p in range(len(hits.time)):
-        if hits.second[p] >= 0:
-            i, j = np.int64(hits.first[p]), np.int64(hits.second[p])
-            most = max(most, overlap_in_radii(segments, radius, i, j, hits.time[p], length))
+    for p in range(len(a)):
+        if b[p] >= 0:
+            i, j = np.int64(a[p]), np.int64(b[p])
+            most = max(most, overlap_in_radii(segments, radius, i, j, time[p], length))
     return most
 
 
@@ -210,7 +212,7 @@ def comes_first(row, t, wall, low, high, selection):
 def select_contacts(ids, owned, hits, selection):
     """For every owned row with a hit the partner of its earliest one, in place on `selection`."""
     a, b, time = hits
-    partner = selection.partner
+    partner, _ = selection
     for p in range(len(a)):
         i = np.int64(a[p])
         j = np.int64(b[p])
@@ -233,10 +235,10 @@ def apply_contacts(axes, segments, spheres, hits, selected_partner, rules, activ
     id; so is its virial, where that is wanted: `virial` (owned,) += -r.dp, else it is empty.
     """
     x, v, start, last_partner = segments
-    w, ids, owned = spheres.inverse_mass, spheres.id, spheres.owned
+    _, w, ids, owned = spheres
     a, b, time = hits
     loss, planes, rates, length = rules
-    normal, wall_restitution, wall_factor = planes.normal, planes.restitution, planes.velocity_factor
+    _, normal, wall_restitution, wall_factor, _, _, _ = planes
     is_active, active_rows, active_number = active
     r = np.empty(len(axes))
     found = 0
@@ -284,24 +286,27 @@ def activate(i, is_active, active_rows, found):
 @lean_inner
 def note_start(segments, i, owned, log):
     """Before the first contact of an owned row in this drift: log where it started."""
-    if i >= owned or segments.last_partner[i] != NOBODY:
+    x, v, _, last_partner = segments
+    rows, log_x, log_v, number = log
+    if i >= owned or last_partner[i] != NOBODY:
         return
-    p = log.number[0]
-    log.rows[p] = i
-    for k in range(segments.x.shape[1]):
-        log.x[p, k] = segments.x[i, k]
-        log.v[p, k] = segments.v[i, k]
-    log.number[0] = p + 1
+    p = number[0]
+    rows[p] = i
+    for k in range(x.shape[1]):
+        log_x[p, k] = x[i, k]
+        log_v[p, k] = v[i, k]
+    number[0] = p + 1
 
 
 @lean
 def finish_walls(axes, segments, spheres, hits, h, planes, rates):
     """Take the rows of the wall hits through all their wall contacts, blind to other particles; returns the number."""
     x, v, start, last_partner = segments
-    radius, w = spheres.radius, spheres.inverse_mass
+    radius, w, _, _ = spheres
+    a, b, _ = hits
     count = 0
-    for p in range(len(hits.first)):
-        if hits.second[p] < 0:
-            i = np.int64(hits.first[p])
+    for p in range(len(a)):
+        if b[p] < 0:
+            i = np.int64(a[p])
             count += bounce_until(axes, x, v, start, last_partner[i], i, radius[i], w[i], h, planes, rates)
     return count
