@@ -51,8 +51,8 @@ class Lists(NamedTuple):
     used: Array  # (1,) places of the pool that are in use
     head: Array  # (cells,) int32, first row in each cell, or -1
     nearby: Array  # (n + 2,) int32, scratch: rows that `find_nearby` found
-    grid: Grid
-    box: Box
+    grid: tuple[Array, ...]  # a `Grid`, as a plain tuple: see `jit.plain`
+    box: tuple[Array, ...]  # a `Box`, as a plain tuple
 
 
 def make_grid(x: Array, size: Array, box: Box, share: float) -> tuple[Grid, Array]:
@@ -92,15 +92,16 @@ def make_grid(x: Array, size: Array, box: Box, share: float) -> tuple[Grid, Arra
 
 
 @inner
-def level_of(size, grid):
+def level_of(size, lists):
     """The level for one row more, of this size; the widest one may have to hold wider rows than it was made for."""
+    _, _, _, _, largest = lists.grid
     widest = 0
-    for step in range(len(grid.largest)):
-        if grid.largest[step] >= size:
+    for step in range(len(largest)):
+        if largest[step] >= size:
             return step
-        if grid.largest[step] >= 0.0:
+        if largest[step] >= 0.0:
             widest = step
-    grid.largest[widest] = size
+    largest[widest] = size
     return widest
 
 
@@ -139,7 +140,8 @@ def may_meet(axes, reference, i, j, length, far):
 @lean_inner
 def find_nearby(axes, lists, i, far):
     """Write the rows that `may_meet` row i to `lists.nearby`; returns how many. `far` as there."""
-    reference, links, head, nearby, length = lists.reference, lists.links, lists.head, lists.nearby, lists.box.length
+    reference, links, head, nearby = lists.reference, lists.links, lists.head, lists.nearby
+    _, _, length = lists.box
     low, per_length, cells, first, largest = lists.grid
     d = len(axes)
     waiting = 0
@@ -224,6 +226,7 @@ def insert(axes, lists, i, found):
     """List row i with the `found` nearby rows, and put it into its cell."""
     reference, links, spans, pool, used, head = lists.reference, lists.links, lists.spans, lists.pool, lists.used, lists.head
     low, per_length, cells, first, _ = lists.grid
+    _, _, length = lists.box
     d = len(axes)
     for p in range(found):
         j = np.int64(lists.nearby[p])
@@ -233,7 +236,7 @@ def insert(axes, lists, i, found):
     c = np.int64(0)
     for m in range(min(d, GRIDDED)):
         at = floor((reference[i, m] - low[m]) * per_length[step, m])
-        if lists.box.length[m] > 0.0:
+        if length[m] > 0.0:
             at -= floor(at / cells[step, m]) * cells[step, m]
         c = c * cells[step, m] + np.int64(min(max(at, 0.0), cells[step, m] - 1.0))
     cell = first[step] + c
@@ -272,6 +275,7 @@ def list_rows(axes, lists, x, row):
     Returns (row, shortage): (n, 0) in the end, or the row for which the pool is too small by so many places; then enlarge it
     and call again from that row.
     """
+    lists = Lists(*lists)
     for i in range(row, len(x)):
         for k in range(len(axes)):
             lists.reference[i, k] = x[i, k]

@@ -81,12 +81,12 @@ class VerletLists:
         spans[:, BEGIN], spans[:, ROOM] = np.arange(rows) * PLACES, PLACES
         self.arrays = Lists(
             reference, reference.view(np.int32), level, spans, np.empty(rows * (PLACES + PLACES // 2) + 64, np.int32),
-            np.array([rows * PLACES]), np.full(grid.first[-1], -1, np.int32), np.empty(rows + 2, np.int32), grid,
-            self.box,
+            np.array([rows * PLACES]), np.full(grid.first[-1], -1, np.int32), np.empty(rows + 2, np.int32), tuple(grid),
+            tuple(self.box),
         )  # fmt: skip
         row = 0
         while row < n:
-            row, short = list_rows((0,) * d, self.arrays, x, row)
+            row, short = list_rows((0,) * d, tuple(self.arrays), x, row)
             self.enlarge(short)
 
     def enlarge(self, short: int) -> None:

@@ -62,7 +62,7 @@ class Engine:
 
     def __init__(self, box: Box, loss: Loss, planes: Planes):
         d = len(box.length)
-        self.loss, self.planes = loss, planes
+        self.loss, self.planes = tuple(loss), tuple(planes)
         self.axes = (0,) * d
         self.lists = VerletLists(box)
         self.work = Work(
@@ -127,7 +127,9 @@ class Engine:
         """Own rows on their way, particle r in row own_rows[r]: (did anyone move them since `end_drift`, largest speed)."""
         virial = p.arrays.get("virial", np.empty(0))
         a = p.arrays.get("total_acceleration", np.empty((0, 0)))
-        moved, speed = start_drift(self.axes, self.rows, p.position, p.velocity, p.radius, p.contacted, virial, a, own_rows)
+        moved, speed = start_drift(
+            self.axes, tuple(self.rows), p.position, p.velocity, p.radius, p.contacted, virial, a, own_rows
+        )
         return bool(moved), float(speed)
 
     def begin(self, h: float) -> None:
@@ -146,11 +148,13 @@ class Engine:
         """All events from `now` to `until`, times since the start of the drift at `moment`."""
         queue, work = self.queue, self.work
         queue.present[0] = min(int(now * queue.per_time), len(queue.first) - 1)  # nothing is left from before
-        rules = Rules(self.loss, self.contact_duration, self.crowded, self.planes, self.rates.of(self.fields))
-        interval = Interval(self.h, moment, now, until, self.ahead)
+        rates = self.rates.of(self.fields)
+        rules = tuple(Rules(self.loss, self.contact_duration, self.crowded, self.planes, rates))
+        interval = tuple(Interval(self.h, moment, now, until, self.ahead))
+        rows, written, log = tuple(self.rows), tuple(work), tuple(self.log)
         work.progress[:] = now, 0.0
         pending, self.pending = self.pending, 0
-        while short := run(self.axes, self.rows, self.lists.arrays, queue, rules, interval, work, self.log, pending):
+        while short := run(self.axes, rows, tuple(self.lists.arrays), tuple(queue), rules, interval, written, log, pending):
             if short == STANDSTILL:
                 raise StateError(self.standstill(moment + work.progress[LAST_PROGRESS]))
             if short == INTERRUPTED:
@@ -171,7 +175,8 @@ class Engine:
 
     def end_drift(self) -> int:
         """All rows to the end of the drift. Returns how many own ones were squeezed."""
-        squeezed = end_drift(self.axes, self.rows, float(self.work.stopped[0]), self.lists.arrays)
+        lists = self.lists.arrays
+        squeezed = end_drift(self.axes, tuple(self.rows), float(self.work.stopped[0]), lists.reference, lists.box)
         counts = self.work.counts
         self.expiries += int(counts[EXPIRIES])
         self.events = int(counts[COLLISIONS] + counts[WALL_HITS] + counts[EXPIRIES])
@@ -181,4 +186,5 @@ class Engine:
     def write_back(self, p: Particles, own_rows: Array) -> None:
         """Particle r of p as row own_rows[r] is."""
         virial, supported = p.arrays.get("virial", np.empty(0)), p.arrays.get("supported", np.empty(0, np.uint8))
-        write_back(self.axes, self.rows, p.position, p.velocity, p.contacted, virial, supported, self.crowded, own_rows)
+        rows = tuple(self.rows)
+        write_back(self.axes, rows, p.position, p.velocity, p.contacted, virial, supported, self.crowded, own_rows)

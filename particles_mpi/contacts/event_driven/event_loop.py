@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,12 +14,13 @@ from particles_mpi.contacts.event_driven.calendar_queue import (
     PARTNER,
     PARTNER_COUNT,
     TIME,
+    Queue,
     comes_before,
     find_first,
     push,
     remove,
 )
-from particles_mpi.contacts.event_driven.rollback import note_move, note_segment, save_once
+from particles_mpi.contacts.event_driven.rollback import Log, note_move, note_segment, save_once
 from particles_mpi.contacts.event_driven.rows import (
     EVENT_COUNT,
     ID,
@@ -34,6 +35,7 @@ from particles_mpi.contacts.event_driven.rows import (
     START,
     VIRIAL,
     ZERO_TIME_EVENT,
+    Rows,
 )
 from particles_mpi.contacts.event_driven.segments import (
     collide,
@@ -43,13 +45,12 @@ from particles_mpi.contacts.event_driven.segments import (
     move_to,
     touch_time,
 )
-from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.contacts.walls import Planes, bounce, may_hit, wall_contact
 from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch
 from particles_mpi.kernels.markers import NEVER
 from particles_mpi.neighbours import verlet_kernels as verlet
-from particles_mpi.neighbours.verlet_kernels import BEGIN, COUNT, INVERSE_MASS, SKIN
+from particles_mpi.neighbours.verlet_kernels import BEGIN, COUNT, INVERSE_MASS, SKIN, Lists
 from particles_mpi.particles import Array
 
 COLLISIONS, WALL_HITS, TC_ELASTIC, EXPIRIES = range(4)  # what `counts` counts
@@ -67,10 +68,10 @@ EARLY, SOON, NEXT_ONES = 6, 4, 2  # buckets ahead of the present one, for which 
 class Rules(NamedTuple):
     """What happens at a contact in this step."""
 
-    loss: Loss
+    loss: tuple[float, ...]  # `law.Loss`, as a plain tuple
     contact_duration: float  # t_c: a contact within it after the last one of either partner takes no energy
     crowded: int  # rows with so many quick contacts have no more in this drift
-    planes: Planes
+    planes: tuple[Any, ...]  # `walls.Planes`, as a plain tuple
     rates: Rates  # how velocities change in the step
 
 
@@ -102,7 +103,8 @@ class Work(NamedTuple):
 def next_event(axes, rows, lists, planes, work, i, now, h):
     """(time, partner) of the next event of row i on the present segments: its first contact, or LIST_EXPIRY."""
     segment, state, reference, spans, pool = rows.segment, rows.state, lists.reference, lists.spans, lists.pool
-    nearby, length, flags, r = lists.nearby, lists.box.length, work.flags, work.r
+    nearby, flags, r = lists.nearby, work.flags, work.r
+    _, _, length = lists.box
     d = len(axes)
     best = h
     partner = np.int64(NO_EVENT)
@@ -239,10 +241,14 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
     A contact within t_c of the last one of either partner takes no energy: the TC model (Luding and McNamara, Granular
     Matter 1, 113, 1998), which keeps inelastic collapse from stopping the clock.
 
-    One kernel with everything in it: a call with so many arrays costs as much as the look it would be for.
+    One kernel with everything in it: a call with so many arrays costs as much as the look it would be for. The bundles come as
+    plain tuples, as in all kernels of this folder that Python calls: see `jit.plain`.
     """
-    segment, state, reals, reference, box = rows.segment, rows.state, rows.reals, lists.reference, lists.box
+    rows, lists, queue, work, log = Rows(*rows), Lists(*lists), Queue(*queue), Work(*work), Log(*log)
+    segment, state, reals, reference = rows.segment, rows.state, rows.reals, lists.reference
+    low, _, length = lists.box
     (restitution, velocity_factor), contact_duration, crowded, planes, rates = rules
+    planes = Planes(*planes)
     h, moment, now, until, ahead = interval
     stale, counts, flags, progress, node, times = work.stale, work.counts, work.flags, work.progress, queue.node, queue.times
     d = len(axes)
@@ -286,9 +292,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             lead = ahead * reference[i, d + SKIN] / sqrt(speed2) if speed2 > 0.0 else 0.0
             for k in range(d):
                 reference[i, k] = segment[i, k] + segment[i, d + k] * (now - segment[i, 2 * d + START] + lead)
-                flags[MANY_BOXES] |= (
-                    box.length[k] > 0.0 and not -0.25 * box.length[k] < reference[i, k] - box.lower[k] < 1.25 * box.length[k]
-                )
+                flags[MANY_BOXES] |= length[k] > 0.0 and not -0.25 * length[k] < reference[i, k] - low[k] < 1.25 * length[k]
             found = verlet.find_nearby(axes, lists, i, flags[MANY_BOXES])
             short = verlet.shortage(lists, i, found)
             if short > 0:
@@ -325,7 +329,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             note_contact(axes, rows, j, t, state[i, ID], moment, QUICK * h, crowded, flags)
             own = state[i, OWNERSHIP] >= OWN
             e, factor = (1.0, 1.0) if elastic else (restitution, velocity_factor)
-            reals[i, VIRIAL] += collide(axes, segment, reference, i, j, t, e, factor, box.length, rates, work.r)
+            reals[i, VIRIAL] += collide(axes, segment, reference, i, j, t, e, factor, length, rates, work.r)
             if elastic and own:
                 note_tc_elastic(work, moment + t, state[i, ID], state[j, ID])
             counts[COLLISIONS] += own

@@ -17,7 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.contacts.event_driven import calendar_queue
-from particles_mpi.contacts.event_driven.rollback import has_new_segment, hash_place, load_row, record_width, save_row
+from particles_mpi.contacts.event_driven.calendar_queue import Queue
+from particles_mpi.contacts.event_driven.rollback import Log, has_new_segment, hash_place, load_row, record_width, save_row
 from particles_mpi.contacts.event_driven.rows import (
     EVENT_COUNT,
     GHOST,
@@ -31,12 +32,13 @@ from particles_mpi.contacts.event_driven.rows import (
     SHARED,
     START,
     TRAJECTORY_HASH,
+    Rows,
     dimension,
 )
 from particles_mpi.kernels.jit import inner, kernel, lean, lean_inner, prefetch
 from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.neighbours import verlet_kernels as verlet
-from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS, SIZE, SKIN
+from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS, SIZE, SKIN, Lists
 from particles_mpi.particles import Array
 
 UPDATE, ADD_GHOST, TRANSFER, DROP_GHOST = range(4)
@@ -114,6 +116,7 @@ def pack_motion(rows, holders, rank, message):
 
     `message` has room for all.
     """
+    rows = Rows(*rows)
     out, bits = message
     segment, state, acceleration = rows.segment, rows.state, rows.acceleration
     d = dimension(rows)
@@ -133,6 +136,7 @@ def pack_motion(rows, holders, rank, message):
 @lean
 def unpack_motion(rows, row_of, message):
     """What pack_motion wrote: ghosts on segments from time 0."""
+    rows = Rows(*rows)
     numbers, bits = message
     segment, state, acceleration = rows.segment, rows.state, rows.acceleration
     d = dimension(rows)
@@ -150,6 +154,7 @@ def unpack_motion(rows, row_of, message):
 @lean
 def pack_changes(rows, reference, directory, log, moves, rank, message):
     """All that the rank must know of the window of own rows; returns the length. `message` has room for it."""
+    rows, directory, log, moves = Rows(*rows), Directory(*directory), Log(*log), Moves(*moves)
     out, bits = message
     segment, state, acceleration, holders = rows.segment, rows.state, rows.acceleration, directory.holders
     d = dimension(rows)
@@ -200,6 +205,7 @@ def pack_changes(rows, reference, directory, log, moves, rank, message):
 @lean
 def roll_back(rows, log, stale):
     """All rows as before the window; returns how many (written to `stale`) must find their next events again."""
+    rows, log = Rows(*rows), Log(*log)
     d = dimension(rows)
     for p in range(log.changed_count[0]):
         load_row(d, rows, np.int64(log.changed[p]), log.saved, log.saved_bits, p * record_width(d))
@@ -214,6 +220,7 @@ def reconcile(rows, directory, log, message, moves, rank, stale):
     `message`: all that arrived. A ghost of which no UPDATE tells did not change at its owner. Returns how many rows, written
     to `stale`, must find their next events again.
     """
+    rows, directory, log, moves = Rows(*rows), Directory(*directory), Log(*log), Moves(*moves)
     numbers, bits = message
     state, row_of, masks = rows.state, directory.row_of, directory.holders.shape[1]
     d, extra = dimension(rows), extra_width(rows)
@@ -253,9 +260,11 @@ def apply_moves(rows, lists, queue, directory, message, at, skin, stale, pending
 
     Kernels of `verlet_kernels` get `length` for their axes, so that this one is compiled for all dimensions at once.
     """
+    rows, lists, queue, directory = Rows(*rows), Lists(*lists), Queue(*queue), Directory(*directory)
     numbers, bits = message
     row_of, holders, free, free_count = directory.row_of, directory.holders, directory.free, directory.free_count
-    segment, state, reference, length = rows.segment, rows.state, lists.reference, lists.box.length
+    segment, state, reference = rows.segment, rows.state, lists.reference
+    _, _, length = lists.box
     d, extra = dimension(rows), extra_width(rows)
     record, masks = record_width(d), holders.shape[1]
     while at < len(numbers):
@@ -293,7 +302,7 @@ def apply_moves(rows, lists, queue, directory, message, at, skin, stale, pending
                             rows.acceleration[i, k] = numbers[begin + d + k]
                     if len(rows.drag) > 0:
                         rows.drag[i] = numbers[begin + d + extra - 1]
-                    lists.level[i] = verlet.level_of(reference[i, d + SIZE], lists.grid)
+                    lists.level[i] = verlet.level_of(reference[i, d + SIZE], lists)
                 else:
                     verlet.remove(length, lists, i)
                 verlet.insert(length, lists, i, found)

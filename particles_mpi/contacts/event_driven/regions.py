@@ -7,10 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.contacts.event_driven.messages import HEAD, UPDATE, extra_width, part_width
-from particles_mpi.contacts.event_driven.rollback import PLACE, WINDOW, has_new_segment, hash_place, record_width
-from particles_mpi.contacts.event_driven.rows import GHOST, OWNERSHIP, RADIUS, START, TRAJECTORY_HASH
-from particles_mpi.kernels.geometry import Box
+from particles_mpi.contacts.event_driven.messages import HEAD, UPDATE, Directory, Moves, extra_width, part_width
+from particles_mpi.contacts.event_driven.rollback import PLACE, WINDOW, Log, has_new_segment, hash_place, record_width
+from particles_mpi.contacts.event_driven.rows import GHOST, OWNERSHIP, RADIUS, START, TRAJECTORY_HASH, Rows
 from particles_mpi.kernels.jit import inner, kernel, lean_inner, prefetch
 from particles_mpi.neighbours.verlet_kernels import SIZE
 from particles_mpi.parallel.decomposition import owners
@@ -22,7 +21,7 @@ class Regions(NamedTuple):
 
     low: Array  # (ranks, d) corner of each region, within the box where that is periodic
     high: Array  # (ranks, d)
-    box: Box
+    box: tuple[Array, ...]  # a `Box`, as a plain tuple
     rank: int  # this one
     known: Array  # the ranks that may have to know rows of this one, and itself
     reach: float  # between a region and the surface of a ghost that own rows may meet in a window
@@ -38,7 +37,8 @@ def in_box(y, length, lower):
 @lean_inner
 def distance2(regions, rank, x, i):
     """Square of the distance of position x[i] from a rank's region, or from its nearest periodic image."""
-    low, high, lower, length = regions.low, regions.high, regions.box.lower, regions.box.length
+    low, high = regions.low, regions.high
+    lower, _, length = regions.box
     total = 0.0
     for k in range(len(length)):
         y = in_box(x[i, k], length[k], lower[k])
@@ -53,7 +53,8 @@ def distance2(regions, rank, x, i):
 @kernel
 def mark_holders(reference, rows, regions, masks):
     """masks[p] (p, masks): which ranks must know row rows[p]: those whose region is within `depth` of its skin."""
-    d = len(regions.box.length)
+    regions = Regions(*regions)
+    d = regions.low.shape[1]
     for p in range(len(rows)):
         i = np.int64(rows[p])
         within = regions.depth + reference[i, d + SIZE]
@@ -67,8 +68,11 @@ def mark_holders(reference, rows, regions, masks):
 @kernel
 def plan_moves(reference, log, regions, tree, moves):
     """Fill in `moves` for the own rows that got new reference positions; `tree`: arguments of `owners`, which cut space."""
-    low, high, box, me = regions.low, regions.high, regions.box, regions.rank
-    d = len(box.length)
+    plain_regions = regions
+    log, regions, moves = Log(*log), Regions(*regions), Moves(*moves)
+    low, high, me = regions.low, regions.high, regions.rank
+    lower, _, length = regions.box
+    d = len(length)
     place = np.empty((1, d))
     for m in range(log.moved_count[0]):
         prefetch(reference, log.moved[m])
@@ -80,9 +84,9 @@ def plan_moves(reference, log, regions, tree, moves):
         for k in range(d):
             deep &= low[me, k] + within < reference[i, k] < high[me, k] - within
         if not deep:
-            mark_holders(reference, log.moved[m : m + 1], regions, moves.holders[m : m + 1])
+            mark_holders(reference, log.moved[m : m + 1], plain_regions, moves.holders[m : m + 1])
             for k in range(d):
-                place[0, k] = in_box(reference[i, k], box.length[k], box.lower[k])
+                place[0, k] = in_box(reference[i, k], length[k], lower[k])
             moves.owner[m] = owners(place, *tree)[0]
         moves.holders[m, me >> 6] |= np.int64(1) << (me & 63)  # it stays here for now, as a ghost if not as an own row
 
@@ -91,7 +95,7 @@ def plan_moves(reference, log, regions, tree, moves):
 def can_affect_owned(rows, log, regions, i, begin, place):
     """May row i, wherever it went in the window that began at `begin`, have touched an own row? `place` (1, d) is scratch."""
     segment, saved = rows.segment, log.saved
-    d = len(regions.box.length)
+    d = regions.low.shape[1]
     changed = log.mark[i, WINDOW] == log.window[0]
     for k in range(d):
         if changed:
@@ -110,9 +114,10 @@ def is_wrong(rows, directory, log, regions, begin, message):
 
     `message`: all that arrived. A ghost of which no UPDATE tells did not change at its owner.
     """
+    rows, directory, log, regions = Rows(*rows), Directory(*directory), Log(*log), Regions(*regions)
     numbers, bits = message
     state, row_of, updated = rows.state, directory.row_of, directory.updated
-    d, masks, extra, window = len(regions.box.length), directory.holders.shape[1], extra_width(rows), log.window[0]
+    d, masks, extra, window = regions.low.shape[1], directory.holders.shape[1], extra_width(rows), log.window[0]
     place = np.empty((1, d))
     wrong = False
     for step in range(2):  # first to the cache

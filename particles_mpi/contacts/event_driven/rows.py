@@ -52,6 +52,7 @@ def start_drift(axes, rows, x, v, radius, last_contact, virial, acceleration, ow
     Returns (moved, speed): did anyone change a position or radius since `end_drift`, and the largest speed, inf if
     anything is not finite.
     """
+    rows = Rows(*rows)
     segment, state, reals = rows.segment, rows.state, rows.reals
     d = len(axes)
     moved = False
@@ -77,9 +78,11 @@ def start_drift(axes, rows, x, v, radius, last_contact, virial, acceleration, ow
 
 
 @lean
-def end_drift(axes, rows, h, lists):
-    """All rows to time h, in a periodic box together with their reference positions. Returns how many own ones were squeezed."""
-    segment, state, lower, length = rows.segment, rows.state, lists.box.lower, lists.box.length
+def end_drift(axes, rows, h, reference, box):
+    """All rows to time h, in a periodic box with their `reference` positions. Returns how many own ones were squeezed."""
+    rows = Rows(*rows)
+    segment, state = rows.segment, rows.state
+    lower, _, length = box
     d = len(axes)
     squeezed = 0
     for i in range(len(segment)):
@@ -92,7 +95,7 @@ def end_drift(axes, rows, h, lists):
             at = segment[i, k] + segment[i, d + k] * (h - segment[i, 2 * d + START])
             if length[k] > 0.0 and not lower[k] <= at < lower[k] + length[k]:
                 inside = into_box(at, lower[k], lower[k] + length[k], length[k])
-                lists.reference[i, k] += inside - at
+                reference[i, k] += inside - at
                 at = inside
             segment[i, k] = at
         segment[i, 2 * d + START] = 0.0
@@ -102,6 +105,7 @@ def end_drift(axes, rows, h, lists):
 @lean
 def write_back(axes, rows, x, v, last_contact, virial, supported, crowded, own_rows):
     """Particle p as row own_rows[p] is; those with `crowded` quick contacts are marked CROWD in `supported` if that has rows."""
+    rows = Rows(*rows)
     segment, state, reals = rows.segment, rows.state, rows.reals
     d = len(axes)
     for p in range(len(x)):

@@ -159,7 +159,7 @@ class Windows:
         holders = np.zeros((n, ranks.size // 64 + 1), np.int64)
         reference = lists.arrays.reference
         reference[:n, d + SIZE] = p.radius + np.where(p.inverse_mass > 0.0, self.skin, 0.0)
-        mark_holders(reference, np.arange(n, dtype=np.int32), self.regions, holders)
+        mark_holders(reference, np.arange(n, dtype=np.int32), tuple(self.regions), holders)
         bits = [holders[:, r >> 6] >> (r & 63) & 1 for r in range(ranks.size)]
         sent = [np.flatnonzero(bit) if r != ranks.rank else np.empty(0, int) for r, bit in enumerate(bits)]
         names = [name for name in p.arrays if field(name).ghost or name == "virial"]
@@ -208,15 +208,15 @@ class Windows:
             apart = np.minimum(apart, np.maximum(np.maximum(low[me] + shift - high, low - high[me] - shift), 0.0))
         within = depth + largest + self.skin + 2.0 * self.skin + self.displacement_bound
         self.near = [int(rank) for rank in np.flatnonzero((apart**2).sum(axis=1) <= within**2) if rank != me]
-        self.regions = Regions(low, high, self.box, me, np.array([*self.near, me]), reach, depth)
+        self.regions = Regions(low, high, tuple(self.box), me, np.array([*self.near, me]), reach, depth)
 
     def send_motion(self) -> None:
         """Ghosts start on the segments that their owners' rows start on. Collective."""
-        rows, outgoing = self.engine.rows, []
+        rows, outgoing = tuple(self.engine.rows), []
         for rank in self.near:
-            message = message_of(self.buffer(rank, len(rows.segment) * (1 + 3 * len(self.box.length))))
-            outgoing.append(message.numbers[: pack_motion(rows, self.directory.holders, rank, message)])
-        unpack_motion(rows, self.directory.row_of, message_of(swap(self.ranks, self.near, outgoing)))
+            message = message_of(self.buffer(rank, len(self.engine.rows.segment) * (1 + 3 * len(self.box.length))))
+            outgoing.append(message.numbers[: pack_motion(rows, self.directory.holders, rank, tuple(message))])
+        unpack_motion(rows, self.directory.row_of, tuple(message_of(swap(self.ranks, self.near, outgoing))))
 
     def buffer(self, rank: int, size: int) -> Array:
         """Room for a message to a rank."""
@@ -236,7 +236,8 @@ class Windows:
         with self.timers("ghosts"):
             moves = self.plan_moves()
             message = message_of(swap(ranks, self.near, [self.changes_for(rank, moves) for rank in self.near]))
-            wrong = is_wrong(engine.rows, self.directory, log, self.regions, begin, message)
+            rows, directory, regions = tuple(engine.rows), tuple(self.directory), tuple(self.regions)
+            wrong = is_wrong(rows, directory, tuple(log), regions, begin, tuple(message))
         with self.timers("agree"):
             transferred = self.transferred + int((moves.owner != ranks.rank).sum())
             wrong, fastest2, transferred = ranks.largest(np.array([wrong, log.fastest2[0], transferred], float))
@@ -256,7 +257,7 @@ class Windows:
         moved = int(log.moved_count[0])
         moves = Moves(np.zeros((moved, self.directory.holders.shape[1]), np.int64), np.empty(moved, np.int64))
         tree = domain.axis, domain.cut, domain.below, domain.above
-        plan_moves(self.engine.lists.arrays.reference, log, self.regions, tree, moves)
+        plan_moves(self.engine.lists.arrays.reference, tuple(log), tuple(self.regions), tree, tuple(moves))
         return moves
 
     def changes_for(self, rank: int, moves: Moves) -> Array:
@@ -264,25 +265,27 @@ class Windows:
         engine, log, d = self.engine, self.engine.log, len(self.box.length)
         widest = record_width(d) + d + 6 + moves.holders.shape[1] + engine.differing
         message = message_of(self.buffer(rank, (int(log.border_count[0]) + 3 * int(log.moved_count[0])) * widest))
-        size = pack_changes(engine.rows, engine.lists.arrays.reference, self.directory, log, moves, rank, message)
+        rows, directory, reference = tuple(engine.rows), tuple(self.directory), engine.lists.arrays.reference
+        size = pack_changes(rows, reference, directory, tuple(log), tuple(moves), rank, tuple(message))
         return message.numbers[:size]
 
     def undo(self, before: Array) -> None:
         """All rows and counts as they were when the window began."""
         engine = self.engine
-        engine.pending = roll_back(engine.rows, engine.log, engine.work.stale)
+        engine.pending = roll_back(tuple(engine.rows), tuple(engine.log), engine.work.stale)
         engine.work.counts[:] = before
         self.redone += 1
 
     def accept(self, message: Message, moves: Moves) -> None:
         """The window is right: correct the other ghosts, and let rows come, go and change owners."""
         engine, at = self.engine, 0
-        pending = reconcile(engine.rows, self.directory, engine.log, message, moves, self.ranks.rank, engine.work.stale)
+        rows, directory, log = tuple(engine.rows), tuple(self.directory), tuple(engine.log)
+        pending = reconcile(rows, directory, log, tuple(message), tuple(moves), self.ranks.rank, engine.work.stale)
         stale_count = np.array([pending])
         while at < len(message.numbers):
             at, short = apply_moves(
-                engine.rows, engine.lists.arrays, engine.queue, self.directory, message, at, self.skin, engine.work.stale,
-                stale_count,
+                tuple(engine.rows), tuple(engine.lists.arrays), tuple(engine.queue), tuple(self.directory), tuple(message), at,
+                self.skin, engine.work.stale, stale_count,
             )  # fmt: skip
             if short > 0:
                 engine.lists.enlarge(short)
