@@ -50,7 +50,7 @@ MUTATIONS = (
         "neighbours/halo.py",
         "        unpack_state(first, message, x, v, a)\n\n\ndef",
         "        pass\n\n\ndef",
-        ("tests/parallel/test_command.py", "-k", "run_and_resume"),
+        ("tests/parallel/test_same_bits.py", "-k", "2-marbles"),
     ),
     Mutation(
         "the opening angle is ignored",

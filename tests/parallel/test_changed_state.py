@@ -4,6 +4,7 @@ For every field, effect, mode and integrator, on one, two and three ranks, whose
 """
 
 import json
+from functools import cache
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from particles_mpi import Scene, SceneError, Simulation
 from particles_mpi.errors import StateError
 from particles_mpi.measure import snapshot
 
-RANKS = (1, 2, 3)
+RANKS = (1, 2, pytest.param(3, marks=pytest.mark.slow))
 TOGETHER = (  # what is changed at once, so that all of it is tried in every scene within seconds
     ("reversed", "radius"),
     ("fixed", "velocity", "position"),
@@ -43,33 +44,34 @@ CASES = list(cases())
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
-    """{ranks: what was printed}, and {(case, ranks): arrays}."""
+    """results(ranks): what was printed, and the arrays of each case. The first call for a number of ranks runs all on it."""
     folder = tmp_path_factory.mktemp("changed")
     (folder / "cases.json").write_text(json.dumps(CASES))
-    said = {}
-    for ranks in RANKS:
-        done = run_ranks(ranks, "tests/parallel/changed_state.py", folder / "cases.json", folder, timeout=300)
+
+    @cache
+    def run(ranks):
+        done = run_ranks(ranks, "tests/parallel/changed_state.py", folder / "cases.json", folder, timeout=500)
         assert done.returncode == 0, done.stderr[-2000:]
-        said[ranks] = done.stdout.splitlines()
-    states = {(n, r): dict(np.load(folder / f"{n}.{r}.npz")) for n in range(len(CASES)) for r in RANKS}
-    return said, states
+        return done.stdout.splitlines(), [dict(np.load(folder / f"{n}.{ranks}.npz")) for n in range(len(CASES))]
+
+    return run
 
 
 @pytest.mark.parallel
 @pytest.mark.parametrize("ranks", RANKS)
 def test_changed_is_the_same_as_started_fresh(results, ranks):
-    assert results[0][ranks] == []
+    assert results(ranks)[0] == []
 
 
 @pytest.mark.parallel
 @pytest.mark.parametrize("ranks", RANKS[1:])
 def test_changed_on_ranks_is_the_same_as_on_one(results, ranks):
-    states = results[1]
+    one, many = results(1)[1], results(ranks)[1]
     wrong = [
         (n, CASES[n]["changes"], name)
         for n in range(len(CASES))
-        for name in states[n, 1]
-        if states[n, 1][name].tobytes() != states[n, ranks][name].tobytes()
+        for name in one[n]
+        if one[n][name].tobytes() != many[n][name].tobytes()
     ]
     assert not wrong
 

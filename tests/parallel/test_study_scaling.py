@@ -52,6 +52,7 @@ def test_two_ranks(tmp_path):
     assert all(float(row["seconds_per_step"]) > 0.0 for row in predicted)
 
 
+@pytest.mark.slow
 def test_ranks_without_a_core_are_marked(tmp_path):
     ranks = 2 * len(os.sched_getaffinity(0))
     said = scaled(ranks, tmp_path, "gas")
