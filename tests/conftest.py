@@ -1,14 +1,14 @@
 """Shared by all tests: which of them run, on which process, and that none of them compiles anything."""
 
 import os
-import pickle
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))  # for the modules that tests share
-from ranks import IMPATIENT, MPI_ENVIRONMENT, ROOT, end_standing_ranks, run_ranks
+from ranks import IMPATIENT, MPI_ENVIRONMENT, ROOT, end_standing_ranks, environment, run_ranks
 
 from particles_mpi.setup.kernel_sources import PACKAGE, Sources
 
@@ -59,22 +59,8 @@ def ranks_that_stay():
 
 
 def compiled():
-    """What numba keeps of the package: "file function (argument types)" of all that was ever compiled, as text."""
-    found = set()
-    for index in PACKAGE.rglob("*.nbi"):
-        with index.open("rb") as file:
-            pickle.load(file)  # numba's version
-            _, overloads = pickle.loads(file.read())
-        found |= {f"{index.name} {signature}" for signature, *_ in overloads if not many_axes(signature)}
-    return found
-
-
-def many_axes(signature):
-    """Is the first argument more than three axes, or their number? Those are compiled when they are needed."""
-    if not signature:
-        return False
-    number = getattr(signature[0], "count", None) or getattr(signature[0], "literal_value", None)
-    return isinstance(number, int) and number > 3
+    """The files of compiled kernels that numba keeps of the package."""
+    return set(PACKAGE.rglob("*.nbc"))
 
 
 COMPILED = pytest.StashKey[set]()  # before the session, by set-up
@@ -90,7 +76,11 @@ def pytest_sessionstart(session):
 def pytest_sessionfinish(session):
     """After set-up no test compiles a kernel of the package; one that does makes the session fail."""
     before = session.config.stash.get(COMPILED, None)
-    if before is not None and (missing := sorted(compiled() - before)):
+    new = sorted(compiled() - before) if before is not None else []
+    if new:
+        command = [sys.executable, Path(__file__).parent / "kernel_names.py", *new]
+        missing = subprocess.run(command, env=environment(), capture_output=True, text=True, check=True).stdout.splitlines()
+    if new and missing:
         session.config.stash[MISSING] = missing
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
 

@@ -28,10 +28,10 @@ class Watchdog:
         """Raise a StateError on all ranks, which names ids, step and rank, if something is wrong."""
         numbers, astray, wall = find_invalid(p.position, p.velocity, p.fixed, *self.planes, self.lower, self.length)
         sums = self.ranks.allreduce_sum(np.array([*id_checksum(p.id), numbers >= 0, astray >= 0]))
-        checksum, (require_finite, outside) = sums[:3], sums[3:]
+        checksum, (not_finite, outside) = sums[:3], sums[3:]
         if (checksum != self.id_checksum).any():
             raise StateError(f"step {step}: {self.who_is_lost(p)}")
-        if require_finite:
+        if not_finite:
             require_finite(self.ranks, p, np.nan, f"step {step}")
         if outside:
             mine = None
