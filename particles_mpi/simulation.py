@@ -56,6 +56,10 @@ class Simulation(Saved):
         interactions = self.accelerations.interactions if before else 0
         context, effects = self.look_around()
         self.active = effects
+        walls = effects.walls.planes if effects.walls else None
+        none = np.empty((0, scene.dimension))
+        planes = (walls.point, walls.normal) if walls else (none, none)
+        self.watchdog = Watchdog(self.ranks, p.id, self.ids, planes, self.lower, self.length)
         self.rest = keeper_of_contacts(effects, context, scene.dimension)
         self.drift = Drift(p, context, effects, self.rest, self.sum_forces)
         if before:
@@ -64,10 +68,6 @@ class Simulation(Saved):
         self.accelerations.done_before += interactions
         self.kick = Kick(effects)
         self.integrator = integrator_of(scene, self.ranks, self.kick, self.rest)
-        walls = effects.walls.planes if effects.walls else None
-        none = np.empty((0, scene.dimension))
-        planes = (walls.point, walls.normal) if walls else (none, none)
-        self.watchdog = Watchdog(self.ranks, p.id, self.ids, planes, self.lower, self.length)
         self.taken = p.edition
         self.particles.open()
 

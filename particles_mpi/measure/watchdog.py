@@ -6,6 +6,7 @@ import numpy as np
 
 from particles_mpi.errors import StateError
 from particles_mpi.kernels.jit import kernel
+from particles_mpi.parallel.agreement import require_finite
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange
 from particles_mpi.particles import Array, Particles

@@ -15,7 +15,7 @@ def lab():
 
 def quick(lab):
     """Orbits, drag and friction: what takes no time."""
-    return [*experiments("A", lab), losses.drag(lab), losses.friction(lab)]
+    return [*experiments("A", lab), losses.weak_drag(lab), losses.stiff_drag(lab), losses.friction(lab)]
 
 
 @pytest.fixture(scope="module")
@@ -113,6 +113,6 @@ def test_rewind_against_the_step(lab, moment, passes, least):
 @pytest.mark.slow
 def test_absent_effects(lab):
     """On one rank; tests/parallel/test_study_accuracy.py looks at the same on one and two."""
-    (one,) = experiments("H")["H"](lab)
+    (one,) = experiments("H", lab)
     for row in one.rows:
         assert row.errors == {"calls": 0.0, "messages": 0.0, "bits": 0.0}, row.setting.curve
