@@ -43,7 +43,7 @@ class Simulation(Saved):
         warnings: list[str] = []
         with raising_together(ranks):
             particles, warnings = populate(scene) if start is None else (start, warnings)
-        same_on_all(ranks, scene.to_dict() | {"file contents": scene.digests()}, particles.arrays)
+        same_on_all(ranks, scene.to_dict(), particles.arrays)
         with raising_together(ranks):
             self.begin(scene, ranks, particles)
         self.warnings = warnings

@@ -16,7 +16,8 @@ from particles_mpi.initial.names import listed
 from particles_mpi.initial.populate import add_population
 from particles_mpi.measure import snapshot
 from particles_mpi.parallel.agreement import raising_together, same_on_all
-from particles_mpi.particles import FIELDS, Array
+from particles_mpi.particles import OWN, Array
+from particles_mpi.scene.active import fields_of
 from particles_mpi.scene.effect import Force
 
 
@@ -113,7 +114,8 @@ class Changeable(State):
         checkpoints. Nothing computes with them.
         """
         values = np.asarray(values)
-        if name in FIELDS or name in dir(ParticleView) or values.shape[:1] != (self.total,) or values.dtype.kind not in "biuf":
+        taken = name in OWN or name in fields_of(self.scene)  # FIELDS also has columns of effects that this scene lacks
+        if taken or name in dir(ParticleView) or values.shape[:1] != (self.total,) or values.dtype.kind not in "biuf":
             raise ValueError(f"attach: {name!r} must be a new name, with an array of numbers for {self.total} particles")
         self.take_changes()
         ids = np.sort(np.concatenate(self.ranks.allgather(self.rows.id)))

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.between_steps.particle_view import ParticleView
+from particles_mpi.contacts.drift import COUNTS
 from particles_mpi.parallel.agreement import same_on_all
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, id_range
@@ -39,11 +40,13 @@ class State:
 
         `next_id`: the id of the next particle that is added, if it is larger than those that are there tell.
         """
+        if digests := scene.digests():
+            same_on_all(ranks, {"contents of files of effects": digests})
         self.scene, self.ranks, self.timers = scene.running(), ranks, Timers()
         self.warnings: list[str] = []
         self.steps_done, self._h = 0, scene.time.step
         self.moment = 0.0, 0  # (time, steps done) that the clock counts from
-        self.reported: list[int] = []
+        self.reported = [0] * len(COUNTS)
         self.written: dict[str, int] = {}
         self.observed = [0.0, 0.0, 0.0]
         self.additions = 0  # populations added while it ran

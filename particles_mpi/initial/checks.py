@@ -9,7 +9,8 @@ import numpy as np
 from particles_mpi.initial.names import listed, pair_names
 from particles_mpi.initial.overlaps import check_overlaps
 from particles_mpi.initial.placement import Container
-from particles_mpi.particles import Array, Particles
+from particles_mpi.particles import FIELDS, Array, Particles
+from particles_mpi.scene.effect import ConstantFriction
 from particles_mpi.scene.schema import Scene
 from particles_mpi.scene.values import LARGEST
 
@@ -160,19 +161,27 @@ def small_boxes(scene: Scene, particles: Particles) -> list[str]:
 def value_limits(scene: Scene, particles: Particles, values: dict[str, Array]) -> dict[str, Array]:
     """Which of the values (n,) given to some fields are possible, by name. Those that are no numbers are found elsewhere."""
     allowed: dict[str, Array] = {}
-    for name in ("radius", "drag"):
-        if name in values:
-            allowed[name] = (values[name] >= 0.0) & (values[name] <= LARGEST)
+    for name in values.keys() & FIELDS.keys():
+        if FIELDS[name].least > -np.inf and not FIELDS[name].vector:
+            allowed[name] = (values[name] >= FIELDS[name].least) & (values[name] <= LARGEST)
     if {"mass", "fixed"} & values.keys():
         mass, fixed = (values.get(name, particles[name]) for name in ("mass", "fixed"))
-        needed = np.zeros(len(mass), bool)  # something divides by it
-        if "friction" in scene.effects:
-            needed[:] = True
-        elif "collisions" in scene.effects:
-            needed |= fixed == 0
+        needed = np.zeros(len(mass), bool)
+        for dividing in divided_masses(scene, fixed).values():
+            needed |= dividing
         possible = (mass >= 1.0 / LARGEST) | ((mass == 0.0) & ~needed)
         allowed["mass" if "mass" in values else "fixed"] = possible & (mass <= LARGEST)
     return allowed
+
+
+def divided_masses(scene: Scene, fixed: Array) -> dict[str, Array]:
+    """By effect that divides by masses: does it by that of each particle (n,)? Friction by all, others by those not `fixed`."""
+    classes = {name: options.effect_class() for name, options in scene.effects.items()}
+    return {
+        name: np.full(len(fixed), True) if issubclass(effect, ConstantFriction) else fixed == 0
+        for name, effect in classes.items()
+        if effect.needs.divides_by_mass
+    }
 
 
 def rounded_down(value: float) -> float:

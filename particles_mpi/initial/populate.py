@@ -18,13 +18,12 @@ import numpy as np
 from pydantic import ValidationError
 
 from particles_mpi.errors import SceneError
-from particles_mpi.initial.checks import check_start
+from particles_mpi.initial.checks import check_start, divided_masses
 from particles_mpi.initial.names import listed
 from particles_mpi.initial.placement import JAMMED, MOST_TRIES, Container, RandomAddition, lattice, packing
 from particles_mpi.initial.plummer import plummer_places, plummer_velocities
-from particles_mpi.particles import FIELDS, Array, Particles, default_values
+from particles_mpi.particles import FIELDS, OWN, Array, Particles, default_values
 from particles_mpi.scene.active import ActiveEffects, fields_of
-from particles_mpi.scene.effect import ConstantFriction
 from particles_mpi.scene.messages import faults_of
 from particles_mpi.scene.schema import Population, Scene, periodic_length
 from particles_mpi.scene.values import LARGEST
@@ -69,7 +68,7 @@ def add_population(
     """
     key = f"particles[{number}]"
     plain = {name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value for name, value in table.items()}
-    own = {name: plain.pop(name) for name in everyone.arrays.keys() - FIELDS.keys() if name in plain}
+    own = {name: plain.pop(name) for name in everyone.arrays.keys() - set(fields_of(scene)) - set(OWN) if name in plain}
     try:
         population = Population.model_validate(plain)
     except ValidationError as error:
@@ -231,11 +230,8 @@ class Populator:
         massless = arrays["mass"][rows] == 0.0
         for name in self.scene.columns:
             self.column(number, name, (population.model_extra or {}).get(name))
-        for name, options in self.scene.effects.items():
-            effect = options.effect_class()
-            if effect.needs.divides_by_mass:
-                needy = massless if issubclass(effect, ConstantFriction) else massless & (arrays["fixed"][rows] == 0)
-                self.refuse(f"{key}.mass", rows, needy, f"0, but [effects.{name}] divides by it, for")
+        for name, needed in divided_masses(self.scene, arrays["fixed"][rows]).items():
+            self.refuse(f"{key}.mass", rows, massless & needed, f"0, but [effects.{name}] divides by it, for")
 
     def column(self, number: int, name: str, value: Any) -> None:
         """A column that an effect from outside the program brings; `value` as the population gives it, or None."""

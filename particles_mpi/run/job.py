@@ -57,7 +57,7 @@ class Job:
         self.setup_began = perf_counter() if setup_began is None else setup_began
         options = {"output": str(folder), "steps": self.last, "overwrite": overwrite, "resume": resumed, "wall-time": wall_time}
         same_on_all(self.ranks, {f"--{name}": value for name, value in options.items()})
-        self.since = np.array(sim.reported or [0] * len(COUNTS), np.int64)
+        self.since = np.array(sim.reported, np.int64)
         self.rehearsal = rehearsal
         self.forecast: Forecast | None = None
         self.screen = Screen(self.ranks.is_root, quiet or rehearsal)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from particles_mpi.particles import ALWAYS, FIELDS, OWN
 from particles_mpi.scene.effect import (
@@ -38,6 +38,7 @@ class ActiveEffects:
         self.friction = self.one_of(ConstantFriction)
         self.walls = self.one_of(WallContacts)
         self.pairs = self.one_of(PairContacts)
+        self.on_velocities = self.names(Damping, ConstantFriction, VelocityFlow)  # those that act in a kick
 
     def of_kind(self, kind: type[Kind]) -> dict[str, Kind]:
         """Those of one kind, by name."""
@@ -55,11 +56,6 @@ class ActiveEffects:
     def names(self, *kinds: type[Effect]) -> list[str]:
         """Names of the effects of these kinds."""
         return [name for name, effect in self.all.items() if isinstance(effect, kinds)]
-
-    @property
-    def on_velocities(self) -> list[str]:
-        """Names of the effects that act on velocities in a kick."""
-        return self.names(Damping, ConstantFriction, VelocityFlow)
 
     @property
     def uniform(self) -> bool:
@@ -89,8 +85,3 @@ def fields_of(scene: Scene) -> list[str]:
     if (effects.pairs or effects.walls) and (keeps or effects.flows or not effects.uniform):
         extra.add("total_acceleration")
     return [name for name in OWN if name in ALWAYS or name in extra] + sorted(extra & FIELDS.keys() - set(OWN))
-
-
-def effect_class(scene: Scene, name: str) -> Any:
-    """The class of an effect of a scene."""
-    return scene.effects[name].effect_class()

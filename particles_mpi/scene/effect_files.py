@@ -9,7 +9,6 @@ import sys
 from hashlib import sha256
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 from particles_mpi.scene.effect import KINDS
 from particles_mpi.scene.model import EffectOptions
@@ -27,6 +26,8 @@ def effect_names() -> list[str]:
 def load_effect(name: str, file: Path | None) -> ModuleType:
     """The module of an effect of the program, or of a `file` of the user's, which is loaded once.
 
+    The attribute `digest` of the latter is the sha256 of its file.
+
     Raises ValueError, one line without the key, for a file that cannot be read, fails, or does not hold the two classes.
     """
     if file is None:
@@ -39,6 +40,7 @@ def load_effect(name: str, file: Path | None) -> ModuleType:
     if spec is None or spec.loader is None or not path.is_file():
         raise ValueError(f"{file}: no such Python file")
     module = sys.modules[title] = importlib.util.module_from_spec(spec)
+    module.digest = sha256(path.read_bytes()).hexdigest()  # type: ignore[attr-defined]
     try:
         spec.loader.exec_module(module)
         check_classes(module)
@@ -59,8 +61,3 @@ def check_classes(module: ModuleType) -> None:
         raise ValueError("needs a class Effect that is a Force, a VelocityFlow or an Event")
     if not isinstance(getattr(effect, "formula", None), str):
         raise ValueError("its class Effect needs a formula, in one line")
-
-
-def digest_of(options: Any) -> str:
-    """sha256 of the file that a user's effect was loaded from; "" for an effect of the program."""
-    return sha256(Path(options.file).read_bytes()).hexdigest() if options.file else ""

@@ -17,7 +17,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, Valida
 from particles_mpi.errors import SceneError
 from particles_mpi.particles import Array
 from particles_mpi.scene.effect import ONE_OF_EACH
-from particles_mpi.scene.effect_files import digest_of, effect_names, load_effect
+from particles_mpi.scene.effect_files import effect_names, load_effect
 from particles_mpi.scene.messages import faults_of, key_of, suggestion, wrong_length
 from particles_mpi.scene.model import Model
 from particles_mpi.scene.values import (
@@ -184,7 +184,8 @@ class Scene(Model):
 
     def digests(self) -> dict[str, str]:
         """sha256 of the files of effects from outside the program, by effect."""
-        return {name: digest_of(options) for name, options in self.effects.items() if options.file}
+        outside = {name: Path(options.file) for name, options in self.effects.items() if options.file}
+        return {name: load_effect(name, path).digest for name, path in outside.items()}
 
     @property
     def periodic(self) -> list[bool]:
@@ -281,7 +282,7 @@ class Scene(Model):
             elif isinstance(value, list):
                 faults += wrong_length(f"{key}.{name}", value, d)
         for name, value in (population.model_extra or {}).items():
-            known = [n for n in [*Population.model_fields, *self.columns] if n != "folder"]
+            known = [*Population.model_fields, *self.columns]
             if name not in self.columns:
                 faults.append(f"{key_of((key, name))}: unknown key{suggestion(name, known)}")
                 continue

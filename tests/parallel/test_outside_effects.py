@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from conftest import run_ranks
 
-from particles_mpi import Scene, SceneError, Simulation
+from particles_mpi import Scene, SceneError, Simulation, StoppedError
 
 OUTSIDE = Path(__file__).parent / "outside"
 BOX = """
@@ -207,3 +207,15 @@ assert len([m for m in sys.modules if m.startswith("particles_mpi_effect")]) == 
 assert not [m for m in sys.modules if m.startswith("particles_mpi.effects.")]
 """
     subprocess.run([sys.executable, "-c", script], check=True, timeout=100, cwd=OUTSIDE)
+
+
+def test_a_column_keeps_its_bound_between_steps():
+    """What is refused at the start is refused when it is written while the simulation runs, for every effect's column."""
+    sim = Simulation(scene({"springs": {"file": "springs.py", "centre": [0.0, 0.0]}}, d=2, particle={"stiffness": 1.0}))
+    sim.particles["stiffness"] = -1.0
+    with pytest.raises(StoppedError, match=r"particles\.stiffness: particle 0 on rank 0 was given -1, which it cannot have"):
+        sim.step()
+    sim = Simulation(scene({"springs": {"file": "springs.py", "centre": [0.0, 0.0]}}, d=2, particle={"stiffness": 1.0}))
+    sim.particles.mass = 0.0
+    with pytest.raises(StoppedError, match=r"particles\.mass: particle 0 on rank 0 was given 0, which it cannot have"):
+        sim.step()
