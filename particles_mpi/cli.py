@@ -187,7 +187,7 @@ def scaling(
 
     Example:   RANKS=4 ./run.sh study scaling my.toml
     """
-    from particles_mpi.study.scaling.command import scale
+    from particles_mpi.study.scaling.measure import scale
 
     scale(load(scene) if scene else None, output or Path("out/study/scaling") / (scene.stem if scene else ""), quick)
 

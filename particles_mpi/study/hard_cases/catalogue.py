@@ -14,9 +14,10 @@ from typing import Any, NamedTuple
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.particles import Particles
 from particles_mpi.study.experiment import everyone
 
-CHAPTERS = ("forces", "contacts", "crowds", "resting", "orbits", "numbers", "spread")
+CHAPTERS = ("contacts", "crowds", "resting", "orbits", "extremes")
 MODES = ("rewind", "event")
 Effects = dict[str, dict[str, Any]]  # options by name
 
@@ -43,6 +44,12 @@ class CaseRun:
         self.built.append(Simulation(Scene.from_dict(tables), comm=self.comm))
         return self.built[-1]
 
+    def finish(self, *arguments: Any, **scene: Any) -> tuple[Simulation, Particles]:
+        """A simulation that has been run to its end, and all its particles there. Collective."""
+        sim = self.simulate(*arguments, **scene)
+        sim.run()
+        return sim, everyone(sim)
+
     def point(self, *coordinates: float, rest: float = 0.0) -> list[float]:
         """The point with these first coordinates; all others are `rest`."""
         return [*coordinates, *[rest] * (self.dimension - len(coordinates))][: self.dimension]
@@ -55,16 +62,14 @@ class CaseRun:
         """A box of this edge."""
         return {"lower": [lower] * self.dimension, "upper": [lower + edge] * self.dimension}
 
-    @property
-    def many_passes(self) -> dict[str, Any]:
+    def in_passes(self, many: int) -> dict[str, Any]:
         """Options of collisions by which `rewind` gets through a chain of contacts in one step."""
-        return {"passes": 100} if self.mode == "rewind" else {}
+        return {"passes": many} if self.mode == "rewind" else {}
 
     def digest(self) -> str:
         """A hash of the last states of all simulations: every bit of every field. Collective."""
         text = sha256()
-        for sim in self.built:
-            p = everyone(sim)
+        for p in map(everyone, self.built):
             for name in p.arrays:
                 text.update(name.encode() + p[name].tobytes())
         return text.hexdigest()
@@ -95,11 +100,6 @@ class Outcome(NamedTuple):
     measured: str
     holds: bool
     same_bits: bool
-
-    @property
-    def passed(self) -> bool:
-        """Does it hold, with the bits of one rank?"""
-        return self.holds and self.same_bits
 
 
 CATALOGUE: list[Case] = []

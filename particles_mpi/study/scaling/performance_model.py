@@ -20,13 +20,11 @@ from scipy.optimize import brentq, nnls
 
 NETWORK_LATENCY = 2e-6  # seconds of a short message between two nodes, Infiniband
 NETWORK_BANDWIDTH = 1e10  # bytes a second of a rank
-ASSUMPTIONS = (
-    "work: {growth}; {share}, and memory is as fast as here however many ranks a node has",
-    "rows: the layer around a block of space stays as thick, blocks are those of bisection, one row costs what it costs here",
-    "messages: one stage of a reduction, or a message to one neighbour, costs what it costs here; searches are as frequent",
-    "between nodes (more than {ranks} ranks): {latency:.0f} us at least a message, {bandwidth:.0f} GB/s a rank; no other traffic",
-    "not in it: cutting space anew, output, set-up, noise of the operating system, which grows with the number of ranks",
-)
+ASSUMPTIONS = """work: {growth}; {share}, and memory is as fast as here however many ranks a node has
+rows: the layer around a block of space stays as thick, blocks are those of bisection, one row costs what it costs here
+messages: one stage of a reduction, or a message to one neighbour, costs what it costs here; searches are as frequent
+between nodes (more than {ranks} ranks): {latency:.0f} us at least a message, {bandwidth:.0f} GB/s a rank; no other traffic
+not in it: cutting space anew, output, set-up, noise of the operating system, which grows with the number of ranks"""
 
 
 @dataclass(frozen=True)
@@ -72,12 +70,13 @@ class Law:
         """Units of work that one of the ranks does in a step."""
         return self.work(particles) / (ranks if self.shared else 1)
 
-    def rate(self, particles: float, ranks: int, seconds: float) -> float:
-        """Units of work that a rank does in a second; divided by that of one rank alone it is the efficiency.
+    def efficiency(self, one: tuple[float, int, float], other: tuple[float, int, float]) -> float:
+        """Work that a rank does in a second, over that of one rank alone; each (particles, ranks, seconds of a step).
 
         T1/(P TP) at a fixed size, T1/TP at a fixed size of a rank where work is in proportion to particles.
         """
-        return self.work(particles) / (ranks * seconds)
+        alone, together = (self.work(particles) / (ranks * seconds) for particles, ranks, seconds in (one, other))
+        return together / alone
 
     def cuts(self, ranks: int) -> list[float]:
         """Blocks of space along each axis: the longest edge is halved again and again. Broken numbers between powers of two."""
@@ -90,10 +89,8 @@ class Law:
 
     def sides(self, ranks: int) -> list[float]:
         """Along each axis, on how many of its two sides a block has a neighbour, mean over the ranks."""
-        return [
-            min(2.0, 4.0 * (1.0 - 1.0 / n)) if wraps else 2.0 * (1.0 - 1.0 / n)
-            for n, wraps in zip(self.cuts(ranks), self.periodic, strict=True)
-        ]
+        both = ((2.0 * (1.0 - 1.0 / n), wraps) for n, wraps in zip(self.cuts(ranks), self.periodic, strict=True))
+        return [min(2.0, 2.0 * side) if wraps else side for side, wraps in both]
 
     def neighbours(self, ranks: int) -> float:
         """Number of ranks whose blocks touch the block of a rank, at corners too, mean over the ranks."""
@@ -179,8 +176,8 @@ class Model:
 
     def efficiency(self, particles: float, ranks: int, alone: float) -> float:
         """Compared with `alone` particles on one rank."""
-        one = self.law.rate(alone, 1, self.seconds(alone, 1))
-        return self.law.rate(particles, ranks, self.seconds(particles, ranks)) / one
+        one, many = ((n, p, self.seconds(n, p)) for n, p in ((alone, 1), (particles, ranks)))
+        return self.law.efficiency(one, many)
 
     def residual(self, point: Point) -> float:
         """Relative error of the model at a measured point."""
@@ -189,10 +186,9 @@ class Model:
     @property
     def assumptions(self) -> list[str]:
         network = {"latency": NETWORK_LATENCY * 1e6, "bandwidth": NETWORK_BANDWIDTH * 1e-9}
-        share = (
-            "shared as evenly as measured" if self.law.shared else "all of it on every rank, as long as ranks do not divide space"
-        )
-        return [line.format(growth=self.law.growth, share=share, ranks=self.measured, **network) for line in ASSUMPTIONS]
+        alone = "all of it on every rank, as long as ranks do not divide space"
+        share = "shared as evenly as measured" if self.law.shared else alone
+        return ASSUMPTIONS.format(growth=self.law.growth, share=share, ranks=self.measured, **network).splitlines()
 
 
 def fit(points: Sequence[Point], law: Law, row_bytes: float) -> Model:
@@ -205,7 +201,7 @@ def fit(points: Sequence[Point], law: Law, row_bytes: float) -> Model:
     talkers = [p for p in several if p.talk > 0.0]  # none where no phase is communication alone
     talking = [[traffic.rows(p.particles, p.ranks), traffic.stages(p.ranks)] for p in talkers]
     row_sent, latency = costs(talking, [p.talk for p in talkers]) if talkers else (0.0, 0.0)
-    imbalance = typical([p.slowest / p.own for p in several], 1.0)
+    imbalance = median([p.slowest / p.own for p in several] or [1.0])
     return Model(law, traffic, fixed, each, row + row_sent, latency, imbalance, max(p.ranks for p in timed), row_bytes)
 
 
@@ -213,16 +209,11 @@ def count(points: Sequence[Point], law: Law) -> Traffic:
     """What was sent: the thickness of the layer from all points, the rest from those of the most ranks."""
     widest = [p for p in points if p.ranks == max(q.ranks for q in points)]
     layers = [law.thickness(p.particles, p.ranks, p.counts["rows"] / p.counts["fetches"]) for p in points if p.counts["fetches"]]
-    messages = [p.counts["messages"] / law.neighbours(p.ranks) for p in widest]
+    messages = median(p.counts["messages"] / law.neighbours(p.ranks) for p in widest)
     fetches, reductions, all_to_alls = (
-        typical([p.counts[name] for p in widest]) for name in ("fetches", "reductions", "all_to_alls")
+        median(p.counts[name] for p in widest) for name in ("fetches", "reductions", "all_to_alls")
     )
-    return Traffic(law, typical(layers), fetches, typical(messages), reductions, all_to_alls)
-
-
-def typical(values: Sequence[float], of_none: float = 0.0) -> float:
-    """The median; `of_none` where there are no values."""
-    return median(values) if values else of_none
+    return Traffic(law, median(layers or [0.0]), fetches, messages, reductions, all_to_alls)
 
 
 def costs(units: Sequence[Sequence[float]], seconds: Sequence[float]) -> list[float]:

@@ -8,8 +8,7 @@ import pytest
 
 from particles_mpi import Scene, SceneError
 from particles_mpi.initial.populate import populate
-from particles_mpi.study.scaling.command import HEADLINE, settings, unable_to_grow
-from particles_mpi.study.scaling.measure import rank_counts
+from particles_mpi.study.scaling.measure import HEADLINE, rank_counts, settings, unable_to_grow
 from particles_mpi.study.scaling.performance_model import NETWORK_LATENCY, Law, Model, Point, Traffic, fit
 from particles_mpi.study.scaling.report import Curve, Result
 from particles_mpi.study.scaling.scale_scene import edges, scale_scene
