@@ -69,12 +69,10 @@ def throws(benchmark: Benchmark) -> list[Experiment]:
 
         tried = []
         for integrator, n in product(integrators, steps):
-            tables = {
-                "dimension": 2,
-                "time": {"step": T / n, "steps": n, "integrator": integrator},
-                "particles": [{"position": [[0.0, 0.0]] * REPEATS, "velocity": list(velocity), "mass": 1.0}],
-                "effects": {"uniform_gravity": {"acceleration": [0.0, -G]}, **loss},
-            }
+            time = {"step": T / n, "steps": n, "integrator": integrator}
+            particles = [{"position": [[0.0, 0.0]] * REPEATS, "velocity": list(velocity), "mass": 1.0}]
+            effects = {"uniform_gravity": {"acceleration": [0.0, -G]}, **loss}
+            tables = {"dimension": 2, "time": time, "particles": particles, "effects": effects}
             tried.append(benchmark.setting(integrator, T / n, tables, errors, steps=ENDLESS, seconds_of=n))
         found = benchmark.measure(key, title, tried, ERRORS, reference, slopes=(1.0, 2.0), floor=1e-12)
         for curve in found.curves:

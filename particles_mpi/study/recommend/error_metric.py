@@ -29,15 +29,14 @@ ROUND_OFF = 1e-15  # of places, a step and more
 class ErrorMetric:
     """A reference and how errors are measured against it.
 
-    part: of the run that it covers; kind: what is compared, "places", "ensemble" or "energy"; reference: what it is, for people;
-    growth: factor by which a small displacement of the start grows; size: of the motion; limits: the resolution limit of each
-    error, the most telling error first; why: where the limits come from; order: of the leapfrog, as seen in the reference;
-    places (LOOKS, N, d), energy (LOOKS,): of the reference; scale: of energies; means: of the observables of an ensemble.
+    part: of the run that it covers; reference: what it is, for people; growth: factor by which a small displacement of the start
+    grows; size: of the motion; limits: the resolution limit of each error, the most telling error first; why: where the limits
+    come from; order: of the leapfrog, as seen in the reference; places (LOOKS, N, d), energy (LOOKS,): of the reference; scale:
+    of energies; means: of the observables, if it is an ensemble.
     """
 
     start: Start
     part: float
-    kind: str = ""
     reference: str = ""
     growth: float = nan
     size: float = 1.0

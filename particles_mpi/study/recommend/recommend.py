@@ -21,18 +21,9 @@ from particles_mpi.study.recommend.runs import FEW, Start
 from particles_mpi.study.recommend.search import BUDGET, Search, Trial, time_trials
 from particles_mpi.study.recommend.tuned import Tables, tuned, written
 from particles_mpi.study.report import WORK, numbers_table
-from particles_mpi.study.timing import Seconds
 
 LOST = 0.05  # error of the scene as it is, from which nothing can be concluded
 SHORT = 0.05  # seconds of a run that is begun anew so often that short samples must do
-
-
-@dataclass
-class Timed:
-    """A trial with the seconds of the whole run, output not counted."""
-
-    trial: Trial
-    seconds: Seconds
 
 
 @dataclass
@@ -45,11 +36,11 @@ class Recommendation:
 
     tolerance: float
     error: str
-    best: Timed
+    best: Trial
     tables: Tables
     half: Errors
     difference: float
-    timed: list[Timed]
+    timed: list[Trial]
     dropped: list[str]
     search: Search
     ranks: int
@@ -99,11 +90,11 @@ def find(start: Start, tolerance: float, error: str, seconds: float) -> Recommen
         raise StoppedError(f"--tolerance {tolerance:g}: not reached in {seconds:.0f} s of measuring: " + nearest(search))
     short = all(trial.seconds < SHORT for trial in finalists)
     rows = time_trials(start, finalists, min(benchmark.least, SHORT) if short else None)
-    whole = [row.seconds.of(round(1.0 / metric.part)) for row in rows]
-    timed = sorted(map(Timed, finalists, whole), key=lambda one: one.seconds.median)
-    dropped: list[str] = []
-    for best in timed:
-        trial, before = best.trial, len(search.trials)
+    for trial, row in zip(finalists, rows, strict=True):
+        trial.timed = row.seconds.of(round(1.0 / metric.part))
+    timed, dropped = sorted(finalists, key=lambda trial: trial.timed.median), list[str]()
+    for trial in timed:
+        before = len(search.trials)
         finer = search.attempt(trial.method, trial.resolution * trial.method.ratio)
         del search.trials[before:]
         if finer and search.reached(finer.errors):
@@ -111,7 +102,7 @@ def find(start: Start, tolerance: float, error: str, seconds: float) -> Recommen
             if difference <= 2.0 * search.tolerance:
                 tables = tuned(start.scene, trial.scene, trial.method.steps(trial.resolution, 1.0))
                 ranks = benchmark.ranks.size
-                return Recommendation(tolerance, error, best, tables, finer.errors, difference, timed, dropped, search, ranks)
+                return Recommendation(tolerance, error, trial, tables, finer.errors, difference, timed, dropped, search, ranks)
         dropped.append(trial.name)
     raise StoppedError(f"--tolerance {tolerance:g}: reached by chance only: half the step does not confirm " + dropped[0])
 
@@ -127,7 +118,7 @@ def nearest(search: Search) -> str:
 
 def report(screen: Screen, found: Recommendation) -> None:
     """All of it on the screen."""
-    metric, error, trial, s, say = found.metric, found.error, found.best.trial, found.best.seconds, screen.say
+    metric, error, trial, s, say = found.metric, found.error, found.best, found.best.timed, screen.say
     scene, method = metric.start.scene, trial.method
     say(f"[bold]{scene.title or 'untitled scene'}[/bold]: {metric.start.total} particles, {error} to {found.tolerance:g}")
     say(f"  reference: {metric.reference}; {error} can be measured down to {metric.limits[error]:.1g} ({metric.why})")
@@ -158,12 +149,11 @@ def trials_table(found: Recommendation) -> Table:
     names, trials = found.metric.names, sorted(found.search.trials, key=lambda t: (t.method.name, t.resolution))
     works = [name for name in WORK if any(trial.work[name] for trial in trials)]
     table = numbers_table("setting", *names, "seconds", *(WORK[name] for name in works))
-    times = {id(one.trial): one.seconds for one in found.timed}
     for trial in trials:
-        s = times.get(id(trial))
-        seconds = f"{s.median:.3g} ({s.low:.3g}-{s.high:.3g})" if s else ""
+        s = trial.timed
+        seconds = f"{s.median:.3g} ({s.low:.3g}-{s.high:.3g})" if s.median > 0.0 else ""
         errors, work = (f"{trial.errors[name]:.2g}" for name in names), (str(trial.work[name]) for name in works)
-        table.add_row(trial.name, *errors, seconds, *work, style="bold" if trial is found.best.trial else None)
+        table.add_row(trial.name, *errors, seconds, *work, style="bold" if trial is found.best else None)
     return table
 
 
@@ -187,10 +177,9 @@ def recommend_scene(
 
 def save(found: Recommendation, source: Path, target: Path) -> None:
     """Write the tuned scene; on one rank."""
-    best = found.best
     remark = (
-        f"by study recommend: {found.error} {best.trial.errors[found.error]:.2g} (wanted: {found.tolerance:g}), "
-        f"about {best.seconds.median:.2g} s on {found.ranks} rank(s)"
+        f"by study recommend: {found.error} {found.best.errors[found.error]:.2g} (wanted: {found.tolerance:g}), "
+        f"about {found.best.timed.median:.2g} s on {found.ranks} rank(s)"
     )
     try:
         target.parent.mkdir(parents=True, exist_ok=True)

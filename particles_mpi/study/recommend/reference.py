@@ -176,10 +176,8 @@ def set_limits(found: ErrorMetric, record: Record, parted: float, uncertainty: f
     found.places = record.places
     chaos, own = max(found.growth, 1.0) * ROUND_OFF, uncertainty / found.size
     if found.growth * SHIFT > SATURATED or own > SATURATED:
-        found.kind = "energy"
         found.why = f"chaos: starts {SHIFT:g} of the size apart end {found.growth * SHIFT:.1g} of it apart"
     else:
-        found.kind = "places"
         found.limits["state"] = 2.0 * (chaos + own)
         sensitive = f"chaos: a displaced start ends {found.growth:.2g} times as far away"
         found.why = sensitive if chaos > own else f"two references differ by {own:.1g}"
@@ -191,7 +189,7 @@ def by_conserved_energy(start: Start, seconds: float) -> ErrorMetric:
     probe = start.simulate(start.scene)
     row = probe.measure()
     found = affordable(start, 8.0 * cost(start, probe, 0.05 * seconds), seconds)
-    found.kind, found.reference, found.why = "energy", "the energy of the start", "round-off of a sum"
+    found.reference, found.why = "the energy of the start", "round-off of a sum"
     found.compare_energies(np.array([row["total_energy"]]), row["kinetic"])
     if found.scale > 0.0:
         found.limits["energy"] = ROUND_OFF * max(sqrt(start.total), 10.0)
@@ -214,6 +212,6 @@ def by_ensemble(found: ErrorMetric, first: Record, steps: int, fine: int) -> Err
             found.limits[name] = 2.0 * spread * sqrt(1.0 + 1.0 / members) / scale
     if start.conserves:
         found.add_energy(first)
-    found.kind, found.reference = "ensemble", f"{by_what(start)}, steps of 1/{fine}, mean of {members} runs"
+    found.reference = f"{by_what(start)}, steps of 1/{fine}, mean of {members} runs"
     found.why = f"chaos: {members} runs from starts {APART:g} apart differ by so much"
     return found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from math import inf, isfinite, log, log2, log10
+from math import inf, isfinite, log, log2, log10, nan
 from time import perf_counter
 
 from particles_mpi import Scene
@@ -13,6 +13,7 @@ from particles_mpi.study.experiment import Errors, Row, Setting
 from particles_mpi.study.recommend.error_metric import ErrorMetric
 from particles_mpi.study.recommend.methods import Method
 from particles_mpi.study.recommend.runs import LOOKS, Record, Start, TooLongError, follow
+from particles_mpi.study.timing import Seconds
 
 BUDGET = 60.0  # seconds of measuring, about: a third each for the reference, the search, and times
 MARGIN = 0.85  # of the tolerance: what a refined step aims at
@@ -22,12 +23,16 @@ DEARER = 2.0  # times the seconds of the best: where a method is given up
 MOST_REFUSALS = 5  # of settings of a method, one after the other
 LITTLE = 0.2  # seconds that are no reason to give anything up
 COARSEST, FINEST = 1e3, 1e11  # 1/tolerance of `adaptive`
+UNKNOWN = Seconds(nan, nan, nan)
 STALLED = 1.15  # a finer setting whose error is not smaller by this: something else limits it
 
 
 @dataclass
 class Trial:
-    """A setting, tried over the span: its errors, the seconds it took with all looks, and its work."""
+    """A setting, tried over the span: its errors, the seconds it took with all looks, and its work.
+
+    `timed`: seconds of the whole run, output not counted, of those that were compared.
+    """
 
     method: Method
     resolution: float
@@ -36,6 +41,7 @@ class Trial:
     seconds: float
     work: dict[str, int]
     record: Record
+    timed: Seconds = UNKNOWN
 
     @property
     def name(self) -> str:
@@ -120,7 +126,7 @@ class Search:
             if next_ is None:
                 return
             fine, coarse = (next_, None) if self.reached(next_.errors) else (fine, next_)
-        if self.metric.kind != "ensemble":  # which step is just enough chance decides there
+        if not self.metric.means:  # which step is just enough chance decides there
             self.refine(coarse, fine)
 
     def worth_it(self, method: Method, coarse: Trial | None, fine: Trial | None, resolution: float) -> bool:

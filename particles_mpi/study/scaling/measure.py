@@ -166,15 +166,6 @@ def oversubscribed(cores: list[tuple[str, set[int]]]) -> bool:
     return False
 
 
-def law_of(scene: Scene, total: int, divided: bool) -> Law:
-    """How work and traffic of the scene grow; it has `total` particles."""
-    growth, everyone = "N", not divided
-    if "mutual_gravity" in scene.effects:
-        tree = scene.effects["mutual_gravity"].choice(scene, total).angle is not None
-        growth, everyone = ("N log N", False) if tree else ("N^2", True)
-    return Law(growth, edges(scene), tuple(scene.periodic), everyone, divided)
-
-
 def scale(described: Scene | None, folder: Path, quick: bool, comm: Any = None) -> None:
     """Measure, print the tables and the model, write scaling.csv, scaling_model.csv, scaling.png and scaling.svg. Collective.
 
@@ -198,7 +189,11 @@ def scale(described: Scene | None, folder: Path, quick: bool, comm: Any = None) 
         curves.append(Curve(f"weak, N/P = {total}", True, [points[float(count), count] for count in counts]))
     ghosts = (FIELDS[name] for name in fields_of(scene) if FIELDS[name].ghost)
     row_bytes = sum(8 * (scene.dimension if column.vector else 1) for column in ghosts)  # as they are sent
-    law, found = law_of(scene, total, divided), list(points.values())
+    growth, everyone = "N", not divided
+    if "mutual_gravity" in scene.effects:
+        tree = scene.effects["mutual_gravity"].choice(scene, total).angle is not None
+        growth, everyone = ("N log N", False) if tree else ("N^2", True)
+    law, found = Law(growth, edges(scene), tuple(scene.periodic), everyone, divided), list(points.values())
     model = fit(found, law, row_bytes) if ranks.size > 1 else None
     result = Result(scene.title or "untitled scene", law, curves, found, model, no_weak, described is None)
     with failing_together(ranks, f"cannot write into {folder}"):

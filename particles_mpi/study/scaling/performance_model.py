@@ -11,7 +11,7 @@ non-negative least squares of relative errors (Lawson and Hanson 1974); the numb
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import ceil, log2, prod
 from statistics import median
 
@@ -115,11 +115,13 @@ class Law:
 
 
 @dataclass(frozen=True)
-class Traffic:
-    """What a rank sends and fetches in a step.
+class Model:
+    """What a rank does in a step, and what that costs in seconds.
 
-    thickness: of the layer of `fetches` of rows, in mean distances; messages: to one neighbour; reductions and exchanges of all
-    with all, `all_to_alls`.
+    thickness: of the layer of rows that is fetched `fetches` times, in mean distances; messages: to one neighbour; all_to_alls:
+    exchanges of all with all. Costs: `fixed` of a step, `each` of a unit of work, `row` of a row of row_bytes, `latency` of a
+    stage. imbalance: work of the slowest rank over the mean; measured: ranks up to which it was fitted, in one machine; beyond
+    them the latency and the bandwidth of a network come in.
     """
 
     law: Law
@@ -128,6 +130,13 @@ class Traffic:
     messages: float
     reductions: float
     all_to_alls: float
+    row_bytes: float
+    measured: int
+    imbalance: float
+    fixed: float = 0.0
+    each: float = 0.0
+    row: float = 0.0
+    latency: float = 0.0
 
     def rows(self, particles: float, ranks: int) -> float:
         """Rows that a rank fetches in a step."""
@@ -139,25 +148,6 @@ class Traffic:
         at_once = self.messages * self.law.neighbours(ranks) + self.reductions * depth
         return at_once + self.all_to_alls * (depth + ranks - 1)
 
-
-@dataclass(frozen=True)
-class Model:
-    """Costs in seconds: `fixed` of a step, `each` of a unit of work, `row` of a row, `latency` of a stage.
-
-    imbalance: work of the slowest rank over the mean; measured: ranks up to which it was fitted, in one machine; beyond them the
-    latency and the bandwidth of a network come in; row_bytes: of a row, as it is sent.
-    """
-
-    law: Law
-    traffic: Traffic
-    fixed: float
-    each: float
-    row: float
-    latency: float
-    imbalance: float
-    measured: int
-    row_bytes: float
-
     def parts(self, particles: float, ranks: int) -> dict[str, float]:
         """Seconds of a step, term by term."""
         row, latency = self.row, self.latency
@@ -166,8 +156,8 @@ class Model:
         return {
             "fixed": self.fixed,
             "work": (self.imbalance if ranks > 1 else 1.0) * self.each * self.law.share(particles, ranks),
-            "rows": row * self.traffic.rows(particles, ranks),
-            "latency": latency * self.traffic.stages(ranks),
+            "rows": row * self.rows(particles, ranks),
+            "latency": latency * self.stages(ranks),
         }
 
     def seconds(self, particles: float, ranks: int) -> float:
@@ -193,27 +183,22 @@ class Model:
 
 def fit(points: Sequence[Point], law: Law, row_bytes: float) -> Model:
     """The model of what was measured: counts of all points, seconds only of ranks that did not share a core."""
-    traffic = count([p for p in points if p.ranks > 1], law)
-    timed = [p for p in points if not p.oversubscribed]
-    several = [p for p in timed if p.ranks > 1]
-    computing = [[1.0, law.share(p.particles, p.ranks), traffic.rows(p.particles, p.ranks)] for p in timed]
+    parallel, timed = [p for p in points if p.ranks > 1], [p for p in points if not p.oversubscribed]
+    several, widest = [p for p in timed if p.ranks > 1], [p for p in parallel if p.ranks == max(q.ranks for q in parallel)]
+    fetching = [p for p in parallel if p.counts["fetches"]]
+    layers = [law.thickness(p.particles, p.ranks, p.counts["rows"] / p.counts["fetches"]) for p in fetching]
+    names = ("fetches", "reductions", "all_to_alls")
+    fetches, reductions, all_to_alls = (median(p.counts[name] for p in widest) for name in names)
+    messages, measured = median(p.counts["messages"] / law.neighbours(p.ranks) for p in widest), max(p.ranks for p in timed)
+    imbalance = median([p.slowest / p.own for p in several] or [1.0])
+    thickness = median(layers or [0.0])
+    model = Model(law, thickness, fetches, messages, reductions, all_to_alls, row_bytes, measured, imbalance)
+    computing = [[1.0, law.share(p.particles, p.ranks), model.rows(p.particles, p.ranks)] for p in timed]
     fixed, each, row = costs(computing, [p.own for p in timed])
     talkers = [p for p in several if p.talk > 0.0]  # none where no phase is communication alone
-    talking = [[traffic.rows(p.particles, p.ranks), traffic.stages(p.ranks)] for p in talkers]
+    talking = [[model.rows(p.particles, p.ranks), model.stages(p.ranks)] for p in talkers]
     row_sent, latency = costs(talking, [p.talk for p in talkers]) if talkers else (0.0, 0.0)
-    imbalance = median([p.slowest / p.own for p in several] or [1.0])
-    return Model(law, traffic, fixed, each, row + row_sent, latency, imbalance, max(p.ranks for p in timed), row_bytes)
-
-
-def count(points: Sequence[Point], law: Law) -> Traffic:
-    """What was sent: the thickness of the layer from all points, the rest from those of the most ranks."""
-    widest = [p for p in points if p.ranks == max(q.ranks for q in points)]
-    layers = [law.thickness(p.particles, p.ranks, p.counts["rows"] / p.counts["fetches"]) for p in points if p.counts["fetches"]]
-    messages = median(p.counts["messages"] / law.neighbours(p.ranks) for p in widest)
-    fetches, reductions, all_to_alls = (
-        median(p.counts[name] for p in widest) for name in ("fetches", "reductions", "all_to_alls")
-    )
-    return Traffic(law, median(layers or [0.0]), fetches, messages, reductions, all_to_alls)
+    return replace(model, fixed=fixed, each=each, row=row + row_sent, latency=latency)
 
 
 def costs(units: Sequence[Sequence[float]], seconds: Sequence[float]) -> list[float]:

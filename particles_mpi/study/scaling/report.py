@@ -103,15 +103,14 @@ def say_curve(result: Result, curve: Curve, screen: Screen) -> None:
 
 def say_model(result: Result, model: Model, screen: Screen) -> None:
     """What the model says, from what, and what it takes for granted."""
-    traffic = model.traffic
-    layer = "all particles" if model.law.everyone else f"a layer of {traffic.thickness:.2g} mean distances"
-    fetched = f"rows of {layer} fetched {traffic.fetches:.2g} times" if traffic.thickness else "no rows fetched"
+    layer = "all particles" if model.law.everyone else f"a layer of {model.thickness:.2g} mean distances"
+    fetched = f"rows of {layer} fetched {model.fetches:.2g} times" if model.thickness else "no rows fetched"
     screen.say(
         f"[bold]{result.origin(model)}[/bold]\n"
         f"  t = {model.fixed * 1e6:.3g} us + {model.imbalance:.2f} x {model.each * 1e9:.3g} ns x work{'/P' * model.law.shared}"
         f" + {model.row * 1e6:.3g} us x rows + {model.latency * 1e6:.3g} us x stages; work = {model.law.growth}\n"
-        f"  counted in a step: {fetched}, {traffic.messages:.2g} messages to"
-        f" each neighbour, {traffic.reductions:.2g} reductions, {traffic.all_to_alls:.2g} exchanges of all with all\n"
+        f"  counted in a step: {fetched}, {model.messages:.2g} messages to"
+        f" each neighbour, {model.reductions:.2g} reductions, {model.all_to_alls:.2g} exchanges of all with all\n"
         "  ms a step, efficiency, share of work in the step:"
     )
     table, rows = numbers_table("ranks", *(curve.name for curve in result.curves)), list(result.predicted_rows(model))
