@@ -202,7 +202,7 @@ def hard_cases(
 
     Example:   ./run.sh study hard-cases --only column
     """
-    from particles_mpi.study.hard_cases.command import study as run_catalogue
+    from particles_mpi.study.hard_cases.catalogue import study as run_catalogue
 
     if not run_catalogue(only, full, output):
         raise StoppedError("hard cases: not all that must hold does")

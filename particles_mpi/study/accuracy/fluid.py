@@ -104,8 +104,8 @@ def measure(benchmark: Benchmark) -> list[Experiment]:
         good = [row for row in others if row.errors["collision rate"] < FLOOR + 2.0 * row.errors["noise"]]
         best, seconds = min(good, key=lambda row: row.seconds.median, default=None), event.seconds.median
         found.answers.append(
-            f"packing {packing:g}: event is exact and takes {seconds:.2g} s; the fastest rewind whose error in the rate is hidden "
-            f"by noise: {best.setting.curve} at Gamma dt = {best.setting.parameter:g}, {best.seconds.median:.2g} s"
+            f"packing {packing:g}: event is exact and takes {seconds:.2g} s; the fastest rewind whose error in the rate is "
+            f"hidden by noise: {best.setting.curve} at Gamma dt = {best.setting.parameter:g}, {best.seconds.median:.2g} s"
             if best
             else f"packing {packing:g}: no setting of rewind is as right as event, {seconds:.2g} s"
         )

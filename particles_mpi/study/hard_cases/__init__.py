@@ -1,7 +1,6 @@
 """Hard cases: what naive programs do there, what must hold here, and what is measured.
 
-catalogue  what a case is, all cases, and how one is run
-command    `study hard-cases`: runs them and prints the table
+catalogue  what a case is, all cases, how one is run; `study hard-cases`, which prints the table
 contacts   friction and drag where explicit rules fail; single contacts: where and when they happen, and what they give
 crowds     many contacts at once
 resting    contacts that last, and a ball that never stops

@@ -27,8 +27,7 @@ from particles_mpi.scene.schema import Scene
 from particles_mpi.simulation import Simulation
 from particles_mpi.study.report import write_csv
 from particles_mpi.study.scaling.performance_model import Law, Point, fit
-from particles_mpi.study.scaling.plots import draw
-from particles_mpi.study.scaling.report import Curve, Result, say_curve, say_model
+from particles_mpi.study.scaling.report import Curve, Result, draw, say_curve, say_model
 from particles_mpi.study.scaling.scale_scene import edges, scale_scene
 from particles_mpi.study.timing import SAMPLE, SAMPLES, StepTimer, time_in_turns
 
