@@ -9,7 +9,7 @@ from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.study.experiment import Benchmark, Experiment, Setting
 from particles_mpi.study.recommend.methods import as_it_is, methods
 from particles_mpi.study.recommend.reference import reference
-from particles_mpi.study.recommend.runs import FEW, Start, variant
+from particles_mpi.study.recommend.runs import Start, variant
 from particles_mpi.study.recommend.search import BUDGET, Search, time_trials
 
 LADDER = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # times the steps of the scene
@@ -25,13 +25,7 @@ def measure(benchmark: Benchmark, scene: Scene, seconds: float = BUDGET) -> list
 
     `seconds`: what errors may take; times of the settings that are left come to that again.
     """
-    start = Start(benchmark, scene)
-
-    def both(b: Benchmark) -> list[Experiment]:
-        same = start if b is benchmark else Start(b, scene)
-        return [settings(same, seconds), effects(same)]
-
-    return benchmark.on_few(start.total <= FEW, both) or []
+    return Start(benchmark, scene).on_few(lambda start: [settings(start, seconds), effects(start)]) or []
 
 
 def settings(start: Start, seconds: float) -> Experiment:

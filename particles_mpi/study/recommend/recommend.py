@@ -17,7 +17,7 @@ from particles_mpi.study.experiment import Benchmark, Errors
 from particles_mpi.study.recommend.error_metric import ErrorMetric
 from particles_mpi.study.recommend.methods import as_it_is, methods
 from particles_mpi.study.recommend.reference import reference
-from particles_mpi.study.recommend.runs import FEW, Start
+from particles_mpi.study.recommend.runs import Start
 from particles_mpi.study.recommend.search import BUDGET, Search, Trial, time_trials
 from particles_mpi.study.recommend.tuned import Tables, tuned, written
 from particles_mpi.study.report import WORK, numbers_table
@@ -60,11 +60,8 @@ def recommend(
     """
     if not 0.0 < tolerance < 1.0:
         raise SceneError(f"--tolerance {tolerance:g}: must be above 0 and below 1")
-    start = Start(benchmark, scene)
     try:
-        found: Recommendation | None = benchmark.on_few(
-            start.total <= FEW, lambda b: find(start if b is benchmark else Start(b, scene), tolerance, error, seconds)
-        )
+        found: Recommendation | None = Start(benchmark, scene).on_few(lambda start: find(start, tolerance, error, seconds))
         return found
     finally:
         benchmark.screen.stop()

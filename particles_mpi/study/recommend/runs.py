@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite
 from time import perf_counter
@@ -69,6 +70,11 @@ class Start:
         self.conserves = not self.dissipates and not lossy and not endless_falls(scene, self.particles)
         self.duration = scene.steps * scene.time.step
         self.length = periodic_length(scene)  # of periodic axes, 0 of others
+
+    def on_few(self, work: Callable[[Start], Any]) -> Any:
+        """`work(self)`; for few bodies, which more ranks would only slow down, on rank 0 alone: None elsewhere. Collective."""
+        few = self.total <= FEW
+        return self.benchmark.on_few(few, lambda b: work(self if b is self.benchmark else Start(b, self.scene)))
 
     def simulate(self, scene: Scene, shifted: int = 0, duration: float = 0.0, amount: float = SHIFT) -> Simulation:
         """The start in a variant of the scene. Collective. SceneError if it cannot run.
