@@ -1,7 +1,5 @@
 """Work-precision plots: error against seconds, both logarithmic, with the Pareto front and slopes to compare with."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What experiments found: as tables on the screen, as CSV, SVG and JSON files, and as one page that opens offline."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -5,8 +5,6 @@ short steps that end where the ball touches, found by Newton's method: smooth pi
 problems stand side by side in one scene, far apart, and the phases of a step at which they touch are spread evenly.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import product
 from math import cos, sin

@@ -1,7 +1,5 @@
 """`study accuracy`: measures the experiments, prints them as they end, writes the report."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from time import perf_counter

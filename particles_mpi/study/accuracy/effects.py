@@ -1,7 +1,5 @@
 """H: effects on and off. What each costs, that an absent one costs nothing, and that one without strength changes no bit."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import partial
 from typing import Any

@@ -4,8 +4,6 @@ Trajectories are chaotic and never compared. The fluid is: its compressibility f
 and with it the rate of collisions (Enskog: Gamma = (Z - 1) 6/sigma sqrt(T/(pi m)) in three dimensions).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import partial
 from math import pi, sqrt

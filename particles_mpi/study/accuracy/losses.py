@@ -3,8 +3,6 @@
 And bounces: their order under every force, on every obstacle, with every loss.
 """
 
-from __future__ import annotations
-
 from itertools import product
 from math import exp
 from typing import Any

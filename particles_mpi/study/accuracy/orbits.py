@@ -1,7 +1,5 @@
 """A and B: orbits. Step or tolerance against errors in energy and place, by each integrator: regular, and close encounters."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from math import cos, pi, sin, sqrt
 from typing import Any

@@ -1,7 +1,5 @@
 """What accuracy costs in a scene of the user's: its settings on a ladder of steps, and what each of its effects costs."""
 
-from __future__ import annotations
-
 from math import isnan, nan
 
 from particles_mpi import Scene

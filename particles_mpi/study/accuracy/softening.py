@@ -4,8 +4,6 @@ For an orbit the latter is the error of the integrator; for particles that stand
 finite number, as in W. Dehnen, MNRAS 324, 273 (2001).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cache
 from math import log, pi, sqrt

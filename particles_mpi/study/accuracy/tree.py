@@ -1,7 +1,5 @@
 """D: the tree. Opening angle against error of the force, with and without quadrupoles, and where the direct sum is cheaper."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from math import exp, inf, log, nan

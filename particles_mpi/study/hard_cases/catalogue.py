@@ -4,8 +4,6 @@ A case is a function of a `CaseRun`, which builds simulations in one mode and di
 measured, as a text, and whether that is what must hold. `study hard-cases` prints the table, the tests run the same functions.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field

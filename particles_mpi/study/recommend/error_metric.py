@@ -10,8 +10,6 @@ Names of errors, all relative numbers:
 State is compared as long as a displaced start does not end up somewhere else; otherwise the others are.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from math import nan
 

@@ -1,7 +1,5 @@
 """The ways in which a scene can be computed: integrators, collision modes with passes, direct sum and trees."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import product
 from typing import Any

@@ -4,8 +4,6 @@ The first half second of the run is tried, with output, for the forecast of seco
 gives the errors. Takes about two seconds.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """The cheapest setting of a scene that reaches a tolerance: searched, timed fairly, verified at half the step, written down."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path

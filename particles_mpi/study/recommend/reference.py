@@ -3,8 +3,6 @@
 A start that is displaced a little tells how chaotic the motion is, and with that what can be compared at all.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from math import nan, sqrt
 from time import perf_counter

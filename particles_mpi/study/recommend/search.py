@@ -1,7 +1,5 @@
 """The cheapest resolution of a method that reaches a tolerance: searched by factors of two, then by the order seen."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import inf, isfinite, log, log2, log10, nan

@@ -1,7 +1,5 @@
 """A scene file with other settings, and all else as its author wrote it, remarks included."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@ timed by turns, and phases and counts are noted. Mutual gravity has one phase fo
 then finds the cost of rows, and none of messages.
 """
 
-from __future__ import annotations
-
 import os
 import platform
 from collections.abc import Iterable

@@ -8,8 +8,6 @@ P - 1 for an exchange in which every rank may send to every other (Alltoallv, pa
 non-negative least squares of relative errors (Lawson and Hanson 1974); the numbers of rows, messages and reductions are counted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import ceil, log2, prod

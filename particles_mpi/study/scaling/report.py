@@ -1,7 +1,5 @@
 """What `study scaling` found: curves, predictions, rows of the CSV files, tables on the screen, and the figure."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """A scene with more particles, or fewer, and just as many in a unit of volume: what weak scaling compares."""
 
-from __future__ import annotations
-
 from math import prod
 from typing import Any
 
