@@ -77,12 +77,10 @@ class Experiment:
         return next(iter(self.errors))
 
     def curve(self, name: str) -> list[Row]:
-        """The rows of one curve, in their order."""
         return [row for row in self.rows if row.setting.curve == name]
 
     @property
     def curves(self) -> list[str]:
-        """Names of the curves, in order of appearance."""
         return list(dict.fromkeys(row.setting.curve for row in self.rows))
 
     def front(self) -> list[Row]:

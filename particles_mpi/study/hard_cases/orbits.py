@@ -2,7 +2,6 @@
 
 from functools import partial
 from math import log, sqrt
-from typing import Any
 
 import numpy as np
 
@@ -19,34 +18,28 @@ ROUNDINGS = {"adaptive": 1, "leapfrog": 1, "order4": 6}  # of a position in a st
 NOTHING = 1e-9  # change of the energy that nobody minds
 
 
-def two_masses(run: CaseRun, apart: float, speed: float, place: float, *time: Any, softening: float = 0.0) -> Simulation:
-    """Two halves of mass 1, `apart` along x about a place on every axis, with relative speed along y; `time`: step, method."""
+def energy_changes(
+    run: CaseRun, apart: float, speed: float, place: float, softening: float, integrator: str, step: float, every: int, looks: int
+) -> tuple[Simulation, Array]:
+    """Two halves of mass 1, `apart` along x about a place on every axis, with relative speed along y: relative changes of their
+    energy, at the start and after `every` steps."""
     masses = [
-        {
-            "position": [run.point(place + sign * apart / 2, rest=place)],
-            "velocity": run.point(0.0, sign * speed / 2),
-            "mass": 0.5,
-        }
+        {"position": [run.point(place + sign * apart / 2, rest=place)], "velocity": run.point(0.0, sign * speed / 2), "mass": 0.5}
         for sign in (1.0, -1.0)
     ]
-    step, integrator = time
-    return run.simulate(masses, step, 1, {"mutual_gravity": {"softening": softening}}, integrator, G=1.0)
-
-
-def energy_changes(sim: Simulation, looks: int, steps: int) -> Array:
-    """Relative, at the start and after every so many steps. Collective."""
+    sim = run.simulate(masses, step, 1, {"mutual_gravity": {"softening": softening}}, integrator, G=1.0)
     energies = [sim.measure()["total_energy"]]
     for _ in range(looks):
-        for _ in range(steps):
+        for _ in range(every):
             sim.step()
         energies.append(sim.measure()["total_energy"])
-    return np.array(energies) / energies[0] - 1.0
+    return sim, np.array(energies) / energies[0] - 1.0
 
 
 def encounter(run: CaseRun, integrator: str, softening: float, periods: float, substeps: int) -> tuple[float, float]:
     """(largest, last) relative change of the energy of two masses on an orbit of e = 0.999, sampled 200 times."""
     step, speed = 2.0 * np.pi * periods / 200.0 / substeps, sqrt(2.0 * (1.0 / 1.999 - 0.5))
-    changes = np.abs(energy_changes(two_masses(run, 1.999, speed, 0.0, step, integrator, softening=softening), 200, substeps))
+    changes = np.abs(energy_changes(run, 1.999, speed, 0.0, softening, integrator, step, substeps, 200)[1])
     return float(changes.max()), float(changes[-1])
 
 
@@ -67,8 +60,8 @@ def softened_encounter(run: CaseRun) -> Finding:
 def binary(run: CaseRun, integrator: str, steps: int, apart: float, place: float) -> tuple[Array, int]:
     """(relative changes of the energy, roundings of a position) of equal masses on a circle, in `steps` an orbit."""
     rate = apart**-1.5
-    sim = two_masses(run, apart, rate * apart, place, 2.0 * np.pi / rate / steps, integrator)
-    changes = energy_changes(sim, FAR_ORBITS * LOOKS, steps // LOOKS)
+    step, looks = 2.0 * np.pi / rate / steps, FAR_ORBITS * LOOKS
+    sim, changes = energy_changes(run, apart, rate * apart, place, 0.0, integrator, step, steps // LOOKS, looks)
     return changes, getattr(sim.integrator, "substeps", sim.steps_done) * ROUNDINGS[integrator]
 
 

@@ -6,13 +6,12 @@ gives the errors. Takes about two seconds.
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from itertools import pairwise
 from math import gamma, isfinite, log2, pi
 from pathlib import Path
-from shutil import rmtree
-from tempfile import mkdtemp
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -64,16 +63,13 @@ def predict(start: Start) -> Prediction:
 @contextmanager
 def scratch(ranks: Communicator) -> Iterator[Path]:
     """A folder that is gone afterwards; where runs write theirs, if one may, for disks differ in speed. Collective."""
-    path = ""
+    folder = None
     with failing_together(ranks, "cannot write into the working directory"):
         if ranks.is_root:
-            path = mkdtemp(prefix=".check-", dir=Path.cwd() if os.access(Path.cwd(), os.W_OK) else None)
-    folder = Path(ranks.bcast(path))
-    try:
-        yield folder
-    finally:
-        if ranks.is_root:
-            rmtree(folder, ignore_errors=True)
+            place = Path.cwd() if os.access(Path.cwd(), os.W_OK) else None
+            folder = TemporaryDirectory(prefix=".check-", dir=place, ignore_cleanup_errors=True)
+    with folder or nullcontext(""):
+        yield Path(ranks.bcast(folder.name if folder else ""))
 
 
 def lost(rate: float, step: float, packing: float, passes: int) -> float:

@@ -45,7 +45,6 @@ class Recommendation:
 
     @property
     def metric(self) -> ErrorMetric:
-        """What errors were measured by."""
         return self.search.metric
 
 

@@ -43,7 +43,6 @@ class Trial:
 
     @property
     def name(self) -> str:
-        """Method and resolution."""
         return f"{self.method.name}, {self.method.describe(self.resolution)}"
 
 

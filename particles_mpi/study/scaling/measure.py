@@ -156,11 +156,8 @@ def time_settings(
 
 def oversubscribed(cores: list[tuple[str, set[int]]]) -> bool:
     """Are there fewer cores than ranks on some machine? `cores`: of each rank, its machine and the cores it may use."""
-    for node in {name for name, _ in cores}:
-        ranks = [own for name, own in cores if name == node]
-        if len(ranks) > len(set().union(*ranks)):
-            return True
-    return False
+    machines = ([own for name, own in cores if name == node] for node, _ in cores)
+    return any(len(ranks) > len(set().union(*ranks)) for ranks in machines)
 
 
 def scale(described: Scene | None, folder: Path, quick: bool, comm: Any = None) -> None:

@@ -159,7 +159,6 @@ class Model:
         }
 
     def seconds(self, particles: float, ranks: int) -> float:
-        """Seconds of a step."""
         return sum(self.parts(particles, ranks).values())
 
     def efficiency(self, particles: float, ranks: int, alone: float) -> float:

@@ -148,7 +148,6 @@ def draw(result: Result) -> Figure:
 
 
 def color_of(result: Result, curve: Curve) -> str:
-    """Of a curve, in all panels."""
     return COLORS[-1] if curve.weak else COLORS[result.curves.index(curve)]
 
 
@@ -195,7 +194,6 @@ def draw_times(axes: Axes, result: Result) -> None:
 
 
 def draw_efficiency(axes: Axes, result: Result) -> None:
-    """Of all curves."""
     top = 1.15
     for curve in result.curves:
         values = [result.efficiency(curve, p) for p in curve.points]
