@@ -107,7 +107,7 @@ class Search:
 
     def along(self, method: Method, resolution: float) -> None:
         """Bracket the tolerance by factors from a first setting on, then go to where it is just reached. Collective."""
-        if not method.adaptive:  # a step that is not timed: kernels are compiled or loaded in it; one of `adaptive` is a frame
+        if not method.adaptive:  # one step first, in which kernels are loaded; `adaptive` has none of its own, and long steps
             with suppress(SceneError, StoppedError):
                 self.start.simulate(method.scene(resolution, self.metric.part)).step()
         fine, coarse = self.attempt(method, resolution, self.patience()), None
