@@ -187,7 +187,7 @@ def scaling(
 
     Example:   RANKS=4 ./run.sh study scaling my.toml
     """
-    from particles_mpi.study.scaling.command import scale
+    from particles_mpi.study.scaling.measure import scale
 
     scale(load(scene) if scene else None, output or Path("out/study/scaling") / (scene.stem if scene else ""), quick)
 
@@ -202,7 +202,7 @@ def hard_cases(
 
     Example:   ./run.sh study hard-cases --only column
     """
-    from particles_mpi.study.hard_cases.command import study as run_catalogue
+    from particles_mpi.study.hard_cases.catalogue import study as run_catalogue
 
     if not run_catalogue(only, full, output):
         raise StoppedError("hard cases: not all that must hold does")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from math import log, nan
+from statistics import linear_regression
 from typing import Any
 
 import numpy as np
@@ -76,12 +77,10 @@ class Experiment:
         return next(iter(self.errors))
 
     def curve(self, name: str) -> list[Row]:
-        """The rows of one curve, in their order."""
         return [row for row in self.rows if row.setting.curve == name]
 
     @property
     def curves(self) -> list[str]:
-        """Names of the curves, in order of appearance."""
         return list(dict.fromkeys(row.setting.curve for row in self.rows))
 
     def front(self) -> list[Row]:
@@ -102,13 +101,12 @@ class Benchmark:
         self.samples, self.least = samples, 0.02 if quick else SAMPLE
         self.screen = screen or Screen(self.ranks.is_root, True)
 
-    def alone(self) -> Benchmark:
-        """One of this rank's own, for problems of a few bodies that more ranks would only slow down."""
-        return Benchmark(Communicator.alone().comm, self.quick, self.samples, self.screen)
-
     def on_few(self, few: bool, work: Callable[[Benchmark], Any]) -> Any:
-        """`work(self)`; for a `few` bodies on rank 0 alone, which gives None on the others. Collective."""
-        return self.ranks.run_on_root(lambda: work(self.alone())) if few and self.ranks.size > 1 else work(self)
+        """`work(self)`; for `few` bodies, which more ranks would only slow down, on rank 0 alone: None elsewhere. Collective."""
+        if not few or self.ranks.size == 1:
+            return work(self)
+        alone = Benchmark(Communicator.alone().comm, self.quick, self.samples, self.screen)
+        return self.ranks.run_on_root(lambda: work(alone))
 
     def simulate(self, tables: dict[str, Any]) -> Simulation:
         """The simulation of a scene given as tables. Collective."""
@@ -122,21 +120,26 @@ class Benchmark:
         options = {"steps": time.get("steps", 0), "by_forces": time.get("integrator") == "adaptive", **options}
         return Setting(curve, parameter, lambda: self.simulate(tables), errors=errors, **options)
 
-    def measure(self, name: str, settings: Sequence[Setting]) -> list[Row]:
-        """Errors of all settings, then their times, by turns. Collective."""
-        progress = self.screen.count(name, len(settings) * (2 + self.samples))
-        errors, work = [], []
+    def measure(
+        self, key: str, title: str, settings: Iterable[Setting], errors: dict[str, str], reference: str, parameter: str = "step",
+        **more: Any,
+    ) -> Experiment:  # fmt: skip
+        """The experiment: errors of all settings, then their times, by turns; `more`: its other fields. Collective."""
+        settings = list(settings)
+        progress = self.screen.count(title, len(settings) * (2 + self.samples))
+        found, work = [], []
         for setting in settings:
-            progress(f"{name}: errors, {setting.curve}")
+            progress(f"{title}: errors, {setting.curve}")
             sim = setting.begin()
             before = sim.work()
-            errors.append(setting.errors(sim))
+            found.append(setting.errors(sim))
             work.append({kind: count - before[kind] for kind, count in sim.work().items()})
-        return self.time(settings, errors, work, lambda: progress(f"{name}: time"))
+        rows = self.time(settings, found, work, lambda: progress(f"{title}: time"))
+        return Experiment(key, title, parameter, errors, reference, rows, **more)
 
     def time(
         self, settings: Sequence[Setting], errors: Sequence[Errors], work: Sequence[dict[str, int]],
-        progress: Callable[[], None] = lambda: None, least: float | None = None,
+        progress: Callable[[], None], least: float | None = None,
     ) -> list[Row]:  # fmt: skip
         """Times of settings whose errors and work are known, by turns; ends the progress bar. Collective.
 
@@ -166,12 +169,8 @@ def observe_orders(rows: list[Row]) -> None:
 
 def slope(rows: Sequence[Row], error: str) -> float:
     """Least-squares slope of log error against log parameter; not a number from fewer than two points."""
-    points = [(log(row.setting.parameter), log(row.errors[error])) for row in rows if row.errors[error] > 0.0]
-    if len(points) < 2:
-        return nan
-    x, y = (sum(p[k] for p in points) / len(points) for k in (0, 1))
-    spread = sum((p[0] - x) ** 2 for p in points)
-    return sum((p[0] - x) * (p[1] - y) for p in points) / spread if spread else nan
+    points = {log(row.setting.parameter): log(row.errors[error]) for row in rows if row.errors[error] > 0.0}
+    return linear_regression(list(points), list(points.values())).slope if len(points) > 1 else nan
 
 
 def everyone(sim: Simulation) -> Particles:

@@ -1,7 +1,5 @@
 """Work-precision plots: error against seconds, both logarithmic, with the Pareto front and slopes to compare with."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +10,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator
 
 from particles_mpi.study.experiment import Experiment, Row
 
@@ -23,54 +21,46 @@ SPINES = {"axes.spines.top": False, "axes.spines.right": False, "axes.axisbelow"
 STYLE: Any = {"svg.hashsalt": "study", "font.size": 10, **SPINES}
 
 
-def draw(axes: Any, found: Experiment, title: str = "") -> None:
-    """Draw one experiment into axes."""
+def draw(axes: Any, found: Experiment, title: str) -> None:
+    """Draw one experiment into axes; the seconds alone where there is no error to plot."""
     error = found.main_error
+    axes.set_title(title, loc="left", fontsize=10.5)
+    if not any(row.errors[error] > 0.0 for row in found.rows):
+        rows = found.rows[::-1]
+        seconds, spread = points(rows)
+        axes.barh([row.setting.curve for row in rows], seconds, xerr=spread, color=COLORS[0], height=0.6)
+        label_seconds(axes)
+        return
     for k, curve in enumerate(found.curves):
-        rows = [row for row in found.curve(curve) if row.errors[error] > 0.0]
-        if rows:
+        if rows := [row for row in found.curve(curve) if row.errors[error] > 0.0]:
             style = {"color": COLORS[k % 8], "marker": MARKERS[k % 8], "ms": 5, "lw": 1.2, "capsize": 2, "zorder": 3}
-            axes.errorbar(*points(rows, error), xerr=quartiles(rows), label=curve, **style)
+            seconds, spread = points(rows)
+            axes.errorbar(seconds, [row.errors[error] for row in rows], xerr=spread, label=curve, **style)
     front = [row for row in found.front() if row.errors[error] > 0.0]
-    axes.plot(*points(front, error), color="#d9b44a", lw=7, alpha=0.45, solid_capstyle="round", zorder=1, label="Pareto front")
-    axes.set(xscale="log", yscale="log", ylabel=f"error in {error}")
+    style = {"color": "#d9b44a", "lw": 7, "alpha": 0.45, "solid_capstyle": "round", "zorder": 1}
+    axes.plot(points(front)[0], [row.errors[error] for row in front], label="Pareto front", **style)
+    axes.set(yscale="log", ylabel=f"error in {error}")
     label_seconds(axes)
     draw_slopes(axes, found.slopes)
     if found.floor:
         axes.axhspan(axes.get_ylim()[0], found.floor, color="#999999", alpha=0.15, lw=0)
-    axes.set_title(title or f"{found.key}  {found.title}", loc="left", fontsize=10.5)
     axes.grid(which="major", color="#dddddd", lw=0.6)
     axes.legend(fontsize=8, framealpha=0.9)
 
 
-def draw_bars(axes: Any, found: Experiment) -> None:
-    """Draw the seconds alone, where there is no error to plot."""
-    rows = found.rows[::-1]
-    seconds = [row.seconds.median for row in rows]
-    axes.barh([row.setting.curve for row in rows], seconds, xerr=quartiles(rows), color=COLORS[0], height=0.6)
-    axes.set(xscale="log")
-    label_seconds(axes)
-    axes.set_title(f"{found.key}  {found.title}", loc="left", fontsize=10.5)
-
-
-def points(rows: Sequence[Row], error: str) -> tuple[list[float], list[float]]:
-    """Seconds and errors."""
-    return [row.seconds.median for row in rows], [row.errors[error] for row in rows]
-
-
-def quartiles(rows: Sequence[Row]) -> list[list[float]]:
-    """Lengths of the bars to the left and to the right of the median."""
+def points(rows: Sequence[Row]) -> tuple[list[float], list[list[float]]]:
+    """Seconds, and the lengths of their bars to the left and to the right."""
     left = [max(row.seconds.median - row.seconds.low, 0.0) for row in rows]
-    return [left, [row.seconds.high - row.seconds.median for row in rows]]
+    return [row.seconds.median for row in rows], [left, [row.seconds.high - row.seconds.median for row in rows]]
 
 
 def label_seconds(axes: Any) -> None:
-    """Seconds as plain numbers, some of them wherever the axis begins and ends."""
+    """Seconds on a log axis, as plain numbers, some of them wherever the axis begins and ends."""
+    axes.set(xscale="log", xlabel="seconds (median; bars: quartiles)")
     low, high = axes.get_xlim()
-    axes.set(xlabel="seconds (median; bars: quartiles)")
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0,) if high > 60.0 * low else (1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter("")
 
 
 def draw_slopes(axes: Any, slopes: Sequence[float]) -> None:
@@ -80,11 +70,11 @@ def draw_slopes(axes: Any, slopes: Sequence[float]) -> None:
     for p in slopes:
         x = np.geomspace(low, high, 100)
         y = top * 0.5 * (x / low) ** -p
-        visible = y > bottom
-        if visible.any():
-            axes.plot(x[visible], y[visible], color="#888888", ls=(0, (4, 4)), lw=0.8, zorder=0)
-            at = x[visible][int(visible.sum() * 0.8)], y[visible][int(visible.sum() * 0.8)]
-            axes.annotate(f"slope {-p:g}", at, fontsize=7.5, color="#666666", ha="left", va="bottom")
+        x, y = x[y > bottom], y[y > bottom]
+        if len(x):
+            axes.plot(x, y, color="#888888", ls=(0, (4, 4)), lw=0.8, zorder=0)
+            at = int(len(x) * 0.8)
+            axes.annotate(f"slope {-p:g}", (x[at], y[at]), fontsize=7.5, color="#666666", ha="left", va="bottom")
     axes.set(xlim=(low, high), ylim=(bottom, top))
 
 
@@ -92,8 +82,7 @@ def svg(found: Experiment) -> str:
     """The plot of an experiment, to put into a page."""
     with plt.rc_context(STYLE):
         figure, axes = plt.subplots(figsize=(7.2, 4.6), layout="constrained")
-        has_errors = any(row.errors[found.main_error] > 0.0 for row in found.rows)
-        (draw if has_errors else draw_bars)(axes, found)
+        draw(axes, found, f"{found.key}  {found.title}")
         text = io.StringIO()
         figure.savefig(text, format="svg", metadata={"Date": None})
         plt.close(figure)

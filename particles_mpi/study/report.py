@@ -1,12 +1,9 @@
 """What experiments found: as tables on the screen, as CSV, SVG and JSON files, and as one page that opens offline."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
 import platform
-from collections.abc import Iterator
 from datetime import datetime
 from html import escape
 from math import isnan, log10, nan
@@ -14,17 +11,20 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
+from particles_mpi.output.files import replacing
 from particles_mpi.parallel.communicator import Communicator, mpi_library
 from particles_mpi.run.console import WIDE
 from particles_mpi.run.doctor import usable_cores
-from particles_mpi.study import plots
 from particles_mpi.study.experiment import Experiment, Row
 
 DECADES, HOPELESS = 0.5, 100.0  # errors must fall by so many to tell what a tenth costs; a factor that is no convergence
-WORK = ("forces", "interactions", "pair_tests", "events")
+WORK = {"forces": "forces", "interactions": "pairs", "pair_tests": "tests", "events": "contacts"}  # kinds, and short titles
 TENFOLD = "what ten times more accuracy costs"
+METHOD = """Times: one warm-up, then the median of {samples} samples of at least {least_seconds:g} s (± half the distance of the
+quartiles), settings by turns, the slowest rank, without output and compilation. Errors are the same to the bit each time and on
+any number of ranks. Rows on the Pareto front (nothing is both faster and more accurate) are marked."""
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #1a202c }
 h1 { font-size: 1.7rem } h2 { margin-top: 2.6rem; border-bottom: 1px solid #ddd }
@@ -37,7 +37,13 @@ def number(value: float, digits: int = 2) -> str:
     """A short text; whole numbers with all their digits, nothing for what is not a number."""
     if abs(value) < 1e9 and value == round(value):
         return f"{round(value):,}".replace(",", " ")
-    return "" if isnan(value) else f"{value:.{digits}g}" if 1e-3 <= abs(value) < 1e4 or not value else f"{value:.{digits - 1}e}"
+    return "" if isnan(value) else f"{value:.{digits}g}" if 1e-3 <= abs(value) < 1e4 else f"{value:.{digits - 1}e}"
+
+
+def numbers_table(first: str, *titles: str) -> Table:
+    """A table for the screen, without lines; the first column holds names, the others numbers."""
+    columns = [Column(title, justify="right", no_wrap=True) for title in titles]
+    return Table(Column(first, no_wrap=True), *columns, box=None, padding=(0, 2, 0, 0))
 
 
 def work_done(found: Experiment) -> list[str]:
@@ -45,31 +51,22 @@ def work_done(found: Experiment) -> list[str]:
     return [kind for kind in WORK if any(row.work.get(kind) for row in found.rows)]
 
 
-def header(found: Experiment) -> list[str]:
-    """Titles of the columns; errors are followed by their orders where the experiment has any."""
-    errors = [title for name in found.errors for title in (name, "order")[: 1 + bool(found.slopes)]]
-    return ["setting", found.parameter, *errors, "seconds", *work_done(found)]
+def table(found: Experiment) -> Table:
+    """The rows of an experiment; those on the Pareto front are bold.
 
-
-def cells(found: Experiment) -> Iterator[tuple[Row, list[str]]]:
-    """Each row with its texts; seconds with half the distance of their quartiles."""
+    Errors are followed by their orders where the experiment has any, seconds by half the distance of their quartiles.
+    """
+    pairs = 1 + bool(found.slopes)
+    errors = [title for name in found.errors for title in (name, "order")[:pairs]]
+    texts, front = numbers_table("setting", found.parameter, *errors, "seconds", *work_done(found)), found.front()
     for row in found.rows:
-        errors = [(number(row.errors[name]), number(row.orders[name]))[: 1 + bool(found.slopes)] for name in found.errors]
+        errors = [text for name in found.errors for text in (number(row.errors[name]), number(row.orders[name]))[:pairs]]
         s = row.seconds
         time = f"{number(s.median, 3)} ±{50.0 * (s.high - s.low) / s.median:2.0f}%"
         work = [f"{row.work.get(kind, 0):,}".replace(",", " ") for kind in work_done(found)]
-        yield row, [row.setting.curve, number(row.setting.parameter, 3), *(x for pair in errors for x in pair), time, *work]
-
-
-def table(found: Experiment) -> Table:
-    """The rows of an experiment; those on the Pareto front are bold."""
-    table, front = Table(*header(found), box=None, padding=(0, 2, 0, 0)), found.front()
-    for column in table.columns:
-        column.no_wrap = True
-        column.justify = "right" if column is not table.columns[0] else "left"
-    for row, texts in cells(found):
-        table.add_row(*texts, style="bold" if row in front else None)
-    return table
+        style = "bold" if row in front else None
+        texts.add_row(row.setting.curve, number(row.setting.parameter, 3), *errors, time, *work, style=style)
+    return texts
 
 
 def tenfold(found: Experiment, curve: str) -> float:
@@ -97,30 +94,34 @@ def tenfold_table(all_found: list[Experiment]) -> Table:
     return table
 
 
-def write_csv(path: Path, found: Experiment) -> None:
-    """The rows of an experiment, with all digits."""
-    names, kinds, front = list(found.errors), work_done(found), found.front()
-    titles = ["setting", found.parameter, *names, *(f"order of {name}" for name in names)]
-    with path.open("w", newline="") as file:
-        out = csv.writer(file)
-        out.writerow([*titles, "seconds", "first quartile", "third quartile", *kinds, "on the front"])
-        for row in found.rows:
-            s = row.seconds
-            errors = [*(row.errors[name] for name in names), *(row.orders[name] for name in names)]
-            numbers = [row.setting.parameter, *errors, s.median, s.low, s.high]
-            out.writerow([row.setting.curve, *map(repr, numbers), *(row.work.get(k, 0) for k in kinds), int(row in front)])
+def write_csv(path: Path, rows: list[dict[str, Any]]) -> Path:
+    """Write rows with the same keys, with all digits."""
+    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+        out = csv.DictWriter(file, list(rows[0]) if rows else [])
+        out.writeheader()
+        out.writerows(rows)
+    return path
+
+
+def csv_rows(found: Experiment) -> list[dict[str, Any]]:
+    """Of the file of an experiment."""
+    front, kinds = found.front(), work_done(found)
+    return [
+        {"setting": row.setting.curve, found.parameter: row.setting.parameter}
+        | {name: row.errors[name] for name in found.errors}
+        | {f"order of {name}": row.orders[name] for name in found.errors}
+        | {"seconds": row.seconds.median, "first quartile": row.seconds.low, "third quartile": row.seconds.high}
+        | {kind: row.work.get(kind, 0) for kind in kinds}
+        | {"on the front": int(row in front)}
+        for row in found.rows
+    ]
 
 
 def plain(found: Experiment) -> dict[str, Any]:
     """An experiment for JSON: the errors are the same to the bit each time."""
     rows = [
-        {
-            "setting": row.setting.curve,
-            "knob": row.setting.parameter,
-            "errors": row.errors,
-            "seconds": [row.seconds.low, row.seconds.median, row.seconds.high],
-            "work": row.work,
-        }
+        {"setting": row.setting.curve, "knob": row.setting.parameter, "errors": row.errors}
+        | {"seconds": [row.seconds.low, row.seconds.median, row.seconds.high], "work": row.work}
         for row in found.rows
     ]
     return {"key": found.key, "title": found.title, "reference": found.reference, "rows": rows, "answers": found.answers}
@@ -139,11 +140,13 @@ def machine(ranks: Communicator) -> dict[str, Any]:
 
 def write(folder: Path, title: str, all_found: list[Experiment], about: dict[str, Any], notes: list[str]) -> Path:
     """Write report.html, a CSV and an SVG for each experiment, study.json and accuracy.png; on one rank."""
+    from particles_mpi.study import plots
+
     folder.mkdir(parents=True, exist_ok=True)
     figures = {found.key: plots.svg(found) for found in all_found}
     for found in all_found:
         (folder / f"{found.key}.svg").write_text(figures[found.key])
-        write_csv(folder / f"{found.key}.csv", found)
+        write_csv(folder / f"{found.key}.csv", csv_rows(found))
     experiments = [plain(found) for found in all_found]
     (folder / "study.json").write_text(json.dumps({**about, "experiments": experiments}, indent=1) + "\n")
     plots.central(folder / "accuracy.png", all_found)
@@ -154,25 +157,22 @@ def write(folder: Path, title: str, all_found: list[Experiment], about: dict[str
 
 def page(title: str, all_found: list[Experiment], figures: dict[str, str], about: dict[str, Any], notes: list[str]) -> str:
     """The whole page; `figures`: SVG by key of the experiment."""
-    place = f"{about['machine']}, {about['cores']} cores, {about['ranks']} rank(s), {about['mpi']}, {about['when']}"
-    samples = f"{about['samples']} samples of at least {about['least_seconds']:g} s"
-    method = (
-        f"Times: one warm-up, then the median of {samples} (± half the distance of the quartiles), settings by turns, the "
-        "slowest rank, without output and compilation. Errors are the same to the bit each time and on any number of ranks. "
-        "Rows on the Pareto front (nothing is both faster and more accurate) are marked."
-    )
-    parts = [f"<h1>{escape(title)}</h1>", f'<p class="small">{escape(place)}</p>', f"<p>{escape(method)}</p>"]
-    parts += ["<ul>", *(f'<li><a href="#{f.key}">{f.key}: {escape(f.title)}</a></li>' for f in all_found), "</ul>"]
+    place = "{machine}, {cores} cores, {ranks} rank(s), {mpi}, {when}".format(**about)
+    links = "".join(f'<li><a href="#{found.key}">{found.key}: {escape(found.title)}</a></li>\n' for found in all_found)
+    parts = [f'<h1>{escape(title)}</h1>\n<p class="small">{escape(place)}</p>\n<p>{escape(METHOD.format(**about))}</p>']
+    parts.append(f"<ul>\n{links}</ul>")
     costs = tenfold_table(all_found)
     costs.title = None  # the page has a heading
     if costs.row_count:
         parts.append(f"<h2>{TENFOLD.capitalize()}</h2>\n{html(costs)}")
     for found in all_found:
-        errors = [f'<li class="small">{escape(name)}: {escape(text)}</li>' for name, text in found.errors.items()]
-        answers = [f"<li>{escape(text)}</li>" for text in found.answers]
-        parts += [f'<h2 id="{found.key}">{found.key}: {escape(found.title)}</h2>']
-        parts += [f"<p>Reference: {escape(found.reference)}.</p>", figures[found.key]]
-        parts += ["<ul>", *answers, "</ul><ul>", *errors, "</ul>", html(table(found))]
+        answers = "".join(f"<li>{escape(text)}</li>\n" for text in found.answers)
+        errors = "".join(f'<li class="small">{escape(name)}: {escape(text)}</li>\n' for name, text in found.errors.items())
+        parts += [
+            f'<h2 id="{found.key}">{found.key}: {escape(found.title)}</h2>',
+            f"<p>Reference: {escape(found.reference)}.</p>",
+        ]
+        parts += [figures[found.key], f"<ul>\n{answers}</ul><ul>\n{errors}</ul>", html(table(found))]
     body = "\n".join([*parts, *(f"<p>{escape(note)}</p>" for note in notes)])
     head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{escape(title)}</title>'
     return f'<!doctype html>\n<html lang="en"><head>{head}<style>{STYLE}</style></head>\n<body>\n{body}\n</body></html>\n'

@@ -28,7 +28,6 @@ class Seconds:
     high: float
 
     def of(self, steps: int) -> Seconds:
-        """Seconds of so many steps."""
         return Seconds(self.median * steps, self.low * steps, self.high * steps)
 
 

@@ -2,8 +2,7 @@
 
 import pytest
 
-from particles_mpi.study.hard_cases.catalogue import catalogue, examine, settings
-from particles_mpi.study.hard_cases.command import where
+from particles_mpi.study.hard_cases.catalogue import catalogue, examine, settings, where
 
 # Cases that take seconds, by the beginnings of their names: the modes and dimensions that run without --all.
 HEAVY = {

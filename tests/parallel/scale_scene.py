@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 from particles_mpi import Scene
-from particles_mpi.study.scaling.command import scale
+from particles_mpi.study.scaling.measure import scale
 
 SCENES = {
     "gas": {

@@ -42,8 +42,8 @@ for name, tables in SCENES.items():
     if name == "pulled":
         continue
     result = recommend(lab, start.scene, 0.1, error, 20.0)
-    assert result.best.trial.errors[error] <= 0.1 and result.ranks == lab.ranks.size
-    same = lab.ranks.allgather((result.tables, result.best.seconds, predict(start)))
+    assert result.best.errors[error] <= 0.1 and result.ranks == lab.ranks.size
+    same = lab.ranks.allgather((result.tables, result.best.timed, predict(start)))
     assert all(one == same[0] for one in same), "ranks disagree"
 few = {"dimension": 2, "particles": [{"position": [[0.0, 0.0]], "velocity": [1.0, 1.0]}], "time": {"step": 0.1, "steps": 10}}
 few["effects"] = {"drag": {"rate": 1.0}}

@@ -15,7 +15,7 @@ def lab():
 
 def quick(lab):
     """Orbits, drag and friction: what takes no time."""
-    return [*experiments("A", lab), losses.weak_drag(lab), losses.stiff_drag(lab), losses.friction(lab)]
+    return [*experiments("A", lab), *losses.throws(lab)]
 
 
 @pytest.fixture(scope="module")

@@ -5,9 +5,8 @@ short steps that end where the ball touches, found by Newton's method: smooth pi
 problems stand side by side in one scene, far apart, and the phases of a step at which they touch are spread evenly.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from itertools import product
 from math import cos, sin
 from typing import Any
 
@@ -84,19 +83,17 @@ class Bounces:
         """All rows by `time` (n,), through their contacts."""
         left = time.copy()
         e, keep = loss(self.loss.get("restitution"), self.loss.get("damping"))
+        w = np.where((self.normal != 0.0).any(axis=1)[:, None], [1.0, 0.0], self.w)
         while (left > 0.0).any():
-            h = np.minimum(left, FINE)
+            full = h = np.minimum(left, FINE)
             x, v = self.after(h)
             gap, speed, _ = self.gap(x, v)
             hit = (gap < 0.0) & (speed < 0.0)
             if hit.any():
-                full = h.copy()
                 for _ in range(6):
                     h = np.where(hit, np.clip(h - gap / np.where(hit, speed, 1.0), 0.0, full), full)
                     x, v = self.after(h)
                     gap, speed, n = self.gap(x, v)
-                wall = (self.normal != 0.0).any(axis=1)
-                w = np.where(wall[:, None], [1.0, 0.0], self.w)
                 take = (1.0 + e) * speed / w.sum(axis=1)
                 turned = v - (take[:, None] * w)[:, :, None] * n[:, None, :] * [[[1.0], [-1.0]]]
                 v = np.where(hit[:, None, None], keep * turned, v)
@@ -138,40 +135,28 @@ def bounces(d: int, force: str, lost: str, cases: Cases, h: float) -> Bounces:
 
 def scene(force: str, mode: str, h: float, start: Bounces) -> tuple[dict[str, Any], Array]:
     """The problems side by side, as the tables of a scene, and how far each was moved, (n, d). All have friction, or none has."""
-    d, lost = start.x.shape[2], start.loss
-    far = 1e6 if force.startswith("mutual") else 100.0
-    shift, planes = np.zeros_like(start.x[:, 0]), []
-    for normal in np.unique(start.normal[(start.normal != 0.0).any(axis=1)], axis=0):
-        planes.append({"point": [0.0] * d, "normal": normal.tolist()})
-    for i in range(len(shift)):  # away from the foot of the slope, which rises to the left
-        n = start.normal[i]
-        tilted = n[0] != 0.0
-        shift[i, 0] = far * (i + 1) * (-n[1] if tilted else 1.0)
-        shift[i, 1] = far * (i + 1) * n[0] if tilted else 0.0 if n.any() else 50.0
-    attracted = force.startswith("mutual")
-    x, v = start.x + shift[:, None, :], start.v
-    particles = []
-    for body in (0, 1):
-        for i in range(len(x)):
-            if body == 0 or attracted or not start.normal[i].any():
-                one = {
-                    "position": [x[i, body].tolist()],
-                    "radius": BALL if body == 0 or start.normal[i].any() else PLANET,
-                    "mass": (MASS, HEAVY)[body],
-                }
-                one |= {"fixed": True} if start.w[i, body] == 0.0 else {"velocity": [v[i, body].tolist()]}
-                one |= {"acceleration": start.a[i, body].tolist()} if force == "user_acceleration" else {}
-                particles.append(one | ({"drag": float(start.k[i])} if start.k.any() else {}))
-    effects: dict[str, Any] = {"collisions": {"mode": mode, **lost}}
-    effects |= {"walls": {"planes": planes, **lost}} if planes else {}
-    if attracted:
-        effects["mutual_gravity"] = {"G": STRENGTH, "method": force.split()[1]}
-    else:
-        effects[force] = {"acceleration": start.a[0, 0].tolist()} if force == "uniform_gravity" else {}
+    d, attracted, wall = start.x.shape[2], force.startswith("mutual"), (start.normal != 0.0).any(axis=1)
+    shift = np.zeros_like(start.x[:, 0])  # away from the foot of the slope, which rises to the left
+    far = (1e6 if attracted else 100.0) * np.arange(1, len(shift) + 1)
+    tilted = start.normal[:, 0] != 0.0
+    shift[:, 0] = np.where(tilted, far * -start.normal[:, 1], far)
+    shift[:, 1] = np.where(tilted, far * start.normal[:, 0], np.where(wall, 0.0, 50.0))
+    x, particles = start.x + shift[:, None, :], []
+    for body, i in product((0, 1), range(len(x))):
+        if body == 0 or attracted or not wall[i]:
+            radius = BALL if body == 0 or wall[i] else PLANET
+            one = {"position": [x[i, body].tolist()], "radius": radius, "mass": (MASS, HEAVY)[body]}
+            one |= {"velocity": [start.v[i, body].tolist()]} if start.w[i, body] else {"fixed": True}
+            one |= {"acceleration": start.a[i, body].tolist()} if force == "user_acceleration" else {}
+            particles.append(one | ({"drag": float(start.k[i])} if start.k.any() else {}))
+    planes = [{"point": [0.0] * d, "normal": normal.tolist()} for normal in np.unique(start.normal[wall], axis=0)]
+    options: dict[str, Any] = {"acceleration": start.a[0, 0].tolist()} if force == "uniform_gravity" else {}
+    effects: dict[str, Any] = {"collisions": {"mode": mode, **start.loss}}
+    effects |= {"walls": {"planes": planes, **start.loss}} if planes else {}
+    effects |= {"mutual_gravity": {"G": STRENGTH, "method": force.split()[1]}} if attracted else {force: options}
     effects |= {"drag": {}} if start.k.any() else {}
     effects |= {"friction": {"strength": FRICTION}} if start.alpha.any() else {}
-    time = {"step": h, "end": T}
-    return {"dimension": d, "time": time, "particles": particles, "effects": effects}, shift
+    return {"dimension": d, "time": {"step": h, "end": T}, "particles": particles, "effects": effects}, shift
 
 
 def mean_errors(sim: Simulation, shift: Array, end: Bounces) -> Array:

@@ -1,7 +1,5 @@
 """H: effects on and off. What each costs, that an absent one costs nothing, and that one without strength changes no bit."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import partial
 from typing import Any
@@ -11,13 +9,13 @@ import numpy as np
 from particles_mpi import Simulation
 from particles_mpi.kernels.motion import free_drift, kick
 from particles_mpi.scene.effect_files import effect_names
-from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Row, Setting, everyone
+from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, everyone
 from particles_mpi.study.timing import StepTimer, time_in_turns
 
 N, QUICK_N, STEP, LONG = 100_000, 20_000, 1e-3, 1000
 FEW, STEPS = 300, 40  # particles and steps for the comparison of bits
-PROGRAM = "uniform_gravity"
 PAIRS, BRIEF = 41, 0.02  # samples by turns and seconds of one, to see a per cent
+REFERENCE = "itself: the same scene without the effect, the same step without what is about other effects"
 ON: dict[str, dict[str, Any]] = {  # each alone, or with what it needs
     "uniform_gravity": {"acceleration": [0.0, 0.0, -9.81]},
     "user_acceleration": {},
@@ -41,17 +39,12 @@ ERRORS = {
 }
 
 
-def gas(n: int, effects: dict[str, Any], radius: float = 0.0, steps: int = LONG, **more: Any) -> dict[str, Any]:
+def gas(n: int, effects: dict[str, Any], radius: float = 0.0, step: float = STEP, **more: Any) -> dict[str, Any]:
     """Particles all over a box."""
     side = 4.0 * (n / 32000) ** (1 / 3)  # the density of the headline
     spheres = {"count": n, "position": "random", "velocity": {"speed": 0.5}, "radius": radius, "mass": 0.3, **more}
-    return {
-        "dimension": 3,
-        "box": {"lower": [0.0] * 3, "upper": [side] * 3},
-        "time": {"step": STEP, "steps": steps},
-        "particles": [spheres],
-        "effects": effects,
-    }
+    box, time = {"lower": [0.0] * 3, "upper": [side] * 3}, {"step": step, "steps": LONG}
+    return {"dimension": 3, "box": box, "time": time, "particles": [spheres], "effects": effects}
 
 
 class Stripped:
@@ -63,19 +56,15 @@ class Stripped:
     def step(self) -> None:
         """Kick, drift, kick, with the same stop watches."""
         sim, p, h = self.sim, self.sim.rows, self.sim.h
-        for part in (self.drift, None):
+        for drifts in (True, False):
             with sim.timers("forces"):
                 a = sim.sum_forces()
             with sim.timers("kick"):
                 kick(p.velocity, a, 0.5 * h)
-            if part:
-                part()
+            if drifts:
+                with sim.timers("drift"):
+                    free_drift(p.position, p.velocity, h)
         sim.steps_done += 1
-
-    def drift(self) -> None:
-        """Straight on."""
-        with self.sim.timers("drift"):
-            free_drift(self.sim.rows.position, self.sim.rows.velocity, self.sim.h)
 
 
 def bits_that_differ(benchmark: Benchmark, name: str) -> int:
@@ -84,8 +73,9 @@ def bits_that_differ(benchmark: Benchmark, name: str) -> int:
     falling = {"walls": {"restitution": 0.9}} | ({"uniform_gravity": ON["uniform_gravity"]} if name != "uniform_gravity" else {})
     ends = []
     for effects, own in ((falling, {}), (falling | {name: options}, more)):
-        sim = benchmark.simulate(gas(FEW, effects, 0.0, STEPS, **own) | {"time": {"step": 0.05, "steps": STEPS}})
-        sim.run()
+        sim = benchmark.simulate(gas(FEW, effects, step=0.05, **own))
+        for _ in range(STEPS):
+            sim.step()
         p = everyone(sim)
         ends.append(np.concatenate([p.position, p.velocity]).view(np.int64))
     return int(np.count_nonzero(ends[0] != ends[1]))
@@ -103,54 +93,38 @@ def errors(benchmark: Benchmark, name: str, sim: Simulation) -> Errors:
     return {"calls": float(absent), "messages": float(sent), "bits": float(differ)}
 
 
-def settings(benchmark: Benchmark) -> Iterator[Setting]:
+def settings(benchmark: Benchmark, n: int) -> Iterator[Setting]:
     """A gas without effects, with each effect alone, and with all of them."""
-    n = QUICK_N if benchmark.quick else N
-
-    def one(curve: str, effects: dict[str, Any]) -> Setting:
-        tables = gas(n, effects, 0.01 if "collisions" in effects else 0.0)
-        if "user_acceleration" in effects:
-            tables["particles"][0]["acceleration"] = [0.0, 0.0, -1.0]
-        start = benchmark.simulate(tables)
-        return Setting(curve, float(n), start.copy, LONG, partial(errors, benchmark, curve), seconds_of=1)
-
-    yield one("nothing", {})
-    for name, options in ON.items():
-        yield one(name, {name: options})
     own = "user_acceleration"  # forces that are not the same everywhere make every pair one that may rest
-    yield one(f"all but {own}", {name: options for name, options in ON.items() if name != own})
-    yield one("all of these", ON)
+    named: dict[str, dict[str, Any]] = {"nothing": {}} | {name: {name: options} for name, options in ON.items()}
+    named[f"all but {own}"] = {name: options for name, options in ON.items() if name != own}
+    for curve, effects in (named | {"all of these": ON}).items():
+        pushed: dict[str, Any] = {"acceleration": [0.0, 0.0, -1.0]} if own in effects else {}
+        start = benchmark.simulate(gas(n, effects, 0.01 if "collisions" in effects else 0.0, **pushed))
+        yield Setting(curve, float(n), start.copy, LONG, partial(errors, benchmark, curve), seconds_of=1)
 
 
-def absence(benchmark: Benchmark) -> tuple[float, float, float]:
+def absence(benchmark: Benchmark, n: int) -> tuple[float, float, float]:
     """(quartile, median, quartile) of the share of a step that goes when all that is about absent effects is taken out."""
-    start = benchmark.simulate(gas((QUICK_N if benchmark.quick else N) * benchmark.ranks.size, {PROGRAM: ON[PROGRAM]}))
+    start = benchmark.simulate(gas(n * benchmark.ranks.size, {"uniform_gravity": ON["uniform_gravity"]}))
     whole = StepTimer(benchmark.ranks, start.copy, LONG)
     less = StepTimer(benchmark.ranks, lambda: Stripped(start.copy()), LONG)  # type: ignore[arg-type, return-value]
     time_in_turns([whole, less], PAIRS, BRIEF)
-    ratios = [1.0 - b / a for a, b in zip(whole.samples, less.samples, strict=True)]
-    low, middle, high = np.percentile(ratios, (25, 50, 75))
+    low, middle, high = np.percentile([1.0 - b / a for a, b in zip(whole.samples, less.samples, strict=True)], (25, 50, 75))
     return float(low), float(middle), float(high)
 
 
-def answers(rows: list[Row], gone: tuple[float, float, float]) -> list[str]:
-    """What each effect costs, and what absent ones cost, in words; `gone`: what `absence` found."""
-    cost = {row.setting.curve: row.seconds.median / row.setting.parameter * 1e9 for row in rows}
-    absent = sum(row.errors["calls"] for row in rows)
-    differ = sum(row.errors["bits"] for row in rows)
-    each = ", ".join(f"{name} {ns:.1f}" for name, ns in cost.items())
-    return [
+def measure(benchmark: Benchmark) -> list[Experiment]:
+    """H: what each effect costs, and what absent ones cost. Collective."""
+    n = QUICK_N if benchmark.quick else N
+    found = benchmark.measure("H", "Effects on and off, a step", settings(benchmark, n), ERRORS, REFERENCE, "particles")
+    low, middle, high = absence(benchmark, n)
+    each = ", ".join(f"{row.setting.curve} {row.seconds.median / n * 1e9:.1f}" for row in found.rows)
+    absent, differ = (sum(row.errors[name] for row in found.rows) for name in ("calls", "bits"))
+    found.answers = [
         f"nanoseconds a particle-step: {each}",
-        f"effects not named: {absent:.0f} calls; what is about them takes {gone[1]:.1%} of a step of uniform_gravity (quartiles "
-        f"{gone[0]:.1%} to {gone[2]:.1%})",
+        f"effects not named: {absent:.0f} calls; what is about them takes {middle:.1%} of a step of uniform_gravity (quartiles "
+        f"{low:.1%} to {high:.1%})",
         f"effects named without strength: {differ:.0f} of all numbers differ from a run without them",
     ]
-
-
-def measure(benchmark: Benchmark) -> list[Experiment]:
-    """H. Collective."""
-    rows = benchmark.measure("effects", list(settings(benchmark)))
-    reference = "itself: the same scene without the effect, the same step without what is about other effects"
-    found = Experiment("H", "Effects on and off, a step", "particles", ERRORS, reference, rows)
-    found.answers = answers(rows, absence(benchmark))
     return [found]

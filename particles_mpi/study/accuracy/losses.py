@@ -3,8 +3,6 @@
 And bounces: their order under every force, on every obstacle, with every loss.
 """
 
-from __future__ import annotations
-
 from itertools import product
 from math import exp
 from typing import Any
@@ -21,7 +19,7 @@ from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Settin
 G, DRAG, T, THROW = 9.81, 0.5, 2.0, (10.0, 10.0)
 STEPS, QUICK_STEPS = (2, 4, 16, 64, 256), (8, 16, 32, 64)
 REPEATS = 200  # particles alike, so that a run is no mere overhead
-STIFF = 20.0  # k T of the stiff case
+STIFF = 20.0 / T  # rate of the stiff drag
 BOUNCES = (0.01, 0.005, 0.0025, 0.00125)  # steps
 ENDLESS = 10**9  # steps that are timed without a new start: all cost the same
 ERRORS = {"place": f"distance from the true place at t = {T:g}", "velocity": "the same of the velocity"}
@@ -45,65 +43,49 @@ def sliding(t: float = T) -> tuple[Array, Array]:
     return end[:2], end[2:]
 
 
-def experiment(
-    benchmark: Benchmark, key: str, title: str, integrators: tuple[str, ...], velocity: tuple[float, float],
-    loss: dict[str, Any], true: tuple[Array, Array], reference: str,
-) -> Experiment:  # fmt: skip
-    """Particles thrown in a plane under gravity and a loss: each integrator over a range of steps, and the orders seen."""
+def throws(benchmark: Benchmark) -> list[Experiment]:
+    """Particles thrown in a plane under gravity and a loss: each integrator over a range of steps, and the orders seen.
 
-    def errors(sim: Simulation) -> Errors:
-        sim.run()
-        p = everyone(sim)
-        return {"place": float(np.abs(p.position[0] - true[0]).max()), "velocity": float(np.abs(p.velocity[0] - true[1]).max())}
+    Drag slows down over many steps, or stops within one (k h from 20 downwards). With friction as strong as its weight what is
+    thrown sideways falls at half the speed in the end.
+    """
+    steps, both, by_formula = QUICK_STEPS if benchmark.quick else STEPS, ("leapfrog", "taylor"), "exact: x(t) of linear drag"
+    problems: list[tuple[str, str, tuple[str, ...], tuple[float, float], dict[str, Any], tuple[Array, Array], str]] = [
+        ("G1", "Throw with drag", both, THROW, {"drag": {"rate": DRAG}}, thrown(DRAG), by_formula),
+        ("G2", f"Stiff drag, k = {STIFF:g}", both, THROW, {"drag": {"rate": STIFF}}, thrown(STIFF), by_formula),
+        ("G3", "Throw with friction", ("leapfrog",), (THROW[0], 0.0), {"friction": {"strength": G}}, sliding(),
+         "Runge-Kutta of order 8 (DOP853) at 1e-13"),
+    ]  # fmt: skip
+    all_found = []
+    for key, title, integrators, velocity, loss, true, reference in problems:
 
-    def setting(integrator: str, n: int) -> Setting:
-        tables = {
-            "dimension": 2,
-            "time": {"step": T / n, "steps": n, "integrator": integrator},
-            "particles": [{"position": [[0.0, 0.0]] * REPEATS, "velocity": list(velocity), "mass": 1.0}],
-            "effects": {"uniform_gravity": {"acceleration": [0.0, -G]}, **loss},
-        }
-        return benchmark.setting(integrator, T / n, tables, errors, steps=ENDLESS, seconds_of=n)
+        def errors(sim: Simulation, true: tuple[Array, Array] = true) -> Errors:
+            sim.run()
+            p = everyone(sim)
+            wrong = zip(ERRORS, (p.position[0] - true[0], p.velocity[0] - true[1]), strict=True)
+            return {name: float(np.abs(off).max()) for name, off in wrong}
 
-    steps = QUICK_STEPS if benchmark.quick else STEPS
-    rows = benchmark.measure(title, [setting(integrator, n) for integrator in integrators for n in steps])
-    found = Experiment(key, title, "step", ERRORS, reference, rows, (1.0, 2.0), 1e-12)
-    for curve in found.curves:
-        fine = [row for row in found.curve(curve) if row.errors["place"] > 1e-9][-3:]
-        found.answers.append(f"{curve}: order {slope(fine, 'place'):.2f} in place")
-    return found
-
-
-def drag(benchmark: Benchmark, key: str, title: str, rate: float) -> Experiment:
-    """Thrown against the air, by the exact and by the explicit rule."""
-    both, loss = ("leapfrog", "taylor"), {"drag": {"rate": rate}}
-    return experiment(benchmark, key, title, both, THROW, loss, thrown(rate), "exact: x(t) of linear drag")
-
-
-def weak_drag(benchmark: Benchmark) -> Experiment:
-    """Drag that slows down over many steps."""
-    found = drag(benchmark, "G1", "Throw with drag", DRAG)
-    best = max(row.errors["velocity"] for row in found.curve("leapfrog"))
-    found.answers.append(f"leapfrog has the velocity right at any step: error <= {best:.0e}")
-    return found
-
-
-def stiff_drag(benchmark: Benchmark) -> Experiment:
-    """Drag that stops within a step: k h from 20 downwards."""
-    rate = STIFF / T
-    found = drag(benchmark, "G2", f"Stiff drag, k = {rate:g}", rate)
-    exact, explicit = (found.curve(name)[0] for name in ("leapfrog", "taylor"))
-    found.answers.append(
-        f"at k h = {rate * explicit.setting.parameter:.3g} taylor is wrong by {explicit.errors['velocity']:.1g} in velocity, "
+        tried = []
+        for integrator, n in product(integrators, steps):
+            time = {"step": T / n, "steps": n, "integrator": integrator}
+            particles = [{"position": [[0.0, 0.0]] * REPEATS, "velocity": list(velocity), "mass": 1.0}]
+            effects = {"uniform_gravity": {"acceleration": [0.0, -G]}, **loss}
+            tables = {"dimension": 2, "time": time, "particles": particles, "effects": effects}
+            tried.append(benchmark.setting(integrator, T / n, tables, errors, steps=ENDLESS, seconds_of=n))
+        found = benchmark.measure(key, title, tried, ERRORS, reference, slopes=(1.0, 2.0), floor=1e-12)
+        for curve in found.curves:
+            fine = [row for row in found.curve(curve) if row.errors["place"] > 1e-9][-3:]
+            found.answers.append(f"{curve}: order {slope(fine, 'place'):.2f} in place")
+        all_found.append(found)
+    weak, stiff, _ = all_found
+    best = max(row.errors["velocity"] for row in weak.curve("leapfrog"))
+    weak.answers.append(f"leapfrog has the velocity right at any step: error <= {best:.0e}")
+    exact, explicit = (stiff.curve(name)[0] for name in both)
+    stiff.answers.append(
+        f"at k h = {STIFF * explicit.setting.parameter:.3g} taylor is wrong by {explicit.errors['velocity']:.1g} in velocity, "
         f"leapfrog by {exact.errors['velocity']:.0e}"
     )
-    return found
-
-
-def friction(benchmark: Benchmark) -> Experiment:
-    """Thrown sideways with friction as strong as the weight: it falls at half the speed in the end."""
-    loss, how = {"friction": {"strength": G}}, "Runge-Kutta of order 8 (DOP853) at 1e-13"
-    return experiment(benchmark, "G3", "Throw with friction", ("leapfrog",), (THROW[0], 0.0), loss, sliding(), how)
+    return all_found
 
 
 def bounce(benchmark: Benchmark, force: str, loss: str, resistances: tuple[str, ...], h: float) -> Setting:
@@ -124,14 +106,11 @@ def bounce(benchmark: Benchmark, force: str, loss: str, resistances: tuple[str, 
 
 def bouncing(benchmark: Benchmark) -> Experiment:
     """Contacts at any moment of a step."""
-    steps = BOUNCES[:2] if benchmark.quick else BOUNCES
-    curves = product(FORCES[:3] if benchmark.quick else FORCES, LOSSES, (("none", "drag"), ("friction",)))
-    rows = benchmark.measure(
-        "Bounces", [bounce(benchmark, force, loss, with_, h) for force, loss, with_ in curves for h in steps]
-    )
+    steps, forces = (BOUNCES[:2], FORCES[:3]) if benchmark.quick else (BOUNCES, FORCES)
+    tried = [bounce(benchmark, *with_) for with_ in product(forces, LOSSES, (("none", "drag"), ("friction",)), steps)]
     errors = {name: f"distance from the true place after a second, mean over the phases of a step: {name}" for name in OBSTACLES}
     reference = "Runge-Kutta of order 4 from contact to contact"
-    found = Experiment("G4", "Bounces", "step", errors, reference, rows, (2.0,), 1e-9)
+    found = benchmark.measure("G4", "Bounces", tried, errors, reference, slopes=(2.0,), floor=1e-9)
     orders = [slope(found.curve(curve), name) for curve in found.curves for name in OBSTACLES]
     most = max(max(found.curve(curve)[0].errors.values()) for curve in found.curves)
     found.answers.append(f"order {min(orders):.2f} to {max(orders):.2f}; error at a step of {steps[0]:g} at most {most:.1e}")
@@ -140,4 +119,4 @@ def bouncing(benchmark: Benchmark) -> Experiment:
 
 def measure(benchmark: Benchmark) -> list[Experiment]:
     """G: four experiments. Collective."""
-    return [one(benchmark) for one in (weak_drag, stiff_drag, friction, bouncing)]
+    return [*throws(benchmark), bouncing(benchmark)]

@@ -1,10 +1,8 @@
 """A and B: orbits. Step or tolerance against errors in energy and place, by each integrator: regular, and close encounters."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from math import cos, pi, sin, sqrt
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -26,35 +24,29 @@ EIGHT: dict[str, Any] = {
     "velocity": [[-_V[0] / 2, -_V[1] / 2], [-_V[0] / 2, -_V[1] / 2], list(_V)],
     "mass": 1.0,
 }
-
 PYTHAGOREAN = {"position": [[1.0, 3.0], [-2.0, -1.0], [1.0, -1.0]], "velocity": [0.0, 0.0], "mass": [3.0, 4.0, 5.0]}
 END = 20.0
 PLACES = {10.0: (0.778480410138, 0.141392300290), 20.0: (3.004292636696, 0.511925235025)}  # of m = 3, in twelve digits
-FLOOR = 1e-12
 LATE = "place, t = 20"
 ENCOUNTER_ERRORS = {
     "place, t = 10": "distance of m = 3 from where it is at t = 10, after an encounter of 0.01",
     LATE: "the same at t = 20, after one of 0.0004",
     "energy": "|dE/E| at the end",
 }
-
-
-class Ladder(NamedTuple):
-    """What is tried on a problem: numbers of steps of the fixed steps in a period, tolerances of `adaptive`."""
-
-    leapfrog: tuple[int, ...]
-    order4: tuple[int, ...]
-    tolerances: tuple[float, ...]
-
-
-REGULAR = {
-    False: Ladder((50, 100, 200, 400, 800, 1600, 3200), (25, 50, 100, 200, 400, 800), (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)),
-    True: Ladder((100, 200, 400), (50, 100, 200), (1e-3, 1e-7)),
+Ladder = dict[str, tuple[float, ...]]  # numbers of steps in a period, by integrator; tolerances of `adaptive`
+REGULAR: dict[bool, Ladder] = {  # by `quick`
+    False: {
+        "leapfrog": (50, 100, 200, 400, 800, 1600, 3200),
+        "order4": (25, 50, 100, 200, 400, 800),
+        "adaptive": (1e-3, 1e-5, 1e-7, 1e-9, 1e-11),
+    },
+    True: {"leapfrog": (100, 200, 400), "order4": (50, 100, 200), "adaptive": (1e-3, 1e-7)},
 }
-CLOSE = {
-    False: Ladder((4_000, 16_000, 64_000), (2_000, 8_000, 16_000), (1e-3, 1e-5, 1e-7, 1e-9)),
-    True: Ladder((4_000, 16_000), (1_000, 4_000), (1e-3, 1e-5)),
+CLOSE: dict[bool, Ladder] = {
+    False: {"leapfrog": (4_000, 16_000, 64_000), "order4": (2_000, 8_000, 16_000), "adaptive": (1e-3, 1e-5, 1e-7, 1e-9)},
+    True: {"leapfrog": (4_000, 16_000), "order4": (1_000, 4_000), "adaptive": (1e-3, 1e-5)},
 }
+PLOT: dict[str, Any] = {"parameter": "step or tolerance", "slopes": (2.0, 4.0)}
 
 
 def gravity(
@@ -77,13 +69,14 @@ def settings(
     benchmark: Benchmark, bodies: dict[str, Any], ladder: Ladder, period: float, periods: int, frames: int, errors: Any
 ) -> Iterator[Setting]:
     """Each integrator over its ladder; `frames`: steps of `adaptive` in a period, between which it chooses its own."""
-    for integrator in ("leapfrog", "order4"):
-        for n in getattr(ladder, integrator):
-            tables = gravity(bodies, period / n, n * periods, integrator)
-            yield benchmark.setting(integrator, period / n, tables, errors)
-    for tolerance in ladder.tolerances:
-        tables = gravity(bodies, period / frames, frames * periods, "adaptive", tolerance)
-        yield benchmark.setting("adaptive", tolerance, tables, errors)
+    for integrator, resolutions in ladder.items():
+        for resolution in resolutions:
+            if integrator == "adaptive":
+                tables = gravity(bodies, period / frames, frames * periods, integrator, resolution)
+                yield benchmark.setting(integrator, resolution, tables, errors)
+            else:
+                tables = gravity(bodies, period / resolution, round(resolution) * periods, integrator)
+                yield benchmark.setting(integrator, period / resolution, tables, errors)
 
 
 def worst_energy(sim: Simulation, energy: Callable[[Simulation], float]) -> float:
@@ -110,34 +103,29 @@ def place_on_ellipse(t: float, e: float = E) -> Array:
     return np.array([cos(u) - e, sqrt(1.0 - e * e) * sin(u)])
 
 
-def kepler(benchmark: Benchmark) -> Experiment:
-    """A planet without mass on an ellipse of eccentricity 0.5 about a sun that stands still."""
+def regular_orbits(benchmark: Benchmark) -> list[Experiment]:
+    """A, with the orders that are seen where neither round-off nor long steps spoil them.
+
+    A planet without mass on an ellipse about a sun that stands still, and three equal masses on an eight for one period.
+    """
     orbits = 3 if benchmark.quick else ORBITS
 
-    def errors(sim: Simulation) -> Errors:
+    def of_planet(sim: Simulation) -> Errors:
         energy = worst_energy(sim, energy_of_planet)
         return {"energy": energy, "place": distance(everyone(sim).position[0], place_on_ellipse(sim.time))}
 
-    rows = benchmark.measure("Kepler", list(settings(benchmark, PLANET, REGULAR[benchmark.quick], 2.0 * pi, orbits, 2, errors)))
-    title, reference = f"Kepler, e = 0.5, {orbits} orbits", "exact: Kepler's equation"
-    return Experiment("A1", title, "step or tolerance", ERRORS, reference, rows, (2.0, 4.0), 1e-14)
-
-
-def figure_eight(benchmark: Benchmark) -> Experiment:
-    """Three equal masses on an eight, for one period: where they were."""
-
-    def errors(sim: Simulation) -> Errors:
+    def of_eight(sim: Simulation) -> Errors:
         energy = worst_energy(sim, lambda s: s.measure()["total_energy"])
         return {"energy": energy, "place": float(np.abs(everyone(sim).position - np.array(EIGHT["position"])).max())}
 
-    rows = benchmark.measure("figure eight", list(settings(benchmark, EIGHT, REGULAR[benchmark.quick], PERIOD, 1, 2, errors)))
-    reference = "exact: after one period all are where they were (figures of Chenciner and Montgomery 2000)"
-    return Experiment("A2", "Figure eight, one period", "step or tolerance", ERRORS, reference, rows, (2.0, 4.0), 1e-14)
-
-
-def regular_orbits(benchmark: Benchmark) -> list[Experiment]:
-    """A, with the orders that are seen where neither round-off nor long steps spoil them."""
-    all_found = [kepler(benchmark), figure_eight(benchmark)]
+    kepler = settings(benchmark, PLANET, REGULAR[benchmark.quick], 2.0 * pi, orbits, 2, of_planet)
+    eight = settings(benchmark, EIGHT, REGULAR[benchmark.quick], PERIOD, 1, 2, of_eight)
+    exact = "exact: after one period all are where they were (figures of Chenciner and Montgomery 2000)"
+    problems = (
+        ("A1", f"Kepler, e = 0.5, {orbits} orbits", kepler, ERRORS, "exact: Kepler's equation"),
+        ("A2", "Figure eight, one period", eight, ERRORS, exact),
+    )
+    all_found = [benchmark.measure(*problem, floor=1e-14, **PLOT) for problem in problems]
     for found in all_found:
         for curve, floor, coarse in (("leapfrog", 1e-9, 1e-1), ("order4", 1e-12, 1e-3)):
             for error in found.errors:
@@ -158,10 +146,10 @@ def close_encounters(benchmark: Benchmark) -> list[Experiment]:
             found[f"place, t = {moment:g}"] = distance(everyone(sim).position[0], place)
         return found | {"energy": abs(sim.measure()["total_energy"] / start - 1.0)}
 
-    rows = benchmark.measure("Pythagorean", list(settings(benchmark, PYTHAGOREAN, CLOSE[benchmark.quick], END, 1, 200, errors)))
+    tried = settings(benchmark, PYTHAGOREAN, CLOSE[benchmark.quick], END, 1, 200, errors)
     title, reference = "Pythagorean problem, t = 20", "published: twelve digits of two places"
-    found = Experiment("B", title, "step or tolerance", ENCOUNTER_ERRORS, reference, rows, (2.0, 4.0), FLOOR)
-    fixed = [row for row in rows if row.setting.curve != "adaptive"]
+    found = benchmark.measure("B", title, tried, ENCOUNTER_ERRORS, reference, floor=1e-12, **PLOT)
+    fixed = [row for row in found.rows if row.setting.curve != "adaptive"]
     best, chosen = (min(some, key=lambda r: r.errors[LATE]) for some in (fixed, found.curve("adaptive")))
     found.answers = [
         f"fixed steps: {best.setting.curve}, {best.work['forces']} forces, {best.seconds.median:.2g} s, "

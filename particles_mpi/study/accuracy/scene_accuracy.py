@@ -1,21 +1,16 @@
 """What accuracy costs in a scene of the user's: its settings on a ladder of steps, and what each of its effects costs."""
 
-from __future__ import annotations
-
 from math import isnan, nan
 
 from particles_mpi import Scene
 from particles_mpi.errors import SceneError, StoppedError
-from particles_mpi.study.experiment import Benchmark, Experiment, Row, Setting
+from particles_mpi.study.experiment import Benchmark, Experiment, Setting
 from particles_mpi.study.recommend.methods import as_it_is, methods
-from particles_mpi.study.recommend.recommend import BUDGET, WORK
 from particles_mpi.study.recommend.reference import reference
-from particles_mpi.study.recommend.runs import FEW, Start, variant
-from particles_mpi.study.recommend.search import Search, time_trials
-from particles_mpi.study.timing import StepTimer, time_in_turns
+from particles_mpi.study.recommend.runs import Start, variant
+from particles_mpi.study.recommend.search import BUDGET, Search, time_trials
 
 LADDER = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # times the steps of the scene
-QUICK = (0.5, 1.0, 2.0)
 TOLERANCES = (1e3, 1e5, 1e7, 1e9)  # of `adaptive`, inverse
 MEANING = {
     "state": "largest distance of any particle from its place, over the size of the motion",
@@ -28,23 +23,16 @@ def measure(benchmark: Benchmark, scene: Scene, seconds: float = BUDGET) -> list
 
     `seconds`: what errors may take; times of the settings that are left come to that again.
     """
-    start = Start(benchmark, scene)
-
-    def both(b: Benchmark) -> list[Experiment]:
-        same = start if b is benchmark else Start(b, scene)
-        return [settings(same, seconds), effects(same)]
-
-    return benchmark.on_few(start.total <= FEW, both) or []
+    return Start(benchmark, scene).on_few(lambda start: [settings(start, seconds), effects(start)]) or []
 
 
 def settings(start: Start, seconds: float) -> Experiment:
     """Errors of each integrator, mode or angle over a ladder of steps."""
-    quick = start.benchmark.quick
-    metric = reference(start, seconds)
+    quick, metric = start.benchmark.quick, reference(start, seconds)
     if not metric.names:
         raise SceneError("particles: nothing in this scene has an error")
     search = Search(start, metric, metric.names[0], 1.0, 2.0 * seconds / 3.0)
-    steps = [k * max(start.scene.steps, 4) for k in (QUICK if quick else LADDER)]
+    steps = [k * max(start.scene.steps, 4) for k in (LADDER[1:4] if quick else LADDER)]
     search.attempt(*as_it_is(start))
     for method in methods(start):
         for resolution in TOLERANCES[:: 2 if quick else 1] if method.adaptive else steps:
@@ -66,10 +54,10 @@ def settings(start: Start, seconds: float) -> Experiment:
 
 def effects(start: Start) -> Experiment:
     """Seconds of a step with all effects, and with each left out in turn, from the same start."""
-    scene, benchmark, answers = start.scene, start.benchmark, []
+    scene, answers = start.scene, list[str]()
     steps = max(4, min(scene.steps, 100))
     time = {key: value for key, value in scene.time.model_dump(exclude_none=True).items() if key != "end"} | {"steps": steps}
-    timers = {}
+    tried = []
     for name in ["", *scene.effects]:
         try:
             less = variant(scene, time, {name: None} if name else {})
@@ -78,14 +66,12 @@ def effects(start: Start) -> Experiment:
             answers.append(f"without {name}: {str(error).splitlines()[0]}")
             continue
         begin = lambda less=less: start.simulate(less)  # noqa: E731
-        timers[f"without {name}" if name else "all effects"] = StepTimer(benchmark.ranks, begin, steps)
-    time_in_turns(list(timers.values()), benchmark.samples, benchmark.least)
-    rows, whole = [], next(iter(timers.values())).seconds.median if timers else nan
-    for name, timer in timers.items():
-        setting = Setting(name, scene.time.step, timer.begin, 1, lambda sim: {"share": nan})
-        share = 1.0 - timer.seconds.median / whole
-        rows.append(Row(setting, {"share": share}, {"share": nan}, timer.seconds, dict.fromkeys(WORK, 0)))
+        curve = f"without {name}" if name else "all effects"
+        tried.append(Setting(curve, scene.time.step, begin, steps, lambda sim: {"share": nan}, seconds_of=1))
     answers.append("an effect left out changes the motion too: shares need not add up to 1")
     errors = {"share": "of the seconds of a step that go when the effect does"}
     title, reference = f"What each effect costs a step: {scene.title or 'the scene'}", "the scene with all its effects"
-    return Experiment("H", title, "step", errors, reference, rows, answers=answers)
+    found = start.benchmark.measure("H", title, tried, errors, reference, answers=answers)
+    for row in found.rows:
+        row.errors["share"] = 1.0 - row.seconds.median / found.rows[0].seconds.median
+    return found

@@ -4,11 +4,9 @@ For an orbit the latter is the error of the integrator; for particles that stand
 finite number, as in W. Dehnen, MNRAS 324, 273 (2001).
 """
 
-from __future__ import annotations
-
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cache
-from math import pi, sqrt
+from math import log, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -56,11 +54,9 @@ def end(sim: Simulation) -> Array:
 def kepler(benchmark: Benchmark) -> Experiment:
     """Each softening over the same steps: the numerical error shrinks along a curve, that of the model stays."""
     exact = place_on_ellipse(3.0 * pi, E)  # at the apocentre, after one orbit
-    softened, unsure = {}, 0.0
-    for eps in SOFT:
-        softened[eps], rough = (end(orbit(benchmark, eps, 2, integrator="adaptive", tolerance=t)) for t in TOLERANCES)
-        unsure = max(unsure, distance(softened[eps], rough))
-    unsure = max(unsure, distance(softened[0.0], exact))
+    pairs = {eps: [end(orbit(benchmark, eps, 2, integrator="adaptive", tolerance=t)) for t in TOLERANCES] for eps in SOFT}
+    softened = {eps: fine for eps, (fine, _) in pairs.items()}
+    unsure = max(distance(softened[0.0], exact), *(distance(*pair) for pair in pairs.values()))
 
     def one(eps: float, n: int) -> Setting:
         def errors(sim: Simulation) -> Errors:
@@ -68,56 +64,41 @@ def kepler(benchmark: Benchmark) -> Experiment:
             whole, model = distance(place, exact), distance(softened[eps], exact)
             return {"total": whole, "model": model, "numerical": distance(place, softened[eps])}
 
-        tags = {"softening": eps, "steps": n}
-        return Setting(f"softening {eps:g}", 2.0 * pi / n, lambda: orbit(benchmark, eps, n), n, errors, tags=tags)
+        return Setting(f"softening {eps:g}", 2.0 * pi / n, lambda: orbit(benchmark, eps, n), n, errors, tags={"softening": eps})
 
     steps = STEPS[:2] if benchmark.quick else STEPS
-    rows = benchmark.measure("softened orbit", [one(eps, n) for eps in SOFT for n in steps])
     reference = (
         f"exact: Kepler's equation; softened: adaptive at a tolerance of {TOLERANCES[0]:.0e}, within {unsure:.1e} of that at"
         f" {TOLERANCES[1]:.0e} and, without softening, of the exact place"
     )
     title = f"Softened Kepler orbit, e = {E:g}, one orbit by leapfrog"
-    found = Experiment("F1", title, "step", ORBIT, reference, rows, (2.0,), unsure)
-    found.answers = [*best_for_each_step(found), thrown_out(benchmark)]
-    return found
-
-
-def best_for_each_step(found: Experiment) -> Iterator[str]:
-    """For each step the softening with the least total error; and how both parts of the error grow."""
-    for n in dict.fromkeys(row.setting.tags["steps"] for row in found.rows):
-        rows = sorted((row for row in found.rows if row.setting.tags["steps"] == n), key=lambda row: row.errors["total"])
+    tried = [one(eps, n) for eps in SOFT for n in steps]
+    found = benchmark.measure("F1", title, tried, ORBIT, reference, slopes=(2.0,), floor=unsure)
+    for n in steps:
+        rows = sorted((row for row in found.rows if row.setting.steps == n), key=lambda row: row.errors["total"])
         best, worst = rows[0], rows[-1]
-        yield (
+        found.answers.append(
             f"{n} steps an orbit: the total error is least, {best.errors['total']:.1e}, with {best.setting.curve}"
             f" (model {best.errors['model']:.1e}, numerical {best.errors['numerical']:.1e});"
             f" with {worst.setting.curve} it is {worst.errors['total']:.1e}"
         )
     orders = ", ".join(f"{slope(found.curve(curve)[-2:], 'numerical'):.2f}" for curve in found.curves)
-    yield f"the model error grows as softening^{power(found.rows, 'model'):.2f} at first; orders of the numerical one: {orders}"
+    grows = f"the model error grows as softening^{power(found.rows, 'model'):.2f} at first; orders of the numerical one: {orders}"
+    far = place_on_ellipse(3.0 * pi, CLOSE)
+    point, soft = (distance(end(orbit(benchmark, eps, STEPS[0], CLOSE)), far) for eps in (0.0, SOFTEST))
+    found.answers += [
+        grows,
+        f"a closer encounter, e = {CLOSE:g}, in {STEPS[0]} steps: without softening the planet is thrown out and {point:.2g} away"
+        f" at the end; with {SOFTEST:g} it is {soft:.2g} away, on an orbit, but on another one",
+    ]
+    return found
 
 
 def power(rows: Sequence[Row], error: str) -> float:
     """p, where an error grows as softening^p, from the two smallest softenings that are not 0."""
     known = {row.setting.tags["softening"]: row.errors[error] for row in rows if row.setting.tags["softening"] > 0.0}
     x, y = sorted(known)[:2]
-    a, b = known[x], known[y]
-    return float(np.log(b / a) / np.log(y / x))
-
-
-def thrown_out(benchmark: Benchmark) -> str:
-    """An encounter that the step cannot follow, with and without softening, in words."""
-    n, exact = STEPS[0], place_on_ellipse(3.0 * pi, CLOSE)
-    point, soft = (distance(end(orbit(benchmark, eps, n, CLOSE)), exact) for eps in (0.0, SOFTEST))
-    return (
-        f"a closer encounter, e = {CLOSE:g}, in {n} steps: without softening the planet is thrown out and {point:.2g} away at the"
-        f" end; with {SOFTEST:g} it is {soft:.2g} away, on an orbit, but on another one"
-    )
-
-
-def places(random: np.random.Generator, n: int) -> Array:
-    """Places (n, 3) of n particles drawn from the sphere."""
-    return plummer_places(random, 1.0, np.full(n, 1.0 / n))
+    return log(known[y] / known[x]) / log(y / x)
 
 
 def smooth_field(r: Array, eps: float) -> Array:
@@ -140,10 +121,9 @@ def fields(n: int) -> dict[float, Errors]:
     At places that are drawn like particles, so that all are weighted by mass.
     """
     random, mass = np.random.default_rng(1), np.full(n, 1.0 / n)
-    at = places(random, PLACES)
+    at, *drawn = (plummer_places(random, 1.0, np.full(many, 1.0 / many)) for many in (PLACES, *[n] * SPHERES))
     r = np.sqrt((at**2).sum(axis=1))
     exact = r * (r * r + 1.0) ** -1.5 / MOST  # the sphere is cut where the drawn ones end
-    drawn = [places(random, n) for _ in range(SPHERES)]
     found = {}
     for eps in WIDTHS:
         forces = np.zeros((SPHERES, PLACES, 3))
@@ -166,11 +146,10 @@ def plummer(benchmark: Benchmark) -> Experiment:
         begin = cache(lambda: benchmark.simulate(plummer_sphere(N, 1e-6, softening=eps)))  # a step evaluates all forces once
         return Setting("direct sum", eps, begin, 1, errors, tags={"softening": eps})
 
-    rows = benchmark.measure("softened sphere", [one(eps) for eps in WIDTHS])
     title = f"Softened forces of {N} particles that stand for a smooth sphere"
     reference = f"exact: Plummer's formula, at {PLACES} places; noise over {SPHERES} spheres"
-    found = Experiment("F2", title, "softening", FIELD, reference, rows)
-    best = min(rows, key=lambda row: row.errors["total"])
+    found = benchmark.measure("F2", title, [one(eps) for eps in WIDTHS], FIELD, reference, "softening")
+    rows, best = found.rows, min(found.rows, key=lambda row: row.errors["total"])
     known = 0.98 * N**-0.26  # E. Athanassoula et al., MNRAS 314, 475 (2000), for Plummer spheres
     found.answers = [
         f"the error is least, {best.errors['total']:.2g}, with a softening of {best.setting.parameter:g} scale lengths"

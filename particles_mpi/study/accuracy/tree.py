@@ -1,7 +1,5 @@
 """D: the tree. Opening angle against error of the force, with and without quadrupoles, and where the direct sum is cheaper."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from math import exp, inf, log, nan
@@ -37,16 +35,19 @@ def settings(benchmark: Benchmark, n: int) -> Iterator[Setting]:
     """
     exact: list[Array] = []  # accelerations of this rank's particles
 
-    def of_direct(sim: Simulation) -> Errors:
-        exact.append(accelerations(sim))
-        return summary(round_off(sim, exact[0]))
-
-    def of_tree(sim: Simulation) -> Errors:
-        return summary(allgather_rows(sim.ranks, {"wrong": relative(accelerations(sim), exact[0])})["wrong"])
+    def errors(sim: Simulation) -> Errors:
+        a = sim.sum_forces()
+        assert a is not None
+        if not exact:
+            exact.append(a)
+            wrong = round_off(sim, a)
+        else:
+            wrong = allgather_rows(sim.ranks, {"wrong": relative(a, exact[0])})["wrong"]
+        return {"median": float(np.median(wrong)), "99 %": float(np.quantile(wrong, 0.99))}
 
     def one(curve: str, angle: float, **gravity: Any) -> Setting:
         begin = cache(lambda: benchmark.simulate(plummer_sphere(n, STEP, **gravity)))
-        return Setting(curve, angle, begin, 1, of_direct if curve == DIRECT else of_tree, tags={"N": n})
+        return Setting(curve, angle, begin, 1, errors, tags={"N": n})
 
     yield one(DIRECT, 0.0, method="direct")
     for multipole, curve in TREES.items():
@@ -54,21 +55,9 @@ def settings(benchmark: Benchmark, n: int) -> Iterator[Setting]:
             yield one(curve, angle, method="tree", opening_angle=angle, multipole=multipole)
 
 
-def accelerations(sim: Simulation) -> Array:
-    """Of this rank's particles. Collective."""
-    a = sim.sum_forces()
-    assert a is not None
-    return a
-
-
 def relative(a: Array, exact: Array) -> Array:
     """|a - exact|/|exact|, row by row."""
     return np.sqrt(((a - exact) ** 2).sum(axis=1) / (exact**2).sum(axis=1)).astype(float)
-
-
-def summary(wrong: Array) -> Errors:
-    """Median and 99th percentile."""
-    return {"median": float(np.median(wrong)), "99 %": float(np.quantile(wrong, 0.99))}
 
 
 def round_off(sim: Simulation, a: Array) -> Array:
@@ -86,12 +75,7 @@ def round_off(sim: Simulation, a: Array) -> Array:
     return relative(a[some], exact)
 
 
-def seconds_of(row: Row) -> float:
-    """Median seconds of an evaluation."""
-    return row.seconds.median
-
-
-def at_error(rows: Sequence[Row], error: float, cost: Callable[[Row], float] = seconds_of) -> float:
+def at_error(rows: Sequence[Row], error: float, cost: Callable[[Row], float] = lambda row: row.seconds.median) -> float:
     """Cost of a tree with this median error: between its settings, in logarithms; of the coarsest if that is better; or nan."""
     order = sorted(rows, key=lambda row: row.errors["median"])
     if error < order[0].errors["median"]:
@@ -118,7 +102,7 @@ def crossover(found: Sequence[Experiment], curve: str) -> float:
 
     0 if it does at all of them, inf if at none.
     """
-    gain = [log(seconds_of(e.curve(DIRECT)[0]) / at_error(e.curve(curve), WANTED)) for e in found]
+    gain = [log(e.curve(DIRECT)[0].seconds.median / at_error(e.curve(curve), WANTED)) for e in found]
     sizes = [log(e.rows[0].setting.tags["N"]) for e in found]
     if not gain[-1] > 0.0:
         return inf
@@ -126,36 +110,34 @@ def crossover(found: Sequence[Experiment], curve: str) -> float:
     return 0.0 if k < 0 else exp(np.interp(0.0, gain[k : k + 2], sizes[k : k + 2]))
 
 
-def crossovers(found: Sequence[Experiment], ranks: int) -> Iterator[str]:
-    """From which number of particles on trees cost less, as measured and by the cost model of the plan, in words."""
+def conclusions(found: Sequence[Experiment], ranks: int) -> Iterator[str]:
+    """From which number of particles on trees cost less, as measured and by the cost model of the plan; their errors."""
     sizes = [e.rows[0].setting.tags["N"] for e in found]
-    planned = next(n for n in range(100, 10**6, 10) if choose("auto", 0.5, WANTED, 3, n).angle is not None)
     for curve in TREES.values():
         n = crossover(found, curve)
         where = {0.0: f"at N = {sizes[0]} already", inf: f"not yet at N = {sizes[-1]}"}.get(n, f"from N = {n:.0f} on")
         tree = f"a tree of {curve} with a median error of {WANTED:.0e}"
         yield f"{tree} costs less than the direct sum {where}, on {ranks} rank{'s' if ranks > 1 else ''}"
+    planned = next(n for n in range(100, 10**6, 10) if choose("auto", 0.5, WANTED, 3, n).angle is not None)
     yield f"the cost model of check and of method auto, quadrupoles on one rank: from N = {planned} on"
+    for multipole, curve in TREES.items():
+        medians = ", ".join(f"{row.errors['median']:.1e}" for row in found[-1].curve(curve)[:3])
+        other = f"where each particle walks by itself, N = 20 000: {BY_PARTICLE[multipole]}"
+        yield f"{curve} at angles 1, 0.7, 0.5: median {medians}; {other}"
 
 
 def experiment(benchmark: Benchmark, k: int, n: int) -> Experiment:
     """All settings for n particles."""
-    rows = benchmark.measure(f"tree, N = {n}", list(settings(benchmark, n)))
-    own = rows[0].errors
-    reference = f"the direct sum in float64, itself within {own['median']:.1e} (median), {own['99 %']:.1e} of extended precision"
     title = f"One evaluation of the forces in a Plummer sphere of {n}"
-    return Experiment(f"D{k}", title, "opening angle", ERRORS, reference, rows, floor=own["99 %"])
+    found = benchmark.measure(f"D{k}", title, settings(benchmark, n), ERRORS, "the direct sum in float64", "opening angle")
+    own = found.rows[0].errors
+    found.reference += f", itself within {own['median']:.1e} (median), {own['99 %']:.1e} of extended precision"
+    found.floor, found.answers = own["99 %"], list(compared(found))
+    return found
 
 
 def measure(benchmark: Benchmark) -> list[Experiment]:
     """D, an experiment for each number of particles. Collective."""
-    sizes = QUICK if benchmark.quick else SIZES
-    found = [experiment(benchmark, k + 1, n) for k, n in enumerate(sizes)]
-    for one in found:
-        one.answers = list(compared(one))
-    found[-1].answers += crossovers(found, benchmark.ranks.size)
-    for multipole, curve in TREES.items():
-        medians = ", ".join(f"{row.errors['median']:.1e}" for row in found[-1].curve(curve)[:3])
-        other = f"where each particle walks by itself, N = 20 000: {BY_PARTICLE[multipole]}"
-        found[-1].answers.append(f"{curve} at angles 1, 0.7, 0.5: median {medians}; {other}")
+    found = [experiment(benchmark, k, n) for k, n in enumerate(QUICK if benchmark.quick else SIZES, 1)]
+    found[-1].answers += conclusions(found, benchmark.ranks.size)
     return found

@@ -1,12 +1,9 @@
 """Hard cases: what naive programs do there, what must hold here, and what is measured.
 
-catalogue  what a case is, all cases, and how one is run
-command    `study hard-cases`: runs them and prints the table
-forces     friction and drag where explicit rules fail
-contacts   single contacts: where and when they happen, and what they give
+catalogue  what a case is, all cases, how one is run; `study hard-cases`, which prints the table
+contacts   friction and drag where explicit rules fail; single contacts: where and when they happen, and what they give
 crowds     many contacts at once
 resting    contacts that last, and a ball that never stops
 orbits     close encounters, orbits far from the origin, very many orbits
-numbers    numbers at the ends of what a float64 holds
-spread     particles where ranks meet, and ranks without particles
+extremes   numbers at the ends of what a float64 holds; particles where ranks meet, and ranks without particles
 """

@@ -1,22 +1,25 @@
 """What a case is, all cases, and how one is run.
 
 A case is a function of a `CaseRun`, which builds simulations in one mode and dimension on a communicator. It returns what it
-measured, as a text, and whether that is what must hold. The command prints the table, the tests run the same functions.
+measured, as a text, and whether that is what must hold. `study hard-cases` prints the table, the tests run the same functions.
 """
 
-from __future__ import annotations
-
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from hashlib import sha256
 from importlib import import_module
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from particles_mpi import Scene, Simulation
+from particles_mpi.errors import SceneError
 from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.particles import Particles
+from particles_mpi.run.console import Screen
 from particles_mpi.study.experiment import everyone
 
-CHAPTERS = ("forces", "contacts", "crowds", "resting", "orbits", "numbers", "spread")
+CHAPTERS = ("contacts", "crowds", "resting", "orbits", "extremes")
 MODES = ("rewind", "event")
 Effects = dict[str, dict[str, Any]]  # options by name
 
@@ -43,6 +46,12 @@ class CaseRun:
         self.built.append(Simulation(Scene.from_dict(tables), comm=self.comm))
         return self.built[-1]
 
+    def finish(self, *arguments: Any, **scene: Any) -> tuple[Simulation, Particles]:
+        """A simulation that has been run to its end, and all its particles there. Collective."""
+        sim = self.simulate(*arguments, **scene)
+        sim.run()
+        return sim, everyone(sim)
+
     def point(self, *coordinates: float, rest: float = 0.0) -> list[float]:
         """The point with these first coordinates; all others are `rest`."""
         return [*coordinates, *[rest] * (self.dimension - len(coordinates))][: self.dimension]
@@ -55,16 +64,14 @@ class CaseRun:
         """A box of this edge."""
         return {"lower": [lower] * self.dimension, "upper": [lower + edge] * self.dimension}
 
-    @property
-    def many_passes(self) -> dict[str, Any]:
+    def in_passes(self, many: int) -> dict[str, Any]:
         """Options of collisions by which `rewind` gets through a chain of contacts in one step."""
-        return {"passes": 100} if self.mode == "rewind" else {}
+        return {"passes": many} if self.mode == "rewind" else {}
 
     def digest(self) -> str:
         """A hash of the last states of all simulations: every bit of every field. Collective."""
         text = sha256()
-        for sim in self.built:
-            p = everyone(sim)
+        for p in map(everyone, self.built):
             for name in p.arrays:
                 text.update(name.encode() + p[name].tobytes())
         return text.hexdigest()
@@ -95,11 +102,6 @@ class Outcome(NamedTuple):
     measured: str
     holds: bool
     same_bits: bool
-
-    @property
-    def passed(self) -> bool:
-        """Does it hold, with the bits of one rank?"""
-        return self.holds and self.same_bits
 
 
 CATALOGUE: list[Case] = []
@@ -136,3 +138,44 @@ def examine(one: Case, mode: str | None, dimension: int, comm: Any = None) -> Ou
         one.measure(alone)
         same_bits = bool(ranks.allreduce_min(float(run.digest() == alone.digest()))[0])
     return Outcome(one, mode, dimension, measured, bool(ranks.allreduce_min(float(holds))[0]), same_bits)
+
+
+def chosen(only: str | None, full: bool) -> list[Case]:
+    """The cases whose names hold `only`, or one of several texts with | between; long ones if asked for, by `full` or by name."""
+    parts = (only or "").lower().split("|")
+    cases = [one for one in catalogue() if any(part in one.name.lower() for part in parts)]
+    if not cases:
+        raise SceneError(f"--only: no case has {only!r} in its name; there are: " + "; ".join(c.name for c in catalogue()))
+    return [one for one in cases if full or only is not None or not one.long]
+
+
+def study(only: str | None, full: bool, into: Path | None, comm: Any = None) -> bool:
+    """The table, row by row as cases end, and whether all that must hold does. `into`: the outcomes as JSON. Collective."""
+    ranks = Communicator(comm)
+    screen, before = Screen(ranks.is_root, False), None
+    found: list[dict[str, Any]] = []
+    waiting = list(settings(chosen(only, full)))
+    advance = screen.count("cases", len(waiting))
+    for one, mode, dimension in waiting:
+        if one is not before:
+            screen.say(f"[bold]{one.name}[/bold]\n  naive programs: {one.naive}\n  must hold: {one.must}")
+            before = one
+        advance(f"{one.name} {where(mode, dimension)}")
+        *_, measured, holds, same_bits = examine(one, mode, dimension, comm)
+        wrong = "" if same_bits or not holds else f", other bits on {ranks.size} ranks"
+        verdict = "pass" if holds and same_bits else f"[red]FAIL[/red]{wrong}"
+        screen.say(f"  {where(mode, dimension):<10} {verdict}   {measured}")
+        about = {"case": one.name, "naive": one.naive, "must": one.must, "mode": mode, "dimension": dimension}
+        found.append(about | {"measured": measured, "holds": holds, "same_bits": same_bits})
+    screen.stop()
+    held = sum(one["holds"] and one["same_bits"] for one in found)
+    bits = f", each with the bits of one rank on {ranks.size}" if ranks.size > 1 else ""
+    screen.say(f"{held} of {len(found)} hold{bits}")
+    if into and ranks.is_root:
+        into.write_text(json.dumps(found, indent=1) + "\n")
+    return held == len(found)
+
+
+def where(mode: str | None, dimension: int) -> str:
+    """`event 3D`"""
+    return f"{mode or ''} {dimension}D".strip()

@@ -1,4 +1,4 @@
-"""Single contacts: where and when they happen, and what they give."""
+"""Friction and drag where explicit rules fail; single contacts: where and when they happen, and what they give."""
 
 from math import pi, sqrt
 
@@ -9,6 +9,34 @@ from particles_mpi.contacts.law import contact_time
 from particles_mpi.kernels.markers import NEVER
 from particles_mpi.study.experiment import everyone, total
 from particles_mpi.study.hard_cases.catalogue import CaseRun, Effects, Finding, case
+
+
+@case(
+    "friction at rest, force below alpha", "0/0 makes NaN, or the particle creeps", "v and displacement exactly 0", modes=(None,)
+)
+def friction_at_rest(run: CaseRun) -> Finding:
+    """Eight particles at rest, pushed harder one by one."""
+    places = [run.point(float(k)) for k in range(8)]
+    pushes = [run.point(0.999 * k / 7.0) for k in range(8)]
+    effects: Effects = {"friction": {"strength": 1.0}, "user_acceleration": {}}
+    _, p = run.finish([{"position": places, "acceleration": pushes}], 0.1, 1000, effects)
+    moved, fast = np.abs(p.position - places).max(), np.abs(p.velocity).max()
+    return f"v {fast:.0f}, displacement {moved:.0f}", bool(moved == 0.0 and fast == 0.0)
+
+
+@case("drag with k dt = 10", "explodes, or changes sign every step", "monotone decay to g/k", modes=(None,))
+def stiff_drag(run: CaseRun) -> Finding:
+    """Two particles thrown up and down, each a hundred times as fast as it falls in the end."""
+    thrown = {"position": [run.point(), run.point(1.0, rest=1.0)], "velocity": [run.upright(v) for v in (100.0, -100.0)]}
+    effects: Effects = {"drag": {"rate": 100.0}, "uniform_gravity": {"acceleration": run.upright(-9.81)}}
+    sim = run.simulate([thrown], 0.1, 40, effects)
+    end, before, monotone = -9.81 / 100.0, np.inf, True
+    for _ in range(40):
+        sim.step()
+        left = np.abs(everyone(sim).velocity[:, -1] - end).max()
+        monotone &= bool(left <= before)
+        before = left
+    return f"{'monotone' if monotone else 'NOT monotone'}, {before / abs(end):.0e} off g/k", monotone and before <= 1e-12
 
 
 @case(
@@ -36,8 +64,7 @@ def overlap(run: CaseRun) -> Finding:
 def touching(run: CaseRun) -> Finding:
     """A pair at rest, and a pair that moves apart."""
     places, speeds = ([run.point(x) for x in column] for column in ((0.0, 1.0, 3.0, 4.0), (0.0, 0.0, -1.0, 1.0)))
-    sim = run.simulate([{"position": places, "velocity": speeds, "radius": 0.5}], 0.01, 100, {"collisions": {}})
-    sim.run()
+    sim, _ = run.finish([{"position": places, "velocity": speeds, "radius": 0.5}], 0.01, 100, {"collisions": {}})
     events = total(sim, "collisions")
     return f"{events} events in 100 steps", events == 0
 
@@ -47,18 +74,15 @@ def grazing(run: CaseRun) -> Finding:
     """Whole steps by `event`; the root that `rewind` uses, because its steps may not be so long."""
     d, random, missed = run.dimension, np.random.default_rng(2), 0
     for _ in range(300):
-        way = random.standard_normal(d)
+        way, side = random.standard_normal((2, d))
         way /= sqrt(way @ way)
-        side = random.standard_normal(d)
         side -= (side @ way) * way
         x = np.array([1e4 * way + side / sqrt(side @ side) * (1.0 - 1e-10), np.zeros(d)])
         v = np.array([-2e4 * way, np.zeros(d)])
         if run.mode == "rewind":
-            t = contact_time((0,) * d, x, v, np.zeros(2), 0, 1, 1.0, 1.0, np.zeros(d))
-            missed += t == NEVER
+            missed += contact_time((0,) * d, x, v, np.zeros(2), 0, 1, 1.0, 1.0, np.zeros(d)) == NEVER
             continue
-        pair = {"position": x.tolist(), "velocity": v.tolist(), "radius": 0.5}
-        sim = run.simulate([pair], 1.0, effects={"collisions": {}})
+        sim = run.simulate([{"position": x.tolist(), "velocity": v.tolist(), "radius": 0.5}], 1.0, effects={"collisions": {}})
         sim.step()
         missed += total(sim, "collisions") == 0
         run.built.clear()
@@ -74,9 +98,7 @@ def mass_ratio(run: CaseRun) -> Finding:
         {"position": [run.point(20.0)], "velocity": run.point(-3.0), "radius": 0.5, "mass": 1.0},
         {"position": [run.point(17.0)], "radius": 0.5, "fixed": True},
     ]
-    sim = run.simulate(particles, 0.01, 400, {"collisions": {}})
-    sim.run()
-    p = everyone(sim)
+    _, p = run.finish(particles, 0.01, 400, {"collisions": {}})
     sent = p.velocity[1, 0] - 2.0 / (1.0 + 1e-8)  # what the light one must get
     off = abs(1e8 * p.velocity[0, 0] + p.velocity[1, 0] - 1e8) / 1e8
     still = bool((p.position[3] == run.point(17.0)).all() and (p.velocity[3] == 0.0).all())
@@ -89,12 +111,9 @@ def corner(run: CaseRun) -> Finding:
     """A ball flies into the corner of a box."""
     d = run.dimension
     ball = {"position": [[1.2 + 0.1 * k for k in range(d)]], "velocity": [-1.0] * d, "radius": 0.9}
-    sim = run.simulate([ball], 1.0, effects={"walls": {}, "collisions": {}}, box=run.cube(10.0))
-    sim.step()
-    p = everyone(sim)
+    sim, p = run.finish([ball], 1.0, effects={"walls": {}, "collisions": {}}, box=run.cube(10.0))
     off = np.abs(p.position - np.array([[0.9 + 1.0 - (0.3 + 0.1 * k) for k in range(d)]])).max()
-    holds = off <= 1e-15 * 4 and (p.velocity == 1.0).all()
-    return f"{total(sim, 'wall_hits')} hits, place off {off:.0e}", bool(holds)
+    return f"{total(sim, 'wall_hits')} hits, place off {off:.0e}", bool(off <= 1e-15 * 4 and (p.velocity == 1.0).all())
 
 
 @case("acute wedge of two planes (10 degrees)", "leaves through the other plane", "inside; ceil(pi/angle) bounces at most")
@@ -105,14 +124,12 @@ def wedge(run: CaseRun) -> Finding:
     walls = {"planes": [{"point": run.point(), "normal": normal} for normal in normals]}
     place = run.point(20.0, 20.0 * float(np.tan(angle / 2)))
     ball = {"position": [place], "velocity": run.point(-1.0, 0.03), "radius": 0.1}
-    sim = run.simulate([ball], 0.05, 800, {"walls": walls, "collisions": {}})
-    deepest = np.inf
+    sim, deepest = run.simulate([ball], 0.05, 800, {"walls": walls, "collisions": {}}), np.inf
     for _ in range(800):
         sim.step()
         x = everyone(sim).position[0]
         deepest = min(deepest, x[1], np.sin(angle) * x[0] - np.cos(angle) * x[1])
-    hits = total(sim, "wall_hits")
-    energy = sim.measure()["kinetic"] / (0.5 * (1.0 + 0.03**2)) - 1.0
+    hits, energy = total(sim, "wall_hits"), sim.measure()["kinetic"] / (0.5 * (1.0 + 0.03**2)) - 1.0
     holds = deepest >= 0.1 - 1e-13 and hits <= 18 and abs(energy) <= 1e-14 and everyone(sim).velocity[0, 0] > 0.0
     return f"{hits} bounces, closest {deepest - 0.1:+.0e} beyond a radius, energy {energy:+.0e}", bool(holds)
 
@@ -127,11 +144,10 @@ def bullet(run: CaseRun) -> Finding:
     ]
     walls = {"planes": [{"point": run.point(-100.0), "normal": run.point(1.0)}]}
     try:
-        sim = run.simulate(particles, 1.0, effects={"collisions": {}, "walls": walls})
+        _, p = run.finish(particles, 1.0, effects={"collisions": {}, "walls": walls})
     except SceneError as error:
         return f"refused: {error.faults[0][:40]}...", run.mode == "rewind" and "time.step" in str(error)
-    sim.step()
-    v = everyone(sim).velocity[:, 0]
+    v = p.velocity[:, 0]
     return f"speeds after: {v[0]:g}, {v[2]:g}", bool(abs(v[0] + 100.0) <= 1e-12 and v[2] == 200.0)
 
 
@@ -141,8 +157,7 @@ def squeezed(run: CaseRun) -> Finding:
     moving = [{"position": [run.point(x, rest=5.0)], "velocity": run.point(1.0), "radius": 0.5} for x in (0.5, 10.0)]
     fixed = {"position": [run.point(x, rest=5.0) for x in (1.5, 9.0, 11.0)], "radius": 0.5, "fixed": True}
     effects: Effects = {"collisions": {}, "walls": {}}
-    sim = run.simulate([moving[0], fixed, moving[1]], 0.01, 20, effects, box=run.cube(20.0))
-    sim.run()
-    p, missed = everyone(sim), total(sim, "missed")
+    sim, p = run.finish([moving[0], fixed, moving[1]], 0.01, 20, effects, box=run.cube(20.0))
+    missed = total(sim, "missed")
     off = max(abs(p.position[0, 0] - 0.5), abs(p.position[4, 0] - 10.0))
     return f"{missed} counted as missed, moved {off:.0e}", bool(missed > 0 and off <= 1e-12 and np.isfinite(p.velocity).all())

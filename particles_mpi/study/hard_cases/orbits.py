@@ -5,6 +5,7 @@ from math import log, sqrt
 
 import numpy as np
 
+from particles_mpi import Simulation
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.kernels.motion import free_drift, kick
 from particles_mpi.particles import Array
@@ -17,22 +18,29 @@ ROUNDINGS = {"adaptive": 1, "leapfrog": 1, "order4": 6}  # of a position in a st
 NOTHING = 1e-9  # change of the energy that nobody minds
 
 
-def encounter(run: CaseRun, integrator: str, softening: float, periods: float, substeps: int) -> tuple[float, float]:
-    """(largest, last) relative change of the energy of two masses on an orbit of e = 0.999, sampled 200 times."""
-    away, speed = 1.999, sqrt(2.0 * (1.0 / 1.999 - 0.5))
+def energy_changes(
+    run: CaseRun, apart: float, speed: float, place: float, softening: float, integrator: str, step: float, every: int, looks: int
+) -> tuple[Simulation, Array]:
+    """Two halves of mass 1, `apart` along x about a place on every axis, with relative speed along y: relative changes of their
+    energy, at the start and after `every` steps."""
     masses = [
-        {"position": [run.point(sign * away / 2)], "velocity": run.point(0.0, sign * speed / 2), "mass": 0.5}
+        {"position": [run.point(place + sign * apart / 2, rest=place)], "velocity": run.point(0.0, sign * speed / 2), "mass": 0.5}
         for sign in (1.0, -1.0)
     ]
-    effects = {"mutual_gravity": {"softening": softening}}
-    sim = run.simulate(masses, 2.0 * np.pi * periods / 200.0 / substeps, 1, effects, integrator, G=1.0)
-    start, worst = sim.measure()["total_energy"], 0.0
-    for _ in range(200):
-        for _ in range(substeps):
+    sim = run.simulate(masses, step, 1, {"mutual_gravity": {"softening": softening}}, integrator, G=1.0)
+    energies = [sim.measure()["total_energy"]]
+    for _ in range(looks):
+        for _ in range(every):
             sim.step()
-        last = abs(sim.measure()["total_energy"] / start - 1.0)
-        worst = max(worst, last)
-    return worst, last
+        energies.append(sim.measure()["total_energy"])
+    return sim, np.array(energies) / energies[0] - 1.0
+
+
+def encounter(run: CaseRun, integrator: str, softening: float, periods: float, substeps: int) -> tuple[float, float]:
+    """(largest, last) relative change of the energy of two masses on an orbit of e = 0.999, sampled 200 times."""
+    step, speed = 2.0 * np.pi * periods / 200.0 / substeps, sqrt(2.0 * (1.0 / 1.999 - 0.5))
+    changes = np.abs(energy_changes(run, 1.999, speed, 0.0, softening, integrator, step, substeps, 200)[1])
+    return float(changes.max()), float(changes[-1])
 
 
 @case("close encounter, e = 0.999, not softened", "thrown out of the system", "`adaptive`: energy within 1e-10", modes=(None,))
@@ -52,22 +60,9 @@ def softened_encounter(run: CaseRun) -> Finding:
 def binary(run: CaseRun, integrator: str, steps: int, apart: float, place: float) -> tuple[Array, int]:
     """(relative changes of the energy, roundings of a position) of equal masses on a circle, in `steps` an orbit."""
     rate = apart**-1.5
-    masses = [
-        {
-            "position": [run.point(place + sign * apart / 2, rest=place)],
-            "velocity": run.point(0.0, sign * rate * apart / 2),
-            "mass": 0.5,
-        }
-        for sign in (1.0, -1.0)
-    ]
-    sim = run.simulate(masses, 2.0 * np.pi / rate / steps, 1, {"mutual_gravity": {}}, integrator, G=1.0)
-    energies = [sim.measure()["total_energy"]]
-    for _ in range(FAR_ORBITS * LOOKS):
-        for _ in range(steps // LOOKS):
-            sim.step()
-        energies.append(sim.measure()["total_energy"])
-    taken = getattr(sim.integrator, "substeps", sim.steps_done)
-    return np.array(energies) / energies[0] - 1.0, taken * ROUNDINGS[integrator]
+    step, looks = 2.0 * np.pi / rate / steps, FAR_ORBITS * LOOKS
+    sim, changes = energy_changes(run, apart, rate * apart, place, 0.0, integrator, step, steps // LOOKS, looks)
+    return changes, getattr(sim.integrator, "substeps", sim.steps_done) * ROUNDINGS[integrator]
 
 
 def far(run: CaseRun, integrator: str, steps: int) -> Finding:

@@ -10,8 +10,6 @@ Names of errors, all relative numbers:
 State is compared as long as a displaced start does not end up somewhere else; otherwise the others are.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from math import nan
 
@@ -20,7 +18,7 @@ import numpy as np
 from particles_mpi.errors import SceneError
 from particles_mpi.particles import Array
 from particles_mpi.study.experiment import Errors
-from particles_mpi.study.recommend.runs import Record, Start, apart
+from particles_mpi.study.recommend.runs import Record, Start
 
 ROUND_OFF = 1e-15  # of places, a step and more
 
@@ -29,17 +27,14 @@ ROUND_OFF = 1e-15  # of places, a step and more
 class ErrorMetric:
     """A reference and how errors are measured against it.
 
-    span: time units that it covers, `part` of the run; kind: what is compared, "places", "ensemble" or "energy"; reference:
-    what it is, for people; growth: factor by which a small displacement of the start grows; size: of the motion; limits:
-    the resolution limit of each error, the most telling error first; why: where the limits come from; order: of the leapfrog,
-    as seen in the reference; places (LOOKS, N, d), energy (LOOKS,): of the reference; scale: of energies; means: of the
-    observables of an ensemble.
+    part: of the run that it covers; reference: what it is, for people; growth: factor by which a small displacement of the start
+    grows; size: of the motion; limits: the resolution limit of each error, the most telling error first; why: where the limits
+    come from; order: of the leapfrog, as seen in the reference; places (LOOKS, N, d), energy (LOOKS,): of the reference; scale:
+    of energies; means: of the observables, if it is an ensemble.
     """
 
     start: Start
-    span: float
     part: float
-    kind: str = ""
     reference: str = ""
     growth: float = nan
     size: float = 1.0
@@ -52,6 +47,11 @@ class ErrorMetric:
     means: Errors = field(default_factory=dict)
 
     @property
+    def span(self) -> float:
+        """Time units that the reference covers."""
+        return self.part * self.start.duration
+
+    @property
     def names(self) -> list[str]:
         """Of the errors that this scene has, the most telling first."""
         return list(self.limits)
@@ -60,14 +60,11 @@ class ErrorMetric:
         """How wrong a run over the span is."""
         found: Errors = {}
         if "state" in self.limits:
-            found["state"] = apart(record.places, self.places, self.start.length) / self.size
+            found["state"] = self.start.apart(record.places, self.places) / self.size
         if "energy" in self.limits:
             wrong = record.energies - record.energies[0] if self.start.conserves else record.energy - self.energy
             found["energy"] = float(np.abs(wrong).max()) / self.scale
-        for name, value in observables(record).items():
-            if name in self.means:
-                found[name] = abs(value - self.means[name]) / self.scale_of(name)
-        return found
+        return found | {name: abs(record.observables[name] - mean) / self.scale_of(name) for name, mean in self.means.items()}
 
     def scale_of(self, name: str) -> float:
         """What the error of an observable is relative to: itself, but a height has no zero of its own."""
@@ -76,10 +73,10 @@ class ErrorMetric:
     def difference(self, error: str, one: Record, other: Record) -> float:
         """How far two runs are apart, in the units of an error."""
         if error == "state":
-            return apart(one.places, other.places, self.start.length) / self.size
+            return self.start.apart(one.places, other.places) / self.size
         if error == "energy":
             return abs(self.errors(one)[error] - self.errors(other)[error])
-        return abs(observables(one)[error] - observables(other)[error]) / self.scale_of(error)
+        return abs(one.observables[error] - other.observables[error]) / self.scale_of(error)
 
     def compare_energies(self, energies: Array, kinetic: float) -> None:
         """Compare energies from now on, relative to that of the start, or to the largest kinetic one where that is near 0."""
@@ -99,7 +96,7 @@ class ErrorMetric:
 
     def choose(self, tolerance: float, error: str) -> str:
         """The error that a tolerance is for ("": the most telling); SceneError where it cannot be measured, or not so finely."""
-        error = error or (self.names or [""])[0]
+        error = error or next(iter(self.limits), "")
         if error not in self.limits:
             there = "; ".join(self.names) or "none"
             raise SceneError(f"--error {error or 'any'}: cannot be measured here ({self.why}); there are: {there}")
@@ -107,13 +104,3 @@ class ErrorMetric:
         if tolerance < limit:
             raise SceneError(f"--tolerance {tolerance:g} is below what can be measured here: {error} {limit:.1g} ({self.why})")
         return error
-
-
-def observables(record: Record) -> Errors:
-    """What chaotic motion is judged by."""
-    return {
-        "collision rate": record.collisions / record.duration,
-        "wall hits": record.wall_hits / record.duration,
-        "kinetic energy": float(record.kinetic[1:].mean()),
-        "height": float(record.heights.mean()),
-    }

@@ -1,17 +1,18 @@
 """The ways in which a scene can be computed: integrators, collision modes with passes, direct sum and trees."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 from particles_mpi import Scene
 from particles_mpi.gravity.method import PAIR, TREES, tree_cost
 from particles_mpi.integrators.gauss_radau import TOLERANCE
-from particles_mpi.study.recommend.runs import DIRECT, LOOKS, Changes, Start, multiple_of_looks, variant
+from particles_mpi.study.recommend.runs import LOOKS, Changes, Start, multiple_of_looks, variant
 
 ANGLES = (1.0, 0.7, 0.5, 0.3)
 PASSES = (1, 3, 10)
+DIRECT: Changes = {"mutual_gravity": {"method": "direct", "opening_angle": None, "accuracy": None, "multipole": None}}
+EVENT: Changes = {"collisions": {"mode": "event", "passes": None}}
 
 
 @dataclass
@@ -36,11 +37,6 @@ class Method:
         """Of the resolution from one setting to the next."""
         return 10.0 if self.adaptive else 2.0
 
-    @property
-    def monotone(self) -> bool:
-        """Does a finer resolution cost more? Contacts are found at a price that depends on the step in other ways."""
-        return "collisions" not in self.start.scene.effects
-
     def steps(self, resolution: float, part: float) -> int:
         """Of a part of the run; `adaptive` only stops where a frame is written."""
         scene = self.start.scene
@@ -50,9 +46,7 @@ class Method:
         """A variant of the scene that ends after a part of the run. SceneError if it is refused."""
         steps = self.steps(resolution, part)
         time: dict[str, Any] = {"step": part * self.start.duration / steps, "steps": steps, "integrator": self.integrator}
-        if self.adaptive:
-            time["tolerance"] = 1.0 / resolution
-        return variant(self.start.scene, time, self.changes)
+        return variant(self.start.scene, time | ({"tolerance": 1.0 / resolution} if self.adaptive else {}), self.changes)
 
     def describe(self, resolution: float) -> str:
         """Its step or tolerance, for people."""
@@ -63,36 +57,32 @@ class Method:
 
 def methods(start: Start) -> list[Method]:
     """All that the scene allows."""
-    found = []
     integrators = ["leapfrog", "order4", "adaptive"] if start.smooth else ["leapfrog"]
     if start.scene.time.integrator == "taylor":
         integrators.append("taylor")
-    sums = ways_to_attract(start)
-    for gravity, attraction in sums:
-        for mode, contact in ways_to_collide(start):
-            for integrator in integrators:
-                if integrator == "adaptive" and gravity not in ("", "direct sum"):
-                    continue  # a tree's forces jump where a cell is opened: no polynomial fits them
-                parts = [integrator if mode == "" or len(integrators) > 1 else "", gravity if len(sums) > 1 else "", mode]
-                found.append(Method(start, ", ".join(filter(None, parts)), integrator, attraction | contact))
+    sums, found = ways_to_attract(start), []
+    for (gravity, attraction), (mode, contact), integrator in product(sums, ways_to_collide(start), integrators):
+        if integrator == "adaptive" and gravity not in ("", "direct sum"):
+            continue  # a tree's forces jump where a cell is opened: no polynomial fits them
+        parts = [integrator if mode == "" or len(integrators) > 1 else "", gravity if len(sums) > 1 else "", mode]
+        found.append(Method(start, ", ".join(filter(None, parts)), integrator, attraction | contact))
     return found
 
 
-def tree_of(angle: float | None) -> Changes:
-    """Gravity by a tree of this opening angle; by the direct sum if there is none."""
-    return {"mutual_gravity": {"method": "tree", "opening_angle": angle, "accuracy": None} if angle else DIRECT}
+def tree_of(angle: float) -> Changes:
+    """Gravity by a tree of this opening angle."""
+    return {"mutual_gravity": {"method": "tree", "opening_angle": angle, "accuracy": None}}
 
 
 def ways_to_attract(start: Start) -> list[tuple[str, Changes]]:
     """The direct sum, and trees where they are less work."""
     if "mutual_gravity" not in start.scene.effects:
         return [("", {})]
-    options, angles = start.scene.effects["mutual_gravity"], []
-    if start.scene.dimension in TREES:
-        own = [options.opening_angle or 0.5] if options.method == "tree" else []
-        less_work = [angle for angle in {*ANGLES, *own} if tree_cost(angle, start.total, "quadrupole") < PAIR * start.total]
-        angles = sorted(less_work, reverse=True)
-    return [*((f"angle {angle:g}", tree_of(angle)) for angle in angles), ("direct sum", tree_of(None))]
+    options, angles = start.scene.effects["mutual_gravity"], set(ANGLES if start.scene.dimension in TREES else ())
+    if options.method == "tree" and angles:
+        angles.add(options.opening_angle or 0.5)
+    less_work = [angle for angle in angles if tree_cost(angle, start.total, "quadrupole") < PAIR * start.total]
+    return [*((f"angle {angle:g}", tree_of(angle)) for angle in sorted(less_work, reverse=True)), ("direct sum", DIRECT)]
 
 
 def ways_to_collide(start: Start) -> list[tuple[str, Changes]]:
@@ -100,11 +90,10 @@ def ways_to_collide(start: Start) -> list[tuple[str, Changes]]:
     if "collisions" not in start.scene.effects:
         return [("", {})]
     options = start.scene.effects["collisions"]
-    own = {options.passes} if options.mode == "rewind" else set()
-    found: list[tuple[str, Changes]] = [("event", {"collisions": {"mode": "event", "passes": None}})]
-    for passes in sorted({*PASSES, *own}):
-        changes = {"mode": "rewind", "passes": passes, "contact_duration": None}
-        found.append((f"rewind, {passes} pass{'es' if passes > 1 else ''}", {"collisions": changes}))
+    found = [("event", EVENT)]
+    for passes in sorted({*PASSES, *([options.passes] if options.mode == "rewind" else [])}):
+        changes: Changes = {"collisions": {"mode": "rewind", "passes": passes, "contact_duration": None}}
+        found.append((f"rewind, {passes} pass{'es' if passes > 1 else ''}", changes))
     return found
 
 
@@ -114,7 +103,8 @@ def as_it_is(start: Start) -> tuple[Method, float]:
     scene, name = start.scene, start.scene.time.integrator
     gravity, contact = scene.effects.get("mutual_gravity"), scene.effects.get("collisions")
     if gravity:
-        changes = tree_of(gravity.choice(scene, start.total).angle)
+        angle = gravity.choice(scene, start.total).angle
+        changes = tree_of(angle) if angle else DIRECT
     if contact:
         name = f"{contact.mode}, {contact.passes} passes" if contact.mode == "rewind" else contact.mode
     resolution = 1.0 / (scene.time.tolerance or TOLERANCE) if name == "adaptive" else float(max(scene.steps, LOOKS))

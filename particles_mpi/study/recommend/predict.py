@@ -4,22 +4,20 @@ The first half second of the run is tried, with output, for the forecast of seco
 gives the errors. Takes about two seconds.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from itertools import pairwise
 from math import gamma, isfinite, log2, pi
 from pathlib import Path
-from shutil import rmtree
-from tempfile import mkdtemp
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from particles_mpi import Scene
 from particles_mpi.errors import Interrupted, StoppedError
+from particles_mpi.integrators.gauss_radau import TOLERANCE
 from particles_mpi.output.files import failing_together
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.run.forecast import Forecast
@@ -27,13 +25,11 @@ from particles_mpi.run.job import Job
 from particles_mpi.scene.schema import TOLERANCES
 from particles_mpi.study.experiment import total
 from particles_mpi.study.recommend.error_metric import ROUND_OFF
-from particles_mpi.study.recommend.runs import LOOKS, Record, Start, apart, follow, motion, variant
+from particles_mpi.study.recommend.runs import LOOKS, Record, Start, follow, variant
 
 ERRORS = 0.8  # seconds for errors, about
 MOST = 3.0  # seconds that errors may take where steps take long; more is not tried
 LOST = 15.0  # collisions of a particle, after which its place means nothing: round-off has grown to the size of it
-PUBLISHED = 0.063, 10  # of what `rewind` loses, and passes beyond which nothing is known
-KNOWN = 0.1, 0.5  # packings that the fit is good for
 
 
 @dataclass
@@ -67,47 +63,42 @@ def predict(start: Start) -> Prediction:
 @contextmanager
 def scratch(ranks: Communicator) -> Iterator[Path]:
     """A folder that is gone afterwards; where runs write theirs, if one may, for disks differ in speed. Collective."""
-    path = ""
+    folder = None
     with failing_together(ranks, "cannot write into the working directory"):
         if ranks.is_root:
-            path = mkdtemp(prefix=".check-", dir=Path.cwd() if os.access(Path.cwd(), os.W_OK) else None)
-    folder = Path(ranks.bcast(path))
-    try:
-        yield folder
-    finally:
-        if ranks.is_root:
-            rmtree(folder, ignore_errors=True)
+            place = Path.cwd() if os.access(Path.cwd(), os.W_OK) else None
+            folder = TemporaryDirectory(prefix=".check-", dir=place, ignore_cleanup_errors=True)
+    with folder or nullcontext(""):
+        yield Path(ranks.bcast(folder.name if folder else ""))
 
 
 def lost(rate: float, step: float, packing: float, passes: int) -> float:
     """Share of collisions that `rewind` misses: y/(1 + y), y = 0.063 (Gamma dt)^2 / (packing passes).
 
     A fit to what is published for a fluid: at packing 0.30, Gamma dt = 0.3 and 1.0, one pass loses 2 and 17 %, ten 0 and 2 %; at
-    0.45, Gamma dt = 0.85 and 2.8: 8 and 53 %, 1 and 9 %. Within a factor of two or so.
+    0.45, Gamma dt = 0.85 and 2.8: 8 and 53 %, 1 and 9 %. Within a factor of two or so, for packings of 0.1 to 0.5; of more than
+    ten passes nothing is known.
     """
-    strength, most = PUBLISHED
-    y = strength * (rate * step) ** 2 / (min(max(packing, KNOWN[0]), KNOWN[1]) * min(passes, most))
+    y = 0.063 * (rate * step) ** 2 / (min(max(packing, 0.1), 0.5) * min(passes, 10))
     return float(y / (1.0 + y))
 
 
 def of_contacts(start: Start, rate: float) -> list[str]:
     """What to expect of rates of collisions, and of places after many of them."""
     scene, options = start.scene, start.scene.effects["collisions"]
-    d, lines = scene.dimension, []
+    d, h, many = scene.dimension, scene.time.step, rate * start.duration
     if rate == 0.0:
         return ["predicted error: nothing collides in the first steps"]
     if options.mode == "event":
         what = "; forces between them are second order in the step" if start.forces or start.dissipates else ""
-        lines.append(f"predicted error: contacts are exact in mode event{what}")
+        lines = [f"predicted error: contacts are exact in mode event{what}"]
     else:
         volume = np.prod(np.subtract(scene.box.upper, scene.box.lower)) if scene.box else np.inf
         packing = float((start.particles.radius**d).sum() * pi ** (d / 2) / gamma(d / 2 + 1) / volume)
-        share = lost(rate, scene.time.step, packing, options.passes)
-        lines.append(
-            f"predicted error: about {share:.1g} of the rate of collisions (a particle has {rate * scene.time.step:.2g} in a "
-            f"step, packing {packing:.2g}, passes {options.passes}; fitted to a fluid)"
-        )
-    many = rate * start.duration
+        lines = [
+            f"predicted error: about {lost(rate, h, packing, options.passes):.1g} of the rate of collisions (a particle has "
+            f"{rate * h:.2g} in a step, packing {packing:.2g}, passes {options.passes}; fitted to a fluid)"
+        ]
     if many > LOST:
         lines.append(
             f"chaos: {many:.0f} collisions of a particle in all; after about {LOST:.0f}, t = {LOST / rate:.2g}, places "
@@ -132,8 +123,6 @@ def finer(scene: Scene, steps: int, halvings: int) -> Scene:
     time = scene.time.model_dump(exclude_none=True) | {"step": scene.time.step, "steps": steps}
     time.pop("end", None)
     if scene.time.integrator == "adaptive":
-        from particles_mpi.integrators.gauss_radau import TOLERANCE
-
         tolerance = min(max(scene.time.tolerance or TOLERANCE, 10.0 * TOLERANCES[0]), 0.1 * TOLERANCES[1])
         time["tolerance"] = min(max(tolerance * 10.0 ** (1 - halvings), TOLERANCES[0]), TOLERANCES[1])  # not past them by an ulp
     else:
@@ -146,9 +135,8 @@ def by_differences(start: Start, records: list[Record], span: float) -> str:
 
     With the differences d1 of h and h/2, d2 of h/2 and h/4, the order is p = log2(d1/d2), the error of h is d1 2^p/(2^p - 1).
     """
-    size = motion(start, records[0]) or 1.0
-    one, two = (apart(a.places, b.places, start.length) / size for a, b in pairwise(records))
-    whole, where = span > 0.99 * start.duration, f"t = {span:.3g}"
+    size, where = start.motion(records[0]), f"t = {span:.3g}"
+    one, two = (start.apart(a.places, b.places) / size for a, b in pairwise(records))
     if start.scene.time.integrator == "adaptive":
         return f"predicted error: places {max(two, ROUND_OFF):.1g} of the size of the motion at {where}, by a tighter tolerance"
     if two <= 100.0 * ROUND_OFF or one <= two:
@@ -158,7 +146,7 @@ def by_differences(start: Start, records: list[Record], span: float) -> str:
     order = log2(one / two)
     error = one * 2.0**order / (2.0**order - 1.0)
     line = f"predicted error: places {error:.1g} of the size of the motion at {where}, order {order:.1f}"
-    if not whole:
+    if span <= 0.99 * start.duration:
         line += f"; {error * start.duration / span:.1g} at the end if errors grow evenly"
     energies = records[0].energies
     if start.conserves and start.forces and isfinite(energies[0]) and energies[0] != 0.0:

@@ -1,9 +1,7 @@
 """The cheapest setting of a scene that reaches a tolerance: searched, timed fairly, verified at half the step, written down."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass, field
-from math import isfinite, nan
+from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -15,49 +13,39 @@ from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.run.console import Screen
 from particles_mpi.study.experiment import Benchmark, Errors
 from particles_mpi.study.recommend.error_metric import ErrorMetric
-from particles_mpi.study.recommend.methods import Method, as_it_is, methods
+from particles_mpi.study.recommend.methods import as_it_is, methods
 from particles_mpi.study.recommend.reference import reference
-from particles_mpi.study.recommend.runs import FEW, Start
-from particles_mpi.study.recommend.search import Search, Trial, first, time_trials
+from particles_mpi.study.recommend.runs import Start
+from particles_mpi.study.recommend.search import BUDGET, Search, Trial, time_trials
 from particles_mpi.study.recommend.tuned import Tables, tuned, written
-from particles_mpi.study.timing import Seconds
+from particles_mpi.study.report import WORK, numbers_table
 
-BUDGET = 60.0  # seconds of measuring, about: a third each for the reference, the search, and times
-WORK = {"forces": "forces", "interactions": "pairs", "pair_tests": "tests", "events": "contacts"}
 LOST = 0.05  # error of the scene as it is, from which nothing can be concluded
 SHORT = 0.05  # seconds of a run that is begun anew so often that short samples must do
 
 
 @dataclass
-class Timed:
-    """A trial with the seconds of the whole run, output not counted."""
-
-    trial: Trial
-    seconds: Seconds
-
-
-@dataclass
 class Recommendation:
-    """`best`: the cheapest setting measured that reaches the tolerance for `error`, in so many `steps` of the whole run.
+    """`best`: the cheapest setting measured that reaches the `tolerance` for `error`; `timed`: all that were compared.
 
     `tables`: of the tuned scene. `half`: errors of the best at half the step (`adaptive`: a tenth of the tolerance), and the
-    `difference` between the two runs. `timed`: all that were compared, `trials`: all that were tried, `refused`: what was not,
-    and why, `dropped`: settings that half the step did not confirm.
+    `difference` between the two runs. `dropped`: settings that half the step did not confirm. `search`: all that were tried.
     """
 
     tolerance: float
     error: str
-    best: Timed
-    steps: int
+    best: Trial
     tables: Tables
     half: Errors
     difference: float
-    timed: list[Timed]
-    metric: ErrorMetric
-    trials: list[Trial]
-    refused: dict[str, str]
+    timed: list[Trial]
+    dropped: list[str]
+    search: Search
     ranks: int
-    dropped: list[str] = field(default_factory=list)
+
+    @property
+    def metric(self) -> ErrorMetric:
+        return self.search.metric
 
 
 def recommend(
@@ -69,11 +57,8 @@ def recommend(
     """
     if not 0.0 < tolerance < 1.0:
         raise SceneError(f"--tolerance {tolerance:g}: must be above 0 and below 1")
-    start = Start(benchmark, scene)
     try:
-        found: Recommendation | None = benchmark.on_few(
-            start.total <= FEW, lambda b: find(start if b is benchmark else Start(b, scene), tolerance, error, seconds)
-        )
+        found: Recommendation | None = Start(benchmark, scene).on_few(lambda start: find(start, tolerance, error, seconds))
         return found
     finally:
         benchmark.screen.stop()
@@ -81,40 +66,39 @@ def recommend(
 
 def find(start: Start, tolerance: float, error: str, seconds: float) -> Recommendation:
     """The same, on the ranks of the start's benchmark."""
-    benchmark = start.benchmark
-    progress = benchmark.screen.count("recommend", 1 + len(methods(start)))
+    benchmark, ways = start.benchmark, methods(start)
+    progress = benchmark.screen.count("recommend", 1 + len(ways))
     progress("reference")
     metric = reference(start, seconds, error)
     error = metric.choose(tolerance, error)
     search = Search(start, metric, error, tolerance * metric.share(error), seconds / 3.0)
     own = search.attempt(*as_it_is(start))
-    for method in in_order(start, lost=own is None or own.errors[error] > LOST):
+    # what is likely the cheapest comes first, and cuts the others short; only `adaptive` is sure to get through
+    order = {"order4": 1, "adaptive": 0 if own is None or own.errors[error] > LOST else 2, "leapfrog": 3, "taylor": 4}
+    for method in sorted(ways, key=lambda method: order[method.integrator]):
         progress(f"search: {method.name}")
-        search.along(method, first(method, search, own))
+        search.along(method, search.first(method, own))
     benchmark.screen.stop()
     finalists = search.finalists()
     if not finalists:
         raise StoppedError(f"--tolerance {tolerance:g}: not reached in {seconds:.0f} s of measuring: " + nearest(search))
-    timed = sorted(time_runs(start, finalists, metric), key=lambda one: one.seconds.median)
-    dropped: list[str] = []
-    for best in timed:
-        half, difference = verify(search, best.trial)
-        if half and search.reached(half) and difference <= 2.0 * search.tolerance:
-            break
-        dropped.append(best.trial.name)
-    else:
-        raise StoppedError(f"--tolerance {tolerance:g}: reached by chance only: half the step does not confirm " + dropped[0])
-    steps = best.trial.method.steps(best.trial.resolution, 1.0)
-    tables = tuned(start.scene, best.trial.scene, steps)
-    return Recommendation(tolerance, error, best, steps, tables, half, difference, timed, metric, search.trials,
-                          search.refused, benchmark.ranks.size, dropped)  # fmt: skip
-
-
-def in_order(start: Start, lost: bool) -> list[Method]:
-    """Methods, first those that are likely the cheapest: what is reached early cuts the others short. `lost`: as it is the
-    scene is so wrong that only `adaptive` is sure to get through."""
-    order = {"order4": 1, "adaptive": 0 if lost else 2, "leapfrog": 3, "taylor": 4}
-    return sorted(methods(start), key=lambda method: order[method.integrator])
+    short = all(trial.seconds < SHORT for trial in finalists)
+    rows = time_trials(start, finalists, min(benchmark.least, SHORT) if short else None)
+    for trial, row in zip(finalists, rows, strict=True):
+        trial.timed = row.seconds.of(round(1.0 / metric.part))
+    timed, dropped = sorted(finalists, key=lambda trial: trial.timed.median), list[str]()
+    for trial in timed:
+        before = len(search.trials)
+        finer = search.attempt(trial.method, trial.resolution * trial.method.ratio)
+        del search.trials[before:]
+        if finer and search.reached(finer.errors):
+            difference = metric.difference(error, trial.record, finer.record)
+            if difference <= 2.0 * search.tolerance:
+                tables = tuned(start.scene, trial.scene, trial.method.steps(trial.resolution, 1.0))
+                ranks = benchmark.ranks.size
+                return Recommendation(tolerance, error, trial, tables, finer.errors, difference, timed, dropped, search, ranks)
+        dropped.append(trial.name)
+    raise StoppedError(f"--tolerance {tolerance:g}: reached by chance only: half the step does not confirm " + dropped[0])
 
 
 def nearest(search: Search) -> str:
@@ -126,62 +110,44 @@ def nearest(search: Search) -> str:
     return f"the best is {best.name}, {search.error} {best.errors[search.error]:.2g}"
 
 
-def time_runs(start: Start, trials: list[Trial], metric: ErrorMetric) -> list[Timed]:
-    """Seconds of the whole run for each, by turns. Collective."""
-    short = all(trial.seconds < SHORT for trial in trials)
-    rows = time_trials(start, trials, min(start.benchmark.least, SHORT) if short else None)
-    return [Timed(trial, row.seconds.of(round(1.0 / metric.part))) for trial, row in zip(trials, rows, strict=True)]
-
-
-def verify(search: Search, trial: Trial) -> tuple[Errors, float]:
-    """(errors at half the step, difference between the two runs), the latter in the units of the error. Collective."""
-    before = len(search.trials)
-    finer = search.attempt(trial.method, trial.resolution * trial.method.ratio)
-    del search.trials[before:]
-    if finer is None:
-        return {}, nan
-    return finer.errors, search.metric.difference(search.error, trial.record, finer.record)
-
-
 def report(screen: Screen, found: Recommendation) -> None:
     """All of it on the screen."""
-    metric, error, best, say = found.metric, found.error, found.best, screen.say
-    scene, method = metric.start.scene, found.best.trial.method
+    metric, error, trial, s, say = found.metric, found.error, found.best, found.best.timed, screen.say
+    scene, method = metric.start.scene, trial.method
     say(f"[bold]{scene.title or 'untitled scene'}[/bold]: {metric.start.total} particles, {error} to {found.tolerance:g}")
     say(f"  reference: {metric.reference}; {error} can be measured down to {metric.limits[error]:.1g} ({metric.why})")
     if metric.part < 1.0:
         say(
             f"  [yellow]errors are those of the first 1/{1 / metric.part:.0f} of the run (t = {metric.span:.4g})[/yellow]: a "
-            f"reference of all of it would take too long; {error} is held to {found.tolerance * metric.share(error):.2g} there"
+            f"reference of all of it would take too long; {error} is held to {found.search.tolerance:.2g} there"
         )
-    say(trials_table(found))
-    for name, why in found.refused.items():
+    screen.table(trials_table(found))
+    for name, why in found.search.refused.items():
         say(f"  {name}: {why}")
     for name in found.dropped:
         say(f"  {name}: reaches it by chance, not at half the step")
-    finer = "a tenth of the tolerance" if method.adaptive else "half the step"
-    step = f"{found.steps} steps of {scene.steps * scene.time.step / found.steps:.6g}"
-    words = f"{method.name}, {step}{', ' + method.describe(best.trial.resolution) if method.adaptive else ''}"
-    s = best.seconds
+    steps = method.steps(trial.resolution, 1.0)
+    finer, tolerance = "half the step", ""
+    if method.adaptive:
+        finer, tolerance = "a tenth of the tolerance", f", {method.describe(trial.resolution)}"
     say(
-        f"[bold]recommended: {words}[/bold]: {error} {best.trial.errors[error]:.2g}; the whole run takes {s.median:.3g} s "
-        f"({s.low:.3g} to {s.high:.3g}) on {found.ranks} rank(s), output not counted"
+        f"[bold]recommended: {method.name}, {steps} steps of {metric.start.duration / steps:.6g}{tolerance}[/bold]: {error} "
+        f"{trial.errors[error]:.2g}; the whole run takes {s.median:.3g} s ({s.low:.3g} to {s.high:.3g}) on {found.ranks} "
+        "rank(s), output not counted"
     )
     say(f"  verified at {finer}: {error} {found.half[error]:.2g}, the two runs differ by {found.difference:.2g}")
 
 
 def trials_table(found: Recommendation) -> Table:
     """All settings that were tried, with the times of those that were compared; the best is bold."""
-    names, works = found.metric.names, [name for name in WORK if any(trial.work[name] for trial in found.trials)]
-    table = Table("setting", *names, "seconds", *(WORK[name] for name in works), box=None, padding=(0, 1, 0, 1))
-    for column in table.columns:
-        column.no_wrap = True
-    times = {id(one.trial): one.seconds for one in found.timed}
-    for trial in sorted(found.trials, key=lambda t: (t.method.name, t.resolution)):
-        s = times.get(id(trial))
-        seconds = f"{s.median:.3g} ({s.low:.3g}-{s.high:.3g})" if s else ""
+    names, trials = found.metric.names, sorted(found.search.trials, key=lambda t: (t.method.name, t.resolution))
+    works = [name for name in WORK if any(trial.work[name] for trial in trials)]
+    table = numbers_table("setting", *names, "seconds", *(WORK[name] for name in works))
+    for trial in trials:
+        s = trial.timed
+        seconds = f"{s.median:.3g} ({s.low:.3g}-{s.high:.3g})" if s.median > 0.0 else ""
         errors, work = (f"{trial.errors[name]:.2g}" for name in names), (str(trial.work[name]) for name in works)
-        table.add_row(trial.name, *errors, seconds, *work, style="bold" if trial is found.best.trial else None)
+        table.add_row(trial.name, *errors, seconds, *work, style="bold" if trial is found.best else None)
     return table
 
 
@@ -205,10 +171,9 @@ def recommend_scene(
 
 def save(found: Recommendation, source: Path, target: Path) -> None:
     """Write the tuned scene; on one rank."""
-    best = found.best
     remark = (
-        f"by study recommend: {found.error} {best.trial.errors[found.error]:.2g} (wanted: {found.tolerance:g}), "
-        f"about {best.seconds.median:.2g} s on {found.ranks} rank(s)"
+        f"by study recommend: {found.error} {found.best.errors[found.error]:.2g} (wanted: {found.tolerance:g}), "
+        f"about {found.best.timed.median:.2g} s on {found.ranks} rank(s)"
     )
     try:
         target.parent.mkdir(parents=True, exist_ok=True)

@@ -3,8 +3,6 @@
 A start that is displaced a little tells how chaotic the motion is, and with that what can be compared at all.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from math import nan, sqrt
 from time import perf_counter
@@ -15,21 +13,9 @@ import numpy as np
 from particles_mpi import Scene, Simulation
 from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.particles import Array
-from particles_mpi.study.recommend.error_metric import ROUND_OFF, ErrorMetric, observables
-from particles_mpi.study.recommend.runs import (
-    DIRECT,
-    LOOKS,
-    SHIFT,
-    Changes,
-    Record,
-    Start,
-    TooLongError,
-    apart,
-    follow,
-    motion,
-    multiple_of_looks,
-    variant,
-)  # fmt: skip
+from particles_mpi.study.recommend.error_metric import ROUND_OFF, ErrorMetric
+from particles_mpi.study.recommend.methods import DIRECT, EVENT
+from particles_mpi.study.recommend.runs import LOOKS, SHIFT, Record, Start, TooLongError, follow, multiple_of_looks, variant
 
 TIGHT, LOOSE = 1e-9, 1e-7  # tolerances of `adaptive`: both lead to round-off, of which their difference is a sample
 SATURATED = 1e-2  # of the size: a displaced start that ends so far away has nothing to do with the start any more
@@ -56,17 +42,8 @@ def reference(start: Start, seconds: float, error: str = "") -> ErrorMetric:
 
 def exact(start: Start, steps: int, duration: float, **time: Any) -> Scene:
     """The scene with contacts in order of time and forces over all pairs, in so many steps; `time`: other keys of [time]."""
-    changes: Changes = {}
-    if "collisions" in start.scene.effects:
-        changes["collisions"] = {"mode": "event", "passes": None}
-    if "mutual_gravity" in start.scene.effects:
-        changes["mutual_gravity"] = DIRECT
+    changes = {name: options for name, options in (EVENT | DIRECT).items() if name in start.scene.effects}
     return variant(start.scene, {"step": duration / steps, "steps": steps, "integrator": "leapfrog", **time}, changes)
-
-
-def adaptive(start: Start, tolerance: float, duration: float) -> Scene:
-    """The scene at order 15."""
-    return exact(start, LOOKS, duration, integrator="adaptive", tolerance=tolerance)
 
 
 def affordable(start: Start, cost: float, seconds: float) -> ErrorMetric:
@@ -74,7 +51,7 @@ def affordable(start: Start, cost: float, seconds: float) -> ErrorMetric:
     part = 1.0
     while part * start.duration * cost > seconds and part * start.scene.steps > LOOKS:
         part *= 0.5
-    return ErrorMetric(start, part * start.duration, part)
+    return ErrorMetric(start, part)
 
 
 def cost(start: Start, sim: Simulation, seconds: float, longer: float = 1.0) -> float:
@@ -92,22 +69,24 @@ def cost(start: Start, sim: Simulation, seconds: float, longer: float = 1.0) -> 
 
 def by_order_15(start: Start, seconds: float) -> ErrorMetric | None:
     """Reference by `adaptive`, where paths are smooth; None where it does not get through."""
+
+    def adaptive(tolerance: float, duration: float, shifted: int = 0) -> Simulation:
+        return start.simulate(exact(start, LOOKS, duration, integrator="adaptive", tolerance=tolerance), shifted, duration)
+
     try:
-        probe = start.simulate(adaptive(start, TIGHT, LOOKS * min(start.scene.time.step, start.duration)))
+        probe = adaptive(TIGHT, LOOKS * min(start.scene.time.step, start.duration))
         found = affordable(start, 3.0 * cost(start, probe, 0.02 * seconds, 2.0), seconds)
         while True:
             try:
-                tight = follow(start, start.simulate(adaptive(start, TIGHT, found.span)), 0.5 * seconds)
+                tight = follow(start, adaptive(TIGHT, found.span), 0.5 * seconds)
                 break
             except TooLongError:  # close encounters came later
-                found = ErrorMetric(start, 0.5 * found.span, 0.5 * found.part)
-        loose = follow(start, start.simulate(adaptive(start, LOOSE, found.span)))
-        displaced = follow(start, start.simulate(adaptive(start, LOOSE, found.span), 1, found.span))
+                found.part *= 0.5
+        loose, displaced = (follow(start, adaptive(LOOSE, found.span, shifted)) for shifted in (0, 1))
     except StoppedError:
         return None
     found.reference = f"adaptive, tolerance {TIGHT:g}"
-    uncertainty = apart(tight.places, loose.places, start.length)
-    set_limits(found, tight, apart(loose.places, displaced.places, start.length), uncertainty)
+    set_limits(found, tight, start.apart(loose.places, displaced.places), start.apart(tight.places, loose.places))
     return found
 
 
@@ -118,44 +97,47 @@ def by_steps(start: Start, seconds: float) -> ErrorMetric:
     found = affordable(start, cost(start, probe, 0.02 * seconds) * (MEMBERS * fine + 4.0), seconds)
     steps = multiple_of_looks(start.scene.steps * found.part)
     scene = exact(start, steps, found.span)
-    first = follow(start, start.simulate(scene))
-    displaced = follow(start, start.simulate(scene, 1, found.span))
-    found.size = motion(start, first) or 1.0
-    parted = apart(first.places, displaced.places, start.length)
+    first, displaced = (follow(start, start.simulate(scene, shifted, found.span)) for shifted in (0, 1))
+    found.size = start.motion(first)
+    parted = start.apart(first.places, displaced.places)
     found.growth = parted / (SHIFT * found.size)
     if found.growth < (WILD if "collisions" in start.scene.effects else SATURATED / SHIFT):
         best, uncertainty, last = converge(found, first, steps, 0.5 * seconds)
         if uncertainty < SATURATED * found.size:
             set_limits(found, last, parted, uncertainty)
             n = first.places.size
-            found.places, energy = best[:n].reshape(first.places.shape), best[n:]
+            found.places = best[:n].reshape(first.places.shape)
             if "energy" in found.limits and not start.conserves:
-                found.energy = energy
+                found.energy = best[n:]
                 found.limits["energy"] += uncertainty / found.size
             return found
-    return by_ensemble(found, first, steps, steps * fine)
+    return by_ensemble(found, first, steps, fine)
 
 
 def converge(found: ErrorMetric, first: Record, steps: int, seconds: float) -> tuple[Array, float, Record]:
     """(places and energies at steps of length zero, how far they may be off, the last run), by halving steps."""
     start, began = found.start, perf_counter()
     limit = max(found.growth, 1.0) * ROUND_OFF * found.size
-    records, column = [first], [packed(first, first, found.start.length)]
+    records, column = [first], [packed(first, first, start.length)]
     best, uncertainty, better, clocked = column[0], np.inf, True, 0.0
     while len(column) < 3 or (len(column) <= LEVELS and uncertainty > limit and better and 3.0 * clocked < seconds):
         records.append(follow(start, start.simulate(exact(start, steps * 2 ** len(column), found.span))))
-        column.append(packed(records[-1], first, found.start.length))
+        column.append(packed(records[-1], first, start.length))
         value, change = extrapolated(column)
         better = change < 0.5 * uncertainty  # if not, round-off or corners are all that is left
         if change <= uncertainty:
             best, uncertainty = value, change
         clocked = float(start.benchmark.ranks.allreduce_max(perf_counter() - began)[0])
-    one, two = (apart(a.places, b.places, found.start.length) for a, b in pairwise(records[:3]))
+    one, two = (start.apart(a.places, b.places) for a, b in pairwise(records[:3]))
     found.order = float(np.log2(one / two)) if two > limit else nan
-    kind = "event" if "collisions" in start.scene.effects else "leapfrog"
     seen = f"order {found.order:.2f}" if two > limit else "no error of the step"
-    found.reference = f"{kind}, steps of 1 to 1/{2 ** (len(column) - 1)}, extrapolated ({seen})"
+    found.reference = f"{by_what(start)}, steps of 1 to 1/{2 ** (len(column) - 1)}, extrapolated ({seen})"
     return best, uncertainty, records[-1]
+
+
+def by_what(start: Start) -> str:
+    """How `exact` computes, in a word."""
+    return "event" if "collisions" in start.scene.effects else "leapfrog"
 
 
 def packed(record: Record, first: Record, length: Array) -> Array:
@@ -178,8 +160,8 @@ def extrapolated(column: list[Array]) -> tuple[Array, float]:
         for k, before in enumerate(rows[-1], 1):
             row.append(row[-1] + (row[-1] - before) / (4.0**k - 1.0))
         rows.append(row)
-    last, earlier = rows[-1], rows[-2]
-    changes = [float(np.abs(last[k] - earlier[k]).max(initial=0.0)) for k in range(len(earlier))]
+    earlier, last = rows[-2:]
+    changes = [float(np.abs(new - old).max(initial=0.0)) for old, new in zip(earlier, last, strict=False)]
     best = int(np.argmin(changes))
     return last[best], changes[best]
 
@@ -187,15 +169,13 @@ def extrapolated(column: list[Array]) -> tuple[Array, float]:
 def set_limits(found: ErrorMetric, record: Record, parted: float, uncertainty: float) -> None:
     """Resolution limits of a reference that may be wrong by `uncertainty`, while a displaced start ends `parted` from it
     (both lengths)."""
-    found.size = motion(found.start, record) or 1.0
+    found.size = found.start.motion(record)
     found.growth = parted / (SHIFT * found.size)
     found.places = record.places
     chaos, own = max(found.growth, 1.0) * ROUND_OFF, uncertainty / found.size
     if found.growth * SHIFT > SATURATED or own > SATURATED:
-        found.kind = "energy"
         found.why = f"chaos: starts {SHIFT:g} of the size apart end {found.growth * SHIFT:.1g} of it apart"
     else:
-        found.kind = "places"
         found.limits["state"] = 2.0 * (chaos + own)
         sensitive = f"chaos: a displaced start ends {found.growth:.2g} times as far away"
         found.why = sensitive if chaos > own else f"two references differ by {own:.1g}"
@@ -207,21 +187,20 @@ def by_conserved_energy(start: Start, seconds: float) -> ErrorMetric:
     probe = start.simulate(start.scene)
     row = probe.measure()
     found = affordable(start, 8.0 * cost(start, probe, 0.05 * seconds), seconds)
-    found.kind, found.reference, found.why = "energy", "the energy of the start", "round-off of a sum"
+    found.reference, found.why = "the energy of the start", "round-off of a sum"
     found.compare_energies(np.array([row["total_energy"]]), row["kinetic"])
     if found.scale > 0.0:
         found.limits["energy"] = ROUND_OFF * max(sqrt(start.total), 10.0)
     return found
 
 
-def by_ensemble(found: ErrorMetric, first: Record, coarse: int, steps: int) -> ErrorMetric:
+def by_ensemble(found: ErrorMetric, first: Record, steps: int, fine: int) -> ErrorMetric:
     """Observables of runs whose starts differ by next to nothing: their mean, and their spread as the resolution limit."""
     start, members = found.start, MEMBERS // 2 if found.start.benchmark.quick else MEMBERS
-    scene = exact(start, steps, found.span)
-    runs = [follow(start, start.simulate(scene, number, found.span, APART)) for number in range(members)]
-    values = [observables(run) for run in runs]
-    for name in values[0]:
-        column = np.array([value[name] for value in values])
+    scene = exact(start, steps * fine, found.span)
+    runs = [follow(start, start.simulate(scene, number, found.span, APART)).observables for number in range(members)]
+    for name in runs[0]:
+        column = np.array([run[name] for run in runs])
         found.means[name] = float(column.mean())
         scale, spread = found.scale_of(name), float(column.std(ddof=1))
         constant = name == "kinetic energy" and not start.forces and start.conserves
@@ -231,7 +210,6 @@ def by_ensemble(found: ErrorMetric, first: Record, coarse: int, steps: int) -> E
             found.limits[name] = 2.0 * spread * sqrt(1.0 + 1.0 / members) / scale
     if start.conserves:
         found.add_energy(first)
-    kind = "event" if "collisions" in start.scene.effects else "leapfrog"
-    found.kind, found.reference = "ensemble", f"{kind}, steps of 1/{steps // coarse}, mean of {members} runs"
+    found.reference = f"{by_what(start)}, steps of 1/{fine}, mean of {members} runs"
     found.why = f"chaos: {members} runs from starts {APART:g} apart differ by so much"
     return found

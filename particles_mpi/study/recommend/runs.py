@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite
 from time import perf_counter
@@ -17,14 +18,14 @@ from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.particles import Array, Particles, default_values
 from particles_mpi.scene.active import ActiveEffects, fields_of
 from particles_mpi.scene.schema import periodic_length
-from particles_mpi.study.experiment import Benchmark, everyone
+from particles_mpi.study.experiment import Benchmark, everyone, total
 
-DIRECT: dict[str, Any] = {"method": "direct", "opening_angle": None, "accuracy": None, "multipole": None}  # sum of forces
 SHIFT = 1e-12  # of the size of a motion: how far a displaced start is from the start
 FEW = 64  # particles that more than one rank would only slow down
 STATELESS = ("contacted", "virial", "rate", "supported", "total_acceleration")  # fields that a run fills itself
 LOOKS = 4  # moments, evenly over the run, at which places are compared; all numbers of steps are multiples of it
 ENERGIES = 32  # moments at which energies are, about
+NEEDS = {"drag": "drag", "acceleration": "user_acceleration"}  # keys of particles that mean nothing without an effect
 
 Changes = dict[str, dict[str, Any] | None]  # keys of effects that change, and effects that are left out (None)
 
@@ -35,16 +36,14 @@ class TooLongError(StoppedError):
 
 def variant(scene: Scene, time: dict[str, Any], effects: Changes | None = None) -> Scene:
     """The scene with another [time] and other effects; a key that is None takes its default. SceneError if that is refused."""
-    tables = scene.to_dict() | {"time": time}
-    for name, keys in (effects or {}).items():
-        if keys is None:
-            tables["effects"].pop(name)
-        else:
-            changed = tables["effects"][name] | keys
-            tables["effects"][name] = {key: value for key, value in changed.items() if value is not None}
-    needs = {"drag": "drag", "user_acceleration": "acceleration"}  # effects, and keys of particles that have no meaning without
+    tables, changes = scene.to_dict() | {"time": time}, effects or {}
+    tables["effects"] = {
+        name: {key: value for key, value in (options | (changes.get(name) or {})).items() if value is not None}
+        for name, options in tables["effects"].items()
+        if changes.get(name, {}) is not None
+    }
     for table in tables["particles"]:
-        for effect, key in needs.items():
+        for key, effect in NEEDS.items():
             if effect not in tables["effects"]:
                 table.pop(key, None)
         if table.get("velocity") == "equilibrium" and "mutual_gravity" not in tables["effects"]:
@@ -67,10 +66,15 @@ class Start:
         self.dissipates = bool(effects.on_velocities or effects.events)
         self.smooth = not self.contacts and not self.dissipates  # forces depend on places alone: all integrators apply
         self.forces = list(effects.forces)
-        lossy = [contact for contact in hard if contact.lossy]
+        lossy = any(contact.lossy for contact in hard)
         self.conserves = not self.dissipates and not lossy and not endless_falls(scene, self.particles)
         self.duration = scene.steps * scene.time.step
         self.length = periodic_length(scene)  # of periodic axes, 0 of others
+
+    def on_few(self, work: Callable[[Start], Any]) -> Any:
+        """`work(self)`; for few bodies, which more ranks would only slow down, on rank 0 alone: None elsewhere. Collective."""
+        few = self.total <= FEW
+        return self.benchmark.on_few(few, lambda b: work(self if b is self.benchmark else Start(b, self.scene)))
 
     def simulate(self, scene: Scene, shifted: int = 0, duration: float = 0.0, amount: float = SHIFT) -> Simulation:
         """The start in a variant of the scene. Collective. SceneError if it cannot run.
@@ -78,12 +82,12 @@ class Start:
         `shifted`: the number of a start that is displaced by `amount` of the size of what moves, where that leaves no
         overlap, and otherwise by so much of the velocities; `duration` of what follows tells how fast something at rest is.
         """
-        p = self.particles
-        arrays = {name: p[name].copy() for name in fields_of(scene) if name in p.arrays and name not in STATELESS}
-        for name in fields_of(scene):
-            if name not in arrays:
-                arrays[name] = default_values(name, self.total, p.dimension)
-        faults, _ = check_start(scene, particles := Particles(p.dimension, arrays), room_of(scene))
+        known, d = self.particles.arrays, self.particles.dimension
+        arrays = {
+            name: known[name].copy() if name in known and name not in STATELESS else default_values(name, self.total, d)
+            for name in fields_of(scene)
+        }
+        faults, _ = check_start(scene, particles := Particles(d, arrays), room_of(scene))
         if faults:
             raise SceneError(faults)
         if shifted:
@@ -95,21 +99,33 @@ class Start:
         shift = np.random.Generator(np.random.Philox(key=number)).uniform(-1.0, 1.0, p.position.shape)
         shift[p.fixed != 0] = 0.0
         x, v = p["position"], p["velocity"]
-        size = spread(x) or spread(x, np.zeros(p.dimension)) or 1.0
-        speed = float(np.sqrt((v**2).sum(axis=1).mean())) if self.total else 0.0
+        size = spread(x, x.mean(axis=0)) or spread(x, np.zeros(p.dimension)) or 1.0
         if self.contacts:
-            v += amount * (speed or size / (duration or 1.0)) * shift
+            v += amount * (spread(v, np.zeros(p.dimension)) or size / (duration or 1.0)) * shift
         else:
             x += amount * size * shift
+
+    def apart(self, one: Array, other: Array) -> float:
+        """The largest distance of any particle in one from itself in the other, over all looks; the shorter way round."""
+        away = one - other
+        periodic = self.length > 0.0
+        away[..., periodic] -= self.length[periodic] * np.round(away[..., periodic] / self.length[periodic])
+        return float(np.sqrt((away**2).sum(axis=-1)).max(initial=0.0))
+
+    def motion(self, record: Record) -> float:
+        """Size of the motion: root of the mean square distance of the particles that move, at the looks, from the middle of them
+        at the start (for one particle this is how far it gets); 1 if nothing moves."""
+        movable = self.particles.fixed == 0
+        rows = self.particles.position[movable]
+        return (spread(record.places[:, movable], rows.mean(axis=0)) if len(rows) else 0.0) or 1.0
 
 
 @dataclass
 class Record:
     """What is kept of a run.
 
-    places: (LOOKS, N, d) at the looks; energy: (LOOKS,) there; energies, kinetic: at more moments, the start too; collisions,
-    wall_hits: numbers over the whole run; heights: (LOOKS,) of the centre of all particles against gravity; duration: time
-    units; seconds: of the whole run, looks and all, on the slowest rank.
+    places: (LOOKS, N, d) at the looks; energy: (LOOKS,) there; energies, kinetic: at more moments, the start too; heights:
+    (LOOKS,) of the centre of all particles against gravity; duration: time units; seconds: looks and all, on the slowest rank.
     """
 
     places: Array
@@ -122,31 +138,41 @@ class Record:
     duration: float
     seconds: float
 
+    @property
+    def observables(self) -> dict[str, float]:
+        """What chaotic motion is judged by."""
+        return {
+            "collision rate": self.collisions / self.duration,
+            "wall hits": self.wall_hits / self.duration,
+            "kinetic energy": float(self.kinetic[1:].mean()),
+            "height": float(self.heights.mean()),
+        }
+
 
 def follow(start: Start, sim: Simulation, patience: float = np.inf) -> Record:
     """Run a simulation to the end of its scene. Collective; TooLongError after `patience` seconds."""
-    steps, ranks = sim.scene.steps, sim.ranks
-    look, peek, began = steps // LOOKS, max(1, steps // ENERGIES), perf_counter()
+    steps, began = sim.scene.steps, perf_counter()
+    look, peek = steps // LOOKS, max(1, steps // ENERGIES)
     places, at_looks, energies = [], [], [energy(sim)]
     while sim.steps_done < steps:
         sim.step()
         if sim.steps_done % peek == 0 or sim.steps_done == steps:
             energies.append(energy(sim))
-            seconds = float(ranks.allreduce_max(perf_counter() - began)[0])
+            seconds = float(sim.ranks.allreduce_max(perf_counter() - began)[0])
             if seconds > patience and sim.steps_done < steps:
                 raise TooLongError(f"longer than {patience:.3g} s")
         if sim.steps_done % look == 0:
             places.append(everyone(sim).position)
             at_looks.append(energy(sim)[0])
     sim.watch()
-    counts = ranks.allreduce_sum(np.array([sim.totals["collisions"], sim.totals["wall_hits"]], np.int64)).tolist()
     found = np.array(places).reshape(LOOKS, start.total, sim.scene.dimension)
     size = float(np.sqrt((sim.g**2).sum()))
     up = -sim.g / size if size > 0.0 else sim.g
     heights = (found.mean(axis=1) * up).sum(axis=1) if start.total else np.zeros(LOOKS)
-    table: Array = np.array(energies)
-    seconds = float(ranks.allreduce_max(perf_counter() - began)[0])
-    return Record(found, np.array(at_looks), table[:, 0], table[:, 1], counts[0], counts[1], heights, steps * sim.h, seconds)
+    sums, kinetic = np.array(energies).T
+    counts = total(sim, "collisions"), total(sim, "wall_hits")
+    seconds = float(sim.ranks.allreduce_max(perf_counter() - began)[0])
+    return Record(found, np.array(at_looks), sums, kinetic, *counts, heights, steps * sim.h, seconds)
 
 
 def energy(sim: Simulation) -> tuple[float, float]:
@@ -160,22 +186,6 @@ def multiple_of_looks(steps: float) -> int:
     return LOOKS * max(1, int(np.ceil(steps / LOOKS * (1.0 - 1e-12))))
 
 
-def apart(one: Array, other: Array, length: Array) -> float:
-    """The largest distance of any particle in one from itself in the other, over all looks; the shorter way round."""
-    away = one - other
-    periodic = length > 0.0
-    away[..., periodic] -= length[periodic] * np.round(away[..., periodic] / length[periodic])
-    return float(np.sqrt((away**2).sum(axis=-1)).max(initial=0.0))
-
-
-def spread(x: Array, center: Array | None = None) -> float:
-    """Root of the mean square distance from the centre."""
-    return float(np.sqrt(((x - (x.mean(axis=0) if center is None else center)) ** 2).sum(axis=-1).mean())) if len(x) else 0.0
-
-
-def motion(start: Start, record: Record) -> float:
-    """Size of the motion: root of the mean square distance of the particles that move, at the looks, from the middle of them
-    at the start. For one particle this is how far it gets."""
-    movable = start.particles.fixed == 0
-    rows = start.particles.position[movable]
-    return spread(record.places[:, movable], rows.mean(axis=0)) if len(rows) else 0.0
+def spread(x: Array, center: Array) -> float:
+    """Root of the mean square distance from a point."""
+    return float(np.sqrt(((x - center) ** 2).sum(axis=-1).mean())) if len(x) else 0.0

@@ -1,10 +1,8 @@
 """The cheapest resolution of a method that reaches a tolerance: searched by factors of two, then by the order seen."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from math import inf, isfinite, log, log2, log10
+from math import inf, isfinite, log, log2, log10, nan
 from time import perf_counter
 
 from particles_mpi import Scene
@@ -13,7 +11,9 @@ from particles_mpi.study.experiment import Errors, Row, Setting
 from particles_mpi.study.recommend.error_metric import ErrorMetric
 from particles_mpi.study.recommend.methods import Method
 from particles_mpi.study.recommend.runs import LOOKS, Record, Start, TooLongError, follow
+from particles_mpi.study.timing import Seconds
 
+BUDGET = 60.0  # seconds of measuring, about: a third each for the reference, the search, and times
 MARGIN = 0.85  # of the tolerance: what a refined step aims at
 TRIES = 3  # of refinement
 CLOSE = 2.0  # times the seconds of the quickest in one run: settings that are timed again, by turns
@@ -21,12 +21,16 @@ DEARER = 2.0  # times the seconds of the best: where a method is given up
 MOST_REFUSALS = 5  # of settings of a method, one after the other
 LITTLE = 0.2  # seconds that are no reason to give anything up
 COARSEST, FINEST = 1e3, 1e11  # 1/tolerance of `adaptive`
+UNKNOWN = Seconds(nan, nan, nan)
 STALLED = 1.15  # a finer setting whose error is not smaller by this: something else limits it
 
 
 @dataclass
 class Trial:
-    """A setting, tried over the span: its errors, the seconds it took with all looks, and its work."""
+    """A setting, tried over the span: its errors, the seconds it took with all looks, and its work.
+
+    `timed`: seconds of the whole run, output not counted, of those that were compared.
+    """
 
     method: Method
     resolution: float
@@ -35,10 +39,10 @@ class Trial:
     seconds: float
     work: dict[str, int]
     record: Record
+    timed: Seconds = UNKNOWN
 
     @property
     def name(self) -> str:
-        """Method and resolution."""
         return f"{self.method.name}, {self.method.describe(self.resolution)}"
 
 
@@ -80,9 +84,8 @@ class Search:
 
     def attempt(self, method: Method, resolution: float, patience: float = inf) -> Trial | None:
         """Try a setting; None where it is refused, or stops, or takes too long. Collective."""
-        part = self.metric.part
         try:
-            scene = method.scene(resolution, part)
+            scene = method.scene(resolution, self.metric.part)
             for known in self.trials:
                 if known.scene == scene:  # the scene as it is, by another name
                     self.trials.append(replace(known, method=method, resolution=resolution))
@@ -104,17 +107,15 @@ class Search:
 
     def along(self, method: Method, resolution: float) -> None:
         """Bracket the tolerance by factors from a first setting on, then go to where it is just reached. Collective."""
-        self.warm_up(method, resolution)
-        fine = self.attempt(method, resolution, self.patience())
-        coarse: Trial | None = None
+        if not method.adaptive:  # one step first, in which kernels are loaded; `adaptive` has none of its own, and long steps
+            with suppress(SceneError, StoppedError):
+                self.start.simulate(method.scene(resolution, self.metric.part)).step()
+        fine, coarse = self.attempt(method, resolution, self.patience()), None
         while fine is None or not self.reached(fine.errors):
-            if fine is not None and coarse is not None and self.stalled(coarse, fine):
-                self.refused[method.name] = f"no better by shorter steps than {self.error} {fine.errors[self.error]:.2g}"
+            resolution *= method.ratio
+            if not self.worth_it(method, coarse, fine, resolution):
                 return
-            coarse, resolution = fine or coarse, resolution * method.ratio
-            if not self.worth_it(method, fine, resolution):
-                return
-            fine = self.attempt(method, resolution, self.patience())
+            fine, coarse = self.attempt(method, resolution, self.patience()), fine or coarse
         while coarse is None:
             resolution = fine.resolution / method.ratio
             at_end = resolution < COARSEST if method.adaptive else method.steps(resolution, self.metric.part) == fine.scene.steps
@@ -122,32 +123,26 @@ class Search:
             if next_ is None:
                 return
             fine, coarse = (next_, None) if self.reached(next_.errors) else (fine, next_)
-        if self.metric.kind != "ensemble":  # which step is just enough chance decides there
+        if not self.metric.means:  # which step is just enough chance decides there
             self.refine(coarse, fine)
 
-    def warm_up(self, method: Method, resolution: float) -> None:
-        """A step that is not timed: kernels are compiled or loaded in it. Collective."""
-        if not method.adaptive:  # a step of which is a frame; it has no kernels of its own
-            with suppress(SceneError, StoppedError):
-                self.start.simulate(method.scene(resolution, self.metric.part)).step()
-
-    def stalled(self, coarse: Trial, fine: Trial) -> bool:
-        """Does a finer setting not help?"""
-        return fine.errors[self.error] * STALLED > coarse.errors[self.error] and coarse.errors[self.error] < 0.1
-
-    def worth_it(self, method: Method, last: Trial | None, resolution: float) -> bool:
-        """May a finer setting still be the cheapest, and is there time for it?"""
-        if method.adaptive and resolution > FINEST * 1.01:
-            self.refused[method.name] = f"reaches no better than tolerance {1.0 / FINEST:.0e}"
-            return False
-        if last is None:
+    def worth_it(self, method: Method, coarse: Trial | None, fine: Trial | None, resolution: float) -> bool:
+        """May a finer setting than these two help and still be the cheapest, and is there time for it?"""
+        e, why = self.error, ""
+        if fine and coarse and fine.errors[e] * STALLED > coarse.errors[e] and coarse.errors[e] < 0.1:
+            why = f"no better by shorter steps than {e} {fine.errors[e]:.2g}"
+        elif method.adaptive and resolution > FINEST * 1.01:
+            why = f"reaches no better than tolerance {1.0 / FINEST:.0e}"
+        elif fine is None:
             tries = sum(name.startswith(method.name) for name in self.refused)
             return not self.too_long and tries < MOST_REFUSALS and self.left() > 0.0
-        next_ = last.seconds * (1.0 if method.adaptive else method.ratio)
-        if next_ > max(DEARER * self.best, LITTLE) or next_ > self.left():
-            self.refused[method.name] = "dearer than others" if isfinite(self.best) else "no time to try shorter steps"
-            return False
-        return True
+        else:
+            seconds = fine.seconds * (1.0 if method.adaptive else method.ratio)
+            if seconds > max(DEARER * self.best, LITTLE) or seconds > self.left():
+                why = "dearer than others" if isfinite(self.best) else "no time to try shorter steps"
+        if why:
+            self.refused[method.name] = why
+        return not why
 
     def refine(self, coarse: Trial, fine: Trial) -> None:
         """Between a setting that fails and one that does not, the one that the order between the two predicts."""
@@ -165,28 +160,24 @@ class Search:
             aim *= (trial.errors[e] / (MARGIN * self.tolerance)) ** (1.0 / order) if isfinite(trial.errors[e]) else 1.1
 
     def finalists(self) -> list[Trial]:
-        """Those that may be the cheapest: the coarsest of each method that reaches the tolerance, two where cost is not plain."""
-        found = []
+        """Those that may be the cheapest: the coarsest of each method that reaches the tolerance; with contacts, which are found
+        at a price that depends on the step in other ways, the two quickest."""
+        found, contacts = [], "collisions" in self.start.scene.effects
         for method in {id(trial.method): trial.method for trial in self.trials}.values():
             good = [t for t in self.trials if t.method is method and self.reached(t.errors)]
-            if method.monotone:
-                found += sorted(good, key=lambda t: t.resolution)[:1]
-            else:
-                found += sorted(good, key=lambda t: t.seconds)[:2]
+            found += sorted(good, key=lambda t: t.seconds if contacts else t.resolution)[: 1 + contacts]
         quickest = min((trial.seconds for trial in found), default=inf)
         return [trial for trial in found if trial.seconds <= max(CLOSE * quickest, LITTLE)]
 
-
-def first(method: Method, search: Search, own: Trial | None) -> float:
-    """The resolution at which the search of a method begins: by what is known of the scene as it is, and of orders."""
-    tolerance = search.tolerance
-    if method.adaptive:
-        return float(10.0 ** min(max(round(-0.5 * log10(tolerance)) + 2, 3), 9))
-    steps = float(max(method.start.scene.steps, LOOKS))
-    order = {"leapfrog": 2, "order4": 4}.get(method.integrator, 1)
-    if "collisions" in method.start.scene.effects:
-        return steps
-    if own and own.method.integrator == method.integrator and 0.0 < own.errors[search.error] < 1.0:
-        better = log2(own.errors[search.error] / tolerance) / order
-        return steps * 2.0 ** min(max(round(better), -6), 6)
-    return steps / 4.0 if order == 4 else steps
+    def first(self, method: Method, own: Trial | None) -> float:
+        """The resolution at which a method begins: by what is known of the scene as it is, and of orders."""
+        if method.adaptive:
+            return float(10.0 ** min(max(round(-0.5 * log10(self.tolerance)) + 2, 3), 9))
+        steps = float(max(self.start.scene.steps, LOOKS))
+        order = {"leapfrog": 2, "order4": 4}.get(method.integrator, 1)
+        if "collisions" in self.start.scene.effects:
+            return steps
+        if own and own.method.integrator == method.integrator and 0.0 < own.errors[self.error] < 1.0:
+            better = log2(own.errors[self.error] / self.tolerance) / order
+            return steps * 2.0 ** min(max(round(better), -6), 6)
+        return steps / 4.0 if order == 4 else steps

@@ -1,7 +1,5 @@
 """A scene file with other settings, and all else as its author wrote it, remarks included."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any
@@ -53,26 +51,21 @@ def moved(tables: Tables, old: Path, new: Path) -> Tables:
     """The tables with names of the same files relative to another folder."""
     if old.resolve() == new.resolve():
         return tables
-
-    def renamed(value: Any) -> Any:
-        named = isinstance(value, dict) and "file" in value
-        return {"file": os.path.relpath(old / value["file"], new)} if named else value
-
-    return tables | {"particles": [{key: renamed(value) for key, value in table.items()} for table in tables["particles"]]}
+    populations = [dict(table) for table in tables["particles"]]
+    for table in populations:
+        named = {key: value["file"] for key, value in table.items() if isinstance(value, dict) and "file" in value}
+        table |= {key: {"file": os.path.relpath(old / file, new)} for key, file in named.items()}
+    return tables | {"particles": populations}
 
 
 def enter(document: Any, old: Tables, new: Tables) -> None:
     """Enter into the tables of a TOML document what is other in `new` than in `old`, and nothing else."""
-    for key in [*new, *(key for key in old if key not in new)]:
+    for key in (key for key in {**new, **old} if old.get(key) != new.get(key)):
         before, after = old.get(key), new.get(key)
-        if before == after:
-            continue
         if after is None:
             document.pop(key, None)
         elif isinstance(before, dict) and isinstance(after, dict):
-            if key not in document:
-                document[key] = tomlkit.table()
-            enter(document[key], before, after)
+            enter(document.setdefault(key, tomlkit.table()), before, after)
         elif key == "particles":
             for population, one, other in zip(document[key], before or [], after, strict=True):
                 enter(population, one, other)

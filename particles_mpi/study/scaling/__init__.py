@@ -1,9 +1,7 @@
 """How a scene scales over ranks: strong and weak scaling, measured, and a model that goes on to more ranks.
 
-command            `study scaling`: which sizes on which ranks; measures, fits the model, reports
+measure            `study scaling`: seconds, phases and counts of a step on some of the ranks, while the others sleep
 scale_scene        a scene with more particles at the same density
-measure            seconds, phases and counts of a step on some of the ranks, while the others sleep
 performance_model  t(N, P): seconds of a step on more ranks than there are
-report             curves and predictions, as tables and CSV files
-plots              the figure
+report             curves and predictions, as tables, rows of CSV files and a figure
 """

@@ -1,29 +1,37 @@
-"""Seconds of a step on some of the ranks while the others sleep, and what the simulation does meanwhile: phases and counts.
+"""`study scaling`: strong and weak scaling of a scene over rank counts, in one start of mpirun.
 
-All settings are timed by turns. Mutual gravity has one phase for what it sends and what it adds up: the model then finds the
-cost of rows, and none of messages.
+A setting is the scene with `factor` times its particles on so many of the ranks; the others sleep meanwhile. All settings are
+timed by turns, and phases and counts are noted. Mutual gravity has one phase for what it sends and what it adds up: the model
+then finds the cost of rows, and none of messages.
 """
-
-from __future__ import annotations
 
 import os
 import platform
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from particles_mpi.errors import SceneError, StoppedError
+from particles_mpi.output.files import failing_together
+from particles_mpi.parallel.agreement import raising_together
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import FIELDS
 from particles_mpi.run.console import Screen
 from particles_mpi.scene.active import fields_of
 from particles_mpi.scene.schema import Scene
 from particles_mpi.simulation import Simulation
-from particles_mpi.study.scaling.performance_model import Law, Point
+from particles_mpi.study.report import write_csv
+from particles_mpi.study.scaling.performance_model import Law, Point, fit
+from particles_mpi.study.scaling.report import Curve, Result, draw, say_curve, say_model
 from particles_mpi.study.scaling.scale_scene import edges, scale_scene
 from particles_mpi.study.timing import SAMPLE, SAMPLES, StepTimer, time_in_turns
 
+HEADLINE = Path(__file__).parents[2] / "scenes" / "headline.toml"
+LARGER = 8.0  # times the headline: where surfaces matter less
+SMALLER, FEWEST = 1 / 8, 250  # on one rank, if so many particles are left: what a step costs apart from particles
 TALK = ("agree", "ghosts", "migrate", "exchange")  # phases in which ranks communicate and wait for one another
 PHASE = "phase "  # begins the name of what a phase takes
 
@@ -69,6 +77,23 @@ class RankSubsetTimer(StepTimer):
         phase, step = self.seconds.median / self.sums["clocked"], 1.0 / self.sums["steps"]
         return {name: whole * (phase if name.startswith(PHASE) else step) for name, whole in self.sums.items()}
 
+    def point(self, oversubscribed: bool) -> Point:
+        """What the ranks found, put together. Collective in the world."""
+        found = [part for part in self.world.allgather((self.a_step(), self.sim.total) if self.sim else None) if part]
+        steps, count = [step for step, _ in found], len(found)
+        names = [name for name in steps[0] if name.startswith(PHASE)]
+        mean = {name: float(np.mean([step[name] for step in steps])) for name in steps[0]}
+        talk = [sum(step.get(f"{PHASE}{name}", 0.0) for name in TALK if count > 1) for step in steps]
+        own = [sum(step[name] for name in names) - waited for step, waited in zip(steps, talk, strict=True)]
+        seconds = self.seconds
+        phases = {name.removeprefix(PHASE): mean.pop(name) for name in names}
+        other = max(0.0, seconds.median - sum(phases.values()))  # between the phases
+        return Point(
+            found[0][1], count, seconds.median, seconds.low, seconds.high,
+            own=float(np.mean(own)) + other, slowest=max(own) + other, talk=min(talk),
+            counts=mean, phases=phases | {"other": other}, oversubscribed=oversubscribed,
+        )  # fmt: skip
+
 
 def divides(sim: Simulation) -> bool:
     """Does each rank compute its part of space? Mode event puts all on every rank where that is no less work."""
@@ -79,84 +104,110 @@ def counters(sim: Simulation) -> dict[str, float]:
     """All that counts up in a simulation, on this rank."""
     ranks, near = sim.ranks, sim.near
     searching = near and divides(sim) and "mutual_gravity" not in sim.forces
-    counted = {
-        "rows": ranks.rows,
-        "fetches": near.searches if searching else sim.steps_done,
-        "ghost_rows": near.ghost_rows if near else 0,
-        "messages": ranks.messages,
-        "reductions": ranks.reductions,
-        "all_to_alls": ranks.all_to_alls,
-    }
+    counted = {name: getattr(ranks, name) for name in ("rows", "messages", "reductions", "all_to_alls")}
+    counted |= {"fetches": near.searches if searching else sim.steps_done, "ghost_rows": near.ghost_rows if near else 0}
     return counted | {f"{PHASE}{name}": seconds for name, seconds in sim.timers.seconds.items()}
-
-
-class Scaling:
-    """Measures a scene on the ranks of a communicator. `quick`: short samples, for a look."""
-
-    def __init__(self, scene: Scene, ranks: Communicator, quick: bool):
-        self.scene, self.world = scene, ranks
-        self.least = 0.02 if quick else SAMPLE
-        self.subsets = {count: ranks.subset(count) for count in rank_counts(ranks.size)}
-        self.cores = ranks.allgather((platform.node(), os.sched_getaffinity(0)))
-
-    def oversubscribed(self, count: int) -> bool:
-        """Have the first `count` ranks fewer cores than they are, on some machine?"""
-        for node in {name for name, _ in self.cores[:count]}:
-            ranks = [cores for name, cores in self.cores[:count] if name == node]
-            if len(ranks) > len(set().union(*ranks)):
-                return True
-        return False
-
-    def measure(self, settings: Iterable[tuple[float, int]], screen: Screen) -> dict[tuple[float, int], Point]:
-        """The points of the settings (factor, ranks): `factor` times the particles of the scene on so many. Collective."""
-        timers = {
-            (factor, count): self.timer(self.scene if factor == 1 else scale_scene(self.scene, factor), self.subsets[count])
-            for factor, count in settings
-        }
-        progress = screen.count("scaling", len(timers) * (1 + SAMPLES))
-        time_in_turns(list(timers.values()), SAMPLES, self.least, lambda: progress("scaling: time"))
-        screen.stop()
-        parallel = [timer.sim for (_, count), timer in timers.items() if timer.sim and count > 1]
-        self.divided = not parallel or any(divides(sim) for sim in parallel)
-        return {setting: self.point(timer, setting[1]) for setting, timer in timers.items()}
-
-    def timer(self, scene: Scene, ranks: Communicator | None) -> RankSubsetTimer:
-        """Times the scene on `ranks`; None on the ranks that are not among them."""
-        begin = lambda: Simulation(scene, comm=ranks.comm if ranks else None)  # noqa: E731
-        return RankSubsetTimer(ranks or self.world, begin, max(scene.steps, 1), world=self.world, inside=ranks is not None)
-
-    def point(self, timer: RankSubsetTimer, count: int) -> Point:
-        """What the ranks of a timer found, put together. Collective."""
-        own_part = (timer.a_step(), timer.sim.total) if timer.sim else None
-        found = [part for part in self.world.allgather(own_part) if part]
-        steps = [step for step, _ in found]
-        names = [name for name in steps[0] if name.startswith(PHASE)]
-        phases = {name.removeprefix(PHASE): float(np.mean([step[name] for step in steps])) for name in names}
-        talk = [sum(step.get(f"{PHASE}{name}", 0.0) for name in TALK if count > 1) for step in steps]
-        own = [sum(step[name] for name in names) - waited for step, waited in zip(steps, talk, strict=True)]
-        seconds = timer.seconds
-        other = max(0.0, seconds.median - sum(phases.values()))  # between the phases
-        counts = {name: float(np.mean([step[name] for step in steps])) for name in steps[0] if name not in names}
-        return Point(
-            found[0][1], count, seconds.median, seconds.low, seconds.high,
-            own=float(np.mean(own)) + other, slowest=max(own) + other, talk=min(talk),
-            counts=counts, phases=phases | {"other": other}, oversubscribed=self.oversubscribed(count),
-        )  # fmt: skip
-
-    def law(self, total: int) -> Law:
-        """How work and traffic of the scene grow; it has `total` particles."""
-        scene, growth, everyone = self.scene, "N", not self.divided
-        if "mutual_gravity" in scene.effects:
-            tree = scene.effects["mutual_gravity"].choice(scene, total).angle is not None
-            growth, everyone = ("N log N", False) if tree else ("N^2", True)
-        return Law(growth, edges(scene), tuple(scene.periodic), everyone, self.divided)
-
-    def row_bytes(self) -> int:
-        """Of a ghost, as it is sent."""
-        ghosts = (FIELDS[name] for name in fields_of(self.scene) if FIELDS[name].ghost)
-        return sum(8 * (self.scene.dimension if field.vector else 1) for field in ghosts)
 
 
 def rank_counts(size: int) -> list[int]:
     """1, 2, 4 ... and all."""
     return sorted({*(1 << k for k in range(size.bit_length())), size})
+
+
+def settings(scene: Scene, counts: list[int], sizes: list[float], weak: bool) -> list[tuple[float, int]]:
+    """What to measure, as (factor, ranks); with `weak` also what weak scaling needs, and a smaller scene for the model."""
+    wanted = [(size, count) for size in sizes for count in counts]
+    if weak:
+        wanted += [(float(count), count) for count in counts]
+        if sum(p.count or 0 for p in scene.particles) * SMALLER >= FEWEST:
+            wanted.append((SMALLER, 1))
+    return list(dict.fromkeys(wanted))
+
+
+def unable_to_grow(scene: Scene) -> list[str]:
+    """Why the scene has no weak scaling; nothing if it has."""
+    try:
+        scale_scene(scene, 1.0)
+    except SceneError as error:
+        return error.faults
+    return []
+
+
+def time_settings(
+    scene: Scene, world: Communicator, wanted: Iterable[tuple[float, int]], least: float, screen: Screen
+) -> tuple[dict[tuple[float, int], Point], bool]:
+    """The points of the settings (factor, ranks), and whether ranks divide space. Collective."""
+    subsets = {count: world.subset(count) for count in rank_counts(world.size)}
+    timers = {}
+    for factor, count in wanted:
+        ranks, scaled = subsets[count], scene if factor == 1 else scale_scene(scene, factor)
+        begin = lambda scaled=scaled, ranks=ranks: Simulation(scaled, comm=ranks.comm if ranks else None)  # noqa: E731
+        timers[factor, count] = RankSubsetTimer(
+            ranks or world, begin, max(scaled.steps, 1), world=world, inside=ranks is not None
+        )
+    progress = screen.count("scaling", len(timers) * (1 + SAMPLES))
+    time_in_turns(list(timers.values()), SAMPLES, least, lambda: progress("scaling: time"))
+    screen.stop()
+    parallel = [timer.sim for (_, count), timer in timers.items() if timer.sim and count > 1]
+    cores = world.allgather((platform.node(), os.sched_getaffinity(0)))
+    points = {key: timer.point(oversubscribed(cores[: key[1]])) for key, timer in timers.items()}
+    return points, not parallel or any(divides(sim) for sim in parallel)
+
+
+def oversubscribed(cores: list[tuple[str, set[int]]]) -> bool:
+    """Are there fewer cores than ranks on some machine? `cores`: of each rank, its machine and the cores it may use."""
+    machines = ([own for name, own in cores if name == node] for node, _ in cores)
+    return any(len(ranks) > len(set().union(*ranks)) for ranks in machines)
+
+
+def scale(described: Scene | None, folder: Path, quick: bool, comm: Any = None) -> None:
+    """Measure, print the tables and the model, write scaling.csv, scaling_model.csv, scaling.png and scaling.svg. Collective.
+
+    `described`: None for the headline gas, and one LARGER times as large. `quick`: short samples, and that one is left out.
+    """
+    ranks = Communicator(comm)
+    screen = Screen(ranks.is_root, False)
+    with failing_together(ranks, f"cannot write into {folder}"):
+        if ranks.is_root:
+            folder.mkdir(parents=True, exist_ok=True)
+    with raising_together(ranks):
+        scene = described or Scene.load(HEADLINE)
+    no_weak, counts = unable_to_grow(scene), rank_counts(ranks.size)
+    sizes = [1.0] if described or quick else [1.0, LARGER]
+    points, divided = time_settings(scene, ranks, settings(scene, counts, sizes, not no_weak), 0.02 if quick else SAMPLE, screen)
+    total = points[1.0, 1].particles
+    curves = [
+        Curve(f"strong, N = {points[size, 1].particles}", False, [points[size, count] for count in counts]) for size in sizes
+    ]
+    if not no_weak:
+        curves.append(Curve(f"weak, N/P = {total}", True, [points[float(count), count] for count in counts]))
+    ghosts = (FIELDS[name] for name in fields_of(scene) if FIELDS[name].ghost)
+    row_bytes = sum(8 * (scene.dimension if column.vector else 1) for column in ghosts)  # as they are sent
+    growth, everyone = "N", not divided
+    if "mutual_gravity" in scene.effects:
+        tree = scene.effects["mutual_gravity"].choice(scene, total).angle is not None
+        growth, everyone = ("N log N", False) if tree else ("N^2", True)
+    law, found = Law(growth, edges(scene), tuple(scene.periodic), everyone, divided), list(points.values())
+    model = fit(found, law, row_bytes) if ranks.size > 1 else None
+    result = Result(scene.title or "untitled scene", law, curves, found, model, no_weak, described is None)
+    with failing_together(ranks, f"cannot write into {folder}"):
+        ranks.run_on_root(lambda: write(result, folder, screen))
+
+
+def write(result: Result, folder: Path, screen: Screen) -> None:
+    """Print the tables, write tables and figure; on one rank, while the others sleep."""
+    for curve in result.curves:
+        say_curve(result, curve, screen)
+    if result.no_weak:
+        screen.say(f"no weak scaling: {'; '.join(result.no_weak)}")
+    files = [write_csv(folder / "scaling.csv", list(result.measured_rows()))]
+    if result.model:
+        say_model(result, result.model, screen)
+        files.append(write_csv(folder / "scaling_model.csv", list(result.predicted_rows(result.model))))
+    else:
+        screen.say("no model: on one rank nothing is sent; mpirun -n P measures up to P ranks")
+    figure = draw(result)
+    for path in (folder / "scaling.png", folder / "scaling.svg"):
+        figure.savefig(path)
+        files.append(path)
+    screen.say(f"written: {', '.join(map(str, files))}")

@@ -8,10 +8,8 @@ P - 1 for an exchange in which every rank may send to every other (Alltoallv, pa
 non-negative least squares of relative errors (Lawson and Hanson 1974); the numbers of rows, messages and reductions are counted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import ceil, log2, prod
 from statistics import median
 
@@ -20,13 +18,11 @@ from scipy.optimize import brentq, nnls
 
 NETWORK_LATENCY = 2e-6  # seconds of a short message between two nodes, Infiniband
 NETWORK_BANDWIDTH = 1e10  # bytes a second of a rank
-ASSUMPTIONS = (
-    "work: {growth}; {share}, and memory is as fast as here however many ranks a node has",
-    "rows: the layer around a block of space stays as thick, blocks are those of bisection, one row costs what it costs here",
-    "messages: one stage of a reduction, or a message to one neighbour, costs what it costs here; searches are as frequent",
-    "between nodes (more than {ranks} ranks): {latency:.0f} us at least a message, {bandwidth:.0f} GB/s a rank; no other traffic",
-    "not in it: cutting space anew, output, set-up, noise of the operating system, which grows with the number of ranks",
-)
+ASSUMPTIONS = """work: {growth}; {share}, and memory is as fast as here however many ranks a node has
+rows: the layer around a block of space stays as thick, blocks are those of bisection, one row costs what it costs here
+messages: one stage of a reduction, or a message to one neighbour, costs what it costs here; searches are as frequent
+between nodes (more than {ranks} ranks): {latency:.0f} us at least a message, {bandwidth:.0f} GB/s a rank; no other traffic
+not in it: cutting space anew, output, set-up, noise of the operating system, which grows with the number of ranks"""
 
 
 @dataclass(frozen=True)
@@ -72,12 +68,13 @@ class Law:
         """Units of work that one of the ranks does in a step."""
         return self.work(particles) / (ranks if self.shared else 1)
 
-    def rate(self, particles: float, ranks: int, seconds: float) -> float:
-        """Units of work that a rank does in a second; divided by that of one rank alone it is the efficiency.
+    def efficiency(self, one: tuple[float, int, float], other: tuple[float, int, float]) -> float:
+        """Work that a rank does in a second, over that of one rank alone; each (particles, ranks, seconds of a step).
 
         T1/(P TP) at a fixed size, T1/TP at a fixed size of a rank where work is in proportion to particles.
         """
-        return self.work(particles) / (ranks * seconds)
+        alone, together = (self.work(particles) / (ranks * seconds) for particles, ranks, seconds in (one, other))
+        return together / alone
 
     def cuts(self, ranks: int) -> list[float]:
         """Blocks of space along each axis: the longest edge is halved again and again. Broken numbers between powers of two."""
@@ -90,10 +87,8 @@ class Law:
 
     def sides(self, ranks: int) -> list[float]:
         """Along each axis, on how many of its two sides a block has a neighbour, mean over the ranks."""
-        return [
-            min(2.0, 4.0 * (1.0 - 1.0 / n)) if wraps else 2.0 * (1.0 - 1.0 / n)
-            for n, wraps in zip(self.cuts(ranks), self.periodic, strict=True)
-        ]
+        both = ((2.0 * (1.0 - 1.0 / n), wraps) for n, wraps in zip(self.cuts(ranks), self.periodic, strict=True))
+        return [min(2.0, 2.0 * side) if wraps else side for side, wraps in both]
 
     def neighbours(self, ranks: int) -> float:
         """Number of ranks whose blocks touch the block of a rank, at corners too, mean over the ranks."""
@@ -118,11 +113,13 @@ class Law:
 
 
 @dataclass(frozen=True)
-class Traffic:
-    """What a rank sends and fetches in a step.
+class Model:
+    """What a rank does in a step, and what that costs in seconds.
 
-    thickness: of the layer of `fetches` of rows, in mean distances; messages: to one neighbour; reductions and exchanges of all
-    with all, `all_to_alls`.
+    thickness: of the layer of rows that is fetched `fetches` times, in mean distances; messages: to one neighbour; all_to_alls:
+    exchanges of all with all. Costs: `fixed` of a step, `each` of a unit of work, `row` of a row of row_bytes, `latency` of a
+    stage. imbalance: work of the slowest rank over the mean; measured: ranks up to which it was fitted, in one machine; beyond
+    them the latency and the bandwidth of a network come in.
     """
 
     law: Law
@@ -131,6 +128,13 @@ class Traffic:
     messages: float
     reductions: float
     all_to_alls: float
+    row_bytes: float
+    measured: int
+    imbalance: float
+    fixed: float = 0.0
+    each: float = 0.0
+    row: float = 0.0
+    latency: float = 0.0
 
     def rows(self, particles: float, ranks: int) -> float:
         """Rows that a rank fetches in a step."""
@@ -142,25 +146,6 @@ class Traffic:
         at_once = self.messages * self.law.neighbours(ranks) + self.reductions * depth
         return at_once + self.all_to_alls * (depth + ranks - 1)
 
-
-@dataclass(frozen=True)
-class Model:
-    """Costs in seconds: `fixed` of a step, `each` of a unit of work, `row` of a row, `latency` of a stage.
-
-    imbalance: work of the slowest rank over the mean; measured: ranks up to which it was fitted, in one machine; beyond them the
-    latency and the bandwidth of a network come in; row_bytes: of a row, as it is sent.
-    """
-
-    law: Law
-    traffic: Traffic
-    fixed: float
-    each: float
-    row: float
-    latency: float
-    imbalance: float
-    measured: int
-    row_bytes: float
-
     def parts(self, particles: float, ranks: int) -> dict[str, float]:
         """Seconds of a step, term by term."""
         row, latency = self.row, self.latency
@@ -169,18 +154,17 @@ class Model:
         return {
             "fixed": self.fixed,
             "work": (self.imbalance if ranks > 1 else 1.0) * self.each * self.law.share(particles, ranks),
-            "rows": row * self.traffic.rows(particles, ranks),
-            "latency": latency * self.traffic.stages(ranks),
+            "rows": row * self.rows(particles, ranks),
+            "latency": latency * self.stages(ranks),
         }
 
     def seconds(self, particles: float, ranks: int) -> float:
-        """Seconds of a step."""
         return sum(self.parts(particles, ranks).values())
 
     def efficiency(self, particles: float, ranks: int, alone: float) -> float:
         """Compared with `alone` particles on one rank."""
-        one = self.law.rate(alone, 1, self.seconds(alone, 1))
-        return self.law.rate(particles, ranks, self.seconds(particles, ranks)) / one
+        one, many = ((n, p, self.seconds(n, p)) for n, p in ((alone, 1), (particles, ranks)))
+        return self.law.efficiency(one, many)
 
     def residual(self, point: Point) -> float:
         """Relative error of the model at a measured point."""
@@ -189,40 +173,29 @@ class Model:
     @property
     def assumptions(self) -> list[str]:
         network = {"latency": NETWORK_LATENCY * 1e6, "bandwidth": NETWORK_BANDWIDTH * 1e-9}
-        share = (
-            "shared as evenly as measured" if self.law.shared else "all of it on every rank, as long as ranks do not divide space"
-        )
-        return [line.format(growth=self.law.growth, share=share, ranks=self.measured, **network) for line in ASSUMPTIONS]
+        alone = "all of it on every rank, as long as ranks do not divide space"
+        share = "shared as evenly as measured" if self.law.shared else alone
+        return ASSUMPTIONS.format(growth=self.law.growth, share=share, ranks=self.measured, **network).splitlines()
 
 
 def fit(points: Sequence[Point], law: Law, row_bytes: float) -> Model:
     """The model of what was measured: counts of all points, seconds only of ranks that did not share a core."""
-    traffic = count([p for p in points if p.ranks > 1], law)
-    timed = [p for p in points if not p.oversubscribed]
-    several = [p for p in timed if p.ranks > 1]
-    computing = [[1.0, law.share(p.particles, p.ranks), traffic.rows(p.particles, p.ranks)] for p in timed]
+    parallel, timed = [p for p in points if p.ranks > 1], [p for p in points if not p.oversubscribed]
+    several, widest = [p for p in timed if p.ranks > 1], [p for p in parallel if p.ranks == max(q.ranks for q in parallel)]
+    fetching = [p for p in parallel if p.counts["fetches"]]
+    layers = [law.thickness(p.particles, p.ranks, p.counts["rows"] / p.counts["fetches"]) for p in fetching]
+    names = ("fetches", "reductions", "all_to_alls")
+    fetches, reductions, all_to_alls = (median(p.counts[name] for p in widest) for name in names)
+    messages, measured = median(p.counts["messages"] / law.neighbours(p.ranks) for p in widest), max(p.ranks for p in timed)
+    imbalance = median([p.slowest / p.own for p in several] or [1.0])
+    thickness = median(layers or [0.0])
+    model = Model(law, thickness, fetches, messages, reductions, all_to_alls, row_bytes, measured, imbalance)
+    computing = [[1.0, law.share(p.particles, p.ranks), model.rows(p.particles, p.ranks)] for p in timed]
     fixed, each, row = costs(computing, [p.own for p in timed])
     talkers = [p for p in several if p.talk > 0.0]  # none where no phase is communication alone
-    talking = [[traffic.rows(p.particles, p.ranks), traffic.stages(p.ranks)] for p in talkers]
+    talking = [[model.rows(p.particles, p.ranks), model.stages(p.ranks)] for p in talkers]
     row_sent, latency = costs(talking, [p.talk for p in talkers]) if talkers else (0.0, 0.0)
-    imbalance = typical([p.slowest / p.own for p in several], 1.0)
-    return Model(law, traffic, fixed, each, row + row_sent, latency, imbalance, max(p.ranks for p in timed), row_bytes)
-
-
-def count(points: Sequence[Point], law: Law) -> Traffic:
-    """What was sent: the thickness of the layer from all points, the rest from those of the most ranks."""
-    widest = [p for p in points if p.ranks == max(q.ranks for q in points)]
-    layers = [law.thickness(p.particles, p.ranks, p.counts["rows"] / p.counts["fetches"]) for p in points if p.counts["fetches"]]
-    messages = [p.counts["messages"] / law.neighbours(p.ranks) for p in widest]
-    fetches, reductions, all_to_alls = (
-        typical([p.counts[name] for p in widest]) for name in ("fetches", "reductions", "all_to_alls")
-    )
-    return Traffic(law, typical(layers), fetches, typical(messages), reductions, all_to_alls)
-
-
-def typical(values: Sequence[float], of_none: float = 0.0) -> float:
-    """The median; `of_none` where there are no values."""
-    return median(values) if values else of_none
+    return replace(model, fixed=fixed, each=each, row=row + row_sent, latency=latency)
 
 
 def costs(units: Sequence[Sequence[float]], seconds: Sequence[float]) -> list[float]:

@@ -1,23 +1,26 @@
-"""What `study scaling` found: curves, predictions, tables on the screen and as CSV."""
+"""What `study scaling` found: curves, predictions, rows of the CSV files, tables on the screen, and the figure."""
 
-from __future__ import annotations
-
-import csv
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-from rich.table import Table
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from particles_mpi.output.files import replacing
 from particles_mpi.run.console import Screen
+from particles_mpi.study.report import numbers_table
 from particles_mpi.study.scaling.performance_model import Law, Model, Point
 
 EXTRAPOLATED = [1 << k for k in range(11)]  # ranks that the model is asked about
 DISTURBED = 1e-4  # seconds: no message within a machine takes that long, unless somebody else has the core
 COUNTS = ("fetches", "rows", "ghost_rows", "messages", "reductions", "all_to_alls")
-SHOWN = 7  # phases of a table
+SHOWN = 7  # phases of a table, and of the figure
+COURSE = {4: 148.0, 8: 37.9, 16: 10.3, 32: 3.13, 64: 1.036}  # cores: seconds of 500 steps, as the course code printed
+COURSE_STEPS, COURSE_LABEL = 500, "course code, N = 32000, Xeon Gold 6230"
+COLORS = ("#2e86ab", "#1b4965", "#d1495b")  # of the curves: strong ones first, the weak one last
+GREY = "#b6bcc6"
 
 
 @dataclass(frozen=True)
@@ -50,9 +53,8 @@ class Result:
 
     def efficiency(self, curve: Curve, point: Point) -> float:
         """T1/(P TP), or T1/TP on a weak curve; where work grows faster than N, of the work done."""
-        one = curve.points[0]
-        rate = self.law.rate(point.particles, point.ranks, point.seconds)
-        return rate / self.law.rate(one.particles, one.ranks, one.seconds)
+        one, many = ((p.particles, p.ranks, p.seconds) for p in (curve.points[0], point))
+        return self.law.efficiency(one, many)
 
     def origin(self, model: Model) -> str:
         """Whose measurements the model extrapolates."""
@@ -60,124 +62,180 @@ class Result:
         late = f", disturbed: a message took {model.latency * 1e3:.2g} ms" if model.latency > DISTURBED else ""
         return f"MODEL, extrapolated from {ranks} of one machine{late}"
 
-    def predictions(self, model: Model) -> Iterator[tuple[Curve, int, dict[str, float], float]]:
-        """(curve, ranks, seconds of a step term by term, efficiency)."""
+    def measured_rows(self) -> Iterator[dict[str, Any]]:
+        """Of scaling.csv: a row for each point of each curve; seconds and counts of a step, counts of a rank."""
+        phases = dict.fromkeys(name for p in self.points for name in p.phases)
+        for curve in self.curves:
+            for p in curve.points:
+                efficiency = self.efficiency(curve, p)
+                row = {"curve": curve.name, "ranks": p.ranks, "particles": p.particles, "oversubscribed": int(p.oversubscribed)}
+                row |= {"seconds_per_step": p.seconds, "quartile_1": p.low, "quartile_3": p.high}
+                row |= {"speedup": efficiency * p.ranks, "efficiency": efficiency} | {name: p.counts[name] for name in COUNTS}
+                yield row | {f"seconds_{name}": p.phases.get(name, 0.0) for name in phases}
+
+    def predicted_rows(self, model: Model) -> Iterator[dict[str, Any]]:
+        """Of scaling_model.csv: predictions, not measurements; seconds of a step by terms."""
         for curve in self.curves:
             for ranks in EXTRAPOLATED:
                 n = curve.particles(ranks)
-                yield curve, ranks, model.parts(n, ranks), model.efficiency(n, ranks, curve.points[0].particles)
+                row = {"curve": curve.name, "ranks": ranks, "particles": n, "kind": "model"}
+                efficiency = model.efficiency(n, ranks, curve.points[0].particles)
+                row |= {"seconds_per_step": model.seconds(n, ranks), "efficiency": efficiency}
+                yield row | {f"seconds_{name}": seconds for name, seconds in model.parts(n, ranks).items()}
 
 
-def report(result: Result, folder: Path, screen: Screen) -> list[Path]:
-    """Print the tables, write them as CSV, and return the files; on one rank."""
-    for curve in result.curves:
-        screen.say(f"[bold]{result.title or 'untitled scene'}[/bold]: {curve.name}")
-        screen.say(measured_table(result, curve))
-        screen.say(phases_table(curve))
-    if result.no_weak:
-        screen.say(f"no weak scaling: {'; '.join(result.no_weak)}")
-    files = [write(folder / "scaling.csv", list(measured_rows(result)))]
-    if result.model:
-        say_model(result, result.model, screen)
-        files.append(write(folder / "scaling_model.csv", list(predicted_rows(result, result.model))))
-    else:
-        screen.say("no model: on one rank nothing is sent; mpirun -n P measures up to P ranks")
-    return files
-
-
-def numbers_table(*columns: str) -> Table:
-    """A table of numbers, to the right."""
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for column in columns:
-        table.add_column(column, justify="right")
-    return table
-
-
-def name_of(point: Point) -> str:
-    """Its number of ranks, and whether they shared cores."""
-    return f"{point.ranks}{', oversubscribed' * point.oversubscribed}"
-
-
-def measured_table(result: Result, curve: Curve) -> Table:
-    """A line a rank count; counts are those of a step and a rank."""
-    table = numbers_table("ranks", "ms a step", "quartiles", "speed-up", "efficiency", "ghosts", "messages", "reductions")
-    for p in curve.points:
-        efficiency = result.efficiency(curve, p)
-        milliseconds = f"{p.seconds * 1e3:.3g}", f"{p.low * 1e3:.3g} to {p.high * 1e3:.3g}"
-        counts = [f"{p.counts[name]:.3g}" for name in ("ghost_rows", "messages", "reductions")]
-        table.add_row(name_of(p), *milliseconds, f"{efficiency * p.ranks:.2f}", f"{efficiency:.0%}", *counts)
-    return table
-
-
-def shares(points: list[Point], most: int) -> list[dict[str, float]]:
+def shares(points: list[Point]) -> list[dict[str, float]]:
     """Of each point, the share of the step that each phase takes: the longest phases of all points, and "the rest"."""
     each = [{name: s / sum(p.phases.values()) for name, s in p.phases.items()} for p in points]
     total = {name: sum(one.get(name, 0.0) for one in each) for one in each for name in one}
-    names = sorted(total, key=lambda name: -total[name])[:most]
-    chosen = [{name: one.get(name, 0.0) for name in names} for one in each]
+    chosen = [{name: one.get(name, 0.0) for name in sorted(total, key=lambda name: -total[name])[:SHOWN]} for one in each]
     return [one | {"the rest": abs(1.0 - sum(one.values()))} for one in chosen]
 
 
-def phases_table(curve: Curve) -> Table:
-    """Shares of the step, the longest phases of the curve first."""
-    rows = shares(curve.points, SHOWN)
-    table = numbers_table("ranks", *rows[0])
-    for p, row in zip(curve.points, rows, strict=True):
-        table.add_row(name_of(p), *(f"{share:.0%}" for share in row.values()))
-    return table
+def say_curve(result: Result, curve: Curve, screen: Screen) -> None:
+    """A table with a line a rank count, counts being those of a step and a rank; and one of the shares of phases."""
+    phases = shares(curve.points)
+    table = numbers_table("ranks", "ms a step", "quartiles", "speed-up", "efficiency", "ghosts", "messages", "reductions")
+    parts = numbers_table("ranks", *phases[0])
+    for p, row in zip(curve.points, phases, strict=True):
+        name, efficiency = f"{p.ranks}{', oversubscribed' * p.oversubscribed}", result.efficiency(curve, p)
+        milliseconds = f"{p.seconds * 1e3:.3g}", f"{p.low * 1e3:.3g} to {p.high * 1e3:.3g}"
+        counts = (f"{p.counts[name]:.3g}" for name in ("ghost_rows", "messages", "reductions"))
+        table.add_row(name, *milliseconds, f"{efficiency * p.ranks:.2f}", f"{efficiency:.0%}", *counts)
+        parts.add_row(name, *(f"{share:.0%}" for share in row.values()))
+    screen.say(f"[bold]{result.title}[/bold]: {curve.name}")
+    screen.table(table)
+    screen.table(parts)
 
 
 def say_model(result: Result, model: Model, screen: Screen) -> None:
     """What the model says, from what, and what it takes for granted."""
-    traffic = model.traffic
-    layer = "all particles" if model.law.everyone else f"a layer of {traffic.thickness:.2g} mean distances"
-    fetched = f"rows of {layer} fetched {traffic.fetches:.2g} times" if traffic.thickness else "no rows fetched"
+    layer = "all particles" if model.law.everyone else f"a layer of {model.thickness:.2g} mean distances"
+    fetched = f"rows of {layer} fetched {model.fetches:.2g} times" if model.thickness else "no rows fetched"
     screen.say(
         f"[bold]{result.origin(model)}[/bold]\n"
         f"  t = {model.fixed * 1e6:.3g} us + {model.imbalance:.2f} x {model.each * 1e9:.3g} ns x work{'/P' * model.law.shared}"
         f" + {model.row * 1e6:.3g} us x rows + {model.latency * 1e6:.3g} us x stages; work = {model.law.growth}\n"
-        f"  counted in a step: {fetched}, {traffic.messages:.2g} messages to"
-        f" each neighbour, {traffic.reductions:.2g} reductions, {traffic.all_to_alls:.2g} exchanges of all with all"
+        f"  counted in a step: {fetched}, {model.messages:.2g} messages to"
+        f" each neighbour, {model.reductions:.2g} reductions, {model.all_to_alls:.2g} exchanges of all with all\n"
+        "  ms a step, efficiency, share of work in the step:"
     )
-    table, rows = numbers_table("ranks", *(curve.name for curve in result.curves)), dict[int, list[str]]()
-    for _, ranks, parts, efficiency in result.predictions(model):
-        seconds = sum(parts.values())
-        rows.setdefault(ranks, []).append(f"{seconds * 1e3:.3g} ms, {efficiency:.0%}, {parts['work'] / seconds:.0%}")
-    for ranks, cells in rows.items():
-        table.add_row(str(ranks), *cells)
-    screen.say("  ms a step, efficiency, share of work in the step:")
-    screen.say(table)
+    table, rows = numbers_table("ranks", *(curve.name for curve in result.curves)), list(result.predicted_rows(model))
+    for ranks in EXTRAPOLATED:
+        cells = ((r["seconds_per_step"], r["efficiency"], r["seconds_work"]) for r in rows if r["ranks"] == ranks)
+        table.add_row(str(ranks), *(f"{seconds * 1e3:.3g} ms, {e:.0%}, {work / seconds:.0%}" for seconds, e, work in cells))
+    screen.table(table)
     fitted = [p for p in result.points if not p.oversubscribed]
     residuals = ", ".join(f"N = {p.particles} on {p.ranks}: {model.residual(p):+.0%}" for p in fitted)
-    screen.say(
-        "\n".join([f"  error of the model where it was fitted: {residuals}", *(f"  assumed: {a}" for a in model.assumptions)])
-    )
+    screen.say("\n  assumed: ".join([f"  error of the model where it was fitted: {residuals}", *model.assumptions]))
 
 
-def measured_rows(result: Result) -> Iterator[dict[str, Any]]:
-    """Of scaling.csv: a row for each point of each curve; seconds and counts of a step, counts of a rank."""
-    phases = dict.fromkeys(name for p in result.points for name in p.phases)
+def draw(result: Result) -> Figure:
+    """Four panels; three without a model."""
+    figure = Figure(figsize=(12, 9), dpi=130, layout="constrained")
+    times, efficiency, phases, extrapolated = figure.subplots(2, 2).flat
+    draw_times(times, result)
+    draw_efficiency(efficiency, result)
+    draw_phases(phases, result)
+    if result.model:
+        draw_model(extrapolated, result, result.model)
+    else:
+        extrapolated.remove()
+    for axes in figure.axes:
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.suptitle(result.title, fontsize=14)
+    return figure
+
+
+def color_of(result: Result, curve: Curve) -> str:
+    return COLORS[-1] if curve.weak else COLORS[result.curves.index(curve)]
+
+
+def against_ranks(axes: Axes, ranks: list[int], title: str, **legend: Any) -> None:
+    """Ranks on a log axis, as whole numbers; what all panels have."""
+    axes.set_xscale("log", base=2)
+    axes.set_xticks(ranks, [str(n) for n in ranks])
+    axes.minorticks_off()
+    axes.set_xlabel("ranks")
+    axes.set_title(title, loc="left", fontsize=10)
+    axes.margins(x=0.08)
+    axes.grid(color="#e3e6ea", lw=0.7)
+    if axes.get_yscale() == "log":
+        axes.set_ylim(top=axes.get_ylim()[1] * 8.0)  # room for the legend
+    axes.legend(frameon=False, fontsize=8, **legend)
+
+
+def draw_points(axes: Axes, result: Result, curve: Curve, values: list[tuple[float, float, float]]) -> None:
+    """Median and quartiles against ranks; hollow where ranks shared cores."""
+    color, (middle, low, high) = color_of(result, curve), np.array(values).T
+    spread = np.abs([middle - low, high - middle])
+    axes.errorbar([p.ranks for p in curve.points], middle, spread, color=color, lw=1.5, capsize=3, label=curve.name)
+    for p, value in zip(curve.points, middle, strict=True):
+        axes.plot(p.ranks, value, "o", color=color, mfc="white" if p.oversubscribed else color)
+    labels = axes.get_legend_handles_labels()[1]
+    if any(p.oversubscribed for p in curve.points) and "hollow: oversubscribed" not in labels:
+        axes.plot([], [], "o", color=GREY, mfc="white", label="hollow: oversubscribed")
+
+
+def draw_times(axes: Axes, result: Result) -> None:
+    """Seconds of a step at a fixed size, against the ideal."""
+    ranks = {p.ranks for p in result.points}
+    for curve in (curve for curve in result.curves if not curve.weak):
+        draw_points(axes, result, curve, [(p.seconds, p.low, p.high) for p in curve.points])
+        ends = np.array([1, max(ranks)])
+        axes.plot(ends, curve.points[0].seconds / ends, "--", color=GREY)
+    axes.plot([], [], "--", color=GREY, label="ideal")
+    if result.headline:
+        seconds = [t / COURSE_STEPS for t in COURSE.values()]
+        axes.plot(list(COURSE), seconds, "s-", color="#8d99ae", lw=1, ms=4, label=COURSE_LABEL)
+        ranks |= set(COURSE)
+    axes.set(yscale="log", ylabel="seconds a step: median, quartiles")
+    against_ranks(axes, sorted(ranks), "strong scaling", loc="upper right")
+
+
+def draw_efficiency(axes: Axes, result: Result) -> None:
+    top = 1.15
     for curve in result.curves:
+        values = [result.efficiency(curve, p) for p in curve.points]
+        # a quartile of the time on P ranks; that on one rank is taken as it is
+        spread = [(e, e * p.seconds / p.high, e * p.seconds / p.low) for e, p in zip(values, curve.points, strict=True)]
+        draw_points(axes, result, curve, spread)
+        top = max(top, 1.1 * max(values))
+    axes.axhline(1.0, ls="--", color=GREY)
+    axes.set(ylim=(0, min(top, 3.0)), ylabel="efficiency")
+    title = "efficiency: T1 / (P TP) strong, T1 / TP weak"
+    against_ranks(axes, sorted({p.ranks for p in result.points}), title, loc="lower left")
+
+
+def draw_phases(axes: Axes, result: Result) -> None:
+    """Shares of the step, a bar for each point, curve by curve."""
+    points = [(number, p) for number, curve in enumerate(result.curves) for p in curve.points]
+    rows = shares([p for _, p in points])
+    colors = [colormaps["viridis"](x) for x in np.linspace(0.1, 0.9, len(rows[0]) - 1)] + [GREY]
+    of_curve = np.array([number for number, _ in points])
+    places, bottom = np.arange(len(points)) + 0.6 * of_curve, np.zeros(len(points))  # gaps between the curves
+    for name, color in zip(rows[0], colors, strict=True):
+        height = np.array([row[name] for row in rows])
+        axes.bar(places, height, bottom=bottom, color=color, label=name, width=0.8)
+        bottom = bottom + height
+    axes.set_xticks(places, [f"{p.ranks}{'*' * p.oversubscribed}" for _, p in points])
+    for number, curve in enumerate(result.curves):
+        axes.text(places[of_curve == number].mean(), 1.02, curve.name, ha="center", va="bottom", fontsize=8)
+    star = "   * oversubscribed" if any(p.oversubscribed for _, p in points) else ""
+    axes.set(xlabel=f"ranks{star}", ylabel="share of a step, mean over ranks")
+    axes.set_title("phases", loc="left", fontsize=10, pad=18)
+    axes.legend(reverse=True, frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1, 1))
+
+
+def draw_model(axes: Axes, result: Result, model: Model) -> None:
+    """The model to many ranks, dashed, through the measured points."""
+    rows = list(result.predicted_rows(model))
+    for curve in result.curves:
+        seconds = [(row["ranks"], row["seconds_per_step"]) for row in rows if row["curve"] == curve.name]
+        axes.plot(*zip(*seconds, strict=True), "--", color=color_of(result, curve), label=f"model: {curve.name}")
         for p in curve.points:
-            efficiency = result.efficiency(curve, p)
-            row = {"curve": curve.name, "ranks": p.ranks, "particles": p.particles, "oversubscribed": int(p.oversubscribed)}
-            row |= {"seconds_per_step": p.seconds, "quartile_1": p.low, "quartile_3": p.high}
-            row |= {"speedup": efficiency * p.ranks, "efficiency": efficiency} | {name: p.counts[name] for name in COUNTS}
-            yield row | {f"seconds_{name}": p.phases.get(name, 0.0) for name in phases}
-
-
-def predicted_rows(result: Result, model: Model) -> Iterator[dict[str, Any]]:
-    """Of scaling_model.csv: predictions, not measurements; seconds of a step by terms."""
-    for curve, ranks, parts, efficiency in result.predictions(model):
-        row = {"curve": curve.name, "ranks": ranks, "particles": curve.particles(ranks), "kind": "model"}
-        row |= {"seconds_per_step": sum(parts.values()), "efficiency": efficiency}
-        yield row | {f"seconds_{name}": seconds for name, seconds in parts.items()}
-
-
-def write(path: Path, rows: list[dict[str, Any]]) -> Path:
-    """Rows with the same keys as CSV."""
-    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
-        out = csv.DictWriter(file, list(rows[0]))
-        out.writeheader()
-        out.writerows(rows)
-    return path
+            face = "white" if p.oversubscribed else color_of(result, curve)
+            axes.plot(p.ranks, p.seconds, "o", color=color_of(result, curve), mfc=face)
+    axes.plot([], [], "o", color=GREY, label="measured")
+    axes.set(yscale="log", ylabel="seconds a step")
+    against_ranks(axes, [1 << k for k in range(0, 11, 2)], result.origin(model), loc="upper right")

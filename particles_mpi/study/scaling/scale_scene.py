@@ -1,7 +1,5 @@
 """A scene with more particles, or fewer, and just as many in a unit of volume: what weak scaling compares."""
 
-from __future__ import annotations
-
 from math import prod
 from typing import Any
 
@@ -15,11 +13,10 @@ def scale_scene(scene: Scene, factor: float) -> Scene:
     A Plummer sphere keeps the mass of a particle and its density, hence also its dynamical time and what a step means.
     Raises SceneError, a line a fault, for a scene that lists particles.
     """
-    faults = [fault for number, one in enumerate(scene.to_dict()["particles"]) for fault in listed(f"particles[{number}]", one)]
-    if faults:
-        raise SceneError(faults)
     tables, stretch = scene.to_dict(), factor ** (1.0 / scene.dimension)
     origin = tables["box"]["lower"] if scene.box else [0.0] * scene.dimension
+    if faults := [fault for number, one in enumerate(tables["particles"]) for fault in listed(f"particles[{number}]", one)]:
+        raise SceneError(faults)
 
     def moved(point: list[float]) -> list[float]:
         return [o + (x - o) * stretch for o, x in zip(origin, point, strict=True)]
@@ -39,8 +36,7 @@ def listed(key: str, population: dict[str, Any]) -> list[str]:
     """What of a population is given particle by particle, and so for no other number of them; a line each."""
     faults = []
     for name, value in population.items():
-        rows = isinstance(value, list) and any(isinstance(row, list) for row in value)
-        if rows or (isinstance(value, list) and name not in ("velocity", "acceleration")):
+        if isinstance(value, list) and (name not in ("velocity", "acceleration") or any(isinstance(row, list) for row in value)):
             faults.append(f"{key}.{name}: is listed, particle by particle")
         if isinstance(value, dict) and "file" in value:
             faults.append(f"{key}.{name}: comes from a file")

@@ -87,13 +87,14 @@ def test_what_ten_times_more_costs(found):
 
 
 def test_tables(found, tmp_path):
-    assert report.header(found) == ["setting", "step", "place", "order", "calls", "order", "seconds", "forces"]
-    for row, texts in report.cells(found):
-        assert len(texts) == 8 and row.setting.curve == texts[0]
+    columns = report.table(found).columns
+    assert [column.header for column in columns] == ["setting", "step", "place", "order", "calls", "order", "seconds", "forces"]
+    assert list(columns[0].cells) == [row.setting.curve for row in found.rows]
+    assert all(len(list(column.cells)) == len(found.rows) for column in columns)
     assert [report.number(x) for x in (0.0, 1.0, 20_000.0, 0.0123, 1.23e-7, float("nan"))] == [
         "0", "1", "20 000", "0.012", "1.2e-07", ""
     ]  # fmt: skip
-    report.write_csv(tmp_path / "x.csv", found)
+    report.write_csv(tmp_path / "x.csv", report.csv_rows(found))
     with (tmp_path / "x.csv").open() as file:
         read = list(csv.DictReader(file))
     assert [float(line["place"]) for line in read] == [row.errors["place"] for row in found.rows]
@@ -125,6 +126,7 @@ def test_a_benchmark_measures_errors_work_and_time():
         sim.run()
         return {"place": abs(float(sim.particles.position[0, 0]) - 2.0)}
 
-    (row,) = lab.measure("free flight", [Setting("leapfrog", 0.5, lambda: lab.simulate(tables_), 4, errors)])
+    setting = Setting("leapfrog", 0.5, lambda: lab.simulate(tables_), 4, errors)
+    (row,) = lab.measure("X", "free flight", [setting], {"place": "how far off"}, "exact").rows
     assert row.errors == {"place": 0.0} and row.seconds.median > 0.0
     assert row.work == {"forces": 0, "interactions": 0, "pair_tests": 0, "events": 0}

@@ -8,9 +8,8 @@ import pytest
 
 from particles_mpi import Scene, SceneError
 from particles_mpi.initial.populate import populate
-from particles_mpi.study.scaling.command import HEADLINE, settings, unable_to_grow
-from particles_mpi.study.scaling.measure import rank_counts
-from particles_mpi.study.scaling.performance_model import NETWORK_LATENCY, Law, Model, Point, Traffic, fit
+from particles_mpi.study.scaling.measure import HEADLINE, rank_counts, settings, unable_to_grow
+from particles_mpi.study.scaling.performance_model import NETWORK_LATENCY, Law, Model, Point, fit
 from particles_mpi.study.scaling.report import Curve, Result
 from particles_mpi.study.scaling.scale_scene import edges, scale_scene
 
@@ -105,12 +104,12 @@ def test_ghost_rows_are_those_of_a_layer():
 
 def measured(model, particles, ranks, factor=1.0):
     """The point that the model would give on a machine `factor` times as slow."""
-    traffic, parts = model.traffic, model.parts(particles, ranks)
+    parts = model.parts(particles, ranks)
     talk = parts["latency"] + 0.75 * parts["rows"]
     own = parts["fixed"] + parts["work"] / (model.imbalance if ranks > 1 else 1.0) + 0.25 * parts["rows"]
     slowest = own * (model.imbalance if ranks > 1 else 1.0)
-    counts = {name: getattr(traffic, name) for name in ("fetches", "reductions", "all_to_alls")}
-    counts |= {"messages": traffic.messages * traffic.law.neighbours(ranks), "rows": traffic.rows(particles, ranks)}
+    counts = {name: getattr(model, name) for name in ("fetches", "reductions", "all_to_alls")}
+    counts |= {"messages": model.messages * model.law.neighbours(ranks), "rows": model.rows(particles, ranks)}
     if ranks == 1:
         counts = dict.fromkeys(counts, 0.0)
     seconds = factor * sum(parts.values())
@@ -118,7 +117,7 @@ def measured(model, particles, ranks, factor=1.0):
 
 
 def synthetic(law=CUBE):
-    return Model(law, Traffic(law, 0.8, 0.15, 3.0, 5.0, 0.25), 1e-4, 7e-8, 3e-7, 8e-6, 1.0, 4, 80.0)
+    return Model(law, 0.8, 0.15, 3.0, 5.0, 0.25, 80.0, 4, 1.0, 1e-4, 7e-8, 3e-7, 8e-6)
 
 
 @pytest.mark.parametrize("growth", ["N", "N log N", "N^2"])
@@ -130,7 +129,7 @@ def test_the_model_finds_the_costs_it_was_made_from(growth):
     for name in ("fixed", "each", "row", "latency", "imbalance"):
         assert getattr(found, name) == pytest.approx(getattr(made, name), rel=1e-6), name
     for name in ("thickness", "fetches", "messages", "reductions", "all_to_alls"):
-        assert getattr(found.traffic, name) == pytest.approx(getattr(made.traffic, name), rel=1e-6), name
+        assert getattr(found, name) == pytest.approx(getattr(made, name), rel=1e-6), name
     assert max(abs(found.residual(p)) for p in points) < 1e-6
     assert found.seconds(1e6, 512) == pytest.approx(made.seconds(1e6, 512), rel=1e-6)
 
@@ -151,8 +150,8 @@ def test_ranks_that_share_cores_are_counted_and_not_timed():
     assert found.each == pytest.approx(made.each) and found.latency == pytest.approx(made.latency)
     assert found.measured == 2
     lonely = fit([*points[:2], crowded], made.law, made.row_bytes)  # no core for a second rank: counts alone
-    assert lonely.latency == 0.0 and lonely.traffic.reductions == 5.0
-    assert lonely.parts(32_000, 64)["latency"] == pytest.approx(NETWORK_LATENCY * lonely.traffic.stages(64))
+    assert lonely.latency == 0.0 and lonely.reductions == 5.0
+    assert lonely.parts(32_000, 64)["latency"] == pytest.approx(NETWORK_LATENCY * lonely.stages(64))
 
 
 def test_what_the_model_must_say_in_the_limits():
