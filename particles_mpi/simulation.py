@@ -8,19 +8,15 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.between_steps.saved import Saved
-from particles_mpi.contacts.drift import Drift, keeper_of_contacts
 from particles_mpi.errors import StateError
 from particles_mpi.initial.populate import populate
-from particles_mpi.integrators.accelerations import Accelerations
-from particles_mpi.integrators.choice import integrator_of
-from particles_mpi.integrators.step_to_contact import step_to_contact
-from particles_mpi.integrators.velocity_flow import Kick
+from particles_mpi.integrators.step_to_contact import step_to_collision
 from particles_mpi.measure.diagnostics import measure
 from particles_mpi.measure.observables import observe
-from particles_mpi.measure.watchdog import WATCH_EVERY, Watchdog
+from particles_mpi.measure.watchdog import WATCH_EVERY
 from particles_mpi.parallel.agreement import raising_together, require_finite, same_on_all
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.particles import Array, Particles
+from particles_mpi.particles import Particles
 from particles_mpi.run.job import Job
 from particles_mpi.scene.schema import Scene
 
@@ -29,7 +25,7 @@ class Simulation(Saved):
     """A scene in motion on the ranks of a communicator.
 
     `sim.step()` advances by `sim.h`, `sim.run()` to the end. `sim.time` and `sim.steps_done` say where it stands, `sim.totals`
-    counts what happened on this rank since the start.
+    what happened on this rank since the start; see `State` for the other attributes.
 
     Between two steps the state belongs to the user, and what is changed counts from the next step on: the fields of
     `sim.particles` (this rank's rows, see `ParticleView`), `sim.time`, `sim.h`, the options of `sim.effects[name]`; `sim.add`
@@ -48,28 +44,7 @@ class Simulation(Saved):
             self.begin(scene, ranks, particles)
         self.warnings = warnings
 
-    accelerations: Accelerations
-
-    def build(self) -> None:
-        """All that follows from the scene's effects and from how many particles there are. Collective."""
-        before, scene, p = self.drift, self.scene, self.rows
-        interactions = self.accelerations.interactions if before else 0
-        context, effects = self.look_around()
-        self.active = effects
-        walls = effects.walls.planes if effects.walls else None
-        none = np.empty((0, scene.dimension))
-        planes = (walls.point, walls.normal) if walls else (none, none)
-        self.watchdog = Watchdog(self.ranks, p.id, self.ids, planes, self.lower, self.length)
-        self.rest = keeper_of_contacts(effects, context, scene.dimension)
-        self.drift = Drift(p, context, effects, self.rest, self.sum_forces)
-        if before:
-            self.drift.continue_counts(before)
-        self.accelerations = Accelerations(effects.forces, self.ranks, scene.dimension, self.drift.calls)
-        self.accelerations.done_before += interactions
-        self.kick = Kick(effects)
-        self.integrator = integrator_of(scene, self.ranks, self.kick, self.rest)
-        self.taken = p.edition
-        self.particles.open()
+    step_to_collision = step_to_collision
 
     def step(self, collisions: bool = True) -> None:
         """Advance by one step; `collisions=False` lets particles pass through one another and through walls. Collective."""
@@ -89,25 +64,12 @@ class Simulation(Saved):
             self.rest.awake = contacts
 
         def drift(part: float) -> None:
-            rates = self.drift.rates(self.accelerations.g, self.accelerations.total, self.kick.rate(self.rows))
+            rates = self.drift.rates(self.g, self.accelerations.total, self.kick.rate(self.rows))
             self.drift.advance(self._h if stop else part, self.time, rates, contacts, stop)
 
-        self.integrator.advance(self.rows, h, self.sum_forces, drift, self.timers)
+        self.integrator.advance(self.rows, h, drift)
         for name in self.active.on_velocities:
             self.calls[name] += 2
-
-    def sum_forces(self) -> Array | None:
-        """Accelerations (n, d) of this rank's particles at the present positions, or None without forces. Collective."""
-        return self.accelerations.sum(self.rows)
-
-    def step_to_collision(self) -> tuple[int, int] | None:
-        """Advance to the next collision of two particles, or by one step if there is none before its end. Collective.
-
-        Returns the ids of the two that met, the lower one first, or None; `sim.time` is the moment. It is the end of a whole
-        leapfrog step of the length that ends with the contact, found by iteration where forces make that depend on itself.
-        Needs collisions in mode event. Collisions at the same moment come one call after the other.
-        """
-        return step_to_contact(self)
 
     def run(self, output: str | Path | None = None, quiet: bool = True, **options: Any) -> None:
         """Step to the end of the scene; with `output` (a folder) write everything the scene asks for. Collective."""
@@ -139,44 +101,6 @@ class Simulation(Saved):
             row |= observe(self.ranks, p, volume, self.time, collisions, self.observed)
         require_finite(self.ranks, p, row["kinetic"], f"step {self.steps_done}")
         return row
-
-    def replace_force(self, name: str) -> None:
-        """Take the force of this name from the scene anew. Collective."""
-        force = self.scene.effects[name].build(self.scene)
-        force.bind(self.drift.context)
-        self.accelerations.replace(name, force)
-        self.active.all[name] = force
-
-    @property
-    def totals(self) -> dict[str, int]:
-        """Collisions, wall hits, missed contacts and exchanges on this rank since the start."""
-        totals: dict[str, int] = self.drift.totals
-        return totals
-
-    @property
-    def calls(self) -> Any:
-        """How often each effect was asked, by name."""
-        return self.drift.calls
-
-    @property
-    def forces(self) -> dict[str, Any]:
-        """The forces of the scene that are switched on, by name."""
-        return self.accelerations.forces
-
-    @property
-    def g(self) -> Array:
-        """The acceleration (d,) that all particles have in common."""
-        return self.accelerations.g
-
-    @property
-    def near(self) -> Any:
-        """Whoever knows the neighbours of this rank's particles; None without pairs that collide."""
-        return self.drift.near
-
-    @property
-    def contacts(self) -> Any:
-        """The operator that does the contacts of pairs, or None."""
-        return self.drift.operator
 
     def counted(self) -> dict[str, int]:
         """Work of this rank so far: searches for neighbours, ghosts, tests of pairs, interactions, windows of time."""

@@ -14,15 +14,15 @@ from particles_mpi.scene.effect import Force
 class Accelerations:
     """The accelerations of this rank's particles by the `forces` of a scene, by name; `calls` counts how often each is asked.
 
-    total (n, d): those of the last sum, or None; g (d,): the sum of those that are the same for all particles.
+    total (n, d): those of the last sum, or None; g (d,): the sum of those that are the same for all particles; `done`:
+    interactions that were computed by forces that are no longer there.
     """
 
-    def __init__(self, forces: dict[str, Force], ranks: Communicator, dimension: int, calls: Counter[str]):
-        self.forces, self.ranks, self.calls = forces, ranks, calls
+    def __init__(self, forces: dict[str, Force], ranks: Communicator, dimension: int, calls: Counter[str], done: int):
+        self.forces, self.ranks, self.calls, self.done = forces, ranks, calls, done
         self.g: Array = np.zeros(dimension)
         self.total: Array | None = None
         self.known: tuple[int, ...] = ()  # version, edition and fingerprint of the rows that `total` belongs to
-        self.done_before = 0  # interactions that were computed by forces that are no longer there
         self.look_at_forces()
 
     def look_at_forces(self) -> None:
@@ -33,7 +33,7 @@ class Accelerations:
 
     def replace(self, name: str, force: Force) -> None:
         """Another force in the place of one."""
-        self.done_before += self.forces[name].interactions
+        self.done += self.forces[name].interactions
         self.forces[name] = force
         self.look_at_forces()
 
@@ -63,4 +63,4 @@ class Accelerations:
     @property
     def interactions(self) -> int:
         """Pairs, or what a tree puts in their place, that forces have computed so far."""
-        return self.done_before + sum(force.interactions for force in self.forces.values())
+        return self.done + sum(force.interactions for force in self.forces.values())

@@ -21,33 +21,37 @@ def next_length(tried: list[tuple[float, float]], longest: float) -> float:
     return guess if 0.0 <= guess < longest else h + 0.5 * late
 
 
-def step_to_contact(sim: Any) -> tuple[int, int] | None:
-    """Advance a simulation to its next collision; see `Simulation.step_to_collision`. Collective."""
-    pairs = sim.active.pairs
+def step_to_collision(self: Any) -> tuple[int, int] | None:
+    """Advance to the next collision of two particles, or by one step if there is none before its end. Collective.
+
+    Returns the ids of the two that met, the lower one first, or None; `sim.time` is the moment. It is the end of a whole
+    leapfrog step of the length that ends with the contact, found by iteration where forces make that depend on itself.
+    Needs collisions in mode event. Collisions at the same moment come one call after the other.
+    """
+    pairs = self.active.pairs
     if pairs is None or pairs.options.mode != "event":
         raise SceneError('effects.collisions.mode: step_to_collision needs "event"')
-    sim.take_changes()
-    sim.particles.close()
-    drift = sim.drift
-    h, met, free = sim.h, drift.near.stop, not (sim.active.forces or sim.active.on_velocities)
+    self.take_changes()
+    self.particles.close()
+    h, near, free = self.h, self.near, not (self.active.forces or self.active.on_velocities)
     tried: list[tuple[float, float]] = []  # (length that was kicked for, how much later the contact came)
     for _ in range(MOST_TRIES):
-        totals, calls = drift.totals.copy(), drift.calls.copy()
-        before = None if free else sim.rows.select(np.arange(len(sim.rows)))
-        sim.advance(h, stop=True)
-        reached, met_none = float(drift.near.stopped[0]), met[1] < 0
-        if met_none and h == sim.h:
-            sim.particles.open()
-            sim.steps_done += 1
+        totals, calls = self.totals.copy(), self.calls.copy()
+        before = None if free else self.rows.select(np.arange(len(self.rows)))
+        self.advance(h, stop=True)
+        reached, met_none = float(near.stopped[0]), near.stop[1] < 0
+        if met_none and h == self.h:
+            self.particles.open()
+            self.steps_done += 1
             return None
         tried.append((h, reached - h))
-        if before is None or (not met_none and abs(reached - h) <= CLOSE * sim.h):
+        if before is None or (not met_none and abs(reached - h) <= CLOSE * self.h):
             break
-        sim.rows.replace(before.arrays)
-        drift.totals.update(totals)
-        drift.calls.clear()
-        drift.calls.update(calls)
-        h = next_length(tried, sim.h)
-    sim.moment = sim.time + reached, sim.steps_done
-    sim.particles.open()
-    return int(met[1]), int(met[2])
+        self.rows.replace(before.arrays)
+        self.totals.update(totals)
+        self.calls.clear()
+        self.calls.update(calls)
+        h = next_length(tried, self.h)
+    self.moment = self.time + reached, self.steps_done
+    self.particles.open()
+    return int(near.stop[1]), int(near.stop[2])

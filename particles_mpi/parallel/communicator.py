@@ -38,6 +38,10 @@ class Communicator:
         comm = self.comm.Split(0 if self.rank < count else MPI.UNDEFINED, self.rank)
         return None if comm == MPI.COMM_NULL else Communicator(comm)
 
+    def share(self, total: int) -> tuple[int, int]:
+        """First and last + 1 of this rank's share of `total` things in a row."""
+        return total * self.rank // self.size, total * (self.rank + 1) // self.size
+
     def _allreduce(self, values: Any, operation: MPI.Op) -> Array:
         values = np.atleast_1d(values)
         if self.size == 1:

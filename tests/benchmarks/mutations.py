@@ -61,9 +61,9 @@ MUTATIONS = (
     ),
     Mutation(
         "a wrong weight of a kick in order4",
-        "integrators/order4.py",
-        "    B = (0.0829844064174052,",
-        "    B = (0.0839844064174052,",
+        "integrators/kicks_and_drifts.py",
+        "B = (0.0829844064174052,",
+        "B = (0.0839844064174052,",
         ("tests/physics/test_gravity.py",),
     ),
     Mutation(

@@ -1,4 +1,4 @@
-"""The particles of a rank as a user sees them: fields that may be read and changed between two steps.
+"""What a user sees between two steps: the particles of a rank, and the effects of the scene.
 
 The program itself works on `Particles`, whose arrays it sorts, exchanges and sends to other ranks. A user gets copies of
 these arrays. What is written into a copy is compared with the original at the beginning of the next step, and taken over if
@@ -10,11 +10,16 @@ from __future__ import annotations
 import weakref
 import zlib
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
-from particles_mpi.errors import StateError
+from particles_mpi.errors import SceneError, StateError
 from particles_mpi.particles import Array, Particles
+from particles_mpi.scene.messages import faults_of
+from particles_mpi.scene.model import EffectOptions
+from particles_mpi.scene.schema import Scene
 
 READ_ONLY = ("id", "rate", "total_acceleration")
 GUARDED = 8  # arrays of earlier steps that are looked after, in case somebody writes into them
@@ -146,3 +151,47 @@ def crc32_of(reference: weakref.ref[Array]) -> int:
 def same_bits(one: Array, other: Array) -> bool:
     """The same shape, and the same bits (-0.0 is not 0.0, and the same NaN is the same)."""
     return one.shape == other.shape and np.array_equal(one.reshape(-1).view(np.uint8), other.reshape(-1).view(np.uint8))
+
+
+class RunningEffect:
+    """`sim.effects["uniform_gravity"].acceleration = [0, 0, -1]`, `sim.effects["walls"].active = False`.
+
+    The attributes are the keys of the effect's table in the scene file. A new value is checked as there (SceneError) and
+    counts from the next step on. On several ranks all must set the same. Lists are shown as tuples: a vector is set whole.
+    """
+
+    def __init__(self, sim: Any, name: str):
+        vars(self).update(_sim=sim, _name=name)
+
+    @property
+    def _options(self) -> EffectOptions:
+        options: EffectOptions = self._sim.scene.effects[self._name]
+        return options
+
+    def __getattr__(self, key: str) -> Any:
+        if key.startswith("_") or key not in type(self._options).model_fields:
+            raise AttributeError(f"effects.{self._name}: no option {key!r}")
+        value = getattr(self._options, key)
+        return tuple(value) if isinstance(value, list) else value
+
+    def __setattr__(self, key: str, value: Any) -> None:
+        getattr(self, key)
+        self._sim.change_effect(self._name, key, value)
+
+    def __repr__(self) -> str:
+        return f"{self._name}: {self._options!r}"
+
+
+def changed_options(scene: Scene, name: str, key: str, value: Any) -> EffectOptions:
+    """The options of an effect with another value of one key. Raises SceneError as a scene file with it would."""
+    old: EffectOptions = scene.effects[name]
+    kind = type(old)
+    plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else list(value) if isinstance(value, tuple) else value
+    try:
+        new = kind.model_validate(old.model_dump() | {key: plain})
+    except ValidationError as error:
+        raise SceneError(faults_of(error, kind, ("effects", name))) from None
+    faults = [f"effects.{name}.{fault}" for fault in new.faults(scene)]
+    if faults:
+        raise SceneError(faults)
+    return new
