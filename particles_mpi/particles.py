@@ -36,7 +36,7 @@ FIELDS = {
     "position": Column("float64", vector=True, ghost=True),
     "velocity": Column("float64", vector=True, ghost=True),
     "radius": Column("float64", ghost=True, least=0.0),
-    "mass": Column("float64", ghost=True),
+    "mass": Column("float64", ghost=True, least=0.0),
     "fixed": Column("uint8", ghost=True),
     "drag": Column("float64", ghost=True, least=0.0),
     "acceleration": Column("float64", vector=True),

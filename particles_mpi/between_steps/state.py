@@ -10,9 +10,8 @@ import numpy as np
 from particles_mpi.between_steps.views import ParticleView, RunningEffect, changed_options
 from particles_mpi.contacts.drift import COUNTS, Drift, keeper_of_contacts
 from particles_mpi.contacts.walls import no_planes
-from particles_mpi.errors import StateError
+from particles_mpi.errors import StateError, listed
 from particles_mpi.initial.checks import value_limits
-from particles_mpi.initial.names import listed
 from particles_mpi.initial.populate import add_population
 from particles_mpi.integrators.accelerations import Accelerations
 from particles_mpi.integrators.kicks_and_drifts import Kick, integrator_of
