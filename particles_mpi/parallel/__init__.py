@@ -4,8 +4,7 @@ In the order in which to read them:
 
 - `communicator`: the ranks of a run, and the collective calls that the program needs
 - `exchange`: rows to any rank, all rows to all ranks, rows in id order, and the ghosts of a rank
-- `decomposition`: space is cut into one domain for each rank
-- `load_balance`: when it is cut anew
+- `decomposition`: space is cut into one domain for each rank, and when it is cut anew
 - `buffers`: the arrays of a rank, with space for particles that arrive and for ghosts
 - `replica`: all particles on every rank, kept up to date
 - `blocks`: all particles in id order, one rank's share at a time

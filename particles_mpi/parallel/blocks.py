@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import prod
 
 import numpy as np
 from mpi4py import MPI
 
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exchange import IdRange, allgather_rows, in_id_order
+from particles_mpi.parallel.exchange import IdRange, allgather_rows, columns_of, in_id_order
 from particles_mpi.particles import Array, rows_of
 
 FEW = 10_000  # most rows that are sent to all ranks in one message
@@ -27,27 +28,23 @@ def blocks(ranks: Communicator, columns: dict[str, Array], ids: IdRange) -> Iter
     mine = in_id_order(ranks, columns, ids, ranks.size)
     ranks.all_to_alls += 1
     ranks.rows += ids.total - len(mine["id"])
-    widths = {name: int(np.prod(column.shape[1:])) for name, column in columns.items()}
     counts = ranks.allgather_array(np.array(len(mine["id"])))
+    width = sum(prod(column.shape[1:]) for column in columns.values())
 
-    def start(rank: int) -> tuple[Array, MPI.Request]:
-        """Begin to send the block of a rank to all; its numbers, column after column."""
+    def start(rank: int) -> tuple[dict[str, Array], MPI.Request]:
+        """Begin to send the block of a rank to all."""
+        buffer = np.empty(int(counts[rank]) * width, np.int64)
+        block = dict(columns_of(buffer, int(counts[rank]), columns))
         if rank == ranks.rank:
-            buffer = np.concatenate([mine[name].reshape(-1).view(np.float64) for name in columns])
-        else:
-            buffer = np.empty(int(counts[rank]) * sum(widths.values()))
-        ranks.messages += rank == ranks.rank
-        return buffer, ranks.comm.Ibcast([buffer, MPI.DOUBLE], root=rank)
+            ranks.messages += 1
+            for name, column in block.items():
+                column[:] = mine[name]
+        return block, ranks.comm.Ibcast(buffer, root=rank)
 
     coming = start(0)
     for rank in range(ranks.size):
-        buffer, request = coming
+        block, request = coming
         request.Wait()
         if rank + 1 < ranks.size:
             coming = start(rank + 1)
-        count, begin, block = int(counts[rank]), 0, {}
-        for name, column in columns.items():
-            end = begin + count * widths[name]
-            block[name] = buffer[begin:end].view(column.dtype).reshape(count, *column.shape[1:])
-            begin = end
         yield block

@@ -39,16 +39,14 @@ def send_rows(ranks: Communicator, arrays: dict[str, Array], rows: Array, counts
     row_size = sum(column.dtype.itemsize * prod(column.shape[1:]) for column in arrays.values())
     words_out, words_in = (-(row_size * numbers.astype(np.int64) // -WORD) for numbers in (counts, arriving))
     outgoing, incoming = np.empty(words_out.sum(), np.int64), np.empty(words_in.sum(), np.int64)
-    first_out, first_in = starts(counts), starts(arriving)
-    for p in np.flatnonzero(counts):
-        mine = rows[first_out[p] : first_out[p] + counts[p]]
-        for name, part in columns(outgoing[starts(words_out)[p] :], int(counts[p]), arrays):
-            arrays[name].take(mine, axis=0, out=part, mode="clip")
+    for p, begin, end in parts(counts):
+        for name, part in columns_of(outgoing[starts(words_out)[p] :], end - begin, arrays):
+            arrays[name].take(rows[begin:end], axis=0, out=part, mode="clip")
     ranks.comm.Alltoallv([outgoing, (words_out, starts(words_out))], [incoming, (words_in, starts(words_in))])
     arrived = {name: np.empty((int(arriving.sum()), *column.shape[1:]), column.dtype) for name, column in arrays.items()}
-    for p in np.flatnonzero(arriving):
-        for name, part in columns(incoming[starts(words_in)[p] :], int(arriving[p]), arrays):
-            arrived[name][first_in[p] : first_in[p] + arriving[p]] = part
+    for p, begin, end in parts(arriving):
+        for name, part in columns_of(incoming[starts(words_in)[p] :], end - begin, arrays):
+            arrived[name][begin:end] = part
     return arrived, arriving
 
 
@@ -75,7 +73,7 @@ def sendrecv(ranks: Communicator, others: Sequence[int], outgoing: Sequence[Arra
     return incoming
 
 
-def columns(words: Array, count: int, like: dict[str, Array]) -> Iterator[tuple[str, Array]]:
+def columns_of(words: Array, count: int, like: dict[str, Array]) -> Iterator[tuple[str, Array]]:
     """(name, view of `count` rows) for each column of one rank's part of a message, which begins at words[0].
 
     The columns of `like` stand one after the other, those with the widest numbers first so that each is aligned in memory.
@@ -89,8 +87,13 @@ def columns(words: Array, count: int, like: dict[str, Array]) -> Iterator[tuple[
 
 
 def starts(counts: Array) -> Array:
-    """Where each of the parts with these lengths begins: the cumulative sum without the last."""
-    return np.concatenate(([0], np.cumsum(counts)[:-1])).astype(counts.dtype)
+    """Where each of the parts with these lengths begins."""
+    return np.cumsum(counts) - counts
+
+
+def parts(counts: Array) -> list[tuple[int, int, int]]:
+    """(rank, first, last + 1) of the rows of every rank that has some, of counts[rank] each, one after the other."""
+    return [(p, first, first + count) for p, (first, count) in enumerate(zip(starts(counts).tolist(), counts.tolist())) if count]
 
 
 def by_destination(destination: Array, size: int) -> tuple[Array, Array]:
@@ -148,9 +151,3 @@ class Halo:
             (self.owned + begin, buffer[: status.Get_count(MPI.DOUBLE)])
             for (_, begin, _), buffer, status in zip(self.incoming, self.receive_buffers, statuses, strict=False)
         ]
-
-
-def parts(counts: Array) -> list[tuple[int, int, int]]:
-    """(rank, first, last + 1) of the rows of every rank that has some, of counts[rank] each, one after the other."""
-    ends = np.cumsum(counts)
-    return [(int(p), int(ends[p] - counts[p]), int(ends[p])) for p in np.flatnonzero(counts)]
