@@ -23,13 +23,10 @@ def sample_keys(keys: Array, work: Array) -> Array:
     The work is a float64 in the last place, as its 64 bits.
     """
     reached = np.cumsum(work)
-    total = reached[-1] if len(keys) else 0.0
-    at = np.searchsorted(reached, (np.arange(SAMPLES) + 0.5) / SAMPLES * total)
-    row = np.zeros(SAMPLES + 1, np.int64)
-    if len(keys):
-        row[:-1] = keys[np.minimum(at, len(keys) - 1)]
-    row[-1:] = np.array([total]).view(np.int64)
-    return row
+    if not len(keys):
+        return np.zeros(SAMPLES + 1, np.int64)
+    at = np.searchsorted(reached, (np.arange(SAMPLES) + 0.5) / SAMPLES * reached[-1])
+    return np.append(keys[np.minimum(at, len(keys) - 1)], reached[-1:].view(np.int64))
 
 
 def quantiles(table: Array) -> Array:
@@ -72,37 +69,28 @@ def cut_between_groups(cuts: Array, counts: Array, d: int) -> Array:
 
 
 @kernel
-def select_essential(skip, count, cells, boxes, angle):
-    """What a rank needs of this rank's nodes, if its branches have the bounding boxes `boxes` (b, 6).
+def select_essential(skip, count, first, cells, boxes, angle):
+    """What a rank needs of this rank's nodes, whose rows begin at `first`, if its branches have the bounding boxes (b, 6).
 
     Returns the numbers of the nodes, how many of the particles of each are needed, and the rows of those particles. A cell that
     is far from all boxes is sent without its parts: it is then far from all groups within the boxes, in floating point
     too, because rounding preserves order, and `is_far` is the very test that the walk makes.
     """
     angle2 = angle * angle
-    nodes, counts = np.empty(len(skip), np.int64), np.empty(len(skip), np.int64)
-    first, before = np.empty(len(skip), np.int64), np.int64(0)
-    for i in range(len(skip)):
-        first[i] = before
-        before += count[i]
-    made, taken, node = 0, 0, 0
+    nodes, counts, rows = [], [], []
+    node = 0
     while node < len(skip) and len(boxes):
         opened = False
         for b in range(len(boxes)):
             lx, ly, lz, hx, hy, hz = boxes[b, 0], boxes[b, 1], boxes[b, 2], boxes[b, 3], boxes[b, 4], boxes[b, 5]
             cx, cy, cz = cells[node, CENTER], cells[node, CENTER + 1], cells[node, CENTER + 2]
             opened = opened or not is_far(lx, ly, lz, hx, hy, hz, cx, cy, cz, cells[node, RADIUS], angle2)
-        nodes[made], counts[made] = node, count[node] if opened else 0
-        taken += counts[made]
-        made += 1
+        nodes.append(node)
+        counts.append(count[node] if opened else 0)
+        for p in range(first[node], first[node] + counts[-1]):
+            rows.append(p)
         node = node + 1 if opened else skip[node]
-    rows = np.empty(taken, np.int64)
-    taken = 0
-    for i in range(made):
-        for p in range(counts[i]):
-            rows[taken] = first[nodes[i]] + p
-            taken += 1
-    return nodes[:made], counts[:made], rows
+    return np.array(nodes), np.array(counts), np.array(rows)
 
 
 @kernel
@@ -113,10 +101,8 @@ def assemble(branch_level, branch_key, level, root, d):
     the branches that are here, and whether it is the first of its branch. Returns for each node of the joined tree its
     place in `level`, or -1 for a shared cell, and its level; and for each branch the node that it became.
     """
-    deep = levels(d)
-    most = len(level) + len(branch_level) * deep
-    source, new_level, place = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(len(branch_level), np.int64)
-    made, node = 0, 0
+    deep, node = levels(d), 0
+    source, new_level, place = [], [], np.empty_like(branch_level)
     for b in range(len(branch_level)):
         shared = -1  # the deepest level at which one cell contains both this branch and the one before
         while b > 0 and shared + 1 < branch_level[b]:
@@ -125,13 +111,14 @@ def assemble(branch_level, branch_key, level, root, d):
                 break
             shared += 1
         for above in range(shared + 1, branch_level[b]):
-            source[made], new_level[made] = -1, above
-            made += 1
-        place[b] = made
-        while node < len(level) and (made == place[b] or not root[node]):
-            source[made], new_level[made] = node, level[node]
-            made, node = made + 1, node + 1
-    return source[:made], new_level[:made], place
+            source.append(-1)
+            new_level.append(above)
+        place[b] = len(source)
+        while node < len(level) and (len(source) == place[b] or not root[node]):
+            source.append(node)
+            new_level.append(level[node])
+            node += 1
+    return np.array(source), np.array(new_level), place
 
 
 @kernel

@@ -22,7 +22,7 @@ from particles_mpi.gravity.octree import divide, levels, moments, morton, skips,
 from particles_mpi.gravity.walk import RESULT, Law, Nodes, walk
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows, send_rows
-from particles_mpi.particles import Array
+from particles_mpi.particles import Array, rows_of
 
 SMALLEST = -900  # the least power of two that the side of the cube may be
 LAST_KEY = np.iinfo(np.int64).max
@@ -57,20 +57,15 @@ class Tree:
         side = max(int(np.frexp(extent)[1]), SMALLEST)  # of the cube, as a power of two, so that cells are halved exactly
         keys = morton(x, lower, 2.0 ** (levels(d) - side), d)
         order = np.argsort(keys, kind="stable")
-        result = np.empty((len(x), RESULT))
-        if ranks.size == 1:
-            sort_ties(keys, ids, order)
-            result[order] = self.attract_sorted(keys[order], x[order], mass[order], 0, LAST_KEY)
-            return result
         cuts = self.cut(keys[order], work[order])
         counts = np.diff(np.searchsorted(keys[order], cuts), prepend=0, append=len(keys)).astype(np.int32)
         arrived, arriving = send_rows(ranks, {"id": ids, "key": keys, "position": x, "mass": mass}, order, counts)
-        keys, x, mass = arrived["key"], arrived["position"], arrived["mass"]
-        by_key = np.argsort(keys, kind="stable")
-        sort_ties(keys, arrived["id"], by_key)
+        by_key = np.argsort(arrived["key"], kind="stable")
+        sort_ties(arrived["key"], arrived["id"], by_key)
+        mine = rows_of(arrived, by_key)
         low, high = [0, *cuts][ranks.rank], [*(cuts - 1), LAST_KEY][ranks.rank]
-        theirs = np.empty((len(keys), RESULT))
-        theirs[by_key] = self.attract_sorted(keys[by_key], x[by_key], mass[by_key], low, high)
+        theirs, result = np.empty((len(by_key), RESULT)), np.empty((len(x), RESULT))
+        theirs[by_key] = self.attract_sorted(mine["key"], mine["position"], mine["mass"], low, high)
         result[order] = send_rows(ranks, {"result": theirs}, np.arange(len(theirs)), arriving)[0]["result"]
         return result
 
@@ -86,26 +81,18 @@ class Tree:
         roots = branches[:, 0].copy()
         skip = skips(level, roots)
         cells, bounds = moments(skip, count, x, mass)
-        all_branches = {
-            "level": level[roots],
-            "key": branches[:, 1].copy(),
-            "bounds": bounds[roots],
-            "rank": np.full(len(roots), ranks.rank),
-        }
+        mine = {"level": level[roots], "key": branches[:, 1], "bounds": bounds[roots], "rank": np.full(len(roots), ranks.rank)}
+        every = allgather_rows(ranks, mine)
         nodes = {"level": level, "count": count, "cell": cells, "root": np.isin(np.arange(len(level)), roots)}
-        rows = {"position": x, "mass": mass}
-        offset = 0
-        if ranks.size > 1:
-            all_branches = allgather_rows(ranks, all_branches)
-            nodes, rows, offset = self.exchange(nodes, rows, skip, all_branches["bounds"], all_branches["rank"])
+        nodes, rows, offset = self.exchange(nodes, {"position": x, "mass": mass}, skip, every["bounds"], every["rank"])
         if not len(x):
             return np.empty((0, RESULT))
-        source, level, place = assemble(all_branches["level"], all_branches["key"], nodes["level"], nodes["root"], d)
+        source, level, place = assemble(every["level"], every["key"], nodes["level"], nodes["root"], d)
         skip = skips(level, np.zeros(1, np.int64))
         cells = nodes["cell"][source]
         count = np.where(source >= 0, nodes["count"][source], 0)
         bounds = np.empty((len(source), 6))
-        bounds[place] = all_branches["bounds"]
+        bounds[place] = every["bounds"]
         add_shared_moments(source, skip, cells, bounds)
         tree = Nodes(skip, np.cumsum(count) - count, count, cells, rows["position"], rows["mass"])
         result, self.interactions = walk(tree, groups, offset, self.law)
@@ -118,11 +105,9 @@ class Tree:
 
         `bounds` (b, 6), `rank` (b,): bounding box and owner of the branches of all ranks.
         """
-        ranks = self.ranks
-        parts = []
-        for p in range(ranks.size):
-            boxes = bounds[rank == p] if p != ranks.rank else bounds[:0]
-            parts.append(select_essential(skip, nodes["count"], nodes["cell"], boxes, self.law.angle))
+        ranks, first = self.ranks, np.cumsum(nodes["count"]) - nodes["count"]
+        boxes = [bounds[rank == p] if p != ranks.rank else bounds[:0] for p in range(ranks.size)]
+        parts = [select_essential(skip, nodes["count"], first, nodes["cell"], box, self.law.angle) for box in boxes]
         chosen, counts, chosen_rows = (np.concatenate([part[k] for part in parts]) for k in range(3))
         node_numbers, row_numbers = (np.array([len(part[k]) for part in parts], np.int32) for k in (0, 2))
         outgoing = {name: column[chosen] for name, column in nodes.items()} | {"count": counts}
