@@ -81,13 +81,14 @@ def divide(keys, d, low, high):
     (groups, 2) as FIRST and END row, and the branches (branches, 2) as node and first key.
     """
     deep = levels(d)
-    node_level, node_count = [], []
+    node_level: list[int] = []
+    node_count: list[int] = []
     groups, branches = [], []
     stack = [(0, len(keys), 0, False, False)]  # first row, last row + 1, level, in a branch?, in a group?
     while len(stack) and len(keys):
         first, last, level, inside, in_group = stack.pop()
         shift = d * (deep - level)
-        begin = (keys[first] >> shift) << shift if shift < 63 else np.int64(0)
+        begin = (keys[first] >> shift) << shift if shift < 63 else 0
         whole = inside or (begin >= low and begin + ((np.int64(1) << shift) - 1) <= high)
         leaf = whole and (last - first <= LEAF or level == deep)
         if whole:

@@ -13,9 +13,8 @@ In the order in which to read them:
 - `signals`: Ctrl-C, SIGTERM and the wall-time limit
 - `launcher`: starts mpirun and shortens what it prints about ranks that failed
 
-How a row gets to another rank. `LoadBalance` keeps the `Decomposition` of space; `decomposition.owner(x)` is the rank of each
-position. `RowBuffers.migrate` picks the rows whose owner is another rank, sorts them by destination and calls `send_rows`, which
-sends all columns of the rows for one rank as a single message; arriving rows take the places of those that left. Rows that other
-ranks need to see, but do not own, are sent by `send_rows` too, and `RowBuffers.append_ghosts` puts them behind the owned rows;
-until the next search for neighbours `Halo` refreshes them, with one message to each rank that holds ghosts of this one.
+How a row gets to another rank. `LoadBalance` keeps the `Decomposition` of space, which tells the owner of each position.
+`RowBuffers.migrate` sends the rows that another rank owns by `send_rows`, all columns for one rank as a single message; arriving
+rows take their places. Ghosts are sent by `send_rows` too, and `RowBuffers.append_ghosts` puts them behind the owned rows; until
+the next search for neighbours `Halo` refreshes them.
 """

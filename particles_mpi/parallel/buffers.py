@@ -39,10 +39,9 @@ class RowBuffers:
         """Make space for so many rows; the particles keep theirs."""
         if rows <= len(self.buffers["id"]):
             return
-        n = self.count
+        n, space = self.count, int(rows * GROWTH) + 1
         for name, old in self.buffers.items():
-            size = (int(rows * GROWTH) + 1, *old.shape[1:])
-            self.buffers[name], self.spare[name] = np.empty(size, old.dtype), np.empty(size, old.dtype)
+            self.buffers[name], self.spare[name] = (np.empty((space, *old.shape[1:]), old.dtype) for _ in range(2))
             self.buffers[name][:n] = old[:n]
         self.show(n)
 
@@ -64,19 +63,17 @@ class RowBuffers:
             return 0
         order, counts = by_destination(owner[leaving], ranks.size)
         arrived, _ = send_rows(ranks, self.particles.arrays, leaving[order], counts)
-        left, came = len(leaving), len(arrived["id"])
-        after = n - left + came
+        came = len(arrived["id"])
+        after = n - len(leaving) + came
         self.reserve(after)
         # Arriving rows take the places of those that left; if fewer arrive, the last rows fill the other places.
-        places = np.concatenate((leaving[:came], np.arange(n, after)))
-        holes = leaving[came:]
-        holes = holes[holes < after]
-        last = np.setdiff1d(np.arange(after, n), leaving[came:], assume_unique=True)
+        places, left = np.concatenate((leaving[:came], np.arange(n, after))), leaving[came:]
+        holes, last = left[left < after], np.setdiff1d(np.arange(after, n), left, assume_unique=True)
         for name, array in self.buffers.items():
             array[places] = arrived[name]
             array[holes] = array[last]
         self.show(after)
-        return left
+        return len(leaving)
 
     def append_ghosts(self, arrived: dict[str, Array]) -> dict[str, Array]:
         """Put ghosts behind the particles; returns the arrays of both together, for the fields that ghosts have."""

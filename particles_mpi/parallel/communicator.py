@@ -83,15 +83,13 @@ class Communicator:
 
     def barrier(self) -> None:
         """Wait until all ranks have come here."""
-        if self.size > 1:
-            self.comm.Barrier()
+        self.comm.Barrier()
 
     def sleeping_barrier(self) -> None:
         """The same, but a rank that waits leaves its core free for others."""
-        if self.size > 1:
-            arrived = self.comm.Ibarrier()
-            while not arrived.Test():
-                sleep(NAP)
+        arrived = self.comm.Ibarrier()
+        while not arrived.Test():
+            sleep(NAP)
 
     def run_on_root(self, work: Callable[[], Any]) -> Any:
         """Call `work()` on rank 0 while the others sleep; returns its value there and None elsewhere. Collective.

@@ -65,17 +65,12 @@ def bisect(ranks: Communicator, x: Array, weight: float) -> Decomposition:
 
 def best_cut(ranks: Communicator, x: Array, weight: float, share: float) -> tuple[int, float]:
     """(axis, position) of a cut of the longest axis, with `share` of the weight of all ranks' positions below it. Collective."""
-    d = x.shape[1]
-    ends = np.full(2 * d, -inf)
-    if len(x):
-        ends = np.concatenate((x.max(axis=0), -x.min(axis=0)))
-    ends = ranks.allreduce_max(ends)
-    high, low = ends[:d], -ends[d:]
+    high, low = ranks.allreduce_max(np.array([x.max(axis=0, initial=-inf), -x.min(axis=0, initial=inf)]))
+    low = -low
     if not np.all(high >= low):
         return 0, 0.0  # no positions at all: any cut will do
     k = int((high - low).argmax())
-    left, right, passed = float(low[k]), float(np.nextafter(high[k], inf)), 0.0
-    wanted = None
+    left, right, passed, wanted = float(low[k]), float(np.nextafter(high[k], inf)), 0.0, None
     for _ in range(ROUNDS):
         edges = np.linspace(left, right, BINS + 1)
         inside = x[(x[:, k] >= left) & (x[:, k] < right), k]
@@ -118,11 +113,9 @@ class LoadBalance:
             self.cut(particles.position, 1.0)
         elif self.ranks.size > 1 and searches % LOOK_EVERY == 0:
             worked = sum(self.timers.seconds.get(phase, 0.0) for phase in WORK)
-            mine = worked - self.worked
-            self.worked = worked
+            mine, self.worked = worked - self.worked, worked
             times = np.array(self.ranks.allgather(mine))
-            self.lost += float(times.max() - times.mean()) - NOISE * float(times.mean())
-            self.lost = max(self.lost, 0.0)
+            self.lost = max(self.lost + float(times.max() - (1.0 + NOISE) * times.mean()), 0.0)
             if self.lost > self.cost:
                 each = mine / max(len(particles), 1)
                 typical = float(times.sum()) / max(int(self.ranks.allreduce_sum(len(particles))[0]), 1)

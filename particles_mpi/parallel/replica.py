@@ -8,25 +8,22 @@ import numpy as np
 
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows
-from particles_mpi.particles import MEETING, Particles, field
+from particles_mpi.particles import MEETING, Array, Particles, field
 
 
 class Replica:
-    """`all_particles` holds the rows of all ranks, in any order; on one rank it is `particles` itself.
+    """`all_particles` holds the rows of all ranks, always the same, in any order; on one rank it is `particles` itself.
 
-    `gather` brings all rows up to date, `write_back` copies the `changing` fields of this rank's rows to `particles`. The set of
-    particles stays the same. `all_particles.version` is raised where a field of `MEETING` changed that no drift changes.
+    Its version is raised where a field of `MEETING` changed that is not among the `changing` ones, those that a drift changes.
     """
 
     def __init__(self, particles: Particles, ranks: Communicator, changing: Sequence[str]):
         self.particles, self.ranks, self.changing = particles, ranks, changing
-        self.all_particles = particles
         self.version = -1
         self.names = [name for name in particles.arrays if field(name).ghost or name in changing]
-        if ranks.size > 1:
-            self.all_particles = Particles(particles.dimension, self._allgather())
+        self.all_particles = particles if ranks.size == 1 else Particles(particles.dimension, self._allgather())
 
-    def _allgather(self) -> dict[str, np.ndarray]:
+    def _allgather(self) -> dict[str, Array]:
         return allgather_rows(self.ranks, {name: self.particles.arrays[name] for name in self.names})
 
     def _index(self) -> None:
