@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.between_steps.saved import Saved
-from particles_mpi.errors import StateError
+from particles_mpi.errors import SceneError, StateError
 from particles_mpi.initial.populate import populate
-from particles_mpi.integrators.step_to_contact import step_to_collision
 from particles_mpi.measure.diagnostics import measure
 from particles_mpi.measure.observables import observe
 from particles_mpi.measure.watchdog import WATCH_EVERY
@@ -20,16 +19,16 @@ from particles_mpi.particles import Particles
 from particles_mpi.run.job import Job
 from particles_mpi.scene.schema import Scene
 
+CLOSE = 1e-14  # of a step: how well a step that ends with a contact must know its own length
+MOST_TRIES = 60
+
 
 class Simulation(Saved):
-    """A scene in motion on the ranks of a communicator.
-
-    `sim.step()` advances by `sim.h`, `sim.run()` to the end. `sim.time` and `sim.steps_done` say where it stands, `sim.totals`
-    what happened on this rank since the start; see `State` for the other attributes.
+    """A scene in motion on the ranks of a communicator: `sim.step()` advances by `sim.h`, `sim.run()` to the end.
 
     Between two steps the state belongs to the user, and what is changed counts from the next step on: the fields of
     `sim.particles` (this rank's rows, see `ParticleView`), `sim.time`, `sim.h`, the options of `sim.effects[name]`; `sim.add`
-    and `sim.remove` change who is there. Going on is then the same, to the bit, as a new simulation of that state.
+    and `sim.remove` change who is there. Going on is then the same, to the bit, as a new simulation of that state (`State`).
     Raises SceneError for a scene that cannot be run and StoppedError when a state has lost its meaning, on all ranks.
     """
 
@@ -43,8 +42,6 @@ class Simulation(Saved):
         with raising_together(ranks):
             self.begin(scene, ranks, particles)
         self.warnings = warnings
-
-    step_to_collision = step_to_collision
 
     def step(self, collisions: bool = True) -> None:
         """Advance by one step; `collisions=False` lets particles pass through one another and through walls. Collective."""
@@ -70,6 +67,41 @@ class Simulation(Saved):
         self.integrator.advance(self.rows, h, drift)
         for name in self.active.on_velocities:
             self.calls[name] += 2
+
+    def step_to_collision(self) -> tuple[int, int] | None:
+        """Advance to the next collision of two particles, or by one step if there is none before its end. Collective.
+
+        Returns the ids of the two that met, the lower one first, or None; `sim.time` is the moment. It is the end of a whole
+        leapfrog step of the length that ends with the contact, found by iteration where forces make that depend on itself.
+        Needs collisions in mode event. Collisions at the same moment come one call after the other.
+        """
+        pairs = self.active.pairs
+        if pairs is None or pairs.options.mode != "event":
+            raise SceneError('effects.collisions.mode: step_to_collision needs "event"')
+        self.take_changes()
+        self.particles.close()
+        h, near, free = self.h, self.near, not (self.active.forces or self.active.on_velocities)
+        tried: list[tuple[float, float]] = []  # (length that was kicked for, how much later the contact came)
+        for _ in range(MOST_TRIES):
+            totals, calls = self.totals.copy(), self.calls.copy()
+            before = None if free else self.rows.select(np.arange(len(self.rows)))
+            self.advance(h, stop=True)
+            reached, met_none = float(near.stopped[0]), near.stop[1] < 0
+            if met_none and h == self.h:
+                self.particles.open()
+                self.steps_done += 1
+                return None
+            tried.append((h, reached - h))
+            if before is None or (not met_none and abs(reached - h) <= CLOSE * self.h):
+                break
+            self.rows.replace(before.arrays)
+            self.totals.update(totals)
+            self.calls.clear()
+            self.calls.update(calls)
+            h = next_length(tried, self.h)
+        self.moment = self.time + reached, self.steps_done
+        self.particles.open()
+        return int(near.stop[1]), int(near.stop[2])
 
     def run(self, output: str | Path | None = None, quiet: bool = True, **options: Any) -> None:
         """Step to the end of the scene; with `output` (a folder) write everything the scene asks for. Collective."""
@@ -121,3 +153,12 @@ class Simulation(Saved):
     def remarks(self) -> list[str]:
         """What happened that a user should know of, a line each. Collective."""
         return self.drift.remarks()
+
+
+def next_length(tried: list[tuple[float, float]], longest: float) -> float:
+    """The secant's guess of the step length h that ends with its contact, where (h, lateness) were tried."""
+    (h, late) = tried[-1]
+    guess = h + 0.5 * late
+    if len(tried) > 1 and late != tried[-2][1]:
+        guess = h - late * (h - tried[-2][0]) / (late - tried[-2][1])
+    return guess if 0.0 <= guess < longest else h + 0.5 * late

@@ -13,8 +13,7 @@ from particles_mpi.contacts.walls import no_planes
 from particles_mpi.errors import StateError, listed
 from particles_mpi.initial.checks import value_limits
 from particles_mpi.initial.populate import add_population
-from particles_mpi.integrators.accelerations import Accelerations
-from particles_mpi.integrators.kicks_and_drifts import Kick, integrator_of
+from particles_mpi.integrators.kicks_and_drifts import Accelerations, Kick, integrator_of
 from particles_mpi.measure import snapshot
 from particles_mpi.measure.watchdog import Watchdog
 from particles_mpi.parallel.agreement import raising_together, same_on_all

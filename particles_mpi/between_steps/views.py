@@ -1,8 +1,7 @@
 """What a user sees between two steps: the particles of a rank, and the effects of the scene.
 
-The program itself works on `Particles`, whose arrays it sorts, exchanges and sends to other ranks. A user gets copies of
-these arrays. What is written into a copy is compared with the original at the beginning of the next step, and taken over if
-a bit differs; so a change cannot be overlooked, and a scene whose particles nobody looks at pays nothing.
+A user gets copies of the arrays of `Particles`. What is written into a copy is compared with the original at the beginning of the
+next step, and taken over if a bit differs; a scene whose particles nobody looks at pays nothing.
 """
 
 from __future__ import annotations
@@ -51,15 +50,13 @@ class ParticleView:
     def __getattr__(self, name: str) -> Array:
         if name.startswith("_") or name not in self._rows.arrays:
             raise AttributeError(f"these particles have no field {name!r}")
-        shown: Array | None = self._shown.get(name)
-        if shown is None and not self._open:
-            shown = self._rows.arrays[name][:]
-            shown.flags.writeable = False
-        elif shown is None:
+        if not self._open:
+            return read_only(self._rows.arrays[name])
+        if name not in self._shown:
             self._copies[name] = self._rows.arrays[name].copy()
-            shown = self._shown[name] = self._copies[name][:]
-            shown.flags.writeable = name not in READ_ONLY
-        return shown
+            self._shown[name] = self._copies[name][:]
+            self._shown[name].flags.writeable = name not in READ_ONLY
+        return self._shown[name]
 
     def __setattr__(self, name: str, value: Array) -> None:
         shown = getattr(self, name)  # an unknown name is an error: data of one's own come by `attach`
@@ -92,10 +89,7 @@ class ParticleView:
     def arrays(self) -> dict[str, Array]:
         """All fields by name, to read only."""
         self.collect()
-        views = {name: array[:] for name, array in self._rows.arrays.items()}
-        for view in views.values():
-            view.flags.writeable = False
-        return views
+        return {name: read_only(array) for name, array in self._rows.arrays.items()}
 
     def select(self, rows: Array) -> Particles:
         """A copy of the rows (indices), in that order."""
@@ -127,25 +121,24 @@ class ParticleView:
         vars(self)["_open"] = False
         if not self._copies and not self._earlier:
             return
-        kept = [(name, reference, crc) for name, reference, crc in self._earlier if reference() is not None]
-        for name, reference, crc in kept:
-            if crc32_of(reference) != crc:
+        for name, reference, crc in self._earlier:
+            if (array := reference()) is not None and zlib.crc32(array.data) != crc:
                 raise StateError(
                     f"particles.{name}: an array of an earlier step was written to, which has no effect;"
                     " ask sim.particles for it anew after each step"
                 )
         while self._shown:
             self._shown.popitem()[1].flags.writeable = False
-        references = [(name, weakref.ref(copy)) for name, copy in self._copies.items()]
-        self._copies.clear()  # what is still there afterwards is held by the user
-        kept += [(name, reference, crc32_of(reference)) for name, reference in references if reference() is not None]
-        self._earlier[:] = kept[-GUARDED:]
+        kept = [(name, weakref.ref(copy), zlib.crc32(copy.data)) for name, copy in self._copies.items()]
+        self._copies.clear()
+        self._earlier[:] = [one for one in self._earlier + kept if one[1]() is not None][-GUARDED:]  # held by the user
 
 
-def crc32_of(reference: weakref.ref[Array]) -> int:
-    """CRC-32 of an array that may be gone, then 0."""
-    array = reference()
-    return 0 if array is None else zlib.crc32(array.data)
+def read_only(array: Array) -> Array:
+    """A view of it that cannot be written to."""
+    view = array[:]
+    view.flags.writeable = False
+    return view
 
 
 def same_bits(one: Array, other: Array) -> bool:

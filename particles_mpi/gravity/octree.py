@@ -30,7 +30,7 @@ SAFE = 1.0 + 2.0**-40  # enlarges a radius by more than rounding can have taken 
 
 @kernel
 def levels(dimension):
-    """How often a cell can be halved in this dimension: a key has 63 bits."""
+    """How often a cell can be halved: a key has 63 bits."""
     return min(63 // dimension, DEEPEST)
 
 

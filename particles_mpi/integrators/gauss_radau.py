@@ -5,14 +5,11 @@ step follows H. Rein and D. S. Spiegel, MNRAS 446, 1424, 2015): the acceleration
 the nodes are those at the positions it leads to, found by iteration. Its highest coefficient over the largest
 acceleration, to the power 1/7, tells how long the step may be.
 
-Round-off bounds what that coefficient can tell: far from the origin, or where bodies are close, coordinates round the
-accelerations, and no step is short enough to make the coefficient small (D. Pham, H. Rein, D. S. Spiegel, Open J.
-Astrophys. 7, 2024, show how steps then shrink for ever). So the round-off of the accelerations is measured at the start of
-each step, by one more evaluation, at positions moved by their own round-off. Below it the iteration has converged, and what
-it makes of the highest coefficient is the least tolerance. Positions carry their round-off along (Kahan's sum).
-
-A scene's step is cut into as many of these as it takes and ends exactly where it should. Nothing is kept from one to the
-next but the state, so that a resumed run has the same bits.
+Far from the origin, or where bodies are close, coordinates round the accelerations, and no step is short enough to make the
+coefficient small (D. Pham, H. Rein, D. S. Spiegel, Open J. Astrophys. 7, 2024, show how steps then shrink for ever). So this
+round-off is measured at the start of each step, by one more evaluation, at positions moved by their own round-off. Below it the
+iteration has converged, and what it makes of the highest coefficient is the least tolerance. Positions carry their round-off
+along (Kahan's sum). Nothing but the state is kept from one step of the scene to the next, so a resumed run has the same bits.
 """
 
 from __future__ import annotations
@@ -104,14 +101,14 @@ def still_to_come(change: float, before: float) -> float:
 
 
 class Adaptive:
-    """Order 15, with steps of its own choice; `substeps` counts those taken, `rejected` those that were too long."""
+    """Order 15, with steps of its own choice; `substeps` counts those taken."""
 
     def __init__(self, ranks: Communicator, tolerance: float, forces: Callable[[], Array | None], timers: Timers):
         """`forces`: accelerations (n, d) at the positions of the moment, or None."""
         self.ranks, self.tolerance, self.sum_forces, self.timers = ranks, tolerance, forces, timers
         self.c, self.once, self.twice, self.once_end, self.twice_end, self.lagrange = radau()
         self.gain = 4.0 * float(np.sqrt((self.lagrange[:, -1] ** 2).sum()))  # of round-off, in the highest coefficient
-        self.substeps = self.rejected = 0
+        self.substeps = 0
 
     def advance(self, particles: Particles, h: float, drift: Callable[[float], None]) -> None:
         """All substeps of a step. What is known of the last one serves the next, within this step."""
@@ -127,8 +124,6 @@ class Adaptive:
             if next_length >= SAFE * length:
                 done = h if length == left else done + length
                 self.substeps += 1
-            else:
-                self.rejected += 1
             if done < h and (not next_length > SHORTEST * h or self.blind > MOST_BLIND):
                 raise StateError(
                     f"time.integrator: {done:.6g} into it, steps get shorter than {next_length:.2g}: "
@@ -149,14 +144,11 @@ class Adaptive:
             at = self.guess(a, h)
             change = np.inf
             for _ in range(MOST_ITERATIONS):
-                largest = 0.0
-                before, change = change, 0.0
+                last, before = at.copy(), change
                 for i in range(1, NODES):
                     x[:] = x0 + (self.lost + (h * self.c[i] * v + h * h * combine(self.twice[i], at)))
-                    new = self.accelerations(particles)
-                    change = max(change, float(np.abs(new - at[i]).max(initial=0.0)))
-                    largest = max(largest, float(np.abs(new).max(initial=0.0)))
-                    at[i] = new
+                    at[i] = self.accelerations(particles)
+                change, largest = (np.fmax.reduce(np.abs(a), axis=None, initial=0.0) for a in (at - last, at[1:]))
                 top = np.abs(combine(self.lagrange[:, -1], at)).max(initial=0.0)
                 largest, change, top, noise = self.ranks.allreduce_max(np.array([largest, change, top, noise]))
                 round_off, left = noise + ROUNDED * largest, still_to_come(change, before)

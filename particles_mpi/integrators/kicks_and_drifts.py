@@ -1,7 +1,8 @@
-"""Kicks, which change velocities at fixed positions, and the integrators that are kicks and drifts by turns."""
+"""The sum of all forces, kicks, which change velocities at fixed positions, and integrators of kicks and drifts by turns."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from typing import Any, Protocol
 
@@ -10,8 +11,9 @@ import numpy as np
 from particles_mpi.integrators.gauss_radau import TOLERANCE, Adaptive
 from particles_mpi.kernels.motion import kick, kick_with_drag
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.particles import Array, Particles
+from particles_mpi.particles import Array, Particles, places_of
 from particles_mpi.scene.active import ActiveEffects
+from particles_mpi.scene.effect import Force
 from particles_mpi.scene.schema import Scene
 from particles_mpi.timers import Timers
 
@@ -38,6 +40,61 @@ def integrator_of(scene: Scene, ranks: Communicator, kick: Kick, rest: Any) -> I
     if name == "adaptive":
         return Adaptive(ranks, scene.time.tolerance or TOLERANCE, kick.forces, kick.timers)
     return Taylor(kick) if name == "taylor" else Composition(kick, rest, *COMPOSITIONS[name])
+
+
+class Accelerations:
+    """The sum of the `forces` of a scene, by name, kept as long as it holds; `calls` counts how often each is asked.
+
+    total (n, d): the last sum, or None; g (d,): the sum of those that are the same for all particles; `done`: interactions that
+    were computed by forces that are no longer there.
+    """
+
+    def __init__(self, forces: dict[str, Force], ranks: Communicator, dimension: int, calls: Counter[str], done: int):
+        self.forces, self.ranks, self.calls, self.done = forces, ranks, calls, done
+        self.g: Array = np.zeros(dimension)
+        self.total: Array | None = None
+        self.known: tuple[int, ...] = ()  # version, edition and fingerprint of the rows that `total` belongs to
+        self.look_at_forces()
+
+    def look_at_forces(self) -> None:
+        """What follows from the forces as they are now."""
+        self.place_dependent = any(force.place_dependent for force in self.forces.values())
+        self.collective = any(force.collective for force in self.forces.values())
+        self.g[:] = sum((force.g for force in self.forces.values() if force.g is not None), np.zeros_like(self.g))
+
+    def replace(self, name: str, force: Force) -> None:
+        """Another force in the place of one."""
+        self.done += self.forces[name].interactions
+        self.forces[name] = force
+        self.look_at_forces()
+
+    def sum(self, p: Particles) -> Array | None:
+        """Accelerations (n, d) at the present positions, or None without forces; summed anew if anyone moved. Collective."""
+        if not self.forces:
+            return None
+        known = places_of(p) if self.place_dependent else (p.version, p.edition)
+        same = known == self.known
+        if self.collective:  # what one rank must sum anew, all do
+            same = bool(self.ranks.allreduce_min(float(same))[0])
+        if same:
+            return self.total
+        a = np.zeros_like(p.velocity)
+        for name, force in self.forces.items():
+            force.add(p, a)
+            self.calls[name] += 1
+        a[p.fixed != 0] = 0.0
+        self.total, self.known = a, known
+        return a
+
+    def potentials(self, p: Particles) -> dict[str, Array]:
+        """Potential energies (n,) by force, of those that have one. Collective."""
+        found = {name: force.potential(p) for name, force in self.forces.items()}
+        return {name: energy for name, energy in found.items() if energy is not None}
+
+    @property
+    def interactions(self) -> int:
+        """Pairs, or what a tree puts in their place, that forces have computed so far."""
+        return self.done + sum(force.interactions for force in self.forces.values())
 
 
 class Kick:

@@ -3,11 +3,9 @@
 In the order in which to read them:
 
 - `communicator`: the ranks of a run, and the collective calls that the program needs
-- `exchange`: rows to any rank, all rows to all ranks, rows in id order, and the ghosts of a rank
+- `exchange`: rows to any rank, all rows to all ranks at once or in blocks, rows in id order, and the ghosts of a rank
 - `decomposition`: space is cut into one domain for each rank, and when it is cut anew
-- `buffers`: the arrays of a rank, with space for particles that arrive and for ghosts
-- `replica`: all particles on every rank, kept up to date
-- `blocks`: all particles in id order, one rank's share at a time
+- `buffers`: the arrays of a rank, with space for particles that arrive and for ghosts; or all particles on every rank
 - `exact_sum`: sums that do not depend on the order of their terms, hence not on the ranks
 - `agreement`: an error on one rank becomes an error on all, or ends all
 - `signals`: Ctrl-C, SIGTERM and the wall-time limit

@@ -1,11 +1,10 @@
 """Starts mpirun and removes from its stderr the paragraphs about ranks that have printed themselves why they end.
 
 `python particles_mpi/parallel/launcher.py LAUNCHER ARGUMENTS...` is what the mpirun in .venv/bin runs. This process becomes the
-launcher, so that signals, stdin, stdout and the exit code are the launcher's own. Its stderr goes through a second process, which
-passes everything on at once, except paragraphs between two lines of dashes and lines that begin with [host:pid], which are
-written by Open MPI. Of these it removes the ones about an exit code or MPI_Abort, shortens the one about a signal to a line, and
-passes on all others. No setting of Open MPI does that: `orte_execute_quiet` hides also that a rank was killed, or that there
-is no such program.
+launcher, so that signals, stdin, stdout and the exit code are the launcher's own. Its stderr goes through a second process: of
+the paragraphs between two lines of dashes, and lines that begin with [host:pid], both by Open MPI, it removes those about an exit
+code or MPI_Abort and shortens the one about a signal; all else passes at once. No setting of Open MPI does that:
+`orte_execute_quiet` hides also that a rank was killed, or that there is no such program.
 """
 
 import os
@@ -64,8 +63,7 @@ class Filter:
     def paragraph(self, text: bytes) -> bytes:
         """What is printed of a paragraph of the launcher."""
         said = b" ".join(text.split())
-        killed = SIGNAL.search(said)
-        if killed:
+        if killed := SIGNAL.search(said):
             return b"mpirun: rank %s on %s was ended by %s\n" % killed.groups()
         return b"" if KNOWN.search(said) else text
 

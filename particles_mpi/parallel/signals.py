@@ -43,10 +43,7 @@ class StopRequest:
         self.asked, self.asked_at = True, min(self.asked_at, perf_counter())
 
     def poll(self, step: int) -> bool:
-        """Was any rank asked to stop, or is the time over? Ranks compare only every few steps, all at the same ones. Collective.
-
-        They compare after every step where steps take long: mpirun kills its ranks a few seconds after a signal.
-        """
+        """Was any rank asked to stop, or is the time over? Ranks compare every few steps, if these are short. Collective."""
         if step < self.next:
             return False
         now = perf_counter()
