@@ -120,10 +120,7 @@ class Simulation(Saved):
             self.watchdog.look(self.rows, self.steps_done)
 
     def measure(self) -> dict[str, float]:
-        """Energies, momentum, largest speed of all particles: the same bits on any number of ranks. Collective.
-
-        With `output.observables` also those of `observables`: rates are over the time since the last call.
-        """
+        """Energies, momentum, largest speed of all particles, and observables if the scene has them. Collective."""
         self.take_changes()
         p = self.rows
         row = measure(self.ranks, p, self.accelerations.potentials(p))

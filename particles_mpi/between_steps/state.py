@@ -42,10 +42,7 @@ class State:
     accelerations: Any = None
 
     def begin(self, scene: Scene, ranks: Communicator, everyone: Particles, next_id: int = 0) -> None:
-        """Set all of it from all particles (in id order on every rank), of which this rank keeps its share. Collective.
-
-        `next_id`: the id of the next particle that is added, if it is larger than those that are there tell.
-        """
+        """Set all of it from all particles (in id order on every rank); `next_id`: of one that is added, or above. Collective."""
         if digests := scene.digests():
             same_on_all(ranks, {"contents of files of effects": digests})
         self.scene, self.ranks, self.timers = scene.running(), ranks, Timers()
@@ -212,10 +209,7 @@ class State:
         return new.id
 
     def remove(self, ids: Any) -> None:
-        """Take particles away, by their ids. Collective: a rank may name any, and they go if one rank names them.
-
-        Raises ValueError, on all ranks, for ids that no particle has.
-        """
+        """Take away particles that any rank names by id; ValueError, on all ranks, for ids that no particle has. Collective."""
         self.take_changes()
         named = np.unique(np.concatenate([np.asarray(of, np.int64).reshape(-1) for of in self.ranks.allgather(ids)]))
         here = np.isin(self.rows.id, named)

@@ -114,10 +114,7 @@ class ParticleView:
         vars(self)["_open"] = True
 
     def close(self) -> None:
-        """The state belongs to the program: until `open`, fields can only be read, and those of this moment for ever.
-
-        Raises StateError if an array of an earlier moment was written to.
-        """
+        """Until `open` fields can only be read, and those of now for ever; StateError if an earlier one was written to."""
         vars(self)["_open"] = False
         if not self._copies and not self._earlier:
             return

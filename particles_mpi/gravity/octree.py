@@ -132,10 +132,7 @@ def skips(level, roots):
 
 @kernel
 def moments(skip, count, x, mass):
-    """Moments (n, WIDTH) of a rank's own nodes, and the bounding box of each (n, 6): lowest corner, then highest.
-
-    `count` (n,): particles of each leaf, 0 for other nodes; x (p, 3), mass (p,): the particles of all leaves, in order.
-    """
+    """Moments (n, WIDTH) of a rank's nodes, and boxes (n, 6): lowest, highest corner; from the rows of all leaves, in order."""
     n = len(skip)
     cells, bounds = np.zeros((n, WIDTH)), np.empty((n, 6))
     last = len(x)

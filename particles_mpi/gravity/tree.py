@@ -49,10 +49,7 @@ class Tree:
         self.interactions = 0
 
     def attract(self, ids: Array, position: Array, mass: Array, work: Array) -> Array:
-        """Acceleration, potential and work of this rank's particles for G = 1, (n, RESULT); nan if a position is not finite.
-
-        `work` (n,): an estimate of each particle's share of the work, that of the last call, or ones. Collective.
-        """
+        """Acceleration, potential, work (n, RESULT) for G = 1, nan if a place is not finite. `work`: the last one. Collective."""
         ranks, d, self.interactions = self.ranks, self.dimension, 0
         x = np.zeros((len(position), 3))
         x[:, :d] = position
@@ -110,10 +107,7 @@ class Tree:
     def exchange(
         self, nodes: dict[str, Array], rows: dict[str, Array], skip: Array, bounds: Array, rank: Array
     ) -> tuple[dict[str, Array], dict[str, Array], int]:
-        """The locally essential nodes and rows of all ranks, in the order of keys, and where this rank's rows begin. Collective.
-
-        `bounds` (b, 6), `rank` (b,): bounding box and owner of the branches of all ranks.
-        """
+        """Essential nodes and rows of all ranks by key, and the first own row; `bounds`, `rank`: of all branches. Collective."""
         ranks, first = self.ranks, np.cumsum(nodes["count"]) - nodes["count"]
         boxes = [bounds[rank == p] if p != ranks.rank else bounds[:0] for p in range(ranks.size)]
         parts = [select_essential(skip, nodes["count"], first, nodes["cell"], box, self.law.angle) for box in boxes]
@@ -132,10 +126,7 @@ def insert(mine: dict[str, Array], theirs: dict[str, Array], place: int) -> dict
 
 
 def sample_keys(keys: Array, work: Array) -> Array:
-    """SAMPLES of a rank's sorted keys (n,) that divide its `work` (n,) into equal parts, and its total work; int64.
-
-    The work is a float64 in the last place, as its 64 bits.
-    """
+    """SAMPLES of the sorted keys (n,) that divide `work` (n,) into equal parts; last the whole work, as the bits of a float64."""
     reached = np.cumsum(work)
     if not len(keys):
         return np.zeros(SAMPLES + 1, np.int64)
@@ -173,10 +164,7 @@ def count_in_cells(keys: Array, cuts: Array, d: int) -> Array:
 
 
 def cut_between_groups(cuts: Array, counts: Array, d: int) -> Array:
-    """Each cut moved to the first key of the group it lies in, so that no group is divided.
-
-    `counts` (cuts, levels + 1): the sum of `count_in_cells` over all ranks.
-    """
+    """Each cut moved to the first key of the group it lies in; `counts`: of `count_in_cells`, summed over all ranks."""
     small = counts <= GROUP
     small[:, -1] = True
     return cells_of(cuts, d)[0][np.arange(len(cuts)), small.argmax(axis=1)]

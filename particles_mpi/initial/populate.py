@@ -32,10 +32,7 @@ STREAMS = {name: k for k, name in enumerate(("position", "velocity", "speed", "r
 
 
 def populate(scene: Scene) -> tuple[Particles, list[str]]:
-    """(particles, warnings) of a scene; raises SceneError with one line for each fault.
-
-    Row i is the particle with id i. Deterministic from `scene.seed`, and without communication.
-    """
+    """(particles, warnings) of a scene, row i being id i; SceneError with one line for each fault. The same on every rank."""
     try:
         with np.errstate(over="ignore", under="ignore"):
             return Populator(scene, dict(enumerate(scene.particles))).populate()
@@ -87,10 +84,7 @@ def add_population(
 
 
 class Populator:
-    """Builds populations (by their number) one quantity after the other, and collects faults on the way.
-
-    `there`: particles that are there already, in id order; the new ones get ids from `next_id` on.
-    """
+    """Builds populations (by number) one quantity after the other, behind those that are `there`, with ids from `next_id` on."""
 
     def __init__(self, scene: Scene, populations: dict[int, Population], there: Particles | None = None, next_id: int = 0):
         self.scene, self.populations, self.there, self.next_id = scene, populations, there, next_id

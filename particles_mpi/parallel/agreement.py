@@ -99,10 +99,7 @@ def raise_first(ranks: Communicator, error: Exception | None, root_reads: bool =
 
 
 def same_on_all(ranks: Communicator, tables: dict[str, Any], arrays: dict[str, Array] | None = None) -> None:
-    """Raise a SceneError on all ranks if one has other `tables` (plain data) or `arrays` than rank 0. Collective.
-
-    The message names the rank and the keys that differ.
-    """
+    """Raise a SceneError on all ranks, which names rank and keys, if one has other tables or arrays than rank 0. Collective."""
     if ranks.size == 1:
         return
     digest = hashlib.blake2b(json.dumps(tables, sort_keys=True, default=str).encode())
@@ -205,10 +202,7 @@ if MPI.COMM_WORLD.Get_size() > 1 and sys.excepthook is sys.__excepthook__:
 
 
 def require_finite(ranks: Communicator, p: Particles, values: Any, when: str) -> None:
-    """Raise a StateError on all ranks if one of `values`, the same on all ranks, is not finite.
-
-    The message names the particle with the lowest id whose position or squared velocity is not finite. Collective then.
-    """
+    """Raise a StateError on all ranks, which names the lowest id at fault, if one of `values`, the same on all, is not finite."""
     if np.isfinite(values).all():
         return
     with np.errstate(over="ignore", invalid="ignore"):

@@ -92,10 +92,7 @@ class Communicator:
             sleep(NAP)
 
     def run_on_root(self, work: Callable[[], Any]) -> Any:
-        """Call `work()` on rank 0 while the others sleep; returns its value there and None elsewhere. Collective.
-
-        An exception in `work` is raised on all ranks.
-        """
+        """Call `work()` on rank 0 while the others sleep: its value there, None elsewhere, its exception on all. Collective."""
         value, error = None, None
         if self.is_root:
             try:

@@ -135,10 +135,7 @@ class Halo:
         self.receive_buffers = [np.empty((end - begin) * width) for _, begin, end in self.incoming]
 
     def exchange(self, pack: Callable[[Array, Array], int]) -> list[tuple[int, Array]]:
-        """Refresh the ghosts; returns (first ghost row, message) for each message that arrived. Collective.
-
-        `pack(rows, buffer)` writes the message about the rows into the buffer and returns its length.
-        """
+        """Refresh the ghosts by what `pack(rows, buffer)` writes, returning its length: (first row, message)s. Collective."""
         comm, requests = self.ranks.comm, []
         for (p, _, _), buffer in zip(self.incoming, self.receive_buffers, strict=True):
             requests.append(comm.Irecv([buffer, MPI.DOUBLE], source=p, tag=TAG))

@@ -80,23 +80,18 @@ class Filter:
         return held
 
 
-def write(data: bytes) -> None:
-    """Write all of it to stderr."""
-    while data:
-        data = data[os.write(2, data) :]
-
-
 def relay(source: int) -> None:
     """Pass on what comes from `source` until it is closed; signals are left to the launcher."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
         signal.signal(number, signal.SIG_IGN)
     passing = Filter()
-    while True:
+    ended = False
+    while not ended:
         ready, _, _ = select.select([source], [], [], PATIENCE if passing.held else None)
         data = os.read(source, 65536) if ready else b""
-        if ready and not data:
-            return write(passing.rest())
-        write(passing.feed(data) if ready else passing.rest())
+        sys.stderr.buffer.write(passing.feed(data) if data else passing.rest())
+        sys.stderr.buffer.flush()
+        ended = bool(ready) and not data
 
 
 def main() -> None:

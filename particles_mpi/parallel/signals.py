@@ -20,10 +20,7 @@ POLL_STEPS, POLL_SECONDS = 10, 0.2  # between two polls of all ranks: whichever 
 
 
 def exit_on_signals() -> None:
-    """From here on a signal ends the process, as long as there is nothing to save; its launcher then ends the other ranks.
-
-    An exception would not do: the process would wait for the other ranks in MPI_Finalize.
-    """
+    """From here on a signal ends the process; an exception would wait for the other ranks in MPI_Finalize."""
     for number in SIGNALS:
         signal.signal(number, lambda *_: os._exit(EXIT_ON_SIGNAL))
 
