@@ -202,10 +202,8 @@ def center_of_mass(cell, bound):
 @inner
 def add_second_moments(cell, dx, dy, dz, mass):
     """Add the second moments of a mass at distance (dx, dy, dz) from the centre; returns the distance squared."""
-    cell[SECOND] += mass * dx * dx
-    cell[SECOND + 1] += mass * dx * dy
-    cell[SECOND + 2] += mass * dx * dz
-    cell[SECOND + 3] += mass * dy * dy
-    cell[SECOND + 4] += mass * dy * dz
-    cell[SECOND + 5] += mass * dz * dz
+    entry = SECOND
+    for a, b in ((dx, dx), (dx, dy), (dx, dz), (dy, dy), (dy, dz), (dz, dz)):
+        cell[entry] += mass * a * b
+        entry += 1
     return dx * dx + dy * dy + dz * dz

@@ -17,6 +17,7 @@ from zlib import crc32
 import numpy as np
 from pydantic import ValidationError
 
+from particles_mpi.contacts.walls import no_planes
 from particles_mpi.errors import SceneError, listed
 from particles_mpi.initial.checks import check_start, divided_masses
 from particles_mpi.initial.placement import JAMMED, MOST_TRIES, Container, RandomAddition, lattice, packing
@@ -42,25 +43,20 @@ def populate(scene: Scene) -> tuple[Particles, list[str]]:
 
 def room_of(scene: Scene) -> Container:
     """Box and walls of a scene as arrays; an open side is infinite."""
-    d = scene.dimension
-    lower, upper = np.full(d, -inf), np.full(d, inf)
-    if scene.box is not None:
-        lower, upper = np.array(scene.box.lower, float), np.array(scene.box.upper, float)
-    point, normal = np.empty((0, d)), np.empty((0, d))
-    effects = ActiveEffects(scene, switched_off=True)
-    if effects.walls:
-        point, normal = effects.walls.planes.point, effects.walls.planes.normal
-    solid = effects.pairs is not None
-    return Container(lower, upper, periodic_length(scene), point, normal, solid, solid or len(point) > 0)
+    box, effects = scene.box, ActiveEffects(scene, switched_off=True)
+    lower, upper = np.full((2, scene.dimension), [[-inf], [inf]]) if box is None else np.array([box.lower, box.upper], float)
+    walls, solid = effects.walls.planes if effects.walls else no_planes(scene.dimension), effects.pairs is not None
+    bounded = solid or len(walls.point) > 0
+    return Container(lower, upper, periodic_length(scene), walls.point, walls.normal, solid, bounded)
 
 
 def add_population(
     scene: Scene, everyone: Particles, table: Mapping[str, Any], next_id: int, number: int
 ) -> tuple[Particles, list[str]]:
-    """(all particles with those of one more population behind them, warnings); the same on every rank.
+    """(`everyone`, in id order, and behind them those of one more population, warnings); the same on every rank.
 
-    `everyone`: those that are there, in id order; `table`: the keys of a `[[particles]]` table, whose values may be arrays,
-    and fields of the user's own. `number` tells this population from others, in messages and in random numbers.
+    `table`: the keys of a `[[particles]]` table, whose values may be arrays, and fields of the user's own; `number` tells this
+    population from others, in messages and in random numbers.
     """
     key = f"particles[{number}]"
     plain = {name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value for name, value in table.items()}

@@ -79,10 +79,9 @@ def await_all(ranks: Communicator, error: Exception | None, patience: float = PA
 
 
 def raise_first(ranks: Communicator, error: Exception | None, root_reads: bool = False) -> None:
-    """Raise on all ranks the error of the lowest rank that has one; nothing happens if none has. Collective.
+    """Raise on all ranks the error of the lowest rank that has one, if any has. Collective.
 
-    The text names that rank, unless all have the same error, or it is a SceneError about a file that only rank 0 reads
-    (`root_reads`).
+    The text names it, unless all have the same error, or it is a SceneError about a file that only rank 0 reads (`root_reads`).
     """
     mine = None
     if error is not None:  # of the types that ranks share, the one that this is
