@@ -186,10 +186,10 @@ class State:
             self.build()
 
     def add(self, population: Mapping[str, Any]) -> Array:
-        """Add particles: the keys of a `[[particles]]` table, or arrays under these names. Returns their ids. Collective.
+        """Add particles: the keys of a `[[particles]]` table, or arrays, the same on all ranks. Returns their ids. Collective.
 
-        All ranks give the same. Ids go on from the largest there ever was. Fields that were attached may be given too,
-        and are 0 if not. Raises SceneError, as at the start, for particles that cannot be: overlapping others, outside, ...
+        Ids go on from the largest there ever was; attached fields may be given too, and are 0 if not. Raises SceneError, as at
+        the start, for particles that cannot be: overlapping others, outside, ...
         """
         self.take_changes()
         everyone = snapshot.gather_all(self.ranks, self.rows)
@@ -223,8 +223,7 @@ class State:
     def attach(self, name: str, values: Array) -> None:
         """Give every particle data of the user's own: `values` (N, ...) in id order, any numeric type. Collective.
 
-        `sim.particles[name]` are this rank's rows from then on; they go where their particles go, to other ranks and into
-        checkpoints. Nothing computes with them.
+        `sim.particles[name]` are this rank's rows from then on; they go with their particles, into checkpoints too.
         """
         values = np.asarray(values)
         taken = name in OWN or name in fields_of(self.scene)  # FIELDS also has columns of effects that this scene lacks

@@ -27,10 +27,9 @@ GUARDED = 8  # arrays of earlier steps that are looked after, in case somebody w
 class ParticleView:
     """`view.position[i]`, `view["charge"]`, `len(view)`: the rows of this rank; `view.id[i]` tells which particle row i is.
 
-    Vectors are (n, d), scalars (n,). Every field may be changed but `id` and those that each step computes anew:
-    `view.velocity *= -1`, `view.mass[3] = 2.0`, `view.fixed[:] = True`. The change counts from the next step on. An array
-    belongs to the moment at which it was asked for: after the next step it can only be read, and writing into a part of it
-    that was kept is an error (StateError). `view.arrays` holds all fields, to read only.
+    Every field may be changed but `id` and those that each step computes anew: `view.velocity *= -1`, `view.mass[3] = 2.0`. The
+    change counts from the next step on. An array belongs to its moment: after the next step it can only be read, and writing into
+    a part of it that was kept is an error (StateError). `view.arrays` holds all fields, to read only.
     """
 
     _rows: Particles
@@ -96,10 +95,8 @@ class ParticleView:
         self.collect()
         return self._rows.select(rows)
 
-    def collect(self) -> bool:
-        """Take over what the user wrote since the last call; was there anything? Afterwards the copies hold what counts."""
-        if not self._copies:
-            return False
+    def collect(self) -> None:
+        """Take over what the user wrote since the last call. Afterwards the copies hold what counts."""
         held = self._rows.arrays
         changed = {name: copy for name, copy in self._copies.items() if not same_bits(copy, held[name])}
         if changed:
@@ -107,7 +104,6 @@ class ParticleView:
             self._rows.change(changed)
             for name, copy in self._copies.items():
                 copy[...] = held[name]
-        return bool(changed)
 
     def open(self) -> None:
         """The state belongs to the user."""

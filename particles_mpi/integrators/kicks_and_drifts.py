@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -28,14 +28,11 @@ COMPOSITIONS = {
 }
 
 
-class Integrator(Protocol):
-    """Advances particles by a step of length h; `drift` moves them for a time, with contacts on the way. Collective."""
+def integrator_of(scene: Scene, ranks: Communicator, kick: Kick, rest: Any) -> Adaptive | Taylor | Composition:
+    """The integrator that a scene names; `rest` keeps contacts that last, if any do.
 
-    def advance(self, particles: Particles, h: float, drift: Callable[[float], None]) -> None: ...
-
-
-def integrator_of(scene: Scene, ranks: Communicator, kick: Kick, rest: Any) -> Integrator:
-    """The integrator that a scene names; `rest` keeps contacts that last, if any do."""
+    It advances particles by a step of length h, and calls `drift` to move them for a time, with contacts on the way. Collective.
+    """
     name = scene.time.integrator
     if name == "adaptive":
         return Adaptive(ranks, scene.time.tolerance or TOLERANCE, kick.forces, kick.timers)

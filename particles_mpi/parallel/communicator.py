@@ -17,8 +17,7 @@ NAP = 0.005  # seconds between two checks of a rank that sleeps while it waits
 class Communicator:
     """A thin layer over an MPI communicator. On a single rank nothing is sent.
 
-    It counts, for `run.json` and the scaling study: `messages` sent to single ranks; `reductions`; `all_to_alls`, exchanges in
-    which every rank may send to every other; and `rows` of particles received.
+    It counts `messages` sent to single ranks, `reductions`, `all_to_alls`, and `rows` of particles received.
     """
 
     def __init__(self, comm: MPI.Comm | None = None):
