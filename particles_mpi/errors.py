@@ -1,6 +1,12 @@
-"""The three ways in which a run ends early, and their exit codes."""
+"""The three ways in which a run ends early, and their exit codes; how particles are named in a fault."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
 
 EXIT_ON_SIGNAL = 130
+SHOWN = 5  # particles or pairs named in a fault
 
 
 class SceneError(ValueError):
@@ -27,3 +33,10 @@ class Interrupted(Exception):
     """Stopped by a signal or the wall-time limit, after writing a checkpoint."""
 
     exit_code = EXIT_ON_SIGNAL
+
+
+def listed(names: Sequence[Any] | Any, what: str = "particle") -> str:
+    """ "particle 3", "particles 3 and 7", "particles 0, 1, 2, 3, 4 and 12 more"; `names`: a list or an array."""
+    parts = [str(name) for name in names[:SHOWN]] + ([f"{len(names) - SHOWN} more"] if len(names) > SHOWN else [])
+    text = parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+    return f"{what}{'s' if len(names) > 1 else ''} {text}"

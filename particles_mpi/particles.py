@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,21 +32,20 @@ class Column:
 # Every field a particle can have. A scene holds the first six, and of the others those its effects name.
 FIELDS = {
     "id": Column("int64", ghost=True),
-    "position": Column("float64", vector=True, ghost=True),
-    "velocity": Column("float64", vector=True, ghost=True),
-    "radius": Column("float64", ghost=True, least=0.0),
-    "mass": Column("float64", ghost=True),
+    "position": Column(vector=True, ghost=True),
+    "velocity": Column(vector=True, ghost=True),
+    "radius": Column(ghost=True, least=0.0),
+    "mass": Column(ghost=True, least=0.0),
     "fixed": Column("uint8", ghost=True),
-    "drag": Column("float64", ghost=True, least=0.0),
-    "acceleration": Column("float64", vector=True),
+    "drag": Column(ghost=True, least=0.0),
+    "acceleration": Column(vector=True),
     # when it last met anyone or a wall, in mode event; -inf: never
-    "contacted": Column("float64", ghost=True, output=False, default=-np.inf),
-    "virial": Column("float64", output=False),  # -r.dp of its collisions so far, told to the lower id; for the observables
+    "contacted": Column(ghost=True, output=False, default=-np.inf),
+    "virial": Column(output=False),  # -r.dp of its collisions so far, told to the lower id; for the observables
     "supported": Column("uint8", output=False),  # pressed onto something by forces: see contacts/persistent
-    "total_acceleration": Column(
-        "float64", vector=True, ghost=True, output=False
-    ),  # of forces and lasting contacts, in this step
-    "rate": Column("float64", vector=True, output=False),  # dv/dt at the start of a `taylor` step
+    # of forces and lasting contacts, in this step
+    "total_acceleration": Column(vector=True, ghost=True, output=False),
+    "rate": Column(vector=True, output=False),  # dv/dt at the start of a `taylor` step
 }
 OWN = tuple(FIELDS)  # those of the program; effects from outside bring more
 USER = Column("", output=False)  # any other name: data of the user's, of any type and shape, that goes where its particle goes
@@ -56,22 +54,16 @@ MEETING = ("position", "velocity", "radius", "mass", "fixed", "drag")  # fields 
 
 
 class Particles:
-    """Rows of particles as arrays: `position[i]`, `velocity[i]`, `radius[i]`, `mass[i]`, `fixed[i]`, `id[i]`.
+    """Rows of particles as arrays by name: `position[i]`, `mass[i]`, ...; vectors are (n, d), scalars (n,), in the scene's units.
 
-    Row order means nothing and changes from step to step; `id` tells which particle a row is. Vectors are (n, d) float64
-    in the scene's units, scalars (n,). `version` counts the times that rows were moved, or that a user changed what decides
-    who meets whom, so that whoever keeps something by row knows when it is stale; `edition` counts all changes by a user.
+    Row order changes from step to step; `id` tells which particle a row is. `version` counts the times that rows were moved, or
+    that a user changed what decides who meets whom: whatever is kept by row is then stale. `edition` counts changes by a user.
     """
 
     def __init__(self, dimension: int, arrays: dict[str, Array]):
         self.dimension = dimension
         self.arrays = arrays
         self.version = self.edition = 0
-
-    @classmethod
-    def empty(cls, dimension: int, names: Iterator[str] | list[str]) -> Particles:
-        """No rows, of the named fields."""
-        return cls(dimension, {n: np.empty(shape(n, 0, dimension), FIELDS[n].dtype) for n in names})
 
     def __len__(self) -> int:
         return len(self.arrays["id"])

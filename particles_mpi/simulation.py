@@ -8,32 +8,27 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.between_steps.saved import Saved
-from particles_mpi.contacts.drift import Drift, keeper_of_contacts
-from particles_mpi.errors import StateError
+from particles_mpi.errors import SceneError, StateError
 from particles_mpi.initial.populate import populate
-from particles_mpi.integrators.accelerations import Accelerations
-from particles_mpi.integrators.choice import integrator_of
-from particles_mpi.integrators.step_to_contact import step_to_contact
-from particles_mpi.integrators.velocity_flow import Kick
 from particles_mpi.measure.diagnostics import measure
 from particles_mpi.measure.observables import observe
-from particles_mpi.measure.watchdog import WATCH_EVERY, Watchdog
+from particles_mpi.measure.watchdog import WATCH_EVERY
 from particles_mpi.parallel.agreement import raising_together, require_finite, same_on_all
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.particles import Array, Particles
+from particles_mpi.particles import Particles
 from particles_mpi.run.job import Job
 from particles_mpi.scene.schema import Scene
 
+CLOSE = 1e-14  # of a step: how well a step that ends with a contact must know its own length
+MOST_TRIES = 60
+
 
 class Simulation(Saved):
-    """A scene in motion on the ranks of a communicator.
-
-    `sim.step()` advances by `sim.h`, `sim.run()` to the end. `sim.time` and `sim.steps_done` say where it stands, `sim.totals`
-    counts what happened on this rank since the start.
+    """A scene in motion on the ranks of a communicator: `sim.step()` advances by `sim.h`, `sim.run()` to the end.
 
     Between two steps the state belongs to the user, and what is changed counts from the next step on: the fields of
     `sim.particles` (this rank's rows, see `ParticleView`), `sim.time`, `sim.h`, the options of `sim.effects[name]`; `sim.add`
-    and `sim.remove` change who is there. Going on is then the same, to the bit, as a new simulation of that state.
+    and `sim.remove` change who is there. Going on is then the same, to the bit, as a new simulation of that state (`State`).
     Raises SceneError for a scene that cannot be run and StoppedError when a state has lost its meaning, on all ranks.
     """
 
@@ -47,29 +42,6 @@ class Simulation(Saved):
         with raising_together(ranks):
             self.begin(scene, ranks, particles)
         self.warnings = warnings
-
-    accelerations: Accelerations
-
-    def build(self) -> None:
-        """All that follows from the scene's effects and from how many particles there are. Collective."""
-        before, scene, p = self.drift, self.scene, self.rows
-        interactions = self.accelerations.interactions if before else 0
-        context, effects = self.look_around()
-        self.active = effects
-        walls = effects.walls.planes if effects.walls else None
-        none = np.empty((0, scene.dimension))
-        planes = (walls.point, walls.normal) if walls else (none, none)
-        self.watchdog = Watchdog(self.ranks, p.id, self.ids, planes, self.lower, self.length)
-        self.rest = keeper_of_contacts(effects, context, scene.dimension)
-        self.drift = Drift(p, context, effects, self.rest, self.sum_forces)
-        if before:
-            self.drift.continue_counts(before)
-        self.accelerations = Accelerations(effects.forces, self.ranks, scene.dimension, self.drift.calls)
-        self.accelerations.done_before += interactions
-        self.kick = Kick(effects)
-        self.integrator = integrator_of(scene, self.ranks, self.kick, self.rest)
-        self.taken = p.edition
-        self.particles.open()
 
     def step(self, collisions: bool = True) -> None:
         """Advance by one step; `collisions=False` lets particles pass through one another and through walls. Collective."""
@@ -89,16 +61,12 @@ class Simulation(Saved):
             self.rest.awake = contacts
 
         def drift(part: float) -> None:
-            rates = self.drift.rates(self.accelerations.g, self.accelerations.total, self.kick.rate(self.rows))
+            rates = self.drift.rates(self.g, self.accelerations.total, self.kick.rate(self.rows))
             self.drift.advance(self._h if stop else part, self.time, rates, contacts, stop)
 
-        self.integrator.advance(self.rows, h, self.sum_forces, drift, self.timers)
+        self.integrator.advance(self.rows, h, drift)
         for name in self.active.on_velocities:
             self.calls[name] += 2
-
-    def sum_forces(self) -> Array | None:
-        """Accelerations (n, d) of this rank's particles at the present positions, or None without forces. Collective."""
-        return self.accelerations.sum(self.rows)
 
     def step_to_collision(self) -> tuple[int, int] | None:
         """Advance to the next collision of two particles, or by one step if there is none before its end. Collective.
@@ -107,7 +75,33 @@ class Simulation(Saved):
         leapfrog step of the length that ends with the contact, found by iteration where forces make that depend on itself.
         Needs collisions in mode event. Collisions at the same moment come one call after the other.
         """
-        return step_to_contact(self)
+        pairs = self.active.pairs
+        if pairs is None or pairs.options.mode != "event":
+            raise SceneError('effects.collisions.mode: step_to_collision needs "event"')
+        self.take_changes()
+        self.particles.close()
+        h, near, free = self.h, self.near, not (self.active.forces or self.active.on_velocities)
+        tried: list[tuple[float, float]] = []  # (length that was kicked for, how much later the contact came)
+        for _ in range(MOST_TRIES):
+            totals, calls = self.totals.copy(), self.calls.copy()
+            before = None if free else self.rows.select(np.arange(len(self.rows)))
+            self.advance(h, stop=True)
+            reached, met_none = float(near.stopped[0]), near.stop[1] < 0
+            if met_none and h == self.h:
+                self.particles.open()
+                self.steps_done += 1
+                return None
+            tried.append((h, reached - h))
+            if before is None or (not met_none and abs(reached - h) <= CLOSE * self.h):
+                break
+            self.rows.replace(before.arrays)
+            self.totals.update(totals)
+            self.calls.clear()
+            self.calls.update(calls)
+            h = next_length(tried, self.h)
+        self.moment = self.time + reached, self.steps_done
+        self.particles.open()
+        return int(near.stop[1]), int(near.stop[2])
 
     def run(self, output: str | Path | None = None, quiet: bool = True, **options: Any) -> None:
         """Step to the end of the scene; with `output` (a folder) write everything the scene asks for. Collective."""
@@ -126,10 +120,7 @@ class Simulation(Saved):
             self.watchdog.look(self.rows, self.steps_done)
 
     def measure(self) -> dict[str, float]:
-        """Energies, momentum, largest speed of all particles: the same bits on any number of ranks. Collective.
-
-        With `output.observables` also those of `observables`: rates are over the time since the last call.
-        """
+        """Energies, momentum, largest speed of all particles, and observables if the scene has them. Collective."""
         self.take_changes()
         p = self.rows
         row = measure(self.ranks, p, self.accelerations.potentials(p))
@@ -139,44 +130,6 @@ class Simulation(Saved):
             row |= observe(self.ranks, p, volume, self.time, collisions, self.observed)
         require_finite(self.ranks, p, row["kinetic"], f"step {self.steps_done}")
         return row
-
-    def replace_force(self, name: str) -> None:
-        """Take the force of this name from the scene anew. Collective."""
-        force = self.scene.effects[name].build(self.scene)
-        force.bind(self.drift.context)
-        self.accelerations.replace(name, force)
-        self.active.all[name] = force
-
-    @property
-    def totals(self) -> dict[str, int]:
-        """Collisions, wall hits, missed contacts and exchanges on this rank since the start."""
-        totals: dict[str, int] = self.drift.totals
-        return totals
-
-    @property
-    def calls(self) -> Any:
-        """How often each effect was asked, by name."""
-        return self.drift.calls
-
-    @property
-    def forces(self) -> dict[str, Any]:
-        """The forces of the scene that are switched on, by name."""
-        return self.accelerations.forces
-
-    @property
-    def g(self) -> Array:
-        """The acceleration (d,) that all particles have in common."""
-        return self.accelerations.g
-
-    @property
-    def near(self) -> Any:
-        """Whoever knows the neighbours of this rank's particles; None without pairs that collide."""
-        return self.drift.near
-
-    @property
-    def contacts(self) -> Any:
-        """The operator that does the contacts of pairs, or None."""
-        return self.drift.operator
 
     def counted(self) -> dict[str, int]:
         """Work of this rank so far: searches for neighbours, ghosts, tests of pairs, interactions, windows of time."""
@@ -197,3 +150,12 @@ class Simulation(Saved):
     def remarks(self) -> list[str]:
         """What happened that a user should know of, a line each. Collective."""
         return self.drift.remarks()
+
+
+def next_length(tried: list[tuple[float, float]], longest: float) -> float:
+    """The secant's guess of the step length h that ends with its contact, where (h, lateness) were tried."""
+    (h, late) = tried[-1]
+    guess = h + 0.5 * late
+    if len(tried) > 1 and late != tried[-2][1]:
+        guess = h - late * (h - tried[-2][0]) / (late - tried[-2][1])
+    return guess if 0.0 <= guess < longest else h + 0.5 * late

@@ -8,7 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from particles_mpi.between_steps.changes import Changeable
+from particles_mpi.between_steps.state import State
 from particles_mpi.contacts.drift import COUNTS
 from particles_mpi.measure import snapshot
 from particles_mpi.output.checkpoint import load
@@ -18,13 +18,13 @@ from particles_mpi.particles import Array, Particles
 from particles_mpi.scene.schema import Scene
 
 
-class Saved(Changeable):
+class Saved(State):
     """A state that can be copied and saved."""
 
     def metadata(self) -> dict[str, Any]:
         """Clock, counts over all ranks, and scene, as plain data: what a state is besides its particles. Collective."""
         self.take_changes()
-        totals = self.ranks.allreduce_sum(np.array([self.drift.totals[name] for name in COUNTS])).tolist()
+        totals = self.ranks.allreduce_sum(np.array([self.totals[name] for name in COUNTS])).tolist()
         clock = {"step": self.steps_done, "moment": self.moment, "h": self._h, "observed": self.observed}
         kept = [column.tolist() for column in self.rest.memory] if self.rest else []
         counts = {"totals": totals, "next_id": self.next_id, "additions": self.additions}
@@ -41,7 +41,7 @@ class Saved(Changeable):
         if sim.rest and metadata["kept"]:
             sim.rest.memory = np.array(metadata["kept"][0], np.int64), np.array(metadata["kept"][1], float)
         if ranks.is_root:  # counts are sums over ranks: one rank carries those from before
-            sim.drift.totals.update(zip(COUNTS, metadata["totals"], strict=True))
+            sim.totals.update(zip(COUNTS, metadata["totals"], strict=True))
         return sim
 
     @classmethod

@@ -1,45 +1,48 @@
-"""The state of a simulation: its particles, its clock, its counts, and the scene that it goes by."""
+"""The state of a simulation: its particles, its clock, its counts, and the scene that it goes by; all of it may be changed."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from particles_mpi.between_steps.particle_view import ParticleView
-from particles_mpi.contacts.drift import COUNTS
-from particles_mpi.parallel.agreement import same_on_all
+from particles_mpi.between_steps.views import ParticleView, RunningEffect, changed_options
+from particles_mpi.contacts.drift import COUNTS, Drift, keeper_of_contacts
+from particles_mpi.contacts.walls import no_planes
+from particles_mpi.errors import StateError, listed
+from particles_mpi.initial.checks import value_limits
+from particles_mpi.initial.populate import add_population
+from particles_mpi.integrators.kicks_and_drifts import Accelerations, Kick, integrator_of
+from particles_mpi.measure import snapshot
+from particles_mpi.measure.watchdog import Watchdog
+from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exchange import IdRange, id_range
-from particles_mpi.particles import Array, Particles, default_values
+from particles_mpi.parallel.exchange import id_range
+from particles_mpi.particles import OWN, Array, Particles, default_values
 from particles_mpi.scene.active import ActiveEffects, fields_of
-from particles_mpi.scene.effect import Context
+from particles_mpi.scene.effect import Context, Force
 from particles_mpi.scene.schema import Scene, periodic_length
 from particles_mpi.timers import Timers
 
 
 class State:
-    """What a simulation is at a moment between two steps. `Simulation` adds how it goes on.
+    """What a simulation is between two steps. Its user may change it; going on is then as in a new simulation of that state.
 
     scene: what it goes by; ranks; rows: this rank's particles (`particles` is what a user sees of them); ids: where the ids of
     all lie; total: how many there are on all ranks; steps_done; warnings: of the start; next_id: of a particle that is added;
     reported, written: counts and steps at the last row of diagnostics and the last frame; observed: time, collisions and virial
-    when the observables were last looked at.
+    when the observables were last looked at. Of this rank, since the start: totals: collisions, wall hits, missed contacts and
+    exchanges; calls: how often each effect was asked. forces: those that are switched on, by name; g (d,): the acceleration
+    that all particles have in common; near: whoever knows the neighbours, and contacts: the operator for pairs, or None.
     """
 
-    scene: Scene
-    ranks: Communicator
-    rows: Particles
-    ids: IdRange
-    total: int
-    rest: Any
-    drift: Any
+    rest: Any = None
+    drift: Any = None
+    accelerations: Any = None
 
     def begin(self, scene: Scene, ranks: Communicator, everyone: Particles, next_id: int = 0) -> None:
-        """Set all of it from all particles (in id order on every rank), of which this rank keeps its share. Collective.
-
-        `next_id`: the id of the next particle that is added, if it is larger than those that are there tell.
-        """
+        """Set all of it from all particles (in id order on every rank); `next_id`: of one that is added, or above. Collective."""
         if digests := scene.digests():
             same_on_all(ranks, {"contents of files of effects": digests})
         self.scene, self.ranks, self.timers = scene.running(), ranks, Timers()
@@ -50,11 +53,9 @@ class State:
         self.written: dict[str, int] = {}
         self.observed = [0.0, 0.0, 0.0]
         self.additions = 0  # populations added while it ran
-        self.rest = self.drift = None
-        first, last = (len(everyone) * (ranks.rank + k) // ranks.size for k in (0, 1))
-        self.rows = everyone.select(np.arange(first, last))
+        self.rows = everyone.select(np.arange(*ranks.share(len(everyone))))
         self.rows.velocity[self.rows.fixed != 0] = 0.0
-        self.particles_shown = ParticleView(self.rows, self.check_values)
+        self._particles = ParticleView(self.rows, self.check_values)
         self.next_id = max(next_id, int(everyone.id.max(initial=-1)) + 1)
         d, box = scene.dimension, scene.box
         self.lower = np.array(box.lower, float) if box else np.zeros(d)
@@ -64,30 +65,68 @@ class State:
 
     def build(self) -> None:
         """All that follows from the scene's effects and from how many particles there are. Collective."""
-        raise NotImplementedError
+        p, scene, ranks, drift, summed = self.rows, self.scene, self.ranks, self.drift, self.accelerations
+        p.version, p.edition = p.version + 1, p.edition + 1  # nothing that was known of the rows holds any longer
+        self.ids = id_range(ranks, p.id)
+        self.total = self.ids.total
+        for name in fields_of(scene):
+            if name not in p.arrays:
+                p.arrays[name] = default_values(name, len(p), scene.dimension)
+        self.context = Context(ranks, self.ids, self.timers, self.lower, self.upper, self.length)
+        self.active = effects = ActiveEffects(scene)
+        effects.bind(self.context)
+        walls = effects.walls.planes if effects.walls else no_planes(scene.dimension)
+        self.watchdog = Watchdog(ranks, p.id, self.ids, (walls.point, walls.normal), self.lower, self.length)
+        self.rest = keeper_of_contacts(effects, self.context, scene.dimension)
+        self.drift = Drift(p, self.context, effects, self.rest, self.sum_forces)
+        if drift:
+            self.drift.continue_counts(drift)
+        self.totals, self.calls = self.drift.totals, self.drift.calls
+        self.near, self.contacts = self.drift.near, self.drift.operator
+        done = summed.interactions if summed else 0
+        self.accelerations = Accelerations(effects.forces, ranks, scene.dimension, self.calls, done)
+        self.forces, self.g = self.accelerations.forces, self.accelerations.g
+        self.kick = Kick(effects, self.sum_forces, self.timers)
+        self.integrator = integrator_of(scene, ranks, self.kick, self.rest)
+        self.taken = p.edition
+        self.particles.open()
+
+    def sum_forces(self) -> Array | None:
+        """Accelerations (n, d) of this rank's particles at the present positions, or None without forces. Collective."""
+        return self.accelerations.sum(self.rows)
+
+    def take_changes(self) -> None:
+        """What the user has written into `particles` becomes the state. Called wherever the state is used. Collective."""
+        try:
+            self.particles.collect()
+        except StateError as error:
+            raise StateError(f"step {self.steps_done + 1}: {error}") from None
+        if self.rest and self.rest.pairs and self.ranks.allreduce_max(float(self.rows.edition != self.taken))[0]:
+            self.forget_contacts()
+        self.taken = self.rows.edition
+
+    def forget_contacts(self) -> None:
+        """What contacts carried belongs to a state that is no more. Collective."""
+        if self.rest:
+            self.rest.forget()
+        self.taken = self.rows.edition  # changes up to here are known everywhere
 
     def check_values(self, values: dict[str, Array]) -> None:
-        """Raises StateError for values that no particle can have."""
-        raise NotImplementedError
-
-    def look_around(self) -> tuple[Context, ActiveEffects]:
-        """What is there now: ids, columns and effects, told of one another. Collective."""
+        """Raises StateError for values that no particle can have, naming the first that has one."""
         p = self.rows
-        p.version, p.edition = p.version + 1, p.edition + 1  # nothing that was known of the rows holds any longer
-        self.ids = id_range(self.ranks, p.id)
-        self.total = self.ids.total
-        for name in fields_of(self.scene):
-            if name not in p.arrays:
-                p.arrays[name] = default_values(name, len(p), self.scene.dimension)
-        context = Context(self.ranks, self.ids, self.timers, self.lower, self.upper, self.length)
-        effects = ActiveEffects(self.scene)
-        effects.bind(context)
-        return context, effects
+        for name, allowed in value_limits(self.scene, p, values).items():
+            wrong = np.flatnonzero(~allowed)
+            if len(wrong):
+                row = wrong[p.id[wrong].argmin()]
+                raise StateError(
+                    f"particles.{name}: particle {p.id[row]} on rank {self.ranks.rank} was given {values[name][row]:g},"
+                    " which it cannot have"
+                )
 
     @property
     def particles(self) -> ParticleView:
         """The particles of this rank, to be read and changed between two steps."""
-        return self.particles_shown
+        return self._particles
 
     @property
     def time(self) -> float:
@@ -125,8 +164,71 @@ class State:
         end = self.scene.time.end
         return self.scene.steps if end is None else steps + max(0, round((end - since) / self._h))
 
-    def forget_contacts(self) -> None:
-        """What contacts carried belongs to a state that is no more. Collective."""
-        if self.rest:
-            self.rest.forget()
-        self.taken = self.rows.edition  # changes up to here are known everywhere
+    @property
+    def effects(self) -> dict[str, RunningEffect]:
+        """The effects of the scene by name; setting an option of one changes the run. See `RunningEffect`."""
+        return {name: RunningEffect(self, name) for name in self.scene.effects}
+
+    def change_effect(self, name: str, key: str, value: Any) -> None:
+        """Give an option of an effect another value, from the next step on; checked as in a scene file. Collective."""
+        options = changed_options(self.scene, name, key, value)
+        same_on_all(self.ranks, {"effects": {name: options.model_dump(mode="json")}})
+        self.take_changes()
+        self.scene = self.scene.model_copy(update={"effects": {**self.scene.effects, name: options.running()}})
+        if issubclass(options.effect_class(), Force) and options.active and key != "active":  # nothing else depends on it
+            force = self.scene.effects[name].build(self.scene)
+            force.bind(self.context)
+            self.accelerations.replace(name, force)
+            self.active.all[name] = force
+            self.rows.edition += 1
+            self.forget_contacts()
+        else:
+            self.build()
+
+    def add(self, population: Mapping[str, Any]) -> Array:
+        """Add particles: the keys of a `[[particles]]` table, or arrays, the same on all ranks. Returns their ids. Collective.
+
+        Ids go on from the largest there ever was; attached fields may be given too, and are 0 if not. Raises SceneError, as at
+        the start, for particles that cannot be: overlapping others, outside, ...
+        """
+        self.take_changes()
+        everyone = snapshot.gather_all(self.ranks, self.rows)
+        number = len(self.scene.particles) + self.additions
+        with raising_together(self.ranks):
+            all_, warnings = add_population(self.scene, everyone, population, self.next_id, number)
+        same_on_all(self.ranks, {}, all_.arrays)
+        new = all_.select(np.arange(len(everyone), len(all_)))
+        self.warnings += warnings
+        mine = np.isin(all_.id, self.rows.id)  # the same as before, in another place if they were pushed apart
+        mine[len(everyone) + np.arange(*self.ranks.share(len(new)))] = True
+        self.rows.replace(all_.select(np.flatnonzero(mine)).arrays)
+        self.particles.close()
+        self.next_id += len(new)
+        self.additions += 1
+        self.build()
+        return new.id
+
+    def remove(self, ids: Any) -> None:
+        """Take away particles that any rank names by id; ValueError, on all ranks, for ids that no particle has. Collective."""
+        self.take_changes()
+        named = np.unique(np.concatenate([np.asarray(of, np.int64).reshape(-1) for of in self.ranks.allgather(ids)]))
+        here = np.isin(self.rows.id, named)
+        if self.ranks.allreduce_sum(np.count_nonzero(here))[0] < len(named):
+            known = np.concatenate(self.ranks.allgather(self.rows.id[here]))
+            raise ValueError(f"remove: no {listed(np.setdiff1d(named, known))}")
+        self.rows.replace(self.rows.select(np.flatnonzero(~here)).arrays)
+        self.particles.close()
+        self.build()
+
+    def attach(self, name: str, values: Array) -> None:
+        """Give every particle data of the user's own: `values` (N, ...) in id order, any numeric type. Collective.
+
+        `sim.particles[name]` are this rank's rows from then on; they go with their particles, into checkpoints too.
+        """
+        values = np.asarray(values)
+        taken = name in OWN or name in fields_of(self.scene)  # FIELDS also has columns of effects that this scene lacks
+        if taken or name in dir(ParticleView) or values.shape[:1] != (self.total,) or values.dtype.kind not in "biuf":
+            raise ValueError(f"attach: {name!r} must be a new name, with an array of numbers for {self.total} particles")
+        self.take_changes()
+        ids = np.sort(np.concatenate(self.ranks.allgather(self.rows.id)))
+        self.rows.arrays[name] = values[np.searchsorted(ids, self.rows.id)]

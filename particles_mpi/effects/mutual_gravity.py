@@ -10,9 +10,8 @@ from pydantic import Field
 
 from particles_mpi.gravity.direct import add_potential, attract
 from particles_mpi.gravity.method import TREES, Choice, choose
-from particles_mpi.parallel.blocks import blocks
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exchange import IdRange
+from particles_mpi.parallel.exchange import IdRange, blocks
 from particles_mpi.parallel.signals import check_signals
 from particles_mpi.particles import Array, Particles, places_of
 from particles_mpi.scene.effect import Context, Force

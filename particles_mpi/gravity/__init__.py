@@ -6,12 +6,10 @@ In the order in which to read them:
 - `direct`: the sum over all pairs, for each target in the order of ids
 - `octree`: Morton keys, cells, moments, and the opening test `is_far`
 - `walk`: lists of far cells and near particles for a group of targets, and their sum
-- `tree`: the evaluation on all ranks, step by step
-- `locally_essential`: where the keys are cut between ranks, and which nodes another rank needs
+- `tree`: the evaluation on all ranks, step by step: cuts between ranks, and the nodes that another rank needs
 
-How a force is computed. `effects.mutual_gravity` asks for the accelerations of this rank's particles. Direct sum: blocks of
-sources in id order come from every rank in turn (`parallel.blocks`), and every target adds them up in that order. Tree: each
-particle gets the Morton key of its position and is sent to the rank that owns that key; there the rank builds the cells of its
+Direct sum: blocks of sources in id order come from every rank in turn (`parallel.exchange.blocks`), and every target adds them up
+in that order. Tree: each particle is sent to the rank that owns the Morton key of its position; that rank builds the cells of its
 keys, sends other ranks the nodes that are essential to them, joins what arrives with its own part to one tree, and walks it for
 each group of its targets; the results return to the ranks that the particles came from.
 """

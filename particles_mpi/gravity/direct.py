@@ -18,10 +18,7 @@ TILE = 64  # targets whose coordinates and sums stay in the first-level cache
 
 @kernel(error_model="numpy")
 def attract(axes, x, source, mass, softening2, total):
-    """total (n, d) += sum_j m_j r_j/(r_j^2 + softening2)^(3/2), r_j = source_j - x.
-
-    Positions x and source (., d). A source at the position of a target, like the target itself, adds nothing.
-    """
+    """total (n, d) += sum_j m_j r_j/(r_j^2 + softening2)^(3/2), r_j = source_j - x; a source at its target adds nothing."""
     d = len(axes)
     at, sums = np.empty((d, TILE)), np.empty((d, TILE))
     for first in range(0, len(x), TILE):
@@ -48,10 +45,7 @@ def attract(axes, x, source, mass, softening2, total):
 
 @kernel(error_model="numpy")
 def add_potential(axes, x, ids, source, mass, source_ids, softening2, total):
-    """total (n,) -= sum_j m_j/(r_j^2 + softening2)^(1/2).
-
-    Left out are the target itself, and without softening also sources at its position.
-    """
+    """total (n,) -= sum_j m_j/(r_j^2 + softening2)^(1/2), without the target and, if not softened, what is at its place."""
     for i in range(len(x)):
         u = total[i]
         for j in range(len(source)):

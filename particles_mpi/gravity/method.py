@@ -1,8 +1,7 @@
 """Direct sum or tree, and with which opening angle: formulas for cost and error, fitted to measurements.
 
-The error is the median over all particles of the relative error of the acceleration. It was measured for Plummer spheres and
-uniform cubes of 1000 to a million particles with opening angles from 0.3 to 1; the formula follows the larger of the two, within
-a factor of two up to an angle of 0.7.
+The error is the median relative error of the acceleration, measured for Plummer spheres and uniform cubes of 1000 to a million
+particles with angles from 0.3 to 1; the formula follows the larger of the two, within a factor of two up to an angle of 0.7.
 """
 
 from __future__ import annotations

@@ -25,13 +25,12 @@ DEEPEST = 31  # most levels
 # yy, yz, zz), and the radius of a sphere about it that contains all particles of the cell.
 MASS, CENTER, SECOND, RADIUS, WIDTH = 0, 1, 4, 10, 11
 FIRST, END = 0, 1  # columns of `groups`: first row, and last row + 1
-LEVEL, IN_BRANCH, IN_GROUP = 2, 3, 4  # further columns of the stack of `divide`
 SAFE = 1.0 + 2.0**-40  # enlarges a radius by more than rounding can have taken from it
 
 
 @kernel
 def levels(dimension):
-    """How often a cell can be halved in this dimension: a key has 63 bits."""
+    """How often a cell can be halved: a key has 63 bits."""
     return min(63 // dimension, DEEPEST)
 
 
@@ -82,35 +81,26 @@ def divide(keys, d, low, high):
     (groups, 2) as FIRST and END row, and the branches (branches, 2) as node and first key.
     """
     deep = levels(d)
-    nodes, groups, branches = np.empty((256, 2), np.int64), np.empty((256, 2), np.int64), np.empty((256, 2), np.int64)
-    stack = np.empty((256, 5), np.int64)  # cells to be looked at: FIRST, END, LEVEL, IN_BRANCH, IN_GROUP
-    made, grouped, top = 0, 0, 0
-    roots = 0
-    if len(keys):
-        stack[0, FIRST], stack[0, END], stack[0, LEVEL], stack[0, IN_BRANCH], stack[0, IN_GROUP] = 0, len(keys), 0, 0, 0
-        top = 1
-    while top:
-        top -= 1
-        first, last, level, inside, in_group = stack[top]
+    node_level: list[int] = []
+    node_count: list[int] = []
+    groups, branches = [], []
+    stack = [(0, len(keys), 0, False, False)]  # first row, last row + 1, level, in a branch?, in a group?
+    while len(stack) and len(keys):
+        first, last, level, inside, in_group = stack.pop()
         shift = d * (deep - level)
-        begin = (keys[first] >> shift) << shift if shift < 63 else np.int64(0)
+        begin = (keys[first] >> shift) << shift if shift < 63 else 0
         whole = inside or (begin >= low and begin + ((np.int64(1) << shift) - 1) <= high)
         leaf = whole and (last - first <= LEAF or level == deep)
         if whole:
-            if made == len(nodes):
-                nodes = longer(nodes)
-            nodes[made, 0], nodes[made, 1] = level, last - first if leaf else 0
             if not inside:
-                if roots == len(branches):
-                    branches = longer(branches)
-                branches[roots, 0], branches[roots, 1] = made, begin
-                roots += 1
+                branches.append(len(node_level))
+                branches.append(begin)
             if not in_group and (leaf or last - first <= GROUP):
-                if grouped == len(groups):
-                    groups = longer(groups)
-                groups[grouped, FIRST], groups[grouped, END] = first, last
-                grouped, in_group = grouped + 1, 1
-            made += 1
+                groups.append(first)
+                groups.append(last)
+                in_group = True
+            node_level.append(level)
+            node_count.append(last - first if leaf else 0)
         end = first if leaf else last
         while end > first:  # the last part goes onto the stack first, so that the first part is taken from it first
             part = keys[end - 1] >> (shift - d)
@@ -121,21 +111,9 @@ def divide(keys, d, low, high):
                     begin_row = middle + 1
                 else:
                     beyond = middle
-            stack[top, FIRST], stack[top, END], stack[top, LEVEL] = begin_row, end, level + 1
-            stack[top, IN_BRANCH], stack[top, IN_GROUP] = 1 if whole else 0, in_group
-            top += 1
+            stack.append((begin_row, end, level + 1, whole, in_group))
             end = begin_row
-    return nodes[:made, 0].copy(), nodes[:made, 1].copy(), groups[:grouped].copy(), branches[:roots].copy()
-
-
-@inner
-def longer(rows):
-    """A copy of the array (n, w) with space for 2 n rows."""
-    new = np.empty((2 * len(rows), rows.shape[1]), rows.dtype)
-    for r in range(len(rows)):
-        for k in range(rows.shape[1]):
-            new[r, k] = rows[r, k]
-    return new
+    return np.array(node_level), np.array(node_count), np.array(groups).reshape(-1, 2), np.array(branches).reshape(-1, 2)
 
 
 @kernel
@@ -154,10 +132,7 @@ def skips(level, roots):
 
 @kernel
 def moments(skip, count, x, mass):
-    """Moments (n, WIDTH) of a rank's own nodes, and the bounding box of each (n, 6): lowest corner, then highest.
-
-    `count` (n,): particles of each leaf, 0 for other nodes; x (p, 3), mass (p,): the particles of all leaves, in order.
-    """
+    """Moments (n, WIDTH) of a rank's nodes, and boxes (n, 6): lowest, highest corner; from the rows of all leaves, in order."""
     n = len(skip)
     cells, bounds = np.zeros((n, WIDTH)), np.empty((n, 6))
     last = len(x)
@@ -227,10 +202,8 @@ def center_of_mass(cell, bound):
 @inner
 def add_second_moments(cell, dx, dy, dz, mass):
     """Add the second moments of a mass at distance (dx, dy, dz) from the centre; returns the distance squared."""
-    cell[SECOND] += mass * dx * dx
-    cell[SECOND + 1] += mass * dx * dy
-    cell[SECOND + 2] += mass * dx * dz
-    cell[SECOND + 3] += mass * dy * dy
-    cell[SECOND + 4] += mass * dy * dz
-    cell[SECOND + 5] += mass * dz * dz
+    entry = SECOND
+    for a, b in ((dx, dx), (dx, dy), (dx, dz), (dy, dy), (dy, dz), (dz, dz)):
+        cell[entry] += mass * a * b
+        entry += 1
     return dx * dx + dy * dy + dz * dz

@@ -3,27 +3,36 @@
 Particles are sent to the rank that owns their Morton key, in equal shares of the work of the last evaluation, and the results are
 sent back; which rank holds a particle otherwise does not matter. A cut between ranks never divides a group, so every list of
 sources is made by one rank alone, always in the same order: the result has the same bits on any number of ranks.
+
+Of the other ranks' cells a rank needs with all their parts those that its own particles may open; of all others the moments are
+enough. Together they are its locally essential tree (M. Warren and J. Salmon, Supercomputing '92, 570): joined in the order of
+keys it is the one tree of all particles, without the insides of cells that nobody on this rank opens.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from particles_mpi.gravity.locally_essential import (
-    add_shared_moments,
-    assemble,
-    count_in_cells,
-    cut_between_groups,
-    quantiles,
-    sample_keys,
-    select_essential,
+from particles_mpi.gravity.octree import (
+    CENTER,
+    GROUP,
+    RADIUS,
+    combine_moments,
+    divide,
+    is_far,
+    levels,
+    moments,
+    morton,
+    skips,
+    sort_ties,
 )
-from particles_mpi.gravity.octree import divide, levels, moments, morton, skips, sort_ties
 from particles_mpi.gravity.walk import RESULT, Law, Nodes, walk
+from particles_mpi.kernels.jit import kernel
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows, send_rows
-from particles_mpi.particles import Array
+from particles_mpi.particles import Array, rows_of
 
+SAMPLES = 512  # keys that each rank sends to all others, to find the cuts
 SMALLEST = -900  # the least power of two that the side of the cube may be
 LAST_KEY = np.iinfo(np.int64).max
 
@@ -40,10 +49,7 @@ class Tree:
         self.interactions = 0
 
     def attract(self, ids: Array, position: Array, mass: Array, work: Array) -> Array:
-        """Acceleration, potential and work of this rank's particles for G = 1, (n, RESULT); nan if a position is not finite.
-
-        `work` (n,): an estimate of each particle's share of the work, that of the last call, or ones. Collective.
-        """
+        """Acceleration, potential, work (n, RESULT) for G = 1, nan if a place is not finite. `work`: the last one. Collective."""
         ranks, d, self.interactions = self.ranks, self.dimension, 0
         x = np.zeros((len(position), 3))
         x[:, :d] = position
@@ -57,20 +63,15 @@ class Tree:
         side = max(int(np.frexp(extent)[1]), SMALLEST)  # of the cube, as a power of two, so that cells are halved exactly
         keys = morton(x, lower, 2.0 ** (levels(d) - side), d)
         order = np.argsort(keys, kind="stable")
-        result = np.empty((len(x), RESULT))
-        if ranks.size == 1:
-            sort_ties(keys, ids, order)
-            result[order] = self.attract_sorted(keys[order], x[order], mass[order], 0, LAST_KEY)
-            return result
         cuts = self.cut(keys[order], work[order])
         counts = np.diff(np.searchsorted(keys[order], cuts), prepend=0, append=len(keys)).astype(np.int32)
         arrived, arriving = send_rows(ranks, {"id": ids, "key": keys, "position": x, "mass": mass}, order, counts)
-        keys, x, mass = arrived["key"], arrived["position"], arrived["mass"]
-        by_key = np.argsort(keys, kind="stable")
-        sort_ties(keys, arrived["id"], by_key)
+        by_key = np.argsort(arrived["key"], kind="stable")
+        sort_ties(arrived["key"], arrived["id"], by_key)
+        mine = rows_of(arrived, by_key)
         low, high = [0, *cuts][ranks.rank], [*(cuts - 1), LAST_KEY][ranks.rank]
-        theirs = np.empty((len(keys), RESULT))
-        theirs[by_key] = self.attract_sorted(keys[by_key], x[by_key], mass[by_key], low, high)
+        theirs, result = np.empty((len(by_key), RESULT)), np.empty((len(x), RESULT))
+        theirs[by_key] = self.attract_sorted(mine["key"], mine["position"], mine["mass"], low, high)
         result[order] = send_rows(ranks, {"result": theirs}, np.arange(len(theirs)), arriving)[0]["result"]
         return result
 
@@ -86,26 +87,18 @@ class Tree:
         roots = branches[:, 0].copy()
         skip = skips(level, roots)
         cells, bounds = moments(skip, count, x, mass)
-        all_branches = {
-            "level": level[roots],
-            "key": branches[:, 1].copy(),
-            "bounds": bounds[roots],
-            "rank": np.full(len(roots), ranks.rank),
-        }
+        mine = {"level": level[roots], "key": branches[:, 1], "bounds": bounds[roots], "rank": np.full(len(roots), ranks.rank)}
+        every = allgather_rows(ranks, mine)
         nodes = {"level": level, "count": count, "cell": cells, "root": np.isin(np.arange(len(level)), roots)}
-        rows = {"position": x, "mass": mass}
-        offset = 0
-        if ranks.size > 1:
-            all_branches = allgather_rows(ranks, all_branches)
-            nodes, rows, offset = self.exchange(nodes, rows, skip, all_branches["bounds"], all_branches["rank"])
+        nodes, rows, offset = self.exchange(nodes, {"position": x, "mass": mass}, skip, every["bounds"], every["rank"])
         if not len(x):
             return np.empty((0, RESULT))
-        source, level, place = assemble(all_branches["level"], all_branches["key"], nodes["level"], nodes["root"], d)
+        source, level, place = assemble(every["level"], every["key"], nodes["level"], nodes["root"], d)
         skip = skips(level, np.zeros(1, np.int64))
         cells = nodes["cell"][source]
         count = np.where(source >= 0, nodes["count"][source], 0)
         bounds = np.empty((len(source), 6))
-        bounds[place] = all_branches["bounds"]
+        bounds[place] = every["bounds"]
         add_shared_moments(source, skip, cells, bounds)
         tree = Nodes(skip, np.cumsum(count) - count, count, cells, rows["position"], rows["mass"])
         result, self.interactions = walk(tree, groups, offset, self.law)
@@ -114,15 +107,10 @@ class Tree:
     def exchange(
         self, nodes: dict[str, Array], rows: dict[str, Array], skip: Array, bounds: Array, rank: Array
     ) -> tuple[dict[str, Array], dict[str, Array], int]:
-        """The locally essential nodes and rows of all ranks, in the order of keys, and where this rank's rows begin. Collective.
-
-        `bounds` (b, 6), `rank` (b,): bounding box and owner of the branches of all ranks.
-        """
-        ranks = self.ranks
-        parts = []
-        for p in range(ranks.size):
-            boxes = bounds[rank == p] if p != ranks.rank else bounds[:0]
-            parts.append(select_essential(skip, nodes["count"], nodes["cell"], boxes, self.law.angle))
+        """Essential nodes and rows of all ranks by key, and the first own row; `bounds`, `rank`: of all branches. Collective."""
+        ranks, first = self.ranks, np.cumsum(nodes["count"]) - nodes["count"]
+        boxes = [bounds[rank == p] if p != ranks.rank else bounds[:0] for p in range(ranks.size)]
+        parts = [select_essential(skip, nodes["count"], first, nodes["cell"], box, self.law.angle) for box in boxes]
         chosen, counts, chosen_rows = (np.concatenate([part[k] for part in parts]) for k in range(3))
         node_numbers, row_numbers = (np.array([len(part[k]) for part in parts], np.int32) for k in (0, 2))
         outgoing = {name: column[chosen] for name, column in nodes.items()} | {"count": counts}
@@ -135,3 +123,109 @@ class Tree:
 def insert(mine: dict[str, Array], theirs: dict[str, Array], place: int) -> dict[str, Array]:
     """The rows of others with this rank's own inserted at `place`."""
     return {name: np.concatenate((theirs[name][:place], mine[name], theirs[name][place:])) for name in mine}
+
+
+def sample_keys(keys: Array, work: Array) -> Array:
+    """SAMPLES of the sorted keys (n,) that divide `work` (n,) into equal parts; last the whole work, as the bits of a float64."""
+    reached = np.cumsum(work)
+    if not len(keys):
+        return np.zeros(SAMPLES + 1, np.int64)
+    at = np.searchsorted(reached, (np.arange(SAMPLES) + 0.5) / SAMPLES * reached[-1])
+    return np.append(keys[np.minimum(at, len(keys) - 1)], reached[-1:].view(np.int64))
+
+
+def quantiles(table: Array) -> Array:
+    """The size - 1 keys that divide the work of all ranks into equal parts; table (size, SAMPLES + 1): their samples."""
+    size = len(table)
+    work = np.repeat(table[:, -1].copy().view(np.float64) / SAMPLES, SAMPLES)
+    keys = table[:, :-1].reshape(-1)
+    keys, work = keys[work > 0.0], work[work > 0.0]
+    if not len(keys):
+        return np.zeros(size - 1, np.int64)
+    order = np.argsort(keys, kind="stable")
+    reached = np.cumsum(work[order])
+    at = np.searchsorted(reached, np.arange(1, size) / size * reached[-1])
+    return keys[order][np.minimum(at, len(keys) - 1)]
+
+
+def cells_of(cuts: Array, d: int) -> tuple[Array, Array]:
+    """First and last key of the cell that contains each cut, for every level: two arrays (cuts, levels + 1)."""
+    deep = levels(d)
+    shift = d * (deep - np.arange(deep + 1))
+    size = np.minimum(shift, 62)
+    first = np.where(shift < 63, cuts[:, None] >> size << size, 0)
+    return first, np.where(shift < 63, first + (1 << size) - 1, np.iinfo(np.int64).max)
+
+
+def count_in_cells(keys: Array, cuts: Array, d: int) -> Array:
+    """How many of the sorted keys lie in the cells of `cells_of`, (cuts, levels + 1)."""
+    first, last = cells_of(cuts, d)
+    return np.searchsorted(keys, last, "right") - np.searchsorted(keys, first)
+
+
+def cut_between_groups(cuts: Array, counts: Array, d: int) -> Array:
+    """Each cut moved to the first key of the group it lies in; `counts`: of `count_in_cells`, summed over all ranks."""
+    small = counts <= GROUP
+    small[:, -1] = True
+    return cells_of(cuts, d)[0][np.arange(len(cuts)), small.argmax(axis=1)]
+
+
+@kernel
+def select_essential(skip, count, first, cells, boxes, angle):
+    """What a rank needs of this rank's nodes, whose rows begin at `first`, if its branches have the bounding boxes (b, 6).
+
+    Returns the numbers of the nodes, how many of the particles of each are needed, and the rows of those particles. A cell that
+    is far from all boxes is sent without its parts: it is then far from all groups within the boxes, in floating point
+    too, because rounding preserves order, and `is_far` is the very test that the walk makes.
+    """
+    angle2 = angle * angle
+    nodes, counts, rows = [], [], []
+    node = 0
+    while node < len(skip) and len(boxes):
+        opened = False
+        for b in range(len(boxes)):
+            lx, ly, lz, hx, hy, hz = boxes[b, 0], boxes[b, 1], boxes[b, 2], boxes[b, 3], boxes[b, 4], boxes[b, 5]
+            cx, cy, cz = cells[node, CENTER], cells[node, CENTER + 1], cells[node, CENTER + 2]
+            opened = opened or not is_far(lx, ly, lz, hx, hy, hz, cx, cy, cz, cells[node, RADIUS], angle2)
+        nodes.append(node)
+        counts.append(count[node] if opened else 0)
+        for p in range(first[node], first[node] + counts[-1]):
+            rows.append(p)
+        node = node + 1 if opened else skip[node]
+    return np.array(nodes), np.array(counts), np.array(rows)
+
+
+@kernel
+def assemble(branch_level, branch_key, level, root, d):
+    """Join the branches of all ranks to one tree in preorder, with the cells above them, which several ranks share.
+
+    `branch_level`, `branch_key` (b,): level and first key of every branch; `level`, `root` (n,): the level of every node of
+    the branches that are here, and whether it is the first of its branch. Returns for each node of the joined tree its
+    place in `level`, or -1 for a shared cell, and its level; and for each branch the node that it became.
+    """
+    deep, node = levels(d), 0
+    source, new_level, place = [], [], np.empty_like(branch_level)
+    for b in range(len(branch_level)):
+        shared = -1  # the deepest level at which one cell contains both this branch and the one before
+        while b > 0 and shared + 1 < branch_level[b]:
+            shift = d * (deep - shared - 1)
+            if shift < 63 and branch_key[b] >> shift != branch_key[b - 1] >> shift:
+                break
+            shared += 1
+        for above in range(shared + 1, branch_level[b]):
+            source.append(-1)
+            new_level.append(above)
+        place[b] = len(source)
+        while node < len(level) and (len(source) == place[b] or not root[node]):
+            source.append(node)
+            new_level.append(level[node])
+            node += 1
+    return np.array(source), np.array(new_level), place
+
+
+@kernel
+def add_shared_moments(source, skip, cells, bounds):
+    """The moments and bounding boxes of the cells that several ranks share (source -1). In place."""
+    for i in range(len(source) - 1, -1, -1):
+        if source[i] < 0:
+            combine_moments(i, skip, cells, bounds)

@@ -6,49 +6,50 @@ from math import floor, log10
 
 import numpy as np
 
-from particles_mpi.initial.names import listed, pair_names
-from particles_mpi.initial.overlaps import check_overlaps
+from particles_mpi.errors import listed
+from particles_mpi.initial.overlaps import check_overlaps, listed_pairs
 from particles_mpi.initial.placement import Container
 from particles_mpi.particles import FIELDS, Array, Particles
 from particles_mpi.scene.effect import ConstantFriction
-from particles_mpi.scene.schema import Scene
+from particles_mpi.scene.schema import Scene, periodic_length
 from particles_mpi.scene.values import LARGEST
 
 MOST_CROSSINGS = 1e4  # of the box in a step
 
 
-def check_start(scene: Scene, particles: Particles, room: Container | None, before: int = 0) -> tuple[list[str], list[str]]:
+def check_start(scene: Scene, particles: Particles, room: Container, before: int = 0) -> tuple[list[str], list[str]]:
     """(faults, warnings) of particles in id order; overlaps that the scene allows are pushed apart in place.
 
     The first `before` of them were there already: nothing is asked of them but that the others do not overlap them.
     """
     new = particles.select(np.arange(before, len(particles))) if before else particles
-    faults = check_places(scene, new, room) + check_crossings(scene, new)
-    warnings: list[str] = []
+    faults, warnings = check_places(new, room) + check_crossings(scene, new), endless_falls(scene, particles)
     if "collisions" in scene.effects and not faults and len(new):
-        faults, warnings = check_step(scene, new)
+        collisions = scene.effects["collisions"]
+        faults, more = check_step(scene, new, collisions.mode == "event")
         if not faults:
-            more_faults, more_warnings = check_overlaps(scene, particles, room, before)
-            faults, warnings = faults + more_faults, warnings + more_warnings
-    return faults, warnings + endless_falls(scene, particles) + coincident(scene, particles)
+            faults, overlaps = check_overlaps(particles, room, collisions.allow_overlap, before)
+            more += overlaps
+        warnings = more + warnings
+    return faults, warnings + coincident(scene, particles)
 
 
 def endless_falls(scene: Scene, particles: Particles) -> list[str]:
     """Warnings of forces with a component along a periodic axis: their work has no potential, for each turn takes more of it."""
-    axes = np.flatnonzero(scene.periodic)
-    drawn: list[tuple[str, Array]] = []
+    axes, drawn = np.flatnonzero(scene.periodic), []
     if "uniform_gravity" in scene.effects:
         along = np.array(scene.effects["uniform_gravity"].acceleration)[axes] != 0.0
-        drawn += [("uniform_gravity.acceleration: not zero", along)]
+        drawn.append(("uniform_gravity.acceleration: not zero", axes[along]))
     if "user_acceleration" in scene.effects:
         pushed = (particles["acceleration"][:, axes] != 0.0) & (particles.fixed == 0)[:, None]
         who = particles.id[pushed.any(axis=1)]
-        drawn += [(f"user_acceleration: not zero for {listed(who)}", pushed.any(axis=0))] if len(who) else []
+        if len(who):
+            drawn.append((f"user_acceleration: not zero for {listed(who)}", axes[pushed.any(axis=0)]))
     return [
-        f"effects.{what} along periodic {'axis' if along.sum() == 1 else 'axes'} {' and '.join(map(str, axes[along]))}:"
+        f"effects.{what} along periodic {'axis' if len(along) == 1 else 'axes'} {' and '.join(map(str, along))}:"
         " there is no potential energy along an axis without an end; potential and total_energy will be nan"
         for what, along in drawn
-        if along.any()
+        if len(along)
     ]
 
 
@@ -57,49 +58,44 @@ def coincident(scene: Scene, particles: Particles) -> list[str]:
     gravity = scene.effects.get("mutual_gravity")
     if gravity is None or gravity.softening > 0.0 or (scene.G if gravity.G is None else gravity.G) == 0.0:
         return []
-    x = particles.position
+    x, ids = particles.position, particles.id
     order = np.argsort(x[:, 0], kind="stable")
     equal = x[order[1:], 0] == x[order[:-1], 0]
-    shared = np.append(equal, False) | np.append(False, equal)  # with a neighbour in this order
-    rows = order[shared[: len(order)]]  # few or none, but for a lattice
-    rows = rows[np.lexsort((particles.id[rows], *x[rows].T))]
-    parted = (x[rows[1:]] != x[rows[:-1]]).any(axis=1)
-    begins = np.flatnonzero(np.append(True, parted)[: len(rows)])  # of those at one place
-    if not len(begins):
+    rows = order[(np.append(equal, False) | np.append(False, equal))[: len(order)]]  # few or none, but for a lattice
+    if not len(rows):
         return []
-    active = np.maximum.reduceat(particles.fixed[rows] == 0, begins) & np.maximum.reduceat(particles.mass[rows] > 0.0, begins)
-    met = ~parted & np.repeat(active, np.diff(np.append(begins, len(rows))))[1:]
+    place = np.unique(x[rows], axis=0, return_inverse=True)[1]
+    by_id = np.lexsort((ids[rows], place))
+    rows, place = rows[by_id], place[by_id]
+    active = (np.bincount(place, particles.fixed[rows] == 0) > 0) & (np.bincount(place, particles.mass[rows] > 0.0) > 0)
+    met = (place[1:] == place[:-1]) & active[place[1:]]
     if not met.any():
         return []
-    first, second = particles.id[rows[:-1][met]], particles.id[rows[1:][met]]
-    order = np.argsort(first)
-    pairs = pair_names(first[order], second[order])
+    first, second = rows[:-1][met], rows[1:][met]
+    order = np.argsort(ids[first])
     return [
-        f"effects.mutual_gravity: {listed(pairs, 'pair')} {'are' if len(pairs) > 1 else 'is'} at the same place at the start:"
+        f"effects.mutual_gravity: {listed_pairs(particles, first[order], second[order])}"
+        f" {'are' if len(first) > 1 else 'is'} at the same place at the start:"
         " no force acts between the two; move one, or give a softening"
     ]
 
 
-def check_places(scene: Scene, particles: Particles, room: Container | None) -> list[str]:
+def check_places(particles: Particles, room: Container) -> list[str]:
     """Centres outside the box, and movable spheres that are not fully inside a wall (fixed ones may stand in it)."""
     x, faults = particles.position, []
-    if scene.box is not None:
-        lower, upper = np.array(scene.box.lower, float), np.array(scene.box.upper, float)
-        out = np.flatnonzero(((x < lower) | (x > upper)).any(axis=1))
+    out = np.flatnonzero(((x < room.lower) | (x > room.upper)).any(axis=1))
+    if len(out):
+        faults.append(f"box: {listed(particles.id[out])} outside")
+    for w, (point, normal) in enumerate(zip(room.point, room.normal, strict=True)):
+        gap = (x - point) @ normal - particles.radius
+        size = np.abs(point).max() + np.abs(x).max(axis=1, initial=0.0)
+        out = np.flatnonzero((particles.fixed == 0) & (gap < -1e-9 * particles.radius - 1e-14 * size))
         if len(out):
-            faults.append(f"box: {listed(particles.id[out])} outside")
-    if room is not None:
-        movable = particles.fixed == 0
-        for w, (point, normal) in enumerate(zip(room.point, room.normal, strict=True)):
-            gap = (x - point) @ normal - particles.radius
-            size = np.abs(point).max() + np.abs(x).max(axis=1, initial=0.0)
-            out = np.flatnonzero(movable & (gap < -1e-9 * particles.radius - 1e-14 * size))
-            if len(out):
-                where = ", ".join(f"{p:g}" for p in point), ", ".join(f"{n:g}" for n in normal)
-                faults.append(
-                    f"effects.walls.planes[{w}]: {listed(particles.id[out])} not fully inside the wall at ({where[0]})"
-                    f" with normal ({where[1]})"
-                )
+            place, direction = (", ".join(f"{number:g}" for number in vector) for vector in (point, normal))
+            faults.append(
+                f"effects.walls.planes[{w}]: {listed(particles.id[out])} not fully inside the wall at ({place})"
+                f" with normal ({direction})"
+            )
     return faults
 
 
@@ -118,13 +114,12 @@ def check_crossings(scene: Scene, particles: Particles) -> list[str]:
     return [f"time.step: {listed(particles.id[fast])} would cross the box more than {MOST_CROSSINGS:g} times in a step of {dt:g}"]
 
 
-def check_step(scene: Scene, particles: Particles) -> tuple[list[str], list[str]]:
-    """A step must be short against spheres (`rewind`), and against a periodic box."""
+def check_step(scene: Scene, particles: Particles, event: bool) -> tuple[list[str], list[str]]:
+    """A step must be short against spheres (`rewind`), and contacts against a periodic box."""
     faults, warnings, dt = [], [], scene.time.step
     speed = np.sqrt((particles.velocity**2).sum(axis=1))
     radius, moving = particles.radius, speed > 0.0
     points = np.flatnonzero(moving & (radius == 0.0))
-    event = scene.effects["collisions"].mode == "event"
     if len(points) and not (event and scene.dimension == 1):
         warnings.append(f"particles: {listed(particles.id[points])} with radius 0: points meet spheres, but never one another")
     fast = np.flatnonzero(moving & (radius > 0.0) & (speed * dt > 2.0 * radius))
@@ -132,30 +127,16 @@ def check_step(scene: Scene, particles: Particles) -> tuple[list[str], list[str]
         safe = rounded_down(float((2.0 * radius[fast] / speed[fast]).min()))
         verb = "crosses more than its" if len(fast) == 1 else "cross more than their"
         faults.append(f"time.step: {listed(particles.id[fast])} {verb} diameter in a step of {dt:g}; use a step <= {safe:g}")
-    if event:
-        return faults + small_boxes(scene, particles), warnings
-    reach = 2.0 * (2.0 * float(radius.max()) + 2.0 * float(speed.max()) * dt)
-    if scene.box is not None:
-        for k, (lo, hi) in enumerate(zip(scene.box.lower, scene.box.upper, strict=True)):
-            if scene.periodic[k] and hi - lo < reach:
-                faults.append(
-                    f"box: periodic axis {k} is {hi - lo:g} long, but collisions need 2 (2 R + 2 v dt) = {reach:g}"
-                    " for the largest and the fastest particle"
-                )
+    if event:  # a sphere must not meet two images of another
+        least = 2.0 * float(radius.max() + radius[particles.fixed == 0].max(initial=0.0)) * 1.01
+        need = f"two contact distances, {least:g}"
+    else:
+        least = 2.0 * (2.0 * float(radius.max()) + 2.0 * float(speed.max()) * dt)
+        need = f"2 (2 R + 2 v dt) = {least:g} for the largest and the fastest particle"
+    for k, length in enumerate(periodic_length(scene)):
+        if 0.0 < length < least:
+            faults.append(f"box: periodic axis {k} is {length:g} long, but collisions need {need}")
     return faults, warnings
-
-
-def small_boxes(scene: Scene, particles: Particles) -> list[str]:
-    """Periodic axes on which a sphere could meet two images of another."""
-    if scene.box is None:
-        return []
-    movable = particles.radius[particles.fixed == 0].max(initial=0.0)
-    least = 2.0 * float(particles.radius.max(initial=0.0) + movable) * 1.01
-    return [
-        f"box: periodic axis {k} is {hi - lo:g} long, but collisions need two contact distances, {least:g}"
-        for k, (lo, hi) in enumerate(zip(scene.box.lower, scene.box.upper, strict=True))
-        if scene.periodic[k] and not hi - lo > least
-    ]
 
 
 def value_limits(scene: Scene, particles: Particles, values: dict[str, Array]) -> dict[str, Array]:

@@ -4,18 +4,37 @@ from __future__ import annotations
 
 import numpy as np
 
-from particles_mpi.initial.names import listed, pair_names
+from particles_mpi.errors import listed
 from particles_mpi.initial.placement import Container
 from particles_mpi.kernels.geometry import image_shift, image_shifts
 from particles_mpi.kernels.jit import inner, kernel
 from particles_mpi.neighbours.candidates import touching
 from particles_mpi.particles import Array, Particles
-from particles_mpi.scene.schema import Scene, periodic_length
 
 MOST_SWEEPS = 1000
-
-
 TOUCH = 1e-12  # relative overlap that still counts as touching
+
+
+def check_overlaps(particles: Particles, room: Container, allowed: bool, before: int) -> tuple[list[str], list[str]]:
+    """Overlapping spheres are a fault, or a warning and pushed apart where the scene allows them."""
+    first, second, depth = overlapping(particles, room.length, before)
+    if not len(first):
+        return [], []
+    text = f"{listed_pairs(particles, first, second)} overlap{'s' if len(first) == 1 else ''} at the start"
+    text = f"effects.collisions: {text} (deepest by {depth.max():.3g})"
+    if not allowed:
+        return [f"{text}; move them, or set allow_overlap = true"], []
+    x, w, warnings = particles.position, particles.inverse_mass, [f"{text}; pushed apart"]
+    for _ in range(MOST_SWEEPS):
+        first, second, depth = overlapping(particles, room.length)
+        if not len(first):
+            return [], warnings
+        separate(x, particles.radius, w, first, second, room.lower, room.upper, room.length, room.point, room.normal)
+    first, second, depth = overlapping(particles, room.length)
+    if len(first):
+        left = f"{listed_pairs(particles, first, second)} still overlap after {MOST_SWEEPS} sweeps"
+        warnings.append(f"effects.collisions: {left} (deepest by {depth.max():.3g})")
+    return [], warnings
 
 
 def overlapping(particles: Particles, length: Array, before: int = 0) -> tuple[Array, Array, Array]:
@@ -26,8 +45,7 @@ def overlapping(particles: Particles, length: Array, before: int = 0) -> tuple[A
     x, radius, n = particles.position, particles.radius, len(particles)
     if n < 2 or not radius.any():
         return np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0)
-    weight = np.where(particles.fixed == 0, 1.0, 0.0)
-    first, second = touching(x, radius, weight, particles.id, length)
+    first, second = touching(x, radius, np.where(particles.fixed == 0, 1.0, 0.0), particles.id, length)
     order = np.lexsort((second, first))
     first, second = first[order].astype(np.int64), second[order].astype(np.int64)
     r = x[first] - x[second]
@@ -38,48 +56,14 @@ def overlapping(particles: Particles, length: Array, before: int = 0) -> tuple[A
     return first[deep], second[deep], depth[deep]
 
 
-def check_overlaps(scene: Scene, particles: Particles, room: Container | None, before: int = 0) -> tuple[list[str], list[str]]:
-    """Overlapping spheres are a fault, or a warning and pushed apart where the scene allows them."""
-    length = periodic_length(scene)
-    first, second, depth = overlapping(particles, length, before)
-    if not len(first):
-        return [], []
-    pairs = listed(pair_names(particles.id[first], particles.id[second]), "pair")
-    text = f"{pairs} overlap{'s' if len(first) == 1 else ''} at the start (deepest by {depth.max():.3g})"
-    if not scene.effects["collisions"].allow_overlap:
-        return [f"effects.collisions: {text}; move them, or set allow_overlap = true"], []
-    first, second, depth = push_apart(scene, particles, room)
-    warnings = [f"effects.collisions: {text}; pushed apart"]
-    if len(first):
-        pairs = listed(pair_names(particles.id[first], particles.id[second]), "pair")
-        warnings.append(f"effects.collisions: {pairs} still overlap after {MOST_SWEEPS} sweeps (deepest by {depth.max():.3g})")
-    return [], warnings
-
-
-def push_apart(scene: Scene, particles: Particles, room: Container | None) -> tuple[Array, Array, Array]:
-    """Move overlapping spheres apart, pair by pair in id order, the lighter one further; returns the overlaps that are left.
-
-    Positions only: no velocity changes, so no kinetic energy comes in.
-    """
-    length, d = periodic_length(scene), scene.dimension
-    lower, upper = np.full(d, -np.inf), np.full(d, np.inf)
-    if scene.box is not None:
-        lower, upper = np.array(scene.box.lower, float), np.array(scene.box.upper, float)
-    point, normal = (room.point, room.normal) if room is not None else (np.empty((0, d)), np.empty((0, d)))
-    x, w = particles.position, particles.inverse_mass
-    for _ in range(MOST_SWEEPS):
-        first, second, depth = overlapping(particles, length)
-        if not len(first):
-            break
-        separate(x, particles.radius, w, first, second, lower, upper, length, point, normal)
-    else:
-        first, second, depth = overlapping(particles, length)
-    return first, second, depth
+def listed_pairs(particles: Particles, first: Array, second: Array) -> str:
+    """ "pairs 0-1 and 3-4": pairs of rows by their ids."""
+    return listed([f"{i}-{j}" for i, j in zip(particles.id[first].tolist(), particles.id[second].tolist())], "pair")
 
 
 @kernel
 def separate(x, radius, w, first, second, lower, upper, length, point, normal):
-    """One sweep over the pairs, in place on x; spheres stay inside walls and box."""
+    """Move the spheres of each pair apart, the lighter one further, in place on x; they stay inside walls and box."""
     d = x.shape[1]
     r = np.zeros(d)
     for i, j in zip(first, second):

@@ -61,26 +61,22 @@ class RandomAddition:
         largest = radius.max(initial=0.0)
         ratio = np.divide(largest, radius, out=np.full(len(radius), np.inf), where=radius > 0.0)
         level = np.clip(np.log2(ratio), 0, LEVELS - 1).astype(np.int64)
-        reach, cells = np.zeros(LEVELS), np.ones((LEVELS, 3), np.int64)
-        for k in range(LEVELS):
-            members = radius[level == k]
-            reach[k] = members.max(initial=0.0) if len(members) else -1.0
-            cells[k] = self.cells_of(len(members), 2.0 * reach[k])
+        members = [radius[level == k] for k in range(LEVELS)]
+        reach = np.array([own.max(initial=-1.0) for own in members])
+        cells = np.array([self.cells_of(len(own), 2.0 * far) for own, far in zip(members, reach)])
         first = np.concatenate([[0], np.cumsum(cells.prod(axis=1))])
         head, after = np.full(first[-1], -1, np.int64), np.full(len(x), -1, np.int64)
         self.grids = Grids(level, head, after, reach, cells, first, room.lower, room.upper - room.lower)
         if room.solid:
-            insert(x, known, self.grids)
+            insert(x, known, room.length, self.grids)
 
     def cells_of(self, count: int, side: float) -> Array:
         """Cells along three axes (3,): each at least `side` wide, and not many more than two for each of `count` spheres."""
         extent = (self.room.upper - self.room.lower)[:3]
         side = max(side, 1e-6 * float(extent.max()))
-        while prod(max(1, floor(e / side)) for e in extent) > 2 * count + 64:
+        while np.maximum(1.0, cells := np.floor(extent / side)).prod() > 2 * count + 64:
             side *= 1.2
-        cells = np.ones(3, np.int64)
-        cells[: len(extent)] = np.maximum(1, np.floor(extent / side))
-        return cells
+        return np.append(np.maximum(1.0, cells), [1.0, 1.0])[:3].astype(np.int64)
 
     def place(self, rows: Array, random: np.random.Generator) -> tuple[int, int]:
         """Give `rows` (indices) their positions, large spheres first; returns (how many were placed, tries)."""
@@ -95,35 +91,25 @@ class RandomAddition:
 
 
 @lean_inner
-def cell_at(position, lower, extent, cells):
-    """The cell that contains a coordinate; below 0 or not below `cells` where it lies outside the box."""
-    return int(np.floor((position - lower) / extent * cells))
-
-
-@lean_inner
 def cells_within(k, y, far, grid, cells, length):
-    """First and last cell on axis k within the distance `far` of the point y (d,).
-
-    On a periodic axis they may lie outside the box, by less than its length; on others they never do.
-    """
+    """First and last cell on axis k within `far` of the point y (d,); below 0 and from `cells` on are those beyond a period."""
     if k >= len(y) or cells == 1:
         return 0, 0
-    low = cell_at(y[k] - far, grid.lower[k], grid.extent[k], cells)
-    high = cell_at(y[k] + far, grid.lower[k], grid.extent[k], cells)
+    low = int(np.floor((y[k] - far - grid.lower[k]) / grid.extent[k] * cells))
+    high = int(np.floor((y[k] + far - grid.lower[k]) / grid.extent[k] * cells))
     if length[k] == 0.0:
-        return max(low, 0), min(high, cells - 1)
+        return min(max(low, 0), cells - 1), min(max(high, 0), cells - 1)
     return (0, cells - 1) if high - low >= cells else (low, high)
 
 
 @lean
-def insert(x, rows, grid):
+def insert(x, rows, length, grid):
     """Enter the spheres `rows` (indices), which have their positions in x (n, d), into the grids of their classes."""
     for i in rows:
         c, level = 0, grid.level[i]
         for k in range(3):
-            m = grid.cells[level, k]
-            at = min(max(cell_at(x[i, k], grid.lower[k], grid.extent[k], m), 0), m - 1) if k < x.shape[1] else 0
-            c = c * m + at
+            cells = grid.cells[level, k]
+            c = c * cells + cells_within(k, x[i], 0.0, grid, cells, length)[0] % cells
         c += grid.first[level]
         grid.next[i] = grid.head[c]
         grid.head[c] = i
@@ -189,7 +175,7 @@ def add_spheres(x, radius, order, placed, failures, u, container, grid):
         for k in range(d):
             x[i, k] = y[k]
         if solid:
-            insert(x, order[placed : placed + 1], grid)
+            insert(x, order[placed : placed + 1], length, grid)
         placed += 1
         failures = 0
     return placed, failures
@@ -207,8 +193,7 @@ def lattice(count: int, radius: float, room: Container) -> Array | None:
     """
     if count == 0:
         return np.empty((0, len(room.lower)))
-    diameter = 2.0 * radius if room.solid else 0.0
-    cubic = simple_cubic(count, diameter, room, radius if room.bounded else 0.0)
+    cubic = simple_cubic(count, 2.0 * radius if room.solid else 0.0, room, radius if room.bounded else 0.0)
     return cubic if cubic is not None or len(room.lower) not in (2, 3) else face_centred(count, radius, room)
 
 

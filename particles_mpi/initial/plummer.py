@@ -20,10 +20,7 @@ def plummer_places(random: np.random.Generator, a: float, mass: Array) -> Array:
 
 
 def plummer_velocities(random: np.random.Generator, x: Array, a: float, mass: Array, G: float) -> Array:
-    """Isotropic velocities (n, 3) of the sphere in equilibrium, with no momentum of the whole.
-
-    The speed is q times that of escape, with the density q^2 (1 - q^2)^(7/2), drawn by rejection below 0.1.
-    """
+    """Isotropic velocities (n, 3) in equilibrium, without momentum; q = speed over escape, of density q^2 (1 - q^2)^(7/2)."""
     n = len(mass)
     q, rest = np.zeros(n), np.arange(n)
     while len(rest):

@@ -17,9 +17,9 @@ from zlib import crc32
 import numpy as np
 from pydantic import ValidationError
 
-from particles_mpi.errors import SceneError
+from particles_mpi.contacts.walls import no_planes
+from particles_mpi.errors import SceneError, listed
 from particles_mpi.initial.checks import check_start, divided_masses
-from particles_mpi.initial.names import listed
 from particles_mpi.initial.placement import JAMMED, MOST_TRIES, Container, RandomAddition, lattice, packing
 from particles_mpi.initial.plummer import plummer_places, plummer_velocities
 from particles_mpi.particles import FIELDS, OWN, Array, Particles, default_values
@@ -33,10 +33,7 @@ STREAMS = {name: k for k, name in enumerate(("position", "velocity", "speed", "r
 
 
 def populate(scene: Scene) -> tuple[Particles, list[str]]:
-    """(particles, warnings) of a scene; raises SceneError with one line for each fault.
-
-    Row i is the particle with id i. Deterministic from `scene.seed`, and without communication.
-    """
+    """(particles, warnings) of a scene, row i being id i; SceneError with one line for each fault. The same on every rank."""
     try:
         with np.errstate(over="ignore", under="ignore"):
             return Populator(scene, dict(enumerate(scene.particles))).populate()
@@ -46,25 +43,20 @@ def populate(scene: Scene) -> tuple[Particles, list[str]]:
 
 def room_of(scene: Scene) -> Container:
     """Box and walls of a scene as arrays; an open side is infinite."""
-    d = scene.dimension
-    lower, upper = np.full(d, -inf), np.full(d, inf)
-    if scene.box is not None:
-        lower, upper = np.array(scene.box.lower, float), np.array(scene.box.upper, float)
-    point, normal = np.empty((0, d)), np.empty((0, d))
-    effects = ActiveEffects(scene, switched_off=True)
-    if effects.walls:
-        point, normal = effects.walls.planes.point, effects.walls.planes.normal
-    solid = effects.pairs is not None
-    return Container(lower, upper, periodic_length(scene), point, normal, solid, solid or len(point) > 0)
+    box, effects = scene.box, ActiveEffects(scene, switched_off=True)
+    lower, upper = np.full((2, scene.dimension), [[-inf], [inf]]) if box is None else np.array([box.lower, box.upper], float)
+    walls, solid = effects.walls.planes if effects.walls else no_planes(scene.dimension), effects.pairs is not None
+    bounded = solid or len(walls.point) > 0
+    return Container(lower, upper, periodic_length(scene), walls.point, walls.normal, solid, bounded)
 
 
 def add_population(
     scene: Scene, everyone: Particles, table: Mapping[str, Any], next_id: int, number: int
 ) -> tuple[Particles, list[str]]:
-    """(all particles with those of one more population behind them, warnings); the same on every rank.
+    """(`everyone`, in id order, and behind them those of one more population, warnings); the same on every rank.
 
-    `everyone`: those that are there, in id order; `table`: the keys of a `[[particles]]` table, whose values may be arrays,
-    and fields of the user's own. `number` tells this population from others, in messages and in random numbers.
+    `table`: the keys of a `[[particles]]` table, whose values may be arrays, and fields of the user's own; `number` tells this
+    population from others, in messages and in random numbers.
     """
     key = f"particles[{number}]"
     plain = {name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value for name, value in table.items()}
@@ -88,10 +80,7 @@ def add_population(
 
 
 class Populator:
-    """Builds populations (by their number) one quantity after the other, and collects faults on the way.
-
-    `there`: particles that are there already, in id order; the new ones get ids from `next_id` on.
-    """
+    """Builds populations (by number) one quantity after the other, behind those that are `there`, with ids from `next_id` on."""
 
     def __init__(self, scene: Scene, populations: dict[int, Population], there: Particles | None = None, next_id: int = 0):
         self.scene, self.populations, self.there, self.next_id = scene, populations, there, next_id
@@ -99,16 +88,16 @@ class Populator:
         self.files: dict[tuple[int, str], Array] = {}
 
     def populate(self) -> tuple[Particles, list[str]]:
-        scene = self.scene
-        self.check_numbers()
+        scene, there, d = self.scene, self.there, self.scene.dimension
+        self.check_box()
         counts = [self.count_of(number, p) for number, p in self.populations.items()]
         self.stop_if_faulty()
         self.check_memory(counts)
-        before = 0 if self.there is None else len(self.there)
+        before = 0 if there is None else len(there)
         ends = before + np.cumsum([0, *counts])
-        n, d = int(ends[-1]), scene.dimension
+        n = int(ends[-1])
         self.arrays = {name: default_values(name, n, d) for name in fields_of(scene)}
-        for name, column in self.there.arrays.items() if self.there is not None else ():
+        for name, column in there.arrays.items() if there is not None else ():
             if name not in self.arrays:  # attached by the user
                 self.arrays[name] = np.zeros((n, *column.shape[1:]), column.dtype)
             self.arrays[name][:before] = column
@@ -131,15 +120,15 @@ class Populator:
         if self.faults:
             raise SceneError(self.faults)
 
-    def check_numbers(self) -> None:
+    def check_box(self) -> None:
+        """Numbers that are too large to count with."""
+        box = self.scene.box
         if self.scene.seed >= 2**64:
             self.faults.append("seed: must be below 2^64")
-        if self.scene.box is not None and max(map(abs, self.scene.box.lower + self.scene.box.upper)) > LARGEST:
+        if box is not None and max(map(abs, box.lower + box.upper)) > LARGEST:
             self.faults.append(f"box: a number is beyond {LARGEST:g}")
-        elif self.scene.box is not None:
-            edges = np.subtract(self.scene.box.upper, self.scene.box.lower)
-            if not 1.0 / LARGEST < edges.prod() < inf:
-                self.faults.append(f"box: its volume {edges.prod():g} is too small or too large to count with")
+        elif box is not None and not 1.0 / LARGEST < (volume := np.subtract(box.upper, box.lower).prod()) < inf:
+            self.faults.append(f"box: its volume {volume:g} is too small or too large to count with")
 
     def check_memory(self, counts: list[int]) -> None:
         """A count with a zero too many should be a fault, and not a killed process."""
@@ -154,17 +143,14 @@ class Populator:
 
     def random(self, number: int, quantity: str) -> np.random.Generator:
         """The stream of one quantity of one population."""
-        stream = (
-            number * len(STREAMS) + STREAMS[quantity] if quantity in STREAMS else crc32(f"{number} {quantity}".encode()) << 31
-        )
-        key = np.array([self.scene.seed, stream], np.uint64)
-        return np.random.Generator(np.random.Philox(key=key))
+        own = number * len(STREAMS) + STREAMS[quantity] if quantity in STREAMS else crc32(f"{number} {quantity}".encode()) << 31
+        return np.random.Generator(np.random.Philox(key=np.array([self.scene.seed, own], np.uint64)))
 
     def count_of(self, number: int, population: Population) -> int:
         """Particles of a population: `count`, or the length of its lists, which must agree."""
-        lengths: dict[str, int] = {}
         given = {name: getattr(population, name) for name in PER_PARTICLE} | (population.model_extra or {})
         vectors = {"velocity", "acceleration"} | {name for name, column in self.scene.columns.items() if column.vector}
+        lengths = {} if population.count is None else {"count": population.count}
         for name, value in given.items():
             if isinstance(value, dict) and "file" in value:
                 table = self.read(f"particles[{number}].{name}", value["file"])
@@ -174,87 +160,78 @@ class Populator:
                 lengths[name] = len(table)
             elif isinstance(value, list) and (name not in vectors or (value and isinstance(value[0], list))):
                 lengths[name] = len(value)
-        if population.count is not None:
-            lengths = {"count": population.count, **lengths}
         if not lengths:
             self.faults.append(f"particles[{number}].count: missing")
             return 0
         reference, count = next(iter(lengths.items()))
-        for name, length in lengths.items():
-            if length != count:
-                told = f"count = {count}" if reference == "count" else f"{reference} has {count}"
-                self.faults.append(f"particles[{number}].{name}: {length} entries, but {told}")
+        told = f"count = {count}" if reference == "count" else f"{reference} has {count}"
+        self.faults += [
+            f"particles[{number}].{name}: {length} entries, but {told}" for name, length in lengths.items() if length != count
+        ]
         return count
 
     def read(self, key: str, name: str) -> Array | None:
         """The first d columns of a CSV file; a first line that is no number is a header."""
-        path, d = self.scene.folder / name, self.scene.dimension
+        path, d, header = self.scene.folder / name, self.scene.dimension, 0
         try:
             with open(path, encoding="utf-8") as file:
                 first = file.readline().split(",")[0].strip()
             try:
                 float(first)
-                header = 0
             except ValueError:
                 header = 1
             with python_warnings.catch_warnings():
                 python_warnings.simplefilter("ignore", UserWarning)  # an empty file: told below
                 table = np.loadtxt(path, delimiter=",", skiprows=header, usecols=range(d), ndmin=2, encoding="utf-8")
         except OSError as error:
-            self.faults.append(f"{key}: {path} cannot be read ({error.strerror})")
+            fault = f"{path} cannot be read ({error.strerror})"
         except ValueError as error:
-            self.faults.append(f"{key}: {path}: {' '.join(str(error).split())}")
+            fault = f"{path}: {' '.join(str(error).split())}"
         else:
             bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
-            if len(bad):
-                self.faults.append(f"{key}: {path}: {listed((bad + 1 + header).tolist(), 'line')} not finite")
-            elif not len(table):
-                self.faults.append(f"{key}: {path} holds no rows")
-            else:
+            if len(table) and not len(bad):
                 return table
+            fault = f"{path}: {listed((bad + 1 + header).tolist(), 'line')} not finite" if len(bad) else f"{path} holds no rows"
+        self.faults.append(f"{key}: {fault}")
         return None
 
     def scalars(self, number: int, population: Population) -> None:
         """radius, mass, fixed, and the fields of effects."""
         key, rows, arrays = f"particles[{number}]", self.rows[number], self.arrays
         arrays["fixed"][rows] = population.fixed
-        self.fill(number, "radius", population.radius)
-        self.fill(number, "mass", 1.0 if population.mass is None else population.mass)
+        given = {"radius": population.radius, "mass": 1.0 if population.mass is None else population.mass}
         if "drag" in arrays:
-            self.fill(number, "drag", self.scene.effects["drag"].rate if population.drag is None else population.drag)
-            self.refuse(f"{key}.drag", rows, arrays["drag"][rows] < 0.0, "negative for")
-        if "acceleration" in arrays and population.acceleration is not None:
-            self.fill(number, "acceleration", population.acceleration)
-        self.refuse(f"{key}.radius", rows, arrays["radius"][rows] < 0.0, "negative for")
-        self.refuse(f"{key}.mass", rows, arrays["mass"][rows] < 0.0, "negative for")
-        massless = arrays["mass"][rows] == 0.0
-        for name in self.scene.columns:
-            self.column(number, name, (population.model_extra or {}).get(name))
+            given["drag"] = self.scene.effects["drag"].rate if population.drag is None else population.drag
+        if "acceleration" in arrays:
+            given["acceleration"] = population.acceleration
+        given |= {name: (population.model_extra or {}).get(name) for name in self.scene.columns}  # of effects from outside
+        for name, value in given.items():
+            if value is not None:
+                self.fill(number, name, value)
+                least = FIELDS[name].least
+                low = f"below {least:g} for" if name in self.scene.columns else "negative for"
+                self.refuse(f"{key}.{name}", rows, arrays[name][rows] < least, low)
         for name, needed in divided_masses(self.scene, arrays["fixed"][rows]).items():
-            self.refuse(f"{key}.mass", rows, massless & needed, f"0, but [effects.{name}] divides by it, for")
+            massless = needed & (arrays["mass"][rows] == 0.0)
+            self.refuse(f"{key}.mass", rows, massless, f"0, but [effects.{name}] divides by it, for")
 
-    def column(self, number: int, name: str, value: Any) -> None:
-        """A column that an effect from outside the program brings; `value` as the population gives it, or None."""
-        if value is None:
-            return
-        rows, least = self.rows[number], FIELDS[name].least
-        self.fill(number, name, value)
-        self.refuse(f"particles[{number}].{name}", rows, self.arrays[name][rows] < least, f"below {least:g} for")
+    def drawn(self, number: int, name: str, value: Any) -> Any:
+        """A value, or random ones for a population within a range."""
+        if not isinstance(value, dict):
+            return value
+        rows = self.rows[number]
+        return value["min"] + self.random(number, name).random(rows.stop - rows.start) * (value["max"] - value["min"])
 
     def fill(self, number: int, name: str, value: Any) -> None:
         """A field of a population from a number, a list or a range."""
-        rows = self.rows[number]
-        if isinstance(value, dict):
-            u = self.random(number, name).random(rows.stop - rows.start)
-            value = value["min"] + u * (value["max"] - value["min"])
+        rows, array = self.rows[number], self.arrays[name]
         try:
-            self.arrays[name][rows] = np.asarray(value, float)
+            array[rows] = np.asarray(self.drawn(number, name, value), float)
         except OverflowError:
-            value = LARGEST * 2.0
-            self.arrays[name][rows] = value
-        self.refuse(f"particles[{number}].{name}", rows, np.abs(self.arrays[name][rows]) > LARGEST, f"beyond {LARGEST:g} for")
+            array[rows] = LARGEST * 2.0
+        self.refuse(f"particles[{number}].{name}", rows, np.abs(array[rows]) > LARGEST, f"beyond {LARGEST:g} for")
         if name == "mass":  # 1/m must be a number too
-            light = (self.arrays[name][rows] > 0.0) & (self.arrays[name][rows] < 1.0 / LARGEST)
+            light = (array[rows] > 0.0) & (array[rows] < 1.0 / LARGEST)
             self.refuse(f"particles[{number}].mass", rows, light, f"below {1.0 / LARGEST:g} for")
 
     def refuse(self, key: str, rows: slice, bad: Array, why: str) -> None:
@@ -268,84 +245,73 @@ class Populator:
         x, radius, scattered = self.arrays["position"], self.arrays["radius"], []
         known = np.ones(len(x), bool)
         for number, population in self.populations.items():
-            rows = self.rows[number]
-            if population.position == "random":
+            rows, given = self.rows[number], population.position
+            if given == "random":
                 scattered.append(number)
                 known[rows] = False
-            elif population.position == "lattice":
-                places = lattice(rows.stop - rows.start, float(radius[rows].max(initial=0.0)), room)
+            elif given == "lattice":
+                count = rows.stop - rows.start
+                places = lattice(count, float(radius[rows].max(initial=0.0)), room)
                 if places is None:
-                    self.faults.append(
-                        f"particles[{number}].position: lattice: {rows.stop - rows.start} spheres do not fit"
-                        f" (packing fraction {packing(radius[rows], room):.3g})"
-                    )
+                    why = f"{count} spheres do not fit (packing fraction {packing(radius[rows], room):.3g})"
+                    self.faults.append(f"particles[{number}].position: lattice: {why}")
                 else:
                     x[rows] = places
-            elif isinstance(population.position, dict) and "plummer" in population.position:
-                random = self.random(number, "position")
-                x[rows] = plummer_places(random, population.position["plummer"], self.arrays["mass"][rows])
+            elif isinstance(given, dict) and "plummer" in given:
+                x[rows] = plummer_places(self.random(number, "position"), given["plummer"], self.arrays["mass"][rows])
             else:
-                self.fill(number, "position", self.files.get((number, "position"), population.position))
+                self.fill(number, "position", self.files.get((number, "position"), given))
         self.stop_if_faulty()
         if scattered:
-            self.scatter(room, scattered, np.flatnonzero(known))
+            addition = RandomAddition(room, x, radius, np.flatnonzero(known))
+            for number in sorted(scattered, key=lambda k: -radius[self.rows[k]].max(initial=0.0)):
+                if fault := self.scatter(room, number, addition):
+                    self.faults.append(f"particles[{number}].position: random: {fault}")
+                    return
 
-    def scatter(self, room: Container, numbers: list[int], known: Array) -> None:
-        radius, d = self.arrays["radius"], self.scene.dimension
-        addition = RandomAddition(room, self.arrays["position"], radius, known)
-        fraction = packing(radius, room)
-        for number in sorted(numbers, key=lambda k: -radius[self.rows[k]].max(initial=0.0)):
-            key, rows = f"particles[{number}].position: random", self.rows[number]
-            count, own = rows.stop - rows.start, radius[rows]
-            wide = np.flatnonzero((room.length == 0.0) & (2.0 * own.max(initial=0.0) > room.upper - room.lower))
-            if room.bounded and len(wide):
-                self.faults.append(f"{key}: spheres of radius {own.max():g} do not fit into the box on axis {wide[0]}")
-                return
-            same = count and own.min() == own.max()
-            if room.solid and same and count > 1000 and packing(own, room) > JAMMED.get(d, inf):
-                self.faults.append(
-                    f"{key}: {count} spheres have packing fraction {packing(own, room):.3g}, above the {JAMMED[d]} at which"
-                    " random places run out; use lattice, or fewer or smaller spheres"
-                )
-                return
-            placed, tries = addition.place(np.arange(rows.start, rows.stop), self.random(number, "position"))
-            if placed < count:
-                self.faults.append(
-                    f"{key}: only {placed} of {count} spheres fit after {max(tries, MOST_TRIES)} tries"
-                    f" (packing fraction {fraction:.3g}); use lattice, or fewer or smaller spheres"
-                )
-                return
+    def scatter(self, room: Container, number: int, addition: RandomAddition) -> str:
+        """Random places for a population; returns why there are none, or "" ."""
+        rows = self.rows[number]
+        count, own, advice = rows.stop - rows.start, self.arrays["radius"][rows], "use lattice, or fewer or smaller spheres"
+        wide = np.flatnonzero((room.length == 0.0) & (2.0 * own.max(initial=0.0) > room.upper - room.lower))
+        if room.bounded and len(wide):
+            return f"spheres of radius {own.max():g} do not fit into the box on axis {wide[0]}"
+        most = JAMMED.get(self.scene.dimension, inf)
+        if room.solid and count > 1000 and own.min() == own.max() and packing(own, room) > most:
+            said = f"{count} spheres have packing fraction {packing(own, room):.3g}, above the {most} at which"
+            return f"{said} random places run out; {advice}"
+        placed, tries = addition.place(np.arange(rows.start, rows.stop), self.random(number, "position"))
+        if placed == count:
+            return ""
+        fraction = packing(self.arrays["radius"], room)
+        said = f"only {placed} of {count} spheres fit after {max(tries, MOST_TRIES)} tries (packing fraction {fraction:.3g})"
+        return f"{said}; {advice}"
 
     def velocities(self, number: int, population: Population) -> None:
         """Explicit, or drawn; fixed particles have none."""
         rows, value, key = self.rows[number], population.velocity, f"particles[{number}].velocity"
-        v, d = self.arrays["velocity"][rows], self.scene.dimension
-        fixed = self.arrays["fixed"][rows] != 0
+        v, fixed = self.arrays["velocity"][rows], self.arrays["fixed"][rows] != 0
         if value is None or not len(v):
-            return
-        if value == "equilibrium":
-            gravity = self.scene.effects["mutual_gravity"]
-            G = self.scene.G if gravity.G is None else gravity.G
-            x, mass = self.arrays["position"][rows], self.arrays["mass"][rows]
-            v[:] = plummer_velocities(self.random(number, "velocity"), x, population.position["plummer"], mass, G)
-            v[fixed] = 0.0
             return
         if isinstance(value, list) or "file" in value:
             self.fill(number, "velocity", self.files.get((number, "velocity"), value))
             self.refuse(key, rows, fixed & (v != 0.0).any(axis=1), "not zero, but fixed:")
             return
-        if fixed.all() and value not in ({"speed": 0}, {"temperature": 0}):
+        random = self.random(number, "velocity")
+        if value == "equilibrium":
+            gravity = self.scene.effects["mutual_gravity"]
+            G = self.scene.G if gravity.G is None else gravity.G
+            x, mass = self.arrays["position"][rows], self.arrays["mass"][rows]
+            v[:] = plummer_velocities(random, x, population.position["plummer"], mass, G)
+        elif fixed.all() and value not in ({"speed": 0}, {"temperature": 0}):
             self.refuse(key, rows, fixed, "given, but fixed:")
             return
-        direction = self.random(number, "velocity").standard_normal((len(v), d))
-        if "temperature" in value:
-            self.warm(key, rows, float(value["temperature"]), direction)
+        elif "temperature" in value:
+            self.warm(key, rows, float(value["temperature"]), random.standard_normal(v.shape))
         else:
-            speed = value["speed"]
-            if isinstance(speed, dict):
-                speed = speed["min"] + self.random(number, "speed").random(len(v)) * (speed["max"] - speed["min"])
+            direction = random.standard_normal(v.shape)
             norm = np.sqrt((direction**2).sum(axis=1))
-            v[:] = direction * (speed / np.where(norm > 0.0, norm, 1.0))[:, None]
+            v[:] = direction * (self.drawn(number, "speed", value["speed"]) / np.where(norm > 0.0, norm, 1.0))[:, None]
         v[fixed] = 0.0
         self.refuse(key, rows, ~(np.abs(v) <= LARGEST), f"beyond {LARGEST:g} for")
 

@@ -5,23 +5,21 @@ step follows H. Rein and D. S. Spiegel, MNRAS 446, 1424, 2015): the acceleration
 the nodes are those at the positions it leads to, found by iteration. Its highest coefficient over the largest
 acceleration, to the power 1/7, tells how long the step may be.
 
-Round-off bounds what that coefficient can tell: far from the origin, or where bodies are close, coordinates round the
-accelerations, and no step is short enough to make the coefficient small (D. Pham, H. Rein, D. S. Spiegel, Open J.
-Astrophys. 7, 2024, show how steps then shrink for ever). So the round-off of the accelerations is measured at the start of
-each step, by one more evaluation, at positions moved by their own round-off. Below it the iteration has converged, and what
-it makes of the highest coefficient is the least tolerance. Positions carry their round-off along (Kahan's sum).
-
-A scene's step is cut into as many of these as it takes and ends exactly where it should. Nothing is kept from one to the
-next but the state, so that a resumed run has the same bits.
+Far from the origin, or where bodies are close, coordinates round the accelerations, and no step is short enough to make the
+coefficient small (D. Pham, H. Rein, D. S. Spiegel, Open J. Astrophys. 7, 2024, show how steps then shrink for ever). So this
+round-off is measured at the start of each step, by one more evaluation, at positions moved by their own round-off. Below it the
+iteration has converged, and what it makes of the highest coefficient is the least tolerance. Positions carry their round-off
+along (Kahan's sum). Nothing but the state is kept from one step of the scene to the next, so a resumed run has the same bits.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 from numpy.polynomial import legendre
 
 from particles_mpi.errors import StateError
-from particles_mpi.integrators.integrator import Drift, Forces
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles
 from particles_mpi.scene.schema import TOLERANCES
@@ -47,36 +45,29 @@ def radau() -> tuple[Array, Array, Array, Array, Array, Array]:
     velocity[i, j]: integral of the Lagrange polynomial of node j from 0 to c_i; position: the integral of that.
     """
     wide = np.longdouble
-    c = np.sort(legendre.legroots([0.0] * (NODES - 1) + [1.0, 1.0])).astype(wide)  # P_7 + P_8: -1 is one of the roots
+    c = np.sort(legendre.legroots([0.0] * (NODES - 1) + [1.0, 1.0])).astype(wide)[1:]  # P_7 + P_8: the first root is -1
     for _ in range(4):
-        c -= (_legendre(NODES - 1, c)[0] + _legendre(NODES, c)[0]) / (_legendre(NODES - 1, c)[1] + _legendre(NODES, c)[1])
-    c = (c + 1) / 2
-    c[0] = 0
+        value, slope = np.add(_legendre(NODES - 1, c), _legendre(NODES, c))
+        c -= value / slope
+    c = np.append(wide(0), (c + 1) / 2)
     lagrange = np.zeros((NODES, NODES), wide)  # of powers of the time
     for j in range(NODES):
         poly = np.ones(1, wide)
-        for k in range(NODES):
-            if k != j:
-                poly = np.convolve(poly, np.array([-c[k], 1], wide)) / (c[j] - c[k])
+        for other in np.delete(c, j):
+            poly = np.convolve(poly, np.array([-other, 1], wide)) / (c[j] - other)
         lagrange[j] = poly
-    powers = np.arange(NODES)
-    ends = np.append(c, wide(1))
-    once = np.array([[(lagrange[j] * t ** (powers + 1) / (powers + 1)).sum() for j in range(NODES)] for t in ends])
-    twice = np.array(
-        [[(lagrange[j] * t ** (powers + 2) / ((powers + 1) * (powers + 2))).sum() for j in range(NODES)] for t in ends]
-    )
-    once, twice = once.astype(float), twice.astype(float)
+    power, ends = np.arange(NODES), np.append(c, wide(1))[:, None, None]
+    once = (lagrange * ends ** (power + 1) / (power + 1)).sum(axis=-1).astype(float)
+    twice = (lagrange * ends ** (power + 2) / ((power + 1) * (power + 2))).sum(axis=-1).astype(float)
     return c.astype(float), once[:-1], twice[:-1], once[-1], twice[-1], lagrange.astype(float)
 
 
 def _legendre(n: int, t: Array) -> tuple[Array, Array]:
-    """P_n and its derivative at t, by the recurrence."""
+    """P_n and its derivative at t, which is not 1 or -1, by the recurrence."""
     before, now = np.ones_like(t), t
     for k in range(1, n):
         before, now = now, ((2 * k + 1) * t * now - k * before) / (k + 1)
-    inner = np.where(np.abs(t * t - 1) < 1e-12, 1, t * t - 1)
-    slope = np.where(np.abs(t * t - 1) < 1e-12, t ** (n + 1) * (n * (n + 1)) / 2, n * (t * now - before) / inner)
-    return now, slope
+    return now, n * (t * now - before) / (t * t - 1)
 
 
 def combine(weights: Array, at: Array) -> Array:
@@ -110,15 +101,16 @@ def still_to_come(change: float, before: float) -> float:
 
 
 class Adaptive:
-    """Order 15, with steps of its own choice; `substeps` counts those taken, `rejected` those that were too long."""
+    """Order 15, with steps of its own choice; `substeps` counts those taken."""
 
-    def __init__(self, ranks: Communicator, tolerance: float):
-        self.ranks, self.tolerance = ranks, tolerance
+    def __init__(self, ranks: Communicator, tolerance: float, forces: Callable[[], Array | None], timers: Timers):
+        """`forces`: accelerations (n, d) at the positions of the moment, or None."""
+        self.ranks, self.tolerance, self.sum_forces, self.timers = ranks, tolerance, forces, timers
         self.c, self.once, self.twice, self.once_end, self.twice_end, self.lagrange = radau()
         self.gain = 4.0 * float(np.sqrt((self.lagrange[:, -1] ** 2).sum()))  # of round-off, in the highest coefficient
-        self.substeps = self.rejected = 0
+        self.substeps = 0
 
-    def advance(self, particles: Particles, h: float, forces: Forces, drift: Drift, timers: Timers) -> None:
+    def advance(self, particles: Particles, h: float, drift: Callable[[float], None]) -> None:
         """All substeps of a step. What is known of the last one serves the next, within this step."""
         done, length = 0.0, h
         self.before: tuple[Array, float, float] | None = None
@@ -127,41 +119,36 @@ class Adaptive:
         while done < h:
             left = h - done
             length = left if length >= left else min(length, 0.5 * left)  # no crumb at the end
-            next_length = self.substep(particles, length, forces, timers)
+            next_length = self.substep(particles, length)
             self.tries += 1
             if next_length >= SAFE * length:
                 done = h if length == left else done + length
                 self.substeps += 1
-            else:
-                self.rejected += 1
             if done < h and (not next_length > SHORTEST * h or self.blind > MOST_BLIND):
                 raise StateError(
                     f"time.integrator: {done:.6g} into it, steps get shorter than {next_length:.2g}: "
-                    f"{self.who_meets(particles, self.forces(forces, particles.position))}; softening helps"
+                    f"{self.who_meets(particles, self.accelerations(particles))}; softening helps"
                 )
             length = next_length
-        with timers("drift"):
+        with self.timers("drift"):
             drift(0.0)  # whatever belongs to the end of a drift
 
-    def substep(self, particles: Particles, h: float, forces: Forces, timers: Timers) -> float:
+    def substep(self, particles: Particles, h: float) -> float:
         """Try a step of length h; returns how long the next one may be. If that is too short, nothing has changed."""
         x, v = particles.position, particles.velocity
         x0 = x.copy()
-        with timers("forces"):
-            a = self.forces(forces, x)
+        with self.timers("forces"):
+            a = self.accelerations(particles)
             x += SHAKEN * np.spacing(np.abs(x)) * random_signs(particles.id, x.shape[1], self.tries)
-            noise = float(np.abs(self.forces(forces, x) - a).max(initial=0.0)) / SHAKEN
+            noise = float(np.abs(self.accelerations(particles) - a).max(initial=0.0)) / SHAKEN
             at = self.guess(a, h)
             change = np.inf
             for _ in range(MOST_ITERATIONS):
-                largest = 0.0
-                before, change = change, 0.0
+                last, before = at.copy(), change
                 for i in range(1, NODES):
                     x[:] = x0 + (self.lost + (h * self.c[i] * v + h * h * combine(self.twice[i], at)))
-                    new = self.forces(forces, x)
-                    change = max(change, float(np.abs(new - at[i]).max(initial=0.0)))
-                    largest = max(largest, float(np.abs(new).max(initial=0.0)))
-                    at[i] = new
+                    at[i] = self.accelerations(particles)
+                change, largest = (np.fmax.reduce(np.abs(a), axis=None, initial=0.0) for a in (at - last, at[1:]))
                 top = np.abs(combine(self.lagrange[:, -1], at)).max(initial=0.0)
                 largest, change, top, noise = self.ranks.allreduce_max(np.array([largest, change, top, noise]))
                 round_off, left = noise + ROUNDED * largest, still_to_come(change, before)
@@ -188,24 +175,19 @@ class Adaptive:
         weights = (moments[:, None] ** np.arange(NODES)) @ self.lagrange.T
         return np.stack([a, *(combine(row, at) for row in weights[1:])])
 
-    def forces(self, forces: Forces, x: Array) -> Array:
-        """Accelerations at the present positions, none where there are none."""
-        a = forces()
-        return np.zeros_like(x) if a is None else a
+    def accelerations(self, particles: Particles) -> Array:
+        """Accelerations at the present positions, 0 where there are no forces."""
+        a = self.sum_forces()
+        return np.zeros_like(particles.position) if a is None else a
 
     def who_meets(self, particles: Particles, a: Array) -> str:
         """The particle of the largest acceleration and the one that is nearest to it, on all ranks. Collective."""
-        size, mine = np.abs(a).max(axis=1), None
-        if len(size):
-            i = np.lexsort((particles.id, -size))[0]
-            mine = float(size[i]), -int(particles.id[i]), particles.position[i]
+        size, ids = np.abs(a).max(axis=1), particles.id.tolist()
+        mine = max(((size[i], -ids[i], particles.position[i]) for i in range(len(ids))), key=lambda one: one[:2], default=None)
         _, pulled, place = max((one for one in self.ranks.allgather(mine) if one), key=lambda one: one[:2])
-        apart = [
-            (float(distance), int(number))
-            for distance, number in zip(np.sqrt(((particles.position - place) ** 2).sum(axis=1)), particles.id, strict=True)
-            if number != -pulled
-        ]
-        others = [one for one in self.ranks.allgather(min(apart, default=None)) if one]
+        apart = np.sqrt(((particles.position - place) ** 2).sum(axis=1)).tolist()
+        nearest = min(((distance, other) for distance, other in zip(apart, ids) if other != -pulled), default=None)
+        others = [one for one in self.ranks.allgather(nearest) if one]
         if not others:
             return f"particle {-pulled} is pulled too strongly"
         distance, other = min(others)

@@ -1,12 +1,10 @@
 """How kernels are compiled: `@kernel` those that Python calls, `@inner` those that only kernels call, `@lean` as one of both.
 
-All are kept in numba's cache. For each kernel numba also compiles an entry for Python, which takes every array apart, and one
-for C. Nobody calls from C, and most kernels are called by kernels only: without these entries a small kernel compiles in
+All are kept in numba's cache. Without numba's entries for C, and for Python where only kernels call, a small kernel compiles in
 two thirds of the time. Called from Python an `@inner` kernel runs uncompiled.
 
-`@lean` kernels count no references. Numba counts those of arrays with locked instructions wherever a function unpacks a tuple
-of them or takes a part of one; in a kernel that does little a call that was half of the time. The price: such a function
-cannot make an array.
+`@lean` kernels count no references, which numba does with locked instructions wherever a function unpacks a tuple of arrays or
+takes a part of one: half of the time of a kernel that does little a call. Such a function cannot make an array.
 
 Every combination of argument types is compiled for itself, which takes a tenth of a second to several. A tuple `axes`, whose
 length is the dimension, makes one for each dimension: only kernels that take much of a run's time have it. A literal number as
@@ -49,10 +47,9 @@ lean_inner: Any = inner(_nrt=False)
 
 
 def plain(bundle: tuple[Any, ...]) -> tuple[Any, ...]:
-    """A NamedTuple as plain tuples, those in it too: as an argument of a kernel it takes a third of the time to pass.
+    """A NamedTuple as plain tuples, those in it too: for kernels that Python calls many times a step, and that unpack them first.
 
-    Numba finds out the types of what it is called with anew in every call, in 0.3 us for each array of a NamedTuple. Kernels
-    that Python calls many times a step get plain tuples instead, and unpack them by position in their first lines.
+    Numba finds out the types of its arguments in every call: in 0.3 us for each array of a NamedTuple, three times as long.
     """
     return tuple(plain(part) if isinstance(part, tuple) else part for part in bundle)
 

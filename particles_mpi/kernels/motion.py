@@ -24,10 +24,13 @@ class Segments(NamedTuple):
 
 @kernel
 def kick(v, a, h):
-    """v += a h, in place on v (n, d)."""
+    """v += a h, in place on v (n, d); as `free_drift` x += v h."""
     for i in range(v.shape[0]):
         for k in range(v.shape[1]):
             v[i, k] += a[i, k] * h
+
+
+free_drift = kick
 
 
 @kernel
@@ -36,14 +39,6 @@ def kick_with_drag(v, a, decay, push):
     for i in range(v.shape[0]):
         for k in range(v.shape[1]):
             v[i, k] = v[i, k] * decay[i] + a[i, k] * push[i]
-
-
-@kernel
-def free_drift(x, v, h):
-    """x += v h, in place on x (n, d)."""
-    for i in range(x.shape[0]):
-        for k in range(x.shape[1]):
-            x[i, k] += v[i, k] * h
 
 
 @lean_inner

@@ -24,8 +24,8 @@ from particles_mpi.neighbours.trajectories import Horizon, Spheres, fastest
 from particles_mpi.parallel.agreement import require_finite
 from particles_mpi.parallel.buffers import RowBuffers
 from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.decomposition import LoadBalance
 from particles_mpi.parallel.exchange import Halo
-from particles_mpi.parallel.load_balance import LoadBalance
 from particles_mpi.particles import Array, Particles, field
 from particles_mpi.timers import Timers
 

@@ -3,20 +3,16 @@
 In the order in which to read them:
 
 - `communicator`: the ranks of a run, and the collective calls that the program needs
-- `exchange`: rows to any rank, all rows to all ranks, rows in id order, and the ghosts of a rank
-- `decomposition`: space is cut into one domain for each rank
-- `load_balance`: when it is cut anew
-- `buffers`: the arrays of a rank, with space for particles that arrive and for ghosts
-- `replica`: all particles on every rank, kept up to date
-- `blocks`: all particles in id order, one rank's share at a time
+- `exchange`: rows to any rank, all rows to all ranks at once or in blocks, rows in id order, and the ghosts of a rank
+- `decomposition`: space is cut into one domain for each rank, and when it is cut anew
+- `buffers`: the arrays of a rank, with space for particles that arrive and for ghosts; or all particles on every rank
 - `exact_sum`: sums that do not depend on the order of their terms, hence not on the ranks
 - `agreement`: an error on one rank becomes an error on all, or ends all
 - `signals`: Ctrl-C, SIGTERM and the wall-time limit
 - `launcher`: starts mpirun and shortens what it prints about ranks that failed
 
-How a row gets to another rank. `LoadBalance` keeps the `Decomposition` of space; `decomposition.owner(x)` is the rank of each
-position. `RowBuffers.migrate` picks the rows whose owner is another rank, sorts them by destination and calls `send_rows`, which
-sends all columns of the rows for one rank as a single message; arriving rows take the places of those that left. Rows that other
-ranks need to see, but do not own, are sent by `send_rows` too, and `RowBuffers.append_ghosts` puts them behind the owned rows;
-until the next search for neighbours `Halo` refreshes them, with one message to each rank that holds ghosts of this one.
+How a row gets to another rank. `LoadBalance` keeps the `Decomposition` of space, which tells the owner of each position.
+`RowBuffers.migrate` sends the rows that another rank owns by `send_rows`, all columns for one rank as a single message; arriving
+rows take their places. Ghosts are sent by `send_rows` too, and `RowBuffers.append_ghosts` puts them behind the owned rows; until
+the next search for neighbours `Halo` refreshes them.
 """

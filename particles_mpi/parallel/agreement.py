@@ -36,11 +36,11 @@ PACKAGE = Path(__file__).parents[1]
 
 
 class Notice(NamedTuple):
-    """Why a rank ends."""
+    """Why a rank ends, with this exit code. shared: the error is raised on all ranks: files and MPI can be closed in order."""
 
-    code: int  # exit code
+    code: int
     text: str
-    shared: bool = False  # an error that is raised on all ranks: files and MPI can be closed in order
+    shared: bool = False
     trace: bool = False  # is the text a traceback?
 
 
@@ -48,8 +48,7 @@ class Notice(NamedTuple):
 def raising_together(ranks: Communicator) -> Iterator[None]:
     """Run a phase of the set-up on all ranks; an exception on any of them is raised on all. Collective at its end.
 
-    The exception is that of the lowest failing rank, and its text begins with "rank r: " unless all ranks have the same one. A
-    SceneError and a StoppedError keep their type; a MemoryError becomes a SceneError, any other exception a StoppedError. If
+    A SceneError and a StoppedError keep their type; a MemoryError becomes a SceneError, any other exception a StoppedError. If
     the other ranks do not come to the end of the block, because they wait in a collective call inside, all ranks are ended.
     """
     error: Exception | None = None
@@ -60,47 +59,46 @@ def raising_together(ranks: Communicator) -> Iterator[None]:
         if not isinstance(raised, SceneError | StoppedError):
             error = (SceneError if isinstance(raised, MemoryError) else StoppedError)(describe_unexpected(raised))
             error.__cause__ = raised
-    if ranks.size == 1:
-        if error is not None:
-            raise error
-        return
-    mine, worst = np.array([error is not None], np.int8), np.zeros(1, np.int8)
-    _await(ranks.comm.Iallreduce(mine, worst, MPI.MAX), error, SETUP_PATIENCE)
-    if worst[0]:
-        raise_first(ranks, error)
-
-
-def await_all(ranks: Communicator, error: SceneError | StoppedError) -> None:
-    """After an error that should be raised on all ranks: returns if it was, otherwise ends all ranks. Collective."""
     if ranks.size > 1:
-        _await(ranks.comm.Ibarrier(), error, PATIENCE)
+        await_all(ranks, error, SETUP_PATIENCE)
+        raise_first(ranks, error)
+    elif error is not None:
+        raise error
+
+
+def await_all(ranks: Communicator, error: Exception | None, patience: float = PATIENCE) -> None:
+    """Wait for all ranks; a rank with an error waits for `patience` seconds only, then it ends all ranks. Collective."""
+    request, end = ranks.comm.Ibarrier(), perf_counter() + patience
+    if error is None:
+        request.Wait()
+        return
+    while not request.Test():
+        if perf_counter() > end:
+            abort_all(error)
+        sleep(NAP)
 
 
 def raise_first(ranks: Communicator, error: Exception | None, root_reads: bool = False) -> None:
-    """Raise on all ranks the error of the lowest rank that has one; nothing happens if none has. Collective.
+    """Raise on all ranks the error of the lowest rank that has one, if any has. Collective.
 
-    The text names that rank, unless all have the same error, or it is a SceneError about a file that only rank 0 reads
-    (`root_reads`).
+    The text names it, unless all have the same error, or it is a SceneError about a file that only rank 0 reads (`root_reads`).
     """
     mine = None
     if error is not None:  # of the types that ranks share, the one that this is
         kind = next(kind for kind in (SceneError, StateError, StoppedError) if isinstance(error, kind))
         mine = kind, getattr(error, "faults", str(error))
     found = ranks.allgather(mine)
-    for rank, failure in enumerate(found):
-        if failure is None:
-            continue
-        kind, text = failure
-        if any(other != failure for other in found) and not (root_reads and kind is SceneError):
-            text = f"rank {rank}: {text}" if isinstance(text, str) else [f"rank {rank}: {fault}" for fault in text]
-        raise kind(text) from (error.__cause__ if error is not None else None)
+    rank = next((rank for rank, failure in enumerate(found) if failure), None)
+    if rank is None:
+        return
+    kind, text = found[rank]
+    if any(other != found[rank] for other in found) and not (root_reads and kind is SceneError):
+        text = f"rank {rank}: {text}" if isinstance(text, str) else [f"rank {rank}: {fault}" for fault in text]
+    raise kind(text) from (error.__cause__ if error is not None else None)
 
 
 def same_on_all(ranks: Communicator, tables: dict[str, Any], arrays: dict[str, Array] | None = None) -> None:
-    """Raise a SceneError on all ranks if one has other `tables` (plain data) or `arrays` than rank 0. Collective.
-
-    The message names the rank and the keys that differ.
-    """
+    """Raise a SceneError on all ranks, which names rank and keys, if one has other tables or arrays than rank 0. Collective."""
     if ranks.size == 1:
         return
     digest = hashlib.blake2b(json.dumps(tables, sort_keys=True, default=str).encode())
@@ -108,14 +106,11 @@ def same_on_all(ranks: Communicator, tables: dict[str, Any], arrays: dict[str, A
         digest.update(f"{name}{array.dtype}{array.shape}".encode())
         digest.update(np.ascontiguousarray(array).data)
     digests = ranks.allgather(digest.digest())
-    if all(other == digests[0] for other in digests):
+    if len(set(digests)) == 1:
         return
-    of_root = ranks.bcast(tables)
-    keys = [f"{key}: {_beside(one, two)}" for key, one, two in differences(tables, of_root)]
-    fault = None
-    if digests[ranks.rank] != digests[0]:
-        fault = SceneError(keys or ["particles: not the same values as on rank 0 (files with other contents?)"])
-    raise_first(ranks, fault)
+    keys = [f"{key}: {_beside(one, two)}" for key, one, two in differences(tables, ranks.bcast(tables))]
+    fault = SceneError(keys or ["particles: not the same values as on rank 0 (files with other contents?)"])
+    raise_first(ranks, fault if digests[ranks.rank] != digests[0] else None)
 
 
 def differences(one: Any, two: Any, key: str = "") -> Iterator[tuple[str, Any, Any]]:
@@ -141,18 +136,6 @@ def describe_unexpected(error: BaseException) -> str:
     calls = " > ".join(f"{Path(f.filename).name}:{f.lineno} {f.name}" for f in ours[-FRAMES:])
     name = "not enough memory" if isinstance(error, MemoryError) else f"unexpected {type(error).__name__}"
     return name + (f": {said}" if said else "") + (f" (at {calls})" if calls else "")
-
-
-def _await(request: MPI.Request, error: Exception | None, patience: float) -> None:
-    """Wait for all ranks; a rank with an error waits for `patience` seconds only, then it ends all ranks."""
-    if error is None:
-        request.Wait()
-        return
-    end = perf_counter() + patience
-    while not request.Test():
-        if perf_counter() > end:
-            abort_all(error)
-        sleep(NAP)
 
 
 def abort_all(error: BaseException, whole: bool = False) -> int:
@@ -218,10 +201,7 @@ if MPI.COMM_WORLD.Get_size() > 1 and sys.excepthook is sys.__excepthook__:
 
 
 def require_finite(ranks: Communicator, p: Particles, values: Any, when: str) -> None:
-    """Raise a StateError on all ranks if one of `values`, the same on all ranks, is not finite.
-
-    The message names the particle with the lowest id whose position or squared velocity is not finite. Collective then.
-    """
+    """Raise a StateError on all ranks, which names the lowest id at fault, if one of `values`, the same on all, is not finite."""
     if np.isfinite(values).all():
         return
     with np.errstate(over="ignore", invalid="ignore"):

@@ -1,12 +1,14 @@
-"""The rows of a rank in arrays with spare space: rows arrive, leave, are sorted and get ghosts without new arrays."""
+"""The rows of a rank in arrays with spare space for rows that arrive and for ghosts; and the rows of all ranks on every rank."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exchange import by_destination, send_rows
-from particles_mpi.particles import Array, Particles
+from particles_mpi.parallel.exchange import allgather_rows, by_destination, send_rows
+from particles_mpi.particles import MEETING, Array, Particles, field
 
 GROWTH = 1.2  # of the rows that are needed: how many new arrays have space for
 
@@ -39,10 +41,9 @@ class RowBuffers:
         """Make space for so many rows; the particles keep theirs."""
         if rows <= len(self.buffers["id"]):
             return
-        n = self.count
+        n, space = self.count, int(rows * GROWTH) + 1
         for name, old in self.buffers.items():
-            size = (int(rows * GROWTH) + 1, *old.shape[1:])
-            self.buffers[name], self.spare[name] = np.empty(size, old.dtype), np.empty(size, old.dtype)
+            self.buffers[name], self.spare[name] = (np.empty((space, *old.shape[1:]), old.dtype) for _ in range(2))
             self.buffers[name][:n] = old[:n]
         self.show(n)
 
@@ -64,19 +65,17 @@ class RowBuffers:
             return 0
         order, counts = by_destination(owner[leaving], ranks.size)
         arrived, _ = send_rows(ranks, self.particles.arrays, leaving[order], counts)
-        left, came = len(leaving), len(arrived["id"])
-        after = n - left + came
+        came = len(arrived["id"])
+        after = n - len(leaving) + came
         self.reserve(after)
         # Arriving rows take the places of those that left; if fewer arrive, the last rows fill the other places.
-        places = np.concatenate((leaving[:came], np.arange(n, after)))
-        holes = leaving[came:]
-        holes = holes[holes < after]
-        last = np.setdiff1d(np.arange(after, n), leaving[came:], assume_unique=True)
+        places, left = np.concatenate((leaving[:came], np.arange(n, after))), leaving[came:]
+        holes, last = left[left < after], np.setdiff1d(np.arange(after, n), left, assume_unique=True)
         for name, array in self.buffers.items():
             array[places] = arrived[name]
             array[holes] = array[last]
         self.show(after)
-        return left
+        return len(leaving)
 
     def append_ghosts(self, arrived: dict[str, Array]) -> dict[str, Array]:
         """Put ghosts behind the particles; returns the arrays of both together, for the fields that ghosts have."""
@@ -86,3 +85,48 @@ class RowBuffers:
         for name, array in arrived.items():
             self.buffers[name][n:rows] = array
         return {name: self.buffers[name][:rows] for name in arrived}
+
+
+class Replica:
+    """For a computation in one order of time that all ranks make alike: all particles on every rank, kept up to date.
+
+    `all_particles` holds the rows of all ranks, always the same, in any order; on one rank it is `particles` itself.
+
+    Its version is raised where a field of `MEETING` changed that is not among the `changing` ones, those that a drift changes.
+    """
+
+    def __init__(self, particles: Particles, ranks: Communicator, changing: Sequence[str]):
+        self.particles, self.ranks, self.changing = particles, ranks, changing
+        self.version = -1
+        self.names = [name for name in particles.arrays if field(name).ghost or name in changing]
+        self.all_particles = particles if ranks.size == 1 else Particles(particles.dimension, self._allgather())
+
+    def _allgather(self) -> dict[str, Array]:
+        return allgather_rows(self.ranks, {name: self.particles.arrays[name] for name in self.names})
+
+    def _index(self) -> None:
+        """`row_of[id]`: the row of each particle in `all_particles`; made anew when rows were moved."""
+        if self.version != self.all_particles.version:
+            self.row_of = np.empty(int(self.all_particles.id.max(initial=-1)) + 1, np.int64)
+            self.row_of[self.all_particles.id] = np.arange(len(self.all_particles))
+            self.version = self.all_particles.version
+
+    def gather(self) -> None:
+        """Bring `all_particles` to the state that the owners have. Collective."""
+        if self.ranks.size > 1:
+            arrived = self._allgather()
+            self._index()
+            rows = self.row_of[arrived.pop("id")]
+            for name, column in arrived.items():
+                changed = name in MEETING and name not in self.changing
+                if changed and not np.array_equal(self.all_particles[name][rows], column):
+                    self.all_particles.version += 1
+                self.all_particles[name][rows] = column
+
+    def write_back(self) -> None:
+        """Copy the changing fields of this rank's rows from `all_particles` to `particles`."""
+        if self.ranks.size > 1:
+            self._index()
+            rows = self.row_of[self.particles.id]
+            for name in self.changing:
+                self.particles[name][:] = self.all_particles[name][rows]

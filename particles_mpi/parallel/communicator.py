@@ -17,8 +17,7 @@ NAP = 0.005  # seconds between two checks of a rank that sleeps while it waits
 class Communicator:
     """A thin layer over an MPI communicator. On a single rank nothing is sent.
 
-    It counts, for `run.json` and the scaling study: `messages` sent to single ranks; `reductions`; `all_to_alls`, exchanges in
-    which every rank may send to every other; and `rows` of particles received.
+    It counts `messages` sent to single ranks, `reductions`, `all_to_alls`, and `rows` of particles received.
     """
 
     def __init__(self, comm: MPI.Comm | None = None):
@@ -37,6 +36,10 @@ class Communicator:
         """The first `count` ranks with a communicator of their own; None on the others. Collective."""
         comm = self.comm.Split(0 if self.rank < count else MPI.UNDEFINED, self.rank)
         return None if comm == MPI.COMM_NULL else Communicator(comm)
+
+    def share(self, total: int) -> tuple[int, int]:
+        """First and last + 1 of this rank's share of `total` things in a row."""
+        return total * self.rank // self.size, total * (self.rank + 1) // self.size
 
     def _allreduce(self, values: Any, operation: MPI.Op) -> Array:
         values = np.atleast_1d(values)
@@ -79,21 +82,16 @@ class Communicator:
 
     def barrier(self) -> None:
         """Wait until all ranks have come here."""
-        if self.size > 1:
-            self.comm.Barrier()
+        self.comm.Barrier()
 
     def sleeping_barrier(self) -> None:
         """The same, but a rank that waits leaves its core free for others."""
-        if self.size > 1:
-            arrived = self.comm.Ibarrier()
-            while not arrived.Test():
-                sleep(NAP)
+        arrived = self.comm.Ibarrier()
+        while not arrived.Test():
+            sleep(NAP)
 
     def run_on_root(self, work: Callable[[], Any]) -> Any:
-        """Call `work()` on rank 0 while the others sleep; returns its value there and None elsewhere. Collective.
-
-        An exception in `work` is raised on all ranks.
-        """
+        """Call `work()` on rank 0 while the others sleep: its value there, None elsewhere, its exception on all. Collective."""
         value, error = None, None
         if self.is_root:
             try:

@@ -1,21 +1,27 @@
-"""Decomposition decomposition by recursive coordinate bisection: a binary tree of cuts assigns every point of space to one rank.
+"""Space is divided by recursive coordinate bisection: a binary tree of cuts assigns every point to one rank.
 
 A point on a cut belongs to the upper side. The outermost domains extend to infinity, so that every finite position has an
-owner, with or without a box.
+owner, with or without a box. It is cut anew as soon as the time lost to imbalance exceeds what a cut costs.
 """
 
 from __future__ import annotations
 
 from math import inf
+from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
 
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.particles import Array
+from particles_mpi.particles import Array, Particles
+from particles_mpi.timers import Timers
 
 BINS, ROUNDS = 64, 4  # of the search for a cut: each round divides the interval into so many bins and keeps one
+LOOK_EVERY = 8  # searches for neighbours between two comparisons of the ranks' times
+NOISE = 0.05  # of the mean time: differences between ranks with equal work on a shared machine
+MOVING = 10.0  # cost of a new decomposition, in units of the time for the cuts: rows have to move too
+WORK = ("search", "collide", "drift", "pairs")  # phases in which a rank works, and does not wait for others
 
 
 class Decomposition(NamedTuple):
@@ -59,17 +65,12 @@ def bisect(ranks: Communicator, x: Array, weight: float) -> Decomposition:
 
 def best_cut(ranks: Communicator, x: Array, weight: float, share: float) -> tuple[int, float]:
     """(axis, position) of a cut of the longest axis, with `share` of the weight of all ranks' positions below it. Collective."""
-    d = x.shape[1]
-    ends = np.full(2 * d, -inf)
-    if len(x):
-        ends = np.concatenate((x.max(axis=0), -x.min(axis=0)))
-    ends = ranks.allreduce_max(ends)
-    high, low = ends[:d], -ends[d:]
+    high, low = ranks.allreduce_max(np.array([x.max(axis=0, initial=-inf), -x.min(axis=0, initial=inf)]))
+    low = -low
     if not np.all(high >= low):
         return 0, 0.0  # no positions at all: any cut will do
     k = int((high - low).argmax())
-    left, right, passed = float(low[k]), float(np.nextafter(high[k], inf)), 0.0
-    wanted = None
+    left, right, passed, wanted = float(low[k]), float(np.nextafter(high[k], inf)), 0.0, None
     for _ in range(ROUNDS):
         edges = np.linspace(left, right, BINS + 1)
         inside = x[(x[:, k] >= left) & (x[:, k] < right), k]
@@ -95,3 +96,35 @@ def owners(x, axis, cut, below, above):
             node = below[node] if x[i, axis[node]] < cut[node] else above[node]
         owner[i] = -1 - node
     return owner
+
+
+class LoadBalance:
+    """Holds the domain decomposition. Which rank owns a particle never changes a result, so measured times may decide."""
+
+    def __init__(self, ranks: Communicator, timers: Timers):
+        self.ranks, self.timers = ranks, timers
+        self.decomposition: Decomposition
+        self.cuts = 0
+        self.cost = self.lost = self.worked = 0.0
+
+    def update(self, particles: Particles, searches: int) -> None:
+        """Cut space for the first time, or again if that saves time; `searches`: for neighbours, so far. Collective."""
+        if self.cuts == 0:
+            self.cut(particles.position, 1.0)
+        elif self.ranks.size > 1 and searches % LOOK_EVERY == 0:
+            worked = sum(self.timers.seconds.get(phase, 0.0) for phase in WORK)
+            mine, self.worked = worked - self.worked, worked
+            times = np.array(self.ranks.allgather(mine))
+            self.lost = max(self.lost + float(times.max() - (1.0 + NOISE) * times.mean()), 0.0)
+            if self.lost > self.cost:
+                each = mine / max(len(particles), 1)
+                typical = float(times.sum()) / max(int(self.ranks.allreduce_sum(len(particles))[0]), 1)
+                self.cut(particles.position, float(np.clip(each / typical, 0.5, 2.0)) if typical > 0.0 else 1.0)
+
+    def cut(self, x: Array, weight: float) -> None:
+        """A new decomposition, from this rank's positions x (n, d), each of which means `weight` units of work. Collective."""
+        begin = perf_counter()
+        self.decomposition = bisect(self.ranks, x, weight)
+        self.cost = float(self.ranks.allreduce_max(perf_counter() - begin)[0]) * MOVING
+        self.lost = 0.0
+        self.cuts += 1

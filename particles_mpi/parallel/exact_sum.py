@@ -1,7 +1,7 @@
 """Exact sums over all particles, which have the same bits in any order and on any number of ranks.
 
-Every float64 is an integer multiple of 2^-1074. A sum is kept as such an integer in base 2^32, with an int64 for each digit: 2^30
-numbers can be added before a digit overflows. Integers are added exactly across the ranks, and the total is rounded once.
+A sum is kept as an integer multiple of 2^-1074, in base 2^32 with an int64 for each digit: 2^30 numbers can be added before one
+overflows. Integers are added exactly across the ranks, and the total is rounded once.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Rows between ranks: to any rank, to all ranks, in id order for files, and ghosts that are refreshed as they change."""
+"""Rows between ranks: to any rank, to all ranks, in id order, and ghosts that are refreshed as they change."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, rows_of
 
 TAG = 0  # of messages with rows; `agreement` uses another one
+FEW = 10_000  # most rows that `blocks` sends to all ranks in one message
 WORD = 8  # bytes: messages are counted in words, because MPI counts to 2^31 at most
 
 
@@ -39,16 +40,14 @@ def send_rows(ranks: Communicator, arrays: dict[str, Array], rows: Array, counts
     row_size = sum(column.dtype.itemsize * prod(column.shape[1:]) for column in arrays.values())
     words_out, words_in = (-(row_size * numbers.astype(np.int64) // -WORD) for numbers in (counts, arriving))
     outgoing, incoming = np.empty(words_out.sum(), np.int64), np.empty(words_in.sum(), np.int64)
-    first_out, first_in = starts(counts), starts(arriving)
-    for p in np.flatnonzero(counts):
-        mine = rows[first_out[p] : first_out[p] + counts[p]]
-        for name, part in columns(outgoing[starts(words_out)[p] :], int(counts[p]), arrays):
-            arrays[name].take(mine, axis=0, out=part, mode="clip")
+    for p, begin, end in parts(counts):
+        for name, part in columns_of(outgoing[starts(words_out)[p] :], end - begin, arrays):
+            arrays[name].take(rows[begin:end], axis=0, out=part, mode="clip")
     ranks.comm.Alltoallv([outgoing, (words_out, starts(words_out))], [incoming, (words_in, starts(words_in))])
     arrived = {name: np.empty((int(arriving.sum()), *column.shape[1:]), column.dtype) for name, column in arrays.items()}
-    for p in np.flatnonzero(arriving):
-        for name, part in columns(incoming[starts(words_in)[p] :], int(arriving[p]), arrays):
-            arrived[name][first_in[p] : first_in[p] + arriving[p]] = part
+    for p, begin, end in parts(arriving):
+        for name, part in columns_of(incoming[starts(words_in)[p] :], end - begin, arrays):
+            arrived[name][begin:end] = part
     return arrived, arriving
 
 
@@ -75,7 +74,7 @@ def sendrecv(ranks: Communicator, others: Sequence[int], outgoing: Sequence[Arra
     return incoming
 
 
-def columns(words: Array, count: int, like: dict[str, Array]) -> Iterator[tuple[str, Array]]:
+def columns_of(words: Array, count: int, like: dict[str, Array]) -> Iterator[tuple[str, Array]]:
     """(name, view of `count` rows) for each column of one rank's part of a message, which begins at words[0].
 
     The columns of `like` stand one after the other, those with the widest numbers first so that each is aligned in memory.
@@ -89,8 +88,13 @@ def columns(words: Array, count: int, like: dict[str, Array]) -> Iterator[tuple[
 
 
 def starts(counts: Array) -> Array:
-    """Where each of the parts with these lengths begins: the cumulative sum without the last."""
-    return np.concatenate(([0], np.cumsum(counts)[:-1])).astype(counts.dtype)
+    """Where each of the parts with these lengths begins."""
+    return np.cumsum(counts) - counts
+
+
+def parts(counts: Array) -> list[tuple[int, int, int]]:
+    """(rank, first, last + 1) of the rows of every rank that has some, of counts[rank] each, one after the other."""
+    return [(p, first, first + count) for p, (first, count) in enumerate(zip(starts(counts).tolist(), counts.tolist())) if count]
 
 
 def by_destination(destination: Array, size: int) -> tuple[Array, Array]:
@@ -131,10 +135,7 @@ class Halo:
         self.receive_buffers = [np.empty((end - begin) * width) for _, begin, end in self.incoming]
 
     def exchange(self, pack: Callable[[Array, Array], int]) -> list[tuple[int, Array]]:
-        """Refresh the ghosts; returns (first ghost row, message) for each message that arrived. Collective.
-
-        `pack(rows, buffer)` writes the message about the rows into the buffer and returns its length.
-        """
+        """Refresh the ghosts by what `pack(rows, buffer)` writes, returning its length: (first row, message)s. Collective."""
         comm, requests = self.ranks.comm, []
         for (p, _, _), buffer in zip(self.incoming, self.receive_buffers, strict=True):
             requests.append(comm.Irecv([buffer, MPI.DOUBLE], source=p, tag=TAG))
@@ -150,7 +151,36 @@ class Halo:
         ]
 
 
-def parts(counts: Array) -> list[tuple[int, int, int]]:
-    """(rank, first, last + 1) of the rows of every rank that has some, of counts[rank] each, one after the other."""
-    ends = np.cumsum(counts)
-    return [(int(p), int(ends[p] - counts[p]), int(ends[p])) for p in np.flatnonzero(counts)]
+def blocks(ranks: Communicator, columns: dict[str, Array], ids: IdRange) -> Iterator[dict[str, Array]]:
+    """The rows of all ranks in id order, as one block for each rank; `columns` (with "id") are float64 or int64. Collective.
+
+    Few rows are a single block. Otherwise the next block is on its way while the caller works on one: a rank holds two blocks
+    at a time, which are O(N/P) rows.
+    """
+    if ranks.size == 1 or ids.total <= FEW:
+        rows = columns if ranks.size == 1 else allgather_rows(ranks, columns)
+        yield rows if (rows["id"][1:] > rows["id"][:-1]).all() else rows_of(rows, np.argsort(rows["id"]))
+        return
+    mine = in_id_order(ranks, columns, ids, ranks.size)
+    ranks.all_to_alls += 1
+    ranks.rows += ids.total - len(mine["id"])
+    counts = ranks.allgather_array(np.array(len(mine["id"])))
+    width = sum(prod(column.shape[1:]) for column in columns.values())
+
+    def start(rank: int) -> tuple[dict[str, Array], MPI.Request]:
+        """Begin to send the block of a rank to all."""
+        buffer = np.empty(int(counts[rank]) * width, np.int64)
+        block = dict(columns_of(buffer, int(counts[rank]), columns))
+        if rank == ranks.rank:
+            ranks.messages += 1
+            for name, column in block.items():
+                column[:] = mine[name]
+        return block, ranks.comm.Ibcast(buffer, root=rank)
+
+    coming = start(0)
+    for rank in range(ranks.size):
+        block, request = coming
+        request.Wait()
+        if rank + 1 < ranks.size:
+            coming = start(rank + 1)
+        yield block

@@ -1,11 +1,10 @@
 """Starts mpirun and removes from its stderr the paragraphs about ranks that have printed themselves why they end.
 
 `python particles_mpi/parallel/launcher.py LAUNCHER ARGUMENTS...` is what the mpirun in .venv/bin runs. This process becomes the
-launcher, so that signals, stdin, stdout and the exit code are the launcher's own. Its stderr goes through a second process, which
-passes everything on at once, except paragraphs between two lines of dashes and lines that begin with [host:pid], which are
-written by Open MPI. Of these it removes the ones about an exit code or MPI_Abort, shortens the one about a signal to a line, and
-passes on all others. No setting of Open MPI does that: `orte_execute_quiet` hides also that a rank was killed, or that there
-is no such program.
+launcher, so that signals, stdin, stdout and the exit code are the launcher's own. Its stderr goes through a second process: of
+the paragraphs between two lines of dashes, and lines that begin with [host:pid], both by Open MPI, it removes those about an exit
+code or MPI_Abort and shortens the one about a signal; all else passes at once. No setting of Open MPI does that:
+`orte_execute_quiet` hides also that a rank was killed, or that there is no such program.
 """
 
 import os
@@ -64,8 +63,7 @@ class Filter:
     def paragraph(self, text: bytes) -> bytes:
         """What is printed of a paragraph of the launcher."""
         said = b" ".join(text.split())
-        killed = SIGNAL.search(said)
-        if killed:
+        if killed := SIGNAL.search(said):
             return b"mpirun: rank %s on %s was ended by %s\n" % killed.groups()
         return b"" if KNOWN.search(said) else text
 
@@ -82,23 +80,18 @@ class Filter:
         return held
 
 
-def write(data: bytes) -> None:
-    """Write all of it to stderr."""
-    while data:
-        data = data[os.write(2, data) :]
-
-
 def relay(source: int) -> None:
     """Pass on what comes from `source` until it is closed; signals are left to the launcher."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
         signal.signal(number, signal.SIG_IGN)
     passing = Filter()
-    while True:
+    ended = False
+    while not ended:
         ready, _, _ = select.select([source], [], [], PATIENCE if passing.held else None)
         data = os.read(source, 65536) if ready else b""
-        if ready and not data:
-            return write(passing.rest())
-        write(passing.feed(data) if ready else passing.rest())
+        sys.stderr.buffer.write(passing.feed(data) if data else passing.rest())
+        sys.stderr.buffer.flush()
+        ended = bool(ready) and not data
 
 
 def main() -> None:

@@ -20,10 +20,7 @@ POLL_STEPS, POLL_SECONDS = 10, 0.2  # between two polls of all ranks: whichever 
 
 
 def exit_on_signals() -> None:
-    """From here on a signal ends the process, as long as there is nothing to save; its launcher then ends the other ranks.
-
-    An exception would not do: the process would wait for the other ranks in MPI_Finalize.
-    """
+    """From here on a signal ends the process; an exception would wait for the other ranks in MPI_Finalize."""
     for number in SIGNALS:
         signal.signal(number, lambda *_: os._exit(EXIT_ON_SIGNAL))
 
@@ -43,10 +40,7 @@ class StopRequest:
         self.asked, self.asked_at = True, min(self.asked_at, perf_counter())
 
     def poll(self, step: int) -> bool:
-        """Was any rank asked to stop, or is the time over? Ranks compare only every few steps, all at the same ones. Collective.
-
-        They compare after every step where steps take long: mpirun kills its ranks a few seconds after a signal.
-        """
+        """Was any rank asked to stop, or is the time over? Ranks compare every few steps, if these are short. Collective."""
         if step < self.next:
             return False
         now = perf_counter()

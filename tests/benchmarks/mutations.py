@@ -55,15 +55,15 @@ MUTATIONS = (
     Mutation(
         "the opening angle is ignored",
         "gravity/tree.py",
-        "= ranks, dimension, angle, softening2\n",
-        "= ranks, dimension, 1.0, softening2\n",
+        "Law(angle, softening2, quadrupoles)",
+        "Law(1.0, softening2, quadrupoles)",
         ("tests/physics/test_tree.py",),
     ),
     Mutation(
         "a wrong weight of a kick in order4",
-        "integrators/order4.py",
-        "    B = (0.0829844064174052,",
-        "    B = (0.0839844064174052,",
+        "integrators/kicks_and_drifts.py",
+        "B = (0.0829844064174052,",
+        "B = (0.0839844064174052,",
         ("tests/physics/test_gravity.py",),
     ),
     Mutation(
@@ -98,9 +98,9 @@ MUTATIONS = (
     ),
     Mutation(
         "sums go in the order of rows instead of that of ids",
-        "parallel/blocks.py",
-        "yield everyone if (ids[1:] > ids[:-1]).all() else rows_of(everyone, np.argsort(ids))",
-        "yield everyone",
+        "parallel/exchange.py",
+        'yield rows if (rows["id"][1:] > rows["id"][:-1]).all() else rows_of(rows, np.argsort(rows["id"]))',
+        "yield rows",
         ("tests/parallel/test_nothing_lost.py", "-k", "every_effect"),
     ),
     Mutation(

@@ -85,7 +85,7 @@ FAULTS = {
     "option": lambda: Simulation(scene()).run(folder / "new", steps=2 + rank),
     "memory": little_memory,
     "populate": lambda: failing(Populator, "positions"),
-    "assemble": lambda: failing(sys.modules["particles_mpi.simulation"], "integrator_of"),
+    "assemble": lambda: failing(sys.modules["particles_mpi.between_steps.state"], "integrator_of"),
 }
 told = {}
 for what, run in FAULTS.items():

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from particles_mpi import Scene, Simulation
-from particles_mpi.parallel import blocks
+from particles_mpi.parallel import exchange
 from particles_mpi.parallel.exchange import in_id_order
 
-folder, FEW = Path(sys.argv[2]), blocks.FEW
+folder, FEW = Path(sys.argv[2]), exchange.FEW
 for name, tables in json.loads(Path(sys.argv[1]).read_text()).items():
     windows = tables.pop("windows", False)
-    blocks.FEW = tables.pop("few", FEW)
+    exchange.FEW = tables.pop("few", FEW)
     scene = Scene.from_dict(tables)
     sim = Simulation(scene)
     if windows and sim.ranks.size > 1:  # divide space however few there are
@@ -33,4 +33,4 @@ for name, tables in json.loads(Path(sys.argv[1]).read_text()).items():
         assert (frame["id"] == np.arange(sim.total)).all()  # a permutation: nobody lost, nobody twice
         about = {"counts": counts, "rows": np.array(rows), "traffic": traffic, "windows": windows, "interactions": interactions}
         np.savez(folder / f"{name}.{sim.ranks.size}.npz", **about, **frame)
-blocks.FEW = FEW
+exchange.FEW = FEW

@@ -10,7 +10,7 @@ import h5py
 import pytest
 from conftest import MPI_ENVIRONMENT, ROOT, run_ranks
 
-from particles_mpi.integrators.leapfrog import Leapfrog
+from particles_mpi.integrators.kicks_and_drifts import Composition
 from particles_mpi.neighbours.neighbour_list import Neighbourhood
 from particles_mpi.output import checkpoint
 from particles_mpi.output.trajectory import Trajectory
@@ -30,7 +30,7 @@ output = {every = 1, checkpoint_every = 5, diagnostics_every = 1}
 """
 WITHIN = 10.0  # seconds from the fault to the end of mpirun
 DIVISION = "unexpected ZeroDivisionError: division by zero (at "
-ADVANCE, WRITE = (f"{one.__module__}:{one.__name__}.{method}" for one, method in ((Leapfrog, "advance"), (Trajectory, "write")))
+ADVANCE, WRITE = f"{Composition.__module__}:Composition.advance", f"{Trajectory.__module__}:Trajectory.write"
 NEIGHBOURS = f"{Neighbourhood.__module__}:{Neighbourhood.__name__}"
 
 

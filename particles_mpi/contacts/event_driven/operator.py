@@ -26,10 +26,9 @@ from particles_mpi.kernels.markers import CROWD
 from particles_mpi.neighbours.cells import bounds, order_in_space
 from particles_mpi.neighbours.trajectories import fastest
 from particles_mpi.parallel.agreement import require_finite
-from particles_mpi.parallel.buffers import RowBuffers
+from particles_mpi.parallel.buffers import Replica, RowBuffers
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows
-from particles_mpi.parallel.replica import Replica
 from particles_mpi.particles import Array, Particles, rows_of
 from particles_mpi.timers import Timers
 

@@ -1,0 +1,183 @@
+"""What a user sees between two steps: the particles of a rank, and the effects of the scene.
+
+A user gets copies of the arrays of `Particles`. What is written into a copy is compared with the original at the beginning of the
+next step, and taken over if a bit differs; a scene whose particles nobody looks at pays nothing.
+"""
+
+from __future__ import annotations
+
+import weakref
+import zlib
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from particles_mpi.errors import SceneError, StateError
+from particles_mpi.particles import Array, Particles
+from particles_mpi.scene.messages import faults_of
+from particles_mpi.scene.model import EffectOptions
+from particles_mpi.scene.schema import Scene
+
+READ_ONLY = ("id", "rate", "total_acceleration")
+GUARDED = 8  # arrays of earlier steps that are looked after, in case somebody writes into them
+
+
+class ParticleView:
+    """`view.position[i]`, `view["charge"]`, `len(view)`: the rows of this rank; `view.id[i]` tells which particle row i is.
+
+    Every field may be changed but `id` and those that each step computes anew: `view.velocity *= -1`, `view.mass[3] = 2.0`. The
+    change counts from the next step on. An array belongs to its moment: after the next step it can only be read, and writing into
+    a part of it that was kept is an error (StateError). `view.arrays` holds all fields, to read only.
+    """
+
+    _rows: Particles
+    _check: Callable[[dict[str, Array]], None]
+    _copies: dict[str, Array]
+    _shown: dict[str, Array]  # views of the copies, so that a copy is known to be held by the user if it outlives its view
+    _open: bool  # may the user change the state? Not within a step
+    _earlier: list[tuple[str, weakref.ref[Array], int]]  # copies of earlier steps that the user holds, and their CRC-32
+
+    def __init__(self, rows: Particles, check: Callable[[dict[str, Array]], None]):
+        """`rows`: the particles shown; `check` raises an error for values (by name of the field) that cannot be used."""
+        vars(self).update(_rows=rows, _check=check, _copies={}, _shown={}, _open=True, _earlier=[])
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __getattr__(self, name: str) -> Array:
+        if name.startswith("_") or name not in self._rows.arrays:
+            raise AttributeError(f"these particles have no field {name!r}")
+        if not self._open:
+            return read_only(self._rows.arrays[name])
+        if name not in self._shown:
+            self._copies[name] = self._rows.arrays[name].copy()
+            self._shown[name] = self._copies[name][:]
+            self._shown[name].flags.writeable = name not in READ_ONLY
+        return self._shown[name]
+
+    def __setattr__(self, name: str, value: Array) -> None:
+        shown = getattr(self, name)  # an unknown name is an error: data of one's own come by `attach`
+        if value is not shown:
+            shown[...] = value
+
+    def __getitem__(self, name: str) -> Array:
+        try:
+            return self.__getattr__(name)
+        except AttributeError:
+            raise KeyError(name) from None
+
+    def __setitem__(self, name: str, value: Array) -> None:
+        setattr(self, name, value)
+
+    def __repr__(self) -> str:
+        return repr(self._rows)
+
+    @property
+    def dimension(self) -> int:
+        return self._rows.dimension
+
+    @property
+    def inverse_mass(self) -> Array:
+        """1/m, and 0 for fixed particles; (n,)."""
+        self.collect()
+        return self._rows.inverse_mass
+
+    @property
+    def arrays(self) -> dict[str, Array]:
+        """All fields by name, to read only."""
+        self.collect()
+        return {name: read_only(array) for name, array in self._rows.arrays.items()}
+
+    def select(self, rows: Array) -> Particles:
+        """A copy of the rows (indices), in that order."""
+        self.collect()
+        return self._rows.select(rows)
+
+    def collect(self) -> None:
+        """Take over what the user wrote since the last call. Afterwards the copies hold what counts."""
+        held = self._rows.arrays
+        changed = {name: copy for name, copy in self._copies.items() if not same_bits(copy, held[name])}
+        if changed:
+            self._check(changed)
+            self._rows.change(changed)
+            for name, copy in self._copies.items():
+                copy[...] = held[name]
+
+    def open(self) -> None:
+        """The state belongs to the user."""
+        vars(self)["_open"] = True
+
+    def close(self) -> None:
+        """Until `open` fields can only be read, and those of now for ever; StateError if an earlier one was written to."""
+        vars(self)["_open"] = False
+        if not self._copies and not self._earlier:
+            return
+        for name, reference, crc in self._earlier:
+            if (array := reference()) is not None and zlib.crc32(array.data) != crc:
+                raise StateError(
+                    f"particles.{name}: an array of an earlier step was written to, which has no effect;"
+                    " ask sim.particles for it anew after each step"
+                )
+        while self._shown:
+            self._shown.popitem()[1].flags.writeable = False
+        kept = [(name, weakref.ref(copy), zlib.crc32(copy.data)) for name, copy in self._copies.items()]
+        self._copies.clear()
+        self._earlier[:] = [one for one in self._earlier + kept if one[1]() is not None][-GUARDED:]  # held by the user
+
+
+def read_only(array: Array) -> Array:
+    """A view of it that cannot be written to."""
+    view = array[:]
+    view.flags.writeable = False
+    return view
+
+
+def same_bits(one: Array, other: Array) -> bool:
+    """The same shape, and the same bits (-0.0 is not 0.0, and the same NaN is the same)."""
+    return one.shape == other.shape and np.array_equal(one.reshape(-1).view(np.uint8), other.reshape(-1).view(np.uint8))
+
+
+class RunningEffect:
+    """`sim.effects["uniform_gravity"].acceleration = [0, 0, -1]`, `sim.effects["walls"].active = False`.
+
+    The attributes are the keys of the effect's table in the scene file. A new value is checked as there (SceneError) and
+    counts from the next step on. On several ranks all must set the same. Lists are shown as tuples: a vector is set whole.
+    """
+
+    def __init__(self, sim: Any, name: str):
+        vars(self).update(_sim=sim, _name=name)
+
+    @property
+    def _options(self) -> EffectOptions:
+        options: EffectOptions = self._sim.scene.effects[self._name]
+        return options
+
+    def __getattr__(self, key: str) -> Any:
+        if key.startswith("_") or key not in type(self._options).model_fields:
+            raise AttributeError(f"effects.{self._name}: no option {key!r}")
+        value = getattr(self._options, key)
+        return tuple(value) if isinstance(value, list) else value
+
+    def __setattr__(self, key: str, value: Any) -> None:
+        getattr(self, key)
+        self._sim.change_effect(self._name, key, value)
+
+    def __repr__(self) -> str:
+        return f"{self._name}: {self._options!r}"
+
+
+def changed_options(scene: Scene, name: str, key: str, value: Any) -> EffectOptions:
+    """The options of an effect with another value of one key. Raises SceneError as a scene file with it would."""
+    old: EffectOptions = scene.effects[name]
+    kind = type(old)
+    plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else list(value) if isinstance(value, tuple) else value
+    try:
+        new = kind.model_validate(old.model_dump() | {key: plain})
+    except ValidationError as error:
+        raise SceneError(faults_of(error, kind, ("effects", name))) from None
+    faults = [f"effects.{name}.{fault}" for fault in new.faults(scene)]
+    if faults:
+        raise SceneError(faults)
+    return new

@@ -1,0 +1,194 @@
+"""The sum of all forces, kicks, which change velocities at fixed positions, and integrators of kicks and drifts by turns."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from particles_mpi.integrators.gauss_radau import TOLERANCE, Adaptive
+from particles_mpi.kernels.motion import kick, kick_with_drag
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.particles import Array, Particles, places_of
+from particles_mpi.scene.active import ActiveEffects
+from particles_mpi.scene.effect import Force
+from particles_mpi.scene.schema import Scene
+from particles_mpi.timers import Timers
+
+B = (0.0829844064174052, 0.396309801498368, -0.0390563049223486)
+A = (0.245298957184271, 0.604872665711080)
+# Kicks, and the drifts between them, as parts of a step. "order4" is SRKN_6^b of S. Blanes and P. C. Moan, J. Comput. Appl.
+# Math. 142, 313 (2002): six forces a step, symplectic, for forces that do not depend on velocities. One drift goes back in
+# time, so nothing may happen on the way.
+COMPOSITIONS = {
+    "leapfrog": ((0.5, 0.5), (1.0,)),
+    "order4": ((*B, 1.0 - 2.0 * sum(B), *B[::-1]), (*A, 0.5 - sum(A), 0.5 - sum(A), *A[::-1])),
+}
+
+
+def integrator_of(scene: Scene, ranks: Communicator, kick: Kick, rest: Any) -> Adaptive | Taylor | Composition:
+    """The integrator that a scene names; `rest` keeps contacts that last, if any do.
+
+    It advances particles by a step of length h, and calls `drift` to move them for a time, with contacts on the way. Collective.
+    """
+    name = scene.time.integrator
+    if name == "adaptive":
+        return Adaptive(ranks, scene.time.tolerance or TOLERANCE, kick.forces, kick.timers)
+    return Taylor(kick) if name == "taylor" else Composition(kick, rest, *COMPOSITIONS[name])
+
+
+class Accelerations:
+    """The sum of the `forces` of a scene, by name, kept as long as it holds; `calls` counts how often each is asked.
+
+    total (n, d): the last sum, or None; g (d,): the sum of those that are the same for all particles; `done`: interactions that
+    were computed by forces that are no longer there.
+    """
+
+    def __init__(self, forces: dict[str, Force], ranks: Communicator, dimension: int, calls: Counter[str], done: int):
+        self.forces, self.ranks, self.calls, self.done = forces, ranks, calls, done
+        self.g: Array = np.zeros(dimension)
+        self.total: Array | None = None
+        self.known: tuple[int, ...] = ()  # version, edition and fingerprint of the rows that `total` belongs to
+        self.look_at_forces()
+
+    def look_at_forces(self) -> None:
+        """What follows from the forces as they are now."""
+        self.place_dependent = any(force.place_dependent for force in self.forces.values())
+        self.collective = any(force.collective for force in self.forces.values())
+        self.g[:] = sum((force.g for force in self.forces.values() if force.g is not None), np.zeros_like(self.g))
+
+    def replace(self, name: str, force: Force) -> None:
+        """Another force in the place of one."""
+        self.done += self.forces[name].interactions
+        self.forces[name] = force
+        self.look_at_forces()
+
+    def sum(self, p: Particles) -> Array | None:
+        """Accelerations (n, d) at the present positions, or None without forces; summed anew if anyone moved. Collective."""
+        if not self.forces:
+            return None
+        known = places_of(p) if self.place_dependent else (p.version, p.edition)
+        same = known == self.known
+        if self.collective:  # what one rank must sum anew, all do
+            same = bool(self.ranks.allreduce_min(float(same))[0])
+        if same:
+            return self.total
+        a = np.zeros_like(p.velocity)
+        for name, force in self.forces.items():
+            force.add(p, a)
+            self.calls[name] += 1
+        a[p.fixed != 0] = 0.0
+        self.total, self.known = a, known
+        return a
+
+    def potentials(self, p: Particles) -> dict[str, Array]:
+        """Potential energies (n,) by force, of those that have one. Collective."""
+        found = {name: force.potential(p) for name, force in self.forces.items()}
+        return {name: energy for name, energy in found.items() if energy is not None}
+
+    @property
+    def interactions(self) -> int:
+        """Pairs, or what a tree puts in their place, that forces have computed so far."""
+        return self.done + sum(force.interactions for force in self.forces.values())
+
+
+class Kick:
+    """dv/dt = a + the effects on velocities, over a time h, with a from `forces`, which may be None.
+
+    Force and damping are advanced together, exactly, and friction with them. Other flows act one after the other for h/2
+    before, and in reverse order for h/2 after (Strang splitting), so that the whole is symmetric and of second order.
+    """
+
+    def __init__(self, effects: ActiveEffects, forces: Callable[[], Array | None], timers: Timers):
+        self.damping, self.friction, self.flows = effects.damping, effects.friction, list(effects.flows.values())
+        self.forces, self.timers = forces, timers
+        self.known: tuple[int, int, float] | None = None
+
+    def advance(self, particles: Particles, h: float, drift: float = 0.0) -> Array | None:
+        """Velocities after h; returns a (n, d). `drift`: length of the drift that follows, if it does. Collective."""
+        with self.timers("forces"):
+            a = self.forces()
+        with self.timers("kick"):
+            for flow in self.flows:
+                flow.advance(particles, 0.5 * h)
+            self.force_and_losses(particles, a, h, drift if a is None and not self.damping and not self.flows else 0.0)
+            for flow in reversed(self.flows):
+                flow.advance(particles, 0.5 * h)
+            if self.flows:
+                particles.velocity[particles.fixed != 0] = 0.0
+        return a
+
+    def force_and_losses(self, particles: Particles, a: Array | None, h: float, coast: float) -> None:
+        """The same without the other flows. `coast`: length of a drift that follows in which nothing but friction acts."""
+        if self.damping is None and self.friction is None:
+            if a is not None:
+                kick(particles.velocity, a, h)
+            return
+        if self.known != (particles.version, particles.edition, h):
+            self.known = particles.version, particles.edition, h
+            n = len(particles)
+            self.factors = self.damping.factors(particles, h) if self.damping else (np.ones(n), np.full(n, h))
+        decay, push = self.factors
+        a = np.zeros_like(particles.velocity) if a is None else a
+        if self.friction:
+            self.friction.kick(particles, a, decay, push, h, coast)
+        else:
+            kick_with_drag(particles.velocity, a, decay, push)
+
+    def rate(self, particles: Particles) -> Array | None:
+        """dv/dt (n, d) by the other flows at the present velocities, or None without any."""
+        if not self.flows:
+            return None
+        total = sum((flow.rate(particles) for flow in self.flows), np.zeros_like(particles.velocity))
+        total[particles.fixed != 0] = 0.0
+        return total
+
+
+class Composition:
+    """Kicks and drifts by turns, for parts of a step; `rest`, if given, keeps contacts that last after each kick.
+
+    Leapfrog is V(h/2) D(h) V(h/2): v to n+1/2, x to n+1, v to n+1. Kicks and drifts are symmetric, so it is of second order with
+    dissipation too, needs one force evaluation, and stays stable for any drag (an explicit -k v in the kicks would not).
+    """
+
+    def __init__(self, kick: Kick, rest: Any, kicks: tuple[float, ...], drifts: tuple[float, ...]):
+        self.kick, self.rest = kick, rest
+        self.parts = list(zip(kicks, (*drifts, 0.0), strict=True))
+
+    def advance(self, particles: Particles, h: float, drift: Callable[[float], None]) -> None:
+        """Each kick is followed by a drift, but for the last."""
+        for kicked, drifted in self.parts:
+            a = self.kick.advance(particles, kicked * h, drifted * h)
+            if self.rest:
+                self.rest.keep(particles, a, h)
+            if drifted:
+                drift(drifted * h)
+
+
+class Taylor:
+    """PBPhys's explicit rule, x += v h + (a - k v) h^2/2 and v += (a - k v) h: first order with drag, kept as its test.
+
+    The same as a drift with the mean velocity v + (a - k v) h/2 between two kicks with the rate a - k v of the start.
+    """
+
+    def __init__(self, kick: Kick):
+        self.damped, self.kick = kick.damping is not None, kick
+
+    def advance(self, particles: Particles, h: float, drift: Callable[[float], None]) -> None:
+        """v to the mean of the step, x to its end, v to its end by the rate of its start."""
+        with self.kick.timers("forces"):
+            a = self.kick.forces()
+        with self.kick.timers("kick"):
+            rate = particles["rate"]
+            rate[:] = 0.0 if a is None else a
+            if self.damped:
+                rate -= particles["drag"][:, None] * particles.velocity
+            by_flows = self.kick.rate(particles)
+            if by_flows is not None:
+                rate += by_flows
+            kick(particles.velocity, rate, 0.5 * h)
+        drift(h)
+        with self.kick.timers("kick"):
+            kick(particles.velocity, particles["rate"], 0.5 * h)
