@@ -8,26 +8,21 @@ import numpy as np
 
 from particles_mpi.kernels.jit import plain
 from particles_mpi.kernels.motion import Segments
-from particles_mpi.neighbours.cells import FINE, LinkedCells, grid, sort_rows, spacing
-from particles_mpi.neighbours.halo_region import HaloRegion, everywhere
+from particles_mpi.neighbours.halo_region import HaloRegion, everywhere, renew_paths
 from particles_mpi.neighbours.pair_search import AT_ONCE, Scratch, drop_pairs, find_partners
-from particles_mpi.neighbours.search_index import SLOW, SearchIndex, SortedCells, fill_cells, levels, move_rows
+from particles_mpi.neighbours.search_index import build_index, move_rows
 from particles_mpi.neighbours.trajectories import (
     AT_REST,
     Horizon,
     Paths,
     Spheres,
     find_near_walls,
-    renew_paths,
     rows_leaving,
     rows_turned,
     start_paths,
 )
 from particles_mpi.particles import Array
 
-SLOWEST = 2.2  # times the mean bounding radius: rows beyond it are FAST, one in a hundred of a gas
-LARGEST = 8.0  # times the mean bounding radius: rows beyond it are OVERSIZE, if they are few
-FEW = 64
 EXPECTED = 6  # contacts of a sphere in a heap, twice what are needed to rest
 ALONE = 4  # times as long takes a test for a row that asks alone: its surroundings are not in the cache
 
@@ -89,27 +84,15 @@ class Candidates:
 
     def search(self) -> None:
         """All candidates, from cells made anew."""
-        n, radius = len(self.x), self.spheres.radius
-        path, first_midpoint, bounding_radius, mean, box, own_box = start_paths(
-            self.axes, self.x, self.v, radius, self.horizon, self.spheres.owned
-        )
-        midpoint = first_midpoint.copy()
-        limit = LARGEST * mean
-        largest, periodic = float(radius.max(initial=0.0)), self.length[self.length > 0.0]
-        if len(periodic) and 2.0 * largest + 4.0 * self.horizon.bound > 0.5 * periodic.min():
-            limit = np.inf  # no row is OVERSIZE: those only know the nearest image of a partner
-        level, oversize, count, reaches = levels(bounding_radius, SLOWEST * mean, limit, FEW)
-        self.paths = Paths(path, midpoint, bounding_radius, level, first_midpoint)
-        low, high = box
-        apart = spacing(low, high, n)
-        fine = grid(midpoint, (low, high), max(0.9 * apart, 0.6 * mean), FINE)
-        order, start = sort_rows(midpoint, level, SLOW, fine)
-        coarse = grid(midpoint, (low, high), max(2.0 * apart, 2.0 * mean), 1)
-        place, entry, head, after, before, cell_of = fill_cells(self.paths, order, coarse)
-        cells = SortedCells(order, start, place, entry, fine), LinkedCells(head, after, before, cell_of, coarse)
-        self.index = plain(SearchIndex(*cells, oversize, np.array([count]), reaches, limit, low, high, *own_box))
+        radius, horizon = self.spheres.radius, self.horizon
+        path, first_midpoint, bounding_radius = start_paths(self.x, self.v, radius, horizon)
+        midpoint, periodic = first_midpoint.copy(), self.length[self.length > 0.0]
+        widest = 2.0 * float(radius.max(initial=0.0)) + 4.0 * horizon.bound
+        all_in_cells = bool((0.5 * periodic < widest).any())  # OVERSIZE rows only know the nearest image of a partner
+        level, index = build_index(midpoint, bounding_radius, self.spheres.owned, all_in_cells)
+        self.paths, self.index = Paths(path, midpoint, bounding_radius, level, first_midpoint), plain(index)
         self.path_arrays = tuple(self.paths)
-        self.ask(np.arange(n, dtype=np.int32), everything=True)
+        self.ask(np.arange(len(self.x), dtype=np.int32), everything=True)
 
     def ask(self, rows: Array, everything: bool) -> None:
         """Replace the candidates of `rows`."""

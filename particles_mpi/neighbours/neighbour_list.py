@@ -17,7 +17,7 @@ from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.kernels.motion import Segments, end_segments
 from particles_mpi.neighbours.candidates import Candidates, Hits
 from particles_mpi.neighbours.cells import GRIDDED, bounds, order_in_space, spacing
-from particles_mpi.neighbours.halo import Active, any_of, exchange_segments, exchange_selections, message_width, refresh
+from particles_mpi.neighbours.halo import Active, exchange_segments, exchange_selections, message_width, refresh
 from particles_mpi.neighbours.halo_region import HaloRegion, everywhere, fetch_near_rows
 from particles_mpi.neighbours.rebuild_interval import RebuildTuner
 from particles_mpi.neighbours.trajectories import Horizon, Spheres, fastest
@@ -31,7 +31,7 @@ from particles_mpi.timers import Timers
 
 SORT_EVERY = 2  # searches; between two sorts in space the rows keep their order, which changes slowly
 SLACK = 0.2  # how far rows may get over the border of their rank's box, in paths of the fastest one
-NONE = np.empty((0, 0))
+MOVING = "position", "velocity", "total_acceleration"
 TOO_MANY = 0.1  # of the rows left their paths at once: a search of all is cheaper than one for each
 
 
@@ -87,7 +87,7 @@ class Neighbourhood:
         """
         if self.halo:
             with self.timers("ghosts"):
-                refresh(self.halo, self.x, self.v, self.fields.get("total_acceleration", NONE))
+                refresh(self.halo, [self.fields[name] for name in MOVING if name in self.fields])
         if not self.searches:
             return np.inf
         with self.timers("pairs"):
@@ -178,11 +178,13 @@ class Neighbourhood:
 
     def concern_others(self, hits: Hits) -> bool:
         """Is a row among the hits that other ranks hold too?"""
-        return self.halo is not None and any_of(self.shared, hits.first, hits.second)
+        if self.halo is None:
+            return False
+        return bool(self.shared[hits.first].any() or self.shared[hits.second[hits.second >= 0]].any())
 
     def exchange_selections(self, selected: Array, hits: Hits) -> None:
         """The selected partners (n,) of this rank's rows to all who hold them as ghosts."""
-        exchange_selections(self.halo, selected, hits.first, hits.second, self.candidates.scratch.marked)
+        exchange_selections(self.halo, selected, hits.first, hits.second)
 
     def exchange_segments(self) -> None:
         """Ghosts after a pass, as their owners have them; those whose segment is a new one are active."""

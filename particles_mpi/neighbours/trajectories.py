@@ -11,15 +11,14 @@ which do not; how often it does costs time, and never changes a result. Times co
 
 from __future__ import annotations
 
-from math import inf, sqrt
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import kernel
-from particles_mpi.neighbours.rank_boxes import index_of, time_in_box, time_to_box
-from particles_mpi.particles import Array
+from particles_mpi.particles import Array, row_dot
 
 
 class Horizon(NamedTuple):
@@ -80,38 +79,11 @@ def fastest(x, v):
     return most**0.5 + wrong
 
 
-@kernel
-def start_paths(axes, x, v, radius, horizon, owned):
-    """Paths of rows that all start now, at time 0.
-
-    Returns (path, midpoint, bounding radius, the mean of it, bounds (2, d) of the midpoints, those of the first `owned` rows).
-    """
-    d = len(axes)
-    until, tolerance = horizon.valid_until, horizon.tolerance
-    path, midpoint = np.empty((len(x), 2 * d + 2)), np.empty((len(x), d))
-    bounding_radius = np.empty(len(x))
-    box = np.empty((2, d))
-    box[0], box[1] = inf, -inf
-    own_box = box.copy()
-    total = 0.0
-    for i in range(len(x)):
-        v2 = 0.0
-        if i == owned:
-            own_box = box.copy()
-        for k in range(d):
-            path[i, k] = x[i, k]
-            path[i, d + k] = v[i, k]
-            midpoint[i, k] = x[i, k] + 0.5 * until * v[i, k]
-            box[0, k] = box[0, k] if box[0, k] <= midpoint[i, k] else midpoint[i, k]
-            box[1, k] = box[1, k] if box[1, k] >= midpoint[i, k] else midpoint[i, k]
-            v2 += v[i, k] * v[i, k]
-        path[i, 2 * d] = 0.0
-        path[i, 2 * d + 1] = radius[i]
-        bounding_radius[i] = radius[i] + tolerance + sqrt(v2) * 0.5 * until
-        total += bounding_radius[i]
-    if owned == len(x):
-        own_box = box.copy()
-    return path, midpoint, bounding_radius, total / max(len(x), 1), box, own_box
+def start_paths(x: Array, v: Array, radius: Array, horizon: Horizon) -> tuple[Array, Array, Array]:
+    """(path, midpoint, bounding radius) of rows that all start now, at time 0: see `Paths`."""
+    half = 0.5 * horizon.valid_until
+    path = np.column_stack((x, v, np.zeros(len(x)), radius))
+    return path, x + half * v, radius + horizon.tolerance + half * np.sqrt(row_dot(v, v))
 
 
 @kernel
@@ -153,53 +125,6 @@ def rows_turned(x, v, start, path, rows, time, horizon, length):
             rows[found] = i
             found += 1
     return found
-
-
-@kernel(error_model="numpy")
-def renew_paths(rows, segments, owned, paths, region, horizon, length, time, h):
-    """New paths for `rows` along their present segments, in the drift over h from `time`; in place on `paths`.
-
-    Returns (0, or how far from its first midpoint a row gets in this drift if it may not get there; until when candidates are
-    valid now). Rows that could get further than the bound, or out of their `HaloRegion`, before the horizon bring it nearer.
-    """
-    x, v, starts, _ = segments
-    path, midpoint, bounding_radius, _, first_midpoint = paths
-    end, tolerance, bound, _ = horizon
-    own, others, sent, known = region
-    d = x.shape[1]
-    needed = 0.0
-    for i in rows:
-        start = time + starts[i]
-        now = 0.0
-        soon = 0.0
-        late = 0.0
-        speed = 0.0
-        for k in range(d):
-            r = nearest(x[i, k] - first_midpoint[i, k], length[k])
-            path[i, k] = first_midpoint[i, k] + r
-            path[i, d + k] = v[i, k]
-            now += r * r
-            soon += (r + v[i, k] * (time + h - start)) ** 2
-            late += (r + v[i, k] * (end - start)) ** 2
-            speed += v[i, k] * v[i, k]
-        path[i, 2 * d] = start
-        now, soon, late = sqrt(now) + tolerance, sqrt(soon) + tolerance, sqrt(late) + tolerance
-        speed = sqrt(speed)
-        until = max(time + h, start + (bound - now) / speed) if late > bound else inf
-        if i < owned:
-            margin = path[i, 2 * d + 1] + tolerance
-            until = min(until, start + time_in_box(path, i, margin, own[0], own[1]))
-            for p in range(len(others)):
-                if index_of(i, known[sent[p] : sent[p + 1]]) < 0:
-                    until = min(until, start + time_to_box(path, i, margin, others[p, 0], others[p, 1], length))
-        if not (max(now, soon) <= bound and until >= time + h):
-            needed = max(needed, now, soon) if soon == soon else inf
-            continue
-        end = min(end, until)
-        for k in range(d):
-            midpoint[i, k] = path[i, k] + 0.5 * v[i, k] * (end - start)
-        bounding_radius[i] = path[i, 2 * d + 1] + tolerance + 0.5 * speed * (end - start)
-    return needed, end
 
 
 @kernel
