@@ -46,15 +46,6 @@ def no_planes(dimension: int) -> Planes:
 
 
 @lean_inner
-def wall_distance(axes, x, i, w, point, normal):
-    """(x_i - p_w).n_w"""
-    distance = 0.0
-    for k in range(len(axes)):
-        distance += (x[i, k] - point[w, k]) * normal[w, k]
-    return distance
-
-
-@lean_inner
 def may_hit(axes, x, v, column, start, i, radius, h, lower, upper, oblique):
     """False only if the segment of row i, from `start` to h, meets no wall: quick to compute, and never wrongly False."""
     inside = not oblique
@@ -78,7 +69,10 @@ def wall_contact(axes, x, v, column, start, i, radius, last_partner, h, point, n
             speed += v[i, column + k] * normal[w, k]
         if not speed < 0.0 or last_partner == -1 - w:
             continue
-        gap = wall_distance(axes, x, i, w, point, normal) - radius
+        distance = 0.0
+        for k in range(len(axes)):
+            distance += (x[i, k] - point[w, k]) * normal[w, k]
+        gap = distance - radius
         t = start - gap / speed if gap > 0.0 else start
         if t < first or (t == first and which < 0):
             first = t

@@ -62,12 +62,10 @@ def make_grid(x: Array, size: Array, box: Box, share: float) -> tuple[Grid, Arra
     Positions outside belong to the outermost cells, or to their image if the axis is periodic.
     """
     g = min(x.shape[1], GRIDDED)
-    low, high = (np.array(side[:g], float) for side in (box.lower, box.upper))
+    low, high, periodic = box.lower[:g], box.upper[:g], box.length[:g] > 0.0
     if len(x):
-        low = np.where(np.isfinite(low), np.maximum(low, x[:, :g].min(axis=0)), x[:, :g].min(axis=0))
-        high = np.where(np.isfinite(high), np.minimum(high, x[:, :g].max(axis=0)), x[:, :g].max(axis=0))
-    periodic = box.length[:g] > 0.0
-    low, high = np.where(periodic, box.lower[:g], low), np.where(periodic, box.upper[:g], high)
+        low = np.where(periodic, low, np.maximum(low, x[:, :g].min(axis=0)))
+        high = np.where(periodic, high, np.minimum(high, x[:, :g].max(axis=0)))
     moving = size[size > 0.0]
     typical = float(np.median(moving)) * 1.5 if len(moving) else 1.0
     steps = np.ceil(np.log(np.maximum(size, 1e-300) / typical) / np.log(FACTOR))
@@ -75,12 +73,12 @@ def make_grid(x: Array, size: Array, box: Box, share: float) -> tuple[Grid, Arra
     per_length, cells = np.zeros((LEVELS, GRIDDED)), np.ones((LEVELS, GRIDDED), np.int64)
     largest, first = np.full(LEVELS, -1.0), np.zeros(LEVELS + 1, np.int64)
     for step in range(LEVELS):
-        rows = np.flatnonzero(level == step)
-        if len(rows):
-            largest[step] = size[rows].max()
+        sizes = size[level == step]
+        if len(sizes):
+            largest[step] = sizes.max()
             extent = np.maximum(high - low, 1e-300)
             side = max(WIDTH * float(largest[step]), float(extent.max()) * 1e-5, 1e-300)
-            while np.prod(np.floor(extent / side) + 1.0) > max(2 * len(rows) * share, 64):
+            while np.prod(np.floor(extent / side) + 1.0) > max(2 * len(sizes) * share, 64):
                 side *= 1.25
             count = np.maximum(np.floor(extent / side), 1.0)
             cells[step, :g] = count.astype(np.int64)

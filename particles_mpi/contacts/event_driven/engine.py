@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from math import prod
-
 import numpy as np
 
 from particles_mpi.contacts.event_driven.calendar_queue import LIST_EXPIRY, NO_EVENT, NODE, PARTNER, Queue
@@ -14,12 +12,9 @@ from particles_mpi.contacts.event_driven.event_loop import (
     LAST_PROGRESS,
     STANDSTILL,
     WALL_HITS,
-    Interval,
-    Rules,
     Work,
     run,
 )
-from particles_mpi.contacts.event_driven.rollback import enlarged_log, new_log
 from particles_mpi.contacts.event_driven.rows import (
     GHOST,
     ID,
@@ -31,6 +26,7 @@ from particles_mpi.contacts.event_driven.rows import (
     VIRIAL,
     Rows,
     end_drift,
+    new_log,
     start_drift,
     write_back,
 )
@@ -39,7 +35,7 @@ from particles_mpi.contacts.velocity_flow import Rates, no_rates
 from particles_mpi.contacts.walls import Planes
 from particles_mpi.errors import StateError
 from particles_mpi.kernels.geometry import Box
-from particles_mpi.neighbours.verlet_lists import VerletLists, aligned, enlarged
+from particles_mpi.neighbours.verlet_lists import VerletLists, aligned, doubled, enlarged
 from particles_mpi.parallel.signals import check_signals
 from particles_mpi.particles import Array, Particles
 
@@ -114,14 +110,10 @@ class Engine:
         self.work = self.work._replace(stale=enlarged(self.work.stale, np.empty(4 * n + 2, np.int32)))
         self.node = enlarged(self.node, np.full((2 * n, NODE), NO_EVENT, np.int32))
         self.queue = self.queue._replace(node=self.node, times=self.node.view(np.float64))
-        self.log = enlarged_log(self.log)
+        log = doubled(self.log, "changed", "mark", "saved", "moved", "is_moved", "border")
+        self.log = log._replace(saved_bits=log.saved.view(np.int64))
         self.lists.grow()
         return np.arange(n, 2 * n, dtype=np.int32)
-
-    @property
-    def differing(self) -> int:
-        """Numbers a row of what differs from row to row."""
-        return sum(prod(field.shape[1:]) for field in self.fields.values())
 
     def start_drift(self, p: Particles, own_rows: Array) -> tuple[bool, float]:
         """Own rows on their way, particle r in row own_rows[r]: (did anyone move them since `end_drift`, largest speed)."""
@@ -148,9 +140,8 @@ class Engine:
         """All events from `now` to `until`, times since the start of the drift at `moment`."""
         queue, work = self.queue, self.work
         queue.present[0] = min(int(now * queue.per_time), len(queue.first) - 1)  # nothing is left from before
-        rates = self.rates.of(self.fields)
-        rules = tuple(Rules(self.loss, self.contact_duration, self.crowded, self.planes, rates))
-        interval = tuple(Interval(self.h, moment, now, until, self.ahead))
+        rules = self.loss, self.contact_duration, self.crowded, self.planes, self.rates.of(self.fields)
+        interval = self.h, moment, now, until, self.ahead
         rows, written, log = tuple(self.rows), tuple(work), tuple(self.log)
         work.progress[:] = now, 0.0
         pending, self.pending = self.pending, 0

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from particles_mpi.contacts.law import Loss
-from particles_mpi.contacts.time_stepped.contact_search import deepest_hit, deepest_supported, find_contacts, find_wall_hits
+from particles_mpi.contacts.time_stepped.contact_search import deepest_overlap, find_contacts, find_wall_hits
 from particles_mpi.contacts.time_stepped.passes import (
     MISSED,
     WALL_HITS,
@@ -152,17 +152,21 @@ class Rewind:
 
     def late(self, hits: Hits) -> bool:
         """Do partners meet that already overlap? Passes go forward in time for each particle, but not for all together."""
-        near = self.near
-        return float(deepest_hit(near.rows[0], near.spheres.radius, tuple(hits), near.length)) > LATE
+        near, pairs = self.near, hits.second >= 0
+        first, second, time = (column[pairs] for column in hits)
+        return float(deepest_overlap(near.rows[0], near.spheres.radius, first, second, time, near.length)) > LATE
 
     def overlapping(self, h: float) -> bool:
         """Does a supported particle overlap with another in the end, because a pass was late? Collective.
 
         In a pile that would add up; others soon move apart.
         """
-        near, supported = self.near, self.near.particles["supported"]
-        pairs = near.candidates.pairs
-        most = deepest_supported(near.rows[0], near.spheres.radius, *pairs, supported, h, near.length)
+        near, (first, second) = self.near, self.near.candidates.pairs
+        supported = np.zeros(len(near.x), bool)
+        supported[: near.spheres.owned] = near.particles["supported"]
+        pairs = supported[first] | supported[second]
+        first, second, at_end = first[pairs], second[pairs], np.full(np.count_nonzero(pairs), h)
+        most = deepest_overlap(near.rows[0], near.spheres.radius, first, second, at_end, near.length)
         return float(near.ranks.allreduce_max(most)[0]) > DEEP
 
     def find(self, h: float, everything: bool) -> Hits:

@@ -1,7 +1,4 @@
-"""The compiled loops of the operator `rewind` that select, of the contacts found, those that come first, and apply them.
-
-All times count from the beginning of the drift, over a time h. `axes` is a tuple with one entry an axis.
-"""
+"""The compiled loops of the operator `rewind` that select, of the contacts found, those that come first, and apply them."""
 
 from __future__ import annotations
 
@@ -31,25 +28,18 @@ class ContactRules(NamedTuple):
 
 
 class Selection(NamedTuple):
-    """Of each row its earliest contact in this pass.
+    """Of each row its earliest contact in this pass."""
 
-    partner (n,) int64: the id of its partner, a wall as -1 - wall, or NOBODY. order (owned, 3): the time of the contact, the
-    lower id and the higher one (or the wall), by which contacts at the same time are told apart; of rows with a partner only.
-    """
-
-    partner: Array
-    order: Array
+    partner: Array  # (n,) int64: the id of its partner, a wall as -1 - wall, or NOBODY
+    order: Array  # (owned, 3), of rows with a partner: TIME of the contact, LOW id, HIGH id or wall
 
 
 class UndoLog(NamedTuple):
-    """Where owned rows were at the beginning of the drift, of those that have had a contact since.
+    """Where owned rows were at the beginning of the drift, of those that have had a contact since."""
 
-    rows (owned,) int32, x, v (owned, d); the first number[0] of them are filled.
-    """
-
-    rows: Array
-    x: Array
-    v: Array
+    rows: Array  # (owned,) int32, of which the first number[0] are filled
+    x: Array  # (owned, d)
+    v: Array  # (owned, d)
     number: Array
 
 
@@ -57,21 +47,10 @@ class UndoLog(NamedTuple):
 def comes_first(row, t, wall, low, high, selection):
     """Note the contact (t, wall or pair, low, high) for `row` if it comes before the one selected for it; returns whether."""
     partner, order = selection
-    if partner[row] != NOBODY:
-        if t != order[row, TIME]:
-            if t > order[row, TIME]:
-                return False
-        elif wall != (partner[row] < 0):
-            if wall:
-                return False
-        elif low != order[row, LOW]:
-            if low > order[row, LOW]:
-                return False
-        elif high > order[row, HIGH]:
-            return False
-    order[row, TIME] = t
-    order[row, LOW] = low
-    order[row, HIGH] = high
+    before = order[row, TIME], partner[row] < 0, order[row, LOW], order[row, HIGH]
+    if partner[row] != NOBODY and before < (t, wall, low, high):
+        return False
+    order[row, TIME], order[row, LOW], order[row, HIGH] = t, low, high
     return True
 
 
