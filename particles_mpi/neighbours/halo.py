@@ -17,10 +17,10 @@ from particles_mpi.particles import Array
 
 
 class Active(NamedTuple):
-    """The rows whose contacts must be sought in the next pass: flag (n,) bool, and listed as the first number[0] of rows (n,)."""
+    """The rows whose contacts must be sought in the next pass."""
 
-    flag: Array
-    rows: Array
+    flag: Array  # (n,) bool
+    rows: Array  # (n,) of which the first number[0] are these
     number: Array
 
 

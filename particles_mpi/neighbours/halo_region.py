@@ -22,15 +22,11 @@ from particles_mpi.particles import Array
 
 
 class HaloRegion(NamedTuple):
-    """Where rows may go without meeting anyone that their rank does not know.
+    """Where rows may go without meeting anyone that their rank does not know."""
 
-    own (2, d): the rank's box with its slack, which owned rows stay in. others (m, 2, d): those of the ranks whose boxes it
-    overlaps. known (m, owned): does that rank hold our row as a ghost? No other row enters its box.
-    """
-
-    own: Array
-    others: Array
-    known: Array
+    own: Array  # (2, d) the rank's box with its slack, which owned rows stay in
+    others: Array  # (m, 2, d) those of the ranks whose boxes it overlaps
+    known: Array  # (m, owned) does that rank hold our row as a ghost? No other row enters its box
 
 
 def everywhere(dimension: int) -> HaloRegion:

@@ -1,7 +1,4 @@
-"""Which pairs can meet: those whose paths come near each other before the horizon, found by cells. See `trajectories`.
-
-How rows are held in cells, by their bounding radius, is described in `search_index`.
-"""
+"""Which pairs can meet: those whose paths come near each other before the horizon. See `trajectories` and `search_index`."""
 
 from __future__ import annotations
 

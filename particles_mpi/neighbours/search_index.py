@@ -34,34 +34,27 @@ FEW = 64
 
 
 class SortedCells(NamedTuple):
-    """SLOW rows in the order of their cells: rows `order` (m,) by place, and places where each cell starts (cells + 1 or more).
+    """SLOW rows in the order of their cells."""
 
-    place (n,): where a row is in `order`. entry (m, g + 1): by place, midpoint on the g gridded axes and bounding radius.
-    """
-
-    order: Array
-    start: Array
-    place: Array
-    entry: Array
+    order: Array  # (m,) the rows by place
+    start: Array  # (cells + 1 or more,) the place where each cell starts
+    place: Array  # (n,) of each row in `order`
+    entry: Array  # (m, g + 1) by place: midpoint on the g gridded axes, and bounding radius
     grid: Grid
 
 
 class SearchIndex(NamedTuple):
-    """By what `find_partners` finds rows: SLOW ones in `sorted`, FAST ones in `linked`, the first number[0] of `oversize`.
+    """By what `find_partners` finds rows."""
 
-    largest (2,): the largest bounding radius of SLOW and of FAST rows; with a larger one than `limit` a row is OVERSIZE.
-    low, high (d,): bounds of all midpoints, and own_low, own_high of those of owned rows.
-    """
-
-    sorted: SortedCells
-    linked: LinkedCells
-    oversize: Array
+    sorted: SortedCells  # SLOW rows
+    linked: LinkedCells  # FAST rows
+    oversize: Array  # of which the first number[0] are OVERSIZE rows
     number: Array
-    largest: Array
-    limit: float
-    low: Array
+    largest: Array  # (2,) largest bounding radius of SLOW rows, and of FAST ones
+    limit: float  # with a larger bounding radius a row is OVERSIZE
+    low: Array  # (d,) bounds of all midpoints
     high: Array
-    own_low: Array
+    own_low: Array  # (d,) those of owned rows
     own_high: Array
 
 

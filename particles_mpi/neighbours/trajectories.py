@@ -1,12 +1,9 @@
 """Where particles will be for some steps: straight paths, which they follow give or take a tolerance.
 
-Every row has a *path*: a straight line x0 + v0 (t - t0) that it is expected to follow until the candidates end to be valid
-(`Horizon`). A pair can touch only if, at some moment until then, its paths come nearer than R_i + R_j + 2 tolerance: those are
-the candidates, and `pair_search` finds them. They hold for as long as rows stay within the tolerance of their paths. A row
-that does not (a contact turned it, a force bent its way) gets a new path, and partners are sought for that row alone.
-
-A path is found in cells by its midpoint and by a radius around that: see `Paths`. Everything here may say that two can meet
-which do not; how often it does costs time, and never changes a result. Times count from the last search for all candidates.
+Every row has a *path*: a straight line x0 + v0 (t - t0) that it is expected to follow until the `Horizon`. A pair can touch only
+if, at some moment until then, its paths come nearer than R_i + R_j + 2 tolerance: those are the candidates, which hold as
+long as rows stay within the tolerance of their paths. A row that does not (a contact turned it, a force bent its way) gets a new
+path, and partners are sought for that row alone. Times count from the last search for all candidates.
 """
 
 from __future__ import annotations
@@ -22,46 +19,34 @@ from particles_mpi.particles import Array, row_dot
 
 
 class Horizon(NamedTuple):
-    """What candidates are good for.
+    """What candidates are good for."""
 
-    valid_until: the time until which they hold. tolerance: how far a row may be from its path. bound: how far it may get from
-    the midpoint of its first path, tolerance included. slack: how far rows may get out of their rank's box (`halo_region`).
-    """
-
-    valid_until: float
-    tolerance: float
-    bound: float
-    slack: float
+    valid_until: float  # the time until which they hold
+    tolerance: float  # how far a row may be from its path
+    bound: float  # how far a row may get from the midpoint of its first path, tolerance included
+    slack: float  # how far rows may get out of their rank's box: see `halo_region`
 
 
 AT_REST = Horizon(0.0, 0.0, 0.0, 0.0)
 
 
 class Spheres(NamedTuple):
-    """What does not change from step to step, of all rows: radius, inverse_mass = 1/m or 0 if fixed, id (n,).
-
-    The first `owned` rows are those of this rank, and ghosts follow.
-    """
+    """What does not change from step to step, of all rows: first the `owned` ones of this rank, then ghosts."""
 
     radius: Array
-    inverse_mass: Array
+    inverse_mass: Array  # 1/m, or 0 if fixed
     id: Array
     owned: int
 
 
 class Paths(NamedTuple):
-    """The paths of all rows, and what encloses them until the horizon.
+    """The paths of all rows, and what encloses them until the horizon."""
 
-    path (n, 2d + 2): a row is (x0, v0, t0, R), so that all of it lies together in memory. midpoint (n, d): where the row will be
-    halfway to the horizon. bounding_radius (n,): R, tolerance and path lie within that distance of the midpoint. level (n,)
-    int8: how rows are held by their bounding radius (`pair_search`). first_midpoint (n, d): as it was at the search.
-    """
-
-    path: Array
-    midpoint: Array
-    bounding_radius: Array
-    level: Array
-    first_midpoint: Array
+    path: Array  # (n, 2d + 2): a row is (x0, v0, t0, R), so that all of it lies together in memory
+    midpoint: Array  # (n, d) where the row will be halfway to the horizon
+    bounding_radius: Array  # (n,) R, tolerance and path lie within that distance of the midpoint
+    level: Array  # (n,) int8, how rows are held by their bounding radius: see `search_index`
+    first_midpoint: Array  # (n, d) as it was at the search
 
 
 @kernel

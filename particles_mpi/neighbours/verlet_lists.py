@@ -100,11 +100,8 @@ class VerletLists:
     def grow(self) -> None:
         """Room for twice as many rows."""
         old = self.arrays
-        rows, width = old.reference.shape
-        reference = enlarged(old.reference, aligned(2 * rows, width))
-        self.arrays = doubled(old, "level", "spans")._replace(
-            reference=reference, links=reference.view(np.int32), nearby=np.empty(2 * rows + 2, np.int32)
-        )
+        rows, more = len(old.level), doubled(old, "reference", "level", "spans", "nearby")
+        self.arrays = more._replace(links=more.reference.view(np.int32))
         added = self.arrays.spans[rows:]
         added[:, BEGIN], added[:, ROOM] = old.used[0] + np.arange(rows) * PLACES, PLACES
         old.used[0] += rows * PLACES

@@ -129,14 +129,9 @@ def next_event(axes, rows, lists, planes, work, i, now, h):
             ):
                 best = t
                 partner = j
-        if len(planes.point) and may_hit(
-            axes, segment, segment, np.int64(d), segment[i, 2 * d + START], i, segment[i, 2 * d + RADIUS], h, planes.lower,
-            planes.upper, planes.oblique,
-        ):  # fmt: skip
-            t, wall = wall_contact(
-                axes, segment, segment, np.int64(d), segment[i, 2 * d + START], i, segment[i, 2 * d + RADIUS],
-                state[i, LAST_PARTNER], h, planes.point, planes.normal,
-            )  # fmt: skip
+        start, radius = segment[i, 2 * d + START], segment[i, 2 * d + RADIUS]
+        if len(planes.point) and may_hit(axes, segment, segment, np.int64(d), start, i, radius, h, planes):
+            t, wall = wall_contact(axes, segment, segment, np.int64(d), start, i, radius, state[i, LAST_PARTNER], h, planes)
             if wall >= 0 and (t < best or partner == NO_EVENT):
                 best = t
                 partner = np.int64(-1 - wall)

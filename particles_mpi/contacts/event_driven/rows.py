@@ -30,12 +30,10 @@ class Rows(NamedTuple):
     """The rows as the kernels take them, some of them free.
 
     A particle's path in a drift is made of straight segments: x + v (t - START) from its last contact on. Its position is not
-    brought to other times before the next contact, so that no look at it leaves a trace in the bits.
-
-    `state` holds, of each row: the particle's ID; its LAST_PARTNER in this drift, an id, -1 - wall, or NOBODY; EVENT_COUNT, how
-    often its path was changed: an event that was foreseen with another count is void; RAPID_EVENTS, its contacts in a row
-    without time passing and its quick contacts (see ZERO_TIME_EVENT); TRAJECTORY_HASH, a hash of all its segments in this
-    drift; OWNERSHIP; and, float64 in `reals`, the time of its LAST_CONTACT and the sum of its -r.dp, VIRIAL.
+    brought to other times before the next contact, so that no look at it leaves a trace in the bits. Of each row, in `state`:
+    LAST_PARTNER in this drift is an id, -1 - wall, or NOBODY; TRAJECTORY_HASH, a hash of all its segments in this drift;
+    EVENT_COUNT, how often its path was changed: an event that was foreseen with another count is void. In `reals`: the time
+    of its LAST_CONTACT and the sum of its -r.dp, VIRIAL.
     """
 
     segment: Array  # (n, 2 d + 2): x (d), v (d), START, RADIUS

@@ -66,8 +66,8 @@ UNTRIED = 1000  # windows a step at most where the number of contacts is not kno
 class Windows:
     """Drifts the particles of all ranks; `count` and `redone` are the numbers of windows.
 
-    `always`: even where it does not pay, for tests and to compile everything. `version` of the particles for which the rows of
-    the engine were loaded, `own_rows` (particles,) the row of each.
+    `always`: even where it does not pay, for tests and to compile everything. `own_rows` (particles,): the row of each in the
+    engine, which was loaded for this `version` of the particles.
     """
 
     directory: Directory
@@ -82,7 +82,6 @@ class Windows:
         self.always = False
         self.window = 0.0  # length of the next one
         self.growing = True
-        self.buffers: dict[int, Array] = {}
         self.total = int(ranks.allreduce_sum(len(particles))[0])
         self.ids = int(ranks.allreduce_max(particles.id.max(initial=-1))[0]) + 1
 
@@ -167,21 +166,17 @@ class Windows:
         reference = lists.arrays.reference
         reference[:n, d + SIZE] = p.radius + np.where(p.inverse_mass > 0.0, self.skin, 0.0)
         mark_holders(reference, np.arange(n, dtype=np.int32), tuple(self.regions), holders)
-        bits = [holders[:, r >> 6] >> (r & 63) & 1 for r in range(ranks.size)]
-        sent = [np.flatnonzero(bit) if r != ranks.rank else np.empty(0, int) for r, bit in enumerate(bits)]
-        names = [name for name in p.arrays if field(name).ghost or name == "virial"]
-        arrived, _ = send_rows(
-            ranks, {name: p[name] for name in names}, np.concatenate(sent), np.array([len(rows) for rows in sent], np.int32)
-        )
-        here = Particles(d, {name: np.concatenate((p[name], arrived[name])) for name in names})
+        everyone = np.arange(ranks.size)
+        held = holders[:, everyone >> 6] >> (everyone & 63) & (everyone != ranks.rank)
+        sent = {name: column for name, column in p.arrays.items() if field(name).ghost or name == "virial"}
+        arrived, _ = send_rows(ranks, sent, np.nonzero(held.T)[1], held.sum(axis=0, dtype=np.int32))
+        here = Particles(d, {name: np.concatenate((column, arrived[name])) for name, column in sent.items()})
         ghosts = len(here) - n
         spare = ghosts // 2 + 256
         lists.share = self.total / max(len(here), 1)
         lists.build(here.position, here.radius, here.inverse_mass, spare)
         engine.load(here, n, spare)
-        others = holders.copy()
-        others[:, ranks.rank >> 6] &= ~(np.int64(1) << np.int64(ranks.rank & 63))
-        engine.rows.state[:n, OWNERSHIP][others.any(axis=1)] = SHARED
+        engine.rows.state[:n, OWNERSHIP][held.any(axis=1)] = SHARED
         total = len(here) + spare
         row_of = np.full(self.ids, -1, np.int32)
         row_of[here.id] = np.arange(len(here))
@@ -225,12 +220,6 @@ class Windows:
         if len(rows.acceleration):
             rows.acceleration[ghosts] = arrived[:, 2 * d + 1 :]
 
-    def buffer(self, rank: int, size: int) -> Array:
-        """Room for a message to a rank."""
-        if len(self.buffers.get(rank, ())) < size:
-            self.buffers[rank] = np.empty(2 * size)
-        return self.buffers[rank]
-
     def one_window(self, begin: float, until: float, length: float, moment: float) -> bool:
         """All contacts from `begin` to `until`, verified; False if they had to be undone. Collective."""
         engine, log, ranks = self.engine, self.engine.log, self.ranks
@@ -271,7 +260,7 @@ class Windows:
         """What happened in the window, for a rank."""
         engine, log, d = self.engine, self.engine.log, len(self.box.length)
         widest = record_width(d) + 2 * d + 7 + moves.holders.shape[1]
-        message = message_of(self.buffer(rank, (int(log.border_count[0]) + 3 * int(log.moved_count[0])) * widest))
+        message = message_of(np.empty((int(log.border_count[0]) + 3 * int(log.moved_count[0])) * widest))
         rows, directory, reference = tuple(engine.rows), tuple(self.directory), engine.lists.arrays.reference
         return message[0][: pack_changes(rows, reference, directory, tuple(log), tuple(moves), rank, message)]
 

@@ -97,12 +97,11 @@ def find_wall_hits(axes, segments, radius, rows, h, everything, active, planes, 
     Returns the number of hits then.
     """
     x, v, start, last_partner = segments
-    point, normal, _, _, lower, upper, oblique = planes
     a, b, time = hits
     for p in range(len(rows)):
         i = np.int64(rows[p])
-        if (everything or active[i]) and may_hit(axes, x, v, np.int64(0), start[i], i, radius[i], h, lower, upper, oblique):
-            t, w = wall_contact(axes, x, v, np.int64(0), start[i], i, radius[i], last_partner[i], h, point, normal)
+        if (everything or active[i]) and may_hit(axes, x, v, np.int64(0), start[i], i, radius[i], h, planes):
+            t, w = wall_contact(axes, x, v, np.int64(0), start[i], i, radius[i], last_partner[i], h, planes)
             if w >= 0:
                 a[found] = i
                 b[found] = -1 - w

@@ -34,6 +34,7 @@ from particles_mpi.contacts.walls import Planes, no_planes
 from particles_mpi.kernels.jit import plain
 from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.neighbours.candidates import Hits
+from particles_mpi.neighbours.halo import exchange_segments, exchange_selections
 from particles_mpi.neighbours.neighbour_list import Neighbourhood
 from particles_mpi.particles import Array
 from particles_mpi.timers import Timers
@@ -191,7 +192,7 @@ class Rewind:
             select_contacts(near.spheres.id, near.spheres.owned, tuple(hits), tuple(self.selection))
         if shared:
             with self.timers("ghosts"):
-                near.exchange_selections(selected, hits)
+                exchange_selections(near.halo, selected, hits.first, hits.second)
         with self.timers("collide"):
             near.deactivate()
             apply_contacts(
@@ -201,7 +202,7 @@ class Rewind:
         if shared:
             with self.timers("ghosts"):
                 selected[near.spheres.owned :] = NOBODY
-                near.exchange_segments()
+                exchange_segments(near.halo, near.active, near.segments)
         with self.timers("pairs"):
             return near.follow(h)
 
