@@ -9,7 +9,7 @@ import numpy as np
 from particles_mpi.kernels.jit import plain
 from particles_mpi.kernels.motion import Segments
 from particles_mpi.neighbours.halo_region import HaloRegion, everywhere, renew_paths
-from particles_mpi.neighbours.pair_search import AT_ONCE, Scratch, drop_pairs, find_partners
+from particles_mpi.neighbours.pair_search import AT_ONCE, drop_pairs, find_partners
 from particles_mpi.neighbours.search_index import build_index, move_rows
 from particles_mpi.neighbours.trajectories import (
     AT_REST,
@@ -36,10 +36,10 @@ class Hits(NamedTuple):
 
 
 class Candidates:
-    """`pairs` are the candidate pairs as rows (first, second), `near_wall` the rows near walls, `hits` room for contacts of both.
+    """Pairs of rows that can touch, the rows near walls, and room for the `hits` of both.
 
     x, v (n, d) may change in place: `leaving` finds rows that forces bend away from their paths, `turned` those that contacts
-    turned, and `follow` gives them new ones. The first `expected` pairs have room from the start.
+    turned, and `follow` gives them new ones. `expected` pairs have room from the start.
     """
 
     def __init__(
@@ -58,8 +58,7 @@ class Candidates:
         self.axes = (0,) * x.shape[1]
         self.time = 0.0  # since the search
         n = len(x)
-        self.scratch = Scratch(np.zeros(n, np.bool_), np.empty(n + AT_ONCE, np.int32))
-        self.chosen = np.empty(n, np.int32)
+        self.marked, self.around = np.zeros(n, np.bool_), np.empty(n + AT_ONCE, np.int32)  # scratch of kernels
         self.pair_count = self.wall_count = self.tests = self.asked = 0
         self.first, self.second = np.empty(0, np.int32), np.empty(0, np.int32)
         self.reserve(expected + expected // 4 + 256)
@@ -96,12 +95,12 @@ class Candidates:
 
     def ask(self, rows: Array, everything: bool) -> None:
         """Replace the candidates of `rows`."""
-        marked = self.scratch.marked
+        marked = self.marked
         self.pair_count = drop_pairs(rows, marked, self.first, self.second, self.pair_count)
         while True:
             found, tests = find_partners(
                 self.axes, rows, everything, self.path_arrays, tuple(self.horizon), self.length, self.index,
-                tuple(self.spheres), tuple(self.scratch), self.first, self.second, self.pair_count,
+                tuple(self.spheres), (marked, self.around), self.first, self.second, self.pair_count,
             )  # fmt: skip
             if found <= len(self.first):
                 break
@@ -117,15 +116,13 @@ class Candidates:
 
     def leaving(self, h: float) -> Array:
         """Rows that a drift over h from now takes away from their paths."""
-        found = rows_leaving(
-            self.axes, self.x, self.v, self.paths.path, self.time, h, self.horizon.tolerance, self.length, self.chosen
-        )
-        return self.chosen[:found]
+        tolerance = self.horizon.tolerance
+        return np.asarray(rows_leaving(self.axes, self.x, self.v, self.paths.path, self.time, h, tolerance, self.length))
 
     def turned(self, rows: Array, start: Array) -> Array:
         """Those of `rows` whose segments, begun at `start` (n,), leave their paths before the horizon; reorders `rows`."""
-        found = rows_turned(self.x, self.v, start, self.paths.path, rows, self.time, tuple(self.horizon), self.length)
-        return rows[:found]
+        horizon = tuple(self.horizon)
+        return np.asarray(rows_turned(self.x, self.v, start, self.paths.path, rows, self.time, horizon, self.length))
 
     def follow(self, rows: Array, segments: Segments, h: float) -> float:
         """New paths and candidates for `rows`, on their segments in the drift over h.

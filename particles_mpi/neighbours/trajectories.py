@@ -72,9 +72,9 @@ def start_paths(x: Array, v: Array, radius: Array, horizon: Horizon) -> tuple[Ar
 
 
 @kernel
-def rows_leaving(axes, x, v, path, time, h, tolerance, length, rows):
-    """Rows that a drift over h from `time` takes away from their paths; into `rows`, returns how many."""
-    d = len(axes)
+def rows_leaving(axes, x, v, path, time, h, tolerance, length):
+    """Rows that a drift over h from `time` takes away from their paths."""
+    d, rows = len(axes), np.empty(len(x), np.int32)
     found = 0
     for i in range(len(x)):
         passed = time + h - path[i, 2 * d]
@@ -85,14 +85,14 @@ def rows_leaving(axes, x, v, path, time, h, tolerance, length, rows):
         if not r2 <= tolerance * tolerance:
             rows[found] = i
             found += 1
-    return found
+    return rows[:found]
 
 
 @kernel
 def rows_turned(x, v, start, path, rows, time, horizon, length):
-    """Those of `rows` whose present segment, begun at time + start_i, leaves the path before the horizon.
+    """Those of `rows` whose segment, begun at time + start_i, leaves the path before the horizon; reorders `rows`.
 
-    To the front of `rows`; returns how many. Segment and path are straight: where they end decides.
+    Segment and path are straight: where they end decides.
     """
     d = x.shape[1]
     until, tolerance, _, _ = horizon
@@ -109,7 +109,7 @@ def rows_turned(x, v, start, path, rows, time, horizon, length):
         if outside:
             rows[found] = i
             found += 1
-    return found
+    return rows[:found]
 
 
 @kernel

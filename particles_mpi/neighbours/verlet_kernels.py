@@ -1,12 +1,9 @@
 """Neighbour lists for particles that move one at a time: Verlet lists with a skin, updated for each particle by itself.
 
 Each particle has a reference position and stays within `skin` of it; when it gets that far, it is given a new reference
-position and a new list. Two particles that can touch are in each other's list: their reference positions are no further apart
-than R_i + R_j + skin_i + skin_j. They are found in cells that hold the reference positions, which are unwrapped coordinates:
-distances take the nearest periodic image. Lists are supersets of what can touch: they cost time and change no result.
-
-Cells come in levels: a particle is in the level of its size R + skin, whose cells are about as wide, so that a few large spheres
-do not make the search of all small ones coarse.
+position and a new list. Two particles that can touch are in each other's list: their reference positions, which are unwrapped
+coordinates, are no further apart than R_i + R_j + skin_i + skin_j. They are found in cells, which come in levels: those of a
+level are about as wide as the sizes R + skin in it, so that a few large spheres do not make the search of all small ones coarse.
 """
 
 from __future__ import annotations
@@ -56,9 +53,8 @@ class Lists(NamedTuple):
 
 
 def make_grid(x: Array, size: Array, box: Box, share: float) -> tuple[Grid, Array]:
-    """A grid for reference positions x (n, d) and sizes (n,), and the level of each row in it.
+    """A grid for `share` times as many rows as these, of positions x (n, d) and sizes (n,), and the level of each row in it.
 
-    Where the box is open, the rows decide how far the cells reach. The grid is made for `share` times as many rows as these.
     Positions outside belong to the outermost cells, or to their image if the axis is periodic.
     """
     g = min(x.shape[1], GRIDDED)

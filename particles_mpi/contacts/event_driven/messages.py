@@ -244,9 +244,7 @@ def apply_moves(rows, lists, queue, directory, message, at, skin, stale, pending
 
     stale[:pending[0]]: rows that must find their next events. Returns (place, shortage): the end and 0, or the place of the part
     for which the pool of the lists is short of so many places, or for which there is no free row (-1); then enlarge and call
-    again from there.
-
-    Kernels of `verlet_kernels` get `length` for their axes, so that this one is compiled for all dimensions at once.
+    again from there. `length` stands for axes, so that this is compiled for all dimensions at once.
     """
     rows, lists, queue, directory = Rows(*rows), Lists(*lists), Queue(*queue), Directory(*directory)
     numbers, bits = message

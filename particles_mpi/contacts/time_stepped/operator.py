@@ -1,14 +1,10 @@
 """The operator `rewind`: go back to the instant of contact, change the velocities, move forward again; several passes.
 
-In a pass each candidate pair, and each particle near a wall, gets the time of its first contact on the present segments. A
-contact takes place if it is, for both partners, the earliest under the total order (time, pair before wall, lower id,
-higher id or wall). That rule looks only at the two partners' own contacts, so the owners of the partners come to the same
-decision on any number of ranks: they publish which contact is first for their particles, and each changes its copy of both
-partners by the same arithmetic. What is left after the last pass is counted as missed. Where forces press particles
-together, which would then sink into one another and get hot, such a drift is done again by the operator `event`.
-
-Segments are searched over the whole drift, not only for an overlap at its end: a pair that meets and separates within one step,
-or is past its closest approach at the end, collides like any other, so one contact is exact at every step length.
+In a pass each candidate pair, and each particle near a wall, gets the time of its first contact on the present segments, which
+are searched over the whole drift. A contact takes place if it is, for both partners, the earliest under the total order (time,
+pair before wall, lower id, higher id or wall). That looks only at the two partners' own contacts, so the owners of both come to
+the same decision on any number of ranks, and each changes its copy of both by the same arithmetic. What is left after the last
+pass is counted as missed; where forces press particles together, such a drift is done again by the operator `event`.
 """
 
 from __future__ import annotations
@@ -22,7 +18,6 @@ from particles_mpi.contacts.time_stepped.contact_search import deepest_overlap, 
 from particles_mpi.contacts.time_stepped.passes import (
     MISSED,
     WALL_HITS,
-    ContactRules,
     Selection,
     UndoLog,
     apply_contacts,
@@ -75,11 +70,8 @@ class Rewind:
     def drift(self, h: float, moment: float, rates: Rates) -> Array:
         """x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
 
-        `moment`: when the drift begins, for `exact`, which takes over where that is given and contacts are left at the end;
-        `rates`: how velocities change in the step.
-
-        If a collision throws a particle further than the candidates reach, the drift is undone, candidates are sought with
-        a longer reach, and it is done again: the result is that of a reach long enough from the start.
+        `moment`: when the drift begins; `rates`: how velocities change in the step. If a collision throws a particle further than
+        the candidates reach, the drift is undone and done again with candidates of a longer reach.
         """
         near = self.near
         near.prepare(h)
@@ -113,7 +105,7 @@ class Rewind:
             self.selection = Selection(np.full(n, NOBODY), np.empty((owned, 3)))
             self.log = UndoLog(np.empty(owned, np.int32), np.empty((owned, d)), np.empty((owned, d)), np.zeros(1, np.int64))
         self.rates = rates.of(near.fields)
-        self.rules = ContactRules(self.loss, self.planes, self.rates, near.length)
+        self.rules = self.loss, self.planes, self.rates, near.length
         self.virial = near.particles.arrays.get("virial", NONE)
         self.virial_before = self.virial.copy()
 
@@ -196,7 +188,7 @@ class Rewind:
         with self.timers("collide"):
             near.deactivate()
             apply_contacts(
-                near.axes, *near.rows, tuple(hits), selected, tuple(self.rules), tuple(near.active), tuple(self.log), counts,
+                near.axes, *near.rows, tuple(hits), selected, self.rules, tuple(near.active), tuple(self.log), counts,
                 self.virial,
             )  # fmt: skip
         if shared:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.contacts.law import Loss, collide_pair
-from particles_mpi.contacts.velocity_flow import Rates
+from particles_mpi.contacts.law import collide_pair
 from particles_mpi.contacts.walls import bounce, bounce_until
 from particles_mpi.kernels.jit import kernel, lean, lean_inner
 from particles_mpi.kernels.markers import NOBODY
@@ -16,15 +15,6 @@ from particles_mpi.particles import Array
 
 COLLISIONS, WALL_HITS, MISSED = 0, 1, 2  # what `counts` counts
 TIME, LOW, HIGH = 0, 1, 2  # columns of `Selection.order`
-
-
-class ContactRules(NamedTuple):
-    """What a contact does to velocities: loss between particles, walls, how forces act meanwhile, periodic lengths (d,)."""
-
-    loss: Loss
-    planes: tuple[Any, ...]  # `Planes`, as a plain tuple
-    rates: Rates
-    length: Array
 
 
 class Selection(NamedTuple):
@@ -74,11 +64,11 @@ def select_contacts(ids, owned, hits, selection):
 
 @kernel
 def apply_contacts(axes, segments, spheres, hits, selected_partner, rules, active, log, counts, virial):
-    """Apply the hits that both partners selected.
+    """Apply the hits that both partners selected; `rules`: loss of a pair, planes, `Rates`, periodic lengths (d,).
 
     Rows that changed, and rows with a hit that has to wait, are active in the next pass. `log` gets the owned rows of which
     this was the first contact. `counts` (3,) += collisions and wall hits, each collision counted by the owner of the lower
-    id; so is its virial, where that is wanted: `virial` (owned,) += -r.dp, else it is empty.
+    id; so is its virial -r.dp, where that is wanted: else `virial` (owned,) is empty.
     """
     x, v, start, last_partner = segments
     _, w, ids, owned = spheres
