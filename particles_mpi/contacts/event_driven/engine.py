@@ -134,8 +134,8 @@ class Engine:
         """All events from `now` to `until`, times since the start of the drift at `moment`."""
         queue, work = self.queue, self.work
         queue.present[0] = min(int(now * queue.per_time), len(queue.first) - 1)  # nothing is left from before
-        differing = {"total_acceleration": self.rows.acceleration, "drag": self.rows.drag}
-        rates = self.rates.of({name: column for name, column in differing.items() if len(column)})
+        a, drag = self.rows.acceleration, self.rows.drag
+        rates = self.rates.of({"drag": drag, "total_acceleration": a} if len(a) else {"drag": drag})
         rules = self.loss, self.contact_duration, self.crowded, self.planes, rates
         interval = self.h, moment, now, until, self.ahead
         rows, written, log = tuple(self.rows), tuple(work), tuple(self.log)
