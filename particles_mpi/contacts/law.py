@@ -56,8 +56,7 @@ def contact_time(axes, x, v, start, i, j, diameter, h, length):
 
     With r, v relative position and velocity, D = `diameter` = R_i + R_j: a = v.v, b = r.v, c = (|r|-D)(|r|+D) and
     disc = a D^2 - |r x v|^2 the time is c/(-b + sqrt(disc)), free of the cancellation of b^2 - a c, which misses grazing
-    contacts of far partners. Overlapping and approaching partners touch at once. `segments.touch_time` finds the same root
-    for the rows of mode event.
+    contacts of far partners. Overlapping and approaching partners touch at once. `segments.touch_time` finds the same root.
     """
     begin = max(start[i], start[j])
     a = 0.0
@@ -71,11 +70,10 @@ def contact_time(axes, x, v, start, i, j, diameter, h, length):
         r2 += r * r
     if not b < 0.0:
         return NEVER
-    # Partners that already move together (e = 0) differ by round-off: that is no approach.
     own = 0.0
     for k in range(len(axes)):
         own += v[i, k] * v[i, k] + v[j, k] * v[j, k]
-    if b * b <= 1e-28 * r2 * own:
+    if b * b <= 1e-28 * r2 * own:  # together (e = 0) but for round-off is no approach
         return NEVER
     distance = sqrt(r2)
     gap = distance - diameter

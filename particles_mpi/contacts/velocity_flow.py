@@ -24,17 +24,12 @@ LONGEST = 0.5  # times the time in which drag and friction would stop a particle
 
 
 class Rates(NamedTuple):
-    """dv/dt = a - k v - alpha v/(m |v|); `t_mid` is the middle of the step, as a time from the start of the drift.
+    """dv/dt = a - k v - alpha v/(m |v|)."""
 
-    a: acceleration (n, d), at the start of the step; one row if it is the same for all particles that are not fixed, no row
-    if nothing at all changes velocities. k: rate of drag (n,), no row without drag; any row before `of`. alpha: strength of
-    friction, or 0.
-    """
-
-    a: Array
-    k: Array
-    alpha: float
-    t_mid: float
+    a: Array  # (n, d) at the start of the step; one row if it is the same for all, no row if nothing changes velocities
+    k: Array  # (n,) rate of drag, no row without drag; any row before `of`
+    alpha: float  # strength of friction, or 0
+    t_mid: float  # the middle of the step, as a time from the start of the drift
 
     def of(self, arrays: dict[str, Array]) -> Rates:
         """The same with what differs from particle to particle, as these fields say."""

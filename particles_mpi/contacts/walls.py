@@ -19,19 +19,15 @@ MOST_BOUNCES = 1000  # of one particle in one step; past it (a wedge without end
 
 
 class Planes(NamedTuple):
-    """Walls as arrays: point and normal (w, d), restitution and velocity_factor (w,) as in `law.Loss`.
+    """Walls as arrays. A particle whose drift ends between the faces met none of those: most need not know more."""
 
-    `lower`, `upper` (d,) are the innermost faces normal to an axis (-inf, inf where none): a particle whose drift ends
-    between them met none of those, which is all that most particles need to know. `oblique`: there are other planes too.
-    """
-
-    point: Array
-    normal: Array
-    restitution: Array
-    velocity_factor: Array
-    lower: Array
+    point: Array  # (w, d)
+    normal: Array  # (w, d)
+    restitution: Array  # (w,) as in `law.Loss`
+    velocity_factor: Array  # (w,)
+    lower: Array  # (d,) innermost faces normal to an axis, -inf and inf where there are none
     upper: Array
-    oblique: bool
+    oblique: bool  # are there other planes too?
 
     @property
     def lossy(self) -> Array:
@@ -46,17 +42,9 @@ def no_planes(dimension: int) -> Planes:
 
 
 @lean_inner
-def wall_distance(axes, x, i, w, point, normal):
-    """(x_i - p_w).n_w"""
-    distance = 0.0
-    for k in range(len(axes)):
-        distance += (x[i, k] - point[w, k]) * normal[w, k]
-    return distance
-
-
-@lean_inner
-def may_hit(axes, x, v, column, start, i, radius, h, lower, upper, oblique):
+def may_hit(axes, x, v, column, start, i, radius, h, planes):
     """False only if the segment of row i, from `start` to h, meets no wall: quick to compute, and never wrongly False."""
+    _, _, _, _, lower, upper, oblique = planes
     inside = not oblique
     for k in range(len(axes)):
         end = x[i, k] + v[i, column + k] * (h - start)
@@ -65,11 +53,12 @@ def may_hit(axes, x, v, column, start, i, radius, h, lower, upper, oblique):
 
 
 @lean_inner
-def wall_contact(axes, x, v, column, start, i, radius, last_partner, h, point, normal):
+def wall_contact(axes, x, v, column, start, i, radius, last_partner, h, planes):
     """(time, wall) of the earliest wall contact of row i's segment in [start, h], lowest wall first; wall -1 if none.
 
     The wall that this segment started from (`last_partner` = -1 - wall) is left out: round-off must not hit it twice.
     """
+    point, normal, _, _, _, _, _ = planes
     first = h
     which = -1
     for w in range(point.shape[0]):
@@ -78,7 +67,10 @@ def wall_contact(axes, x, v, column, start, i, radius, last_partner, h, point, n
             speed += v[i, column + k] * normal[w, k]
         if not speed < 0.0 or last_partner == -1 - w:
             continue
-        gap = wall_distance(axes, x, i, w, point, normal) - radius
+        distance = 0.0
+        for k in range(len(axes)):
+            distance += (x[i, k] - point[w, k]) * normal[w, k]
+        gap = distance - radius
         t = start - gap / speed if gap > 0.0 else start
         if t < first or (t == first and which < 0):
             first = t
@@ -141,9 +133,9 @@ def bounce_at_contact(v, column, i, w, normal, speed, restitution, velocity_fact
 @lean_inner
 def bounce_until(axes, x, v, start, last_partner, i, radius, inverse_mass, h, planes, rates):
     """Take row i through all its wall contacts up to time h, at most MOST_BOUNCES; returns their number."""
-    point, normal, restitution, velocity_factor, _, _, _ = planes
+    _, normal, restitution, velocity_factor, _, _, _ = planes
     for hits in range(MOST_BOUNCES):
-        t, w = wall_contact(axes, x, v, np.int64(0), start[i], i, radius, last_partner, h, point, normal)
+        t, w = wall_contact(axes, x, v, np.int64(0), start[i], i, radius, last_partner, h, planes)
         if w < 0:
             return hits
         move_to(axes, x, v, start, i, t)
@@ -159,11 +151,10 @@ def drift_with_walls(axes, x, v, radius, inverse_mass, h, planes, rates):
 
     `inverse_mass` (n,), or no row where nothing depends on it.
     """
-    _, _, _, _, lower, upper, oblique = planes
     hits = 0
     start = np.zeros(len(x))  # of the last segments
     for i in range(len(x)):
-        if may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i], h, lower, upper, oblique):
+        if may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i], h, planes):
             w = inverse_mass[i] if len(inverse_mass) > 0 else 1.0
             hits += bounce_until(axes, x, v, start, np.int64(NOBODY), i, radius[i], w, h, planes, rates)
         for k in range(len(axes)):

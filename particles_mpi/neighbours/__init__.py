@@ -3,12 +3,11 @@
 Mode `rewind` (`contacts/time_stepped`) searches by candidates. The files, in the order in which one reads them:
 
     trajectories      the straight path that each particle is expected to follow until a horizon, give or take a tolerance
-    rank_boxes        when such a path leaves the box of a rank, or enters another one
     cells             linked cells: a grid, rows sorted by cell, and lists of rows a cell
     search_index      how rows are held in cells, and put elsewhere when their paths change
     pair_search       which paths come near one another
     candidates        one search: all pairs and all particles near walls, and how those are replaced whose paths changed
-    halo_region       the ghosts that a rank needs for that, and where particles may go without meeting an unknown one
+    halo_region       the ghosts that a rank needs for that, and until when its particles meet no unknown one
     halo              what ranks tell one another of ghosts between two searches
     rebuild_interval  for how many steps a search shall hold, so that the whole costs least
     neighbour_list    `Neighbourhood`: all of it for one rank, step by step

@@ -20,20 +20,20 @@ SAMPLE = 512  # rows that tell where the bulk of the particles is
 
 
 class Grid(NamedTuple):
-    """Corner of the first cell, cells a unit length, and number of cells, each of shape (3,)."""
+    """Cells on three axes; all arrays are (3,)."""
 
-    origin: Array
-    per: Array
-    cells: Array
+    origin: Array  # corner of the first cell
+    per: Array  # cells in a unit of length
+    cells: Array  # number of cells
 
 
 class LinkedCells(NamedTuple):
-    """A list of rows for each cell: head (cells,) is the first row or -1; after, before, cell_of (n,): its neighbours there."""
+    """A list of rows for each cell."""
 
-    head: Array
-    after: Array
-    before: Array
-    cell_of: Array
+    head: Array  # (cells,) the first row, or -1
+    after: Array  # (n,) the next row of the same cell, or -1
+    before: Array  # (n,) the one before
+    cell_of: Array  # (n,)
     grid: Grid
 
 

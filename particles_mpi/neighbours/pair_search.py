@@ -1,12 +1,8 @@
-"""Which pairs can meet: those whose paths come near each other before the horizon, found by cells. See `trajectories`.
-
-How rows are held in cells, by their bounding radius, is described in `search_index`.
-"""
+"""Which pairs can meet: those whose paths come near each other before the horizon. See `trajectories` and `search_index`."""
 
 from __future__ import annotations
 
 from math import inf, sqrt
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,16 +10,8 @@ from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import inner, kernel
 from particles_mpi.neighbours.cells import GRIDDED, cell_along
 from particles_mpi.neighbours.search_index import FAST, OVERSIZE, SLOW
-from particles_mpi.particles import Array
 
 AT_ONCE = 8
-
-
-class Scratch(NamedTuple):
-    """Room to work in: marked (n,) bool, of which none is set between calls, and around (n + AT_ONCE,) int32."""
-
-    marked: Array
-    around: Array
 
 
 @kernel
@@ -128,10 +116,10 @@ def find_partners(axes, rows, everything, paths, horizon, length, index, spheres
     """Candidate pairs of `rows` (all of them marked) with all rows, each once, behind the first `found` pairs.
 
     Returns (number of pairs then: more than len(first): enlarge, call again; number of tests). Kept are pairs with an owned
-    partner and a movable one, the lower id first. Of two marked rows the one with the larger bounding radius finds the
-    other: with `everything` marked no search need look further than the row's own radius, and SLOW rows need not look for FAST
-    ones. Nearly every test is a coin toss: nothing branches on it; each place is written, and the next one over it if it does
-    not count.
+    partner and a movable one, the lower id first. Of two marked rows the one with the larger bounding radius finds the other:
+    with `everything` marked no search need look further than the row's own radius, and SLOW rows need not look for FAST ones.
+    `scratch`: which rows are marked, and room for n + AT_ONCE rows. Nearly every test is a coin toss: nothing branches on it;
+    each place is written, and the next one over it if it does not count.
     """
     path, midpoint, bounding_radius, level, _ = paths
     end, tolerance, _, _ = horizon

@@ -1,12 +1,9 @@
 """Neighbour lists for particles that move one at a time: Verlet lists with a skin, updated for each particle by itself.
 
 Each particle has a reference position and stays within `skin` of it; when it gets that far, it is given a new reference
-position and a new list. Two particles that can touch are in each other's list: their reference positions are no further apart
-than R_i + R_j + skin_i + skin_j. They are found in cells that hold the reference positions, which are unwrapped coordinates:
-distances take the nearest periodic image. Lists are supersets of what can touch: they cost time and change no result.
-
-Cells come in levels: a particle is in the level of its size R + skin, whose cells are about as wide, so that a few large spheres
-do not make the search of all small ones coarse.
+position and a new list. Two particles that can touch are in each other's list: their reference positions, which are unwrapped
+coordinates, are no further apart than R_i + R_j + skin_i + skin_j. They are found in cells, which come in levels: those of a
+level are about as wide as the sizes R + skin in it, so that a few large spheres do not make the search of all small ones coarse.
 """
 
 from __future__ import annotations
@@ -56,18 +53,15 @@ class Lists(NamedTuple):
 
 
 def make_grid(x: Array, size: Array, box: Box, share: float) -> tuple[Grid, Array]:
-    """A grid for reference positions x (n, d) and sizes (n,), and the level of each row in it.
+    """A grid for `share` times as many rows as these, of positions x (n, d) and sizes (n,), and the level of each row in it.
 
-    Where the box is open, the rows decide how far the cells reach. The grid is made for `share` times as many rows as these.
     Positions outside belong to the outermost cells, or to their image if the axis is periodic.
     """
     g = min(x.shape[1], GRIDDED)
-    low, high = (np.array(side[:g], float) for side in (box.lower, box.upper))
+    low, high, periodic = box.lower[:g], box.upper[:g], box.length[:g] > 0.0
     if len(x):
-        low = np.where(np.isfinite(low), np.maximum(low, x[:, :g].min(axis=0)), x[:, :g].min(axis=0))
-        high = np.where(np.isfinite(high), np.minimum(high, x[:, :g].max(axis=0)), x[:, :g].max(axis=0))
-    periodic = box.length[:g] > 0.0
-    low, high = np.where(periodic, box.lower[:g], low), np.where(periodic, box.upper[:g], high)
+        low = np.where(periodic, low, np.maximum(low, x[:, :g].min(axis=0)))
+        high = np.where(periodic, high, np.minimum(high, x[:, :g].max(axis=0)))
     moving = size[size > 0.0]
     typical = float(np.median(moving)) * 1.5 if len(moving) else 1.0
     steps = np.ceil(np.log(np.maximum(size, 1e-300) / typical) / np.log(FACTOR))
@@ -75,12 +69,12 @@ def make_grid(x: Array, size: Array, box: Box, share: float) -> tuple[Grid, Arra
     per_length, cells = np.zeros((LEVELS, GRIDDED)), np.ones((LEVELS, GRIDDED), np.int64)
     largest, first = np.full(LEVELS, -1.0), np.zeros(LEVELS + 1, np.int64)
     for step in range(LEVELS):
-        rows = np.flatnonzero(level == step)
-        if len(rows):
-            largest[step] = size[rows].max()
+        sizes = size[level == step]
+        if len(sizes):
+            largest[step] = sizes.max()
             extent = np.maximum(high - low, 1e-300)
             side = max(WIDTH * float(largest[step]), float(extent.max()) * 1e-5, 1e-300)
-            while np.prod(np.floor(extent / side) + 1.0) > max(2 * len(rows) * share, 64):
+            while np.prod(np.floor(extent / side) + 1.0) > max(2 * len(sizes) * share, 64):
                 side *= 1.25
             count = np.maximum(np.floor(extent / side), 1.0)
             cells[step, :g] = count.astype(np.int64)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from particles_mpi.kernels.geometry import Box
@@ -98,15 +100,11 @@ class VerletLists:
     def grow(self) -> None:
         """Room for twice as many rows."""
         old = self.arrays
-        rows, width = old.reference.shape
-        reference = enlarged(old.reference, aligned(2 * rows, width))
-        spans = enlarged(old.spans, np.zeros((2 * rows, 4), np.int32))
-        spans[rows:, BEGIN], spans[rows:, ROOM] = old.used[0] + np.arange(rows) * PLACES, PLACES
+        rows, more = len(old.level), doubled(old, "reference", "level", "spans", "nearby")
+        self.arrays = more._replace(links=more.reference.view(np.int32))
+        added = self.arrays.spans[rows:]
+        added[:, BEGIN], added[:, ROOM] = old.used[0] + np.arange(rows) * PLACES, PLACES
         old.used[0] += rows * PLACES
-        self.arrays = old._replace(
-            reference=reference, links=reference.view(np.int32), level=enlarged(old.level, np.zeros(2 * rows, np.int8)),
-            spans=spans, nearby=np.empty(2 * rows + 2, np.int32),
-        )  # fmt: skip
         self.enlarge(rows * PLACES)
 
 
@@ -115,6 +113,12 @@ def aligned(rows: int, width: int) -> Array:
     room = np.empty(rows * width + 8)
     first = -room.ctypes.data // 8 % 8
     return room[first : first + rows * width].reshape(rows, width)
+
+
+def doubled(bundle: Any, *names: str) -> Any:
+    """The bundle with twice as many rows in the arrays of these names; the new ones are 0."""
+    arrays = {name: getattr(bundle, name) for name in names}
+    return bundle._replace(**{name: np.concatenate((old, np.zeros_like(old))) for name, old in arrays.items()})
 
 
 def enlarged(old: Array, new: Array) -> Array:

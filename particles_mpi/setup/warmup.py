@@ -134,7 +134,7 @@ def windows(ranks: Communicator) -> None:
     divided.changes_for(0, divided.plan_moves())
     divided.undo(divided.engine.work.counts)
     nothing = message_of(np.array([NO_PART, 0]).view(float))
-    divided.accept(nothing, divided.plan_moves())
+    divided.accept(nothing, np.empty((0, 2), np.int64), divided.plan_moves())
 
 
 def tree(ranks: Communicator) -> None:

@@ -48,8 +48,8 @@ MUTATIONS = (
     Mutation(
         "ghosts are not refreshed",
         "neighbours/halo.py",
-        "        unpack_state(first, message, x, v, a)\n\n\ndef",
-        "        pass\n\n\ndef",
+        "            column[first : first + len(part)] = part\n",
+        "            pass\n",
         ("tests/parallel/test_same_bits.py", "-k", "2-marbles"),
     ),
     Mutation(

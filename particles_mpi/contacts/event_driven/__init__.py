@@ -2,14 +2,13 @@
 
 The files, in the order in which one reads them:
 
-- `rows`: what a rank knows of each particle during a drift, its path above all.
+- `rows`: what a rank knows of each particle during a drift, its path above all, and the log with which a window is undone.
 - `segments`: when two rows touch, and what a contact does to them; `neighbours.verlet_kernels` says which rows can touch.
 - `calendar_queue`: the next event of each row, and which is the first of all.
 - `event_loop`: the compiled loop that takes one event after the other from the queue.
 - `engine`: rows, lists and queue of a rank as one object.
 - `operator`: the effect's way in: a drift by `Whole`, where every rank computes all contacts, or by `Windows`.
 - `windows`: the drift where space is divided among ranks, in short windows of time that are verified.
-- `rollback`: the log of a window, with which it is undone.
 - `regions`: which ranks must know a row, and which ghosts can affect own rows.
 - `messages`: what ranks send one another after a window, and what they do with it.
 
@@ -18,6 +17,6 @@ segment, `begin` empties the queue, and `run` hands everything to `event_loop.ru
 first contact with a row in its list or with a wall, or the time at which the list expires, and `push` queues it. Then again and
 again the first event takes place: `collide` or `bounce` changes velocities, or the row gets a new list, and the rows concerned
 look for their next events. At the end `end_drift` moves all rows to the same time, and `write_back` copies them to the particles.
-With `Windows` there are many `run`, and after each one ranks compare what they found: `is_wrong` says whether to `roll_back`, or
+With `Windows` there are many `run`, and after each one ranks compare what they found: `verify` says whether to `roll_back`, or
 to `reconcile` the ghosts and `apply_moves` of those that came, went, or changed owner.
 """

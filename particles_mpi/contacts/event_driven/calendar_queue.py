@@ -45,7 +45,7 @@ def push(queue, i, t, partner, count):
 
 
 @lean_inner
-def remove(queue, i):
+def cancel(queue, i):
     """Row i loses its event, if it has one."""
     node = queue.node
     if node[i, PARTNER] == NO_EVENT:

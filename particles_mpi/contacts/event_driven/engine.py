@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from math import prod
-
 import numpy as np
 
 from particles_mpi.contacts.event_driven.calendar_queue import LIST_EXPIRY, NO_EVENT, NODE, PARTNER, Queue
@@ -14,12 +12,9 @@ from particles_mpi.contacts.event_driven.event_loop import (
     LAST_PROGRESS,
     STANDSTILL,
     WALL_HITS,
-    Interval,
-    Rules,
     Work,
     run,
 )
-from particles_mpi.contacts.event_driven.rollback import enlarged_log, new_log
 from particles_mpi.contacts.event_driven.rows import (
     GHOST,
     ID,
@@ -31,6 +26,7 @@ from particles_mpi.contacts.event_driven.rows import (
     VIRIAL,
     Rows,
     end_drift,
+    new_log,
     start_drift,
     write_back,
 )
@@ -39,7 +35,7 @@ from particles_mpi.contacts.velocity_flow import Rates, no_rates
 from particles_mpi.contacts.walls import Planes
 from particles_mpi.errors import StateError
 from particles_mpi.kernels.geometry import Box
-from particles_mpi.neighbours.verlet_lists import VerletLists, aligned, enlarged
+from particles_mpi.neighbours.verlet_lists import VerletLists, aligned, doubled, enlarged
 from particles_mpi.parallel.signals import check_signals
 from particles_mpi.particles import Array, Particles
 
@@ -47,7 +43,6 @@ CONTACTS = 1.0  # expected in a bucket of the queue
 AHEAD = 0.8  # of a skin: how far before it a particle's reference position lies, where flights are longer than skins
 MOST_EXPIRIES = 8  # of the list of a row, on average; then all rows are sorted in space and listed anew
 NEVER_CROWDED = 2**31
-DIFFERING = "total_acceleration", "drag"  # fields by which velocities change otherwise from row to row
 NAMED = 64  # contacts without loss whose time and partners are kept
 
 
@@ -83,9 +78,12 @@ class Engine:
         """Rows of p, the first `owned` of them own ones, and `spare` free ones; `lists` were built for them."""
         n, d = p.position.shape
         total = n + spare
-        self.fields = {name: enlarged(p[name], np.zeros((total, *p[name].shape[1:]))) for name in DIFFERING if name in p.arrays}
-        self.set_rows(aligned(total, 2 * d + 2), aligned(total, 8).view(np.int64))
-        segment, state, reals = self.rows.segment, self.rows.state, self.rows.reals
+        segment, state = aligned(total, 2 * d + 2), aligned(total, 8).view(np.int64)
+        reals = state.view(np.float64)
+        names = [name for name in ("total_acceleration", "drag") if name in p.arrays]
+        fields = {name: enlarged(p[name], np.zeros((total, *p[name].shape[1:]))) for name in names}
+        acceleration, drag = fields.get("total_acceleration", np.empty((0, d))), fields.get("drag", np.empty(0))
+        self.rows = Rows(segment, segment.view(np.int64), state, reals, acceleration, drag)
         segment[:n, :d], segment[:n, 2 * d + RADIUS] = p.position, p.radius
         state[:] = 0
         state[:n, ID], state[:n, OWNERSHIP] = p.id, GHOST
@@ -98,30 +96,18 @@ class Engine:
         self.log = new_log(total, d)
         self.expiries = 0
 
-    def set_rows(self, segment: Array, state: Array) -> None:
-        """Rows with these arrays and `fields`."""
-        acceleration = self.fields.get("total_acceleration", np.empty((0, len(self.axes))))
-        drag = self.fields.get("drag", np.empty(0))
-        self.rows = Rows(segment, segment.view(np.int64), state, state.view(np.float64), acceleration, drag)
-
     def grow(self) -> Array:
         """Twice as many rows; returns the new ones, which are free."""
-        n, width = self.rows.segment.shape
-        state = enlarged(self.rows.state, aligned(2 * n, 8).view(np.int64))
-        state[n:] = 0
-        self.fields = {name: enlarged(old, np.zeros((2 * n, *old.shape[1:]))) for name, old in self.fields.items()}
-        self.set_rows(enlarged(self.rows.segment, aligned(2 * n, width)), state)
-        self.work = self.work._replace(stale=enlarged(self.work.stale, np.empty(4 * n + 2, np.int32)))
-        self.node = enlarged(self.node, np.full((2 * n, NODE), NO_EVENT, np.int32))
+        n = len(self.rows.state)
+        rows = doubled(self.rows, "segment", "state", "acceleration", "drag")
+        self.rows = rows._replace(segment_bits=rows.segment.view(np.int64), reals=rows.state.view(np.float64))
+        log = doubled(self.log, "changed", "mark", "saved", "moved", "is_moved", "border")
+        self.log = log._replace(saved_bits=log.saved.view(np.int64))
+        self.node = np.concatenate((self.node, np.full_like(self.node, NO_EVENT)))
         self.queue = self.queue._replace(node=self.node, times=self.node.view(np.float64))
-        self.log = enlarged_log(self.log)
+        self.work = doubled(self.work, "stale")
         self.lists.grow()
         return np.arange(n, 2 * n, dtype=np.int32)
-
-    @property
-    def differing(self) -> int:
-        """Numbers a row of what differs from row to row."""
-        return sum(prod(field.shape[1:]) for field in self.fields.values())
 
     def start_drift(self, p: Particles, own_rows: Array) -> tuple[bool, float]:
         """Own rows on their way, particle r in row own_rows[r]: (did anyone move them since `end_drift`, largest speed)."""
@@ -148,9 +134,10 @@ class Engine:
         """All events from `now` to `until`, times since the start of the drift at `moment`."""
         queue, work = self.queue, self.work
         queue.present[0] = min(int(now * queue.per_time), len(queue.first) - 1)  # nothing is left from before
-        rates = self.rates.of(self.fields)
-        rules = tuple(Rules(self.loss, self.contact_duration, self.crowded, self.planes, rates))
-        interval = tuple(Interval(self.h, moment, now, until, self.ahead))
+        a, drag = self.rows.acceleration, self.rows.drag
+        rates = self.rates.of({"drag": drag, "total_acceleration": a} if len(a) else {"drag": drag})
+        rules = self.loss, self.contact_duration, self.crowded, self.planes, rates
+        interval = self.h, moment, now, until, self.ahead
         rows, written, log = tuple(self.rows), tuple(work), tuple(self.log)
         work.progress[:] = now, 0.0
         pending, self.pending = self.pending, 0

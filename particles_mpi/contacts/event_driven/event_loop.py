@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import sqrt
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,12 +15,11 @@ from particles_mpi.contacts.event_driven.calendar_queue import (
     PARTNER_COUNT,
     TIME,
     Queue,
+    cancel,
     comes_before,
     find_first,
     push,
-    remove,
 )
-from particles_mpi.contacts.event_driven.rollback import Log, note_move, note_segment, save_once
 from particles_mpi.contacts.event_driven.rows import (
     EVENT_COUNT,
     ID,
@@ -35,7 +34,11 @@ from particles_mpi.contacts.event_driven.rows import (
     START,
     VIRIAL,
     ZERO_TIME_EVENT,
+    Log,
     Rows,
+    note_move,
+    note_segment,
+    save_once,
 )
 from particles_mpi.contacts.event_driven.segments import (
     collide,
@@ -45,12 +48,20 @@ from particles_mpi.contacts.event_driven.segments import (
     move_to,
     touch_time,
 )
-from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.contacts.walls import Planes, bounce, may_hit, wall_contact
 from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch
 from particles_mpi.kernels.markers import NEVER
-from particles_mpi.neighbours import verlet_kernels as verlet
-from particles_mpi.neighbours.verlet_kernels import BEGIN, COUNT, INVERSE_MASS, SKIN, Lists
+from particles_mpi.neighbours.verlet_kernels import (
+    BEGIN,
+    COUNT,
+    INVERSE_MASS,
+    SKIN,
+    Lists,
+    find_nearby,
+    insert,
+    remove,
+    shortage,
+)
 from particles_mpi.particles import Array
 
 COLLISIONS, WALL_HITS, TC_ELASTIC, EXPIRIES = range(4)  # what `counts` counts
@@ -63,26 +74,6 @@ PIECE = 100_000  # events, about a tenth of a second
 STANDING = 1e-9  # of a drift: time that does not count as passed
 MOST_STANDING, FEW = 2.0 * SQUEEZED / ZERO_TIME_EVENT, 100  # events a row while no time passes: more than SQUEEZED ever allows
 EARLY, SOON, NEXT_ONES = 6, 4, 2  # buckets ahead of the present one, for which memory is prefetched
-
-
-class Rules(NamedTuple):
-    """What happens at a contact in this step."""
-
-    loss: tuple[float, ...]  # `law.Loss`, as a plain tuple
-    contact_duration: float  # t_c: a contact within it after the last one of either partner takes no energy
-    crowded: int  # rows with so many quick contacts have no more in this drift
-    planes: tuple[Any, ...]  # `walls.Planes`, as a plain tuple
-    rates: Rates  # how velocities change in the step
-
-
-class Interval(NamedTuple):
-    """The part of a drift that `run` computes; times are counted from the start of the drift."""
-
-    h: float  # length of the drift
-    moment: float  # when the drift began
-    now: float
-    until: float
-    ahead: float  # of a skin: how far before a particle its new reference position lies
 
 
 class Work(NamedTuple):
@@ -138,14 +129,9 @@ def next_event(axes, rows, lists, planes, work, i, now, h):
             ):
                 best = t
                 partner = j
-        if len(planes.point) and may_hit(
-            axes, segment, segment, np.int64(d), segment[i, 2 * d + START], i, segment[i, 2 * d + RADIUS], h, planes.lower,
-            planes.upper, planes.oblique,
-        ):  # fmt: skip
-            t, wall = wall_contact(
-                axes, segment, segment, np.int64(d), segment[i, 2 * d + START], i, segment[i, 2 * d + RADIUS],
-                state[i, LAST_PARTNER], h, planes.point, planes.normal,
-            )  # fmt: skip
+        start, radius = segment[i, 2 * d + START], segment[i, 2 * d + RADIUS]
+        if len(planes.point) and may_hit(axes, segment, segment, np.int64(d), start, i, radius, h, planes):
+            t, wall = wall_contact(axes, segment, segment, np.int64(d), start, i, radius, state[i, LAST_PARTNER], h, planes)
             if wall >= 0 and (t < best or partner == NO_EVENT):
                 best = t
                 partner = np.int64(-1 - wall)
@@ -232,11 +218,11 @@ def prefetch_next(rows, lists, queue):
 def run(axes, rows, lists, queue, rules, interval, work, log, pending):
     """All events of an interval, in order. work.stale[:pending] are rows whose next event is not known.
 
-    With stop[ASKED] the loop ends after the first collision.
-
+    rules: loss of a pair, contact duration t_c, how many quick contacts make a crowd, `Planes`, `Rates`. interval: length of the
+    drift and when it began, from when until when in it, and how many skins before a particle its new reference position lies.
     Returns 0; or how many places the pool of the lists is short of: then call again with a larger one; or INTERRUPTED after so
     many events that a user may have pressed Ctrl-C: then call again; or STANDSTILL, where events follow one another for ever
-    but time does not pass.
+    but time does not pass. With stop[ASKED] the loop ends after the first collision.
 
     A contact within t_c of the last one of either partner takes no energy: the TC model (Luding and McNamara, Granular
     Matter 1, 113, 1998), which keeps inelastic collapse from stopping the clock.
@@ -260,7 +246,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             i = np.int64(stale[pending])
             if state[i, OWNERSHIP] == NOT_HERE:
                 continue
-            remove(queue, i)
+            cancel(queue, i)
             t, partner = next_event(axes, rows, lists, planes, work, i, now, h)
             if partner != NO_EVENT:
                 push(queue, i, t, partner, state[partner, EVENT_COUNT] if partner >= 0 else 0)
@@ -293,12 +279,12 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             for k in range(d):
                 reference[i, k] = segment[i, k] + segment[i, d + k] * (now - segment[i, 2 * d + START] + lead)
                 flags[MANY_BOXES] |= length[k] > 0.0 and not -0.25 * length[k] < reference[i, k] - low[k] < 1.25 * length[k]
-            found = verlet.find_nearby(axes, lists, i, flags[MANY_BOXES])
-            short = verlet.shortage(lists, i, found)
+            found = find_nearby(axes, lists, i, flags[MANY_BOXES])
+            short = shortage(lists, i, found)
             if short > 0:
                 return short
-            verlet.remove(axes, lists, i)
-            verlet.insert(axes, lists, i, found)
+            remove(axes, lists, i)
+            insert(axes, lists, i, found)
             counts[EXPIRIES] += 1
             if logging and state[i, OWNERSHIP] >= OWN:
                 note_move(i, log)

@@ -2,7 +2,7 @@
 
 A message is a series of numbers, each part beginning with its kind and a particle's id:
 
-- UPDATE: the record (see `rollback`) of a row that was changed, to all ranks that hold it as a ghost.
+- UPDATE: the record (see `rows`) of a row that was changed, to all ranks that hold it as a ghost.
 - ADD_GHOST: the record, R, 1/m, reference position, and the acceleration and drag where these differ from row to row, of a row
   that comes near the receiver's region.
 - TRANSFER: rank and place of the particle's fields, reference position, and who holds it, of a row that the receiver owns
@@ -16,41 +16,44 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.contacts.event_driven import calendar_queue
-from particles_mpi.contacts.event_driven.calendar_queue import Queue
-from particles_mpi.contacts.event_driven.rollback import Log, has_new_segment, hash_place, load_row, record_width, save_row
+from particles_mpi.contacts.event_driven.calendar_queue import Queue, cancel
+from particles_mpi.contacts.event_driven.regions import Moves, Regions, can_affect_owned
 from particles_mpi.contacts.event_driven.rows import (
     EVENT_COUNT,
     GHOST,
     ID,
-    LAST_PARTNER,
     NOT_HERE,
     OWN,
     OWNERSHIP,
     RADIUS,
-    RAPID_EVENTS,
     SHARED,
-    START,
     TRAJECTORY_HASH,
+    Log,
     Rows,
     dimension,
+    has_new_segment,
+    hash_place,
+    load_row,
+    record_width,
+    save_row,
 )
 from particles_mpi.kernels.jit import inner, kernel, lean, lean_inner, prefetch
-from particles_mpi.kernels.markers import NOBODY
-from particles_mpi.neighbours import verlet_kernels as verlet
-from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS, SIZE, SKIN, Lists
+from particles_mpi.neighbours.verlet_kernels import (
+    INVERSE_MASS,
+    SIZE,
+    SKIN,
+    Lists,
+    find_nearby,
+    insert,
+    level_of,
+    remove,
+    shortage,
+)
 from particles_mpi.particles import Array
 
 UPDATE, ADD_GHOST, TRANSFER, DROP_GHOST = range(4)
 HEAD = 2  # numbers at the beginning of a part: its kind, the id
 HOLDER, PLACE = range(2)  # columns of `fields_at`
-
-
-class Message(NamedTuple):
-    """A message, or room for one."""
-
-    numbers: Array  # (m,) float64
-    bits: Array  # the same memory as int64
 
 
 class Directory(NamedTuple):
@@ -64,15 +67,9 @@ class Directory(NamedTuple):
     free_count: Array  # (1,) how many these are
 
 
-class Moves(NamedTuple):
-    """What follows for the m own rows that got new reference positions, in the order of the log."""
-
-    holders: Array  # (m, masks) the ranks that must hold it from now on
-    owner: Array  # (m,) the rank that owns it from now on
-
-
-def message_of(numbers: Array) -> Message:
-    return Message(numbers, numbers.view(np.int64))
+def message_of(numbers: Array) -> tuple[Array, Array]:
+    """A message as kernels take it: the numbers, and the same memory as int64."""
+    return numbers, numbers.view(np.int64)
 
 
 @inner
@@ -108,47 +105,6 @@ def ownership(holders, i, rank):
         if b != rank >> 6:
             others |= holders[i, b]
     return SHARED if others != 0 else OWN
-
-
-@lean
-def pack_motion(rows, holders, rank, message):
-    """(id, x, v, and the acceleration if these differ) of own rows that the rank holds; returns the length.
-
-    `message` has room for all.
-    """
-    rows = Rows(*rows)
-    out, bits = message
-    segment, state, acceleration = rows.segment, rows.state, rows.acceleration
-    d = dimension(rows)
-    each = 1 + (3 * d if len(acceleration) > 0 else 2 * d)
-    size = 0
-    for i in range(len(segment)):
-        if state[i, OWNERSHIP] == SHARED and holds(holders, i, rank):
-            bits[size] = state[i, ID]
-            for k in range(2 * d):
-                out[size + 1 + k] = segment[i, k]
-            for k in range(each - 1 - 2 * d):
-                out[size + 1 + 2 * d + k] = acceleration[i, k]
-            size += each
-    return size
-
-
-@lean
-def unpack_motion(rows, row_of, message):
-    """What pack_motion wrote: ghosts on segments from time 0."""
-    rows = Rows(*rows)
-    numbers, bits = message
-    segment, state, acceleration = rows.segment, rows.state, rows.acceleration
-    d = dimension(rows)
-    each = 1 + (3 * d if len(acceleration) > 0 else 2 * d)
-    for at in range(0, len(numbers), each):
-        i = np.int64(row_of[bits[at]])
-        for k in range(2 * d):
-            segment[i, k] = numbers[at + 1 + k]
-        for k in range(each - 1 - 2 * d):
-            acceleration[i, k] = numbers[at + 1 + 2 * d + k]
-        segment[i, 2 * d + START] = 0.0
-        state[i, LAST_PARTNER], state[i, RAPID_EVENTS], state[i, TRAJECTORY_HASH] = NOBODY, 0, 0
 
 
 @lean
@@ -214,32 +170,64 @@ def roll_back(rows, log, stale):
 
 
 @kernel
-def reconcile(rows, directory, log, message, moves, rank, stale):
-    """After a correct window: ghosts that differ from their owners' rows become equal to them, and moved rows change owner.
+def verify(rows, directory, log, regions, begin, message):
+    """(must the window that began at `begin` be rolled back, which ghosts differ from their owners' rows).
 
-    `message`: all that arrived. A ghost of which no UPDATE tells did not change at its owner. Returns how many rows, written
-    to `stale`, must find their next events again.
+    It must if such a ghost could have touched an own row. `message`: all that arrived; a ghost of which no UPDATE tells did not
+    change at its owner. Of each ghost that differs: the row, and where its right record begins in the message, or else the log.
     """
-    rows, directory, log, moves = Rows(*rows), Directory(*directory), Log(*log), Moves(*moves)
+    rows, directory, log, regions = Rows(*rows), Directory(*directory), Log(*log), Regions(*regions)
     numbers, bits = message
-    state, row_of, masks = rows.state, directory.row_of, directory.holders.shape[1]
-    d, extra = dimension(rows), extra_width(rows)
-    pending = 0
+    state, row_of, updated = rows.state, directory.row_of, directory.updated
+    d, masks, extra, window = regions.low.shape[1], directory.holders.shape[1], extra_width(rows), log.window[0]
+    differing, found = np.empty((len(numbers) // (HEAD + record_width(d)) + log.border_count[0], 2), np.int64), 0
+    place = np.empty((1, d))
+    wrong = False
+    for step in range(2):  # first to the cache
+        at = 0
+        while at < len(numbers):
+            if bits[at] == UPDATE:
+                if step == 0:
+                    prefetch(row_of, bits[at + 1])
+                else:
+                    prefetch(state, row_of[bits[at + 1]])
+                    prefetch(updated, row_of[bits[at + 1]])
+            at += part_width(bits[at], d, masks, extra)
     at = 0
     while at < len(numbers):
         if bits[at] == UPDATE:
             i = np.int64(row_of[bits[at + 1]])
+            updated[i] = window
             if bits[at + HEAD + hash_place(d)] != state[i, TRAJECTORY_HASH]:
-                load_row(d, rows, i, numbers, bits, at + HEAD)
-                stale[pending] = i
-                pending += 1
+                wrong |= can_affect_owned(rows, log, regions, i, begin, place)
+                differing[found, 0], differing[found, 1] = i, at + HEAD
+                found += 1
         at += part_width(bits[at], d, masks, extra)
     for p in log.border[: log.border_count[0]]:
         i = np.int64(log.changed[p])
-        if state[i, OWNERSHIP] == GHOST and directory.updated[i] != log.window[0] and has_new_segment(d, rows, log, p):
-            load_row(d, rows, i, log.saved, log.saved_bits, p * record_width(d))
-            stale[pending] = i
-            pending += 1
+        if state[i, OWNERSHIP] == GHOST and updated[i] != window and has_new_segment(d, rows, log, p):
+            wrong |= can_affect_owned(rows, log, regions, i, begin, place)
+            differing[found, 0], differing[found, 1] = i, len(numbers) + p * record_width(d)
+            found += 1
+    return wrong, differing[:found]
+
+
+@lean
+def reconcile(rows, directory, log, message, differing, moves, rank, stale):
+    """After a correct window: ghosts that differ from their owners' rows become equal to them, and moved rows change owner.
+
+    Returns how many rows, written to `stale`, must find their next events again.
+    """
+    rows, directory, log, moves = Rows(*rows), Directory(*directory), Log(*log), Moves(*moves)
+    numbers, bits = message
+    d, state, masks = dimension(rows), rows.state, directory.holders.shape[1]
+    for p in range(len(differing)):
+        i, at = differing[p, 0], differing[p, 1]
+        if at < len(numbers):
+            load_row(d, rows, i, numbers, bits, at)
+        else:
+            load_row(d, rows, i, log.saved, log.saved_bits, at - len(numbers))
+        stale[p] = i
     for m in range(log.moved_count[0]):
         i = np.int64(log.moved[m])
         log.is_moved[i] = False
@@ -247,7 +235,7 @@ def reconcile(rows, directory, log, message, moves, rank, stale):
             directory.holders[i, b] = moves.holders[m, b]
         state[i, OWNERSHIP] = ownership(directory.holders, i, rank) if moves.owner[m] == rank else GHOST
     log.moved_count[0] = 0
-    return pending
+    return len(differing)
 
 
 @kernel
@@ -256,9 +244,7 @@ def apply_moves(rows, lists, queue, directory, message, at, skin, stale, pending
 
     stale[:pending[0]]: rows that must find their next events. Returns (place, shortage): the end and 0, or the place of the part
     for which the pool of the lists is short of so many places, or for which there is no free row (-1); then enlarge and call
-    again from there.
-
-    Kernels of `verlet_kernels` get `length` for their axes, so that this one is compiled for all dimensions at once.
+    again from there. `length` stands for axes, so that this is compiled for all dimensions at once.
     """
     rows, lists, queue, directory = Rows(*rows), Lists(*lists), Queue(*queue), Directory(*directory)
     numbers, bits = message
@@ -286,8 +272,8 @@ def apply_moves(rows, lists, queue, directory, message, at, skin, stale, pending
                 if fresh:
                     reference[i, d + SKIN] = skin if reference[i, d + INVERSE_MASS] > 0.0 else 0.0
                     reference[i, d + SIZE] = segment[i, 2 * d + RADIUS] + reference[i, d + SKIN]
-                found = verlet.find_nearby(length, lists, i, np.bool_(True))
-                short = verlet.shortage(lists, i, found)
+                found = find_nearby(length, lists, i, np.bool_(True))
+                short = shortage(lists, i, found)
                 if short > 0:
                     for k in range(d + INVERSE_MASS + 1):
                         reference[i, k] = before[k]
@@ -302,10 +288,10 @@ def apply_moves(rows, lists, queue, directory, message, at, skin, stale, pending
                             rows.acceleration[i, k] = numbers[begin + d + k]
                     if len(rows.drag) > 0:
                         rows.drag[i] = numbers[begin + d + extra - 1]
-                    lists.level[i] = verlet.level_of(reference[i, d + SIZE], lists)
+                    lists.level[i] = level_of(reference[i, d + SIZE], lists)
                 else:
-                    verlet.remove(length, lists, i)
-                verlet.insert(length, lists, i, found)
+                    remove(length, lists, i)
+                insert(length, lists, i, found)
                 stale[pending[0]] = i
                 pending[0] += 1
             if kind == TRANSFER:
@@ -315,8 +301,8 @@ def apply_moves(rows, lists, queue, directory, message, at, skin, stale, pending
                 state[i, OWNERSHIP] = SHARED  # the rank that had it holds it, at least
         elif kind == DROP_GHOST:
             i = np.int64(row_of[name])
-            calendar_queue.remove(queue, i)
-            verlet.remove(length, lists, i)
+            cancel(queue, i)
+            remove(length, lists, i)
             state[i, OWNERSHIP] = NOT_HERE
             state[i, EVENT_COUNT] += 1
             row_of[name] = -1

@@ -1,11 +1,8 @@
 """The operator `event`: hard spheres and walls in exact order of time, the reference for `rewind`.
 
-Every particle is on a straight segment since its last contact and knows its next event: the first contact on the present
-segments, or that its neighbour list expires. The first event of all takes place, the partners set out on new segments, and only
-they, and those who had been about to touch them, look for their next events again: O(1) work a contact, whatever N is.
-
-On several ranks space is divided and ranks compute their parts in verified windows of time (`windows`), or, where
-there is too little to divide, every rank computes everything (`Whole`). The bits are the same.
+Every particle knows its next event; the first of all takes place, and only those whom it concerns look for their next ones
+again: O(1) work a contact, whatever N is. On several ranks space is divided and ranks compute their parts in verified windows
+of time (`windows`), or, where there is too little to divide, every rank computes everything (`Whole`). The bits are the same.
 """
 
 from __future__ import annotations
@@ -43,7 +40,8 @@ CHANGING = ("position", "velocity", "contacted", "virial", "supported", "total_a
 class Event:
     """Drifts particles that collide with one another, and with walls if there are any."""
 
-    pair_tests = 0  # candidate pairs are tested in mode rewind only
+    migrated = ghost_rows = pair_tests = 0  # candidate pairs are tested in mode rewind only
+    windows_redone: tuple[int, int] | None = None  # windows so far, and how many were undone; None if space was never divided
 
     def __init__(
         self,
@@ -75,26 +73,8 @@ class Event:
         return Windows(self.particles, self.ranks, Engine(*self.rules), self.box, self.timers)
 
     @property
-    def parts(self) -> list[Whole | Windows]:
-        """Those in use."""
-        return [self.__dict__[name] for name in ("whole", "windows") if name in self.__dict__]
-
-    @property
     def searches(self) -> int:
-        return sum(part.searches for part in self.parts)
-
-    @property
-    def migrated(self) -> int:
-        return self.windows.migrated if self.divided else 0
-
-    @property
-    def windows_redone(self) -> tuple[int, int] | None:
-        """Windows of time so far, and how many of them were undone; None where space was never divided."""
-        return (self.windows.count, self.windows.redone) if "windows" in self.__dict__ else None
-
-    @property
-    def ghost_rows(self) -> int:
-        return self.windows.ghost_rows if self.divided else 0
+        return sum(part.searches for name, part in self.__dict__.items() if name in ("whole", "windows"))
 
     def drift(self, h: float, moment: float, rates: Rates, stop: bool = False) -> Array:
         """x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
@@ -133,21 +113,23 @@ class Event:
 
     def drift_once(self, h: float, moment: float, stop: bool, crowded: int) -> Array:
         """The same; particles with `crowded` quick contacts have no more."""
-        if self.divided and not stop:
-            if self.pause:
-                self.pause -= 1
-            else:
-                self.windows.engine.set_step(crowded, self.rates, self.contact_duration)
-                happened = self.windows.drift(h, moment)
-                if happened is not None:
-                    self.next_pause = 1
-                    self.count_tc_elastic(moment, self.windows.engine)
-                    return happened
-                self.pause = self.next_pause
-                self.next_pause = min(2 * self.next_pause, LONGEST_PAUSE)
-        self.whole.engine.set_step(crowded, self.rates, self.contact_duration)
-        happened = self.whole.drift(h, moment, stop)
+        step = crowded, self.rates, self.contact_duration
+        if self.divided and not stop and self.pause:
+            self.pause -= 1
+        elif self.divided and not stop:
+            windows = self.windows
+            windows.engine.set_step(*step)
+            in_windows = windows.drift(h, moment)
+            self.migrated, self.ghost_rows = windows.migrated, windows.ghost_rows
+            self.windows_redone = windows.count, windows.redone
+            if in_windows is not None:
+                self.next_pause = 1
+                self.count_tc_elastic(moment, windows.engine)
+                return in_windows
+            self.pause, self.next_pause = self.next_pause, min(2 * self.next_pause, LONGEST_PAUSE)
         engine = self.whole.engine
+        engine.set_step(*step)
+        happened = self.whole.drift(h, moment, stop)
         if self.divided:
             self.windows.engine.events = engine.events // self.ranks.size  # what a rank has to expect
         self.stop[:], self.stopped[:] = engine.work.stop, engine.work.stopped
@@ -166,9 +148,8 @@ class Event:
         """What a user should be told at the end. Collective."""
         found = self.ranks.allgather((self.tc_elastic, *self.first_tc_elastic))
         count = sum(number for number, _, _ in found)
-        crowds = []
-        if self.crowded_steps:
-            crowds = [f"collapsing crowds: in {self.crowded_steps} steps some contacts took all of the approach, as if e = 0"]
+        said = f"collapsing crowds: in {self.crowded_steps} steps some contacts took all of the approach, as if e = 0"
+        crowds = [said] if self.crowded_steps else []
         if not count:
             return crowds
         moment = min(moment for _, moment, _ in found)

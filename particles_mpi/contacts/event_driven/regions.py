@@ -7,9 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.contacts.event_driven.messages import HEAD, UPDATE, Directory, Moves, extra_width, part_width
-from particles_mpi.contacts.event_driven.rollback import PLACE, WINDOW, Log, has_new_segment, hash_place, record_width
-from particles_mpi.contacts.event_driven.rows import GHOST, OWNERSHIP, RADIUS, START, TRAJECTORY_HASH, Rows
+from particles_mpi.contacts.event_driven.rows import PLACE, RADIUS, START, WINDOW, Log, record_width
 from particles_mpi.kernels.jit import inner, kernel, lean_inner, prefetch
 from particles_mpi.neighbours.verlet_kernels import SIZE
 from particles_mpi.parallel.decomposition import owners
@@ -26,6 +24,13 @@ class Regions(NamedTuple):
     known: Array  # the ranks that may have to know rows of this one, and itself
     reach: float  # between a region and the surface of a ghost that own rows may meet in a window
     depth: float  # between a region and the skin of a row that its rank must know: `reach`, and some ghosts more
+
+
+class Moves(NamedTuple):
+    """What follows for the m own rows that got new reference positions, in the order of the log."""
+
+    holders: Array  # (m, masks) the ranks that must hold it from now on
+    owner: Array  # (m,) the rank that owns it from now on
 
 
 @inner
@@ -105,41 +110,3 @@ def can_affect_owned(rows, log, regions, i, begin, place):
             place[0, k] = segment[i, k] + segment[i, d + k] * (begin - segment[i, 2 * d + START])
     within = regions.reach + segment[i, 2 * d + RADIUS]
     return distance2(regions, regions.rank, place, np.int64(0)) <= within * within
-
-
-@kernel
-def is_wrong(rows, directory, log, regions, begin, message):
-    """Must the window that began at `begin` be rolled back? True if a ghost that could have touched an own row has another hash
-    at its owner.
-
-    `message`: all that arrived. A ghost of which no UPDATE tells did not change at its owner.
-    """
-    rows, directory, log, regions = Rows(*rows), Directory(*directory), Log(*log), Regions(*regions)
-    numbers, bits = message
-    state, row_of, updated = rows.state, directory.row_of, directory.updated
-    d, masks, extra, window = regions.low.shape[1], directory.holders.shape[1], extra_width(rows), log.window[0]
-    place = np.empty((1, d))
-    wrong = False
-    for step in range(2):  # first to the cache
-        at = 0
-        while at < len(numbers):
-            if bits[at] == UPDATE:
-                if step == 0:
-                    prefetch(row_of, bits[at + 1])
-                else:
-                    prefetch(state, row_of[bits[at + 1]])
-                    prefetch(updated, row_of[bits[at + 1]])
-            at += part_width(bits[at], d, masks, extra)
-    at = 0
-    while at < len(numbers):
-        if bits[at] == UPDATE:
-            i = np.int64(row_of[bits[at + 1]])
-            updated[i] = window
-            if bits[at + HEAD + hash_place(d)] != state[i, TRAJECTORY_HASH]:
-                wrong |= can_affect_owned(rows, log, regions, i, begin, place)
-        at += part_width(bits[at], d, masks, extra)
-    for p in log.border[: log.border_count[0]]:
-        i = np.int64(log.changed[p])
-        if state[i, OWNERSHIP] == GHOST and updated[i] != window and has_new_segment(d, rows, log, p):
-            wrong |= can_affect_owned(rows, log, regions, i, begin, place)
-    return wrong

@@ -1,4 +1,8 @@
-"""What a rank knows of particles during a drift: a row each, its own ones and ghosts, which are copies of other ranks' ones."""
+"""What a rank knows of particles during a drift: a row each, its own ones and ghosts, which are copies of other ranks' ones.
+
+The log of a window of time tells which rows were changed in it, and what they were before, so that changes can be sent or undone.
+A record of a row is its segment without the radius, and then the first SAVED columns of its state, in the same memory.
+"""
 
 from __future__ import annotations
 
@@ -8,27 +12,28 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.kernels.geometry import into_box
-from particles_mpi.kernels.jit import inner, lean
+from particles_mpi.kernels.jit import inner, lean, lean_inner
 from particles_mpi.kernels.markers import CROWD, NOBODY
 from particles_mpi.particles import Array
 
 START, RADIUS = 0, 1  # columns of `segment`, after 2 d
-ID, LAST_PARTNER, EVENT_COUNT, RAPID_EVENTS, TRAJECTORY_HASH, OWNERSHIP, LAST_CONTACT, VIRIAL = range(8)  # columns of `state`
+LAST_PARTNER, RAPID_EVENTS, TRAJECTORY_HASH, LAST_CONTACT, VIRIAL, ID, EVENT_COUNT, OWNERSHIP = range(8)  # columns of `state`
+SAVED = 5  # the first of these are in a record
 NOT_HERE, GHOST, OWN, SHARED = range(4)  # OWNERSHIP: a free row, another rank's particle, an own one, an own one others know
 ZERO_TIME_EVENT = 2**32  # RAPID_EVENTS counts contacts in a row without time passing in units of this; below it, quick ones
 SQUEEZED = 1000 * ZERO_TIME_EVENT  # from here on a particle is squeezed: it has no more contacts in this drift
+WINDOW, PLACE = 0, 1  # columns of `mark`
+ODD = -7046029254386353131  # an odd number with many bits, to multiply with
 
 
 class Rows(NamedTuple):
     """The rows as the kernels take them, some of them free.
 
     A particle's path in a drift is made of straight segments: x + v (t - START) from its last contact on. Its position is not
-    brought to other times before the next contact, so that no look at it leaves a trace in the bits.
-
-    `state` holds, of each row: the particle's ID; its LAST_PARTNER in this drift, an id, -1 - wall, or NOBODY; EVENT_COUNT, how
-    often its path was changed: an event that was foreseen with another count is void; RAPID_EVENTS, its contacts in a row
-    without time passing and its quick contacts (see ZERO_TIME_EVENT); TRAJECTORY_HASH, a hash of all its segments in this
-    drift; OWNERSHIP; and, float64 in `reals`, the time of its LAST_CONTACT and the sum of its -r.dp, VIRIAL.
+    brought to other times before the next contact, so that no look at it leaves a trace in the bits. Of each row, in `state`:
+    LAST_PARTNER in this drift is an id, -1 - wall, or NOBODY; TRAJECTORY_HASH, a hash of all its segments in this drift;
+    EVENT_COUNT, how often its path was changed: an event that was foreseen with another count is void. In `reals`: the time
+    of its LAST_CONTACT and the sum of its -r.dp, VIRIAL.
     """
 
     segment: Array  # (n, 2 d + 2): x (d), v (d), START, RADIUS
@@ -118,3 +123,110 @@ def write_back(axes, rows, x, v, last_contact, virial, supported, crowded, own_r
             virial[p] = reals[i, VIRIAL]
         if len(supported) and state[i, RAPID_EVENTS] % ZERO_TIME_EVENT >= crowded:
             supported[p] = CROWD
+
+
+@inner(inline="always")
+def record_width(d):
+    """Numbers in a record, in d dimensions."""
+    return 2 * d + START + 1 + SAVED
+
+
+@inner(inline="always")
+def hash_place(d):
+    """Where TRAJECTORY_HASH stands in a record."""
+    return 2 * d + START + 1 + TRAJECTORY_HASH
+
+
+class Log(NamedTuple):
+    """Changes of n rows in the present window of time."""
+
+    window: Array  # (1,) number of the window, 0 while no log is needed
+    changed_count: Array  # (1,) rows that were changed in the window
+    changed: Array  # (n,) int32, these, in the order of their first changes
+    mark: Array  # (n, 2): the last WINDOW in which a row was changed, and its PLACE in `changed`
+    saved: Array  # (n * record_width,) records of these rows, as they were before
+    saved_bits: Array  # the same memory as int64
+    fastest2: Array  # (1,) the largest square of a speed that a contact gave
+    moved_count: Array  # (1,) own rows that got new reference positions, since `reconcile` dealt with the last ones
+    moved: Array  # (n,) int32, these
+    is_moved: Array  # (n,) bool
+    border_count: Array  # (1,) changed rows that more than one rank knows
+    border: Array  # (n,) int32, places of these in `changed`
+
+
+def new_log(n: int, d: int) -> Log:
+    """For n rows in d dimensions."""
+    saved = np.empty(n * record_width(d))
+    one = np.zeros((4, 1), np.int64)
+    return Log(
+        one[0], one[1], np.empty(n, np.int32), np.zeros((n, 2), np.int64), saved, saved.view(np.int64), np.zeros(1),
+        one[2], np.empty(n, np.int32), np.zeros(n, np.bool_), one[3], np.empty(n, np.int32),
+    )  # fmt: skip
+
+
+@lean_inner
+def save_row(d, rows, i, out, out_bits, at):
+    """Write the record of row i, in d dimensions, to `out` from place `at` on; returns where it ends."""
+    segment, state = rows.segment, rows.state
+    for k in range(2 * d + START + 1):
+        out[at + k] = segment[i, k]
+    at += 2 * d + START + 1
+    for k in range(SAVED):
+        out_bits[at + k] = state[i, k]
+    return at + SAVED
+
+
+@lean_inner
+def load_row(d, rows, i, record, bits, at):
+    """Restore row i from the record at place `at`; raise its event count, so that queued events with it are void."""
+    segment, state = rows.segment, rows.state
+    for k in range(2 * d + START + 1):
+        segment[i, k] = record[at + k]
+    at += 2 * d + START + 1
+    for k in range(SAVED):
+        state[i, k] = bits[at + k]
+    state[i, EVENT_COUNT] += 1
+
+
+@lean_inner
+def save_once(axes, rows, i, log):
+    """Row i is about to change: save it, once in a window."""
+    mark, count = log.mark, log.changed_count
+    if mark[i, WINDOW] != log.window[0]:
+        mark[i, WINDOW], mark[i, PLACE] = log.window[0], count[0]
+        log.changed[count[0]] = i
+        if rows.state[i, OWNERSHIP] != OWN:
+            log.border[log.border_count[0]] = count[0]
+            log.border_count[0] += 1
+        save_row(np.int64(len(axes)), rows, i, log.saved, log.saved_bits, count[0] * record_width(len(axes)))
+        count[0] += 1
+
+
+@lean_inner
+def note_segment(axes, rows, i, log):
+    """Row i has begun a new segment: add it to the row's hash, and its speed to the log."""
+    segment, bits, state = rows.segment, rows.segment_bits, rows.state
+    d = len(axes)
+    speed2 = 0.0
+    h = state[i, TRAJECTORY_HASH] ^ state[i, LAST_PARTNER]
+    for k in range(d):
+        speed2 += segment[i, d + k] * segment[i, d + k]
+        h = (h ^ bits[i, d + k]) * ODD
+        h ^= h >> 29
+    state[i, TRAJECTORY_HASH] = (h ^ bits[i, 2 * d + START]) * ODD
+    log.fastest2[0] = max(log.fastest2[0], speed2)
+
+
+@lean_inner
+def note_move(i, log):
+    """Row i has a new reference position."""
+    if not log.is_moved[i]:
+        log.is_moved[i] = True
+        log.moved[log.moved_count[0]] = i
+        log.moved_count[0] += 1
+
+
+@lean_inner
+def has_new_segment(d, rows, log, p):
+    """Has the row at place p of the log got a new segment in the window, or only a new reference position?"""
+    return log.saved_bits[p * record_width(d) + hash_place(d)] != rows.state[log.changed[p], TRAJECTORY_HASH]

@@ -19,24 +19,31 @@ from particles_mpi.contacts.event_driven.messages import (
     HOLDER,
     PLACE,
     Directory,
-    Message,
-    Moves,
     apply_moves,
     message_of,
     pack_changes,
-    pack_motion,
     reconcile,
     roll_back,
-    unpack_motion,
+    verify,
 )
-from particles_mpi.contacts.event_driven.regions import Regions, is_wrong, mark_holders, plan_moves
-from particles_mpi.contacts.event_driven.rollback import record_width
-from particles_mpi.contacts.event_driven.rows import OWN, OWNERSHIP, SHARED
-from particles_mpi.kernels.geometry import Box
+from particles_mpi.contacts.event_driven.regions import Moves, Regions, mark_holders, plan_moves
+from particles_mpi.contacts.event_driven.rows import (
+    ID,
+    LAST_PARTNER,
+    OWN,
+    OWNERSHIP,
+    RAPID_EVENTS,
+    SHARED,
+    START,
+    TRAJECTORY_HASH,
+    record_width,
+)
+from particles_mpi.kernels.geometry import Box, wrap
+from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.neighbours.cells import bounds, order_in_space
 from particles_mpi.neighbours.trajectories import fastest
 from particles_mpi.neighbours.verlet_kernels import MARGIN, SIZE
-from particles_mpi.neighbours.verlet_lists import enlarged
+from particles_mpi.neighbours.verlet_lists import doubled, enlarged
 from particles_mpi.parallel.agreement import require_finite
 from particles_mpi.parallel.buffers import RowBuffers
 from particles_mpi.parallel.communicator import Communicator
@@ -49,7 +56,7 @@ DISPLACEMENT_BOUND = 0.125  # of a skin: how far a row may get in a window
 DEPTH = 1.2  # mean diameters of ghosts beyond those that own particles can touch: what went wrong has to come through them
 CROWDED = 0.75  # of all particles on one rank, ghosts included: then each may as well compute everything
 FASTER, SLOWER = 1.015, 0.6  # what success and failure do to the length of a window: in balance about 3 % fail
-START, GROWING = 0.25, 1.2  # of the longest window: the first one; and how it grows until one fails
+FIRST, GROWING = 0.25, 1.2  # of the longest window: the first one; and how it grows until one fails
 LEAST = 1e-3  # of the longest window: with shorter ones it is no use
 MOST_TRIES = 8  # of a window, each of half the length; then contacts follow one another in no time (touching spheres)
 WORTH = 10  # contacts a window and rank, or windows are not worth their messages
@@ -59,8 +66,8 @@ UNTRIED = 1000  # windows a step at most where the number of contacts is not kno
 class Windows:
     """Drifts the particles of all ranks; `count` and `redone` are the numbers of windows.
 
-    `always`: even where it does not pay, for tests and to compile everything. `version` of the particles for which the rows of
-    the engine were loaded, `own_rows` (particles,) the row of each.
+    `always`: even where it does not pay, for tests and to compile everything. `own_rows` (particles,): the row of each in the
+    engine, which was loaded for this `version` of the particles.
     """
 
     directory: Directory
@@ -75,7 +82,6 @@ class Windows:
         self.always = False
         self.window = 0.0  # length of the next one
         self.growing = True
-        self.buffers: dict[int, Array] = {}
         self.total = int(ranks.allreduce_sum(len(particles))[0])
         self.ids = int(ranks.allreduce_max(particles.id.max(initial=-1))[0]) + 1
 
@@ -89,7 +95,7 @@ class Windows:
         self.longest = 0.9 * self.displacement_bound / speed if speed > 0.0 else np.inf
         if h / self.longest > (self.events / WORTH if self.events else UNTRIED) and not self.always:
             return None
-        self.window = min(self.window or START * self.longest, self.longest)
+        self.window = min(self.window or FIRST * self.longest, self.longest)
         with self.timers("ghosts"):
             self.send_motion()
         with self.timers("search"):
@@ -144,7 +150,9 @@ class Windows:
         p, engine, ranks, lists = self.particles, self.engine, self.ranks, self.engine.lists
         self.balance.update(p, self.searches)
         self.row_buffers.adopt()
-        self.migrated += self.row_buffers.migrate(ranks, self.balance.decomposition.owner(self.wrapped(p.position)))
+        inside = p.position.copy()
+        wrap(inside, *self.box)
+        self.migrated += self.row_buffers.migrate(ranks, self.balance.decomposition.owner(inside))
         n, d = len(p), p.dimension
         if n > 1:
             self.row_buffers.sort(order_in_space(p.position, bounds(p.position)))
@@ -158,21 +166,17 @@ class Windows:
         reference = lists.arrays.reference
         reference[:n, d + SIZE] = p.radius + np.where(p.inverse_mass > 0.0, self.skin, 0.0)
         mark_holders(reference, np.arange(n, dtype=np.int32), tuple(self.regions), holders)
-        bits = [holders[:, r >> 6] >> (r & 63) & 1 for r in range(ranks.size)]
-        sent = [np.flatnonzero(bit) if r != ranks.rank else np.empty(0, int) for r, bit in enumerate(bits)]
-        names = [name for name in p.arrays if field(name).ghost or name == "virial"]
-        arrived, _ = send_rows(
-            ranks, {name: p[name] for name in names}, np.concatenate(sent), np.array([len(rows) for rows in sent], np.int32)
-        )
-        here = Particles(d, {name: np.concatenate((p[name], arrived[name])) for name in names})
+        everyone = np.arange(ranks.size)
+        held = holders[:, everyone >> 6] >> (everyone & 63) & (everyone != ranks.rank)
+        sent = {name: column for name, column in p.arrays.items() if field(name).ghost or name == "virial"}
+        arrived, _ = send_rows(ranks, sent, np.nonzero(held.T)[1], held.sum(axis=0, dtype=np.int32))
+        here = Particles(d, {name: np.concatenate((column, arrived[name])) for name, column in sent.items()})
         ghosts = len(here) - n
         spare = ghosts // 2 + 256
         lists.share = self.total / max(len(here), 1)
         lists.build(here.position, here.radius, here.inverse_mass, spare)
         engine.load(here, n, spare)
-        others = holders.copy()
-        others[:, ranks.rank >> 6] &= ~(np.int64(1) << np.int64(ranks.rank & 63))
-        engine.rows.state[:n, OWNERSHIP][others.any(axis=1)] = SHARED
+        engine.rows.state[:n, OWNERSHIP][held.any(axis=1)] = SHARED
         total = len(here) + spare
         row_of = np.full(self.ids, -1, np.int32)
         row_of[here.id] = np.arange(len(here))
@@ -185,14 +189,6 @@ class Windows:
         self.ghost_rows += ghosts
         self.version = p.version
         self.searches += 1
-
-    def wrapped(self, x: Array) -> Array:
-        """Positions x (n, d) in the box where it is periodic."""
-        lower, _, length = self.box
-        periodic = length > 0.0
-        x = x.copy()
-        x[:, periodic] -= np.floor((x - lower)[:, periodic] / length[periodic]) * length[periodic]
-        return x
 
     def divide(self, largest: float, mean: float) -> None:
         """The regions of all ranks, and those who may have to exchange messages; `largest`, `mean`: radius of all particles."""
@@ -210,17 +206,19 @@ class Windows:
 
     def send_motion(self) -> None:
         """Ghosts start on the segments that their owners' rows start on. Collective."""
-        rows, outgoing = tuple(self.engine.rows), []
-        for rank in self.near:
-            message = message_of(self.buffer(rank, len(self.engine.rows.segment) * (1 + 3 * len(self.box.length))))
-            outgoing.append(message.numbers[: pack_motion(rows, self.directory.holders, rank, tuple(message))])
-        unpack_motion(rows, self.directory.row_of, tuple(message_of(sendrecv(self.ranks, self.near, outgoing))))
-
-    def buffer(self, rank: int, size: int) -> Array:
-        """Room for a message to a rank."""
-        if len(self.buffers.get(rank, ())) < size:
-            self.buffers[rank] = np.empty(2 * size)
-        return self.buffers[rank]
+        rows, holders, d = self.engine.rows, self.directory.holders, len(self.box.length)
+        shared = np.flatnonzero(rows.state[:, OWNERSHIP] == SHARED)
+        numbers = [rows.state[shared, ID].view(float), rows.segment[shared, : 2 * d]]
+        numbers += [rows.acceleration[shared]] if len(rows.acceleration) else []
+        table = np.column_stack(numbers)
+        outgoing = [table[(holders[shared, rank >> 6] >> (rank & 63) & 1) == 1].ravel() for rank in self.near]
+        arrived = sendrecv(self.ranks, self.near, outgoing).reshape(-1, table.shape[1])
+        ghosts = self.directory.row_of[arrived[:, 0].view(np.int64)]
+        rows.segment[ghosts, : 2 * d], rows.segment[ghosts, 2 * d + START] = arrived[:, 1 : 2 * d + 1], 0.0
+        rows.state[ghosts, LAST_PARTNER] = NOBODY
+        rows.state[ghosts, RAPID_EVENTS] = rows.state[ghosts, TRAJECTORY_HASH] = 0
+        if len(rows.acceleration):
+            rows.acceleration[ghosts] = arrived[:, 2 * d + 1 :]
 
     def one_window(self, begin: float, until: float, length: float, moment: float) -> bool:
         """All contacts from `begin` to `until`, verified; False if they had to be undone. Collective."""
@@ -235,7 +233,7 @@ class Windows:
             moves = self.plan_moves()
             message = message_of(sendrecv(ranks, self.near, [self.changes_for(rank, moves) for rank in self.near]))
             rows, directory, regions = tuple(engine.rows), tuple(self.directory), tuple(self.regions)
-            wrong = is_wrong(rows, directory, tuple(log), regions, begin, tuple(message))
+            wrong, differing = verify(rows, directory, tuple(log), regions, begin, message)
         with self.timers("agree"):
             transferred = self.transferred + int((moves.owner != ranks.rank).sum())
             wrong, fastest2, transferred = ranks.allreduce_max(np.array([wrong, log.fastest2[0], transferred], float))
@@ -246,7 +244,7 @@ class Windows:
             self.transferred = int(transferred)
             if fastest2 > 0.0:
                 self.longest = min(self.longest, 0.9 * self.displacement_bound / np.sqrt(fastest2))
-            self.accept(message, moves)
+            self.accept(message, differing, moves)
         return True
 
     def plan_moves(self) -> Moves:
@@ -261,11 +259,10 @@ class Windows:
     def changes_for(self, rank: int, moves: Moves) -> Array:
         """What happened in the window, for a rank."""
         engine, log, d = self.engine, self.engine.log, len(self.box.length)
-        widest = record_width(d) + d + 6 + moves.holders.shape[1] + engine.differing
-        message = message_of(self.buffer(rank, (int(log.border_count[0]) + 3 * int(log.moved_count[0])) * widest))
+        widest = record_width(d) + 2 * d + 7 + moves.holders.shape[1]
+        message = message_of(np.empty((int(log.border_count[0]) + 3 * int(log.moved_count[0])) * widest))
         rows, directory, reference = tuple(engine.rows), tuple(self.directory), engine.lists.arrays.reference
-        size = pack_changes(rows, reference, directory, tuple(log), tuple(moves), rank, tuple(message))
-        return message.numbers[:size]
+        return message[0][: pack_changes(rows, reference, directory, tuple(log), tuple(moves), rank, message)]
 
     def undo(self, before: Array) -> None:
         """All rows and counts as they were when the window began."""
@@ -274,15 +271,15 @@ class Windows:
         engine.work.counts[:] = before
         self.redone += 1
 
-    def accept(self, message: Message, moves: Moves) -> None:
+    def accept(self, message: tuple[Array, Array], differing: Array, moves: Moves) -> None:
         """The window is right: correct the other ghosts, and let rows come, go and change owners."""
         engine, at = self.engine, 0
         rows, directory, log = tuple(engine.rows), tuple(self.directory), tuple(engine.log)
-        pending = reconcile(rows, directory, log, tuple(message), tuple(moves), self.ranks.rank, engine.work.stale)
+        pending = reconcile(rows, directory, log, message, differing, tuple(moves), self.ranks.rank, engine.work.stale)
         stale_count = np.array([pending])
-        while at < len(message.numbers):
+        while at < len(message[0]):
             at, short = apply_moves(
-                tuple(engine.rows), tuple(engine.lists.arrays), tuple(engine.queue), tuple(self.directory), tuple(message), at,
+                tuple(engine.rows), tuple(engine.lists.arrays), tuple(engine.queue), tuple(self.directory), message, at,
                 self.skin, engine.work.stale, stale_count,
             )  # fmt: skip
             if short > 0:
@@ -295,9 +292,7 @@ class Windows:
         """More rows than there is room for came near."""
         more, old = self.engine.grow(), self.directory
         old.free_count[0] = len(more)
-        rows = {name: getattr(old, name) for name in ("holders", "fields_at", "updated")}
-        doubled = {name: np.concatenate((array, np.zeros_like(array))) for name, array in rows.items()}
-        self.directory = old._replace(**doubled, free=np.concatenate((more, old.free)))
+        self.directory = doubled(old, "holders", "fields_at", "updated")._replace(free=np.concatenate((more, old.free)))
 
     def migrate(self) -> None:
         """The fields of particles that changed owner go to their new owners. Collective."""

@@ -1,6 +1,6 @@
 """The compiled loops of the operator `rewind` that find contacts on the present segments, and overlaps.
 
-All times count from the beginning of the drift, over a time h. `axes` is a tuple with one entry an axis.
+All times count from the beginning of the drift, over a time h.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 from particles_mpi.contacts.law import contact_time, may_come_near, separation
 from particles_mpi.contacts.walls import may_hit, wall_contact
 from particles_mpi.kernels.geometry import nearest
-from particles_mpi.kernels.jit import lean, lean_inner
+from particles_mpi.kernels.jit import kernel, lean, lean_inner
 from particles_mpi.kernels.markers import NEVER
 
 
@@ -97,12 +97,11 @@ def find_wall_hits(axes, segments, radius, rows, h, everything, active, planes, 
     Returns the number of hits then.
     """
     x, v, start, last_partner = segments
-    point, normal, _, _, lower, upper, oblique = planes
     a, b, time = hits
     for p in range(len(rows)):
         i = np.int64(rows[p])
-        if (everything or active[i]) and may_hit(axes, x, v, np.int64(0), start[i], i, radius[i], h, lower, upper, oblique):
-            t, w = wall_contact(axes, x, v, np.int64(0), start[i], i, radius[i], last_partner[i], h, point, normal)
+        if (everything or active[i]) and may_hit(axes, x, v, np.int64(0), start[i], i, radius[i], h, planes):
+            t, w = wall_contact(axes, x, v, np.int64(0), start[i], i, radius[i], last_partner[i], h, planes)
             if w >= 0:
                 a[found] = i
                 b[found] = -1 - w
@@ -111,36 +110,18 @@ def find_wall_hits(axes, segments, radius, rows, h, everything, active, planes, 
     return found
 
 
-@lean_inner(error_model="numpy")
-def overlap_in_radii(segments, radius, i, j, t, length):
-    """How far rows i and j overlap at time t, in units of the smaller radius; 0 if they do not."""
+@kernel(error_model="numpy")
+def deepest_overlap(segments, radius, first, second, time, length):
+    """The largest overlap of the pairs of rows (first, second) at their times, in units of the smaller radius; 0 if none."""
     x, v, start, _ = segments
-    r2 = 0.0
-    for k in range(len(length)):
-        r = separation(x, v, start, i, j, k, t, length)
-        r2 += r * r
-    sum_of_radii = radius[i] + radius[j]
-    return (sum_of_radii - r2**0.5) / min(radius[i], radius[j]) if r2 < sum_of_radii**2 else 0.0
-
-
-@lean
-def deepest_hit(segments, radius, hits, length):
-    """The largest overlap, in smaller radii, of the partners of any hit when they meet: a third one came between them late."""
-    a, b, time = hits
-    most = 0.0
-    for p in range(len(a)):
-        if b[p] >= 0:
-            i, j = np.int64(a[p]), np.int64(b[p])
-            most = max(most, overlap_in_radii(segments, radius, i, j, time[p], length))
-    return most
-
-
-@lean
-def deepest_supported(segments, radius, first, second, supported, t, length):
-    """The largest overlap, in smaller radii, at time t of candidate pairs with a supported row; `supported`: of owned rows."""
     most = 0.0
     for p in range(len(first)):
         i, j = np.int64(first[p]), np.int64(second[p])
-        if (i < len(supported) and supported[i]) or (j < len(supported) and supported[j]):
-            most = max(most, overlap_in_radii(segments, radius, i, j, t, length))
+        r2 = 0.0
+        for k in range(len(length)):
+            r = separation(x, v, start, i, j, k, time[p], length)
+            r2 += r * r
+        sum_of_radii = radius[i] + radius[j]
+        if r2 < sum_of_radii**2:
+            most = max(most, (sum_of_radii - r2**0.5) / min(radius[i], radius[j]))
     return most

@@ -1,14 +1,10 @@
 """The operator `rewind`: go back to the instant of contact, change the velocities, move forward again; several passes.
 
-In a pass each candidate pair, and each particle near a wall, gets the time of its first contact on the present segments. A
-contact takes place if it is, for both partners, the earliest under the total order (time, pair before wall, lower id,
-higher id or wall). That rule looks only at the two partners' own contacts, so the owners of the partners come to the same
-decision on any number of ranks: they publish which contact is first for their particles, and each changes its copy of both
-partners by the same arithmetic. What is left after the last pass is counted as missed. Where forces press particles
-together, which would then sink into one another and get hot, such a drift is done again by the operator `event`.
-
-Segments are searched over the whole drift, not only for an overlap at its end: a pair that meets and separates within one step,
-or is past its closest approach at the end, collides like any other, so one contact is exact at every step length.
+In a pass each candidate pair, and each particle near a wall, gets the time of its first contact on the present segments, which
+are searched over the whole drift. A contact takes place if it is, for both partners, the earliest under the total order (time,
+pair before wall, lower id, higher id or wall). That looks only at the two partners' own contacts, so the owners of both come to
+the same decision on any number of ranks, and each changes its copy of both by the same arithmetic. What is left after the last
+pass is counted as missed; where forces press particles together, such a drift is done again by the operator `event`.
 """
 
 from __future__ import annotations
@@ -18,11 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from particles_mpi.contacts.law import Loss
-from particles_mpi.contacts.time_stepped.contact_search import deepest_hit, deepest_supported, find_contacts, find_wall_hits
+from particles_mpi.contacts.time_stepped.contact_search import deepest_overlap, find_contacts, find_wall_hits
 from particles_mpi.contacts.time_stepped.passes import (
     MISSED,
     WALL_HITS,
-    ContactRules,
     Selection,
     UndoLog,
     apply_contacts,
@@ -34,6 +29,7 @@ from particles_mpi.contacts.walls import Planes, no_planes
 from particles_mpi.kernels.jit import plain
 from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.neighbours.candidates import Hits
+from particles_mpi.neighbours.halo import exchange_segments, exchange_selections
 from particles_mpi.neighbours.neighbour_list import Neighbourhood
 from particles_mpi.particles import Array
 from particles_mpi.timers import Timers
@@ -74,11 +70,8 @@ class Rewind:
     def drift(self, h: float, moment: float, rates: Rates) -> Array:
         """x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
 
-        `moment`: when the drift begins, for `exact`, which takes over where that is given and contacts are left at the end;
-        `rates`: how velocities change in the step.
-
-        If a collision throws a particle further than the candidates reach, the drift is undone, candidates are sought with
-        a longer reach, and it is done again: the result is that of a reach long enough from the start.
+        `moment`: when the drift begins; `rates`: how velocities change in the step. If a collision throws a particle further than
+        the candidates reach, the drift is undone and done again with candidates of a longer reach.
         """
         near = self.near
         near.prepare(h)
@@ -112,7 +105,7 @@ class Rewind:
             self.selection = Selection(np.full(n, NOBODY), np.empty((owned, 3)))
             self.log = UndoLog(np.empty(owned, np.int32), np.empty((owned, d)), np.empty((owned, d)), np.zeros(1, np.int64))
         self.rates = rates.of(near.fields)
-        self.rules = ContactRules(self.loss, self.planes, self.rates, near.length)
+        self.rules = self.loss, self.planes, self.rates, near.length
         self.virial = near.particles.arrays.get("virial", NONE)
         self.virial_before = self.virial.copy()
 
@@ -152,17 +145,21 @@ class Rewind:
 
     def late(self, hits: Hits) -> bool:
         """Do partners meet that already overlap? Passes go forward in time for each particle, but not for all together."""
-        near = self.near
-        return float(deepest_hit(near.rows[0], near.spheres.radius, tuple(hits), near.length)) > LATE
+        near, pairs = self.near, hits.second >= 0
+        first, second, time = (column[pairs] for column in hits)
+        return float(deepest_overlap(near.rows[0], near.spheres.radius, first, second, time, near.length)) > LATE
 
     def overlapping(self, h: float) -> bool:
         """Does a supported particle overlap with another in the end, because a pass was late? Collective.
 
         In a pile that would add up; others soon move apart.
         """
-        near, supported = self.near, self.near.particles["supported"]
-        pairs = near.candidates.pairs
-        most = deepest_supported(near.rows[0], near.spheres.radius, *pairs, supported, h, near.length)
+        near, (first, second) = self.near, self.near.candidates.pairs
+        supported = np.zeros(len(near.x), bool)
+        supported[: near.spheres.owned] = near.particles["supported"]
+        pairs = supported[first] | supported[second]
+        first, second, at_end = first[pairs], second[pairs], np.full(np.count_nonzero(pairs), h)
+        most = deepest_overlap(near.rows[0], near.spheres.radius, first, second, at_end, near.length)
         return float(near.ranks.allreduce_max(most)[0]) > DEEP
 
     def find(self, h: float, everything: bool) -> Hits:
@@ -187,17 +184,17 @@ class Rewind:
             select_contacts(near.spheres.id, near.spheres.owned, tuple(hits), tuple(self.selection))
         if shared:
             with self.timers("ghosts"):
-                near.exchange_selections(selected, hits)
+                exchange_selections(near.halo, selected, hits.first, hits.second)
         with self.timers("collide"):
             near.deactivate()
             apply_contacts(
-                near.axes, *near.rows, tuple(hits), selected, tuple(self.rules), tuple(near.active), tuple(self.log), counts,
+                near.axes, *near.rows, tuple(hits), selected, self.rules, tuple(near.active), tuple(self.log), counts,
                 self.virial,
             )  # fmt: skip
         if shared:
             with self.timers("ghosts"):
                 selected[near.spheres.owned :] = NOBODY
-                near.exchange_segments()
+                exchange_segments(near.halo, near.active, near.segments)
         with self.timers("pairs"):
             return near.follow(h)
 

@@ -1,16 +1,12 @@
-"""The compiled loops of the operator `rewind` that select, of the contacts found, those that come first, and apply them.
-
-All times count from the beginning of the drift, over a time h. `axes` is a tuple with one entry an axis.
-"""
+"""The compiled loops of the operator `rewind` that select, of the contacts found, those that come first, and apply them."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.contacts.law import Loss, collide_pair
-from particles_mpi.contacts.velocity_flow import Rates
+from particles_mpi.contacts.law import collide_pair
 from particles_mpi.contacts.walls import bounce, bounce_until
 from particles_mpi.kernels.jit import kernel, lean, lean_inner
 from particles_mpi.kernels.markers import NOBODY
@@ -21,35 +17,19 @@ COLLISIONS, WALL_HITS, MISSED = 0, 1, 2  # what `counts` counts
 TIME, LOW, HIGH = 0, 1, 2  # columns of `Selection.order`
 
 
-class ContactRules(NamedTuple):
-    """What a contact does to velocities: loss between particles, walls, how forces act meanwhile, periodic lengths (d,)."""
-
-    loss: Loss
-    planes: tuple[Any, ...]  # `Planes`, as a plain tuple
-    rates: Rates
-    length: Array
-
-
 class Selection(NamedTuple):
-    """Of each row its earliest contact in this pass.
+    """Of each row its earliest contact in this pass."""
 
-    partner (n,) int64: the id of its partner, a wall as -1 - wall, or NOBODY. order (owned, 3): the time of the contact, the
-    lower id and the higher one (or the wall), by which contacts at the same time are told apart; of rows with a partner only.
-    """
-
-    partner: Array
-    order: Array
+    partner: Array  # (n,) int64: the id of its partner, a wall as -1 - wall, or NOBODY
+    order: Array  # (owned, 3), of rows with a partner: TIME of the contact, LOW id, HIGH id or wall
 
 
 class UndoLog(NamedTuple):
-    """Where owned rows were at the beginning of the drift, of those that have had a contact since.
+    """Where owned rows were at the beginning of the drift, of those that have had a contact since."""
 
-    rows (owned,) int32, x, v (owned, d); the first number[0] of them are filled.
-    """
-
-    rows: Array
-    x: Array
-    v: Array
+    rows: Array  # (owned,) int32, of which the first number[0] are filled
+    x: Array  # (owned, d)
+    v: Array  # (owned, d)
     number: Array
 
 
@@ -57,21 +37,10 @@ class UndoLog(NamedTuple):
 def comes_first(row, t, wall, low, high, selection):
     """Note the contact (t, wall or pair, low, high) for `row` if it comes before the one selected for it; returns whether."""
     partner, order = selection
-    if partner[row] != NOBODY:
-        if t != order[row, TIME]:
-            if t > order[row, TIME]:
-                return False
-        elif wall != (partner[row] < 0):
-            if wall:
-                return False
-        elif low != order[row, LOW]:
-            if low > order[row, LOW]:
-                return False
-        elif high > order[row, HIGH]:
-            return False
-    order[row, TIME] = t
-    order[row, LOW] = low
-    order[row, HIGH] = high
+    before = order[row, TIME], partner[row] < 0, order[row, LOW], order[row, HIGH]
+    if partner[row] != NOBODY and before < (t, wall, low, high):
+        return False
+    order[row, TIME], order[row, LOW], order[row, HIGH] = t, low, high
     return True
 
 
@@ -95,11 +64,11 @@ def select_contacts(ids, owned, hits, selection):
 
 @kernel
 def apply_contacts(axes, segments, spheres, hits, selected_partner, rules, active, log, counts, virial):
-    """Apply the hits that both partners selected.
+    """Apply the hits that both partners selected; `rules`: loss of a pair, planes, `Rates`, periodic lengths (d,).
 
     Rows that changed, and rows with a hit that has to wait, are active in the next pass. `log` gets the owned rows of which
     this was the first contact. `counts` (3,) += collisions and wall hits, each collision counted by the owner of the lower
-    id; so is its virial, where that is wanted: `virial` (owned,) += -r.dp, else it is empty.
+    id; so is its virial -r.dp, where that is wanted: else `virial` (owned,) is empty.
     """
     x, v, start, last_partner = segments
     _, w, ids, owned = spheres
