@@ -8,8 +8,8 @@ import numpy as np
 from pydantic import ValidationError
 
 from particles_mpi.errors import SceneError
-from particles_mpi.scene.messages import faults_of
-from particles_mpi.scene.model import EffectOptions
+from particles_mpi.scene.effect import EffectOptions
+from particles_mpi.scene.model import faults_of
 from particles_mpi.scene.schema import Scene
 
 

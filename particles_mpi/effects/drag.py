@@ -5,18 +5,14 @@ import math
 import numpy as np
 
 from particles_mpi.particles import FIELDS, Array, Particles
-from particles_mpi.scene.effect import FORWARD, Damping, Needs
-from particles_mpi.scene.model import EffectOptions
-from particles_mpi.scene.schema import Scene
+from particles_mpi.scene.effect import FORWARD, Damping, EffectOptions, Needs
+from particles_mpi.scene.model import NotNegative
 
 
 class Options(EffectOptions):
     """`rate`: k (1/time) of the populations that give no `drag` of their own."""
 
-    rate: float = 0.0
-
-    def faults(self, scene: Scene) -> list[str]:
-        return [] if self.rate >= 0.0 else [f"rate: {self.rate} is negative"]
+    rate: NotNegative = 0.0
 
 
 class Effect(Damping):

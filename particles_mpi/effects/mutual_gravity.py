@@ -15,8 +15,8 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange
 from particles_mpi.parallel.signals import check_signals
 from particles_mpi.particles import Array, Particles, places_of
-from particles_mpi.scene.effect import Context, Force
-from particles_mpi.scene.model import EffectOptions
+from particles_mpi.scene.effect import Context, EffectOptions, Force
+from particles_mpi.scene.model import NotNegative
 from particles_mpi.scene.schema import Scene
 
 ACCURACY = 1e-3
@@ -31,26 +31,25 @@ class Options(EffectOptions):
     "auto", whichever costs less for a median relative error of the forces of `accuracy`, with quadrupoles.
     """
 
-    G: Annotated[float, Field(ge=0.0)] | None = None
-    softening: Annotated[float, Field(ge=0.0)] = 0.0
+    G: NotNegative | None = None
+    softening: NotNegative = 0.0
     method: Literal["direct", "tree", "auto"] = "direct"
     opening_angle: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
     multipole: Literal["quadrupole", "monopole"] = "quadrupole"
     accuracy: Annotated[float, Field(gt=0.0, le=0.1)] | None = None
 
     def faults(self, scene: Scene) -> list[str]:
-        faults = []
-        if self.method == "tree" and scene.dimension not in TREES:
-            faults.append(f'method: there is no tree in dimension {scene.dimension}; use "direct"')
-        if self.opening_angle is not None and self.method == "auto":
-            faults.append('opening_angle: method "auto" chooses it; give accuracy')
-        if self.accuracy is not None and self.method != "auto":
-            faults.append('accuracy: only with method "auto"')
-        if self.multipole == "monopole" and self.method != "tree":
-            faults.append('multipole: "monopole" only with method "tree"')
-        if any(scene.periodic):
-            faults.append("method: no images of a periodic box attract one another here; use a box that is not periodic, or none")
-        return faults
+        d, auto = scene.dimension, self.method == "auto"
+        told = {
+            f'method: there is no tree in dimension {d}; use "direct"': self.method == "tree" and d not in TREES,
+            'opening_angle: method "auto" chooses it; give accuracy': self.opening_angle is not None and auto,
+            'accuracy: only with method "auto"': self.accuracy is not None and not auto,
+            'multipole: "monopole" only with method "tree"': self.multipole == "monopole" and self.method != "tree",
+            "method: no images of a periodic box attract one another here; use a box that is not periodic, or none": any(
+                scene.periodic
+            ),
+        }
+        return [fault for fault, wrong in told.items() if wrong]
 
     def described(self, scene: Scene, total: int) -> str:
         return self.choice(scene, total).words

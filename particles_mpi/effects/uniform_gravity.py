@@ -3,8 +3,8 @@
 import numpy as np
 
 from particles_mpi.particles import Array, Particles, row_dot
-from particles_mpi.scene.effect import Force
-from particles_mpi.scene.model import EffectOptions
+from particles_mpi.scene.effect import EffectOptions, Force
+from particles_mpi.scene.model import wrong_length
 from particles_mpi.scene.schema import Scene
 
 
@@ -14,8 +14,7 @@ class Options(EffectOptions):
     acceleration: list[float]
 
     def faults(self, scene: Scene) -> list[str]:
-        n, d = len(self.acceleration), scene.dimension
-        return [] if n == d else [f"acceleration: {n} components in dimension {d}"]
+        return wrong_length("acceleration", self.acceleration, scene.dimension)
 
 
 class Effect(Force):

@@ -3,8 +3,7 @@
 import numpy as np
 
 from particles_mpi.particles import FIELDS, Array, Particles, row_dot
-from particles_mpi.scene.effect import Force, Needs
-from particles_mpi.scene.model import EffectOptions
+from particles_mpi.scene.effect import EffectOptions, Force, Needs
 from particles_mpi.scene.schema import Scene
 
 

@@ -1,15 +1,70 @@
-"""The kinds of effect: when they act, and what they need. How to write one stands in `effects/__init__.py`."""
+"""The kinds of effect: when they act, and what they need; and the files of effects, loaded when a scene names them.
+
+How to write an effect stands in `effects/__init__.py`.
+"""
 
 from __future__ import annotations
 
+import importlib.util
+import pkgutil
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from hashlib import sha256
+from pathlib import Path
+from types import ModuleType
+from typing import Any, ClassVar, NamedTuple
+
+from pydantic import ValidationInfo, field_validator
 
 from particles_mpi.particles import Array, Column, Particles, add_column
+from particles_mpi.scene.model import Fraction, Model
 
 ANY = ("leapfrog", "order4", "taylor", "adaptive")  # all integrators
 FORWARD = ("leapfrog", "taylor")  # those with one drift a step, forward in time
+PACKAGE = "particles_mpi.effects"
+OUTSIDE = "particles_mpi_effect"  # modules of effects from outside the package are called so, with a digest of their path
+
+
+class EffectOptions(Model):
+    """The keys of a table `[effects.NAME]`. An effect that is not `active` does nothing until it is switched on.
+
+    `file`: where an effect from outside the program stands, relative to the scene file.
+    """
+
+    active: bool = True
+    file: str | None = None
+
+    @classmethod
+    def effect_class(cls) -> Any:
+        """The class `Effect` of the file in which these options are defined."""
+        return vars(sys.modules[cls.__module__])["Effect"]
+
+    def build(self, scene: Any) -> Any:
+        """The effect with these options."""
+        return self.effect_class()(self, scene)
+
+    def described(self, scene: Any, total: int) -> str:
+        """How the effect is computed for `total` particles, in a few words for the plan; "" if there is only one way."""
+        return ""
+
+    def faults(self, scene: Any) -> list[str]:
+        """What is wrong with these options in this scene, each beginning with the key; [] if nothing is."""
+        return []
+
+
+class Losses(Model):
+    """What contacts take: `restitution` e (momentum is conserved), or `damping` alpha, whole velocity times sqrt(1-alpha)."""
+
+    damping: Fraction | None = None
+    restitution: Fraction | None = None
+
+    @field_validator("restitution")
+    @classmethod
+    def _one_of_both(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if value is not None and info.data.get("damping") is not None:
+            raise ValueError("give restitution or damping, not both")
+        return value
 
 
 @dataclass(frozen=True)
@@ -25,8 +80,7 @@ class Needs:
     integrators: tuple[str, ...] = ANY
 
 
-@dataclass(frozen=True)
-class Context:
+class Context(NamedTuple):
     """What there is besides a rank's own particles: the ranks, the ids of all particles, and the box.
 
     ranks: a `Ranks`; ids: an `IdRange`; timers: a `Timers`; lower, upper, length (d,): corners of the box, and its length on
@@ -159,5 +213,44 @@ class PairContacts(Effect):
     lossy: bool
 
 
-KINDS = (Force, VelocityFlow, Event, Damping, ConstantFriction, WallContacts, PairContacts)
 ONE_OF_EACH = (Damping, ConstantFriction, WallContacts, PairContacts)
+KINDS = (Force, VelocityFlow, Event, *ONE_OF_EACH)
+
+
+def effect_names() -> list[str]:
+    """The effects that come with the program: one file each in `effects/`."""
+    return sorted(module.name for module in pkgutil.iter_modules(importlib.import_module(PACKAGE).__path__))
+
+
+def load_effect(name: str, file: Path | None) -> ModuleType:
+    """The module of an effect of the program, or of a `file` of the user's, which is loaded once.
+
+    The attribute `digest` of the latter is the sha256 of its file.
+
+    Raises ValueError, one line without the key, for a file that cannot be read, fails, or does not hold the two classes.
+    """
+    if file is None:
+        return importlib.import_module(f"{PACKAGE}.{name}")
+    path = file.resolve()
+    title = f"{OUTSIDE}_{sha256(str(path).encode()).hexdigest()[:12]}_{path.stem}"
+    if title in sys.modules:
+        return sys.modules[title]
+    spec = importlib.util.spec_from_file_location(title, path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise ValueError(f"{file}: no such Python file")
+    module = sys.modules[title] = importlib.util.module_from_spec(spec)
+    module.digest = sha256(path.read_bytes()).hexdigest()  # type: ignore[attr-defined]
+    try:
+        spec.loader.exec_module(module)
+        options, effect = getattr(module, "Options", None), getattr(module, "Effect", None)
+        if not (isinstance(options, type) and issubclass(options, EffectOptions)):
+            raise ValueError("needs a class Options(EffectOptions)")
+        if not (isinstance(effect, type) and issubclass(effect, KINDS)):
+            raise ValueError("needs a class Effect that is a Force, a VelocityFlow or an Event")
+        if not isinstance(getattr(effect, "formula", None), str):
+            raise ValueError("its class Effect needs a formula, in one line")
+    except Exception as error:
+        del sys.modules[title]
+        name = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
+        raise ValueError(f"{file}: {name}{' '.join(str(error).split())}") from error
+    return module

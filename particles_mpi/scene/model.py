@@ -1,11 +1,15 @@
-"""The base of all tables of a scene file: strict, and sealed while a simulation goes by it."""
+"""The base of all tables of a scene file: strict, and sealed while a simulation goes by it; and its faults as messages."""
 
 from __future__ import annotations
 
-import sys
-from typing import Any, Self
+import difflib
+from collections.abc import Iterator
+from typing import Annotated, Any, Self, get_args
 
-from pydantic import BaseModel, ConfigDict, PrivateAttr
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError
+
+NotNegative = Annotated[float, Field(ge=0.0)]
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class Model(BaseModel):
@@ -24,34 +28,53 @@ class Model(BaseModel):
 
     def running(self) -> Self:
         """A copy, down to the tables, that a simulation goes by and that can no longer be changed."""
-        tables = {name: value.running() for name in type(self).model_fields if isinstance(value := getattr(self, name), Model)}
-        copy = self.model_copy(update=tables)
+        copy = self.model_copy(update={name: value.running() for name, value in self if isinstance(value, Model)})
         copy._running = True
         return copy
 
 
-class EffectOptions(Model):
-    """The keys of a table `[effects.NAME]`. An effect that is not `active` does nothing until it is switched on.
+def wrong_length(key: str, value: list[float], dimension: int) -> list[str]:
+    return [] if len(value) == dimension else [f"{key}: {len(value)} components in dimension {dimension}"]
 
-    `file`: where an effect from outside the program stands, relative to the scene file.
-    """
 
-    active: bool = True
-    file: str | None = None
+def suggestion(name: str, known: list[str]) -> str:
+    near = difflib.get_close_matches(name, known, 1)
+    return f" (did you mean '{near[0]}'?)" if near else f" (known: {', '.join(known)})"
 
-    @classmethod
-    def effect_class(cls) -> Any:
-        """The class `Effect` of the file in which these options are defined."""
-        return vars(sys.modules[cls.__module__])["Effect"]
 
-    def build(self, scene: Any) -> Any:
-        """The effect with these options."""
-        return self.effect_class()(self, scene)
+def key_of(location: tuple[Any, ...]) -> str:
+    text = ""
+    for part in location:
+        name = part if str(part).isprintable() else repr(part)  # a fault is one line, whatever the key
+        text += f"[{part}]" if isinstance(part, int) else f".{name}" if text else str(name)
+    return text
 
-    def described(self, scene: Any, total: int) -> str:
-        """How the effect is computed for `total` particles, in a few words for the plan; "" if there is only one way."""
-        return ""
 
-    def faults(self, scene: Any) -> list[str]:
-        """What is wrong with these options in this scene, each beginning with the key; [] if nothing is."""
-        return []
+def tables_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """The tables that an annotation names."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from tables_in(part)
+
+
+def faults_of(error: ValidationError, model: type[BaseModel], prefix: tuple[Any, ...] = ()) -> list[str]:
+    """One line a fault: `key: what is wrong`."""
+    faults = []
+    for item in error.errors():
+        place, given, kind = item["loc"], item.get("input"), item["type"]
+        key = key_of(prefix + place)
+        if kind == "value_error":
+            text = str(item["ctx"]["error"])
+            named = place and place[0] != "effects" and place != ("time",)
+            faults += [f"{key}: {text}"] if named else text.splitlines()
+        elif kind == "extra_forbidden":
+            table = next(tables_in(model.model_fields[str(place[0])].annotation)) if len(place) > 1 else model
+            known = [name for name in table.model_fields if name != "folder"]
+            faults.append(f"{key}: unknown key{suggestion(str(place[-1]), known)}")
+        else:
+            message = item["msg"].replace("Input should be", "must be").replace("Input", "input")
+            short = isinstance(given, str | float | bool) or (isinstance(given, int) and abs(given) < 10**20)
+            shown = f" (got {given!r})" if short else ""
+            faults.append(f"{key}: missing" if kind == "missing" else f"{key}: {message}{shown}")
+    return faults

@@ -2,93 +2,66 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any, Literal, Union
+
+from annotated_types import Len
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
 LARGEST = 1e100
 
 
-def is_number(value: Any) -> bool:
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        return False
+def not_too_large(value: Any) -> Any:
     if not abs(value) <= LARGEST:
         raise ValueError(
             f"{value} is not a number between -{LARGEST:g} and {LARGEST:g}, beyond which squares and products overflow"
         )
-    return True
+    return value
 
 
-def is_numbers(value: Any) -> bool:
-    return isinstance(value, list) and all(is_number(x) for x in value)
-
-
-def is_range(value: Any) -> bool:
-    return isinstance(value, dict) and set(value) == {"min", "max"} and is_number(value["min"]) and is_number(value["max"])
-
-
-def is_points(value: Any) -> bool:
-    return isinstance(value, list) and len(value) > 0 and all(is_numbers(row) for row in value)
-
-
-def is_file(value: Any) -> bool:
-    return isinstance(value, dict) and set(value) == {"file"} and isinstance(value["file"], str)
-
-
-def check_order(value: dict[str, float]) -> None:
+def in_order(value: Any) -> Any:
     if value["min"] > value["max"]:
         raise ValueError(f"min {value['min']} is above max {value['max']}")
+    return value
 
 
-def is_plummer(value: Any) -> bool:
-    return isinstance(value, dict) and set(value) == {"plummer"} and is_number(value["plummer"]) and value["plummer"] > 0
+def table(value: Any, *keys: str, check: Any = None) -> Any:
+    """A table with these keys and no others, each of which holds a `value`."""
+    return Annotated[dict[Literal[keys], value], Len(len(keys), len(keys)), check]  # type: ignore[valid-type]
 
 
-def position_given(value: Any) -> Any:
-    if value in ("random", "lattice") or is_points(value) or is_file(value) or is_plummer(value):
+def one_of(told: str, *kinds: Any) -> Any:
+    """What is of one of these kinds, and stays as it was given; `told`: what anything else is told."""
+    any_of: Any = Union[kinds]  # noqa: UP007
+    adapter: TypeAdapter[Any] = TypeAdapter(any_of, config=ConfigDict(strict=True))
+
+    def check(value: Any) -> Any:
+        try:
+            adapter.validate_python(value)
+        except ValidationError as error:
+            reasons = [str(item["ctx"]["error"]) for item in error.errors() if item["type"] == "value_error"]
+            raise ValueError(reasons[0] if reasons else told) from None
         return value
-    raise ValueError(
-        'must be "random", "lattice", a list of points [[x, y, ...], ...], {plummer = scale length > 0} or {file = "start.csv"}'
-    )
+
+    return Annotated[Any, BeforeValidator(check)]
 
 
-def velocity_given(value: Any) -> Any:
-    if value == "equilibrium" or is_points(value) or is_numbers(value) or is_file(value):
-        return value
-    if (
-        isinstance(value, dict)
-        and set(value) == {"temperature"}
-        and is_number(value["temperature"])
-        and value["temperature"] >= 0
-    ):
-        return value
-    if isinstance(value, dict) and set(value) == {"speed"}:
-        speed = value["speed"]
-        if is_number(speed) and speed >= 0:
-            return value
-        if is_range(speed) and speed["min"] >= 0:
-            check_order(speed)
-            return value
-    raise ValueError(
-        "must be [vx, vy, ...], a list of these, {speed = s}, {speed = {min = a, max = b}}, {temperature = T} (all >= 0),"
-        ' {file = "start.csv"} or, with position = {plummer = a}, "equilibrium"'
-    )
+Number = Annotated[int | float, AfterValidator(not_too_large)]
+Positive = Annotated[Number, Field(ge=0)]
+Numbers = list[Number]
+Points = Annotated[list[Numbers], Len(1)]
+File = table(str, "file")
+Range = table(Number, "min", "max", check=AfterValidator(in_order))
+Speed = table(Positive, "min", "max", check=AfterValidator(in_order))
 
-
-def scalar_or_list(value: Any) -> Any:
-    if is_range(value):
-        check_order(value)
-        return value
-    if is_number(value) or is_numbers(value):
-        return value
-    raise ValueError("must be a number, {min = a, max = b} or a list of numbers")
-
-
-def flags(value: Any) -> Any:
-    if isinstance(value, bool) or (isinstance(value, list) and all(isinstance(x, bool) for x in value)):
-        return value
-    raise ValueError("must be true, false or a list of these")
-
-
-def vector_or_rows(value: Any) -> Any:
-    if is_numbers(value) or is_points(value):
-        return value
-    raise ValueError("must be a vector [ax, ay, ...] or a list of these")
+Scalar = one_of("must be a number, {min = a, max = b} or a list of numbers", Number, Range, Numbers)
+Flags = one_of("must be true, false or a list of these", bool, list[bool])
+Vectors = one_of("must be a vector [ax, ay, ...] or a list of these", Numbers, Points)
+Position = one_of(
+    'must be "random", "lattice", a list of points [[x, y, ...], ...], {plummer = scale length > 0} or {file = "start.csv"}',
+    *(Literal["random", "lattice"], Points, File, table(Annotated[Number, Field(gt=0)], "plummer")),
+)
+Velocity = one_of(
+    "must be [vx, vy, ...], a list of these, {speed = s}, {speed = {min = a, max = b}}, {temperature = T} (all >= 0),"
+    ' {file = "start.csv"} or, with position = {plummer = a}, "equilibrium"',
+    *(Literal["equilibrium"], Points, Numbers, File, table(Positive, "temperature"), table(Positive | Speed, "speed")),
+)
