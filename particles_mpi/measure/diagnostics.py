@@ -6,11 +6,12 @@ from math import nan
 
 import numpy as np
 
+from particles_mpi.contacts.drift import COUNTS
+from particles_mpi.measure.observables import OBSERVABLES
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.particles import Array, Particles, row_dot
 
-COUNTS = ("collisions", "wall_hits", "missed", "exchanges")  # of what happened since the row before
 ROTATION_PLANES = {2: ((0, 1),), 3: ((1, 2), (2, 0), (0, 1))}  # of the components of the angular momentum, by dimension
 
 
@@ -21,20 +22,17 @@ def measure(ranks: Communicator, particles: Particles, potentials: dict[str, Arr
     the columns of `measure_gravity` are added. Sums are correctly rounded, and so the same on any number of ranks. If a movable
     particle has a potential of nan, `potential` and `total_energy` are nan.
     """
-    movable = particles.fixed == 0
+    d, movable = particles.dimension, particles.fixed == 0
     square = row_dot(particles.velocity, particles.velocity)
     momentum = particles.mass[:, None] * particles.velocity * movable[:, None]
-    columns = [0.5 * particles.mass * square * movable]
-    columns += [momentum[:, k] for k in range(particles.dimension)]
-    columns += [np.where(movable, u, 0.0) for u in potentials.values()]
-    kinetic, *sums = exact_sums(ranks, columns)
-    potential = float(sum(sums[particles.dimension :]))
+    columns = [0.5 * particles.mass * square * movable, *(momentum[:, k] for k in range(d))]
+    kinetic, *sums = exact_sums(ranks, columns + [np.where(movable, u, 0.0) for u in potentials.values()])
+    potential = float(sum(sums[d:]))
     row = {"kinetic": kinetic, "potential": potential, "total_energy": kinetic + potential}
-    names = momentum_names(particles.dimension)
-    row.update(zip(names, sums, strict=False))
+    row |= dict(zip(momentum_names(d), sums))
     row["max_speed"] = float(np.sqrt(ranks.allreduce_max(square.max(initial=0.0))[0]))
     if "mutual_gravity" in potentials:
-        row |= measure_gravity(ranks, particles, row["kinetic"], potentials["mutual_gravity"])
+        row |= measure_gravity(ranks, particles, kinetic, potentials["mutual_gravity"])
     return row
 
 
@@ -63,12 +61,6 @@ def momentum_names(dimension: int) -> list[str]:
 
 def columns(dimension: int, observables: bool = False, gravity: bool = False) -> list[str]:
     """The columns of diagnostics.csv, in order."""
-    energies = ["kinetic", "potential", "total_energy"]
-    row = ["step", "time", "particles", *energies, *momentum_names(dimension), "max_speed", *COUNTS, "imbalance"]
-    if gravity:
-        row += gravity_names(dimension)
-    if observables:
-        from particles_mpi.measure.observables import OBSERVABLES
-
-        row += OBSERVABLES
-    return row
+    row = ["step", "time", "particles", "kinetic", "potential", "total_energy", *momentum_names(dimension), "max_speed"]
+    row += [*COUNTS, "imbalance", *(gravity_names(dimension) if gravity else ())]
+    return [*row, *(OBSERVABLES if observables else ())]

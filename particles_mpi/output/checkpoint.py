@@ -46,19 +46,20 @@ def dump(path: Path, ranks: Communicator, arrays: dict[str, Array], attributes: 
     rows = allgather_rows(ranks, arrays | {"rank": np.full(len(arrays["id"]), ranks.rank)})
     with failing_together(ranks, f"cannot write {path}"):
         if ranks.is_root:
-            with replacing(path) as part, h5py.File(part, "w", locking=False) as file:
-                for name, values in rows.items():
-                    file[f"particles/{name}"] = values
-                file.attrs.update(attributes)
+            with replacing(path) as part:
+                _write(part, rows, attributes)
+
+
+def _write(path: Path, rows: dict[str, Array], attributes: dict[str, Any]) -> None:
+    with h5py.File(path, "w", locking=False) as file:
+        for name, values in rows.items():
+            file[f"particles/{name}"] = values
+        file.attrs.update(attributes)
 
 
 def _replace(path: Path, rows: dict[str, Array], attributes: dict[str, Any]) -> None:
     with replacing(path) as part:
-        with h5py.File(part, "w", locking=False) as file:
-            for name, values in rows.items():
-                file[f"particles/{name}"] = values
-            for name, value in attributes.items():
-                file.attrs[name] = value
+        _write(part, rows, attributes)
         seal = _seal(part, part.stat().st_size)
         with open(part, "ab") as written:
             written.write(seal)

@@ -47,6 +47,10 @@ if comm.rank == 0:
 """
 
 
+REINSTALL = "remove .venv and ./run.sh setup"
+MARKS = {"Open MPI": "Open MPI", "OpenRTE": "Open MPI", "Intel": "Intel MPI", "MPICH": "MPICH", "HYDRA": "MPICH"}
+
+
 class Row(NamedTuple):
     """A row of the table."""
 
@@ -91,10 +95,13 @@ def probe(ranks: int) -> dict[str, Any]:
 def report(world: int = 1) -> list[Row]:
     """All rows of the table; `world`: the number of ranks with which this process runs."""
     alone = probe(1)
+    library = Row("MPI library", alone.get("library", ""))
+    if "error" in alone:
+        library = Row("MPI library", alone["error"], f"mpi4py cannot start MPI: {REINSTALL}")
     return [
         Row("Python", f"{platform.python_version()} ({sys.executable})"),
         *(_package(name) for name in ("numpy", "numba", "scipy", "pydantic", "mpi4py")),
-        _library(alone),
+        library,
         _launcher(alone),
         _ranks(world),
         _package("h5py"),
@@ -102,8 +109,8 @@ def report(world: int = 1) -> list[Row]:
         _package("meshio"),
         _package("matplotlib", "pictures in python_viz/ and study"),
         _package("vtk", "only the tests read with it"),
-        _cores(),
-        _kernels(Path(__file__).parents[1]),
+        Row("cores", f"{usable_cores()} for this process, {os.cpu_count()} in the machine"),
+        _kernels(Path(os.environ.get("NUMBA_CACHE_DIR") or Path(__file__).parents[1])),
     ]
 
 
@@ -114,16 +121,9 @@ def _package(name: str, optional_for: str = "") -> Row:
         return Row(name, f"not installed ({optional_for})") if optional_for else Row(name, "not installed", "./run.sh setup")
 
 
-def _library(alone: dict[str, Any]) -> Row:
-    if "error" in alone:
-        return Row("MPI library", alone["error"], "mpi4py cannot start MPI: remove .venv and ./run.sh setup")
-    return Row("MPI library", alone["library"])
-
-
 def _family(text: str) -> str:
     """The MPI implementation that a version text names; hydra is the launcher of MPICH."""
-    marks = {"Open MPI": "Open MPI", "OpenRTE": "Open MPI", "Intel": "Intel MPI", "MPICH": "MPICH", "HYDRA": "MPICH"}
-    return next((family for mark, family in marks.items() if mark in text), "unknown")
+    return next((family for mark, family in MARKS.items() if mark in text), "unknown")
 
 
 def _launcher(alone: dict[str, Any]) -> Row:
@@ -146,30 +146,30 @@ def _ranks(world: int) -> Row:
     if started > 1:
         if world == started:
             return Row("ranks", f"{world} started, {world} see each other (this very run)")
-        advice = "this mpirun is of another MPI than mpi4py's: see launcher"
-        return Row("ranks", f"{started} started, but each is alone", advice)
-    if launcher() is None:
-        return Row("2-rank check", "not tried: no launcher", "see launcher")
-    pair = probe(2)
+        return Row("ranks", f"{started} started, but each is alone", "this mpirun is of another MPI than mpi4py's: see launcher")
+    return Row("2-rank check", *_pair(probe(2)) if launcher() else ("not tried: no launcher", "see launcher"))
+
+
+def _pair(pair: dict[str, Any]) -> tuple[str, str]:
+    """What two ranks have found, and what to do."""
     if "error" in pair:
-        return Row("2-rank check", pair["error"], "a 2-rank program does not run: try the launcher by hand")
+        return pair["error"], "a 2-rank program does not run: try the launcher by hand"
     if pair["size"] != 2:
-        return Row("2-rank check", f"2 started, a world of {pair['size']}", "launcher and mpi4py are of different MPIs")
+        return f"2 started, a world of {pair['size']}", "launcher and mpi4py are of different MPIs"
     if not pair["sum_right"]:
-        return Row("2-rank check", "a wrong sum over the ranks", "this MPI is broken: PARTICLES_MPI_SETUP=pip ./run.sh setup")
+        return "a wrong sum over the ranks", "this MPI is broken: PARTICLES_MPI_SETUP=pip ./run.sh setup"
     if "hdf5_error" in pair or pair.get("written") is False:
-        return Row("2-rank check", f"HDF5: {pair.get('hdf5_error', 'wrong rows')}", "remove .venv and ./run.sh setup")
-    return Row("2-rank check", "2 ranks see each other, sums right" + ", collective HDF5 write right" * ("written" in pair))
+        return f"HDF5: {pair.get('hdf5_error', 'wrong rows')}", REINSTALL
+    return "2 ranks see each other, sums right" + ", collective HDF5 write right" * ("written" in pair), ""
 
 
 def _hdf5(alone: dict[str, Any]) -> Row:
     if "hdf5_error" in alone:
-        return Row("HDF5", alone["hdf5_error"], "remove .venv and ./run.sh setup")
-    if alone.get("parallel"):
-        return Row("HDF5", f"{alone['hdf5']}, parallel: every rank writes its own rows")
-    if "hdf5" in alone:
-        return Row("HDF5", f"{alone['hdf5']}, serial: one rank gathers and writes, the files are the same")
-    return Row("HDF5", "not known: MPI does not start", "see MPI library")
+        return Row("HDF5", alone["hdf5_error"], REINSTALL)
+    if "hdf5" not in alone:
+        return Row("HDF5", "not known: MPI does not start", "see MPI library")
+    serial = "serial: one rank gathers and writes, the files are the same"
+    return Row("HDF5", f"{alone['hdf5']}, {'parallel: every rank writes its own rows' if alone['parallel'] else serial}")
 
 
 def usable_cores() -> int | None:
@@ -177,18 +177,10 @@ def usable_cores() -> int | None:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
 
 
-def _cores() -> Row:
-    return Row("cores", f"{usable_cores()} for this process, {os.cpu_count()} in the machine")
-
-
-def _kernels(package: Path) -> Row:
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    folder = Path(chosen) if chosen else package
-    compiled = sum(1 for _ in folder.rglob("*.nbi"))
-    if compiled:
+def _kernels(folder: Path) -> Row:
+    if compiled := sum(1 for _ in folder.rglob("*.nbi")):
         return Row("kernel cache", f"{compiled} compiled, in {folder}")
-    home = folder if folder.exists() else Path.home()
-    if os.access(home, os.W_OK) or os.access(Path.home(), os.W_OK):
+    if os.access(folder, os.W_OK) or os.access(Path.home(), os.W_OK):
         return Row("kernel cache", "empty: the first run compiles (./run.sh setup does it now)")
     return Row("kernel cache", f"{folder} cannot be written", "every run will compile: set NUMBA_CACHE_DIR to a folder of yours")
 
@@ -203,8 +195,7 @@ def main(rank: int = 0, size: int = 1) -> int:
     rows = report(size)
     table = Table("", "", "found", "what to do", title="particles_mpi doctor", title_justify="left", box=None, padding=(0, 1))
     for row in rows:
-        mark = "[red]NO[/]" if row.advice else "[green]ok[/]"
-        table.add_row(mark, row.what, row.found, row.advice)
+        table.add_row("[red]NO[/]" if row.advice else "[green]ok[/]", *row)
     Console(soft_wrap=False).print(table)
     return int(any(row.advice for row in rows))
 

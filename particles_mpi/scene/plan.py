@@ -76,15 +76,6 @@ def advice(scene: Scene, particles: Particles) -> list[str]:
     return lines
 
 
-def size(count: float) -> str:
-    """Bytes for people."""
-    for unit in ("B", "kB", "MB", "GB"):
-        if count < 1000:
-            return f"{count:.3g} {unit}"
-        count /= 1000
-    return f"{count:.3g} TB"
-
-
 def duration(seconds: float) -> str:
     """Seconds for people."""
     if seconds < 10.0:
