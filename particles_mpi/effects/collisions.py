@@ -1,7 +1,5 @@
 """Collisions of spheres: hard contacts with an impulse along the normal, by the operator that `mode` names."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field

@@ -28,7 +28,6 @@ class Effect(ConstantFriction):
         self.strength = options.strength
 
     def kick(self, particles: Particles, a: Array, decay: Array, push: Array, h: float, coast: float) -> None:
-        """Advance velocities over h; (decay, push) as in drag. `coast` > 0: nothing else acts, see `stopping_velocity`."""
         kick_with_friction(particles.velocity, a, particles.mass, decay, push, self.strength, h, coast)
 
 

@@ -1,7 +1,5 @@
 """Mutual gravity: every particle attracts every other, fixed ones too; those without mass feel it and do not attract."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
@@ -72,26 +70,23 @@ class Effect(Force):
         self.softening2 = options.softening**2
 
     def bind(self, context: Context) -> None:
-        """Whose particles attract: all those there are."""
-        ranks, ids = context.ranks, context.ids
-        angle = self.options.choice(self.scene, ids.total).angle
+        angle = self.options.choice(self.scene, context.ids.total).angle
         self.sum: DirectSum | TreeSum
         if angle is None:
-            self.sum = DirectSum(ranks, ids, self.softening2)
+            self.sum = DirectSum(context.ranks, context.ids, self.softening2)
         else:
             quadrupoles = self.options.multipole == "quadrupole"
-            self.sum = TreeSum(ranks, self.scene.dimension, angle, self.softening2, quadrupoles)
+            self.sum = TreeSum(context.ranks, self.scene.dimension, angle, self.softening2, quadrupoles)
 
     @property
     def interactions(self) -> int:
         return self.sum.interactions
 
     def add(self, particles: Particles, acceleration: Array) -> None:
-        """acceleration (n, d) += that of all sources. Collective."""
         acceleration += self.G * self.sum.pull(particles)
 
     def potential(self, particles: Particles) -> Array:
-        """Half of each pair's energy, all of it where the partner is fixed, whose own share nobody counts; (n,). Collective."""
+        """Half of each pair's energy, all of it where the partner is fixed, whose own share nobody counts. Collective."""
         return self.G * particles.mass * self.sum.potential(particles)
 
 

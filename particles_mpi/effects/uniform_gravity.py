@@ -28,11 +28,10 @@ class Effect(Force):
         self.periodic = np.array(scene.periodic)
 
     def add(self, particles: Particles, acceleration: Array) -> None:
-        """acceleration (n, d) += g."""
         acceleration += self.g
 
     def potential(self, particles: Particles) -> Array:
-        """-m g.x of each particle, shape (n,); not a number with a g along a periodic axis, on which there is no height."""
+        """-m g.x; not a number with a g along a periodic axis, on which there is no height."""
         if self.g[self.periodic].any():
             return np.full(len(particles), np.nan)
         return -particles.mass * row_dot(particles.position, self.g)

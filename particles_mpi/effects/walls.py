@@ -1,7 +1,5 @@
 """Walls: planes (point p, unit normal n into the free side). Contact at (x-p).n = R with v.n < 0; v -= (1+e)(v.n) n."""
 
-from __future__ import annotations
-
 from math import inf
 
 import numpy as np
@@ -73,7 +71,6 @@ class Effect(WallContacts):
         self.lossy = bool(self.planes.lossy.any())
 
     def drift(self, particles: Particles, h: float, rates: Rates) -> int:
-        """Drift over h with walls alone, while velocities change by `rates`; returns the number of wall hits. Purely local."""
         p, axes = particles, (0,) * particles.dimension
         w = p.inverse_mass if rates.alpha else np.empty(0)
         return drift_with_walls(axes, p.position, p.velocity, p.radius, w, h, tuple(self.planes), rates)

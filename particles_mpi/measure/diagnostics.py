@@ -1,7 +1,5 @@
 """The columns of `diagnostics.csv`: energies, momentum and speeds, summed exactly over the particles of all ranks."""
 
-from __future__ import annotations
-
 from math import nan
 
 import numpy as np

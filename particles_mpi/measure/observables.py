@@ -11,8 +11,6 @@ D axes, N movable particles, T in units of energy (k = 1). All are made of exact
   (Enskog; M. P. Allen and D. J. Tildesley, Computer Simulation of Liquids, 1987, for both)
 """
 
-from __future__ import annotations
-
 from math import gamma, nan, pi, sqrt
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The whole state of a simulation apart from any rank: to copy, compare, print and save it as JSON."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

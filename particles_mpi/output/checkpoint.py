@@ -7,8 +7,6 @@ Behind the HDF5 file there is a line with its length and CRC-32, which HDF5 igno
 has changed, is never taken for a state.
 """
 
-from __future__ import annotations
-
 import os
 import zlib
 from pathlib import Path

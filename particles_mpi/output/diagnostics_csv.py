@@ -1,7 +1,5 @@
 """`diagnostics.csv`: a row of sums over all particles every few steps."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What all writers share: errors of the file system on all ranks, files that are replaced as a whole, the columns of a frame."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Iterator

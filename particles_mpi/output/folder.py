@@ -1,7 +1,5 @@
 """May a run use its output folder? It is empty, or has the files of this very run, which goes on; otherwise it is refused."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Iterator

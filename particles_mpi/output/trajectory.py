@@ -5,8 +5,6 @@ all frames share one topology: particle i is cell i. With parallel HDF5 each ran
 writes all; the file is the same.
 """
 
-from __future__ import annotations
-
 import atexit
 import ctypes
 import os

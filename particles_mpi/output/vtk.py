@@ -1,7 +1,5 @@
 """The same frames as files `vtk/particles_%06d.vtu` and a list `particles.pvd`: for VisIt, and ParaView before 5.12."""
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path

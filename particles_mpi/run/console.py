@@ -1,7 +1,5 @@
 """What a user sees: the plan, a progress bar, the phase table. Printed by rank 0; plain lines where there is no terminal."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from math import isfinite

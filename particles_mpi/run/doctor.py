@@ -185,9 +185,9 @@ def _kernels(folder: Path) -> Row:
     return Row("kernel cache", f"{folder} cannot be written", "every run will compile: set NUMBA_CACHE_DIR to a folder of yours")
 
 
-def main(rank: int = 0, size: int = 1) -> int:
+def main(is_root: bool, size: int) -> int:
     """Print the table on rank 0. Exit code 0: all is right; 1: something has to be done, which the table says."""
-    if rank > 0:
+    if not is_root:
         return 0
     from rich.console import Console
     from rich.table import Table

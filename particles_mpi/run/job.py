@@ -1,7 +1,5 @@
 """One run from plan to phase table: frames, diagnostics, checkpoints, signals, `run.json`."""
 
-from __future__ import annotations
-
 import json
 import platform
 from importlib.metadata import version

@@ -3,16 +3,13 @@
 How to write an effect stands in `effects/__init__.py`.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import pkgutil
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
-from types import ModuleType
+from types import MappingProxyType, ModuleType
 from typing import Any, ClassVar, NamedTuple
 
 from pydantic import ValidationInfo, field_validator
@@ -67,15 +64,14 @@ class Losses(Model):
         return value
 
 
-@dataclass(frozen=True)
-class Needs:
+class Needs(NamedTuple):
     """What an effect needs of the program.
 
     columns: per-particle columns of its own, by name; divides_by_mass: a mass of 0 is refused; integrators: those that can
     compute it, others are refused when the scene is read.
     """
 
-    columns: Mapping[str, Column] = field(default_factory=dict)
+    columns: Mapping[str, Column] = MappingProxyType({})
     divides_by_mass: bool = False
     integrators: tuple[str, ...] = ANY
 
@@ -83,23 +79,19 @@ class Needs:
 class Context(NamedTuple):
     """What there is besides a rank's own particles: the ranks, the ids of all particles, and the box.
 
-    ranks: a `Ranks`; ids: an `IdRange`; timers: a `Timers`; lower, upper, length (d,): corners of the box, and its length on
-    periodic axes (0 on others). Any where a type would load MPI to check a scene.
+    Any where a type would load MPI to check a scene.
     """
 
-    ranks: Any
-    ids: Any
-    timers: Any
-    lower: Array
+    ranks: Any  # a `Communicator`
+    ids: Any  # an `IdRange`
+    timers: Any  # a `Timers`
+    lower: Array  # (d,): corners of the box
     upper: Array
-    length: Array
+    length: Array  # (d,): of the box on periodic axes, 0 on others
 
 
 class Effect:
-    """What all kinds of effect have in common.
-
-    role: the kind, in words, for the plan; formula: the law in one line, for the plan.
-    """
+    """What all kinds of effect have in common. For the plan: `role`, the kind in words, and `formula`, the law in one line."""
 
     role: ClassVar[str]
     formula: ClassVar[str]
@@ -118,22 +110,13 @@ class Effect:
 
 
 class Force(Effect):
-    """Adds to an acceleration, and never sets it.
-
-    place_dependent: False if the acceleration stays the same as long as nobody changes a field of the particles; it is then
-    not summed anew in each step. collective: does `add` communicate? Then all ranks call it together. g: the acceleration
-    (d,) if it is the same for every particle.
-    """
+    """Adds to an acceleration, and never sets it."""
 
     role = "force"
-    place_dependent: ClassVar[bool] = True
-    collective: ClassVar[bool] = False
-    g: Any = None
-
-    @property
-    def interactions(self) -> int:
-        """Pairs, or what is put in their place, that were computed so far: for comparisons of cost."""
-        return 0
+    place_dependent: ClassVar[bool] = True  # False: summed anew only where somebody has changed a field of the particles
+    collective: ClassVar[bool] = False  # does `add` communicate? Then all ranks call it together
+    g: Any = None  # the acceleration (d,), if it is the same for every particle
+    interactions: Any = 0  # pairs, or what is put in their place, that were computed so far: for comparisons of cost
 
     def add(self, particles: Particles, acceleration: Array) -> None:
         """acceleration (n, d) += that of this force, for the rows of this rank."""
@@ -199,7 +182,7 @@ class WallContacts(Effect):
     lossy: bool
 
     def drift(self, particles: Particles, h: float, rates: Any) -> int:
-        """Drift over h with walls alone, while velocities change by `rates`; returns the number of wall hits."""
+        """Drift over h with walls alone, while velocities change by `rates`; returns the number of wall hits. Purely local."""
         raise NotImplementedError
 
 

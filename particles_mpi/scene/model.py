@@ -1,7 +1,5 @@
 """The base of all tables of a scene file: strict, and sealed while a simulation goes by it; and its faults as messages."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterator
 from typing import Annotated, Any, Self, get_args

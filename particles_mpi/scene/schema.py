@@ -52,10 +52,7 @@ class Time(Model):
 
 
 class Population(Model):
-    """Particles that are described together; ids run through the populations in order, from 0.
-
-    Further keys are columns that effects from outside the program bring: the scene checks them.
-    """
+    """Particles that are described together. Further keys are columns that effects from outside bring: the scene checks them."""
 
     model_config = ConfigDict(extra="allow")
 

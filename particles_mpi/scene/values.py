@@ -1,7 +1,5 @@
 """What the keys of a population may hold: numbers, ranges, vectors, lists of them, names of files."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal, Union
 
 from annotated_types import Len

@@ -8,8 +8,6 @@ others, as syntax trees without docstrings and comments. A kernel is compiled ag
 imports nothing of the package, so that it runs quickly.
 """
 
-from __future__ import annotations
-
 import ast
 import json
 import sys

@@ -5,8 +5,6 @@ and on two. The test suite fails at its end if a test has compiled something tha
 be added here, usually with a new effect, operator or kernel.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Iterator
 from functools import partial
