@@ -15,8 +15,7 @@ from particles_mpi.integrators.accelerations import Accelerations
 from particles_mpi.integrators.choice import integrator_of
 from particles_mpi.integrators.step_to_contact import step_to_contact
 from particles_mpi.integrators.velocity_flow import Kick
-from particles_mpi.measure.diagnostics import measure
-from particles_mpi.measure.observables import observe
+from particles_mpi.measure.diagnostics import measure, observe
 from particles_mpi.measure.watchdog import WATCH_EVERY, Watchdog
 from particles_mpi.parallel.agreement import raising_together, require_finite, same_on_all
 from particles_mpi.parallel.communicator import Communicator

@@ -1,15 +1,27 @@
-"""The columns of `diagnostics.csv`: energies, momentum and speeds, summed exactly over the particles of all ranks."""
+"""The columns of `diagnostics.csv`: energies, momentum, speeds and observables, of sums that are exact on any number of ranks.
 
-from math import nan
+Observables of a gas of spheres: D axes, N movable particles, T in units of energy (k = 1); rates since they were last computed.
+
+- temperature: sum m (v - V)^2 / (D (N - 1)), with V the velocity of the centre of mass
+- moment_ratio: <v^4>/<v^2>^2 of v - V; Maxwell-Boltzmann gives (1 + 2/D) n/(n + 2), n = D (N - 1)
+- packing: volume of all spheres over that of the box
+- collision_rate: Gamma = 2 C/(N t), collisions of a particle in unit time; free_time 1/Gamma, free_path <|v - V|>/Gamma
+- z_virial: p V/(N T) = 1 + sum(-r.dp)/(D N T t) over the collisions, r from partner to partner, dp the momentum it gives
+- z_rate: 1 + sigma Gamma sqrt(pi m/T)/(2 D), for equal spheres of diameter sigma and mass m; nan for others
+  (Enskog; M. P. Allen and D. J. Tildesley, Computer Simulation of Liquids, 1987, for both)
+"""
+
+from math import gamma, nan, pi, sqrt
+from typing import Any
 
 import numpy as np
 
 from particles_mpi.contacts.drift import COUNTS
-from particles_mpi.measure.observables import OBSERVABLES
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.particles import Array, Particles, row_dot
 
+OBSERVABLES = ("temperature", "moment_ratio", "packing", "collision_rate", "free_time", "free_path", "z_virial", "z_rate")
 ROTATION_PLANES = {2: ((0, 1),), 3: ((1, 2), (2, 0), (0, 1))}  # of the components of the angular momentum, by dimension
 
 
@@ -62,3 +74,42 @@ def columns(dimension: int, observables: bool = False, gravity: bool = False) ->
     row = ["step", "time", "particles", "kinetic", "potential", "total_energy", *momentum_names(dimension), "max_speed"]
     row += [*COUNTS, "imbalance", *(gravity_names(dimension) if gravity else ())]
     return [*row, *(OBSERVABLES if observables else ())]
+
+
+def observe(
+    ranks: Communicator, p: Particles, volume: float, time: float, collisions: int, since: list[float]
+) -> dict[str, float]:
+    """The observables, with rates over the interval since `since` = [time, collisions, virial], which is updated. Collective.
+
+    `collisions`: of all ranks since the start; `volume`: of the box, nan without one. What is not defined is nan.
+    """
+    d, movable = p.dimension, p.fixed == 0
+    m = p.mass * movable
+    columns = [m, movable.astype(float), *[m * p.velocity[:, k] for k in range(d)], p.virial, p.radius**d]
+    mass, count, *momentum, virial, balls = exact_sums(ranks, columns)
+    whole = np.array(momentum) / mass if mass > 0.0 else np.zeros(d)
+    own = p.velocity - whole
+    square = row_dot(own, own)
+    largest, minus_smallest, heaviest, minus_lightest = ranks.allreduce_max(
+        np.array([part.max(initial=-np.inf) for q in (p.radius, p.mass) for part in (q[movable], -q[movable])], float)
+    )
+    heat, second, fourth, speed = exact_sums(
+        ranks, [m * square, square * movable, square**2 * movable, np.sqrt(square) * movable]
+    )
+    lasted, happened, given = time - since[0], collisions - since[1], virial - since[2]
+    since[:] = time, float(collisions), virial
+    row: dict[str, Any] = dict.fromkeys(OBSERVABLES, nan)
+    row["packing"] = balls * pi ** (d / 2) / gamma(d / 2 + 1) / volume
+    if count < 2 or not heat > 0.0:
+        return row
+    temperature = row["temperature"] = heat / (d * (count - 1.0))
+    row["moment_ratio"] = fourth * count / second**2
+    if not lasted > 0.0:
+        return row
+    rate = row["collision_rate"] = 2.0 * happened / (count * lasted)
+    row["z_virial"] = 1.0 + given / (d * count * temperature * lasted)
+    if rate > 0.0:
+        row["free_time"], row["free_path"] = 1.0 / rate, speed / count / rate
+    if largest == -minus_smallest and heaviest == -minus_lightest:
+        row["z_rate"] = 1.0 + 2.0 * float(largest) * rate * sqrt(pi * float(heaviest) / temperature) / (2.0 * d)
+    return row

@@ -17,8 +17,19 @@ from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, Validation
 from particles_mpi.errors import SceneError
 from particles_mpi.particles import Array
 from particles_mpi.scene.effect import ONE_OF_EACH, effect_names, load_effect
-from particles_mpi.scene.model import Model, NotNegative, faults_of, key_of, suggestion, wrong_length
-from particles_mpi.scene.values import Flags, Position, Scalar, Vectors, Velocity
+from particles_mpi.scene.model import (
+    Flags,
+    Model,
+    NotNegative,
+    Position,
+    Scalar,
+    Vectors,
+    Velocity,
+    faults_of,
+    key_of,
+    suggestion,
+    wrong_length,
+)
 
 TOLERANCES = 1e-12, 1e-3  # of `adaptive`, smallest and largest: below, round-off of the forces alone is more
 
