@@ -97,33 +97,29 @@ class DirectSum:
         self.ranks, self.ids, self.softening2 = ranks, ids, softening2
         self.interactions = 0  # so far
 
-    def pull(self, particles: Particles) -> Array:
+    def sources(self, p: Particles, mass: Array) -> Iterator[tuple[Array, Array, Array]]:
+        """(ids, positions, masses) of all, as many at once as take some tenths of a second, so that Ctrl-C is heard."""
+        each = max(1, PAIRS // max(len(p), 1))
+        for block in blocks(self.ranks, {"id": p.id, "position": p.position, "mass": mass}, self.ids):
+            for first in range(0, len(block["mass"]), each):
+                check_signals()
+                some = slice(first, first + each)
+                yield block["id"][some], block["position"][some], block["mass"][some]
+
+    def pull(self, p: Particles) -> Array:
         """Accelerations (n, d). Collective."""
-        columns = {name: particles[name] for name in ("id", "position", "mass")}
-        pull, axes = np.zeros_like(particles.position), (0,) * particles.dimension
-        for block in blocks(self.ranks, columns, self.ids):
-            for some in pieces(len(particles), len(block["mass"])):
-                attract(axes, particles.position, block["position"][some], block["mass"][some], self.softening2, pull)
-        self.interactions += len(particles) * self.ids.total
+        pull = np.zeros_like(p.position)
+        for _, x, mass in self.sources(p, p.mass):
+            attract((0,) * p.dimension, p.position, x, mass, self.softening2, pull)
+        self.interactions += len(p) * self.ids.total
         return pull
 
     def potential(self, p: Particles) -> Array:
         """Potential (n,), that of movable sources by half. Collective."""
-        columns = {"id": p.id, "position": p.position, "mass": halved(p)}
-        total, axes = np.zeros(len(p)), (0,) * p.dimension
-        for block in blocks(self.ranks, columns, self.ids):
-            for some in pieces(len(p), len(block["mass"])):
-                sources = block["position"][some], block["mass"][some], block["id"][some]
-                add_potential(axes, p.position, p.id, *sources, self.softening2, total)
+        total = np.zeros(len(p))
+        for ids, x, mass in self.sources(p, halved(p)):
+            add_potential((0,) * p.dimension, p.position, p.id, x, mass, ids, self.softening2, total)
         return total
-
-
-def pieces(targets: int, sources: int) -> Iterator[slice]:
-    """The sources in turn, as many at once as take some tenths of a second, so that Ctrl-C is heard in between."""
-    each = max(1, PAIRS // max(targets, 1))
-    for first in range(0, sources, each):
-        check_signals()
-        yield slice(first, first + each)
 
 
 class TreeSum:

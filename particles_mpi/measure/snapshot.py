@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.errors import SceneError
-from particles_mpi.output.files import failing_together, replacing
+from particles_mpi.output.files import write_text
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.particles import FIELDS, Array, Particles, rows_of
@@ -55,10 +55,7 @@ def save_json(path: Path, ranks: Communicator, particles: Particles, metadata: d
     all_ = gather_all(ranks, particles)
     columns = {name: {"dtype": str(column.dtype), "values": _plain(column)} for name, column in all_.arrays.items()}
     text = json.dumps({"format": FORMAT, **metadata, "particles": columns}, indent=indent, allow_nan=False) + "\n"
-    with failing_together(ranks, f"cannot write {path}"):
-        if ranks.is_root:
-            with replacing(path) as part:
-                part.write_text(text)
+    write_text(path, ranks, text)
 
 
 def _plain(column: Array) -> list[Any]:

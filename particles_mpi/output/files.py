@@ -134,30 +134,30 @@ def mpi_io_errors() -> Iterator[None]:
         raise failure
 
 
-def frame_columns(name: str, dimension: int) -> dict[str, tuple[int, ...]]:
-    """The columns in a frame for a field: {name: shape of one row}.
+def frame_arrays(arrays: dict[str, Array], dimension: int) -> dict[str, Array]:
+    """The columns of a frame for the rows of `arrays`: contiguous arrays, with the same bits as the values given.
 
     Viewers know three axes, so vectors have three components, with z = 0 in two dimensions. Beyond three dimensions these are the
     first three, and a second column has all of them: `position`, `velocity_full`, `acceleration_full`.
     """
-    if not FIELDS[name].vector:
-        return {name: ()}
-    columns: dict[str, tuple[int, ...]] = {"Points" if name == "position" else name: (3,)}
-    if dimension > 3:
-        columns[name if name == "position" else f"{name}_full"] = (dimension,)
-    return columns
-
-
-def frame_arrays(arrays: dict[str, Array], dimension: int) -> dict[str, Array]:
-    """The columns of `frame_columns` for the rows of `arrays`: contiguous arrays, with the same bits as the values given."""
     columns = {}
     for name, values in arrays.items():
-        for column, width in frame_columns(name, dimension).items():
-            columns[column] = np.ascontiguousarray(values, FIELDS[name].dtype)
-            if width == (3,) and dimension != 3:
-                columns[column] = np.zeros((len(values), 3))
-                columns[column][:, : min(dimension, 3)] = values[:, :3]
+        whole, shown = np.ascontiguousarray(values, FIELDS[name].dtype), "Points" if name == "position" else name
+        columns[shown] = whole
+        if FIELDS[name].vector and dimension != 3:
+            columns[shown] = np.zeros((len(values), 3))
+            columns[shown][:, :dimension] = whole[:, :3]
+            if dimension > 3:
+                columns[name if name == "position" else f"{name}_full"] = whole
     return columns
+
+
+def write_text(path: Path, ranks: Communicator, text: str) -> None:
+    """A text file, replaced as a whole by rank 0. Collective."""
+    with failing_together(ranks, f"cannot write {path}"):
+        if ranks.is_root:
+            with replacing(path) as part:
+                part.write_text(text)
 
 
 def sync_folder(folder: Path) -> None:

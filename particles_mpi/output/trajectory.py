@@ -22,13 +22,12 @@ from particles_mpi.output.files import (
     check_last,
     failing_together,
     frame_arrays,
-    frame_columns,
     mpi_io_errors,
     replacing,
 )
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
-from particles_mpi.particles import FIELDS, Array, field
+from particles_mpi.particles import Array, Particles, field
 
 KINDS = ("Vertices", "Lines", "Polygons", "Strips")  # of cells: particles are vertices, there are no others
 PARTS = ("NumberOfPoints", *(f"{kind}/{what}" for kind in KINDS for what in ("NumberOfCells", "NumberOfConnectivityIds")))
@@ -66,9 +65,9 @@ class Trajectory(Continuing):
     ):
         self.dimension, self.held = dimension, total if held is None else held
         self.fields = [name for name in particles_fields if field(name).output]
-        columns = {c: (w, FIELDS[name].dtype) for name in self.fields for c, w in frame_columns(name, dimension).items()}
-        self.places = {name: name if name == "Points" else f"PointData/{name}" for name in columns}
-        self.columns = {self.places[name]: of for name, of in columns.items()}  # (shape of a row, dtype) by place in the file
+        frame = frame_arrays(Particles.empty(dimension, self.fields).arrays, dimension)
+        self.places = {name: name if name == "Points" else f"PointData/{name}" for name in frame}
+        self.columns = {self.places[name]: (rows.shape[1:], rows.dtype) for name, rows in frame.items()}
         self.parallel = ranks.size > 1 and bool(h5py.get_config().mpi)
         self.datasets: dict[str, Any] = {}
         self.frames, self.parts, self.points = 0, [total], 0  # so far; N of each part; rows of all frames
@@ -103,9 +102,9 @@ class Trajectory(Continuing):
             self._attempt(step, self._append, self.places[name], first, frame[name])
         self._attempt(step, self._append_step, step, time)
         # the count is raised after all that it counts has left this process: the file of a killed run is readable
-        self._attempt(step, self._flush)
-        self._attempt(step, self._raise_count)
-        self._attempt(step, self._flush)
+        self._attempt(step, lambda: self.file.flush())
+        self._attempt(step, lambda: self.file["VTKHDF/Steps"].attrs.modify("NSteps", np.int64(self.frames + 1)))
+        self._attempt(step, lambda: self.file.flush())
         self.frames += 1
         self.points += ids.total
 
@@ -129,12 +128,6 @@ class Trajectory(Continuing):
             if self.file is not None:
                 atexit.register(_leave)
             raise
-
-    def _raise_count(self) -> None:
-        self.file["VTKHDF/Steps"].attrs.modify("NSteps", np.int64(self.frames + 1))
-
-    def _flush(self) -> None:
-        self.file.flush()
 
     def _append(self, place: str, first: int, values: Array) -> None:
         """Write this rank's rows of a column, from row `first` on. Ranks without rows take part too: the call is collective."""
@@ -219,8 +212,8 @@ class Trajectory(Continuing):
             for extra, what in enumerate(CELLS):
                 rows = (total if kind == "Vertices" else 0) + extra
                 _dataset(group, f"{kind}/{what}", (rows,), "int64", chunk)[:] = np.arange(rows)
-        for place, (width, dtype, fill) in STEPS.items():
-            _dataset(group, place, (0, *width), dtype, STEPS_CHUNK, fill=fill)
+        for place, (width, kind, fill) in STEPS.items():
+            _dataset(group, place, (0, *width), kind, STEPS_CHUNK, fill=fill)
         group["Steps"].attrs["NSteps"] = np.int64(0)
         for place in self.columns.keys() - {"Points"}:  # all columns begin where the points do: hard links to one dataset
             group[place.replace("PointData/", "Steps/PointDataOffsets/")] = group["Steps/PointOffsets"]
@@ -233,17 +226,10 @@ def _leave() -> None:
     os._exit(StoppedError.exit_code)
 
 
-def _dataset(group: Any, name: str, shape: tuple[int, ...], dtype: str, chunk: int, fill: int | None = None) -> Any:
+def _dataset(group: Any, name: str, shape: tuple[int, ...], dtype: Any, chunk: int, fill: int | None = None) -> Any:
     """Make a chunked, resizable dataset. Without a fill value new chunks are not written before the data is."""
     properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)  # parallel writing needs it, and a file made serially lacks it
-    return group.create_dataset(
-        name,
-        shape,
-        dtype,
-        chunks=(chunk, *shape[1:]),
-        maxshape=(None, *shape[1:]),
-        fillvalue=fill,
-        fill_time="never" if fill is None else "alloc",
-        dcpl=properties,
-    )
+    sizes = {"chunks": (chunk, *shape[1:]), "maxshape": (None, *shape[1:])}
+    filled = {"fillvalue": fill, "fill_time": "never" if fill is None else "alloc"}
+    return group.create_dataset(name, shape, dtype, dcpl=properties, **sizes, **filled)

@@ -65,11 +65,6 @@ def launcher() -> str | None:
     return shutil.which("mpirun", path=path) or shutil.which("mpiexec", path=path)
 
 
-def started_ranks() -> int:
-    """How many processes the launcher started, by its environment variables; 1 without a launcher."""
-    return max(int(os.environ.get(name, 1)) for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE"))
-
-
 def probe(ranks: int) -> dict[str, Any]:
     """Start `ranks` processes (1: without a launcher) that try MPI and HDF5; their answer, or {"error": ...}."""
     start = [str(launcher()), "-n", str(ranks)] if ranks > 1 else []
@@ -142,7 +137,7 @@ def _launcher(alone: dict[str, Any]) -> Row:
 
 def _ranks(world: int) -> Row:
     """Do ranks see each other: those of this run if there are several, otherwise two that are started for it."""
-    started = max(started_ranks(), world)
+    started = max(world, *(int(os.environ.get(name, 1)) for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")))
     if started > 1:
         if world == started:
             return Row("ranks", f"{world} started, {world} see each other (this very run)")

@@ -16,7 +16,7 @@ from particles_mpi.measure.snapshot import METADATA
 from particles_mpi.measure.watchdog import WATCH_EVERY
 from particles_mpi.output import checkpoint
 from particles_mpi.output.diagnostics_csv import Diagnostics
-from particles_mpi.output.files import failing_together, replacing
+from particles_mpi.output.files import write_text
 from particles_mpi.output.folder import claim
 from particles_mpi.parallel.agreement import await_all, same_on_all
 from particles_mpi.parallel.communicator import mpi_library
@@ -51,7 +51,7 @@ class Job:
     ):
         self.sim, self.folder, self.resumed = sim, folder, resumed
         self.scene, self.ranks = sim.scene, sim.ranks
-        self.limit = steps
+        self.last = sim.last_step if steps is None else steps  # number of the step with which the job ends
         self.setup_began = perf_counter() if setup_began is None else setup_began
         options = {"output": str(folder), "steps": self.last, "overwrite": overwrite, "resume": resumed, "wall-time": wall_time}
         same_on_all(self.ranks, {f"--{name}": value for name, value in options.items()})
@@ -65,11 +65,6 @@ class Job:
         self.continues = claim(folder, self.ranks, self.scene.to_dict(), resumed, overwrite)
         self.written = sim.written = sim.written if self.continues else {"row": -1, "frame": -1}
         self._open()
-
-    @property
-    def last(self) -> int:
-        """The number of the step with which the job ends."""
-        return self.sim.last_step if self.limit is None else self.limit
 
     def _open(self) -> None:
         """The writers that the scene asks for; all have looked at their files before the first one changes its own."""
@@ -141,7 +136,9 @@ class Job:
             await_all(self.ranks, error)  # to close a file would wait for ranks that have no error
             self.close()
             if isinstance(error, StateError) and not self.rehearsal:
-                raise StateError(f"{error}; {self.keep_for_inspection(str(error))}") from None
+                path = self.folder / "stopped.h5"
+                checkpoint.dump(path, self.ranks, sim.rows.arrays, {"step": sim.steps_done, "error": str(error)})
+                raise StateError(f"{error}; all rows are in {path}, the last checkpoint is untouched") from None
             raise
         finally:
             self.screen.stop()
@@ -197,12 +194,6 @@ class Job:
             state = {name: json.dumps(value) for name, value in told.items()} | {"step": metadata["step"], "time": sim.time}
             checkpoint.save(self.folder / "checkpoint.h5", self.ranks, sim.rows.arrays, sim.ids, self.scene.dimension, state)
 
-    def keep_for_inspection(self, error: str) -> str:
-        """All rows as they are, and what is wrong with them, in a file of its own; says where."""
-        path = self.folder / "stopped.h5"
-        checkpoint.dump(path, self.ranks, self.sim.rows.arrays, {"step": self.sim.steps_done, "error": error})
-        return f"all rows are in {path}, the last checkpoint is untouched"
-
     def close(self) -> None:
         """Close every file."""
         for writer in (*self.frames, self.diagnostics):
@@ -224,9 +215,7 @@ class Job:
             say(f"{windows} windows of time verified by the ranks, {redone} redone ({100 * redone / windows:.1f} %)")
         for remark in remarks:
             say(remark)
-        with failing_together(self.ranks, f"cannot write {f / 'run.json'}"):
-            if self.ranks.is_root:
-                self.write_json(timers, traffic, remarks)
+        write_text(f / "run.json", self.ranks, json.dumps(self.told(timers, traffic, remarks), indent=2) + "\n")
         if "hdf5" in self.scene.output.formats:
             say(f"ParaView >= 5.13: {f}/trajectory.vtkhdf")
         if "vtk" in self.scene.output.formats:
@@ -243,12 +232,12 @@ class Job:
             result |= {name: here[name] for name in ("windows", "windows_redone")}
         return result | {"reductions": self.ranks.reductions, "pair_searches": here["pair_searches"]}
 
-    def write_json(self, timers: dict[str, Any], counts: dict[str, int], remarks: list[str]) -> None:
-        """run.json, replaced as a whole."""
+    def told(self, timers: dict[str, Any], counts: dict[str, int], remarks: list[str]) -> dict[str, Any]:
+        """What run.json says."""
         calls = self.sim.calls
         effects = [row | {"calls": calls.get(row["effect"], 0)} for row in self.plan["effects"]]
         not_run = [{"effect": name, "calls": calls.get(name, 0)} for name in self.plan["not_run"]]
-        text = {
+        return {
             "scene": self.scene.to_dict(),
             "plan": self.plan | {"effects": effects, "not_run": not_run},
             "ranks": self.ranks.size,
@@ -257,5 +246,3 @@ class Job:
             "remarks": remarks,
             "counts": {"steps": self.sim.steps_done, **counts},
         }
-        with replacing(self.folder / "run.json") as part:
-            part.write_text(json.dumps(text, indent=2) + "\n")
