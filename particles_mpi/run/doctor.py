@@ -1,8 +1,7 @@
 """What is installed, whether it works together, and what to do if not.
 
-Nothing that needs MPI or HDF5 is imported in this process: small programs are started which do that and answer in JSON, so that a
-library that is broken, or hangs, becomes a row of the table and does not end the doctor. `python particles_mpi/run/doctor.py`
-works before the package is installed: run.sh checks the installation with it.
+Nothing that needs MPI or HDF5 is imported here: small programs do that and answer in JSON, so that a library that is broken, or
+hangs, becomes a row of the table. run.sh checks an installation with `python particles_mpi/run/doctor.py`, before any other.
 """
 
 import json
@@ -14,7 +13,7 @@ import sys
 import tempfile
 from importlib import metadata
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 PROBE_SECONDS = 60
 
@@ -50,13 +49,7 @@ if comm.rank == 0:
 REINSTALL = "remove .venv and ./run.sh setup"
 MARKS = {"Open MPI": "Open MPI", "OpenRTE": "Open MPI", "Intel": "Intel MPI", "MPICH": "MPICH", "HYDRA": "MPICH"}
 
-
-class Row(NamedTuple):
-    """A row of the table."""
-
-    what: str
-    found: str
-    advice: str = ""  # what to do; empty if all is right
+Answer = tuple[str, str]  # what was found, and what to do about it: empty if all is right
 
 
 def launcher() -> str | None:
@@ -87,33 +80,31 @@ def probe(ranks: int) -> dict[str, Any]:
     return {"error": (raised or said)[0], "stderr": answer.stderr}
 
 
-def report(world: int = 1) -> list[Row]:
+def report(world: int) -> list[tuple[str, Answer]]:
     """All rows of the table; `world`: the number of ranks with which this process runs."""
     alone = probe(1)
-    library = Row("MPI library", alone.get("library", ""))
-    if "error" in alone:
-        library = Row("MPI library", alone["error"], f"mpi4py cannot start MPI: {REINSTALL}")
+    here = alone.get("library", alone.get("error", "")), f"mpi4py cannot start MPI: {REINSTALL}" if "error" in alone else ""
     return [
-        Row("Python", f"{platform.python_version()} ({sys.executable})"),
-        *(_package(name) for name in ("numpy", "numba", "scipy", "pydantic", "mpi4py")),
-        library,
-        _launcher(alone),
+        ("Python", (f"{platform.python_version()} ({sys.executable})", "")),
+        *((name, _package(name)) for name in ("numpy", "numba", "scipy", "pydantic", "mpi4py")),
+        ("MPI library", here),
+        ("launcher", _launcher(alone)),
         _ranks(world),
-        _package("h5py"),
-        _hdf5(alone),
-        _package("meshio"),
-        _package("matplotlib", "pictures in python_viz/ and study"),
-        _package("vtk", "only the tests read with it"),
-        Row("cores", f"{usable_cores()} for this process, {os.cpu_count()} in the machine"),
-        _kernels(Path(os.environ.get("NUMBA_CACHE_DIR") or Path(__file__).parents[1])),
+        ("h5py", _package("h5py")),
+        ("HDF5", _hdf5(alone)),
+        ("meshio", _package("meshio")),
+        ("matplotlib", _package("matplotlib", "pictures in python_viz/ and study")),
+        ("vtk", _package("vtk", "only the tests read with it")),
+        ("cores", (f"{usable_cores()} for this process, {os.cpu_count()} in the machine", "")),
+        ("kernel cache", _kernels(Path(os.environ.get("NUMBA_CACHE_DIR") or Path(__file__).parents[1]))),
     ]
 
 
-def _package(name: str, optional_for: str = "") -> Row:
+def _package(name: str, optional_for: str = "") -> Answer:
     try:
-        return Row(name, metadata.version(name))
+        return metadata.version(name), ""
     except metadata.PackageNotFoundError:
-        return Row(name, f"not installed ({optional_for})") if optional_for else Row(name, "not installed", "./run.sh setup")
+        return (f"not installed ({optional_for})", "") if optional_for else ("not installed", "./run.sh setup")
 
 
 def _family(text: str) -> str:
@@ -121,32 +112,31 @@ def _family(text: str) -> str:
     return next((family for mark, family in MARKS.items() if mark in text), "unknown")
 
 
-def _launcher(alone: dict[str, Any]) -> Row:
+def _launcher(alone: dict[str, Any]) -> Answer:
     path = launcher()
     if path is None:
-        return Row("launcher", "no mpirun or mpiexec found", "install an MPI, or: PARTICLES_MPI_SETUP=pip ./run.sh setup")
+        return "no mpirun or mpiexec found", "install an MPI, or: PARTICLES_MPI_SETUP=pip ./run.sh setup"
     try:
         said = subprocess.run([path, "--version"], capture_output=True, text=True, timeout=PROBE_SECONDS)
     except (OSError, subprocess.TimeoutExpired) as error:
-        return Row("launcher", f"{path}: {error}", "this launcher does not start")
+        return f"{path}: {error}", "this launcher does not start"
     ours, theirs = _family(said.stdout + said.stderr), _family(alone.get("library", ""))
     if "unknown" in (ours, theirs) or ours == theirs:
-        return Row("launcher", f"{path} ({ours})")
-    return Row("launcher", f"{path} belongs to {ours}, mpi4py to {theirs}", f"start with the mpirun of {theirs}")
+        return f"{path} ({ours})", ""
+    return f"{path} belongs to {ours}, mpi4py to {theirs}", f"start with the mpirun of {theirs}"
 
 
-def _ranks(world: int) -> Row:
+def _ranks(world: int) -> tuple[str, Answer]:
     """Do ranks see each other: those of this run if there are several, otherwise two that are started for it."""
     started = max(world, *(int(os.environ.get(name, 1)) for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")))
-    if started > 1:
-        if world == started:
-            return Row("ranks", f"{world} started, {world} see each other (this very run)")
-        return Row("ranks", f"{started} started, but each is alone", "this mpirun is of another MPI than mpi4py's: see launcher")
-    return Row("2-rank check", *_pair(probe(2)) if launcher() else ("not tried: no launcher", "see launcher"))
+    if started > world:
+        return "ranks", (f"{started} started, but each is alone", "this mpirun is of another MPI than mpi4py's: see launcher")
+    if world > 1:
+        return "ranks", (f"{world} started, {world} see each other (this very run)", "")
+    return "2-rank check", _pair(probe(2)) if launcher() else ("not tried: no launcher", "see launcher")
 
 
-def _pair(pair: dict[str, Any]) -> tuple[str, str]:
-    """What two ranks have found, and what to do."""
+def _pair(pair: dict[str, Any]) -> Answer:
     if "error" in pair:
         return pair["error"], "a 2-rank program does not run: try the launcher by hand"
     if pair["size"] != 2:
@@ -158,26 +148,26 @@ def _pair(pair: dict[str, Any]) -> tuple[str, str]:
     return "2 ranks see each other, sums right" + ", collective HDF5 write right" * ("written" in pair), ""
 
 
-def _hdf5(alone: dict[str, Any]) -> Row:
+def _hdf5(alone: dict[str, Any]) -> Answer:
     if "hdf5_error" in alone:
-        return Row("HDF5", alone["hdf5_error"], REINSTALL)
+        return alone["hdf5_error"], REINSTALL
     if "hdf5" not in alone:
-        return Row("HDF5", "not known: MPI does not start", "see MPI library")
+        return "not known: MPI does not start", "see MPI library"
     serial = "serial: one rank gathers and writes, the files are the same"
-    return Row("HDF5", f"{alone['hdf5']}, {'parallel: every rank writes its own rows' if alone['parallel'] else serial}")
+    return f"{alone['hdf5']}, {'parallel: every rank writes its own rows' if alone['parallel'] else serial}", ""
+
+
+def _kernels(folder: Path) -> Answer:
+    if compiled := sum(1 for _ in folder.rglob("*.nbi")):
+        return f"{compiled} compiled, in {folder}", ""
+    if os.access(folder, os.W_OK) or os.access(Path.home(), os.W_OK):
+        return "empty: the first run compiles (./run.sh setup does it now)", ""
+    return f"{folder} cannot be written", "every run will compile: set NUMBA_CACHE_DIR to a folder of yours"
 
 
 def usable_cores() -> int | None:
     """The number of cores on which this process may run."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-
-
-def _kernels(folder: Path) -> Row:
-    if compiled := sum(1 for _ in folder.rglob("*.nbi")):
-        return Row("kernel cache", f"{compiled} compiled, in {folder}")
-    if os.access(folder, os.W_OK) or os.access(Path.home(), os.W_OK):
-        return Row("kernel cache", "empty: the first run compiles (./run.sh setup does it now)")
-    return Row("kernel cache", f"{folder} cannot be written", "every run will compile: set NUMBA_CACHE_DIR to a folder of yours")
 
 
 def main(is_root: bool, size: int) -> int:
@@ -189,10 +179,10 @@ def main(is_root: bool, size: int) -> int:
 
     rows = report(size)
     table = Table("", "", "found", "what to do", title="particles_mpi doctor", title_justify="left", box=None, padding=(0, 1))
-    for row in rows:
-        table.add_row("[red]NO[/]" if row.advice else "[green]ok[/]", *row)
+    for what, (found, advice) in rows:
+        table.add_row("[red]NO[/]" if advice else "[green]ok[/]", what, found, advice)
     Console(soft_wrap=False).print(table)
-    return int(any(row.advice for row in rows))
+    return int(any(advice for _, (_, advice) in rows))
 
 
 if __name__ == "__main__":  # for run.sh: what two ranks see, as JSON

@@ -28,13 +28,24 @@ class Model(BaseModel):
 
     def running(self) -> Self:
         """A copy, down to the tables, that a simulation goes by and that can no longer be changed."""
-        copy = self.model_copy(update={name: value.running() for name, value in self if isinstance(value, Model)})
+        copy = self.model_copy(update={name: sealed(value) for name, value in self})
         copy._running = True
         return copy
 
 
-def wrong_length(key: str, value: list[float], dimension: int) -> list[str]:
-    return [] if len(value) == dimension else [f"{key}: {len(value)} components in dimension {dimension}"]
+def sealed(value: Any) -> Any:
+    """A value of a table, with `running` copies of the tables in it."""
+    if isinstance(value, dict):
+        return {name: sealed(inner) for name, inner in value.items()}
+    return value.running() if isinstance(value, Model) else value
+
+
+def wrong_length(key: str, value: Any, dimension: int) -> list[str]:
+    """A fault for a vector, or each of a list of them, that has other components than there are axes."""
+    if isinstance(value, list) and value and isinstance(value[0], list):
+        return [fault for i, row in enumerate(value) for fault in wrong_length(f"{key}[{i}]", row, dimension)]
+    wrong = isinstance(value, list) and len(value) != dimension
+    return [f"{key}: {len(value)} components in dimension {dimension}"] if wrong else []
 
 
 def suggestion(name: str, known: list[str]) -> str:

@@ -7,9 +7,8 @@ length of a step) is judged in `populate`.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError, ValidationInfo, model_validator
@@ -78,13 +77,16 @@ class Population(Model):
 
 
 class Output(Model):
-    """What is written, and how often (in steps)."""
+    """What is written, and how often (in steps); may be changed while a simulation goes by it."""
 
     every: Annotated[int, Field(ge=1)] = 100
     formats: list[Literal["hdf5", "vtk"]] = Field(default=["hdf5", "vtk"])
     checkpoint_every: Annotated[int, Field(ge=1)] = 1000
     diagnostics_every: Annotated[int, Field(ge=1)] = 10
     observables: bool = False
+
+    def running(self) -> Self:
+        return self.model_copy()
 
 
 def _effects(value: Any, info: ValidationInfo) -> dict[str, Any]:
@@ -177,13 +179,6 @@ class Scene(Model):
         flags = self.box.periodic if self.box else False
         return flags if isinstance(flags, list) else [flags] * self.dimension
 
-    def running(self) -> Scene:
-        """The same of a scene; what is written, and how often, may still be changed."""
-        effects = {name: options.running() for name, options in self.effects.items()}
-        copy = super().running().model_copy(update={"effects": effects, "output": self.output.model_copy()})
-        copy._running = True
-        return copy
-
     @property
     def active(self) -> dict[str, Any]:
         """The options of the effects that are not switched off, by name."""
@@ -196,7 +191,7 @@ class Scene(Model):
 
     @model_validator(mode="after")
     def _consistent(self) -> Scene:
-        d, faults = self.dimension, [*self.integrator_faults(), *self.kind_faults()]
+        d, faults = self.dimension, self.effect_faults()
         if self.box:
             faults += wrong_length("box.lower", self.box.lower, d) + wrong_length("box.upper", self.box.upper, d)
             if len(self.periodic) != d:
@@ -210,26 +205,24 @@ class Scene(Model):
             self.output.formats.remove("vtk")
         for number, population in enumerate(self.particles):
             faults += self.population_faults(f"particles[{number}]", population)
-        for name, options in self.effects.items():
-            faults += [f"effects.{name}.{fault}" for fault in options.faults(self)]
         if faults:
             raise ValueError("\n".join(faults))
         return self
 
-    def integrator_faults(self) -> Iterator[str]:
-        """Effects that the integrator cannot compute."""
-        name = self.time.integrator
-        reason = {"order4": "goes back in time between kicks", "adaptive": "needs smooth paths"}.get(name)
-        for effect, options in self.effects.items():
-            if name not in options.effect_class().needs.integrators:
-                why = f"{reason}, which {effect} does not allow" if reason else f"knows no {effect}"
-                yield f'time.integrator: "{name}" {why}; use "leapfrog"'
-
-    def kind_faults(self) -> Iterator[str]:
-        """Effects of kinds of which the program computes one only."""
-        for kind in ONE_OF_EACH:
-            first, *others = [n for n, options in self.effects.items() if issubclass(options.effect_class(), kind)] or [""]
-            yield from (f"effects.{name}: would be ignored beside {first}, an effect of the same kind" for name in others)
+    def effect_faults(self) -> list[str]:
+        """Effects with options that cannot be here, those that the integrator cannot compute, and a second one of a kind."""
+        integrator, faults, names = self.time.integrator, [], dict[Any, str]()
+        reason = {"order4": "goes back in time between kicks", "adaptive": "needs smooth paths"}.get(integrator)
+        for name, options in self.effects.items():
+            effect = options.effect_class()
+            if integrator not in effect.needs.integrators:
+                why = f"{reason}, which {name} does not allow" if reason else f"knows no {name}"
+                faults.append(f'time.integrator: "{integrator}" {why}; use "leapfrog"')
+            for kind in (kind for kind in ONE_OF_EACH if issubclass(effect, kind)):
+                if names.setdefault(kind, name) != name:
+                    faults.append(f"effects.{name}: would be ignored beside {names[kind]}, an effect of the same kind")
+            faults += [f"effects.{name}.{fault}" for fault in options.faults(self)]
+        return faults
 
     @property
     def columns(self) -> dict[str, Any]:
@@ -250,30 +243,21 @@ class Scene(Model):
         if population.velocity == "equilibrium" and not (plummer and "mutual_gravity" in self.effects):
             faults.append(f'{key}.velocity: "equilibrium" needs position = {{plummer = a}} and [effects.mutual_gravity]')
         for name in ("position", "velocity", "acceleration"):
-            faults += self.wrong_vectors(f"{key}.{name}", getattr(population, name))
+            faults += wrong_length(f"{key}.{name}", getattr(population, name), d)
         for name, value in (population.model_extra or {}).items():
             if name not in self.columns:
                 faults.append(f"{key_of((key, name))}: unknown key{suggestion(name, [*Population.model_fields, *self.columns])}")
                 continue
-            vector = self.columns[name].vector
             try:
-                TypeAdapter(Vectors if vector else Scalar).validate_python(value)
+                TypeAdapter(Vectors if self.columns[name].vector else Scalar).validate_python(value)
             except ValidationError as error:
                 faults.append(f"{key}.{name}: {error.errors()[0]['ctx']['error']}")
             else:
-                faults += self.wrong_vectors(f"{key}.{name}", value) if vector else []
+                faults += wrong_length(f"{key}.{name}", value, d) if self.columns[name].vector else []
         for name, effect in (("drag", "drag"), ("acceleration", "user_acceleration")):
             if getattr(population, name) is not None and effect not in self.effects:
                 faults.append(f"{key}.{name}: needs [effects.{effect}]")
         return faults
-
-    def wrong_vectors(self, key: str, value: Any) -> list[str]:
-        """The vectors in a value, one or a list of them, that have other components than there are axes."""
-        if not isinstance(value, list):
-            return []
-        if value and isinstance(value[0], list):
-            return [fault for i, row in enumerate(value) for fault in wrong_length(f"{key}[{i}]", row, self.dimension)]
-        return wrong_length(key, value, self.dimension)
 
 
 def periodic_length(scene: Scene) -> Array:
