@@ -28,9 +28,8 @@ ROTATION_PLANES = {2: ((0, 1),), 3: ((1, 2), (2, 0), (0, 1))}  # of the componen
 def measure(ranks: Communicator, particles: Particles, potentials: dict[str, Array]) -> dict[str, float]:
     """Kinetic, potential and total energy, momentum and largest speed of all movable particles. Collective.
 
-    `potentials`: the potential energy (n,) of this rank's particles for each force that has one, by name; with mutual gravity
-    the columns of `measure_gravity` are added. Sums are correctly rounded, and so the same on any number of ranks. If a movable
-    particle has a potential of nan, `potential` and `total_energy` are nan.
+    `potentials`: the potential energy (n,) of this rank's particles for each force that has one, by name; nan of one of them
+    makes the sums nan. With mutual gravity the columns of `measure_gravity` are added.
     """
     d, movable = particles.dimension, particles.fixed == 0
     square = row_dot(particles.velocity, particles.velocity)

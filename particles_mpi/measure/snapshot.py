@@ -48,10 +48,7 @@ def _cell(value: Any) -> str:
 
 
 def save_json(path: Path, ranks: Communicator, particles: Particles, metadata: dict[str, Any], indent: int | None) -> None:
-    """Write all particles in id order, floats with the digits that give the same bits back. Collective.
-
-    Replaced as a whole: at every moment `path` is the previous file or this one.
-    """
+    """Write all particles in id order, floats with the digits that give the same bits back. Collective."""
     all_ = gather_all(ranks, particles)
     columns = {name: {"dtype": str(column.dtype), "values": _plain(column)} for name, column in all_.arrays.items()}
     text = json.dumps({"format": FORMAT, **metadata, "particles": columns}, indent=indent, allow_nan=False) + "\n"

@@ -22,7 +22,7 @@ from particles_mpi.parallel.exchange import IdRange, allgather_rows, in_id_order
 from particles_mpi.particles import FIELDS, Array, shape
 
 MARK, FORMAT = "particles_mpi_checkpoint", 3
-BLOCK = 2**24  # bytes read at once
+SEAL = f"\n{MARK} {{:20d}} {{:08x}}\n"  # the last line of a file: length and CRC-32 of the HDF5 file before it
 
 
 def save(
@@ -30,8 +30,7 @@ def save(
 ) -> None:
     """Write the state of all ranks, whose ids lie in `ids`. Collective.
 
-    `arrays`: this rank's owned rows in any order, with every field that a restart needs; `attributes`: numbers and texts of any
-    length. At any time `path` is the previous checkpoint or this one. Raises a StoppedError on all ranks if it cannot be written.
+    `arrays`: this rank's owned rows in any order, with every field that a restart needs; `attributes`: numbers and texts.
     """
     rows = in_id_order(ranks, arrays, ids, 1)
     with failing_together(ranks, f"cannot write {path} at step {attributes.get('step', '?')}"):
@@ -67,32 +66,23 @@ def _replace(path: Path, rows: dict[str, Array], attributes: dict[str, Any]) -> 
 
 
 def _seal(path: Path, length: int) -> bytes:
-    """The last line of a file, whose first `length` bytes are the HDF5 file."""
-    crc, left = 0, length
-    with open(path, "rb") as file:
-        while left and (block := file.read(min(BLOCK, left))):
-            crc, left = zlib.crc32(block, crc), left - len(block)
-    return f"\n{MARK} {length:20d} {crc:08x}\n".encode()
+    return SEAL.format(length, zlib.crc32(np.memmap(path, np.uint8, "r", shape=length))).encode()
 
 
 def _check_seal(path: Path) -> None:
     """Raise a SceneError unless the file is a checkpoint, as it was written. HDF5 may crash on a file that is not."""
-    size = len(_seal(path, 0))
+    length = path.stat().st_size - len(SEAL.format(0, 0))
     with open(path, "rb") as file:
-        length = file.seek(0, os.SEEK_END) - size
         file.seek(max(length, 0))
         found = file.read()
-    if length < 0 or not found.startswith(f"\n{MARK} ".encode()):
+    if length <= 0 or not found.startswith(f"\n{MARK} ".encode()):
         raise SceneError(f"{path}: not a checkpoint of this version of particles_mpi, or cut short")
     if found != _seal(path, length):
         raise SceneError(f"{path}: damaged: it is not what was written (CRC-32)")
 
 
 def load(path: Path, rows: slice = slice(None)) -> tuple[dict[str, Array], dict[str, Any]]:
-    """(arrays of the `rows` in id order, attributes with the types that they were saved with). Not collective.
-
-    Raises a SceneError, one line, for a file that is missing, cut short, damaged or not a checkpoint.
-    """
+    """(arrays of the `rows` in id order, attributes). Not collective. SceneError, one line, for any other or a damaged file."""
     try:
         _check_seal(Path(path))
         with h5py.File(path, "r", locking=False) as file:

@@ -28,10 +28,9 @@ def changed(one: dict[str, Any], two: dict[str, Any]) -> Iterator[str]:
 
 
 def claim(folder: Path, ranks: Communicator, scene: dict[str, Any], resumed: bool, overwrite: bool) -> bool:
-    """Take the folder for a run of this scene; returns whether the run continues one that is in there. Collective.
+    """Take the folder for a run of this scene; True if a resumed run continues there, where its checkpoint is. Collective.
 
-    A resumed run continues if the folder has its checkpoint. Otherwise files of an earlier run are a SceneError, or are deleted
-    with `overwrite`.
+    Otherwise files of an earlier run are a SceneError, or are deleted with `overwrite`.
     """
     continues = False
     with failing_together(ranks, f"cannot use {folder}"):

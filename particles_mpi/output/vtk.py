@@ -14,10 +14,7 @@ from particles_mpi.particles import Array, field
 
 
 class VtkSeries(Continuing):
-    """Writer of a .vtu file for each frame, and of the .pvd file that lists them with their times; every method is collective.
-
-    folder: the output folder of the run.
-    """
+    """Writer of a .vtu file for each frame, and of the .pvd file that lists them with their times; every method is collective."""
 
     def __init__(
         self, folder: Path, ranks: Communicator, dimension: int, resume_step: int | None = None, last: int | None = None

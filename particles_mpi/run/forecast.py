@@ -1,8 +1,7 @@
 """How long a run will take, from the times of its own first steps; these belong to the run, so that measuring them costs nothing.
 
-Later steps are assumed to take as long as those measured, and so are frames, rows of diagnostics and checkpoints, each as often
-as the scene asks for it. Time in which kernels are compiled or loaded is not counted. Where the scene shows that later steps
-may cost more or less, the forecast is a range, with the reason. There are no constants of any machine in it.
+Later steps, frames, rows of diagnostics and checkpoints are assumed to take as long as those measured; time in which kernels are
+compiled or loaded is not counted. Where the scene shows that later steps may cost more or less, the forecast is a range.
 """
 
 from __future__ import annotations
@@ -88,8 +87,8 @@ register("numba:compiler_lock", LOADING)  # numba holds this lock while it compi
 class Forecaster:
     """Measures the steps of a run up to step `last`, on one rank, from the moment it is made.
 
-    `look` is to be called after each step and the output that belongs to it. It gives a forecast when enough steps were
-    measured, after half of the steps at the latest, and again whenever the time since the start has doubled.
+    `look` is to be called after each step and its output. It gives a forecast when enough steps were measured, after half of the
+    steps at the latest, and again whenever the time since the start has doubled.
     """
 
     def __init__(self, sim: Any, last: int):

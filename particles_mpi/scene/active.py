@@ -10,10 +10,7 @@ Kind = TypeVar("Kind", bound=kinds.Effect)
 
 
 class ActiveEffects:
-    """The effects of a scene by name, in the order of the scene, as attributes for each kind.
-
-    With `switched_off`, those that are not active too.
-    """
+    """The effects of a scene by name, in its order, as attributes for each kind; with `switched_off` those not active too."""
 
     def __init__(self, scene: Scene, switched_off: bool = False):
         options = scene.effects if switched_off else scene.active

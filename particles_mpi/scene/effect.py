@@ -1,7 +1,4 @@
-"""The kinds of effect: when they act, and what they need; and the files of effects, loaded when a scene names them.
-
-How to write an effect stands in `effects/__init__.py`.
-"""
+"""The kinds of effect, and how their files are loaded. How to write an effect stands in `effects/__init__.py`."""
 
 import importlib.util
 import pkgutil
@@ -77,10 +74,7 @@ class Needs(NamedTuple):
 
 
 class Context(NamedTuple):
-    """What there is besides a rank's own particles: the ranks, the ids of all particles, and the box.
-
-    Any where a type would load MPI to check a scene.
-    """
+    """What there is besides a rank's own particles. Any where a type would load MPI to check a scene."""
 
     ranks: Any  # a `Communicator`
     ids: Any  # an `IdRange`
@@ -206,9 +200,7 @@ def effect_names() -> list[str]:
 
 
 def load_effect(name: str, file: Path | None) -> ModuleType:
-    """The module of an effect of the program, or of a `file` of the user's, which is loaded once.
-
-    The attribute `digest` of the latter is the sha256 of its file.
+    """The module of an effect of the program, or of a `file` of the user's, loaded once, with the sha256 of it as `digest`.
 
     Raises ValueError, one line without the key, for a file that cannot be read, fails, or does not hold the two classes.
     """

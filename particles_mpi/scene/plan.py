@@ -1,7 +1,4 @@
-"""What a scene will do and what it will not, before it runs: effects, ghosts, memory, output, advice on the step.
-
-How long it takes is told by `forecast`, from its first steps.
-"""
+"""What a scene will do and what it will not, before it runs; `run.forecast` tells how long it takes."""
 
 from typing import Any
 

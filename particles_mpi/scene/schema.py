@@ -1,8 +1,4 @@
-"""The scene file: TOML in, validated model out.
-
-Every fault is one line that names the key. What can only be judged with the particles at hand (overlaps, walls, the
-length of a step) is judged in `populate`.
-"""
+"""The scene file: TOML in, validated model out. What needs the particles to be judged is judged in `populate`."""
 
 from __future__ import annotations
 

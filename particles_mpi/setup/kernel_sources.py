@@ -4,8 +4,7 @@
 
 Numba compiles a kernel again when the file that defines it has changed, but not when another file has changed whose functions or
 constants it uses. Therefore a digest of each kernel is kept: of all definitions in the package that it uses, directly or through
-others, as syntax trees without docstrings and comments. A kernel is compiled again exactly if its digest changes. This module
-imports nothing of the package, so that it runs quickly.
+others, as syntax trees without docstrings. This module imports nothing of the package, so that it runs quickly.
 """
 
 import ast

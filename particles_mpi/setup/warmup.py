@@ -1,8 +1,7 @@
 """Compile all kernels once, so that no run has to wait for it: `mpirun -n 2 python -m particles_mpi.setup.warmup`.
 
 Very small scenes are run which together use every kernel with every combination of types, in 1, 2 and 3 dimensions, on one rank
-and on two. The test suite fails at its end if a test has compiled something that these scenes had not: then a scene has to
-be added here, usually with a new effect, operator or kernel.
+and on two. The test suite fails at its end if a test has compiled something that these scenes had not: add a scene here then.
 """
 
 import tempfile
