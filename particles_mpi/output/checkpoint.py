@@ -66,7 +66,7 @@ def _replace(path: Path, rows: dict[str, Array], attributes: dict[str, Any]) -> 
 
 
 def _seal(path: Path, length: int) -> bytes:
-    return SEAL.format(length, zlib.crc32(np.memmap(path, np.uint8, "r", shape=length))).encode()
+    return SEAL.format(length, zlib.crc32(np.memmap(path, np.uint8, "r", shape=length).data)).encode()
 
 
 def _check_seal(path: Path) -> None:
