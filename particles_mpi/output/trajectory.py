@@ -17,14 +17,7 @@ import h5py
 import numpy as np
 
 from particles_mpi.errors import StoppedError
-from particles_mpi.output.files import (
-    Continuing,
-    check_last,
-    failing_together,
-    frame_arrays,
-    mpi_io_errors,
-    replacing,
-)
+from particles_mpi.output.files import Continuing, check_last, failing_together, frame_arrays, mpi_io_errors, replacing
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
 from particles_mpi.particles import Array, Particles, field
