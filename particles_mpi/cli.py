@@ -51,7 +51,7 @@ def run(
 
     Example:   mpirun -n 2 particles-mpi run my.toml --output out/my --steps 100
     """
-    from particles_mpi.output.folder import changed
+    from particles_mpi.output.checkpoint import changed
     from particles_mpi.run.job import Job
     from particles_mpi.simulation import Simulation
 

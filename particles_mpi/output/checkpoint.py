@@ -1,4 +1,4 @@
-"""The exact state of a run in one HDF5 file, which is replaced as a whole: a run continues from it with the same bits.
+"""The exact state of a run in one HDF5 file, which is replaced as a whole, and the folder in which a run goes on from it.
 
 - /particles/<field>: (N,) or (N, d), in id order, every bit as it was (NaN, -0.0 and subnormals too)
 - @particles_mpi_checkpoint = 3, @total, @dimension, and the attributes given: step, time, scene text, counts
@@ -7,8 +7,11 @@ Behind the HDF5 file there is a line with its length and CRC-32, which HDF5 igno
 has changed, is never taken for a state.
 """
 
+import json
 import os
+import shutil
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +20,24 @@ import numpy as np
 
 from particles_mpi.errors import SceneError
 from particles_mpi.output.files import failing_together, replacing, sync_folder
+from particles_mpi.parallel.agreement import differences
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, allgather_rows, in_id_order
 from particles_mpi.particles import FIELDS, Array, shape
 
 MARK, FORMAT = "particles_mpi_checkpoint", 3
 SEAL = f"\n{MARK} {{:20d}} {{:08x}}\n"  # the last line of a file: length and CRC-32 of the HDF5 file before it
+OURS = ("trajectory.vtkhdf", "particles.pvd", "vtk", "checkpoint.h5", "diagnostics.csv", "run.json", "stopped.h5", "plots")
+# Keys of a scene that may change when a run is continued.
+FREE = (
+    "title",
+    "time.end",
+    "time.steps",
+    "output.every",
+    "output.formats",
+    "output.checkpoint_every",
+    "output.diagnostics_every",
+)
 
 
 def save(
@@ -104,3 +119,39 @@ def load(path: Path, rows: slice = slice(None)) -> tuple[dict[str, Array], dict[
     except (OSError, RuntimeError, KeyError, AttributeError) as error:
         raise SceneError(f"{path}: cannot be read as a checkpoint ({str(error).splitlines()[0]})") from None
     return arrays, attributes
+
+
+def changed(one: dict[str, Any], two: dict[str, Any]) -> Iterator[str]:
+    """The keys in which two scenes, as tables, differ so that they are different runs: all but those in FREE."""
+    return (key for key, _, _ in differences(one, two) if key not in FREE)
+
+
+def claim(folder: Path, ranks: Communicator, scene: dict[str, Any], resumed: bool, overwrite: bool) -> bool:
+    """Take the folder for a run of this scene; True if a resumed run continues there, where its checkpoint is. Collective.
+
+    Otherwise files of an earlier run are a SceneError, or are deleted with `overwrite`.
+    """
+    continues = False
+    with failing_together(ranks, f"cannot use {folder}"):
+        if ranks.is_root:
+            held = [name for name in OURS if (folder / name).exists()]
+            continues = resumed and _is_of(folder / "checkpoint.h5", scene)
+            if held and not continues and not overwrite:
+                what = "another run than the one to be resumed" if resumed else "a run"
+                way = "--overwrite to replace it, or another folder" if resumed else "--overwrite or --resume"
+                raise SceneError(f"--output: {folder} already holds {what} ({', '.join(held)}); use {way}")
+    with failing_together(ranks, f"cannot write into {folder}"):  # only now, when no rank has found a fault
+        if ranks.is_root:
+            folder.mkdir(parents=True, exist_ok=True)
+            for name in OURS if not continues else ():
+                path = folder / name
+                shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+    return bool(ranks.bcast(continues))
+
+
+def _is_of(path: Path, scene: dict[str, Any]) -> bool:
+    """Is the file a checkpoint of this run?"""
+    try:
+        return not any(changed(json.loads(load(path, slice(0, 0))[1]["scene"]), scene))
+    except (SceneError, KeyError, ValueError):
+        return False

@@ -52,16 +52,17 @@ def tell_of_compiling(dimension: int) -> None:
     from numba.core import event
 
     class Teller(event.Listener):
+        told = False
+
         def on_start(self, _: Any) -> None:
-            if self in waiting:
-                waiting.remove(self)
+            if not self.told:
+                self.told = True
                 print(f"dimension {dimension}: kernels are compiled now, about {COMPILING} s, once", flush=True)
 
         def on_end(self, _: Any) -> None:
             pass
 
-    waiting = [Teller()]
-    event.register("numba:compile", waiting[0])
+    event.register("numba:compile", Teller())
 
 
 class Screen:

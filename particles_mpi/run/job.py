@@ -17,7 +17,6 @@ from particles_mpi.measure.watchdog import WATCH_EVERY
 from particles_mpi.output import checkpoint
 from particles_mpi.output.diagnostics_csv import Diagnostics
 from particles_mpi.output.files import write_text
-from particles_mpi.output.folder import claim
 from particles_mpi.parallel.agreement import await_all, same_on_all
 from particles_mpi.parallel.communicator import mpi_library
 from particles_mpi.parallel.signals import StopRequest
@@ -62,7 +61,7 @@ class Job:
         self.plan = plan(self.scene, sim.rows, sim.total, self.ranks.size)
         self.plan["fixed"] = int(self.ranks.allreduce_sum(self.plan["fixed"])[0])
         self.request = StopRequest(self.ranks, self.setup_began, wall_time)  # from here on a signal must not leave half a file
-        self.continues = claim(folder, self.ranks, self.scene.to_dict(), resumed, overwrite)
+        self.continues = checkpoint.claim(folder, self.ranks, self.scene.to_dict(), resumed, overwrite)
         self.written = sim.written = sim.written if self.continues else {"row": -1, "frame": -1}
         self._open()
 
