@@ -28,16 +28,8 @@ from particles_mpi.particles import FIELDS, Array, shape
 MARK, FORMAT = "particles_mpi_checkpoint", 3
 SEAL = f"\n{MARK} {{:20d}} {{:08x}}\n"  # the last line of a file: length and CRC-32 of the HDF5 file before it
 OURS = ("trajectory.vtkhdf", "particles.pvd", "vtk", "checkpoint.h5", "diagnostics.csv", "run.json", "stopped.h5", "plots")
-# Keys of a scene that may change when a run is continued.
-FREE = (
-    "title",
-    "time.end",
-    "time.steps",
-    "output.every",
-    "output.formats",
-    "output.checkpoint_every",
-    "output.diagnostics_every",
-)
+INTERVALS = {f"output.{name}" for name in ("every", "formats", "checkpoint_every", "diagnostics_every")}
+FREE = {"title", "time.end", "time.steps"} | INTERVALS  # keys of a scene that may change when a run is continued
 
 
 def save(
