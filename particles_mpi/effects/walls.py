@@ -37,29 +37,6 @@ class Options(Losses, EffectOptions):
         return faults
 
 
-def planes_of(options: Options, scene: Scene) -> Planes:
-    """The walls of a scene."""
-    d, planes = scene.dimension, options.planes
-    if planes is None:
-        assert scene.box is not None
-        corners = ((scene.box.lower, 1.0), (scene.box.upper, -1.0))
-        planes = [
-            Plane(point=list(corner), normal=[sign if m == k else 0.0 for m in range(d)])
-            for k in range(d)
-            for corner, sign in corners
-            if not scene.periodic[k]
-        ]
-    point = np.array([p.point for p in planes], float).reshape(-1, d)
-    normal = np.array([p.normal for p in planes], float).reshape(-1, d)
-    normal /= np.sqrt((normal**2).sum(axis=1, keepdims=True))
-    losses = [options if p.restitution is None and p.damping is None else p for p in planes]
-    e, factor = np.array([loss(p.restitution, p.damping) for p in losses], float).reshape(-1, 2).T.copy()
-    lower = np.where(normal == 1.0, point, -inf).max(axis=0, initial=-inf)
-    upper = np.where(normal == -1.0, point, inf).min(axis=0, initial=inf)
-    oblique = np.abs(normal).max(axis=1, initial=0.0) < 1.0
-    return Planes(point, normal, e, factor, lower, upper, bool(oblique.any()))
-
-
 class Effect(WallContacts):
     """Reflects spheres off planes, at the instant of contact."""
 
@@ -67,7 +44,25 @@ class Effect(WallContacts):
     needs = Needs(integrators=FORWARD)
 
     def __init__(self, options: Options, scene: Scene):
-        self.planes = planes_of(options, scene)
+        d, planes = scene.dimension, options.planes
+        if planes is None:
+            assert scene.box is not None
+            corners = ((scene.box.lower, 1.0), (scene.box.upper, -1.0))
+            planes = [
+                Plane(point=list(corner), normal=[sign if m == k else 0.0 for m in range(d)])
+                for k in range(d)
+                for corner, sign in corners
+                if not scene.periodic[k]
+            ]
+        point = np.array([p.point for p in planes], float).reshape(-1, d)
+        normal = np.array([p.normal for p in planes], float).reshape(-1, d)
+        normal /= np.sqrt((normal**2).sum(axis=1, keepdims=True))
+        losses = [options if p.restitution is None and p.damping is None else p for p in planes]
+        e, factor = np.array([loss(p.restitution, p.damping) for p in losses], float).reshape(-1, 2).T.copy()
+        lower = np.where(normal == 1.0, point, -inf).max(axis=0, initial=-inf)
+        upper = np.where(normal == -1.0, point, inf).min(axis=0, initial=inf)
+        oblique = np.abs(normal).max(axis=1, initial=0.0) < 1.0
+        self.planes = Planes(point, normal, e, factor, lower, upper, bool(oblique.any()))
         self.lossy = bool(self.planes.lossy.any())
 
     def drift(self, particles: Particles, h: float, rates: Rates) -> int:

@@ -4,10 +4,8 @@ Later steps, frames, rows of diagnostics and checkpoints are assumed to take as 
 compiled or loaded is not counted. Where the scene shows that later steps may cost more or less, the forecast is a range.
 """
 
-from __future__ import annotations
-
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 from numba.core.event import TimingListener, register
 
@@ -75,7 +73,7 @@ class Mark(NamedTuple):
     loading: float
     phases: dict[str, float]
 
-    def spent(self, since: Mark, *names: str) -> float:
+    def spent(self, since: Self, *names: str) -> float:
         """Seconds in the phases of these names since another mark."""
         return sum(self.phases.get(name, 0.0) - since.phases.get(name, 0.0) for name in names)
 

@@ -1,7 +1,5 @@
 """The scene file: TOML in, validated model out. What needs the particles to be judged is judged in `populate`."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -47,7 +45,7 @@ class Time(Model):
     tolerance: Annotated[float, Field(ge=TOLERANCES[0], le=TOLERANCES[1])] | None = None
 
     @model_validator(mode="after")
-    def _one_end(self) -> Time:
+    def _one_end(self) -> Self:
         if (self.end is None) == (self.steps is None):
             raise ValueError("time.steps: give one of time.end and time.steps")
         if self.tolerance is not None and self.integrator != "adaptive":
@@ -136,14 +134,14 @@ class Scene(Model):
             raise SceneError(faults_of(error, Scene)) from None
 
     @classmethod
-    def from_dict(cls, tables: dict[str, Any], folder: Path = Path()) -> Scene:
+    def from_dict(cls, tables: dict[str, Any], folder: Path = Path()) -> Self:
         """A scene from the tables of the TOML layout; file names in it are relative to `folder`."""
         if "folder" in tables:
             raise SceneError("folder: unknown key")
         return cls(**tables, folder=folder)
 
     @classmethod
-    def load(cls, path: str | Path) -> Scene:
+    def load(cls, path: str | Path) -> Self:
         """Read and validate a scene file; every fault names the file and the key."""
         path = Path(path)
         try:
@@ -186,7 +184,7 @@ class Scene(Model):
         return round((self.time.end or 0.0) / self.time.step) if self.time.steps is None else self.time.steps
 
     @model_validator(mode="after")
-    def _consistent(self) -> Scene:
+    def _consistent(self) -> Self:
         d, faults = self.dimension, self.effect_faults()
         if self.box:
             faults += wrong_length("box.lower", self.box.lower, d) + wrong_length("box.upper", self.box.upper, d)
