@@ -1,7 +1,5 @@
 """The command line: run, check, doctor. Exit codes: 0 done, 2 bad scene or arguments, 3 stopped by the run, 130 interrupted."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from time import perf_counter
@@ -31,10 +29,12 @@ app = typer.Typer(
 )
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE.toml", help="The scene: see particles_mpi/scenes/ for examples.")]
-
-
-def root() -> bool:
-    return MPI.COMM_WORLD.Get_rank() == 0
+AnyScene = Annotated[Path | None, typer.Argument(metavar="[SCENE.toml]", help="A scene of yours; else the built-in set.")]
+Folder = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for report, pictures and CSV files.")]
+Quick = Annotated[bool, typer.Option("--quick", help="A look within a minute: fewer settings, short samples.")]
+WallTime = Annotated[str | None, typer.Option(metavar="HH:MM:SS", help="Write a checkpoint and stop after this time.")]
+TunedFile = Annotated[Path | None, typer.Option(metavar="TUNED.toml", help="The tuned scene; NAME.tuned.toml if not given.")]
+IS_ROOT = MPI.COMM_WORLD.Get_rank() == 0
 
 
 @app.command()
@@ -44,24 +44,19 @@ def run(
     steps: Annotated[int | None, typer.Option(min=0, help="Stop after this many steps instead of at the scene's end.")] = None,
     resume: Annotated[Path | None, typer.Option(help="Go on from this checkpoint.h5, on any number of ranks.")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run that the folder holds.")] = False,
-    wall_time: Annotated[
-        str | None, typer.Option(metavar="HH:MM:SS", help="Write a checkpoint and stop after this time.")
-    ] = None,
+    wall_time: WallTime = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing but errors.")] = False,
 ) -> None:
     """Run a scene: frames for ParaView, diagnostics, checkpoints; then the phase table.
 
     Example:   mpirun -n 2 particles-mpi run my.toml --output out/my --steps 100
     """
-    from particles_mpi.output.folder import changed
-    from particles_mpi.run.console import tell_of_compiling
+    from particles_mpi.output.checkpoint import changed
     from particles_mpi.run.job import Job
     from particles_mpi.simulation import Simulation
 
     limit = seconds(wall_time) if wall_time else None
-    described = load(scene)
-    if root() and not quiet:
-        tell_of_compiling(described.dimension)
+    described = load(scene, quiet)
     if resume:
         sim = Simulation.resume(resume)
         other = [f"{scene}: {key}: not as in {resume}, which goes on with the scene that it began with"
@@ -71,18 +66,8 @@ def run(
         sim.scene = described  # it may end later, or write more often
     else:
         sim = Simulation(described)
-    folder = output or Path("out") / scene.stem
-    job = Job(
-        sim,
-        folder,
-        quiet=quiet,
-        overwrite=overwrite,
-        resumed=resume is not None,
-        steps=steps,
-        wall_time=limit,
-        setup_began=STARTED,
-    )
-    job.run()
+    how: dict[str, Any] = {"quiet": quiet, "overwrite": overwrite, "steps": steps, "wall_time": limit, "setup_began": STARTED}
+    Job(sim, output or Path("out") / scene.stem, resumed=resume is not None, **how).run()
 
 
 @app.command()
@@ -91,29 +76,24 @@ def check(scene: SceneFile) -> None:
 
     Example:   particles-mpi check my.toml
     """
-    from particles_mpi.run.console import Screen, tell_of_compiling
+    from particles_mpi.run.console import Screen
     from particles_mpi.scene.plan import plan
     from particles_mpi.study.experiment import Benchmark
     from particles_mpi.study.recommend.predict import predict
     from particles_mpi.study.recommend.runs import Start
 
-    described, screen = load(scene), Screen(root(), False)
-    if root():
-        tell_of_compiling(described.dimension)
+    described, screen = load(scene, quiet=False), Screen(IS_ROOT, False)
     try:
         start = Start(Benchmark(), described)
     except SceneError as error:
         raise SceneError([f"{scene}: {fault}" for fault in error.faults]) from None
-    planned = plan(described, start.particles, start.total, MPI.COMM_WORLD.Get_size())
-    screen.plan(described.title, planned, start.warnings)
+    screen.plan(described.title, plan(described, start.particles, start.total, MPI.COMM_WORLD.Get_size()), start.warnings)
     found = predict(start)
     if found.forecast:
         screen.forecast(found.forecast)
         screen.shares(found.forecast)
-    for line in found.errors:
-        screen.say(f"  {line}")
-    if root():
-        print("valid")
+    for line in (*(f"  {error}" for error in found.errors), "valid"):
+        screen.say(line)
 
 
 class Studies(TyperGroup):
@@ -133,13 +113,10 @@ study = typer.Typer(
 )
 app.add_typer(study, name="study")
 
-Folder = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for report, pictures and CSV files.")]
-Quick = Annotated[bool, typer.Option("--quick", help="A look within a minute: fewer settings, short samples.")]
-
 
 @study.command("accuracy")
 def accuracy(
-    scene: Annotated[Path | None, typer.Argument(metavar="[SCENE.toml]", help="A scene of yours; else the built-in set.")] = None,
+    scene: AnyScene = None,
     only: Annotated[str, typer.Option(metavar="LETTERS", help="Only these experiments of the built-in set, as in AC.")] = "",
     quick: Quick = False,
     output: Folder = None,
@@ -163,9 +140,7 @@ def recommend(
     scene: SceneFile,
     tolerance: Annotated[float, typer.Option(help="Error that is allowed, relative.")],
     error: Annotated[str, typer.Option(metavar="NAME", help="Of what: state, energy, ... (default: the strictest).")] = "",
-    output: Annotated[
-        Path | None, typer.Option(metavar="TUNED.toml", help="The tuned scene; NAME.tuned.toml if not given.")
-    ] = None,
+    output: TunedFile = None,
     seconds: Annotated[float, typer.Option(min=1.0, help="About how long to measure.")] = 60.0,
 ) -> None:
     """The cheapest setting of a scene that reaches a tolerance: measured, verified at half the step, written as a scene.
@@ -213,8 +188,7 @@ def doctor() -> None:
     """What is installed (MPI, parallel HDF5, versions), a 2-rank check, and what to do about what is not right."""
     from particles_mpi.run import doctor as examined
 
-    comm = MPI.COMM_WORLD
-    raise SystemExit(examined.main(comm.Get_rank(), comm.Get_size()))
+    raise SystemExit(examined.main(IS_ROOT, MPI.COMM_WORLD.Get_size()))
 
 
 def seconds(text: str) -> float:
@@ -228,14 +202,17 @@ def seconds(text: str) -> float:
     return sum(p * 60.0**k for k, p in enumerate(reversed(parts)))
 
 
-def load(path: Path) -> Any:
-    """The scene of a file: the same on all ranks, or refused. Collective."""
+def load(path: Path, quiet: bool = True) -> Any:
+    """The scene of a file: the same on all ranks, or refused. Collective. Unless `quiet` it is told if kernels are compiled."""
+    from particles_mpi.run.console import tell_of_compiling
     from particles_mpi.scene.schema import Scene
 
     ranks = Communicator()
     with raising_together(ranks):
         described = Scene.load(path)
     same_on_all(ranks, described.to_dict())
+    if IS_ROOT and not quiet:
+        tell_of_compiling(described.dimension)
     return described
 
 
@@ -259,7 +236,3 @@ def main() -> None:
         code = abort_all(SceneError(wrong_arguments()) if wrong_arguments else error)
     sys.stdout.flush()
     sys.exit(code)
-
-
-if __name__ == "__main__":
-    main()

@@ -10,8 +10,7 @@ import numpy as np
 from particles_mpi.between_steps.saved import Saved
 from particles_mpi.errors import SceneError, StateError
 from particles_mpi.initial.populate import populate
-from particles_mpi.measure.diagnostics import measure
-from particles_mpi.measure.observables import observe
+from particles_mpi.measure.diagnostics import measure, observe
 from particles_mpi.measure.watchdog import WATCH_EVERY
 from particles_mpi.parallel.agreement import raising_together, require_finite, same_on_all
 from particles_mpi.parallel.communicator import Communicator

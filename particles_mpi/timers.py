@@ -1,14 +1,11 @@
 """Wall-clock seconds spent in each phase of a run."""
 
-from __future__ import annotations
-
+from collections import defaultdict
 from time import perf_counter
 
 
 class Stopwatch:
     """`with stopwatch: ...` adds the seconds of the block to `seconds`."""
-
-    __slots__ = ("begin", "seconds")
 
     def __init__(self) -> None:
         self.begin = self.seconds = 0.0
@@ -24,13 +21,10 @@ class Timers:
     """`with timers("search"): ...` adds the seconds of the block to `timers.seconds["search"]`. Phases may not be nested."""
 
     def __init__(self) -> None:
-        self.phases: dict[str, Stopwatch] = {}
+        self.phases = defaultdict[str, Stopwatch](Stopwatch)
 
     def __call__(self, phase: str) -> Stopwatch:
-        found = self.phases.get(phase)
-        if found is None:
-            found = self.phases[phase] = Stopwatch()
-        return found
+        return self.phases[phase]
 
     @property
     def seconds(self) -> dict[str, float]:

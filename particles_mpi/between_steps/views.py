@@ -16,8 +16,8 @@ from pydantic import ValidationError
 
 from particles_mpi.errors import SceneError, StateError
 from particles_mpi.particles import Array, Particles
-from particles_mpi.scene.messages import faults_of
-from particles_mpi.scene.model import EffectOptions
+from particles_mpi.scene.effect import EffectOptions
+from particles_mpi.scene.model import faults_of
 from particles_mpi.scene.schema import Scene
 
 READ_ONLY = ("id", "rate", "total_acceleration")

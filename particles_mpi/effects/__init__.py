@@ -24,8 +24,7 @@ The other kinds are those of the program's own effects, which are computed toget
 
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.particles import Array, Column, Particles
-from particles_mpi.scene.effect import Context, Event, Force, Needs, VelocityFlow
-from particles_mpi.scene.model import EffectOptions
+from particles_mpi.scene.effect import Context, EffectOptions, Event, Force, Needs, VelocityFlow
 from particles_mpi.scene.schema import Scene
 
 __all__ = [

@@ -5,18 +5,14 @@ import math
 import numpy as np
 
 from particles_mpi.particles import FIELDS, Array, Particles
-from particles_mpi.scene.effect import FORWARD, Damping, Needs
-from particles_mpi.scene.model import EffectOptions
-from particles_mpi.scene.schema import Scene
+from particles_mpi.scene.effect import FORWARD, Damping, EffectOptions, Needs
+from particles_mpi.scene.model import NotNegative
 
 
 class Options(EffectOptions):
     """`rate`: k (1/time) of the populations that give no `drag` of their own."""
 
-    rate: float = 0.0
-
-    def faults(self, scene: Scene) -> list[str]:
-        return [] if self.rate >= 0.0 else [f"rate: {self.rate} is negative"]
+    rate: NotNegative = 0.0
 
 
 class Effect(Damping):
@@ -26,11 +22,7 @@ class Effect(Damping):
     needs = Needs(columns={"drag": FIELDS["drag"]}, integrators=FORWARD)
 
     def factors(self, particles: Particles, h: float) -> tuple[Array, Array]:
-        """(decay, push), each (n,): the velocity after h is v * decay + a * push.
-
-        One `math.exp` a distinct rate: a vectorised exp may round differently at the end of an array, which would make
-        the bits depend on which rank holds a particle.
-        """
+        """One `math.exp` a distinct rate: a vectorised exp may round differently at the end of an array, that is by rank."""
         rates, which = np.unique(particles["drag"], return_inverse=True)
         decay = np.array([math.exp(-k * h) for k in rates])
         push = np.array([-math.expm1(-k * h) / k if k > 0.0 else h for k in rates])

@@ -4,8 +4,8 @@ from math import exp, expm1, log1p, sqrt
 
 from particles_mpi.kernels.jit import inner, kernel
 from particles_mpi.particles import Array, Particles
-from particles_mpi.scene.effect import ConstantFriction, Needs
-from particles_mpi.scene.model import EffectOptions
+from particles_mpi.scene.effect import ConstantFriction, EffectOptions, Needs
+from particles_mpi.scene.model import NotNegative
 from particles_mpi.scene.schema import Scene
 
 NEAR = 8.0  # times what force and friction do in a step: a standstill
@@ -15,10 +15,7 @@ MOST_ROUNDS = 100
 class Options(EffectOptions):
     """`strength`: alpha, a force."""
 
-    strength: float
-
-    def faults(self, scene: Scene) -> list[str]:
-        return [] if self.strength >= 0.0 else [f"strength: {self.strength} is negative"]
+    strength: NotNegative
 
 
 class Effect(ConstantFriction):
@@ -31,7 +28,6 @@ class Effect(ConstantFriction):
         self.strength = options.strength
 
     def kick(self, particles: Particles, a: Array, decay: Array, push: Array, h: float, coast: float) -> None:
-        """Advance velocities over h; (decay, push) as in drag. `coast` > 0: nothing else acts, see `stopping_velocity`."""
         kick_with_friction(particles.velocity, a, particles.mass, decay, push, self.strength, h, coast)
 
 

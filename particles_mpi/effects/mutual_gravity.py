@@ -1,7 +1,5 @@
 """Mutual gravity: every particle attracts every other, fixed ones too; those without mass feel it and do not attract."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
@@ -14,8 +12,8 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, blocks
 from particles_mpi.parallel.signals import check_signals
 from particles_mpi.particles import Array, Particles, places_of
-from particles_mpi.scene.effect import Context, Force
-from particles_mpi.scene.model import EffectOptions
+from particles_mpi.scene.effect import Context, EffectOptions, Force
+from particles_mpi.scene.model import NotNegative
 from particles_mpi.scene.schema import Scene
 
 ACCURACY = 1e-3
@@ -30,26 +28,25 @@ class Options(EffectOptions):
     "auto", whichever costs less for a median relative error of the forces of `accuracy`, with quadrupoles.
     """
 
-    G: Annotated[float, Field(ge=0.0)] | None = None
-    softening: Annotated[float, Field(ge=0.0)] = 0.0
+    G: NotNegative | None = None
+    softening: NotNegative = 0.0
     method: Literal["direct", "tree", "auto"] = "direct"
     opening_angle: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
     multipole: Literal["quadrupole", "monopole"] = "quadrupole"
     accuracy: Annotated[float, Field(gt=0.0, le=0.1)] | None = None
 
     def faults(self, scene: Scene) -> list[str]:
-        faults = []
-        if self.method == "tree" and scene.dimension not in TREES:
-            faults.append(f'method: there is no tree in dimension {scene.dimension}; use "direct"')
-        if self.opening_angle is not None and self.method == "auto":
-            faults.append('opening_angle: method "auto" chooses it; give accuracy')
-        if self.accuracy is not None and self.method != "auto":
-            faults.append('accuracy: only with method "auto"')
-        if self.multipole == "monopole" and self.method != "tree":
-            faults.append('multipole: "monopole" only with method "tree"')
-        if any(scene.periodic):
-            faults.append("method: no images of a periodic box attract one another here; use a box that is not periodic, or none")
-        return faults
+        d, auto = scene.dimension, self.method == "auto"
+        told = {
+            f'method: there is no tree in dimension {d}; use "direct"': self.method == "tree" and d not in TREES,
+            'opening_angle: method "auto" chooses it; give accuracy': self.opening_angle is not None and auto,
+            'accuracy: only with method "auto"': self.accuracy is not None and not auto,
+            'multipole: "monopole" only with method "tree"': self.multipole == "monopole" and self.method != "tree",
+            "method: no images of a periodic box attract one another here; use a box that is not periodic, or none": any(
+                scene.periodic
+            ),
+        }
+        return [fault for fault, wrong in told.items() if wrong]
 
     def described(self, scene: Scene, total: int) -> str:
         return self.choice(scene, total).words
@@ -72,26 +69,23 @@ class Effect(Force):
         self.softening2 = options.softening**2
 
     def bind(self, context: Context) -> None:
-        """Whose particles attract: all those there are."""
-        ranks, ids = context.ranks, context.ids
-        angle = self.options.choice(self.scene, ids.total).angle
+        angle = self.options.choice(self.scene, context.ids.total).angle
         self.sum: DirectSum | TreeSum
         if angle is None:
-            self.sum = DirectSum(ranks, ids, self.softening2)
+            self.sum = DirectSum(context.ranks, context.ids, self.softening2)
         else:
             quadrupoles = self.options.multipole == "quadrupole"
-            self.sum = TreeSum(ranks, self.scene.dimension, angle, self.softening2, quadrupoles)
+            self.sum = TreeSum(context.ranks, self.scene.dimension, angle, self.softening2, quadrupoles)
 
     @property
     def interactions(self) -> int:
         return self.sum.interactions
 
     def add(self, particles: Particles, acceleration: Array) -> None:
-        """acceleration (n, d) += that of all sources. Collective."""
         acceleration += self.G * self.sum.pull(particles)
 
     def potential(self, particles: Particles) -> Array:
-        """Half of each pair's energy, all of it where the partner is fixed, whose own share nobody counts; (n,). Collective."""
+        """Half of each pair's energy, all of it where the partner is fixed, whose own share nobody counts. Collective."""
         return self.G * particles.mass * self.sum.potential(particles)
 
 
@@ -102,33 +96,29 @@ class DirectSum:
         self.ranks, self.ids, self.softening2 = ranks, ids, softening2
         self.interactions = 0  # so far
 
-    def pull(self, particles: Particles) -> Array:
+    def sources(self, p: Particles, mass: Array) -> Iterator[tuple[Array, Array, Array]]:
+        """(ids, positions, masses) of all, as many at once as take some tenths of a second, so that Ctrl-C is heard."""
+        each = max(1, PAIRS // max(len(p), 1))
+        for block in blocks(self.ranks, {"id": p.id, "position": p.position, "mass": mass}, self.ids):
+            for first in range(0, len(block["mass"]), each):
+                check_signals()
+                some = slice(first, first + each)
+                yield block["id"][some], block["position"][some], block["mass"][some]
+
+    def pull(self, p: Particles) -> Array:
         """Accelerations (n, d). Collective."""
-        columns = {name: particles[name] for name in ("id", "position", "mass")}
-        pull, axes = np.zeros_like(particles.position), (0,) * particles.dimension
-        for block in blocks(self.ranks, columns, self.ids):
-            for some in pieces(len(particles), len(block["mass"])):
-                attract(axes, particles.position, block["position"][some], block["mass"][some], self.softening2, pull)
-        self.interactions += len(particles) * self.ids.total
+        pull = np.zeros_like(p.position)
+        for _, x, mass in self.sources(p, p.mass):
+            attract((0,) * p.dimension, p.position, x, mass, self.softening2, pull)
+        self.interactions += len(p) * self.ids.total
         return pull
 
     def potential(self, p: Particles) -> Array:
         """Potential (n,), that of movable sources by half. Collective."""
-        columns = {"id": p.id, "position": p.position, "mass": halved(p)}
-        total, axes = np.zeros(len(p)), (0,) * p.dimension
-        for block in blocks(self.ranks, columns, self.ids):
-            for some in pieces(len(p), len(block["mass"])):
-                sources = block["position"][some], block["mass"][some], block["id"][some]
-                add_potential(axes, p.position, p.id, *sources, self.softening2, total)
+        total = np.zeros(len(p))
+        for ids, x, mass in self.sources(p, halved(p)):
+            add_potential((0,) * p.dimension, p.position, p.id, x, mass, ids, self.softening2, total)
         return total
-
-
-def pieces(targets: int, sources: int) -> Iterator[slice]:
-    """The sources in turn, as many at once as take some tenths of a second, so that Ctrl-C is heard in between."""
-    each = max(1, PAIRS // max(targets, 1))
-    for first in range(0, sources, each):
-        check_signals()
-        yield slice(first, first + each)
 
 
 class TreeSum:

@@ -3,8 +3,8 @@
 import numpy as np
 
 from particles_mpi.particles import Array, Particles, row_dot
-from particles_mpi.scene.effect import Force
-from particles_mpi.scene.model import EffectOptions
+from particles_mpi.scene.effect import EffectOptions, Force
+from particles_mpi.scene.model import wrong_length
 from particles_mpi.scene.schema import Scene
 
 
@@ -14,8 +14,7 @@ class Options(EffectOptions):
     acceleration: list[float]
 
     def faults(self, scene: Scene) -> list[str]:
-        n, d = len(self.acceleration), scene.dimension
-        return [] if n == d else [f"acceleration: {n} components in dimension {d}"]
+        return wrong_length("acceleration", self.acceleration, scene.dimension)
 
 
 class Effect(Force):
@@ -29,11 +28,10 @@ class Effect(Force):
         self.periodic = np.array(scene.periodic)
 
     def add(self, particles: Particles, acceleration: Array) -> None:
-        """acceleration (n, d) += g."""
         acceleration += self.g
 
     def potential(self, particles: Particles) -> Array:
-        """-m g.x of each particle, shape (n,); not a number with a g along a periodic axis, on which there is no height."""
+        """-m g.x; not a number with a g along a periodic axis, on which there is no height."""
         if self.g[self.periodic].any():
             return np.full(len(particles), np.nan)
         return -particles.mass * row_dot(particles.position, self.g)

@@ -3,8 +3,7 @@
 import numpy as np
 
 from particles_mpi.particles import FIELDS, Array, Particles, row_dot
-from particles_mpi.scene.effect import Force, Needs
-from particles_mpi.scene.model import EffectOptions
+from particles_mpi.scene.effect import EffectOptions, Force, Needs
 from particles_mpi.scene.schema import Scene
 
 
@@ -22,14 +21,10 @@ class Effect(Force):
         self.periodic = np.array(scene.periodic)
 
     def add(self, particles: Particles, acceleration: Array) -> None:
-        """acceleration (n, d) += a_i."""
         acceleration += particles["acceleration"]
 
     def potential(self, particles: Particles) -> Array:
-        """-m a_i.x of each particle, shape (n,): a constant acceleration is conservative, but for one along a periodic axis.
-
-        That gives its particle more energy at each turn, so that its potential is not a number.
-        """
+        """-m a_i.x; not a number for one along a periodic axis, which gives its particle more energy at each turn."""
         a = particles["acceleration"]
         energy = -particles.mass * row_dot(particles.position, a)
         return np.where((a[:, self.periodic] != 0.0).any(axis=1), np.nan, energy)

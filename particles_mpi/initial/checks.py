@@ -11,8 +11,8 @@ from particles_mpi.initial.overlaps import check_overlaps, listed_pairs
 from particles_mpi.initial.placement import Container
 from particles_mpi.particles import FIELDS, Array, Particles
 from particles_mpi.scene.effect import ConstantFriction
+from particles_mpi.scene.model import LARGEST
 from particles_mpi.scene.schema import Scene, periodic_length
-from particles_mpi.scene.values import LARGEST
 
 MOST_CROSSINGS = 1e4  # of the box in a step
 

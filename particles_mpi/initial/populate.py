@@ -24,9 +24,8 @@ from particles_mpi.initial.placement import JAMMED, MOST_TRIES, Container, Rando
 from particles_mpi.initial.plummer import plummer_places, plummer_velocities
 from particles_mpi.particles import FIELDS, OWN, Array, Particles, default_values
 from particles_mpi.scene.active import ActiveEffects, fields_of
-from particles_mpi.scene.messages import faults_of
+from particles_mpi.scene.model import LARGEST, faults_of
 from particles_mpi.scene.schema import Population, Scene, periodic_length
-from particles_mpi.scene.values import LARGEST
 
 PER_PARTICLE = ("position", "velocity", "radius", "mass", "fixed", "drag", "acceleration")
 STREAMS = {name: k for k, name in enumerate(("position", "velocity", "speed", "radius", "mass", "drag"))}

@@ -1,40 +1,47 @@
-"""The columns of `diagnostics.csv`: energies, momentum and speeds, summed exactly over the particles of all ranks."""
+"""The columns of `diagnostics.csv`: energies, momentum, speeds and observables, of sums that are exact on any number of ranks.
 
-from __future__ import annotations
+Observables of a gas of spheres: D axes, N movable particles, T in units of energy (k = 1); rates since they were last computed.
 
-from math import nan
+- temperature: sum m (v - V)^2 / (D (N - 1)), with V the velocity of the centre of mass
+- moment_ratio: <v^4>/<v^2>^2 of v - V; Maxwell-Boltzmann gives (1 + 2/D) n/(n + 2), n = D (N - 1)
+- packing: volume of all spheres over that of the box
+- collision_rate: Gamma = 2 C/(N t), collisions of a particle in unit time; free_time 1/Gamma, free_path <|v - V|>/Gamma
+- z_virial: p V/(N T) = 1 + sum(-r.dp)/(D N T t) over the collisions, r from partner to partner, dp the momentum it gives
+- z_rate: 1 + sigma Gamma sqrt(pi m/T)/(2 D), for equal spheres of diameter sigma and mass m; nan for others
+  (Enskog; M. P. Allen and D. J. Tildesley, Computer Simulation of Liquids, 1987, for both)
+"""
+
+from math import gamma, nan, pi, sqrt
+from typing import Any
 
 import numpy as np
 
+from particles_mpi.contacts.drift import COUNTS
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.particles import Array, Particles, row_dot
 
-COUNTS = ("collisions", "wall_hits", "missed", "exchanges")  # of what happened since the row before
+OBSERVABLES = ("temperature", "moment_ratio", "packing", "collision_rate", "free_time", "free_path", "z_virial", "z_rate")
 ROTATION_PLANES = {2: ((0, 1),), 3: ((1, 2), (2, 0), (0, 1))}  # of the components of the angular momentum, by dimension
 
 
 def measure(ranks: Communicator, particles: Particles, potentials: dict[str, Array]) -> dict[str, float]:
     """Kinetic, potential and total energy, momentum and largest speed of all movable particles. Collective.
 
-    `potentials`: the potential energy (n,) of this rank's particles for each force that has one, by name; with mutual gravity
-    the columns of `measure_gravity` are added. Sums are correctly rounded, and so the same on any number of ranks. If a movable
-    particle has a potential of nan, `potential` and `total_energy` are nan.
+    `potentials`: the potential energy (n,) of this rank's particles for each force that has one, by name; nan of one of them
+    makes the sums nan. With mutual gravity the columns of `measure_gravity` are added.
     """
-    movable = particles.fixed == 0
+    d, movable = particles.dimension, particles.fixed == 0
     square = row_dot(particles.velocity, particles.velocity)
     momentum = particles.mass[:, None] * particles.velocity * movable[:, None]
-    columns = [0.5 * particles.mass * square * movable]
-    columns += [momentum[:, k] for k in range(particles.dimension)]
-    columns += [np.where(movable, u, 0.0) for u in potentials.values()]
-    kinetic, *sums = exact_sums(ranks, columns)
-    potential = float(sum(sums[particles.dimension :]))
+    columns = [0.5 * particles.mass * square * movable, *(momentum[:, k] for k in range(d))]
+    kinetic, *sums = exact_sums(ranks, columns + [np.where(movable, u, 0.0) for u in potentials.values()])
+    potential = float(sum(sums[d:]))
     row = {"kinetic": kinetic, "potential": potential, "total_energy": kinetic + potential}
-    names = momentum_names(particles.dimension)
-    row.update(zip(names, sums, strict=False))
+    row |= dict(zip(momentum_names(d), sums))
     row["max_speed"] = float(np.sqrt(ranks.allreduce_max(square.max(initial=0.0))[0]))
     if "mutual_gravity" in potentials:
-        row |= measure_gravity(ranks, particles, row["kinetic"], potentials["mutual_gravity"])
+        row |= measure_gravity(ranks, particles, kinetic, potentials["mutual_gravity"])
     return row
 
 
@@ -63,12 +70,45 @@ def momentum_names(dimension: int) -> list[str]:
 
 def columns(dimension: int, observables: bool = False, gravity: bool = False) -> list[str]:
     """The columns of diagnostics.csv, in order."""
-    energies = ["kinetic", "potential", "total_energy"]
-    row = ["step", "time", "particles", *energies, *momentum_names(dimension), "max_speed", *COUNTS, "imbalance"]
-    if gravity:
-        row += gravity_names(dimension)
-    if observables:
-        from particles_mpi.measure.observables import OBSERVABLES
+    row = ["step", "time", "particles", "kinetic", "potential", "total_energy", *momentum_names(dimension), "max_speed"]
+    row += [*COUNTS, "imbalance", *(gravity_names(dimension) if gravity else ())]
+    return [*row, *(OBSERVABLES if observables else ())]
 
-        row += OBSERVABLES
+
+def observe(
+    ranks: Communicator, p: Particles, volume: float, time: float, collisions: int, since: list[float]
+) -> dict[str, float]:
+    """The observables, with rates over the interval since `since` = [time, collisions, virial], which is updated. Collective.
+
+    `collisions`: of all ranks since the start; `volume`: of the box, nan without one. What is not defined is nan.
+    """
+    d, movable = p.dimension, p.fixed == 0
+    m = p.mass * movable
+    columns = [m, movable.astype(float), *[m * p.velocity[:, k] for k in range(d)], p.virial, p.radius**d]
+    mass, count, *momentum, virial, balls = exact_sums(ranks, columns)
+    whole = np.array(momentum) / mass if mass > 0.0 else np.zeros(d)
+    own = p.velocity - whole
+    square = row_dot(own, own)
+    largest, minus_smallest, heaviest, minus_lightest = ranks.allreduce_max(
+        np.array([part.max(initial=-np.inf) for q in (p.radius, p.mass) for part in (q[movable], -q[movable])], float)
+    )
+    heat, second, fourth, speed = exact_sums(
+        ranks, [m * square, square * movable, square**2 * movable, np.sqrt(square) * movable]
+    )
+    lasted, happened, given = time - since[0], collisions - since[1], virial - since[2]
+    since[:] = time, float(collisions), virial
+    row: dict[str, Any] = dict.fromkeys(OBSERVABLES, nan)
+    row["packing"] = balls * pi ** (d / 2) / gamma(d / 2 + 1) / volume
+    if count < 2 or not heat > 0.0:
+        return row
+    temperature = row["temperature"] = heat / (d * (count - 1.0))
+    row["moment_ratio"] = fourth * count / second**2
+    if not lasted > 0.0:
+        return row
+    rate = row["collision_rate"] = 2.0 * happened / (count * lasted)
+    row["z_virial"] = 1.0 + given / (d * count * temperature * lasted)
+    if rate > 0.0:
+        row["free_time"], row["free_path"] = 1.0 / rate, speed / count / rate
+    if largest == -minus_smallest and heaviest == -minus_lightest:
+        row["z_rate"] = 1.0 + 2.0 * float(largest) * rate * sqrt(pi * float(heaviest) / temperature) / (2.0 * d)
     return row

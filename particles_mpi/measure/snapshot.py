@@ -1,7 +1,5 @@
 """The whole state of a simulation apart from any rank: to copy, compare, print and save it as JSON."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -9,12 +7,13 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.errors import SceneError
-from particles_mpi.output.files import failing_together, replacing
+from particles_mpi.output.files import write_text
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.particles import FIELDS, Array, Particles, rows_of
 
 FORMAT = "particles_mpi state 1"
+METADATA = ("step", "moment", "h", "observed", "totals", "next_id", "additions", "kept", "scene")  # what `metadata` tells
 SHOWN = 20  # rows of a printed table
 
 
@@ -26,50 +25,40 @@ def gather_all(ranks: Communicator, particles: Particles) -> Particles:
 
 def same(one: Particles, other: Particles) -> bool:
     """The same fields with the same bits, row by row."""
-    if one.arrays.keys() != other.arrays.keys():
-        return False
-    return all(
-        a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
-        for a, b in ((one[name], other[name]) for name in one.arrays)
-    )
+
+    def bits(p: Particles, name: str) -> tuple[Any, ...]:
+        return p[name].dtype, p[name].shape, p[name].tobytes()
+
+    return one.arrays.keys() == other.arrays.keys() and all(bits(one, name) == bits(other, name) for name in one.arrays)
 
 
 def table(particles: Particles) -> str:
     """The first particles as a table, a line each, lowest ids first."""
     order = np.argsort(particles.id)[:SHOWN]
     names = [name for name in particles.arrays if name not in ("rate", "contacted", "virial", "total_acceleration")]
-    lines = [[_cell(particles[name][i]) for name in names] for i in order]
-    widths = [max(len(name), *(len(line[k]) for line in lines)) if lines else len(name) for k, name in enumerate(names)]
-    rows = ["  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) for line in [names, *lines]]
+    columns = [[name, *(_cell(particles[name][i]) for i in order)] for name in names]
+    widths = [max(map(len, column)) for column in columns]
+    rows = ["  ".join(map(str.rjust, line, widths)) for line in zip(*columns)]
     more = len(particles) - len(order)
     return "\n".join([*rows, f"... and {more} more"] if more > 0 else rows)
 
 
 def _cell(value: Any) -> str:
-    if np.ndim(value):
-        return "(" + ", ".join(f"{x:.6g}" for x in value) + ")"
-    return f"{value:.6g}"
+    return "(" + ", ".join(map(_cell, value)) + ")" if np.ndim(value) else f"{value:.6g}"
 
 
 def save_json(path: Path, ranks: Communicator, particles: Particles, metadata: dict[str, Any], indent: int | None) -> None:
-    """Write all particles in id order, floats with the digits that give the same bits back. Collective.
-
-    Replaced as a whole: at every moment `path` is the previous file or this one.
-    """
+    """Write all particles in id order, floats with the digits that give the same bits back. Collective."""
     all_ = gather_all(ranks, particles)
     columns = {name: {"dtype": str(column.dtype), "values": _plain(column)} for name, column in all_.arrays.items()}
     text = json.dumps({"format": FORMAT, **metadata, "particles": columns}, indent=indent, allow_nan=False) + "\n"
-    with failing_together(ranks, f"cannot write {path}"):
-        if ranks.is_root:
-            with replacing(path) as part:
-                part.write_text(text)
+    write_text(path, ranks, text)
 
 
 def _plain(column: Array) -> list[Any]:
     """Rows as lists; numbers that JSON does not have as text."""
-    if column.dtype.kind == "f" and not np.isfinite(column).all():
-        return [_plain(row) if np.ndim(row) else (float(row) if np.isfinite(row) else str(float(row))) for row in column]
-    values: list[Any] = column.tolist()
+    finite = np.isfinite(column)
+    values: list[Any] = (column if finite.all() else np.where(finite, column.astype(object), column.astype(str))).tolist()
     return values
 
 
@@ -80,7 +69,7 @@ def load_json(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
         if state.pop("format") != FORMAT:
             raise KeyError("format")
         columns = state.pop("particles")
-        arrays = {name: np.array(_numbers(c["values"]), c["dtype"]) for name, c in columns.items()}
+        arrays = {name: np.array(c["values"], c["dtype"]) for name, c in columns.items()}
         d = state["scene"]["dimension"]
         for name in arrays:
             if name in FIELDS and FIELDS[name].vector:
@@ -90,10 +79,3 @@ def load_json(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise SceneError(f"{path}: not a state saved by to_json ({str(error).splitlines()[0]})") from None
     return arrays, state
-
-
-def _numbers(values: list[Any]) -> list[Any]:
-    return [_numbers(v) if isinstance(v, list) else float(v) if isinstance(v, str) else v for v in values]
-
-
-METADATA = ("step", "moment", "h", "observed", "totals", "next_id", "additions", "kept", "scene")  # what `metadata` tells

@@ -1,7 +1,5 @@
 """The check, every few steps, that all particles are there, finite, and inside the walls and the box. It costs very little."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from particles_mpi.errors import StateError

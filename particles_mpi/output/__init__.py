@@ -3,11 +3,10 @@
 In the order in which to read them:
 
 - `files`: what all writers share: errors on all ranks together, files that are replaced as a whole, the columns of a frame
-- `folder`: may the output folder be used, or does it belong to another run?
 - `trajectory`: all frames in one HDF5 file, which ParaView opens
 - `vtk`: the same frames as one VTK file each
 - `diagnostics_csv`: a row of sums every few steps
-- `checkpoint`: the exact state in one file, from which a run continues with the same bits
+- `checkpoint`: the exact state in one file, from which a run continues with the same bits; may a run use its output folder?
 
 How a frame gets to disk. `run.job` gives each writer this rank's rows. `parallel.exchange.in_id_order` sorts the rows
 of all ranks by id: each rank gets a range of ids where HDF5 is parallel and every rank writes, otherwise rank 0 gets all.

@@ -1,12 +1,11 @@
 """What all writers share: errors of the file system on all ranks, files that are replaced as a whole, the columns of a frame."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -37,13 +36,44 @@ def failing_together(ranks: Communicator, task: str) -> Iterator[None]:
     raise_first(ranks, failure, root_reads=True)
 
 
-@contextmanager
-def continuing(path: Path) -> Iterator[None]:
-    """Read a file of the run that is to be continued; whatever is wrong with the file is a SceneError that names it."""
-    try:
-        yield
-    except Exception as error:  # damaged files raise anything
-        raise SceneError(f"{path}: cannot be continued: {_reason(error)}") from None
+class Continuing:
+    """A file that rank 0 reads when a run goes on, before anything is changed. Every method is collective.
+
+    With `resume_step` what it holds up to that step is kept and the rest removed in `open`; the last that is kept must be of
+    step `last`. Otherwise it begins anew. Raises a SceneError on all ranks for a file that cannot be continued, and a
+    StoppedError if the file system refuses.
+    """
+
+    file: Any = None  # what is open
+
+    def __init__(self, path: Path, ranks: Communicator, resume_step: int | None, last: int | None):
+        self.path, self.ranks = Path(path), ranks
+        with failing_together(ranks, f"cannot read {path}"):
+            if ranks.is_root and resume_step is not None and self.path.exists():
+                try:
+                    self.look(resume_step, last)
+                except Exception as error:  # damaged files raise anything
+                    raise SceneError(f"{path}: cannot be continued: {_reason(error)}") from None
+
+    def open(self) -> None:
+        """Make the file, or remove what is not kept."""
+        with failing_together(self.ranks, f"cannot prepare {self.path}"):
+            if self.ranks.is_root:
+                self.prepare()
+
+    def close(self) -> None:
+        """Close the file, if one is open. All that was written is safe without it."""
+        if self.file is not None:
+            self.file.close()
+            self.file = None
+
+    def look(self, resume_step: int, last: int | None) -> None:
+        """Read what is kept, on rank 0. Raises a ValueError that says why it cannot be."""
+        raise NotImplementedError
+
+    def prepare(self) -> None:
+        """What `open` does, on rank 0."""
+        raise NotImplementedError
 
 
 def check_last(steps: list[int], resume_step: int, last: int | None) -> None:
@@ -85,53 +115,49 @@ def mpi_io_errors() -> Iterator[None]:
     Open MPI prints that reason and does not return it: HDF5 knows only that the call failed. So stderr is caught during the
     block; what is not a reason is printed after it.
     """
-    held, stderr = os.memfd_create("stderr"), os.dup(2)
-    os.dup2(held, 2)
-    failure = None
-    try:
-        yield
-    except (OSError, RuntimeError, ValueError, KeyError) as error:
-        failure = error
-    finally:
-        os.dup2(stderr, 2)
-        os.close(stderr)
-        said = os.pread(held, os.lseek(held, 0, os.SEEK_END), 0)
-        os.close(held)
+    stderr, failure = os.dup(2), None
+    with open(os.memfd_create("stderr")) as held:
+        os.dup2(held.fileno(), 2)
+        try:
+            yield
+        except (OSError, RuntimeError, ValueError, KeyError) as error:
+            failure = error
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+        said = os.pread(held.fileno(), os.lseek(held.fileno(), 0, os.SEEK_END), 0)
     reason = MPI_IO_ERROR.search(said.decode(errors="replace")) if failure else None
     if reason:
         raise OSError(reason[1].strip()) from failure
-    if said:
-        os.write(2, said)
+    os.write(2, said)
     if failure:
         raise failure
 
 
-def frame_columns(name: str, dimension: int) -> dict[str, tuple[int, ...]]:
-    """The columns in a frame for a field: {name: shape of one row}.
+def frame_arrays(arrays: dict[str, Array], dimension: int) -> dict[str, Array]:
+    """The columns of a frame for the rows of `arrays`: contiguous arrays, with the same bits as the values given.
 
     Viewers know three axes, so vectors have three components, with z = 0 in two dimensions. Beyond three dimensions these are the
     first three, and a second column has all of them: `position`, `velocity_full`, `acceleration_full`.
     """
-    if not FIELDS[name].vector:
-        return {name: ()}
-    columns: dict[str, tuple[int, ...]] = {"Points" if name == "position" else name: (3,)}
-    if dimension > 3:
-        columns[name if name == "position" else f"{name}_full"] = (dimension,)
-    return columns
-
-
-def frame_arrays(arrays: dict[str, Array], dimension: int) -> dict[str, Array]:
-    """The columns of `frame_columns` for the rows of `arrays`: contiguous arrays, with the same bits as the values given."""
     columns = {}
     for name, values in arrays.items():
-        for column, width in frame_columns(name, dimension).items():
-            if width == (3,) and dimension != 3:
-                padded = np.zeros((len(values), 3))
-                padded[:, : min(dimension, 3)] = values[:, :3]
-                columns[column] = padded
-            else:
-                columns[column] = np.ascontiguousarray(values, FIELDS[name].dtype)
+        whole, shown = np.ascontiguousarray(values, FIELDS[name].dtype), "Points" if name == "position" else name
+        columns[shown] = whole
+        if FIELDS[name].vector and dimension != 3:
+            columns[shown] = np.zeros((len(values), 3))
+            columns[shown][:, :dimension] = whole[:, :3]
+            if dimension > 3:
+                columns[name if name == "position" else f"{name}_full"] = whole
     return columns
+
+
+def write_text(path: Path, ranks: Communicator, text: str) -> None:
+    """A text file, replaced as a whole by rank 0. Collective."""
+    with failing_together(ranks, f"cannot write {path}"):
+        if ranks.is_root:
+            with replacing(path) as part:
+                part.write_text(text)
 
 
 def sync_folder(folder: Path) -> None:

@@ -1,7 +1,5 @@
 """The same frames as files `vtk/particles_%06d.vtu` and a list `particles.pvd`: for VisIt, and ParaView before 5.12."""
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -9,43 +7,31 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from particles_mpi.output.files import check_last, continuing, failing_together, frame_arrays, replacing
+from particles_mpi.output.files import Continuing, check_last, failing_together, frame_arrays, replacing
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
 from particles_mpi.particles import Array, field
 
-VTK_TYPES = {"int64": "Int64", "float64": "Float64", "uint8": "UInt8"}
 
-
-class VtkSeries:
-    """Writer of a .vtu file for each frame, and of the .pvd file that lists them with their times; every method is collective.
-
-    folder: the output folder of the run. With `resume_step` frames up to that step are kept and later ones deleted, and the
-    last one kept must be of step `last`; otherwise the series begins anew. Raises a SceneError on all ranks for a list that
-    cannot be continued, before anything is changed, and a StoppedError if the file system refuses.
-    """
+class VtkSeries(Continuing):
+    """Writer of a .vtu file for each frame, and of the .pvd file that lists them with their times; every method is collective."""
 
     def __init__(
         self, folder: Path, ranks: Communicator, dimension: int, resume_step: int | None = None, last: int | None = None
     ):
-        self.folder, self.ranks, self.dimension = Path(folder), ranks, dimension
-        self.listing = self.folder / "particles.pvd"
+        self.folder, self.dimension = Path(folder), dimension
         self.frames: dict[int, str] = {}  # step → time as written
-        with failing_together(ranks, f"cannot read {self.listing}"):
-            if ranks.is_root and resume_step is not None and self.listing.exists():
-                with continuing(self.listing):
-                    self._look(resume_step, last)
+        super().__init__(self.folder / "particles.pvd", ranks, resume_step, last)
 
-    def open(self) -> None:
+    def prepare(self) -> None:
         """Make the folder, or delete the frames that are not kept."""
-        with failing_together(self.ranks, f"cannot prepare {self.listing}"):
-            if self.ranks.is_root:
-                (self.folder / "vtk").mkdir(parents=True, exist_ok=True)
-                if self.frames:
-                    self._write_listing()
-                for path in (self.folder / "vtk").glob("particles_*.vtu"):  # a killed run may not have listed its last
-                    if path.name not in {Path(self._name(step)).name for step in self.frames}:
-                        path.unlink()
+        (self.folder / "vtk").mkdir(parents=True, exist_ok=True)
+        if self.frames:
+            self._write_listing()
+        kept = {Path(self._name(step)).name for step in self.frames}
+        for path in (self.folder / "vtk").glob("particles_*.vtu"):  # a killed run may not have listed its last
+            if path.name not in kept:
+                path.unlink()
 
     def write(self, step: int, time: float, arrays: dict[str, Array], ids: IdRange) -> None:
         """Add a frame. `arrays`: this rank's owned rows in any order, (n,) or (n, d); fields not meant for frames are skipped."""
@@ -65,16 +51,16 @@ class VtkSeries:
 
     def _write_listing(self) -> None:
         lines = [f'    <DataSet timestep="{time}" part="0" file="{self._name(step)}"/>\n' for step, time in self.frames.items()]
-        with replacing(self.listing) as part:
+        with replacing(self.path) as part:
             part.write_text(
                 '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n  <Collection>\n'
                 + "".join(lines)
                 + "  </Collection>\n</VTKFile>\n"
             )
 
-    def _look(self, resume_step: int, last: int | None) -> None:
+    def look(self, resume_step: int, last: int | None) -> None:
         """Read the list of frames up to a step."""
-        for entry in ElementTree.parse(self.listing).iter("DataSet"):
+        for entry in ElementTree.parse(self.path).iter("DataSet"):
             numbers = re.findall(r"^vtk/particles_(\d+)\.vtu$", entry.get("file", ""))
             if not numbers:
                 raise ValueError(f"it lists {entry.get('file')!r}, which this program did not write")
@@ -86,26 +72,5 @@ class VtkSeries:
 def _write_vtu(path: Path, columns: dict[str, Array]) -> None:
     """Write one frame, binary and uncompressed. Each particle is a vertex cell: without cells ParaView shows nothing."""
     points = columns.pop("Points")
-    if len(points) == 0:
-        path.write_text(_empty_vtu(columns))
-        return
-    cells = [("vertex", np.arange(len(points))[:, None])]
+    cells = [("vertex", np.arange(len(points))[:, None])] if len(points) else []  # meshio raises for a kind without cells
     meshio.write(path, meshio.Mesh(points, cells, point_data=columns), file_format="vtu", binary=True, compression=None)
-
-
-def _empty_vtu(columns: dict[str, Array]) -> str:
-    """The text of a frame without particles: meshio raises for one."""
-    data = "".join(
-        f'<DataArray type="{VTK_TYPES[str(a.dtype)]}" Name="{name}" NumberOfComponents="{(*a.shape, 1)[1]}" format="ascii"/>'
-        for name, a in columns.items()
-    )
-    cells = "".join(
-        f'<DataArray type="{kind}" Name="{name}" format="ascii"/>'
-        for kind, name in (("Int64", "connectivity"), ("Int64", "offsets"), ("UInt8", "types"))
-    )
-    return (
-        '<?xml version="1.0"?>\n<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian">\n<UnstructuredGrid>\n'
-        '<Piece NumberOfPoints="0" NumberOfCells="0">\n'
-        '<Points><DataArray type="Float64" Name="Points" NumberOfComponents="3" format="ascii"/></Points>\n'
-        f"<Cells>{cells}</Cells>\n<PointData>{data}</PointData>\n</Piece>\n</UnstructuredGrid>\n</VTKFile>\n"
-    )

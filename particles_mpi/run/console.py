@@ -1,18 +1,16 @@
 """What a user sees: the plan, a progress bar, the phase table. Printed by rank 0; plain lines where there is no terminal."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from math import isfinite
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
+from rich.filesize import decimal
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Column, Table
 
 from particles_mpi.run.forecast import Forecast
-from particles_mpi.scene.plan import size
 
 PHASES = {
     "forces": "sum of forces",
@@ -54,42 +52,41 @@ def tell_of_compiling(dimension: int) -> None:
     from numba.core import event
 
     class Teller(event.Listener):
+        told = False
+
         def on_start(self, _: Any) -> None:
-            if self in waiting:
-                waiting.remove(self)
+            if not self.told:
+                self.told = True
                 print(f"dimension {dimension}: kernels are compiled now, about {COMPILING} s, once", flush=True)
 
         def on_end(self, _: Any) -> None:
             pass
 
-    waiting = [Teller()]
-    event.register("numba:compile", waiting[0])
+    event.register("numba:compile", Teller())
 
 
 class Screen:
     """Prints on rank 0, unless `quiet`."""
 
     def __init__(self, is_root: bool, quiet: bool):
-        self.loud = is_root and not quiet
+        self.loud, shown = is_root and not quiet, watched()
         self.console = Console(
-            highlight=False, soft_wrap=True, force_terminal=None if watched() else False, width=None if watched() else 110
+            highlight=False,
+            soft_wrap=True,
+            force_terminal=None if shown else False,
+            width=None if shown else 110,
+            quiet=not self.loud,
         )
+        self.say = self.console.print
         self.progress: Progress | None = None
-
-    def say(self, text: Any) -> None:
-        if self.loud:
-            self.console.print(text)
 
     def table(self, table: Table) -> None:
         """Print a table, in its full width if it is not shown on a terminal."""
-        if self.loud:
-            self.console.print(table, width=None if self.console.is_terminal else WIDE, crop=False)
+        self.console.print(table, width=None if self.console.is_terminal else WIDE, crop=False)
 
     def plan(self, title: str, plan: dict[str, Any], warnings: list[str]) -> None:
         """Print the plan, before the run."""
-        if not self.loud:
-            return
-        say = self.console.print
+        say = self.say
         say(f"[bold]{title or 'untitled scene'}[/bold]: {plan['particles']} particles ({plan['fixed']} fixed) in dimension "
             f"{plan['dimension']}, {plan['steps']} steps of {plan['step']:g}, "
             f"{plan['integrator']}, {plan['ranks']} rank(s)")  # fmt: skip
@@ -101,8 +98,8 @@ class Screen:
         table.add_row("drift", "dx/dt = v")
         say(table)
         say(f"  does not run: {', '.join(plan['not_run']) or 'nothing left out'}")
-        say(f"  ghosts: {plan['ghosts']}; memory about {size(plan['memory_bytes'])}; output {plan['frames']} frames, about "
-            f"{size(plan['output_bytes'])}")  # fmt: skip
+        say(f"  ghosts: {plan['ghosts']}; memory about {decimal(plan['memory_bytes'])}; output {plan['frames']} frames, about "
+            f"{decimal(plan['output_bytes'])}")  # fmt: skip
         for line in plan["advice"]:
             say(f"  step: {line}")
         for line in warnings:
@@ -121,38 +118,29 @@ class Screen:
 
     def start(self, done: int, steps: int) -> Callable[[int, dict[str, Any]], None]:
         """Begin the progress bar; returns a function to be called with (steps done, last row of diagnostics)."""
-        bar = self._progress("steps", steps, done, MofNCompleteColumn(), BarColumn(), TextColumn("{task.fields[rate]}"),
-                             TimeRemainingColumn(), TextColumn("{task.fields[state]}"))  # fmt: skip
+        bar = self._progress("steps", steps, done)
 
         def update(step: int, row: dict[str, Any]) -> None:
-            if bar is None:
+            if bar.disable:
                 return
-            speed = bar.tasks[0].speed
-            name, energy = ("E", row["total_energy"]) if row else ("", 0.0)
-            if not isfinite(energy):  # a force along a periodic axis has no potential
-                name, energy = "kinetic E", row["kinetic"]
-            state = f"{name} {energy:.6g}  collisions {row['collisions_so_far']}" if row else ""
+            speed, state = bar.tasks[0].speed, ""
+            if row:  # a force along a periodic axis has no potential
+                name, column = ("E", "total_energy") if isfinite(row["total_energy"]) else ("kinetic E", "kinetic")
+                state = f"{name} {row[column]:.6g}  collisions {row['collisions_so_far']}"
             bar.update(bar.tasks[0].id, completed=step, rate=f"{speed:.0f} steps/s" if speed else "", state=state)
 
         return update
 
     def count(self, what: str, number: int) -> Callable[[str], None]:
         """Begin a progress bar for a `number` of tasks; returns a function to be called with the name of each as it begins."""
-        bar = self._progress(
-            what, number, -1, MofNCompleteColumn(), BarColumn(), TimeRemainingColumn(), TextColumn("{task.fields[state]}")
-        )
+        bar = self._progress(what, number, -1)
+        return lambda name: bar.update(bar.tasks[0].id, advance=1, state=name)
 
-        def advance(name: str) -> None:
-            if bar is not None:
-                bar.update(bar.tasks[0].id, advance=1, state=name)
-
-        return advance
-
-    def _progress(self, what: str, total: int, done: int, *columns: ProgressColumn) -> Progress | None:
-        """A progress bar with these columns, begun; None where nobody sees it."""
-        if not self.loud or not self.console.is_terminal:
-            return None
-        self.progress = Progress(*columns, console=self.console)
+    def _progress(self, what: str, total: int, done: int) -> Progress:
+        """A progress bar, which is shown only on a terminal."""
+        rate, state = (TextColumn(f"{{task.fields[{name}]}}") for name in ("rate", "state"))
+        columns = MofNCompleteColumn(), BarColumn(), rate, TimeRemainingColumn(), state
+        self.progress = Progress(*columns, console=self.console, disable=not (self.loud and self.console.is_terminal))
         self.progress.add_task(what, total=total, completed=done, rate="", state="")
         self.progress.start()
         return self.progress
@@ -161,12 +149,9 @@ class Screen:
         """Remove the progress bar, if there is one."""
         if self.progress:
             self.progress.stop()
-            self.progress = None
 
     def phases(self, timers: dict[str, dict[str, float]], steps: int, particles: int) -> None:
         """Print the phase table: seconds of each phase over the ranks, and its share of the loop."""
-        if not self.loud:
-            return
         loop = timers["loop"]["mean"]
         numbers = [Column(name, justify="right") for name in ("min s", "mean s", "max s", "share")]
         table = Table("phase", *numbers, box=None, padding=(0, 2, 0, 0))
@@ -174,8 +159,7 @@ class Screen:
             t = timers[name]
             share = f"{t['mean'] / loop:.1%}" if loop > 0.0 and name != "setup" else ""
             table.add_row(PHASES.get(name, name), *(f"{t[k]:.3f}" for k in ("min", "mean", "max")), share)
-        self.console.print(table)
+        self.say(table)
         if steps and particles:
             seconds = timers["loop"]["max"]
-            each = seconds / steps / particles * 1e9
-            self.console.print(f"{steps / seconds:.0f} steps/s, {each:.1f} ns a particle-step")
+            self.say(f"{steps / seconds:.0f} steps/s, {seconds / steps / particles * 1e9:.1f} ns a particle-step")

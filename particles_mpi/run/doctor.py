@@ -1,8 +1,7 @@
 """What is installed, whether it works together, and what to do if not.
 
-Nothing that needs MPI or HDF5 is imported in this process: small programs are started which do that and answer in JSON, so that a
-library that is broken, or hangs, becomes a row of the table and does not end the doctor. `python particles_mpi/run/doctor.py`
-works before the package is installed: run.sh checks the installation with it.
+Nothing that needs MPI or HDF5 is imported here: small programs do that and answer in JSON, so that a library that is broken, or
+hangs, becomes a row of the table. run.sh checks an installation with `python particles_mpi/run/doctor.py`, before any other.
 """
 
 import json
@@ -14,7 +13,7 @@ import sys
 import tempfile
 from importlib import metadata
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 PROBE_SECONDS = 60
 
@@ -47,23 +46,16 @@ if comm.rank == 0:
 """
 
 
-class Row(NamedTuple):
-    """A row of the table."""
+REINSTALL = "remove .venv and ./run.sh setup"
+MARKS = {"Open MPI": "Open MPI", "OpenRTE": "Open MPI", "Intel": "Intel MPI", "MPICH": "MPICH", "HYDRA": "MPICH"}
 
-    what: str
-    found: str
-    advice: str = ""  # what to do; empty if all is right
+Answer = tuple[str, str]  # what was found, and what to do about it: empty if all is right
 
 
 def launcher() -> str | None:
     """The path of mpirun: the one next to this Python comes before any other on the PATH."""
     path = os.pathsep.join([str(Path(sys.prefix) / "bin"), os.environ.get("PATH", "")])
     return shutil.which("mpirun", path=path) or shutil.which("mpiexec", path=path)
-
-
-def started_ranks() -> int:
-    """How many processes the launcher started, by its environment variables; 1 without a launcher."""
-    return max(int(os.environ.get(name, 1)) for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE"))
 
 
 def probe(ranks: int) -> dict[str, Any]:
@@ -88,88 +80,89 @@ def probe(ranks: int) -> dict[str, Any]:
     return {"error": (raised or said)[0], "stderr": answer.stderr}
 
 
-def report(world: int = 1) -> list[Row]:
+def report(world: int) -> list[tuple[str, Answer]]:
     """All rows of the table; `world`: the number of ranks with which this process runs."""
     alone = probe(1)
+    here = alone.get("library", alone.get("error", "")), f"mpi4py cannot start MPI: {REINSTALL}" if "error" in alone else ""
     return [
-        Row("Python", f"{platform.python_version()} ({sys.executable})"),
-        *(_package(name) for name in ("numpy", "numba", "scipy", "pydantic", "mpi4py")),
-        _library(alone),
-        _launcher(alone),
+        ("Python", (f"{platform.python_version()} ({sys.executable})", "")),
+        *((name, _package(name)) for name in ("numpy", "numba", "scipy", "pydantic", "mpi4py")),
+        ("MPI library", here),
+        ("launcher", _launcher(alone)),
         _ranks(world),
-        _package("h5py"),
-        _hdf5(alone),
-        _package("meshio"),
-        _package("matplotlib", "pictures in python_viz/ and study"),
-        _package("vtk", "only the tests read with it"),
-        _cores(),
-        _kernels(Path(__file__).parents[1]),
+        ("h5py", _package("h5py")),
+        ("HDF5", _hdf5(alone)),
+        ("meshio", _package("meshio")),
+        ("matplotlib", _package("matplotlib", "pictures in python_viz/ and study")),
+        ("vtk", _package("vtk", "only the tests read with it")),
+        ("cores", (f"{usable_cores()} for this process, {os.cpu_count()} in the machine", "")),
+        ("kernel cache", _kernels(Path(os.environ.get("NUMBA_CACHE_DIR") or Path(__file__).parents[1]))),
     ]
 
 
-def _package(name: str, optional_for: str = "") -> Row:
+def _package(name: str, optional_for: str = "") -> Answer:
     try:
-        return Row(name, metadata.version(name))
+        return metadata.version(name), ""
     except metadata.PackageNotFoundError:
-        return Row(name, f"not installed ({optional_for})") if optional_for else Row(name, "not installed", "./run.sh setup")
-
-
-def _library(alone: dict[str, Any]) -> Row:
-    if "error" in alone:
-        return Row("MPI library", alone["error"], "mpi4py cannot start MPI: remove .venv and ./run.sh setup")
-    return Row("MPI library", alone["library"])
+        return (f"not installed ({optional_for})", "") if optional_for else ("not installed", "./run.sh setup")
 
 
 def _family(text: str) -> str:
     """The MPI implementation that a version text names; hydra is the launcher of MPICH."""
-    marks = {"Open MPI": "Open MPI", "OpenRTE": "Open MPI", "Intel": "Intel MPI", "MPICH": "MPICH", "HYDRA": "MPICH"}
-    return next((family for mark, family in marks.items() if mark in text), "unknown")
+    return next((family for mark, family in MARKS.items() if mark in text), "unknown")
 
 
-def _launcher(alone: dict[str, Any]) -> Row:
+def _launcher(alone: dict[str, Any]) -> Answer:
     path = launcher()
     if path is None:
-        return Row("launcher", "no mpirun or mpiexec found", "install an MPI, or: PARTICLES_MPI_SETUP=pip ./run.sh setup")
+        return "no mpirun or mpiexec found", "install an MPI, or: PARTICLES_MPI_SETUP=pip ./run.sh setup"
     try:
         said = subprocess.run([path, "--version"], capture_output=True, text=True, timeout=PROBE_SECONDS)
     except (OSError, subprocess.TimeoutExpired) as error:
-        return Row("launcher", f"{path}: {error}", "this launcher does not start")
+        return f"{path}: {error}", "this launcher does not start"
     ours, theirs = _family(said.stdout + said.stderr), _family(alone.get("library", ""))
     if "unknown" in (ours, theirs) or ours == theirs:
-        return Row("launcher", f"{path} ({ours})")
-    return Row("launcher", f"{path} belongs to {ours}, mpi4py to {theirs}", f"start with the mpirun of {theirs}")
+        return f"{path} ({ours})", ""
+    return f"{path} belongs to {ours}, mpi4py to {theirs}", f"start with the mpirun of {theirs}"
 
 
-def _ranks(world: int) -> Row:
+def _ranks(world: int) -> tuple[str, Answer]:
     """Do ranks see each other: those of this run if there are several, otherwise two that are started for it."""
-    started = max(started_ranks(), world)
-    if started > 1:
-        if world == started:
-            return Row("ranks", f"{world} started, {world} see each other (this very run)")
-        advice = "this mpirun is of another MPI than mpi4py's: see launcher"
-        return Row("ranks", f"{started} started, but each is alone", advice)
-    if launcher() is None:
-        return Row("2-rank check", "not tried: no launcher", "see launcher")
-    pair = probe(2)
+    started = max(world, *(int(os.environ.get(name, 1)) for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")))
+    if started > world:
+        return "ranks", (f"{started} started, but each is alone", "this mpirun is of another MPI than mpi4py's: see launcher")
+    if world > 1:
+        return "ranks", (f"{world} started, {world} see each other (this very run)", "")
+    return "2-rank check", _pair(probe(2)) if launcher() else ("not tried: no launcher", "see launcher")
+
+
+def _pair(pair: dict[str, Any]) -> Answer:
     if "error" in pair:
-        return Row("2-rank check", pair["error"], "a 2-rank program does not run: try the launcher by hand")
+        return pair["error"], "a 2-rank program does not run: try the launcher by hand"
     if pair["size"] != 2:
-        return Row("2-rank check", f"2 started, a world of {pair['size']}", "launcher and mpi4py are of different MPIs")
+        return f"2 started, a world of {pair['size']}", "launcher and mpi4py are of different MPIs"
     if not pair["sum_right"]:
-        return Row("2-rank check", "a wrong sum over the ranks", "this MPI is broken: PARTICLES_MPI_SETUP=pip ./run.sh setup")
+        return "a wrong sum over the ranks", "this MPI is broken: PARTICLES_MPI_SETUP=pip ./run.sh setup"
     if "hdf5_error" in pair or pair.get("written") is False:
-        return Row("2-rank check", f"HDF5: {pair.get('hdf5_error', 'wrong rows')}", "remove .venv and ./run.sh setup")
-    return Row("2-rank check", "2 ranks see each other, sums right" + ", collective HDF5 write right" * ("written" in pair))
+        return f"HDF5: {pair.get('hdf5_error', 'wrong rows')}", REINSTALL
+    return "2 ranks see each other, sums right" + ", collective HDF5 write right" * ("written" in pair), ""
 
 
-def _hdf5(alone: dict[str, Any]) -> Row:
+def _hdf5(alone: dict[str, Any]) -> Answer:
     if "hdf5_error" in alone:
-        return Row("HDF5", alone["hdf5_error"], "remove .venv and ./run.sh setup")
-    if alone.get("parallel"):
-        return Row("HDF5", f"{alone['hdf5']}, parallel: every rank writes its own rows")
-    if "hdf5" in alone:
-        return Row("HDF5", f"{alone['hdf5']}, serial: one rank gathers and writes, the files are the same")
-    return Row("HDF5", "not known: MPI does not start", "see MPI library")
+        return alone["hdf5_error"], REINSTALL
+    if "hdf5" not in alone:
+        return "not known: MPI does not start", "see MPI library"
+    serial = "serial: one rank gathers and writes, the files are the same"
+    return f"{alone['hdf5']}, {'parallel: every rank writes its own rows' if alone['parallel'] else serial}", ""
+
+
+def _kernels(folder: Path) -> Answer:
+    if compiled := sum(1 for _ in folder.rglob("*.nbi")):
+        return f"{compiled} compiled, in {folder}", ""
+    if os.access(folder, os.W_OK) or os.access(Path.home(), os.W_OK):
+        return "empty: the first run compiles (./run.sh setup does it now)", ""
+    return f"{folder} cannot be written", "every run will compile: set NUMBA_CACHE_DIR to a folder of yours"
 
 
 def usable_cores() -> int | None:
@@ -177,36 +170,19 @@ def usable_cores() -> int | None:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
 
 
-def _cores() -> Row:
-    return Row("cores", f"{usable_cores()} for this process, {os.cpu_count()} in the machine")
-
-
-def _kernels(package: Path) -> Row:
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    folder = Path(chosen) if chosen else package
-    compiled = sum(1 for _ in folder.rglob("*.nbi"))
-    if compiled:
-        return Row("kernel cache", f"{compiled} compiled, in {folder}")
-    home = folder if folder.exists() else Path.home()
-    if os.access(home, os.W_OK) or os.access(Path.home(), os.W_OK):
-        return Row("kernel cache", "empty: the first run compiles (./run.sh setup does it now)")
-    return Row("kernel cache", f"{folder} cannot be written", "every run will compile: set NUMBA_CACHE_DIR to a folder of yours")
-
-
-def main(rank: int = 0, size: int = 1) -> int:
+def main(is_root: bool, size: int) -> int:
     """Print the table on rank 0. Exit code 0: all is right; 1: something has to be done, which the table says."""
-    if rank > 0:
+    if not is_root:
         return 0
     from rich.console import Console
     from rich.table import Table
 
     rows = report(size)
     table = Table("", "", "found", "what to do", title="particles_mpi doctor", title_justify="left", box=None, padding=(0, 1))
-    for row in rows:
-        mark = "[red]NO[/]" if row.advice else "[green]ok[/]"
-        table.add_row(mark, row.what, row.found, row.advice)
+    for what, (found, advice) in rows:
+        table.add_row("[red]NO[/]" if advice else "[green]ok[/]", what, found, advice)
     Console(soft_wrap=False).print(table)
-    return int(any(row.advice for row in rows))
+    return int(any(advice for _, (_, advice) in rows))
 
 
 if __name__ == "__main__":  # for run.sh: what two ranks see, as JSON

@@ -1,15 +1,11 @@
 """How long a run will take, from the times of its own first steps; these belong to the run, so that measuring them costs nothing.
 
-Later steps are assumed to take as long as those measured, and so are frames, rows of diagnostics and checkpoints, each as often
-as the scene asks for it. Time in which kernels are compiled or loaded is not counted. Where the scene shows that later steps
-may cost more or less, the forecast is a range, with the reason. There are no constants of any machine in it.
+Later steps, frames, rows of diagnostics and checkpoints are assumed to take as long as those measured; time in which kernels are
+compiled or loaded is not counted. Where the scene shows that later steps may cost more or less, the forecast is a range.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass, field
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 from numba.core.event import TimingListener, register
 
@@ -24,8 +20,7 @@ HEAPING = 0.9  # restitution below which falling particles soon lie in heaps
 WRITING = {"output": "every", "diagnostics": "diagnostics_every", "checkpoint": "checkpoint_every"}  # phases and their periods
 
 
-@dataclass(frozen=True)
-class Outlook:
+class Outlook(NamedTuple):
     """Later steps take between `least` and `most` times as long as those at the start; `reason`: why, if that exceeds TRUST."""
 
     least: float = 1.0 / TRUST
@@ -47,8 +42,7 @@ def outlook(scene: Scene) -> Outlook:
     return Outlook()
 
 
-@dataclass(frozen=True)
-class Forecast:
+class Forecast(NamedTuple):
     """How long the time loop will take."""
 
     seconds: float  # if steps go on as they began
@@ -59,7 +53,7 @@ class Forecast:
     timed: int  # steps over which that was measured
     writing: float  # part of `seconds` for frames, diagnostics and checkpoints
     ranks: int
-    phases: dict[str, float] = field(default_factory=dict)  # seconds of a step by phase
+    phases: dict[str, float]  # seconds of a step by phase
 
     def __str__(self) -> str:
         """One line for the user."""
@@ -71,14 +65,17 @@ class Forecast:
         )
 
 
-@dataclass(frozen=True)
-class Mark:
+class Mark(NamedTuple):
     """A run at one time: steps done, the clock, seconds spent to compile or load kernels, and those of each phase."""
 
     step: int
     clock: float
     loading: float
     phases: dict[str, float]
+
+    def spent(self, since: Self, *names: str) -> float:
+        """Seconds in the phases of these names since another mark."""
+        return sum(self.phases.get(name, 0.0) - since.phases.get(name, 0.0) for name in names)
 
 
 LOADING = TimingListener()  # of this process
@@ -88,8 +85,8 @@ register("numba:compiler_lock", LOADING)  # numba holds this lock while it compi
 class Forecaster:
     """Measures the steps of a run up to step `last`, on one rank, from the moment it is made.
 
-    `look` is to be called after each step and the output that belongs to it. It gives a forecast when enough steps were
-    measured, after half of the steps at the latest, and again whenever the time since the start has doubled.
+    `look` is to be called after each step and its output. It gives a forecast when enough steps were measured, after half of the
+    steps at the latest, and again whenever the time since the start has doubled.
     """
 
     def __init__(self, sim: Any, last: int):
@@ -127,18 +124,14 @@ class Forecaster:
 
     def own(self, now: Mark) -> float:
         """Seconds spent in steps alone since the last mark."""
-        written = sum(now.phases.get(name, 0.0) - self.since.phases.get(name, 0.0) for name in WRITING)
-        loading = now.loading - self.since.loading
-        if self.since is self.began:
-            loading -= self.loaded  # it is in `written` already
-        return now.clock - self.since.clock - loading - written
+        loading = now.loading - self.since.loading - (self.loaded if self.since is self.began else 0.0)  # which WRITING has
+        return now.clock - self.since.clock - loading - now.spent(self.since, *WRITING)
 
     def forecast(self, now: Mark, own: float) -> Forecast:
         """The forecast from the steps since the last mark, which took `own` seconds."""
         timed, left = now.step - self.since.step, self.last - now.step
         step, gone = own / timed, now.clock - self.began.clock
         to_write = sum(self.cost(name, now) * self.number(name, now.step, self.last) for name in WRITING)
-        written = sum(now.phases.get(name, 0.0) for name in WRITING)
         seen = self.outlook
         return Forecast(
             seconds=gone + left * step + to_write,
@@ -147,13 +140,9 @@ class Forecaster:
             reason=seen.reason,
             step=step,
             timed=timed,
-            writing=written + to_write,
+            writing=now.spent(self.began, *WRITING) + to_write,
             ranks=self.sim.ranks.size,
-            phases={
-                name: (seconds - self.since.phases.get(name, 0.0)) / timed
-                for name, seconds in now.phases.items()
-                if name not in WRITING
-            },
+            phases={name: now.spent(self.since, name) / timed for name in now.phases if name not in WRITING},
         )
 
     def number(self, name: str, begin: int, end: int) -> int:
@@ -164,10 +153,10 @@ class Forecaster:
 
     def cost(self, name: str, now: Mark) -> float:
         """Seconds for one of them, without the first if there are others; a checkpoint counts as a frame at first."""
-        seconds, number = now.phases.get(name, 0.0), self.number(name, self.first.step, now.step)
+        number = self.number(name, self.first.step, now.step)
         if number and self.first is not self.began:
-            return (seconds - self.first.phases.get(name, 0.0)) / number
+            return now.spent(self.first, name) / number
         number = self.number(name, self.began.step, now.step) + (name != "checkpoint" and self.began.step == 0)
         if number:
-            return (seconds - (self.loaded if name == "diagnostics" else 0.0)) / number
+            return (now.spent(self.began, name) - (self.loaded if name == "diagnostics" else 0.0)) / number
         return self.cost("output", now) if name == "checkpoint" else 0.0

@@ -1,7 +1,5 @@
 """One run from plan to phase table: frames, diagnostics, checkpoints, signals, `run.json`."""
 
-from __future__ import annotations
-
 import json
 import platform
 from importlib.metadata import version
@@ -18,8 +16,7 @@ from particles_mpi.measure.snapshot import METADATA
 from particles_mpi.measure.watchdog import WATCH_EVERY
 from particles_mpi.output import checkpoint
 from particles_mpi.output.diagnostics_csv import Diagnostics
-from particles_mpi.output.files import failing_together, replacing
-from particles_mpi.output.folder import claim
+from particles_mpi.output.files import write_text
 from particles_mpi.parallel.agreement import await_all, same_on_all
 from particles_mpi.parallel.communicator import mpi_library
 from particles_mpi.parallel.signals import StopRequest
@@ -53,7 +50,7 @@ class Job:
     ):
         self.sim, self.folder, self.resumed = sim, folder, resumed
         self.scene, self.ranks = sim.scene, sim.ranks
-        self.limit = steps
+        self.last = sim.last_step if steps is None else steps  # number of the step with which the job ends
         self.setup_began = perf_counter() if setup_began is None else setup_began
         options = {"output": str(folder), "steps": self.last, "overwrite": overwrite, "resume": resumed, "wall-time": wall_time}
         same_on_all(self.ranks, {f"--{name}": value for name, value in options.items()})
@@ -64,34 +61,28 @@ class Job:
         self.plan = plan(self.scene, sim.rows, sim.total, self.ranks.size)
         self.plan["fixed"] = int(self.ranks.allreduce_sum(self.plan["fixed"])[0])
         self.request = StopRequest(self.ranks, self.setup_began, wall_time)  # from here on a signal must not leave half a file
-        self.continues = claim(folder, self.ranks, self.scene.to_dict(), resumed, overwrite)
+        self.continues = checkpoint.claim(folder, self.ranks, self.scene.to_dict(), resumed, overwrite)
         self.written = sim.written = sim.written if self.continues else {"row": -1, "frame": -1}
         self._open()
 
-    @property
-    def last(self) -> int:
-        """The number of the step with which the job ends."""
-        return self.sim.last_step if self.limit is None else self.limit
-
     def _open(self) -> None:
         """The writers that the scene asks for; all have looked at their files before the first one changes its own."""
-        sim, d = self.sim, self.scene.dimension
-        step = sim.steps_done if self.continues else None
-        last = self.written.get("frame"), self.written.get("row")
-        held = self.written.get("frame_particles")
-        self.writers: list[Any] = []
-        if "hdf5" in self.scene.output.formats:
+        output, d, ranks = self.scene.output, self.scene.dimension, self.ranks
+        step = self.sim.steps_done if self.continues else None
+        frame, row, held = (self.written.get(name) for name in ("frame", "row", "frame_particles"))
+        self.frames: list[Any] = []
+        if "hdf5" in output.formats:
             from particles_mpi.output.trajectory import Trajectory
 
             path = self.folder / "trajectory.vtkhdf"
-            self.writers.append(Trajectory(path, self.ranks, list(self._frame()), d, sim.total, step, last[0], held))
-        if "vtk" in self.scene.output.formats:
+            self.frames.append(Trajectory(path, ranks, list(self._frame()), d, self.sim.total, step, frame, held))
+        if "vtk" in output.formats:
             from particles_mpi.output.vtk import VtkSeries
 
-            self.writers.append(VtkSeries(self.folder, self.ranks, d, step, last[0]))
-        names = columns(d, self.scene.output.observables, "mutual_gravity" in self.scene.effects)
-        self.diagnostics = Diagnostics(self.folder / "diagnostics.csv", self.ranks, names, step, last[1])
-        for writer in (*self.writers, self.diagnostics):
+            self.frames.append(VtkSeries(self.folder, ranks, d, step, frame))
+        names = columns(d, output.observables, "mutual_gravity" in self.scene.effects)
+        self.diagnostics = Diagnostics(self.folder / "diagnostics.csv", ranks, names, step, row)
+        for writer in (*self.frames, self.diagnostics):
             writer.open()
 
     def _frame(self) -> dict[str, Array]:
@@ -144,7 +135,9 @@ class Job:
             await_all(self.ranks, error)  # to close a file would wait for ranks that have no error
             self.close()
             if isinstance(error, StateError) and not self.rehearsal:
-                raise StateError(f"{error}; {self.keep_for_inspection(str(error))}") from None
+                path = self.folder / "stopped.h5"
+                checkpoint.dump(path, self.ranks, sim.rows.arrays, {"step": sim.steps_done, "error": str(error)})
+                raise StateError(f"{error}; all rows are in {path}, the last checkpoint is untouched") from None
             raise
         finally:
             self.screen.stop()
@@ -156,16 +149,16 @@ class Job:
 
     def foretell(self, forecast: Forecast) -> None:
         """Say how long the run takes, and say it again where it turns out otherwise."""
+        before = self.forecast
+        if before and before.least <= forecast.seconds <= before.most:
+            return
+        self.forecast = forecast
         if self.rehearsal:
-            self.forecast, self.request.asked = forecast, True
-        elif self.forecast is None:
-            self.forecast = forecast
+            self.request.asked = True
+        elif before is None:
             self.plan["predicted_seconds"] = forecast.seconds
             self.plan["predicted_seconds_range"] = [forecast.least, forecast.most]
-            self.screen.forecast(forecast)
-        elif not self.forecast.least <= forecast.seconds <= self.forecast.most:
-            self.forecast = forecast
-            self.screen.forecast(forecast, again=True)
+        self.screen.forecast(forecast, again=before is not None)
 
     def report(self) -> dict[str, Any]:
         """One row of diagnostics.csv: the state, and what happened since the row before."""
@@ -174,10 +167,10 @@ class Job:
             state = sim.measure()
             totals = self.ranks.allreduce_sum(np.array([sim.totals[name] for name in COUNTS]))
             held = float(self.ranks.allreduce_max(float(len(sim.rows)))[0])
-            since = dict(zip(COUNTS, (totals - self.since).tolist(), strict=True))
-            imbalance = held * self.ranks.size / sim.total if sim.total else 1.0
+            row = {"step": sim.steps_done, "time": sim.time, "particles": sim.total, **state}
+            row |= zip(COUNTS, (totals - self.since).tolist())
+            row["imbalance"] = held * self.ranks.size / sim.total if sim.total else 1.0
             self.since = totals
-            row = {"step": sim.steps_done, "time": sim.time, "particles": sim.total, **state, **since, "imbalance": imbalance}
             self.diagnostics.write(row)
             self.written["row"] = sim.steps_done
         return {**row, "collisions_so_far": int(totals[0])}
@@ -187,7 +180,7 @@ class Job:
         with self.sim.timers("output"):
             self.sim.take_changes()
             frame = self._frame()
-            for writer in self.writers:
+            for writer in self.frames:
                 writer.write(self.sim.steps_done, self.sim.time, frame, self.sim.ids)
             self.written |= {"frame": self.sim.steps_done, "frame_particles": self.sim.total}
 
@@ -196,78 +189,59 @@ class Job:
         sim = self.sim
         with sim.timers("checkpoint"):
             metadata = sim.metadata()
-            state: dict[str, Any] = {name: json.dumps(metadata[name]) for name in METADATA}
-            state |= {"step": metadata["step"], "time": sim.time, "reported": json.dumps(self.since.tolist())}
-            state["written"] = json.dumps(self.written)
+            told = {name: metadata[name] for name in METADATA} | {"reported": self.since.tolist(), "written": self.written}
+            state = {name: json.dumps(value) for name, value in told.items()} | {"step": metadata["step"], "time": sim.time}
             checkpoint.save(self.folder / "checkpoint.h5", self.ranks, sim.rows.arrays, sim.ids, self.scene.dimension, state)
-
-    def keep_for_inspection(self, error: str) -> str:
-        """All rows as they are, and what is wrong with them, in a file of its own; says where."""
-        path = self.folder / "stopped.h5"
-        checkpoint.dump(path, self.ranks, self.sim.rows.arrays, {"step": self.sim.steps_done, "error": error})
-        return f"all rows are in {path}, the last checkpoint is untouched"
 
     def close(self) -> None:
         """Close every file."""
-        for writer in self.writers:
-            if hasattr(writer, "close"):
-                writer.close()
-        self.diagnostics.close()
+        for writer in (*self.frames, self.diagnostics):
+            writer.close()
 
     def finish(self, setup: float, loop: float, steps: int) -> None:
         """The phase table, run.json, and where to look next."""
-        sim = self.sim
-        seconds = {"setup": setup, "loop": loop, **sim.timers.seconds}
-        seconds["other"] = loop - sum(sim.timers.seconds.values())
+        sim, f, say = self.sim, self.folder, self.screen.say
+        seconds = {"setup": setup, "loop": loop, **sim.timers.seconds, "other": loop - sum(sim.timers.seconds.values())}
         everyone = self.ranks.allgather(seconds)
         timers = {}
-        for name in sorted({n for s in everyone for n in s}, key=lambda n: (n not in ("setup", "loop"), n)):
+        for name in ["setup", "loop", *sorted(set().union(*everyone) - {"setup", "loop"})]:
             values = [s.get(name, 0.0) for s in everyone]
             timers[name] = {"min": min(values), "mean": sum(values) / len(values), "max": max(values)}
-        traffic = self.traffic()
+        traffic, remarks = self.traffic(), sim.remarks()
         self.screen.phases(timers, steps, sim.total)
-        remarks = sim.remarks()
-        if traffic.get("windows"):
-            windows, redone = traffic["windows"], traffic["windows_redone"]
-            self.screen.say(f"{windows} windows of time verified by the ranks, {redone} redone ({100 * redone / windows:.1f} %)")
+        if windows := traffic.get("windows"):
+            redone = traffic["windows_redone"]
+            say(f"{windows} windows of time verified by the ranks, {redone} redone ({100 * redone / windows:.1f} %)")
         for remark in remarks:
-            self.screen.say(remark)
-        with failing_together(self.ranks, f"cannot write {self.folder / 'run.json'}"):
-            if self.ranks.is_root:
-                self.write_json(timers, traffic, remarks)
-        f = self.folder
+            say(remark)
+        write_text(f / "run.json", self.ranks, json.dumps(self.told(timers, traffic, remarks), indent=2) + "\n")
         if "hdf5" in self.scene.output.formats:
-            self.screen.say(f"ParaView >= 5.13: {f}/trajectory.vtkhdf")
+            say(f"ParaView >= 5.13: {f}/trajectory.vtkhdf")
         if "vtk" in self.scene.output.formats:
-            self.screen.say(f"VisIt, older ParaView: {f}/particles.pvd")
-        self.screen.say(f"plots: python python_viz/plot_frame.py {f}   (and plot_diagnostics.py, plot_phases.py, animate.py)")
+            say(f"VisIt, older ParaView: {f}/particles.pvd")
+        say(f"plots: python python_viz/plot_frame.py {f}   (and plot_diagnostics.py, plot_phases.py, animate.py)")
 
     def traffic(self) -> dict[str, int]:
         """Sums over ranks of what was sent, and of what happened."""
-        sim, here = self.sim, self.sim.counted()
-        counted = {name: sim.totals[name] for name in COUNTS}
+        here = self.sim.counted()
+        counted = {name: self.sim.totals[name] for name in COUNTS}
         counted |= {"messages": self.ranks.messages, "ghost_rows": here["ghost_rows"]}
-        totals = self.ranks.allreduce_sum(np.array(list(counted.values()), np.int64))
-        result = dict(zip(counted, totals.tolist(), strict=True))
+        result = dict(zip(counted, self.ranks.allreduce_sum(np.array(list(counted.values()), np.int64)).tolist()))
         if here["windows"]:
             result |= {name: here[name] for name in ("windows", "windows_redone")}
         return result | {"reductions": self.ranks.reductions, "pair_searches": here["pair_searches"]}
 
-    def write_json(self, timers: dict[str, Any], counts: dict[str, int], remarks: list[str]) -> None:
-        """run.json, replaced as a whole."""
-        sim = self.sim
-        for row in self.plan["effects"]:
-            row["calls"] = sim.calls.get(row["effect"], 0)
-        self.plan["not_run"] = [{"effect": name, "calls": sim.calls.get(name, 0)} for name in self.plan["not_run"]]
-        versions = {name: version(name) for name in LIBRARIES} | {"python": platform.python_version(), "mpi": mpi_library()}
-        text = {
+    def told(self, timers: dict[str, Any], counts: dict[str, int], remarks: list[str]) -> dict[str, Any]:
+        """What run.json says."""
+        calls = self.sim.calls
+        effects = [row | {"calls": calls.get(row["effect"], 0)} for row in self.plan["effects"]]
+        not_run = [{"effect": name, "calls": calls.get(name, 0)} for name in self.plan["not_run"]]
+        return {
             "scene": self.scene.to_dict(),
-            "plan": self.plan,
+            "plan": self.plan | {"effects": effects, "not_run": not_run},
             "ranks": self.ranks.size,
-            "versions": versions,
+            "versions": {n: version(n) for n in LIBRARIES} | {"python": platform.python_version(), "mpi": mpi_library()},
             "timers": timers,
             "remarks": remarks,
-            "counts": {"steps": sim.steps_done, **counts},
+            "counts": {"steps": self.sim.steps_done, **counts},
         }
-        with replacing(self.folder / "run.json") as part:
-            part.write_text(json.dumps(text, indent=2) + "\n")

@@ -1,51 +1,91 @@
-"""The kinds of effect: when they act, and what they need. How to write one stands in `effects/__init__.py`."""
+"""The kinds of effect, and how their files are loaded. How to write an effect stands in `effects/__init__.py`."""
 
-from __future__ import annotations
-
+import importlib.util
+import pkgutil
+import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from hashlib import sha256
+from pathlib import Path
+from types import MappingProxyType, ModuleType
+from typing import Any, ClassVar, NamedTuple
+
+from pydantic import ValidationInfo, field_validator
 
 from particles_mpi.particles import Array, Column, Particles, add_column
+from particles_mpi.scene.model import Fraction, Model
 
 ANY = ("leapfrog", "order4", "taylor", "adaptive")  # all integrators
 FORWARD = ("leapfrog", "taylor")  # those with one drift a step, forward in time
+PACKAGE = "particles_mpi.effects"
+OUTSIDE = "particles_mpi_effect"  # modules of effects from outside the package are called so, with a digest of their path
 
 
-@dataclass(frozen=True)
-class Needs:
+class EffectOptions(Model):
+    """The keys of a table `[effects.NAME]`. An effect that is not `active` does nothing until it is switched on.
+
+    `file`: where an effect from outside the program stands, relative to the scene file.
+    """
+
+    active: bool = True
+    file: str | None = None
+
+    @classmethod
+    def effect_class(cls) -> Any:
+        """The class `Effect` of the file in which these options are defined."""
+        return vars(sys.modules[cls.__module__])["Effect"]
+
+    def build(self, scene: Any) -> Any:
+        """The effect with these options."""
+        return self.effect_class()(self, scene)
+
+    def described(self, scene: Any, total: int) -> str:
+        """How the effect is computed for `total` particles, in a few words for the plan; "" if there is only one way."""
+        return ""
+
+    def faults(self, scene: Any) -> list[str]:
+        """What is wrong with these options in this scene, each beginning with the key; [] if nothing is."""
+        return []
+
+
+class Losses(Model):
+    """What contacts take: `restitution` e (momentum is conserved), or `damping` alpha, whole velocity times sqrt(1-alpha)."""
+
+    damping: Fraction | None = None
+    restitution: Fraction | None = None
+
+    @field_validator("restitution")
+    @classmethod
+    def _one_of_both(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if value is not None and info.data.get("damping") is not None:
+            raise ValueError("give restitution or damping, not both")
+        return value
+
+
+class Needs(NamedTuple):
     """What an effect needs of the program.
 
     columns: per-particle columns of its own, by name; divides_by_mass: a mass of 0 is refused; integrators: those that can
     compute it, others are refused when the scene is read.
     """
 
-    columns: Mapping[str, Column] = field(default_factory=dict)
+    columns: Mapping[str, Column] = MappingProxyType({})
     divides_by_mass: bool = False
     integrators: tuple[str, ...] = ANY
 
 
-@dataclass(frozen=True)
-class Context:
-    """What there is besides a rank's own particles: the ranks, the ids of all particles, and the box.
+class Context(NamedTuple):
+    """What there is besides a rank's own particles. Any where a type would load MPI to check a scene."""
 
-    ranks: a `Ranks`; ids: an `IdRange`; timers: a `Timers`; lower, upper, length (d,): corners of the box, and its length on
-    periodic axes (0 on others). Any where a type would load MPI to check a scene.
-    """
-
-    ranks: Any
-    ids: Any
-    timers: Any
-    lower: Array
+    ranks: Any  # a `Communicator`
+    ids: Any  # an `IdRange`
+    timers: Any  # a `Timers`
+    lower: Array  # (d,): corners of the box
     upper: Array
-    length: Array
+    length: Array  # (d,): of the box on periodic axes, 0 on others
 
 
 class Effect:
-    """What all kinds of effect have in common.
-
-    role: the kind, in words, for the plan; formula: the law in one line, for the plan.
-    """
+    """What all kinds of effect have in common. For the plan: `role`, the kind in words, and `formula`, the law in one line."""
 
     role: ClassVar[str]
     formula: ClassVar[str]
@@ -64,22 +104,13 @@ class Effect:
 
 
 class Force(Effect):
-    """Adds to an acceleration, and never sets it.
-
-    place_dependent: False if the acceleration stays the same as long as nobody changes a field of the particles; it is then
-    not summed anew in each step. collective: does `add` communicate? Then all ranks call it together. g: the acceleration
-    (d,) if it is the same for every particle.
-    """
+    """Adds to an acceleration, and never sets it."""
 
     role = "force"
-    place_dependent: ClassVar[bool] = True
-    collective: ClassVar[bool] = False
-    g: Any = None
-
-    @property
-    def interactions(self) -> int:
-        """Pairs, or what is put in their place, that were computed so far: for comparisons of cost."""
-        return 0
+    place_dependent: ClassVar[bool] = True  # False: summed anew only where somebody has changed a field of the particles
+    collective: ClassVar[bool] = False  # does `add` communicate? Then all ranks call it together
+    g: Any = None  # the acceleration (d,), if it is the same for every particle
+    interactions: Any = 0  # pairs, or what is put in their place, that were computed so far: for comparisons of cost
 
     def add(self, particles: Particles, acceleration: Array) -> None:
         """acceleration (n, d) += that of this force, for the rows of this rank."""
@@ -145,7 +176,7 @@ class WallContacts(Effect):
     lossy: bool
 
     def drift(self, particles: Particles, h: float, rates: Any) -> int:
-        """Drift over h with walls alone, while velocities change by `rates`; returns the number of wall hits."""
+        """Drift over h with walls alone, while velocities change by `rates`; returns the number of wall hits. Purely local."""
         raise NotImplementedError
 
 
@@ -159,5 +190,42 @@ class PairContacts(Effect):
     lossy: bool
 
 
-KINDS = (Force, VelocityFlow, Event, Damping, ConstantFriction, WallContacts, PairContacts)
 ONE_OF_EACH = (Damping, ConstantFriction, WallContacts, PairContacts)
+KINDS = (Force, VelocityFlow, Event, *ONE_OF_EACH)
+
+
+def effect_names() -> list[str]:
+    """The effects that come with the program: one file each in `effects/`."""
+    return sorted(module.name for module in pkgutil.iter_modules(importlib.import_module(PACKAGE).__path__))
+
+
+def load_effect(name: str, file: Path | None) -> ModuleType:
+    """The module of an effect of the program, or of a `file` of the user's, loaded once, with the sha256 of it as `digest`.
+
+    Raises ValueError, one line without the key, for a file that cannot be read, fails, or does not hold the two classes.
+    """
+    if file is None:
+        return importlib.import_module(f"{PACKAGE}.{name}")
+    path = file.resolve()
+    title = f"{OUTSIDE}_{sha256(str(path).encode()).hexdigest()[:12]}_{path.stem}"
+    if title in sys.modules:
+        return sys.modules[title]
+    spec = importlib.util.spec_from_file_location(title, path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise ValueError(f"{file}: no such Python file")
+    module = sys.modules[title] = importlib.util.module_from_spec(spec)
+    module.digest = sha256(path.read_bytes()).hexdigest()  # type: ignore[attr-defined]
+    try:
+        spec.loader.exec_module(module)
+        options, effect = getattr(module, "Options", None), getattr(module, "Effect", None)
+        if not (isinstance(options, type) and issubclass(options, EffectOptions)):
+            raise ValueError("needs a class Options(EffectOptions)")
+        if not (isinstance(effect, type) and issubclass(effect, KINDS)):
+            raise ValueError("needs a class Effect that is a Force, a VelocityFlow or an Event")
+        if not isinstance(getattr(effect, "formula", None), str):
+            raise ValueError("its class Effect needs a formula, in one line")
+    except Exception as error:
+        del sys.modules[title]
+        name = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
+        raise ValueError(f"{file}: {name}{' '.join(str(error).split())}") from error
+    return module

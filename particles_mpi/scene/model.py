@@ -1,11 +1,15 @@
-"""The base of all tables of a scene file: strict, and sealed while a simulation goes by it."""
+"""The base of all tables of a scene file, what their keys may hold, and faults as messages."""
 
-from __future__ import annotations
+import difflib
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal, Self, Union, get_args
 
-import sys
-from typing import Any, Self
+from annotated_types import Len
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, TypeAdapter, ValidationError
 
-from pydantic import BaseModel, ConfigDict, PrivateAttr
+LARGEST = 1e100
+NotNegative = Annotated[float, Field(ge=0.0)]
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class Model(BaseModel):
@@ -24,34 +28,121 @@ class Model(BaseModel):
 
     def running(self) -> Self:
         """A copy, down to the tables, that a simulation goes by and that can no longer be changed."""
-        tables = {name: value.running() for name in type(self).model_fields if isinstance(value := getattr(self, name), Model)}
-        copy = self.model_copy(update=tables)
+        copy = self.model_copy(update={name: sealed(value) for name, value in self})
         copy._running = True
         return copy
 
 
-class EffectOptions(Model):
-    """The keys of a table `[effects.NAME]`. An effect that is not `active` does nothing until it is switched on.
+def sealed(value: Any) -> Any:
+    """A value of a table, with `running` copies of the tables in it."""
+    if isinstance(value, dict):
+        return {name: sealed(inner) for name, inner in value.items()}
+    return value.running() if isinstance(value, Model) else value
 
-    `file`: where an effect from outside the program stands, relative to the scene file.
-    """
 
-    active: bool = True
-    file: str | None = None
+def wrong_length(key: str, value: Any, dimension: int) -> list[str]:
+    """A fault for a vector, or each of a list of them, that has other components than there are axes."""
+    if isinstance(value, list) and value and isinstance(value[0], list):
+        return [fault for i, row in enumerate(value) for fault in wrong_length(f"{key}[{i}]", row, dimension)]
+    wrong = isinstance(value, list) and len(value) != dimension
+    return [f"{key}: {len(value)} components in dimension {dimension}"] if wrong else []
 
-    @classmethod
-    def effect_class(cls) -> Any:
-        """The class `Effect` of the file in which these options are defined."""
-        return vars(sys.modules[cls.__module__])["Effect"]
 
-    def build(self, scene: Any) -> Any:
-        """The effect with these options."""
-        return self.effect_class()(self, scene)
+def suggestion(name: str, known: list[str]) -> str:
+    near = difflib.get_close_matches(name, known, 1)
+    return f" (did you mean '{near[0]}'?)" if near else f" (known: {', '.join(known)})"
 
-    def described(self, scene: Any, total: int) -> str:
-        """How the effect is computed for `total` particles, in a few words for the plan; "" if there is only one way."""
-        return ""
 
-    def faults(self, scene: Any) -> list[str]:
-        """What is wrong with these options in this scene, each beginning with the key; [] if nothing is."""
-        return []
+def key_of(location: tuple[Any, ...]) -> str:
+    text = ""
+    for part in location:
+        name = part if str(part).isprintable() else repr(part)  # a fault is one line, whatever the key
+        text += f"[{part}]" if isinstance(part, int) else f".{name}" if text else str(name)
+    return text
+
+
+def tables_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """The tables that an annotation names."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from tables_in(part)
+
+
+def faults_of(error: ValidationError, model: type[BaseModel], prefix: tuple[Any, ...] = ()) -> list[str]:
+    """One line a fault: `key: what is wrong`."""
+    faults = []
+    for item in error.errors():
+        place, given, kind = item["loc"], item.get("input"), item["type"]
+        key = key_of(prefix + place)
+        if kind == "value_error":
+            text = str(item["ctx"]["error"])
+            named = place and place[0] != "effects" and place != ("time",)
+            faults += [f"{key}: {text}"] if named else text.splitlines()
+        elif kind == "extra_forbidden":
+            table = next(tables_in(model.model_fields[str(place[0])].annotation)) if len(place) > 1 else model
+            known = [name for name in table.model_fields if name != "folder"]
+            faults.append(f"{key}: unknown key{suggestion(str(place[-1]), known)}")
+        else:
+            message = item["msg"].replace("Input should be", "must be").replace("Input", "input")
+            short = isinstance(given, str | float | bool) or (isinstance(given, int) and abs(given) < 10**20)
+            shown = f" (got {given!r})" if short else ""
+            faults.append(f"{key}: missing" if kind == "missing" else f"{key}: {message}{shown}")
+    return faults
+
+
+def not_too_large(value: Any) -> Any:
+    if not abs(value) <= LARGEST:
+        raise ValueError(
+            f"{value} is not a number between -{LARGEST:g} and {LARGEST:g}, beyond which squares and products overflow"
+        )
+    return value
+
+
+def in_order(value: Any) -> Any:
+    if value["min"] > value["max"]:
+        raise ValueError(f"min {value['min']} is above max {value['max']}")
+    return value
+
+
+def table(value: Any, *keys: str, check: Any = None) -> Any:
+    """A table with these keys and no others, each of which holds a `value`."""
+    return Annotated[dict[Literal[keys], value], Len(len(keys), len(keys)), check]  # type: ignore[valid-type]
+
+
+def one_of(told: str, *kinds: Any) -> Any:
+    """What is of one of these kinds, and stays as it was given; `told`: what anything else is told."""
+    any_of: Any = Union[kinds]  # noqa: UP007
+    adapter: TypeAdapter[Any] = TypeAdapter(any_of, config=ConfigDict(strict=True))
+
+    def check(value: Any) -> Any:
+        try:
+            adapter.validate_python(value)
+        except ValidationError as error:
+            reasons = [str(item["ctx"]["error"]) for item in error.errors() if item["type"] == "value_error"]
+            raise ValueError(reasons[0] if reasons else told) from None
+        return value
+
+    return Annotated[Any, BeforeValidator(check)]
+
+
+Number = Annotated[int | float, AfterValidator(not_too_large)]
+Positive = Annotated[Number, Field(ge=0)]
+Numbers = list[Number]
+Points = Annotated[list[Numbers], Len(1)]
+File = table(str, "file")
+Range = table(Number, "min", "max", check=AfterValidator(in_order))
+Speed = table(Positive, "min", "max", check=AfterValidator(in_order))
+
+Scalar = one_of("must be a number, {min = a, max = b} or a list of numbers", Number, Range, Numbers)
+Flags = one_of("must be true, false or a list of these", bool, list[bool])
+Vectors = one_of("must be a vector [ax, ay, ...] or a list of these", Numbers, Points)
+Position = one_of(
+    'must be "random", "lattice", a list of points [[x, y, ...], ...], {plummer = scale length > 0} or {file = "start.csv"}',
+    *(Literal["random", "lattice"], Points, File, table(Annotated[Number, Field(gt=0)], "plummer")),
+)
+Velocity = one_of(
+    "must be [vx, vy, ...], a list of these, {speed = s}, {speed = {min = a, max = b}}, {temperature = T} (all >= 0),"
+    ' {file = "start.csv"} or, with position = {plummer = a}, "equilibrium"',
+    *(Literal["equilibrium"], Points, Numbers, File, table(Positive, "temperature"), table(Positive | Speed, "speed")),
+)

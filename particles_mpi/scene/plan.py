@@ -1,42 +1,37 @@
-"""What a scene will do and what it will not, before it runs: effects, ghosts, memory, output, advice on the step.
-
-How long it takes is told by `forecast`, from its first steps.
-"""
-
-from __future__ import annotations
+"""What a scene will do and what it will not, before it runs; `run.forecast` tells how long it takes."""
 
 from typing import Any
 
 import numpy as np
 
 from particles_mpi.particles import Particles
-from particles_mpi.scene.effect_files import effect_names
+from particles_mpi.scene.effect import effect_names
 from particles_mpi.scene.schema import Scene
 
 
 def plan(scene: Scene, particles: Particles, total: int, ranks: int) -> dict[str, Any]:
     """The plan as plain data: for the screen, and for `run.json`. `particles`: some or all of the `total`."""
-    n, d = len(particles), scene.dimension
     runs = []
     for name, options in scene.effects.items():
         effect, how = options.effect_class(), options.described(scene, total)
-        row = {"effect": name, "role": effect.role, "law": effect.formula}
-        runs.append(row | {"how": how} if how else row)
+        runs.append({"effect": name, "role": effect.role, "law": effect.formula} | ({"how": how} if how else {}))
     pairs = "collisions" in scene.effects
-    event = pairs and scene.effects["collisions"].mode == "event"
-    row_bytes = sum(column.nbytes for column in particles.arrays.values()) / max(n, 1)
+    ghosts = "particles that may meet those of another rank before the next search"
+    if pairs and scene.effects["collisions"].mode == "event":
+        ghosts = "about three layers of particles around each region, or all on every rank where that is no less work"
+    row_bytes = sum(column.nbytes for column in particles.arrays.values()) / max(len(particles), 1)
     frame = 8 * (3 + 3 + 3) + 8
     frames = scene.steps // scene.output.every + 1
     return {
         "particles": total,
         "fixed": int(np.count_nonzero(particles.fixed)),
-        "dimension": d,
+        "dimension": scene.dimension,
         "steps": scene.steps,
         "step": scene.time.step,
         "integrator": scene.time.integrator,
         "effects": runs,
         "not_run": [name for name in effect_names() if name not in scene.effects],
-        "ghosts": ghosts(pairs, event, ranks),
+        "ghosts": ghosts if pairs and ranks > 1 else "none",
         "ranks": ranks,
         "memory_bytes": int(total * (row_bytes + (350 if pairs else 50))),
         "frames": frames,
@@ -47,14 +42,6 @@ def plan(scene: Scene, particles: Particles, total: int, ranks: int) -> dict[str
     }
 
 
-def ghosts(pairs: bool, event: bool, ranks: int) -> str:
-    """Which particles of others a rank holds."""
-    if not pairs or ranks == 1:
-        return "none"
-    layers = "about three layers of particles around each region, or all on every rank where that is no less work"
-    return layers if event else "particles that may meet those of another rank before the next search"
-
-
 def advice(scene: Scene, particles: Particles) -> list[str]:
     """What an experienced user would say about the step."""
     h, lines = scene.time.step, []
@@ -62,35 +49,23 @@ def advice(scene: Scene, particles: Particles) -> list[str]:
     radius = particles.radius[particles.fixed == 0]
     if "collisions" in scene.effects and len(radius) and radius.min() > 0.0 and speed > 0.0:
         share = speed * h / (2.0 * float(radius.min()))
-        if scene.effects["collisions"].mode == "event":
-            lines.append(f"the fastest particle crosses {share:.2g} of the smallest diameter in a step, any number will do")
+        crossed, event = f"crosses {share:.2g} of the smallest diameter in a step", scene.effects["collisions"].mode == "event"
+        lines.append(f"the fastest particle {crossed}{', any number will do' if event else ' (at most 1)'}")
+        if event:
             lines.append("mode event takes about 2 us a contact besides: longer steps cost less")
-        else:
-            lines.append(f"the fastest particle crosses {share:.2g} of the smallest diameter in a step (at most 1)")
-    if "drag" in scene.effects and scene.time.integrator == "taylor":
+    if scene.time.integrator == "taylor" and "drag" in scene.effects:
         k = float(particles.drag.max(initial=0.0))
         if k * h > 1.0:
             lines.append(f"taylor with drag * step = {k * h:.3g} > 1 will oscillate: shorten the step, or use leapfrog")
-    if scene.time.integrator == "taylor" and "drag" in scene.effects:
         lines.append("taylor is first order with drag; leapfrog is second order and exact in the velocity")
     return lines
-
-
-def size(count: float) -> str:
-    """Bytes for people."""
-    for unit in ("B", "kB", "MB", "GB"):
-        if count < 1000:
-            return f"{count:.3g} {unit}"
-        count /= 1000
-    return f"{count:.3g} TB"
 
 
 def duration(seconds: float) -> str:
     """Seconds for people."""
     if seconds < 10.0:
-        return f"{seconds:.2g} s" if seconds >= 0.01 else "0.01 s"
-    if seconds < 120.0:
-        return f"{seconds:.0f} s"
-    if seconds < 7200.0:
-        return f"{seconds / 60:.0f} min"
+        return f"{max(seconds, 0.01):.2g} s"
+    for longest, unit, name in ((120.0, 1.0, "s"), (7200.0, 60.0, "min")):
+        if seconds < longest:
+            return f"{seconds / unit:.0f} {name}"
     return f"{seconds / 3600:.1f} h"

@@ -1,41 +1,30 @@
-"""The scene file: TOML in, validated model out.
+"""The scene file: TOML in, validated model out. What needs the particles to be judged is judged in `populate`."""
 
-Every fault is one line that names the key. What can only be judged with the particles at hand (overlaps, walls, the
-length of a step) is judged in `populate`.
-"""
-
-from __future__ import annotations
-
-import json
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError, ValidationInfo, model_validator
 
 from particles_mpi.errors import SceneError
 from particles_mpi.particles import Array
-from particles_mpi.scene.effect import ONE_OF_EACH
-from particles_mpi.scene.effect_files import effect_names, load_effect
-from particles_mpi.scene.messages import faults_of, key_of, suggestion, wrong_length
-from particles_mpi.scene.model import Model
-from particles_mpi.scene.values import (
-    flags,
-    is_plummer,
-    is_points,
-    position_given,
-    scalar_or_list,
-    vector_or_rows,
-    velocity_given,
+from particles_mpi.scene.effect import ONE_OF_EACH, effect_names, load_effect
+from particles_mpi.scene.model import (
+    Flags,
+    Model,
+    NotNegative,
+    Position,
+    Scalar,
+    Vectors,
+    Velocity,
+    faults_of,
+    key_of,
+    suggestion,
+    wrong_length,
 )
 
 TOLERANCES = 1e-12, 1e-3  # of `adaptive`, smallest and largest: below, round-off of the forces alone is more
-
-
-Scalar = Annotated[Any, BeforeValidator(scalar_or_list)]
-Flags = Annotated[Any, BeforeValidator(flags)]
-Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class Box(Model):
@@ -50,13 +39,13 @@ class Time(Model):
     """Step length, end, and the rule that advances a step."""
 
     step: Annotated[float, Field(gt=0.0)]
-    end: Annotated[float, Field(ge=0.0)] | None = None
+    end: NotNegative | None = None
     steps: Annotated[int, Field(ge=0, lt=10**15)] | None = None
     integrator: Literal["leapfrog", "order4", "taylor", "adaptive"] = "leapfrog"
     tolerance: Annotated[float, Field(ge=TOLERANCES[0], le=TOLERANCES[1])] | None = None
 
     @model_validator(mode="after")
-    def _one_end(self) -> Time:
+    def _one_end(self) -> Self:
         if (self.end is None) == (self.steps is None):
             raise ValueError("time.steps: give one of time.end and time.steps")
         if self.tolerance is not None and self.integrator != "adaptive":
@@ -67,35 +56,31 @@ class Time(Model):
 
 
 class Population(Model):
-    """Particles that are described together; ids run through the populations in order, from 0.
-
-    Further keys are columns that effects from outside the program bring: the scene checks them.
-    """
+    """Particles that are described together. Further keys are columns that effects from outside bring: the scene checks them."""
 
     model_config = ConfigDict(extra="allow")
 
     count: Annotated[int, Field(ge=0, le=10**18)] | None = None
-    position: Annotated[Any, BeforeValidator(position_given)]
-    velocity: Annotated[Any, BeforeValidator(velocity_given)] = None
+    position: Position
+    velocity: Velocity = None
     radius: Scalar = 0.0
     mass: Scalar = None
     fixed: Flags = False
     drag: Scalar = None
-    acceleration: Annotated[Any, BeforeValidator(vector_or_rows)] = None
-
-
-Format = Literal["hdf5", "vtk"]
-FORMATS: tuple[Format, ...] = ("hdf5", "vtk")
+    acceleration: Vectors = None
 
 
 class Output(Model):
-    """What is written, and how often (in steps)."""
+    """What is written, and how often (in steps); may be changed while a simulation goes by it."""
 
     every: Annotated[int, Field(ge=1)] = 100
-    formats: list[Format] = Field(default_factory=lambda: list(FORMATS))
+    formats: list[Literal["hdf5", "vtk"]] = Field(default=["hdf5", "vtk"])
     checkpoint_every: Annotated[int, Field(ge=1)] = 1000
     diagnostics_every: Annotated[int, Field(ge=1)] = 10
     observables: bool = False
+
+    def running(self) -> Self:
+        return self.model_copy()
 
 
 def _effects(value: Any, info: ValidationInfo) -> dict[str, Any]:
@@ -135,7 +120,7 @@ class Scene(Model):
     title: str = ""
     dimension: Annotated[int, Field(ge=1, le=100)]
     seed: Annotated[int, Field(ge=0)] = 0
-    G: Annotated[float, Field(ge=0.0)] = 6.6740831e-11
+    G: NotNegative = 6.6740831e-11
     box: Box | None = None
     time: Time
     particles: list[Population]
@@ -149,14 +134,14 @@ class Scene(Model):
             raise SceneError(faults_of(error, Scene)) from None
 
     @classmethod
-    def from_dict(cls, tables: dict[str, Any], folder: Path = Path()) -> Scene:
+    def from_dict(cls, tables: dict[str, Any], folder: Path = Path()) -> Self:
         """A scene from the tables of the TOML layout; file names in it are relative to `folder`."""
         if "folder" in tables:
             raise SceneError("folder: unknown key")
         return cls(**tables, folder=folder)
 
     @classmethod
-    def load(cls, path: str | Path) -> Scene:
+    def load(cls, path: str | Path) -> Self:
         """Read and validate a scene file; every fault names the file and the key."""
         path = Path(path)
         try:
@@ -173,14 +158,9 @@ class Scene(Model):
     def to_dict(self) -> dict[str, Any]:
         """The tables that give this scene back; plain lists, numbers and text."""
         tables = self.model_dump(mode="json", exclude_none=True, exclude={"effects"})
-        tables["effects"] = {name: o.model_dump(mode="json", exclude_none=True) for name, o in self.effects.items()}
-        for table in tables["effects"].values():
-            if table["active"]:
-                del table["active"]
-        return tables
-
-    def to_json(self) -> str:
-        return json.dumps(self.to_dict())
+        effects = {name: options.model_dump(mode="json", exclude_none=True) for name, options in self.effects.items()}
+        shown = {name: {k: v for k, v in table.items() if (k, v) != ("active", True)} for name, table in effects.items()}
+        return tables | {"effects": shown}
 
     def digests(self) -> dict[str, str]:
         """sha256 of the files of effects from outside the program, by effect."""
@@ -193,13 +173,6 @@ class Scene(Model):
         flags = self.box.periodic if self.box else False
         return flags if isinstance(flags, list) else [flags] * self.dimension
 
-    def running(self) -> Scene:
-        """The same of a scene; what is written, and how often, may still be changed."""
-        effects = {name: options.running() for name, options in self.effects.items()}
-        copy = super().running().model_copy(update={"effects": effects, "output": self.output.model_copy()})
-        copy._running = True
-        return copy
-
     @property
     def active(self) -> dict[str, Any]:
         """The options of the effects that are not switched off, by name."""
@@ -208,50 +181,41 @@ class Scene(Model):
     @property
     def steps(self) -> int:
         """How many steps the run takes; the last one reaches `end` at the nearest whole step."""
-        if self.time.steps is not None:
-            return self.time.steps
-        assert self.time.end is not None
-        return round(self.time.end / self.time.step)
+        return round((self.time.end or 0.0) / self.time.step) if self.time.steps is None else self.time.steps
 
     @model_validator(mode="after")
-    def _consistent(self) -> Scene:
-        d, faults = self.dimension, []
-        faults += self.integrator_faults() + self.kind_faults()
+    def _consistent(self) -> Self:
+        d, faults = self.dimension, self.effect_faults()
         if self.box:
             faults += wrong_length("box.lower", self.box.lower, d) + wrong_length("box.upper", self.box.upper, d)
             if len(self.periodic) != d:
                 faults.append(f"box.periodic: {len(self.periodic)} flags in dimension {d}")
             faults += [
                 f"box.upper: {hi} is not above box.lower {lo} on axis {k}"
-                for k, (lo, hi) in enumerate(zip(self.box.lower, self.box.upper, strict=False))
+                for k, (lo, hi) in enumerate(zip(self.box.lower, self.box.upper))
                 if not hi > lo
             ]
         if "vtk" in self.output.formats and d > 3:
             self.output.formats.remove("vtk")
         for number, population in enumerate(self.particles):
             faults += self.population_faults(f"particles[{number}]", population)
-        for name, options in self.effects.items():
-            faults += [f"effects.{name}.{fault}" for fault in options.faults(self)]
         if faults:
             raise ValueError("\n".join(faults))
         return self
 
-    def integrator_faults(self) -> list[str]:
-        """Effects that the integrator cannot compute."""
-        name, faults = self.time.integrator, []
-        reason = {"order4": "goes back in time between kicks", "adaptive": "needs smooth paths"}.get(name)
-        for effect, options in self.effects.items():
-            if name not in options.effect_class().needs.integrators:
-                why = f"{reason}, which {effect} does not allow" if reason else f"knows no {effect}"
-                faults.append(f'time.integrator: "{name}" {why}; use "leapfrog"')
-        return faults
-
-    def kind_faults(self) -> list[str]:
-        """Effects of kinds of which the program computes one only."""
-        faults = []
-        for kind in ONE_OF_EACH:
-            names = [name for name, options in self.effects.items() if issubclass(options.effect_class(), kind)]
-            faults += [f"effects.{name}: would be ignored beside {names[0]}, an effect of the same kind" for name in names[1:]]
+    def effect_faults(self) -> list[str]:
+        """Effects with options that cannot be here, those that the integrator cannot compute, and a second one of a kind."""
+        integrator, faults, names = self.time.integrator, [], dict[Any, str]()
+        reason = {"order4": "goes back in time between kicks", "adaptive": "needs smooth paths"}.get(integrator)
+        for name, options in self.effects.items():
+            effect = options.effect_class()
+            if integrator not in effect.needs.integrators:
+                why = f"{reason}, which {name} does not allow" if reason else f"knows no {name}"
+                faults.append(f'time.integrator: "{integrator}" {why}; use "leapfrog"')
+            for kind in (kind for kind in ONE_OF_EACH if issubclass(effect, kind)):
+                if names.setdefault(kind, name) != name:
+                    faults.append(f"effects.{name}: would be ignored beside {names[kind]}, an effect of the same kind")
+            faults += [f"effects.{name}.{fault}" for fault in options.faults(self)]
         return faults
 
     @property
@@ -262,42 +226,31 @@ class Scene(Model):
 
     def population_faults(self, key: str, population: Population) -> list[str]:
         """What is wrong with a population in this scene, each beginning with `key`; [] if nothing is."""
-        d, faults = self.dimension, []
-        position, velocity = population.position, population.velocity
-        if isinstance(position, str):
-            if population.count is None:
-                faults.append(f'{key}.count: needed with position = "{position}"')
-            if self.box is None:
-                faults.append(f'{key}.position: "{position}" needs a [box]')
-        plummer = is_plummer(position)
-        if plummer and population.count is None:
-            faults.append(f"{key}.count: needed with position = {{plummer = a}}")
+        d, position, faults = self.dimension, population.position, []
+        plummer = isinstance(position, dict) and "plummer" in position
+        if population.count is None and (plummer or isinstance(position, str)):
+            faults.append(f"{key}.count: needed with position = " + ("{plummer = a}" if plummer else f'"{position}"'))
+        if self.box is None and isinstance(position, str):
+            faults.append(f'{key}.position: "{position}" needs a [box]')
         if plummer and d != 3:
             faults.append(f"{key}.position: a Plummer sphere needs dimension 3")
-        if velocity == "equilibrium" and not (plummer and "mutual_gravity" in self.effects):
+        if population.velocity == "equilibrium" and not (plummer and "mutual_gravity" in self.effects):
             faults.append(f'{key}.velocity: "equilibrium" needs position = {{plummer = a}} and [effects.mutual_gravity]')
-        for name, value in (("position", position), ("velocity", velocity), ("acceleration", population.acceleration)):
-            if is_points(value):
-                faults += [f for i, row in enumerate(value) for f in wrong_length(f"{key}.{name}[{i}]", row, d)]
-            elif isinstance(value, list):
-                faults += wrong_length(f"{key}.{name}", value, d)
+        for name in ("position", "velocity", "acceleration"):
+            faults += wrong_length(f"{key}.{name}", getattr(population, name), d)
         for name, value in (population.model_extra or {}).items():
-            known = [*Population.model_fields, *self.columns]
             if name not in self.columns:
-                faults.append(f"{key_of((key, name))}: unknown key{suggestion(name, known)}")
+                faults.append(f"{key_of((key, name))}: unknown key{suggestion(name, [*Population.model_fields, *self.columns])}")
                 continue
             try:
-                vector_or_rows(value) if self.columns[name].vector else scalar_or_list(value)
-            except ValueError as error:
-                faults.append(f"{key}.{name}: {error}")
-                continue
-            if self.columns[name].vector:
-                rows = value if is_points(value) else [value]
-                faults += [f for row in rows for f in wrong_length(f"{key}.{name}", row, d)]
-        if population.drag is not None and "drag" not in self.effects:
-            faults.append(f"{key}.drag: needs [effects.drag]")
-        if population.acceleration is not None and "user_acceleration" not in self.effects:
-            faults.append(f"{key}.acceleration: needs [effects.user_acceleration]")
+                TypeAdapter(Vectors if self.columns[name].vector else Scalar).validate_python(value)
+            except ValidationError as error:
+                faults.append(f"{key}.{name}: {error.errors()[0]['ctx']['error']}")
+            else:
+                faults += wrong_length(f"{key}.{name}", value, d) if self.columns[name].vector else []
+        for name, effect in (("drag", "drag"), ("acceleration", "user_acceleration")):
+            if getattr(population, name) is not None and effect not in self.effects:
+                faults.append(f"{key}.{name}: needs [effects.{effect}]")
         return faults
 
 

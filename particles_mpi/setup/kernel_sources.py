@@ -4,15 +4,14 @@
 
 Numba compiles a kernel again when the file that defines it has changed, but not when another file has changed whose functions or
 constants it uses. Therefore a digest of each kernel is kept: of all definitions in the package that it uses, directly or through
-others, as syntax trees without docstrings and comments. A kernel is compiled again exactly if its digest changes. This module
-imports nothing of the package, so that it runs quickly.
+others, as syntax trees without docstrings. This module imports nothing of the package, so that it runs quickly.
 """
-
-from __future__ import annotations
 
 import ast
 import json
 import sys
+from collections import defaultdict
+from collections.abc import Iterable
 from hashlib import sha256
 from pathlib import Path
 
@@ -29,7 +28,7 @@ class Sources:
     def __init__(self, package: Path):
         self.package = package
         self.files: dict[str, Path] = {}
-        self.defined: dict[Place, list[ast.stmt]] = {}
+        self.defined: dict[Place, list[ast.stmt]] = defaultdict(list)
         self.links: dict[Place, Place] = {}  # where an imported name is defined
         self.calls: dict[Place, set[Place]] = {}
         for path in sorted(package.rglob("*.py")):
@@ -44,24 +43,19 @@ class Sources:
             for name in statement.names:
                 self.links[module, name.asname or name.name] = statement.module or "", name.name
         elif isinstance(statement, (ast.FunctionDef, ast.ClassDef)):
-            self.defined.setdefault((module, statement.name), []).append(statement)
+            self.defined[module, statement.name].append(statement)
         elif isinstance(statement, (ast.Assign, ast.AnnAssign, ast.AugAssign)):
             targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
             for node in (node for target in targets for node in ast.walk(target)):
                 if isinstance(node, ast.Name):
-                    self.defined.setdefault((module, node.id), []).append(statement)
+                    self.defined[module, node.id].append(statement)
 
-    def mentioned(self, module: str, tree: ast.AST) -> set[Place]:
-        """The names of the package that a syntax tree in `module` uses, and COMPILER."""
-        found = set()
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Name):
-                place = module, node.id
-                while place in self.links:
-                    place = self.links[place]
-                if place in self.defined or place == COMPILER:
-                    found.add(place)
-        return found
+    def mentioned(self, module: str, trees: Iterable[ast.AST]) -> set[Place]:
+        """The names of the package that syntax trees in `module` use, and COMPILER."""
+        found = {(module, node.id) for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Name)}
+        while linked := found & self.links.keys():
+            found = found - linked | {self.links[place] for place in linked}
+        return found & (self.defined.keys() | {COMPILER})
 
     def reached(self, places: set[Place]) -> set[Place]:
         """These places and all that their definitions use, directly or through others."""
@@ -69,7 +63,7 @@ class Sources:
         while waiting:
             place = waiting.pop()
             if place not in self.calls:
-                self.calls[place] = {found for tree in self.defined.get(place, []) for found in self.mentioned(place[0], tree)}
+                self.calls[place] = self.mentioned(place[0], self.defined.get(place, ()))
             waiting += self.calls[place] - known
             known |= self.calls[place]
         return known
@@ -79,8 +73,7 @@ class Sources:
         digests, texts = {}, {}
         for place, trees in self.defined.items():
             decorators = [d for tree in trees if isinstance(tree, ast.FunctionDef) for d in tree.decorator_list]
-            used = {found for decorator in decorators for found in self.mentioned(place[0], decorator)}
-            if COMPILER in self.reached(used):
+            if COMPILER in self.reached(self.mentioned(place[0], decorators)):
                 parts = sorted(self.reached({place}) - {COMPILER})
                 for part in parts:
                     if part not in texts:
