@@ -26,7 +26,7 @@ class Saved(State):
         self.take_changes()
         totals = self.ranks.allreduce_sum(np.array([self.totals[name] for name in COUNTS])).tolist()
         clock = {"step": self.steps_done, "moment": self.moment, "h": self._h, "observed": self.observed}
-        kept = [column.tolist() for column in self.rest.memory] if self.rest else []
+        kept = self.rest.saved() if self.rest else []
         counts = {"totals": totals, "next_id": self.next_id, "additions": self.additions}
         return {**clock, **counts, "kept": kept, "scene": self.scene.to_dict()}
 
@@ -39,9 +39,9 @@ class Saved(State):
         sim.moment = metadata["moment"][0], metadata["moment"][1]
         sim.observed = list(metadata["observed"])
         if sim.rest and metadata["kept"]:
-            sim.rest.memory = np.array(metadata["kept"][0], np.int64), np.array(metadata["kept"][1], float)
+            sim.rest.restore(metadata["kept"], sim.rows.id)
         if ranks.is_root:  # counts are sums over ranks: one rank carries those from before
-            sim.totals.update(zip(COUNTS, metadata["totals"], strict=True))
+            sim.totals.update(zip(COUNTS, metadata["totals"], strict=False))
         return sim
 
     @classmethod

@@ -20,18 +20,19 @@ from particles_mpi.particles import Array, Particles
 from particles_mpi.scene.active import ActiveEffects
 from particles_mpi.scene.effect import Context, Damping, Event, PairContacts, WallContacts
 
-COUNTS = ("collisions", "wall_hits", "missed", "exchanges")
+COUNTS = ("collisions", "wall_hits", "missed", "exchanges", "unconverged")
 
 
 def keeper_of_contacts(effects: ActiveEffects, context: Context, dimension: int) -> Any:
     """The operator for contacts that last, where forces and losses can make one last; else None."""
     if not effects.keeps_contacts:
         return None
-    from particles_mpi.contacts.persistent.operator import Rest
+    from particles_mpi.contacts.persistent.operator import PersistentContacts
 
     pairs = effects.pairs is not None and effects.pairs.lossy
     planes = effects.walls.planes if effects.walls else no_planes(dimension)
-    return Rest(context.ranks, context.ids.end, context.length, pairs, planes, effects.uniform, context.timers)
+    tolerance = effects.pairs.options.contact_tolerance if effects.pairs else 0.0
+    return PersistentContacts(context.ranks, context.length, pairs, planes, effects.uniform, tolerance, context.timers)
 
 
 class Drift:
@@ -45,6 +46,8 @@ class Drift:
     def __init__(self, rows: Particles, context: Context, effects: ActiveEffects, rest: Any, accelerations: Callable[[], Any]):
         self.rows, self.context, self.effects, self.rest = rows, context, effects, rest
         self.totals, self.calls = dict.fromkeys(COUNTS, 0), Counter[str]()
+        if rest:
+            rest.totals = self.totals
         self.events = effects.events
         self.pair_names, self.wall_names = effects.names(PairContacts), effects.names(WallContacts)
         self.damping, self.strength = effects.names(Damping), effects.friction.strength if effects.friction else 0.0
@@ -67,7 +70,7 @@ class Drift:
             duration = pairs.options.contact_duration
             exact = EventDriven(self.rows, context.ranks, box, loss, duration, planes, context.timers)
             if self.rest and self.rest.pairs:
-                exact.hold = lambda h: self.rest.hold(self.rows, accelerations(), h)
+                exact.hold = lambda h: self.rest.keep_crowds(self.rows, accelerations(), h)
         if pairs.options.mode == "event":
             self.near = self.operator = exact
             return
@@ -102,7 +105,7 @@ class Drift:
                 free_drift(p.position, p.velocity, h)
             happened = [0, 0, 0, 0]
             p.version += self.effects.pairs is not None  # what is known of neighbours does not hold any longer
-        for name, number in zip(COUNTS, happened, strict=True):
+        for name, number in zip(COUNTS, happened, strict=False):
             self.totals[name] += int(number)
         if self.events and self.act(self.events, h):
             wrapped = False
@@ -140,11 +143,15 @@ class Drift:
     def continue_counts(self, before: Drift) -> None:
         """Count on from where the drift stood that this one replaces. Collective."""
         self.totals, self.calls = before.totals, before.calls
+        if self.rest:
+            self.rest.totals = self.totals
         self.past_work, self.past_remarks = before.work(), before.remarks()
 
     def remarks(self) -> list[str]:
         """What happened that a user should know of, a line each. Collective."""
-        return [*self.past_remarks, *([] if self.operator is None else self.operator.remarks())]
+        unsolved = int(self.context.ranks.allreduce_sum(self.totals["unconverged"])[0])
+        more = [f"contacts that last: {unsolved} solutions ended above contact_tolerance"] if unsolved else []
+        return [*self.past_remarks, *more, *([] if self.operator is None else self.operator.remarks())]
 
     def work(self) -> dict[str, int]:
         """Searches for neighbours, ghosts, tests of pairs and windows of time so far, of this rank."""

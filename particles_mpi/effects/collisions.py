@@ -14,13 +14,15 @@ class Options(Losses, EffectOptions):
     """`mode`; `restitution` or `damping`; `passes` a step, in mode rewind.
 
     `contact_duration` t_c, in mode event: a contact within t_c of the last one of either partner takes no energy, which keeps
-    inelastic collapse from stopping the clock; a ten-thousandth of a step if not given.
+    inelastic collapse from stopping the clock; a ten-thousandth of a step if not given. `contact_tolerance`: where forces keep
+    spheres in contact, by which part of a radius contacts may close in a step, as root mean square.
     """
 
     mode: Literal["rewind", "event"] = "rewind"
     allow_overlap: bool = False
     passes: Annotated[int, Field(ge=1)] = 10
     contact_duration: NotNegative | None = None
+    contact_tolerance: Annotated[float, Field(gt=0.0, le=0.1)] = 1e-4
 
     def faults(self, scene: Scene) -> list[str]:
         others = {"passes": (10, "rewind"), "contact_duration": (None, "event")}

@@ -131,8 +131,15 @@ class Halo:
         self.ranks, self.owned = ranks, owned
         self.rows = rows.astype(np.int32)
         self.outgoing, self.incoming = parts(counts), parts(arriving)
-        self.send_buffers = [np.empty((end - begin) * width) for _, begin, end in self.outgoing]
-        self.receive_buffers = [np.empty((end - begin) * width) for _, begin, end in self.incoming]
+        self.width = -1
+        self.reserve(width)
+
+    def reserve(self, width: int) -> None:
+        """Room for messages with up to `width` numbers for a row."""
+        if width > self.width:
+            self.width = width
+            self.send_buffers = [np.empty((end - begin) * width) for _, begin, end in self.outgoing]
+            self.receive_buffers = [np.empty((end - begin) * width) for _, begin, end in self.incoming]
 
     def exchange(self, pack: Callable[[Array, Array], int]) -> list[tuple[int, Array]]:
         """Refresh the ghosts by what `pack(rows, buffer)` writes, returning its length: (first row, message)s. Collective."""

@@ -44,7 +44,7 @@ def run(ranks: Communicator, d: int, effects: dict[str, Any], **more: Any) -> No
     sim.run()
     sim.measure()
     if sim.rest and sim.rest.pairs:
-        sim.rest.hold(sim.rows, sim.sum_forces(), sim.h)
+        sim.rest.keep_crowds(sim.rows, sim.sum_forces(), sim.h)
 
 
 def down(d: int) -> dict[str, Any]:

@@ -90,6 +90,34 @@ def walls():
     return {f"N = {n}": lambda n=n: steps_of(gas(n, FALLING, step=0.002), 1, 10, 15_000_000 // n) for n in (32_000, 1_000_000)}
 
 
+def bed():
+    """spheres that fall into a box and come to rest, mode event, e = 0.5, ns a particle-step: the fall and the settled bed"""
+
+    def tables(n, side):
+        return {
+            "dimension": 3,
+            "seed": 1,
+            "box": {"lower": [0.0] * 3, "upper": [side, side, 3.0]},
+            "time": {"step": 0.005, "steps": 500},
+            "particles": [{"count": n, "position": "random", "radius": {"min": 0.045, "max": 0.05}}],
+            "effects": {
+                "uniform_gravity": {"acceleration": [0.0, 0.0, -9.81]},
+                "walls": {"restitution": 0.5},
+                "collisions": {"mode": "event", "restitution": 0.5},
+            },
+        }
+
+    sizes, parts = {10_000: 3.16, 100_000: 10.0}, {"fall": (0, 160), "settled": (450, 50)}
+    return {
+        f"N = {n}, {part}, {r} ranks": lambda n=n, side=side, warm=warm, steps=steps, r=r: steps_of(
+            tables(n, side), r, warm, steps
+        )
+        for n, side in sizes.items()
+        for part, (warm, steps) in parts.items()
+        for r in (1, 2)
+    }
+
+
 def events():
     """mode event, hard-sphere fluid at packing 0.30, thousand collisions a second on one core"""
 
@@ -207,7 +235,9 @@ output = {every = 1, checkpoint_every = 8, formats = ["hdf5"]}
     return {f"{r} ranks": lambda r=r: once(r) for r in (1, 2)}
 
 
-CASES = {f.__name__: f for f in (headline, flat, ranks, walls, events, event_ranks, direct, tree, gravity_ranks, start, frames)}
+CASES = {
+    f.__name__: f for f in (headline, flat, ranks, walls, bed, events, event_ranks, direct, tree, gravity_ranks, start, frames)
+}
 
 
 def main():

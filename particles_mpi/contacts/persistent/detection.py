@@ -1,4 +1,4 @@
-"""Which contacts are slow, so that they are kept: see `operator`. Plain arrays.
+"""Which contacts last: see `operator`. Plain arrays.
 
 `push` (d,) of a row is the speed that forces give it in a step, times SLOW. What *presses* a contact is a speed of the same
 kind, and belongs to the direction of its normal n: forces and all other contacts together, if they press it; and the part of
@@ -8,18 +8,35 @@ ball that rolls along a floor meets another one, or a wall, at any speed: the fl
 """
 
 from math import inf, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.solver import give, relative, sweep
 from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import kernel, lean_inner
-from particles_mpi.kernels.markers import CROWD
+from particles_mpi.particles import Array
 
 SLOW = 2.0  # times what forces do in a step: a bounce that is over in about two steps
 HELD = 5.0  # times as fast may it be among those that are held, who would rattle between one another
 MARGIN = 1e-3  # of the widest slow gap: closer nothing gets, so that round-off makes no contact
-SWEEPS = 4  # from what contacts bore before to what they bear now
+
+
+class Contacts(NamedTuple):
+    """Half-edges of rows that may touch: those of row i are start[i] ... start[i + 1] - 1, walls first, then by partners' ids.
+
+    start (n + 1,); partner (m,): a row or ghost, or `size`, which stands for all walls; slot (m,): where the half-edge is in the
+    graph, or the graph's half-edges and then i walls + wall; normal (m, d), towards the row; gap (m,); widest (m,): the larger push of the two;
+    closing (m,): approach; crowd (m,): kept at any speed.
+    """
+
+    start: Array
+    partner: Array
+    slot: Array
+    normal: Array
+    gap: Array
+    widest: Array
+    closing: Array
+    crowd: Array
 
 
 @lean_inner
@@ -80,158 +97,213 @@ def near_walls(x, v, a, radius, fixed, supported, h, lower, upper, oblique, poin
 
 
 @kernel
-def within(x, radius, a, h, low, high, known):
-    """Rows whose spheres, with their widest slow gap, touch the box [low, high], but for the `known` (ascending)."""
-    rows, found, passed = np.empty(len(x), np.int64), 0, 0
-    for i in range(len(x)):
-        if passed < len(known) and known[passed] == i:
-            passed += 1
-            continue
-        a2, inside = 0.0, True
-        for k in range(x.shape[1]):
+def widths(radius, a, h, out):
+    """Of rows with accelerations a (n, d): two with a slow contact are no further apart than the sum of theirs. To out (n,)."""
+    for i in range(len(radius)):
+        a2 = 0.0
+        for k in range(a.shape[1]):
             a2 += a[i, k] * a[i, k]
-        wide = radius[i] + HELD * SLOW * h * h * sqrt(a2)
-        for k in range(x.shape[1]):
-            inside &= (x[i, k] + wide >= low[k]) & (x[i, k] - wide <= high[k])
-        if inside:
-            rows[found] = i
-            found += 1
-    return rows[:found]
+        out[i] = radius[i] + HELD * SLOW * h * h * sqrt(a2)
 
 
 @kernel
-def close_by_test(x, wide, w, length):
-    """Pairs (first < second) of few rows that come nearer than their widths, not both with w = 0."""
-    most = len(x) * (len(x) - 1) // 2
-    first, second = np.empty(most, np.int32), np.empty(most, np.int32)
-    found = 0
-    for j in range(len(x)):
-        for i in range(j):
-            r2 = 0.0
-            for k in range(x.shape[1]):
-                r2 += nearest(x[i, k] - x[j, k], length[k]) ** 2
-            if r2 <= (wide[i] + wide[j]) ** 2 and w[i] + w[j] > 0.0:
-                first[found], second[found] = i, j
-                found += 1
-    return first[:found], second[:found]
+def find_contacts(state, graph, inside, h, length, point, normal):
+    """All half-edges between rows `inside` that may be slow, or that are among a crowd: the columns of `Contacts`.
 
-
-@kernel
-def contacts(x, v, push, radius, w, crowd, first, second, h, length, point, normal):
-    """All contacts that may be slow, or that are among a crowd: (rows a and b, or -1 - wall; normals towards a; and so on).
-
-    The rest: gap, shares of a and b, inertia, `widest` (the larger push) and approach; `crowd` tells which are kept at any
-    speed. In the order of rows with walls, then of pairs.
+    `state`: x, v, push (size, d), radius, w, crowd (size,) of rows and ghosts; `graph`: (start, other) of the near pairs.
     """
-    d = x.shape[1]
-    most = len(first) + len(x) * len(point)
-    a, b = np.empty(most, np.int64), np.empty(most, np.int64)
-    n, gaps, share, widest = np.empty((most, d)), np.empty(most), np.empty((most, 2)), np.empty(most)
-    inertia, approach, any_speed = np.empty(most), np.empty(most), np.empty(most, np.bool_)
-    made = 0
+    x, v, push, radius, w, crowd = state
+    near, other = graph
+    n, d, walls, size = len(near) - 1, x.shape[1], len(point), len(x) - 1
+    most = len(other)
+    for i in range(n):
+        most += walls * inside[i]
+    start, partner, slot = np.zeros(n + 1, np.int64), np.empty(most, np.int32), np.empty(most, np.int64)
+    normals, gaps, widest = np.empty((most, d)), np.empty(most), np.empty(most)
+    approach, any_speed = np.empty(most), np.empty(most, np.bool_)
+    pushes, speeds = np.empty(len(x)), np.empty(len(x))
     for i in range(len(x)):
-        for wall in range(len(point)):
+        push2, speed2 = 0.0, 0.0
+        for k in range(d):
+            push2 += push[i, k] * push[i, k]
+            speed2 += v[i, k] * v[i, k]
+        pushes[i], speeds[i] = sqrt(push2), sqrt(speed2)
+    made = 0
+    for i in range(n):
+        start[i] = made
+        if not inside[i]:
+            continue
+        for wall in range(walls):
             _, wide, closing, fast, gap = wall_push(x, v, push[i], radius, i, wall, point, normal)
             if w[i] > 0.0 and wide > 0.0 and gap <= max(HELD * wide, fast * crowd[i]) * h:
-                a[made], b[made], widest[made], gaps[made], approach[made] = i, -1 - wall, wide, gap, closing
+                partner[made], widest[made], gaps[made], approach[made] = size, wide, gap, closing
+                slot[made] = len(other) + i * walls + wall
                 for k in range(d):
-                    n[made, k] = normal[wall, k]
-                share[made, 0], share[made, 1], inertia[made] = 1.0, 0.0, 1.0 / w[i]
+                    normals[made, k] = normal[wall, k]
                 any_speed[made] = crowd[i]
                 made += 1
-    for p in range(len(first)):
-        i, j = first[p], second[p]
-        r2, of_i, of_j = 0.0, 0.0, 0.0
-        for k in range(d):
-            n[made, k] = nearest(x[i, k] - x[j, k], length[k])
-            r2 += n[made, k] * n[made, k]
-            of_i += push[i, k] * push[i, k]
-            of_j += push[j, k] * push[j, k]
-        distance = sqrt(r2)
-        if not distance > 0.0 or w[i] + w[j] == 0.0:
-            continue
-        closing, fast_i, fast_j = 0.0, 0.0, 0.0
-        for k in range(d):
-            n[made, k] /= distance
-            closing -= (v[i, k] - v[j, k]) * n[made, k]
-            fast_i += v[i, k] * v[i, k]
-            fast_j += v[j, k] * v[j, k]
-        gap, wide = distance - radius[i] - radius[j], sqrt(max(of_i, of_j))
-        fast = (sqrt(fast_i) + sqrt(fast_j)) * (crowd[i] or crowd[j])
-        if wide > 0.0 and gap <= max(HELD * wide, fast) * h:
-            a[made], b[made], widest[made], gaps[made], approach[made] = i, j, wide, gap, closing
-            inertia[made] = 1.0 / (w[i] + w[j])
-            share[made, 0], share[made, 1] = w[i] * inertia[made], w[j] * inertia[made]
-            any_speed[made] = crowd[i] or crowd[j]
+        for e in range(near[i], near[i + 1]):
+            j = other[e]
+            if not inside[j] or w[i] + w[j] == 0.0:
+                continue
+            wide = max(pushes[i], pushes[j])
+            of_crowd = crowd[i] or crowd[j]
+            reach = HELD * wide * h
+            if of_crowd:
+                reach = max(reach, (speeds[i] + speeds[j]) * h)
+            r2 = 0.0
+            for k in range(d):
+                normals[made, k] = nearest(x[i, k] - x[j, k], length[k])
+                r2 += normals[made, k] * normals[made, k]
+            if not wide > 0.0 or r2 > (1.0 + 1e-9) * (radius[i] + radius[j] + reach) ** 2:
+                continue
+            distance = sqrt(r2)
+            gap = distance - radius[i] - radius[j] if radius[i] >= radius[j] else distance - radius[j] - radius[i]
+            if not distance > 0.0 or gap > reach:
+                continue
+            closing = 0.0
+            for k in range(d):
+                normals[made, k] /= distance
+                closing -= (v[i, k] - v[j, k]) * normals[made, k]
+            partner[made], slot[made], widest[made], gaps[made], approach[made] = j, e, wide, gap, closing
+            any_speed[made] = of_crowd
             made += 1
+    start[n] = made
     of = slice(0, made)
-    return a[of], b[of], n[of], gaps[of], share[of], inertia[of], widest[of], approach[of], any_speed[of]
+    return start, partner[of], slot[of], normals[of], gaps[of], widest[of], approach[of], any_speed[of]
 
 
 @kernel
-def bear(v, a, b, normal, may_close, share, borne):
-    """What contacts bear under pushes v (n, d), by a few sweeps from what they bore; both in place."""
-    for c in range(len(a)):
-        give(v, a[c], b[c], normal, share, c, borne[c])
-    for _ in range(SWEEPS):
-        sweep(v, a, b, normal, may_close, share, borne)
-    return borne
-
-
-@kernel
-def pressing(push, a, b, normal, share, borne):
-    """The speed that presses each contact, of rows with pushes (n, d) whose contacts bear `borne`."""
+def loads(start, partner, normal, share, borne, push, left, stress):
+    """Of each row with pushes (n, d) whose half-edges bear `borne`: what is left (n, d) of its push, and its stress (n, d, d)."""
     d = push.shape[1]
-    left, stress = push.copy(), np.zeros((len(push), d, d))
-    for c in range(len(a)):
-        give(left, a[c], b[c], normal, share, c, borne[c])
+    for i in range(len(start) - 1):
         for k in range(d):
+            left[i, k] = push[i, k]
             for m in range(d):
-                part = borne[c] * normal[c, k] * normal[c, m]
-                stress[a[c], k, m] += share[c, 0] * part
-                if b[c] >= 0:
-                    stress[b[c], k, m] += share[c, 1] * part
-    speeds = np.empty(len(a))
-    for c in range(len(a)):
-        along = 0.0
-        for k in range(d):
-            for m in range(d):
-                both = stress[a[c], k, m] + (stress[b[c], k, m] if b[c] >= 0 else 0.0)
-                along += normal[c, k] * normal[c, m] * both
-        others = relative(left, a[c], b[c], normal, c) - borne[c]
-        speeds[c] = max(abs(others), along)
+                stress[i, k, m] = 0.0
+        for e in range(start[i], start[i + 1]):
+            part = share[e] * borne[e]
+            for k in range(d):
+                left[i, k] += part * normal[e, k]
+                for m in range(d):
+                    stress[i, k, m] += part * normal[e, k] * normal[e, m]
+
+
+@kernel
+def pressing(start, partner, normal, borne, before, left, stress):
+    """The speed that presses each contact: by forces and other contacts along its normal, or as `before` (m,)."""
+    d = left.shape[1]
+    speeds = np.empty(len(partner))
+    for i in range(len(start) - 1):
+        for e in range(start[i], start[i + 1]):
+            along, others, j = 0.0, 0.0, partner[e]
+            for k in range(d):
+                others += (left[i, k] - left[j, k]) * normal[e, k]
+                for m in range(d):
+                    along += normal[e, k] * normal[e, m] * (stress[i, k, m] + stress[j, k, m])
+            speeds[e] = max(before[e], abs(others - borne[e]), along)
     return speeds
 
 
 @kernel
-def slow(pressed, held, widest, gap, closing, crowd, h):
-    """Which contacts are slow: (their indices, at which speed each may close, below which speed it is slow)."""
+def slow(contacts, took, supported, pressed, h, margin):
+    """Which contacts are slow: (their indices, at which speed each may close, below which speed it is slow).
+
+    Contacts keep a gap of `margin` (m,). `supported` (size,): who is held already; a contact that `took` something is held too.
+    """
+    start, partner, _, _, gap, widest, closing, crowd = contacts
     of, may_close, speeds = np.empty(len(gap), np.int64), np.empty(len(gap)), np.empty(len(gap))
     found = 0
-    for c in range(len(gap)):
-        most = HELD * widest[c]
-        speed = min((HELD if held[c] else 1.0) * pressed[c], most)
-        if crowd[c] or (speed > 0.0 and gap[c] <= speed * h and abs(closing[c]) <= speed):
-            of[found], speeds[found] = c, most if crowd[c] else speed
-            may_close[found] = max(gap[c] - MARGIN * most * h, 0.0) / h
-            found += 1
+    for i in range(len(start) - 1):
+        for e in range(start[i], start[i + 1]):
+            j = partner[e]
+            held = took[e] > 0.0 or supported[i] or supported[j]
+            most = HELD * widest[e]
+            speed = min((HELD if held else 1.0) * pressed[e], most)
+            if crowd[e] or (speed > 0.0 and gap[e] <= speed * h and abs(closing[e]) <= speed):
+                of[found], speeds[found] = e, most if crowd[e] else speed
+                may_close[found] = max(gap[e] - margin[e] - MARGIN * most * h, -0.05 * margin[e]) / h
+                found += 1
     return of[:found], may_close[:found], speeds[:found]
 
 
 @kernel
-def spread(x, wide, first, second, length, supported):
-    """Who touches one of a crowd, widths taken together, belongs to it. `first`, `second`: pairs of rows that may touch."""
-    touch = np.empty(len(first), np.bool_)
-    for p in range(len(first)):
-        r2 = 0.0
-        for k in range(x.shape[1]):
-            r2 += nearest(x[first[p], k] - x[second[p], k], length[k]) ** 2
-        touch[p] = r2 <= (wide[first[p]] + wide[second[p]]) ** 2
+def starts_of(start, of):
+    """`start` of a part of the half-edges: those with the ascending indices `of`."""
+    new = np.zeros(len(start), np.int64)
+    at = 0
+    for i in range(len(start) - 1):
+        while at < len(of) and of[at] < start[i + 1]:
+            at += 1
+        new[i + 1] = at
+    return new
+
+
+@kernel
+def spread(start, other, x, wide, length, crowd):
+    """Who touches one of a crowd, widths taken together, belongs to it: marks rows; returns whether any was new. In place."""
+    new = False
     more = True
     while more:
         more = False
-        for p in range(len(first)):
-            i, j = first[p], second[p]
-            if touch[p] and (supported[i] == CROWD) != (supported[j] == CROWD):
-                supported[i] = supported[j] = CROWD
-                more = True
+        for i in range(len(start) - 1):
+            if crowd[i]:
+                continue
+            for e in range(start[i], start[i + 1]):
+                j = other[e]
+                if not crowd[j]:
+                    continue
+                r2 = 0.0
+                for k in range(x.shape[1]):
+                    r2 += nearest(x[i, k] - x[j, k], length[k]) ** 2
+                if r2 <= (wide[i] + wide[j]) ** 2:
+                    crowd[i] = new = more = True
+                    break
+    return new
+
+
+@kernel
+def carried(start, taken):
+    """Which rows have a half-edge that took something; (n,) uint8."""
+    rows = np.zeros(len(start) - 1, np.uint8)
+    for i in range(len(rows)):
+        for e in range(start[i], start[i + 1]):
+            rows[i] |= taken[e] > 0.0
+    return rows
+
+
+@kernel
+def shares(start, partner, w):
+    """The part of what a contact takes that the row of each half-edge gives."""
+    share = np.empty(len(partner))
+    for i in range(len(start) - 1):
+        for e in range(start[i], start[i + 1]):
+            j = partner[e]
+            share[e] = w[i] / (w[i] + w[j])
+    return share
+
+
+@kernel
+def inside_zone(x, push, radius, h, zone):
+    """Which rows and ghosts touch the zone (2, d), with their widths."""
+    inside = np.ones(len(x), np.bool_)
+    for i in range(len(x)):
+        push2 = 0.0
+        for k in range(x.shape[1]):
+            push2 += push[i, k] * push[i, k]
+        wide = radius[i] + HELD * h * sqrt(push2)
+        for k in range(x.shape[1]):
+            inside[i] &= (x[i, k] + wide >= zone[0, k]) & (x[i, k] - wide <= zone[1, k])
+    return inside
+
+
+@kernel
+def smaller(start, partner, radius):
+    """Of each half-edge: the smaller radius of the two that is not 0; a wall's is inf."""
+    least = np.empty(len(partner))
+    for i in range(len(start) - 1):
+        for e in range(start[i], start[i + 1]):
+            one, other = radius[i], radius[partner[e]]
+            least[e] = min(one, other) if one > 0.0 and other > 0.0 else max(one, other)
+    return least

@@ -1,4 +1,4 @@
-"""Contacts that stay: spheres that forces press onto walls and one another come to rest there, and do not sink or rattle.
+"""Contacts that last: spheres that forces press onto walls and one another come to rest there, and do not sink or rattle.
 
 A sphere that bounces lower and lower under a force would meet the wall more and more often, and never stop. Here a contact
 that is pressed along its normal, and whose next bounce would be over within a step or so, is *kept*: after every kick
@@ -7,249 +7,309 @@ velocities become those nearest to them, in kinetic energy, with which no kept c
 their restitution, it leaves to the drift: the faster ones, and those that nothing presses, as of balls side by side on a floor.
 
 *Crowds.* A sphere that hits a pile sets all of it rattling, without end: every contact of it would take place hundreds of times
-in a step. A drift in which particles have many contacts within a hundredth of it is therefore done again, after `hold`: there
-they and all that touch them keep their contacts at any speed, as if e = 0, which is what many contacts with e < 1 come to.
+in a step. A drift in which particles have many contacts within a hundredth of it is therefore done again, after `keep_crowds`:
+there they and all that touch them keep their contacts at any speed, as if e = 0, which is what many contacts with e < 1 come to.
 
-Involved are few, as a rule: those that were supported before, those near walls, and those near these; where forces press free
-ones onto one another, all that touch. All ranks work them out together, in the order of ids, so that results do not depend on
-the ranks.
+Involved are few, as a rule: those that were supported before, those near walls, and those near these (the *zone*); where forces
+press free ones onto one another, all that touch. Each rank solves for its own rows, and gets those next to them as ghosts.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from particles_mpi.contacts.persistent.detection import (
-    HELD,
     SLOW,
-    bear,
-    close_by_test,
-    contacts,
+    Contacts,
+    carried,
+    find_contacts,
+    inside_zone,
+    loads,
     near_walls,
     pressing,
+    shares,
     slow,
+    smaller,
     spread,
-    within,
+    starts_of,
+    widths,
 )
-from particles_mpi.contacts.persistent.solver import BETTER, project, project_each
+from particles_mpi.contacts.persistent.graph import ContactGraph, rows_in
+from particles_mpi.contacts.persistent.memory import NOTHING, Memory, recall, remember, send_home
+from particles_mpi.contacts.persistent.solver import EFFORT, OUTLIER, Problem, Solver, Targets, problem, solve_each
 from particles_mpi.contacts.walls import Planes
-from particles_mpi.kernels.fingerprint import fingerprint
 from particles_mpi.kernels.markers import CROWD, PRESSED
-from particles_mpi.neighbours.candidates import touching
-from particles_mpi.neighbours.halo_region import fetch_near_rows
-from particles_mpi.neighbours.trajectories import AT_REST
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows
-from particles_mpi.particles import Array, Particles, places_of, row_dot, rows_of
+from particles_mpi.particles import Array, Particles, row_dot
 from particles_mpi.timers import Timers
 
-PRECISE = 1e-11  # of the slow speed: approach that does not matter
-NOTHING = np.empty(0, np.int64), np.empty(0)
-CLOSE = 1.0 + 1e-9  # times the widths, so that ranks agree on who is near the border, whatever the round-off
-FEW = 64  # rows: so many look for partners among all others
+PRECISE = 1e-12  # of the slow speed: approach that does not matter
+SKIN = 0.3  # radii: so far rows may move, two together, before the graph is made anew
+EXACT = 100  # iterations: a pile for which so many are always spent keeps no margin for what is left
+BEARING = 5  # iterations from what contacts bore before to what they bear now
 
 
-class Rest:
+class Local(NamedTuple):
+    """Rows, ghosts and a wall: x, v, push (size + 1, d), radius, w = 1/m or 0, crowd, supported (size + 1,)."""
+
+    x: Array
+    v: Array
+    push: Array
+    radius: Array
+    w: Array
+    crowd: Array
+    supported: Array
+
+
+class PersistentContacts:
     """Keeps the slow contacts of particles: with one another if `pairs`, and with those of the planes that take energy.
 
-    `bound`: above all ids. `uniform`: all forces give all particles the same acceleration, so that free ones never press onto
-    one another.
+    `uniform`: all forces give all particles the same acceleration, so that free ones never press onto
+    one another. `tolerance`: by which part of a radius contacts may close in a step.
     """
 
     def __init__(
-        self, ranks: Communicator, bound: int, length: Array, pairs: bool, planes: Planes, uniform: bool, timers: Timers
-    ):
-        self.ranks, self.bound, self.length = ranks, bound, length
-        self.pairs, self.uniform, self.timers = pairs, uniform, timers
-        self.memory = NOTHING
-        self.looked: tuple[tuple[int, ...], int] = (), 0
-        self.found = np.empty(0, np.int64)  # places, and fingerprint of widths; who is close
-        self.walls = planes.lower, planes.upper, planes.oblique, planes.point[planes.lossy], planes.normal[planes.lossy]
-        self.given: tuple[Array, Array] = NOTHING  # our rows in the last `keep`, and the velocities that contacts gave them
+        self, ranks: Communicator, length: Array, pairs: bool, planes: Planes, uniform: bool, tolerance: float,
+        timers: Timers,
+    ):  # fmt: skip
+        self.ranks, self.length = ranks if pairs else Communicator.alone(), length
+        self.pairs, self.uniform, self.tolerance, self.timers = pairs, uniform, tolerance, timers
+        self.point, self.normal = planes.point[planes.lossy], planes.normal[planes.lossy]
+        self.faces = planes.lower, planes.upper, planes.oblique
+        self.memory: Memory = NOTHING  # of contacts that the graph does not hold
+        self.graph: ContactGraph | None = None
+        self.solver = Solver(self.ranks, len(length))
+        self.given: tuple[Array, Array] = (
+            np.empty(0, np.int64),
+            np.empty(0),
+        )  # our rows, and the velocities that contacts gave them
         self.awake = True  # else particles pass through one another and through walls
+        self.totals = {"unconverged": 0}  # of this rank, which are counted for all by rank 0
+        self.graphs_made = 0
 
     def forget(self) -> None:
-        """Nothing is known of what contacts carried."""
-        self.memory = NOTHING
+        """Nothing is known of what contacts took."""
+        self.memory, self.graph = NOTHING, None
+
+    def remembered(self) -> Memory:
+        """What our rows' contacts took in the last solution."""
+        if self.graph is not None:
+            self.memory = remember(self.graph, self.taken, len(self.point))
+        return self.memory
+
+    def saved(self) -> list[list[float]]:
+        """What the contacts of all ranks took, as plain data in the order of ids. Collective with pairs."""
+        rows = allgather_rows(self.ranks, self.remembered()._asdict())
+        order = np.lexsort((rows["partner"], rows["id"]))
+        return [rows[name][order].tolist() for name in Memory._fields]
+
+    def restore(self, saved: list[list[float]], ids: Array) -> None:
+        """Begin with what contacts took when they were `saved`, those of our ids."""
+        id_, partner, taken = np.array(saved[0], np.int64), np.array(saved[1], np.int64), np.array(saved[2], float)
+        mine = np.isin(id_, ids)
+        self.memory, self.graph = Memory(id_[mine], partner[mine], taken[mine]), None
 
     def keep(self, p: Particles, a: Array, h: float) -> None:
         """After a kick by accelerations a (n, d) in a step of h: velocities that keep slow contacts. Collective with pairs."""
-        self.given = NOTHING
+        self.given = self.given[0][:0], self.given[1][:0]
         if not self.awake:
             return
         with self.timers("rest"):
             state = p.position, p.velocity, a, p.radius, p.fixed, p["supported"]
-            involved = near_walls(*state, h, *self.walls)
-            if self.pairs and not self.uniform:
-                involved = np.union1d(involved, self.close(p, a, h))
-            if not (self.ranks.allreduce_sum(len(involved))[0] if self.pairs else len(involved)):
+            involved = near_walls(*state, h, *self.faces, self.point, self.normal)
+            if not self.pairs:
+                if len(involved):
+                    self.keep_on_walls(p, a, h, involved)
                 return
-            rows = self.rows(p, a, h, involved)
-            rows["supported"] = np.minimum(rows["supported"], PRESSED)
-            if self.pairs:
-                rows = allgather_rows(self.ranks, rows)
-                while self.uniform:
-                    joining = allgather_rows(self.ranks, self.joining(p, a, h, rows, involved))
-                    rows = {name: np.concatenate((column, joining[name])) for name, column in rows.items()}
-                    if len(self.memory[0]) or not len(joining["id"]):
-                        break
-                    involved = np.sort(rows["row"][rows["rank"] == self.ranks.rank])
-                rows = rows_of(rows, np.argsort(rows["id"]))
-            self.memory = self.solve(p, rows, h, self.near(rows, self.pairs))
+            remembers = bool(self.taken.any()) if self.graph else len(self.memory.id) > 0
+            some, known = self.ranks.allreduce_max(np.array([len(involved) > 0, remembers], np.int64))
+            if not some and self.uniform:
+                self.forget()
+                return
+            wide = np.empty(len(p))
+            widths(p.radius, a, h, wide)
+            zone = self.zone(p, wide, involved, bool(known))
+            graph = self.near(p, wide, zone)
+            local = self.local(p, a, h, graph)
+            inside = inside_zone(local.x, local.push, local.radius, h, zone)
+            self.taken[:] = self.solve(p, local, graph, inside, h, self.taken, bool(known))
 
-    def hold(self, p: Particles, a: Array, h: float) -> None:
+    def keep_crowds(self, p: Particles, a: Array, h: float) -> None:
         """As `keep`, but contacts with those that are CROWD, and with all who touch them, are kept at any speed. Collective."""
         with self.timers("rest"):
-            rows = self.rows(p, a, h, np.arange(len(p)))
-            rows = allgather_rows(self.ranks, rows)
-            rows = rows_of(rows, np.argsort(rows["id"]))
-            touch = rows["wide"]
-            fast = rows["radius"] + h * np.sqrt(row_dot(rows["velocity"], rows["velocity"]))
-            first, second = self.near(rows | {"wide": np.maximum(touch, fast)}, True)
-            spread(rows["position"], touch, first, second, self.length, rows["supported"])
-            self.solve(p, rows, h, (first, second), again=True)
+            touch = np.empty(len(p))
+            widths(p.radius, a, h, touch)
+            wide = np.maximum(touch, p.radius + h * np.sqrt(row_dot(p.velocity, p.velocity)))
+            graph = ContactGraph(self.ranks, p, np.arange(len(p)), wide, 0.0, self.length)
+            local = self.local(p, a, h, graph)
+            ghost_touch = np.zeros(graph.size + 1)
+            ghost_touch[: len(p)] = touch
+            marked = local.crowd.astype(np.float64)
+            graph.exchange(ghost_touch)
+            while True:
+                local.crowd[:] = marked > 0.0
+                new = spread(graph.start, graph.other, local.x, ghost_touch, self.length, local.crowd)
+                if not self.ranks.allreduce_max(float(new))[0]:
+                    break
+                marked[:] = local.crowd
+                graph.exchange(marked)
+            took = recall(self.remembered(), graph, len(self.point))
+            self.solve(p, local, graph, np.ones(graph.size + 1, np.bool_), h, took, True, again=True)
 
-    def rows(self, p: Particles, a: Array, h: float, which: Array) -> dict[str, Array]:
-        """What all must know of our rows `which`; `wide` is the radius and the widest slow gap."""
-        chosen = p.select(which)
-        rows = {name: chosen[name] for name in ("id", "position", "velocity", "radius", "supported")}
-        push = SLOW * h * a[which]
-        return rows | {
-            "push": push,
-            "wide": widths(rows["radius"], push, h),
-            "w": chosen.inverse_mass,
-            "row": which,
-            "rank": np.full(len(which), self.ranks.rank),
-        }
+    def zone(self, p: Particles, wide: Array, involved: Array, known: bool) -> Array:
+        """The box (2, d) in which contacts are sought: around those involved, or all space. Collective."""
+        d = p.dimension
+        everything = np.array([[-np.inf] * d, [np.inf] * d])
+        if not self.uniform or not known:
+            return everything
+        low, high = np.full(d, np.inf), np.full(d, -np.inf)
+        if len(involved):
+            low = (p.position[involved] - wide[involved, None]).min(axis=0)
+            high = (p.position[involved] + wide[involved, None]).max(axis=0)
+        ends = self.ranks.allreduce_max(np.concatenate((-low, high)))
+        zone = np.stack((-ends[:d], ends[d:]))
+        zone[:, self.length > 0.0] = everything[:, self.length > 0.0]
+        return zone
 
-    def close(self, p: Particles, a: Array, h: float) -> Array:
-        """Our rows that are no further from another, ours or not, than their widths. Collective."""
-        wide, w = widths(p.radius, SLOW * h * a, h), p.inverse_mass
-        here = places_of(p), fingerprint(np.stack((wide, w)))
-        if self.ranks.allreduce_min(float(here == self.looked))[0]:  # as at the end of the last step
-            return self.found
-        known = {"id": p.id, "position": p.position, "wide": wide, "w": w}
-        if self.ranks.size > 1:
-            still = p.position, np.zeros_like(p.position), CLOSE * wide
-            _, _, _, theirs, _ = fetch_near_rows(self.ranks, known, still, AT_REST, self.length)
-            known = {name: np.concatenate((column, theirs[name])) for name, column in known.items()}
-        first, second = touching(known["position"], known["wide"], known["w"], known["id"], self.length)
-        rows = np.concatenate((first, second))
-        self.looked, self.found = here, np.unique(rows[rows < len(p)])
-        return self.found
+    def near(self, p: Particles, wide: Array, zone: Array) -> ContactGraph:
+        """The graph of all who are near one another in the zone, new or as before. Collective."""
+        good = self.graph is not None and self.graph.holds(p, wide, zone)
+        if not self.ranks.allreduce_min(float(good))[0] or self.graph is None:
+            memory = send_home(self.ranks, self.remembered(), p)
+            skin = SKIN * self.ranks.allreduce_max(float(p.radius.max(initial=0.0)))[0]
+            rows = rows_in(p.position, wide + skin, zone)
+            self.graph = ContactGraph(self.ranks, p, rows, wide, skin, self.length)
+            self.taken = recall(memory, self.graph, len(self.point))
+            self.graphs_made += 1
+        return self.graph
 
-    def joining(self, p: Particles, a: Array, h: float, rows: dict[str, Array], known: Array) -> dict[str, Array]:
-        """Those of our rows, but for the `known`, that touch one of `rows`, give or take a slow gap."""
-        low, high = np.full(len(self.length), -np.inf), np.full(len(self.length), np.inf)
-        for k in np.flatnonzero(self.length == 0.0):
-            low[k] = (rows["position"][:, k] - rows["wide"]).min()
-            high[k] = (rows["position"][:, k] + rows["wide"]).max()
-        near = self.rows(p, a, h, within(p.position, p.radius, a, h, low, high, known))
-        first, second = self.near(
-            {name: np.concatenate((rows[name], near[name])) for name in ("id", "position", "wide", "w")}, True
+    def local(self, p: Particles, a: Array, h: float, graph: ContactGraph) -> Local:
+        """The state of the graph's rows, and of ghosts as their owners have them. Collective."""
+        n, d, rows = len(graph.rows), p.dimension, graph.rows
+        table = np.zeros((graph.size + 1, 3 * d + 1))
+        table[:n, :d], table[:n, d : 2 * d], table[:n, 2 * d : 3 * d] = p.position[rows], p.velocity[rows], SLOW * h * a[rows]
+        table[:n, 3 * d] = p["supported"][rows]
+        graph.exchange(table)
+        x, v, push = (np.ascontiguousarray(table[:, k * d : (k + 1) * d]) for k in range(3))
+        supported = table[:, 3 * d]
+        return Local(
+            x, v, push, graph.radius, graph.inverse_mass, supported == CROWD, (supported != 0) & (graph.inverse_mass > 0.0)
         )
-        n = len(rows["id"])
-        joins = np.concatenate((second[(first < n) & (second >= n)], first[(second < n) & (first >= n)]))
-        return rows_of(near, np.unique(joins - n))
-
-    def near(self, rows: dict[str, Array], pairs: bool) -> tuple[Array, Array]:
-        """Pairs of rows that are no further apart than their widths, in order."""
-        if not pairs:
-            return np.empty(0, np.int32), np.empty(0, np.int32)
-        if len(rows["id"]) <= FEW:
-            return close_by_test(rows["position"], rows["wide"], rows["w"], self.length)
-        first, second = touching(rows["position"], rows["wide"], rows["w"], rows["id"], self.length)
-        order = np.lexsort((second, first))
-        return first[order], second[order]
 
     def solve(
-        self, p: Particles, rows: dict[str, Array], h: float, near: tuple[Array, Array], again: bool = False
-    ) -> tuple[Array, Array]:
-        """Velocities of rows (in order of ids) that keep their contacts, into p. What these took, the next `memory`.
+        self, p: Particles, local: Local, graph: ContactGraph, inside: Array, h: float, took: Array, known: bool, again: bool = False
+    ) -> Array:  # fmt: skip
+        """Velocities that keep slow contacts, into p; returns what half-edges of the graph took now, `took` being that of before.
 
         `again`: these velocities have been through it since the last kick, so that contacts take little more.
         """
-        v = rows["velocity"]
-        a, b, normal, gap, share, inertia, widest, closing, crowd = contacts(
-            rows["position"], v, rows["push"], rows["radius"], rows["w"], rows["supported"] == CROWD, *near, h,
-            self.length, *self.walls[3:],
+        columns = find_contacts(
+            tuple(local[:6]), (graph.start, graph.other), inside, h, self.length, self.point, self.normal
         )  # fmt: skip
-        walls = len(self.walls[3])
-        others = np.where(b >= 0, rows["id"][np.maximum(b, 0)] + walls, -1 - b)
-        names = rows["id"][a] * (self.bound + walls) + others
-        took = recall(names, self.memory)
-        supported = (rows["supported"] != 0) & (rows["w"] > 0.0)
-        held = (took > 0.0) | supported[a] | ((b >= 0) & supported[np.maximum(b, 0)])
-        pressed, borne = self.pressed(rows["push"], a, b, normal, gap <= widest * h, share, inertia, widest, took)
-        of, may_close, speed = slow(pressed, held, widest, gap, closing, crowd, h)
-        a, b, normal, share, inertia, names = a[of], b[of], normal[of], share[of], inertia[of], names[of]
-        if not self.pairs:  # each rank by itself, and nothing to remember
-            closing = project_each(v, a, b, normal, may_close, share, inertia, PRECISE * speed)
-            self.give_back(p, rows, v, a, b, closing > 0.0)
-            return NOTHING
-        tolerance = PRECISE * float(speed.max(initial=0.0))
-        if again:
-            guess, better = np.zeros(len(a)), BETTER
-        elif len(self.memory[0]):
-            guess, better = took[of], BETTER
-        else:
-            guess, better = borne[of] / (2.0 * SLOW), 0.0
-        closing = project(v, a, b, normal, may_close, share, inertia, tolerance, guess, better)
-        kept = closing > 0.0
-        self.give_back(p, rows, v, a, b, kept)
-        order = np.argsort(names[kept])
-        return names[kept][order], closing[kept][order]
+        contacts = Contacts(*columns)
+        before = took[contacts.slot]
+        bears = self.bear(local, graph, contacts, 2.0 * SLOW * before, known, h)
+        pressed, borne = bears
+        effort = self.effort(len(before))
+        margin = OUTLIER * self.allowed(local, contacts.start, contacts.partner) * (effort < EXACT)
+        of, may_close, speed = slow(tuple(contacts), before, local.supported, pressed, h, margin)
+        chosen = problem(
+            starts_of(contacts.start, of), contacts.partner[of], contacts.normal[of], local.w, graph.exchange
+        )  # fmt: skip
+        targets = self.targets(local, chosen, may_close, speed, h)
+        taken = np.zeros(len(of)) if again else before[of] if known else borne[of] / (2.0 * SLOW)
+        v = local.v.copy()
+        good = self.solver.solve(
+            chosen, local.w, targets, v, taken, graph.exchange, effort
+        )  # fmt: skip
+        self.totals["unconverged"] += self.ranks.is_root and not good
+        n = len(graph.rows)
+        self.give_back(p, graph.rows, v[:n] - local.v[:n], v[:n], chosen.start, taken)
+        all_taken = np.zeros(len(took))
+        all_taken[contacts.slot[of]] = taken
+        return all_taken
 
-    def pressed(
-        self,
-        push: Array,
-        a: Array,
-        b: Array,
-        normal: Array,
-        touch: Array,
-        share: Array,
-        inertia: Array,
-        widest: Array,
-        took: Array,
+    def bear(
+        self, local: Local, graph: ContactGraph, contacts: Contacts, before: Array, known: bool, h: float
     ) -> tuple[Array, Array]:
-        """(the speed that presses each contact, by pushes of rows and what contacts bear or `took` last; what it bears).
+        """(the speed that presses each contact, by pushes of rows and what contacts bear or took last; what it bears).
 
-        Those that `touch` bear what they must for nobody to be pushed on. That is found from what they took, by a few sweeps;
+        Those that touch bear what they must for nobody to be pushed on. That is found from what they took, by some iterations;
         without memory (the first step, or the state was changed) as exactly as velocities are.
         """
-        before = 2.0 * SLOW * took  # a step's with SLOW, from half a step's
-        of = touch | (took > 0.0)
-        that = push.copy(), a[of], b[of], normal[of], np.zeros(np.count_nonzero(of)), share[of]
-        borne = before.copy()
-        if not self.pairs:
-            borne[of] = project_each(*that, inertia[of], PRECISE * widest[of])
-        elif len(self.memory[0]):
-            borne[of] = bear(*that, before[of])
+        of = np.flatnonzero((contacts.gap <= contacts.widest * h) | (before > 0.0))
+        chosen = problem(starts_of(contacts.start, of), contacts.partner[of], contacts.normal[of], local.w, graph.exchange)
+        borne, some, push, still = before.copy(), before[of], local.push.copy(), np.zeros(len(of))
+        if known:
+            self.solver.approach(chosen, still, push, some, graph.exchange, BEARING)
         else:
-            borne[of] = project(*that, inertia[of], PRECISE * float(widest.max(initial=0.0)), before[of], 0.0)
-        return np.maximum(before, pressing(push, a, b, normal, share, borne)), borne
+            targets = self.targets(local, chosen, still, contacts.widest[of], h)
+            self.solver.solve(chosen, local.w, targets, push, some, graph.exchange, self.effort(len(of)))
+        borne[of] = some
+        n, d = len(graph.rows), push.shape[1]
+        left, stress = np.zeros((graph.size + 1, d)), np.zeros((graph.size + 1, d, d))
+        share = shares(contacts.start, contacts.partner, local.w)
+        loads(contacts.start, contacts.partner, contacts.normal, share, borne, local.push[:n], left, stress)
+        graph.exchange(left, stress)
+        return pressing(contacts.start, contacts.partner, contacts.normal, borne, before, left, stress), borne
 
-    def give_back(self, p: Particles, rows: dict[str, Array], v: Array, a: Array, b: Array, pressed: Array) -> None:
-        """To our particles: velocities v of `rows`, and who is supported, having one of the pressed contacts."""
-        held = np.zeros(len(v), np.uint8)
-        held[a[pressed]] = PRESSED
-        held[b[pressed & (b >= 0)]] = PRESSED
-        mine = rows["rank"] == self.ranks.rank
-        row = rows["row"][mine]
-        self.given = row, v[mine] - p.velocity[row]
-        p.velocity[row] = v[mine]
-        p["supported"][row] = held[mine]
+    def targets(self, local: Local, chosen: Problem, may_close: Array, speed: Array, h: float) -> Targets:
+        """What is asked of contacts that are slow below `speed` (m,)."""
+        enough, tight = self.allowed(local, chosen.start, chosen.partner) / h, 1.0 / (PRECISE * speed)
+        return Targets(may_close, np.divide(1.0, enough, out=tight.copy(), where=enough * tight > 1.0), tight)
+
+    def allowed(self, local: Local, start: Array, partner: Array) -> Array:
+        """By how much contacts may close in a step: the tolerance, in radii of the smaller sphere."""
+        return self.tolerance * smaller(start, partner, local.radius)
+
+    def effort(self, count: int) -> int:
+        """Iterations that are always spent on so many half-edges of this rank. Collective."""
+        return EFFORT // max(int(self.ranks.allreduce_sum(count)[0]), 1)
+
+    def keep_on_walls(self, p: Particles, a: Array, h: float, rows: Array) -> None:
+        """As `keep`, of rows that nothing but walls can hold: each by itself."""
+        n, wall = len(rows), np.zeros((1, p.dimension))
+        x, v, push = (np.concatenate((part, wall)) for part in (p.position[rows], p.velocity[rows], SLOW * h * a[rows]))
+        radius, w = np.append(p.radius[rows], np.inf), np.append(p.inverse_mass[rows], 0.0)
+        none, no = np.zeros(n + 1, np.int64), np.zeros(n + 1, np.bool_)
+        contacts = Contacts(
+            *find_contacts(
+                (x, v, push, radius, w, no), (none, np.empty(0, np.int32)), ~no, h, self.length, self.point, self.normal
+            )
+        )
+        local = Local(x, v, push, radius, w, no, (np.append(p["supported"][rows], 0) != 0) & (w > 0.0))
+        touch = contacts.gap <= contacts.widest * h
+        borne, nothing = np.zeros(len(touch)), np.zeros(len(touch))
+        of = np.flatnonzero(touch)
+        borne[of] = self.each(local, contacts, of, np.zeros(len(of)), contacts.widest[of], push.copy(), h)
+        left, stress = np.zeros_like(push), np.zeros((*push.shape, push.shape[1]))
+        share = np.ones(len(touch))
+        loads(contacts.start, contacts.partner, contacts.normal, share, borne, push, left, stress)
+        pressed = pressing(contacts.start, contacts.partner, contacts.normal, borne, nothing, left, stress)
+        of, may_close, speed = slow(tuple(contacts), nothing, local.supported, pressed, h, nothing)
+        after = v.copy()
+        taken = self.each(local, contacts, of, may_close, speed, after, h)
+        self.give_back(p, rows, (after - v)[:n], after[:n], starts_of(contacts.start, of), taken)
+
+    def each(
+        self, local: Local, contacts: Contacts, of: Array, may_close: Array, speed: Array, v: Array, h: float
+    ) -> Array:  # fmt: skip
+        """Velocities v of rows on walls, in place, with the contacts `of`; what these took."""
+        chosen = problem(starts_of(contacts.start, of), contacts.partner[of], contacts.normal[of], local.w, alone)
+        targets = self.targets(local, chosen, may_close, speed, h)
+        taken = np.zeros(len(of))
+        solve_each(self.solver.axes, tuple(chosen), local.w, tuple(targets), v, taken)
+        return taken
+
+    def give_back(self, p: Particles, rows: Array, given: Array, v: Array, start: Array, taken: Array) -> None:
+        """To our particles: velocities v of `rows`, and who is supported, having one of the contacts that took something."""
+        self.given = rows, given
+        p.velocity[rows] = v
+        p["supported"][rows] = PRESSED * carried(start, taken)
 
 
-def widths(radius: Array, push: Array, h: float) -> Array:
-    """Of rows: two with a slow contact are no further apart than the sum of theirs."""
-    return np.asarray(radius + HELD * h * np.sqrt(row_dot(push, push)))
-
-
-def recall(names: Array, memory: tuple[Array, Array]) -> Array:
-    """What contacts of these names took when last remembered, 0 for new ones."""
-    known, closing = memory
-    if not len(known):
-        return np.zeros(len(names))
-    at = np.minimum(np.searchsorted(known, names), len(known) - 1)
-    return np.where(known[at] == names, closing[at], 0.0)
+def alone(*columns: Array) -> None:
+    """There are no ghosts."""

@@ -1,317 +1,306 @@
 """Velocities that let no contact close: the inelastic law of J. J. Moreau (Comput. Methods Appl. Mech. Eng. 177, 329 (1999)).
 
-Of contact c: rows a[c] and b[c], which is negative for a wall; its normal[c] towards a; may_close[c], the speed at which it may
-close; share[c], what part of its closing speed each partner gives up; inertia[c], 1/(1/m_a + 1/m_b). Plain arrays.
+Of all velocities at which no contact closes faster than it may, those nearest to the present ones, in kinetic energy, are
+sought. With p >= 0 the impulses of the contacts, N their normals, W = 1/m and c the speeds at which they may close, p is the
+minimum of p A p/2 + p (N v + c) with A = N^T W N. It is found by accelerated projected gradients with restarts (Y. Nesterov; B.
+O'Donoghue and E. Candes, Found. Comput. Math. 15, 715 (2015); for contacts H. Mazhar et al., ACM Trans. Graph. 34, 32 (2015)):
+
+    p' = max(y - (N u + c)/D, 0),   u = v + W N y,   y' = p' + beta (p' - p).
+
+D is diagonal: for each row i the largest eigenvalue of the sum of n n^T over its contacts is bounded by b_i, and
+D = w_i b_i + w_j b_j makes D - A positive, so no step is too long. Instead of the impulse p of a contact its *taken* speed
+p (w_i + w_j) is kept, the approach that it takes from its partners. A half-edge is computed by the owner of its row, from
+velocities that ranks exchange in each iteration; all sums are in the order of half-edges (`graph`). So the bits are the same on
+any number of ranks. To take a friction cone, the projection max(., 0) is what has to be replaced.
 """
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.kernels.jit import inner, kernel, lean, lean_inner
+from particles_mpi.kernels.jit import inner, kernel
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exact_sum import exact_sums
+from particles_mpi.particles import Array
 
-MOST_ROUNDS = 200
-BETTER = 1e-2  # than after a sweep: what a call makes of approach that is left, for the next one begins there
-FLAT = 1e-13
-MOST_TAKEN = 1e9  # times the largest relative speed at the beginning: more than any pile needs
-RESTARTS = 6
-MANY = 1 / 3  # of the contacts pressed: with fewer, the matrix leaves out those that only could be
+CHECK = 5  # iterations between two looks at what is left
+MOST = 5000  # iterations
+OUTLIER = 10.0  # times the root mean square that is allowed may the largest error be
+EFFORT = 200_000  # half-edges times iterations that are always spent, as long as it is no waste: small piles are exact
+
+
+class Problem(NamedTuple):
+    """The contacts that are solved for, as half-edges: those of row i are start[i] ... start[i + 1] - 1.
+
+    start (n + 1,); partner (m,): a row or ghost, or the row of zeros behind them that stands for walls; normal (m, d), towards the row; share (m,): the part of
+    what a contact takes that the row gives; step (m,): length of a gradient step, (w_i + w_j)/D.
+    """
+
+    start: Array
+    partner: Array
+    normal: Array
+    share: Array
+    step: Array
+
+
+class Targets(NamedTuple):
+    """What is asked of each half-edge, (m,): it may close at `may_close`. An error in speed is allowed up to 1/`loose`, as root
+    mean square; below 1/`tight` nothing is left but round-off."""
+
+    may_close: Array
+    loose: Array
+    tight: Array
+
+
+def problem(start: Array, partner: Array, normal: Array, w: Array, share_bounds: Callable[[Array], None]) -> Problem:
+    """The contacts of rows with inverse masses w (size + 1,). `share_bounds` gives ghosts the numbers (size,) of their owners."""
+    bound = np.zeros(len(w))
+    weigh_rows(start, normal, w, bound)
+    share_bounds(bound)
+    return Problem(start, partner, normal, *step_lengths(start, partner, w, bound))
 
 
 @kernel
-def project(v, a, b, normal, may_close, share, inertia, tolerance, guess, better):
-    """Velocities nearest to v, in kinetic energy, at which no contact closes faster than it may; in place. What each took.
-
-    A quadratic programme, solved as by J. More and G. Toraldo (SIAM J. Optim. 1, 93 (1991)): Gauss-Seidel sweeps find which
-    contacts are pressed, conjugate gradients their share, until one of them would pull. `guess`: what each may take, to
-    begin with; `better`: how much better than after a sweep is enough. Few contacts are done with after a sweep or two; for
-    many the matrix is worth its while: that of those which were ever pressed, until a sweep of all presses no other.
-    """
-    limit = 0.0
-    for c in range(len(a)):
-        limit = max(limit, MOST_TAKEN * abs(relative(v, a[c], b[c], normal, c)))
-    closing = begin(v, a, b, normal, may_close, share, inertia, guess, limit)
-    first = sweep(v, a, b, normal, may_close, share, closing)
-    if first > tolerance:
-        tolerance = max(tolerance, better * first)
-        tried, known = np.zeros(len(a), np.bool_), -1
-        working_set(tried, closing)
-        while sweep(v, a, b, normal, may_close, share, closing) > tolerance:
-            of = working_set(tried, closing)
-            if len(of) == known:
-                break
-            known, before, start = len(of), closing.copy(), v.copy()
-            solve(v, of, a, b, normal, may_close, share, inertia, tolerance, closing)
-            for c in of:
-                give(v, a[c], b[c], normal, share, c, closing[c] - before[c])
-            if worse(start, v, a, b, normal, may_close, inertia, before, closing, limit):
-                for c in of:
-                    closing[c] = before[c]
-                for i in range(len(v)):
-                    for k in range(v.shape[1]):
-                        v[i, k] = start[i, k]
-                for _ in range(MOST_ROUNDS):
-                    if not sweep(v, a, b, normal, may_close, share, closing) > tolerance:
-                        break
-                break
-    return closing
-
-
-@lean
-def worse(start, v, a, b, normal, may_close, inertia, before, closing, limit):
-    """Did the dual problem lose as velocities went from `start` to v, and contacts from taking `before` to `closing`?
-
-    It never does but for round-off. Where contacts are many to a particle they can take ever more against one another without
-    a change of any velocity, and conjugate gradients may go that way until round-off is all that is left: so contacts that
-    take more than `limit` are no gain either. To gain is to be nearer to the solution, and then
-    the kinetic energy is not above that of the beginning.
-    """
-    gain, size, largest = 0.0, 0.0, 0.0
-    for c in range(len(a)):
-        mean = 0.5 * (relative(start, a[c], b[c], normal, c) + relative(v, a[c], b[c], normal, c))
-        part = inertia[c] * (closing[c] - before[c]) * (mean + may_close[c])
-        gain -= part
-        size += abs(part)
-        largest = max(largest, closing[c])
-    return not (gain >= -1e-6 * size and largest <= limit)
-
-
-@inner
-def working_set(tried, closing):
-    """Contacts that were pressed since the beginning, `tried` before or not; if these are many, all."""
-    count = 0
-    for c in range(len(closing)):
-        tried[c] |= closing[c] > 0.0
-        count += tried[c]
-    every = count > MANY * len(closing)
-    of, found = np.empty(len(closing), np.int64), 0
-    for c in range(len(closing)):
-        tried[c] |= every
-        if tried[c]:
-            of[found] = c
-            found += 1
-    return of[:found]
+def weigh_rows(start, normal, w, bound):
+    """Of each row w b, where b bounds the largest eigenvalue of S = sum of n n^T: tr S |(S/tr S)^4|^(1/4), at most 15 % too large."""
+    d = normal.shape[1]
+    s, t = np.empty((d, d)), np.empty((d, d))
+    for i in range(len(start) - 1):
+        trace = float(start[i + 1] - start[i])
+        if trace <= 1.0:
+            bound[i] = w[i] * trace
+            continue
+        s[:] = 0.0
+        for e in range(start[i], start[i + 1]):
+            for k in range(d):
+                part = normal[e, k] / trace
+                for m in range(k + 1):
+                    s[k, m] += part * normal[e, m]
+        for _ in range(2):
+            for k in range(d):
+                for m in range(k):
+                    s[m, k] = s[k, m]
+            for k in range(d):
+                for m in range(k + 1):
+                    total = 0.0
+                    for q in range(d):
+                        total += s[k, q] * s[m, q]
+                    t[k, m] = total
+            s, t = t, s
+        size2 = 0.0
+        for k in range(d):
+            for m in range(k):
+                size2 += 2.0 * s[k, m] * s[k, m]
+            size2 += s[k, k] * s[k, k]
+        bound[i] = w[i] * trace * size2**0.125
 
 
 @kernel
-def project_each(v, a, b, normal, may_close, share, inertia, tolerance):
-    """The same for rows that touch walls alone, one by one, so that a row's bits do not depend on who else is here.
-
-    Contacts of a row stand together; `tolerance` is that of each contact.
-    """
-    closing, first = np.empty(len(a)), 0
-    while first < len(a):
-        last = first + 1
-        while last < len(a) and a[last] == a[first]:
-            last += 1
-        of = slice(first, last)
-        some = a[of], b[of], normal[of], may_close[of], share[of]
-        alone = last == first + 1  # most are; then nothing is left after a sweep but round-off, which takes another one
-        closing[first] = 0.0
-        done = alone and not sweep(v, *some, closing[of]) > tolerance[first]
-        done |= alone and not done and not sweep(v, *some, closing[of]) > tolerance[first]
-        if not done:
-            before = closing[first] if alone else 0.0
-            taken = project(v, *some, inertia[of], tolerance[of].max(), np.zeros(last - first), 0.0)
-            for c in range(first, last):
-                closing[c] = before + taken[c - first]
-        first = last
-    return closing
+def step_lengths(start, partner, w, bound):
+    """(shares, lengths of a gradient step) of all half-edges."""
+    share, step = np.empty(len(partner)), np.empty(len(partner))
+    for i in range(len(start) - 1):
+        for e in range(start[i], start[i + 1]):
+            j = partner[e]
+            both = w[i] + w[j]
+            share[e] = w[i] / both
+            step[e] = both / (bound[i] + bound[j])
+    return share, step
 
 
-@inner
-def begin(v, a, b, normal, may_close, share, inertia, guess, limit):
-    """Approach that each contact has taken from its partners: the guess, if none is above `limit` and all are a gain."""
-    start = v.copy()
-    for c in range(len(a)):
-        give(v, a[c], b[c], normal, share, c, guess[c])
-    largest = 0.0
-    gain = 0.0  # of the dual problem: sum of impulse (what it still took at the start and takes now, on average)
-    for c in range(len(a)):
-        mean = 0.5 * (relative(start, a[c], b[c], normal, c) + relative(v, a[c], b[c], normal, c))
-        gain -= inertia[c] * guess[c] * (mean + may_close[c])
-        largest = max(largest, guess[c])
-    if gain >= 0.0 and largest <= limit:
-        return guess.copy()
-    for i in range(len(v)):
+@kernel
+def take(start, normal, share, v0, taken, v):
+    """Velocities v of rows whose half-edges have taken so much from v0."""
+    for i in range(len(start) - 1):
         for k in range(v.shape[1]):
-            v[i, k] = start[i, k]
-    return np.zeros(len(a))
-
-
-@lean
-def sweep(v, a, b, normal, may_close, share, closing):
-    """Each contact in turn closes as fast as it may, but does not pull; returns the largest change."""
-    worst = 0.0
-    for c in range(len(a)):
-        new = max(closing[c] - may_close[c] - relative(v, a[c], b[c], normal, c), 0.0)
-        change = new - closing[c]
-        closing[c] = new
-        give(v, a[c], b[c], normal, share, c, change)
-        worst = max(worst, abs(change))
-    return worst
-
-
-@lean
-def relative(v, i, j, normal, c):
-    """Velocity of i relative to j, or to a wall, along the normal of contact c."""
-    speed = 0.0
-    for k in range(v.shape[1]):
-        speed += (v[i, k] - (v[j, k] if j >= 0 else 0.0)) * normal[c, k]
-    return speed
-
-
-@lean
-def give(v, i, j, normal, share, c, change):
-    """Contact c takes the approach `change` from its partners."""
-    for k in range(v.shape[1]):
-        v[i, k] += share[c, 0] * change * normal[c, k]
-        if j >= 0:
-            v[j, k] -= share[c, 1] * change * normal[c, k]
+            v[i, k] = v0[i, k]
+        for e in range(start[i], start[i + 1]):
+            given = share[e] * taken[e]
+            for k in range(v.shape[1]):
+                v[i, k] += given * normal[e, k]
 
 
 @inner
-def solve(v, of, a, b, normal, may_close, share, inertia, tolerance, closing):
-    """Contacts `of` together; only `closing` changes. In y = sqrt(inertia) closing the programme is min y A y/2 - f y, y >= 0."""
-    size = len(of)
-    scale, y, f = np.empty(size), np.empty(size), np.empty(size)
-    for c in range(size):
-        scale[c] = sqrt(inertia[of[c]])
-        y[c] = scale[c] * closing[of[c]]
-    matrix = coupling(len(v), of, a, b, normal, share, inertia, scale)
-    for c in range(size):
-        e = of[c]
-        f[c] = y[c] + row(matrix, y, c) - scale[c] * (may_close[e] + relative(v, a[e], b[e], normal, e))
-    pressed, excess = np.empty(size, np.int64), np.empty(size)
-    way, clipped, bent = np.zeros(size), np.zeros(size), np.empty(size)
-    for _ in range(MOST_ROUNDS):
-        worst = 0.0
-        for c in range(size):
-            new = max(f[c] - row(matrix, y, c), 0.0)
-            worst = max(worst, abs(new - y[c]) / scale[c])
-            y[c] = new
-        if worst <= tolerance:
-            break
-        for c in range(size - 1, -1, -1):
-            y[c] = max(f[c] - row(matrix, y, c), 0.0)
-        for _ in range(RESTARTS):
-            count = 0
-            for c in range(size):
-                way[c], clipped[c] = 0.0, 0.0
-                if y[c] > 0.0:
-                    pressed[count] = c
-                    count += 1
-            if not descend(matrix, f, scale, tolerance, y, pressed[:count], excess, way, bent, clipped):
-                break
-    for c in range(size):
-        closing[of[c]] = y[c] / scale[c]
+def iterate(axes, first, last, problem, may_close, v0, taken, ahead, v, after, beta):
+    """An iteration of the rows first ... last - 1: their `taken` and `ahead` in place, velocities to `after`."""
+    start, partner, normal, share, step = problem
+    one = np.uint64(1)
+    for i in range(np.uint64(first), np.uint64(last)):  # unsigned: indices that may be negative take twice as long
+        for k in range(len(axes)):
+            after[i, np.uint64(k)] = v0[i, np.uint64(k)]
+        for e in range(np.uint64(start[i]), np.uint64(start[i + one])):
+            j, excess = np.uint64(partner[e]), may_close[e]
+            for k in range(len(axes)):
+                excess += (v[i, np.uint64(k)] - v[j, np.uint64(k)]) * normal[e, np.uint64(k)]
+            new = ahead[e] - excess * step[e]
+            new = new if new > 0.0 else 0.0
+            next_one = new + beta * (new - taken[e])
+            ahead[e], taken[e] = next_one, new
+            given = share[e] * next_one
+            for k in range(len(axes)):
+                after[i, np.uint64(k)] += given * normal[e, np.uint64(k)]
 
 
 @inner
-def coupling(rows, of, a, b, normal, share, inertia, scale):
-    """A for contacts `of`, without its diagonal, which is 1: (where its rows begin, columns, values)."""
-    begins = np.zeros(rows + 1, np.int64)  # contacts of each row of particles
-    for c in of:
-        begins[a[c] + 1] += share[c, 0] > 0.0
-        if b[c] >= 0:
-            begins[b[c] + 1] += share[c, 1] > 0.0
-    most = 0
-    for i in range(rows):
-        most += begins[i + 1] ** 2
-        begins[i + 1] += begins[i]
-    at, place = begins[:-1].copy(), np.empty(begins[rows], np.int64)
-    for p in range(len(of)):
-        c = of[p]
-        if share[c, 0] > 0.0:
-            place[at[a[c]]] = p
-            at[a[c]] += 1
-        if b[c] >= 0 and share[c, 1] > 0.0:
-            place[at[b[c]]] = p
-            at[b[c]] += 1
-    starts, columns, values = np.zeros(len(of) + 1, np.int64), np.empty(most, np.int32), np.empty(most)
-    found = 0
-    for p in range(len(of)):
-        c = of[p]
-        for side in range(2):
-            i = a[c] if side == 0 else b[c]
-            if i < 0 or share[c, side] == 0.0:
-                continue
-            weight = share[c, side] / inertia[c] * scale[p] * (1.0 if side == 0 else -1.0)
-            for other in place[begins[i] : begins[i + 1]]:
-                if other == p:
-                    continue
-                e, along = of[other], 0.0
-                for k in range(normal.shape[1]):
-                    along += normal[c, k] * normal[e, k]
-                columns[found] = other
-                values[found] = weight * scale[other] * (along if a[e] == i else -along)
-                found += 1
-        starts[p + 1] = found
-    return starts, columns[:found], values[:found]
+def look(axes, first, last, problem, w, targets, v, taken, ahead, sums):
+    """What the next iteration would change, of the rows first ... last - 1: (largest error, in what is enough; in round-off).
 
-
-@inner(fastmath={"reassoc", "contract"}, inline="always")
-def row(matrix, y, c):
-    """(A y)_c without the diagonal."""
-    starts, columns, values = matrix
-    total = 0.0
-    for p in range(starts[c], starts[c + 1]):
-        total += values[p] * y[columns[p]]
-    return total
-
-
-@lean_inner
-def descend(matrix, f, scale, tolerance, y, pressed, excess, way, bent, clipped):
-    """Conjugate gradients for the pressed contacts, until all is done or one had to be let go; returns whether one had.
-
-    `way` and `clipped` are 0 for the others. Never uphill.
+    To sums[i]: the squares of the errors, in what is enough; the work against the momentum, which is positive past a minimum.
     """
-    slope = 0.0
-    for c in pressed:
-        excess[c] = y[c] + row(matrix, y, c) - f[c]
-        slope += excess[c] ** 2
-    for c in pressed:
-        way[c] = -excess[c]
-    for _ in range(len(pressed)):
-        curvature, size, longest = 0.0, 0.0, np.inf  # along the way, and where the first contact would pull
-        for c in pressed:
-            bent[c] = way[c] + row(matrix, way, c)
-            curvature += way[c] * bent[c]
-            size += way[c] ** 2
-            if way[c] < 0.0:
-                longest = min(longest, -y[c] / way[c])
-        length = slope / curvature if curvature > FLAT * size else np.inf
-        if length >= longest:  # as far as that, or all who would pull let go, if that is better still
-            if length < np.inf and let_go(matrix, y, pressed, excess, way, clipped, length):
-                return True
-            length = longest
-        if not length < np.inf:
-            return False
-        before, slope, worst = slope, 0.0, 0.0
-        for c in pressed:
-            y[c] = max(y[c] + length * way[c], 0.0)
-            excess[c] += length * bent[c]
-            slope += excess[c] ** 2
-            worst = max(worst, abs(excess[c]) / scale[c])
-        if length == longest:
-            return True
-        if worst <= 0.1 * tolerance:
-            return False
-        for c in pressed:
-            way[c] = slope / before * way[c] - excess[c]
-    return False
+    start, partner, normal, share, step = problem
+    may_close, loose, tight = targets
+    one = np.uint64(1)
+    rough, left = 0.0, 0.0
+    for i in range(np.uint64(first), np.uint64(last)):
+        squares, work = 0.0, 0.0
+        for e in range(np.uint64(start[i]), np.uint64(start[i + one])):
+            j, excess = np.uint64(partner[e]), may_close[e]
+            for k in range(len(axes)):
+                excess += (v[i, np.uint64(k)] - v[j, np.uint64(k)]) * normal[e, np.uint64(k)]
+            new = ahead[e] - excess * step[e]
+            new = new if new > 0.0 else 0.0
+            error = (ahead[e] - new) / step[e]
+            part = abs(error) * loose[e]
+            squares += part * part
+            rough = part if part > rough else rough
+            part = abs(error) * tight[e]
+            left = part if part > left else left
+            work += error * (new - taken[e]) * share[e]
+        sums[i, np.uint64(0)], sums[i, np.uint64(1)] = squares, work / w[i] if w[i] > 0.0 else 0.0
+    return rough, left
 
 
-@lean_inner
-def let_go(matrix, y, pressed, excess, way, clipped, length):
-    """The whole length of the way, but no contact pulls; only if that is downhill: returns whether it was."""
-    change = 0.0
-    for c in pressed:
-        clipped[c] = max(length * way[c], -y[c])
-    for c in pressed:
-        change += clipped[c] * (excess[c] + 0.5 * (clipped[c] + row(matrix, clipped, c)))
-    if not change < 0.0:
-        return False
-    for c in pressed:
-        y[c] += clipped[c]
-    return True
+@inner
+def momentum(theta):
+    """(beta of this iteration, theta of the next one): Nesterov's sequence."""
+    after = 0.5 * (sqrt(theta**4 + 4.0 * theta * theta) - theta * theta)
+    return theta * (1.0 - theta) / (theta * theta + after), after
+
+
+@kernel
+def iterations(axes, count, problem, may_close, v0, taken, ahead, v, other, theta):
+    """So many iterations of all rows; v and `other` (size, d) take turns. Returns theta of the next one."""
+    for _ in range(count):
+        beta, theta = momentum(theta)
+        iterate(axes, 0, len(v0), problem, may_close, v0, taken, ahead, v, other, beta)
+        v, other = other, v
+    return theta
+
+
+@kernel
+def error(axes, problem, w, targets, v, taken, ahead, sums):
+    """`look` at all rows."""
+    return look(axes, 0, len(sums), problem, w, targets, v, taken, ahead, sums)
+
+
+@kernel
+def solve_each(axes, problem, w, targets, v, taken):
+    """Velocities v (n, d) of rows that touch walls alone, in place, one by one: a row's bits do not depend on who else is here."""
+    start, _, normal, share, _ = problem
+    n, d = len(start) - 1, v.shape[1]
+    v0, other, ahead, sums = v.copy(), v.copy(), taken.copy(), np.empty((n, 2))
+    take(start, normal, share, v0, ahead, v)
+    for i in range(n):
+        theta, swapped = 1.0, False
+        for count in range(MOST):
+            here, there = (other, v) if swapped else (v, other)
+            _, left = look(axes, i, i + 1, problem, w, targets, here, taken, ahead, sums)
+            if sums[i, 1] > 0.0 and theta < 1.0:
+                theta = 1.0
+                for e in range(start[i], start[i + 1]):
+                    ahead[e] = taken[e]
+                for k in range(d):
+                    here[i, k] = v0[i, k]
+                    for e in range(start[i], start[i + 1]):
+                        here[i, k] += share[e] * taken[e] * normal[e, k]
+                continue
+            beta, theta = momentum(theta)
+            iterate(axes, i, i + 1, problem, targets[0], v0, taken, ahead, here, there, beta)
+            swapped = not swapped
+            if left <= 1.0:
+                break
+    take(start, normal, share, v0, taken, v)
+
+
+class Solver:
+    """Solves for all ranks together; `exchange(v)` refreshes the ghost rows of v (size, d)."""
+
+    def __init__(self, ranks: Communicator, dimension: int):
+        self.ranks, self.axes = ranks, (0,) * dimension
+        self.iterations = 0
+
+    def solve(
+        self, problem: Problem, w: Array, targets: Targets, v: Array, taken: Array, exchange: Callable[[Array], None], least: int
+    ) -> bool:  # fmt: skip
+        """Velocities v (size + 1, d) at which no contact closes faster than it may; v and what each has `taken` (m,) in place.
+
+        Ends when errors are allowed and `least` iterations are done, or nothing but round-off is left, or after MOST
+        iterations; returns whether errors are allowed. Collective.
+        """
+        edges, wanted = tuple(problem), tuple(targets)
+        count = max(int(self.ranks.allreduce_sum(len(taken))[0]), 1)
+        sums, done = np.empty((len(problem.start) - 1, 2)), 0
+        run = Run(self, edges, wanted[0], v, taken, exchange)
+        while True:
+            worst = np.array(error(self.axes, edges, w, wanted, run.v, taken, run.ahead, sums))
+            rough, left = self.ranks.allreduce_max(worst)
+            squares, work = exact_sums(self.ranks, [sums[:, 0], sums[:, 1]])
+            good = rough <= OUTLIER and squares <= count
+            if left <= 1.0 or (good and done >= least) or done >= MOST:
+                break
+            if work > 0.0:
+                run.restart()
+            run.advance(CHECK)
+            done += CHECK
+        run.finish()
+        self.iterations += done + 1
+        return bool(good or left <= 1.0)
+
+    def approach(
+        self, problem: Problem, may_close: Array, v: Array, taken: Array, exchange: Callable[[Array], None], count: int
+    ) -> None:  # fmt: skip
+        """So many iterations towards the same. Collective."""
+        run = Run(self, tuple(problem), may_close, v, taken, exchange)
+        run.advance(count)
+        run.finish()
+        self.iterations += count + 1
+
+
+class Run:
+    """The iterations of one solution: see `Solver.solve`."""
+
+    def __init__(
+        self, solver: Solver, edges: tuple[Array, ...], may_close: Array, v: Array, taken: Array, exchange: Callable[[Array], None]
+    ):  # fmt: skip
+        self.axes, self.parallel, self.exchange = solver.axes, solver.ranks.size > 1, exchange
+        self.edges, self.may_close, self.taken, self.result = edges, may_close, taken, v
+        self.v0, self.v, self.other, self.ahead = v[: len(edges[0]) - 1].copy(), v.copy(), v.copy(), taken.copy()
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin with what is taken, without momentum."""
+        start, _, normal, share, _ = self.edges
+        self.theta = 1.0
+        self.ahead[:] = self.taken
+        take(start, normal, share, self.v0, self.ahead, self.v)
+        self.exchange(self.v)
+
+    def advance(self, count: int) -> None:
+        """So many iterations, with an exchange of ghosts after each."""
+        for part in [1] * count if self.parallel else [count]:
+            self.theta = iterations(
+                self.axes, part, self.edges, self.may_close, self.v0, self.taken, self.ahead, self.v, self.other, self.theta
+            )
+            if part % 2:
+                self.v, self.other = self.other, self.v
+            self.exchange(self.v)
+
+    def finish(self) -> None:
+        """A last iteration without momentum; velocities are those that go with what is taken."""
+        self.theta = 1.0
+        self.advance(1)
+        self.result[: len(self.v0)] = self.v[: len(self.v0)]

@@ -1,0 +1,145 @@
+"""Who is near whom, where contacts last: a rank's graph of contacts, which is kept while nothing moved further than a skin.
+
+A *half-edge* leads from a row of this rank to a partner, its own or a ghost. A contact of two rows has two of them, one at each,
+which are computed each by the owner of its row, with the same bits. Half-edges of a row stand in the order of their partners'
+ids, so that sums over them have the same bits on any number of ranks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from particles_mpi.kernels.jit import kernel
+from particles_mpi.neighbours.candidates import touching
+from particles_mpi.neighbours.halo_region import fetch_near_rows
+from particles_mpi.neighbours.trajectories import AT_REST
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exchange import Halo
+from particles_mpi.particles import Array, Particles
+
+CLOSE = 1.0 + 1e-9  # times the widths, so that ranks agree on who is near the border, whatever the round-off
+
+
+class ContactGraph:
+    """Rows of this rank, the ghosts next to them, and the pairs that come nearer than the sum of their widths plus a skin.
+
+    rows (n,): rows of the particles, ascending; these are followed by `size` - n ghosts. start (n + 1,) and other (m,): the
+    half-edges of row i are start[i] ... start[i + 1] - 1, and other[e] is the partner's place among rows and ghosts. index: the
+    place of each row of the particles, or -1. id (size,); radius and inverse_mass (size + 1,), the last one being
+    that of a wall.
+    """
+
+    def __init__(self, ranks: Communicator, p: Particles, rows: Array, wide: Array, skin: float, length: Array):
+        """`wide` (len(p),): half of the distance up to which two rows of the same kind are near. Collective."""
+        self.rows, self.skin, self.version, self.length = rows, skin, p.version, length
+        self.place, self.wide = p.position[rows], wide[rows]
+        self.index = np.full(len(p), -1, np.int32)
+        self.index[rows] = np.arange(len(rows), dtype=np.int32)
+        known = {"id": p.id[rows], "position": self.place, "radius": p.radius[rows], "inverse_mass": p.inverse_mass[rows]}
+        known["reach"] = self.wide + 0.5 * skin
+        self.halo: Halo | None = None
+        if ranks.size > 1:
+            still = self.place, np.zeros_like(self.place), CLOSE * known["reach"]
+            _, sent, counts, theirs, arriving = fetch_near_rows(ranks, known, still, AT_REST, length)
+            known = {name: np.concatenate((column, theirs[name])) for name, column in known.items()}
+            self.halo = Halo(ranks, sent, counts, arriving, len(rows), 0)
+        self.id, self.size = known["id"], len(known["id"])
+        self.radius, self.inverse_mass = np.append(known["radius"], np.inf), np.append(known["inverse_mass"], 0.0)
+        pairs = touching(known["position"], known["reach"], known["inverse_mass"], self.id, length)
+        self.start, self.other = half_edges(len(rows), *pairs, self.id)
+
+    def holds(self, p: Particles, wide: Array, zone: Array) -> bool:
+        """Are all pairs of rows in the zone (2, d) that are near, by `wide`, known to this rank?"""
+        if p.version != self.version:
+            return False
+        return bool(covers(p.position, wide, zone, self.index, self.place, self.wide, 0.5 * self.skin, self.length))
+
+    def exchange(self, *columns: Array) -> None:
+        """Ghost rows of each column (size or more, ...) as their owners have them. In place. Collective."""
+        if self.halo is None:
+            return
+        table = [column.reshape(len(column), -1) for column in columns]
+        exchange_table(self.halo, np.concatenate(table, axis=1) if len(table) > 1 else table[0], table)
+
+
+def exchange_table(halo: Halo, together: Array, parts: list[Array]) -> None:
+    """Send the owned rows of the table `together` (size, k) to who holds them; what arrives goes to the parts (size, k_i)."""
+    width = together.shape[1]
+    halo.reserve(width)
+
+    def pack(rows: Array, buffer: Array) -> int:
+        together.take(rows, axis=0, out=buffer[: len(rows) * width].reshape(-1, width), mode="clip")
+        return len(rows) * width
+
+    for first, message in halo.exchange(pack):
+        arrived, at = message.reshape(-1, width), 0
+        for part in parts:
+            part[first : first + len(arrived)] = arrived[:, at : at + part.shape[1]]
+            at += part.shape[1]
+
+
+Exchange = Callable[..., None]
+
+
+@kernel
+def half_edges(owned, first, second, ids):
+    """(start (owned + 1,), partner) of pairs of rows, for the first `owned` of them; a row's partners in order of their ids."""
+    start = np.zeros(owned + 1, np.int64)
+    for p in range(len(first)):
+        for i in (first[p], second[p]):
+            if i < owned:
+                start[i + 1] += 1
+    for i in range(owned):
+        start[i + 1] += start[i]
+    other, end = np.empty(start[owned], np.int32), start[:owned].copy()
+    for p in range(len(first)):
+        for side in range(2):
+            i, j = (first[p], second[p]) if side == 0 else (second[p], first[p])
+            if i < owned:
+                e = end[i]
+                end[i] += 1
+                while e > start[i] and ids[other[e - 1]] > ids[j]:
+                    other[e] = other[e - 1]
+                    e -= 1
+                other[e] = j
+    return start, other
+
+
+@kernel
+def covers(x, wide, zone, index, place, width, margin, length):
+    """Is every row that touches the zone in the graph, and moved and widened by no more than the margin since it was built?"""
+    good = True
+    for i in range(len(x)):
+        inside = True
+        for k in range(x.shape[1]):
+            inside &= (x[i, k] + wide[i] >= zone[0, k]) & (x[i, k] - wide[i] <= zone[1, k])
+        if inside:
+            n = index[i]
+            if n < 0:
+                good = False
+                break
+            moved2, room = 0.0, margin - max(wide[i] - width[n], 0.0)
+            for k in range(x.shape[1]):
+                step = abs(x[i, k] - place[n, k])
+                if length[k] > 0.0 and step > 0.5 * length[k]:
+                    step = abs(length[k] - step)
+                moved2 += step**2
+            if room < 0.0 or moved2 > room**2:
+                good = False
+                break
+    return good
+
+
+@kernel
+def rows_in(x, wide, zone):
+    """Rows whose spheres, with their widths, touch the zone (2, d)."""
+    rows, found = np.empty(len(x), np.int64), 0
+    for i in range(len(x)):
+        inside = True
+        for k in range(x.shape[1]):
+            inside &= (x[i, k] + wide[i] >= zone[0, k]) & (x[i, k] - wide[i] <= zone[1, k])
+        rows[found] = i
+        found += inside
+    return rows[:found]

@@ -1,0 +1,74 @@
+"""What contacts took in the last solution, so that the next one begins there. It outlasts the graph, and goes where rows go."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from particles_mpi.contacts.persistent.graph import ContactGraph
+from particles_mpi.kernels.jit import kernel
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exchange import allgather_rows
+from particles_mpi.particles import Array, Particles
+
+
+class Memory(NamedTuple):
+    """Contacts that took something, once for each of their rows: id (m,) of the row; partner (m,), wall or walls + id; taken."""
+
+    id: Array
+    partner: Array
+    taken: Array
+
+
+NOTHING = Memory(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))
+
+
+def names_of(graph: ContactGraph, walls: int) -> tuple[Array, Array]:
+    """(id of the row, partner) of all half-edges of the graph, and then of its rows with each of the walls."""
+    n = len(graph.rows)
+    row = np.concatenate((np.repeat(np.arange(n), np.diff(graph.start)), np.repeat(np.arange(n), walls)))
+    return graph.id[row], np.concatenate((walls + graph.id[graph.other], np.tile(np.arange(walls), n)))
+
+
+def remember(graph: ContactGraph, taken: Array, walls: int) -> Memory:
+    """Those of the half-edges that took something."""
+    of = np.flatnonzero(taken)
+    ids, partners = names_of(graph, walls)
+    return Memory(ids[of], partners[of], taken[of])
+
+
+def recall(memory: Memory, graph: ContactGraph, walls: int) -> Array:
+    """What each half-edge of the graph took, 0 where nothing is remembered."""
+    ids, partners = names_of(graph, walls)
+    order = np.argsort(memory.id, kind="stable")
+    return match(ids, partners, memory.id[order], memory.partner[order], memory.taken[order])
+
+
+@kernel
+def match(ids, partners, known_id, known_partner, known_taken):
+    """What the contacts (ids, partners) took, 0 for those that are not known; `known_id` ascends."""
+    taken = np.zeros(len(ids))
+    first = last = np.int64(0)
+    for e in range(len(ids)):
+        if e == 0 or ids[e] != ids[e - 1]:
+            first = np.searchsorted(known_id, ids[e])
+            last = first
+            while last < len(known_id) and known_id[last] == ids[e]:
+                last += 1
+        for c in range(first, last):
+            if known_partner[c] == partners[e]:
+                taken[e] = known_taken[c]
+    return taken
+
+
+def send_home(ranks: Communicator, memory: Memory, p: Particles) -> Memory:
+    """The contacts of our rows, after rows have changed their rank. Collective."""
+    if ranks.size == 1:
+        return memory
+    here = np.isin(memory.id, p.id)
+    if not ranks.allreduce_max(float(not here.all()))[0]:
+        return memory
+    strays = allgather_rows(ranks, {name: column[~here] for name, column in memory._asdict().items()})
+    ours = np.isin(strays["id"], p.id)
+    return Memory(*(np.concatenate((column[here], strays[name][ours])) for name, column in memory._asdict().items()))
