@@ -200,7 +200,8 @@ class PersistentContacts:
         )
 
     def solve(
-        self, p: Particles, local: Local, graph: ContactGraph, inside: Array, h: float, took: Array, known: bool, again: bool = False
+        self, p: Particles, local: Local, graph: ContactGraph, inside: Array, h: float, took: Array, known: bool,
+        again: bool = False,
     ) -> Array:  # fmt: skip
         """Velocities that keep slow contacts, into p; returns what half-edges of the graph took now, `took` being that of before.
 

@@ -36,8 +36,8 @@ EFFORT = 200_000  # half-edges times iterations that are always spent, as long a
 class Problem(NamedTuple):
     """The contacts that are solved for, as half-edges: those of row i are start[i] ... start[i + 1] - 1.
 
-    start (n + 1,); partner (m,): a row or ghost, or the row of zeros behind them that stands for walls; normal (m, d), towards the row; share (m,): the part of
-    what a contact takes that the row gives; step (m,): length of a gradient step, (w_i + w_j)/D.
+    start (n + 1,); partner (m,): a row or ghost, or the row of zeros behind them that stands for walls; normal (m, d), towards the
+    row; share (m,): the part of what a contact takes that the row gives; step (m,): length of a gradient step, (w_i + w_j)/D.
     """
 
     start: Array
@@ -66,7 +66,7 @@ def problem(start: Array, partner: Array, normal: Array, w: Array, share_bounds:
 
 @kernel
 def weigh_rows(start, normal, w, bound):
-    """Of each row w b, where b bounds the largest eigenvalue of S = sum of n n^T: tr S |(S/tr S)^4|^(1/4), at most 15 % too large."""
+    """Of each row w b, where b bounds the largest eigenvalue of S = sum of n n^T: tr S |(S/tr S)^4|^(1/4), up to 15 % too much."""
     d = normal.shape[1]
     s, t = np.empty((d, d)), np.empty((d, d))
     for i in range(len(start) - 1):
@@ -199,14 +199,14 @@ def error(axes, problem, w, targets, v, taken, ahead, sums):
 
 @kernel
 def solve_each(axes, problem, w, targets, v, taken):
-    """Velocities v (n, d) of rows that touch walls alone, in place, one by one: a row's bits do not depend on who else is here."""
+    """Velocities v (n, d) of rows that touch walls alone, in place, each by itself: a row's bits depend on no other."""
     start, _, normal, share, _ = problem
     n, d = len(start) - 1, v.shape[1]
     v0, other, ahead, sums = v.copy(), v.copy(), taken.copy(), np.empty((n, 2))
     take(start, normal, share, v0, ahead, v)
     for i in range(n):
         theta, swapped = 1.0, False
-        for count in range(MOST):
+        for _ in range(MOST):
             here, there = (other, v) if swapped else (v, other)
             _, left = look(axes, i, i + 1, problem, w, targets, here, taken, ahead, sums)
             if sums[i, 1] > 0.0 and theta < 1.0:
@@ -274,7 +274,8 @@ class Run:
     """The iterations of one solution: see `Solver.solve`."""
 
     def __init__(
-        self, solver: Solver, edges: tuple[Array, ...], may_close: Array, v: Array, taken: Array, exchange: Callable[[Array], None]
+        self, solver: Solver, edges: tuple[Array, ...], may_close: Array, v: Array, taken: Array,
+        exchange: Callable[[Array], None],
     ):  # fmt: skip
         self.axes, self.parallel, self.exchange = solver.axes, solver.ranks.size > 1, exchange
         self.edges, self.may_close, self.taken, self.result = edges, may_close, taken, v
