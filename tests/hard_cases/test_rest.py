@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from particles_mpi import Scene, Simulation
-from particles_mpi.contacts.persistent.solver import Solver, Targets, problem
+from particles_mpi.contacts.persistent.solver import Solver, Targets, edges_of
 from particles_mpi.parallel.communicator import Communicator
 
 MODES = ("rewind", "event")
@@ -229,7 +229,7 @@ def test_projection(drawn):
     v = np.where(w[:, None] > 0.0, random.standard_normal((n, 3)), 0.0)
     before, w = v.copy(), np.append(w, 0.0)
     order, start, partner, normals = half_edges(n, a, b, normal)
-    edges = problem(start, partner, normals, w, lambda _: None)
+    edges = edges_of((0, 0, 0), start, partner, normals, w, lambda _: None)
     may = np.concatenate((may_close, may_close))[order]
     targets = Targets(may, np.full(len(may), 1e9), np.full(len(may), 1e11))
     v, taken = np.vstack((v, np.zeros(3))), np.zeros(len(may))

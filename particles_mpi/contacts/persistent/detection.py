@@ -19,14 +19,15 @@ from particles_mpi.particles import Array
 SLOW = 2.0  # times what forces do in a step: a bounce that is over in about two steps
 HELD = 5.0  # times as fast may it be among those that are held, who would rattle between one another
 MARGIN = 1e-3  # of the widest slow gap: closer nothing gets, so that round-off makes no contact
+PUSH = 0.05  # of a margin: so far contacts that are nearer are moved apart in a step
 
 
 class Contacts(NamedTuple):
     """Half-edges of rows that may touch: those of row i are start[i] ... start[i + 1] - 1, walls first, then by partners' ids.
 
     start (n + 1,); partner (m,): a row or ghost, or `size`, which stands for all walls; slot (m,): where the half-edge is in the
-    graph, or the graph's half-edges and then i walls + wall; normal (m, d), towards the row; gap (m,); widest (m,): the larger push of the two;
-    closing (m,): approach; crowd (m,): kept at any speed.
+    graph, or the graph's half-edges and then i walls + wall; normal (m, d), towards the row; gap (m,); widest (m,): the larger
+    push of the two; closing (m,): approach; crowd (m,): kept at any speed.
     """
 
     start: Array
@@ -107,14 +108,15 @@ def widths(radius, a, h, out):
 
 
 @kernel
-def find_contacts(state, graph, inside, h, length, point, normal):
+def find_contacts(axes, state, graph, inside, h, length, point, normal):
     """All half-edges between rows `inside` that may be slow, or that are among a crowd: the columns of `Contacts`.
 
-    `state`: x, v, push (size, d), radius, w, crowd (size,) of rows and ghosts; `graph`: (start, other) of the near pairs.
+    `state`: x, v, push (size + 1, d), radius, w, crowd (size + 1,) of rows, ghosts and a wall; `graph`: (start, other) of the
+    near pairs.
     """
     x, v, push, radius, w, crowd = state
     near, other = graph
-    n, d, walls, size = len(near) - 1, x.shape[1], len(point), len(x) - 1
+    n, d, walls, size = len(near) - 1, len(axes), len(point), len(x) - 1
     most = len(other)
     for i in range(n):
         most += walls * inside[i]
@@ -128,93 +130,104 @@ def find_contacts(state, graph, inside, h, length, point, normal):
             push2 += push[i, k] * push[i, k]
             speed2 += v[i, k] * v[i, k]
         pushes[i], speeds[i] = sqrt(push2), sqrt(speed2)
-    made = 0
-    for i in range(n):
-        start[i] = made
-        if not inside[i]:
+    made = np.uint64(0)
+    for row in range(n):
+        start[row] = made
+        if not inside[row]:
             continue
+        i = np.uint64(row)
         for wall in range(walls):
-            _, wide, closing, fast, gap = wall_push(x, v, push[i], radius, i, wall, point, normal)
-            if w[i] > 0.0 and wide > 0.0 and gap <= max(HELD * wide, fast * crowd[i]) * h:
+            distance = 0.0
+            for k in range(len(axes)):
+                distance += (x[i, np.uint64(k)] - point[wall, k]) * normal[wall, k]
+            wide, gap = pushes[i], distance - radius[i]
+            if w[i] > 0.0 and wide > 0.0 and gap <= max(HELD * wide, speeds[i] * crowd[i]) * h:
+                closing = 0.0
+                for k in range(len(axes)):
+                    closing -= v[i, np.uint64(k)] * normal[wall, k]
+                    normals[made, np.uint64(k)] = normal[wall, k]
                 partner[made], widest[made], gaps[made], approach[made] = size, wide, gap, closing
-                slot[made] = len(other) + i * walls + wall
-                for k in range(d):
-                    normals[made, k] = normal[wall, k]
-                any_speed[made] = crowd[i]
-                made += 1
-        for e in range(near[i], near[i + 1]):
-            j = other[e]
-            if not inside[j] or w[i] + w[j] == 0.0:
-                continue
+                slot[made], any_speed[made] = len(other) + row * walls + wall, crowd[i]
+                made += np.uint64(1)
+        for e in range(np.uint64(near[row]), np.uint64(near[row + 1])):
+            j = np.uint64(other[e])
             wide = max(pushes[i], pushes[j])
+            if not inside[j] or w[i] + w[j] == 0.0 or not wide > 0.0:
+                continue
             of_crowd = crowd[i] or crowd[j]
             reach = HELD * wide * h
             if of_crowd:
                 reach = max(reach, (speeds[i] + speeds[j]) * h)
-            r2 = 0.0
-            for k in range(d):
-                normals[made, k] = nearest(x[i, k] - x[j, k], length[k])
-                r2 += normals[made, k] * normals[made, k]
-            if not wide > 0.0 or r2 > (1.0 + 1e-9) * (radius[i] + radius[j] + reach) ** 2:
+            r2, both = 0.0, radius[i] + radius[j]
+            for k in range(len(axes)):
+                r = nearest(x[i, np.uint64(k)] - x[j, np.uint64(k)], length[k])
+                normals[made, np.uint64(k)] = r
+                r2 += r * r
+            if r2 > (1.0 + 1e-9) * (both + reach) ** 2:
                 continue
             distance = sqrt(r2)
-            gap = distance - radius[i] - radius[j] if radius[i] >= radius[j] else distance - radius[j] - radius[i]
+            gap = distance - both
             if not distance > 0.0 or gap > reach:
                 continue
             closing = 0.0
-            for k in range(d):
-                normals[made, k] /= distance
-                closing -= (v[i, k] - v[j, k]) * normals[made, k]
-            partner[made], slot[made], widest[made], gaps[made], approach[made] = j, e, wide, gap, closing
+            for k in range(len(axes)):
+                part = normals[made, np.uint64(k)] / distance
+                normals[made, np.uint64(k)] = part
+                closing -= (v[i, np.uint64(k)] - v[j, np.uint64(k)]) * part
+            partner[made], slot[made], widest[made], gaps[made], approach[made] = other[e], e, wide, gap, closing
             any_speed[made] = of_crowd
-            made += 1
+            made += np.uint64(1)
     start[n] = made
-    of = slice(0, made)
+    of = slice(0, start[n])
     return start, partner[of], slot[of], normals[of], gaps[of], widest[of], approach[of], any_speed[of]
 
 
 @kernel
-def loads(start, partner, normal, share, borne, push, left, stress):
+def loads(axes, start, partner, normal, share, borne, push, left, stress):
     """Of each row with pushes (n, d) whose half-edges bear `borne`: what is left (n, d) of its push, and its stress (n, d, d)."""
-    d = push.shape[1]
-    for i in range(len(start) - 1):
-        for k in range(d):
-            left[i, k] = push[i, k]
-            for m in range(d):
-                stress[i, k, m] = 0.0
-        for e in range(start[i], start[i + 1]):
-            part = share[e] * borne[e]
-            for k in range(d):
-                left[i, k] += part * normal[e, k]
-                for m in range(d):
-                    stress[i, k, m] += part * normal[e, k] * normal[e, m]
+    one = np.uint64(1)
+    for i in range(np.uint64(len(start) - 1)):
+        for k in range(len(axes)):
+            left[i, np.uint64(k)] = push[i, np.uint64(k)]
+            for m in range(len(axes)):
+                stress[i, np.uint64(k), np.uint64(m)] = 0.0
+        for e in range(np.uint64(start[i]), np.uint64(start[i + one])):
+            for k in range(len(axes)):
+                part = share[e] * borne[e] * normal[e, np.uint64(k)]
+                left[i, np.uint64(k)] += part
+                for m in range(len(axes)):
+                    stress[i, np.uint64(k), np.uint64(m)] += part * normal[e, np.uint64(m)]
 
 
 @kernel
-def pressing(start, partner, normal, borne, before, left, stress):
+def pressing(axes, start, partner, normal, borne, before, left, stress):
     """The speed that presses each contact: by forces and other contacts along its normal, or as `before` (m,)."""
-    d = left.shape[1]
-    speeds = np.empty(len(partner))
-    for i in range(len(start) - 1):
-        for e in range(start[i], start[i + 1]):
-            along, others, j = 0.0, 0.0, partner[e]
-            for k in range(d):
-                others += (left[i, k] - left[j, k]) * normal[e, k]
-                for m in range(d):
-                    along += normal[e, k] * normal[e, m] * (stress[i, k, m] + stress[j, k, m])
+    speeds, one = np.empty(len(partner)), np.uint64(1)
+    for i in range(np.uint64(len(start) - 1)):
+        for e in range(np.uint64(start[i]), np.uint64(start[i + one])):
+            along, others, j = 0.0, 0.0, np.uint64(partner[e])
+            for k in range(len(axes)):
+                of = np.uint64(k)
+                others += (left[i, of] - left[j, of]) * normal[e, of]
+                for m in range(len(axes)):
+                    also = np.uint64(m)
+                    along += normal[e, of] * normal[e, also] * (stress[i, of, also] + stress[j, of, also])
             speeds[e] = max(before[e], abs(others - borne[e]), along)
     return speeds
 
 
 @kernel
-def slow(contacts, took, supported, pressed, h, margin):
-    """Which contacts are slow: (their indices, at which speed each may close, below which speed it is slow).
+def slow(contacts, took, of_rows, pressed, h, tolerance, margin, precise):
+    """Which contacts are slow, and what is asked of them: the columns of `solver.Targets`; all 0 for the others.
 
-    Contacts keep a gap of `margin` (m,). `supported` (size,): who is held already; a contact that `took` something is held too.
+    `of_rows`: who is held already, and radii. A contact that `took` something is held too. Errors are allowed up to `tolerance`
+    radii of the smaller sphere in a step, or `precise` times the speed below which a contact is slow; contacts keep a gap of
+    `margin` tolerances. What is nearer than that is moved apart, in some steps.
     """
     start, partner, _, _, gap, widest, closing, crowd = contacts
-    of, may_close, speeds = np.empty(len(gap), np.int64), np.empty(len(gap)), np.empty(len(gap))
-    found = 0
+    supported, radius = of_rows
+    m = len(gap)
+    chosen, may_close, loose, tight = np.zeros(m, np.bool_), np.zeros(m), np.zeros(m), np.zeros(m)
     for i in range(len(start) - 1):
         for e in range(start[i], start[i + 1]):
             j = partner[e]
@@ -222,22 +235,14 @@ def slow(contacts, took, supported, pressed, h, margin):
             most = HELD * widest[e]
             speed = min((HELD if held else 1.0) * pressed[e], most)
             if crowd[e] or (speed > 0.0 and gap[e] <= speed * h and abs(closing[e]) <= speed):
-                of[found], speeds[found] = e, most if crowd[e] else speed
-                may_close[found] = max(gap[e] - margin[e] - MARGIN * most * h, -0.05 * margin[e]) / h
-                found += 1
-    return of[:found], may_close[:found], speeds[:found]
-
-
-@kernel
-def starts_of(start, of):
-    """`start` of a part of the half-edges: those with the ascending indices `of`."""
-    new = np.zeros(len(start), np.int64)
-    at = 0
-    for i in range(len(start) - 1):
-        while at < len(of) and of[at] < start[i + 1]:
-            at += 1
-        new[i + 1] = at
-    return new
+                one, other = radius[i], radius[j]
+                allowed = tolerance * (min(one, other) if one > 0.0 and other > 0.0 else max(one, other))
+                apart = margin * allowed
+                chosen[e] = True
+                may_close[e] = max(gap[e] - apart - MARGIN * most * h, -PUSH * apart) / h
+                tight[e] = 1.0 / (precise * (most if crowd[e] else speed))
+                loose[e] = min(h / allowed, tight[e]) if allowed > 0.0 else tight[e]
+    return chosen, may_close, loose, tight
 
 
 @kernel
@@ -274,17 +279,6 @@ def carried(start, taken):
 
 
 @kernel
-def shares(start, partner, w):
-    """The part of what a contact takes that the row of each half-edge gives."""
-    share = np.empty(len(partner))
-    for i in range(len(start) - 1):
-        for e in range(start[i], start[i + 1]):
-            j = partner[e]
-            share[e] = w[i] / (w[i] + w[j])
-    return share
-
-
-@kernel
 def inside_zone(x, push, radius, h, zone):
     """Which rows and ghosts touch the zone (2, d), with their widths."""
     inside = np.ones(len(x), np.bool_)
@@ -299,11 +293,12 @@ def inside_zone(x, push, radius, h, zone):
 
 
 @kernel
-def smaller(start, partner, radius):
-    """Of each half-edge: the smaller radius of the two that is not 0; a wall's is inf."""
-    least = np.empty(len(partner))
-    for i in range(len(start) - 1):
-        for e in range(start[i], start[i + 1]):
-            one, other = radius[i], radius[partner[e]]
-            least[e] = min(one, other) if one > 0.0 and other > 0.0 else max(one, other)
-    return least
+def zone_around(x, wide, rows):
+    """-low and high (2 d,) of the box around these rows with their widths; -inf if there are none."""
+    d = x.shape[1]
+    ends = np.full(2 * d, -inf)
+    for i in rows:
+        for k in range(d):
+            ends[k] = max(ends[k], wide[i] - x[i, k])
+            ends[d + k] = max(ends[d + k], wide[i] + x[i, k])
+    return ends

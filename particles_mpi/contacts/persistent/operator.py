@@ -29,16 +29,14 @@ from particles_mpi.contacts.persistent.detection import (
     loads,
     near_walls,
     pressing,
-    shares,
     slow,
-    smaller,
     spread,
-    starts_of,
     widths,
+    zone_around,
 )
-from particles_mpi.contacts.persistent.graph import ContactGraph, rows_in
+from particles_mpi.contacts.persistent.graph import ContactGraph, Exchange, rows_in
 from particles_mpi.contacts.persistent.memory import NOTHING, Memory, recall, remember, send_home
-from particles_mpi.contacts.persistent.solver import EFFORT, OUTLIER, Problem, Solver, Targets, problem, solve_each
+from particles_mpi.contacts.persistent.solver import EFFORT, OUTLIER, Edges, Solver, Targets, edges_of, solve_each
 from particles_mpi.contacts.walls import Planes
 from particles_mpi.kernels.markers import CROWD, PRESSED
 from particles_mpi.parallel.communicator import Communicator
@@ -82,10 +80,7 @@ class PersistentContacts:
         self.memory: Memory = NOTHING  # of contacts that the graph does not hold
         self.graph: ContactGraph | None = None
         self.solver = Solver(self.ranks, len(length))
-        self.given: tuple[Array, Array] = (
-            np.empty(0, np.int64),
-            np.empty(0),
-        )  # our rows, and the velocities that contacts gave them
+        self.given: tuple[Array, Array] = np.empty(0, np.int64), np.empty(0)  # our rows, velocities given to them
         self.awake = True  # else particles pass through one another and through walls
         self.totals = {"unconverged": 0}  # of this rank, which are counted for all by rank 0
         self.graphs_made = 0
@@ -165,11 +160,7 @@ class PersistentContacts:
         everything = np.array([[-np.inf] * d, [np.inf] * d])
         if not self.uniform or not known:
             return everything
-        low, high = np.full(d, np.inf), np.full(d, -np.inf)
-        if len(involved):
-            low = (p.position[involved] - wide[involved, None]).min(axis=0)
-            high = (p.position[involved] + wide[involved, None]).max(axis=0)
-        ends = self.ranks.allreduce_max(np.concatenate((-low, high)))
+        ends = self.ranks.allreduce_max(zone_around(p.position, wide, involved))
         zone = np.stack((-ends[:d], ends[d:]))
         zone[:, self.length > 0.0] = everything[:, self.length > 0.0]
         return zone
@@ -207,109 +198,86 @@ class PersistentContacts:
 
         `again`: these velocities have been through it since the last kick, so that contacts take little more.
         """
-        columns = find_contacts(
-            tuple(local[:6]), (graph.start, graph.other), inside, h, self.length, self.point, self.normal
-        )  # fmt: skip
-        contacts = Contacts(*columns)
+        contacts, edges = self.contacts(local, (graph.start, graph.other), inside, h, graph.exchange)
         before = took[contacts.slot]
-        bears = self.bear(local, graph, contacts, 2.0 * SLOW * before, known, h)
-        pressed, borne = bears
-        effort = self.effort(len(before))
-        margin = OUTLIER * self.allowed(local, contacts.start, contacts.partner) * (effort < EXACT)
-        of, may_close, speed = slow(tuple(contacts), before, local.supported, pressed, h, margin)
-        chosen = problem(
-            starts_of(contacts.start, of), contacts.partner[of], contacts.normal[of], local.w, graph.exchange
-        )  # fmt: skip
-        targets = self.targets(local, chosen, may_close, speed, h)
-        taken = np.zeros(len(of)) if again else before[of] if known else borne[of] / (2.0 * SLOW)
+        effort = EFFORT // max(int(self.ranks.allreduce_sum(len(before))[0]), 1)
+        borne, push = 2.0 * SLOW * before, local.push.copy()
+        touch = bearing(edges, (contacts.gap <= contacts.widest * h) | (before > 0.0))
+        if known:
+            self.solver.approach(touch, np.zeros(len(borne)), push, borne, graph.exchange, BEARING)
+        else:
+            self.solver.solve(touch, local.w, exactly(contacts), push, borne, graph.exchange, effort)
+        pressed = self.pressed(local, contacts, edges, borne, 2.0 * SLOW * before, graph.exchange)
+        chosen, targets = self.slow(local, contacts, before, pressed, h, OUTLIER * (effort < EXACT))
+        taken = np.zeros(len(before)) if again else chosen * (before if known else borne / (2.0 * SLOW))
         v = local.v.copy()
-        good = self.solver.solve(
-            chosen, local.w, targets, v, taken, graph.exchange, effort
-        )  # fmt: skip
+        good = self.solver.solve(bearing(edges, chosen), local.w, targets, v, taken, graph.exchange, effort)
         self.totals["unconverged"] += self.ranks.is_root and not good
         n = len(graph.rows)
-        self.give_back(p, graph.rows, v[:n] - local.v[:n], v[:n], chosen.start, taken)
+        self.give_back(p, graph.rows, v[:n] - local.v[:n], v[:n], edges.start, taken)
         all_taken = np.zeros(len(took))
-        all_taken[contacts.slot[of]] = taken
+        all_taken[contacts.slot] = taken
         return all_taken
 
-    def bear(
-        self, local: Local, graph: ContactGraph, contacts: Contacts, before: Array, known: bool, h: float
-    ) -> tuple[Array, Array]:
-        """(the speed that presses each contact, by pushes of rows and what contacts bear or took last; what it bears).
+    def contacts(
+        self, local: Local, near: tuple[Array, Array], inside: Array, h: float, exchange: Exchange
+    ) -> tuple[Contacts, Edges]:  # fmt: skip
+        """The half-edges of rows `inside` that may be slow, and what the solver must know of them. Collective."""
+        found = find_contacts(self.solver.axes, tuple(local[:6]), near, inside, h, self.length, self.point, self.normal)
+        contacts = Contacts(*found)
+        return contacts, edges_of(self.solver.axes, contacts.start, contacts.partner, contacts.normal, local.w, exchange)
 
-        Those that touch bear what they must for nobody to be pushed on. That is found from what they took, by some iterations;
-        without memory (the first step, or the state was changed) as exactly as velocities are.
-        """
-        of = np.flatnonzero((contacts.gap <= contacts.widest * h) | (before > 0.0))
-        chosen = problem(starts_of(contacts.start, of), contacts.partner[of], contacts.normal[of], local.w, graph.exchange)
-        borne, some, push, still = before.copy(), before[of], local.push.copy(), np.zeros(len(of))
-        if known:
-            self.solver.approach(chosen, still, push, some, graph.exchange, BEARING)
-        else:
-            targets = self.targets(local, chosen, still, contacts.widest[of], h)
-            self.solver.solve(chosen, local.w, targets, push, some, graph.exchange, self.effort(len(of)))
-        borne[of] = some
-        n, d = len(graph.rows), push.shape[1]
-        left, stress = np.zeros((graph.size + 1, d)), np.zeros((graph.size + 1, d, d))
-        share = shares(contacts.start, contacts.partner, local.w)
-        loads(contacts.start, contacts.partner, contacts.normal, share, borne, local.push[:n], left, stress)
-        graph.exchange(left, stress)
-        return pressing(contacts.start, contacts.partner, contacts.normal, borne, before, left, stress), borne
+    def pressed(
+        self, local: Local, contacts: Contacts, edges: Edges, borne: Array, before: Array, exchange: Exchange
+    ) -> Array:  # fmt: skip
+        """The speed that presses each contact, by pushes of rows and what contacts bear now or bore `before`. Collective."""
+        left, stress = np.zeros_like(local.push), np.zeros((*local.push.shape, local.push.shape[1]))
+        some = contacts.start, contacts.partner, contacts.normal
+        loads(self.solver.axes, *some, edges.share, borne, local.push, left, stress)
+        exchange(left, stress)
+        return np.asarray(pressing(self.solver.axes, *some, borne, before, left, stress))
 
-    def targets(self, local: Local, chosen: Problem, may_close: Array, speed: Array, h: float) -> Targets:
-        """What is asked of contacts that are slow below `speed` (m,)."""
-        enough, tight = self.allowed(local, chosen.start, chosen.partner) / h, 1.0 / (PRECISE * speed)
-        return Targets(may_close, np.divide(1.0, enough, out=tight.copy(), where=enough * tight > 1.0), tight)
-
-    def allowed(self, local: Local, start: Array, partner: Array) -> Array:
-        """By how much contacts may close in a step: the tolerance, in radii of the smaller sphere."""
-        return self.tolerance * smaller(start, partner, local.radius)
-
-    def effort(self, count: int) -> int:
-        """Iterations that are always spent on so many half-edges of this rank. Collective."""
-        return EFFORT // max(int(self.ranks.allreduce_sum(count)[0]), 1)
+    def slow(
+        self, local: Local, contacts: Contacts, before: Array, pressed: Array, h: float, margin: float
+    ) -> tuple[Array, Targets]:  # fmt: skip
+        """(which contacts are slow, what is asked of them); they keep a gap of `margin` tolerances."""
+        of_rows = local.supported, local.radius
+        chosen, *targets = slow(tuple(contacts), before, of_rows, pressed, h, self.tolerance, margin, PRECISE)
+        return chosen, Targets(*targets)
 
     def keep_on_walls(self, p: Particles, a: Array, h: float, rows: Array) -> None:
         """As `keep`, of rows that nothing but walls can hold: each by itself."""
         n, wall = len(rows), np.zeros((1, p.dimension))
         x, v, push = (np.concatenate((part, wall)) for part in (p.position[rows], p.velocity[rows], SLOW * h * a[rows]))
         radius, w = np.append(p.radius[rows], np.inf), np.append(p.inverse_mass[rows], 0.0)
-        none, no = np.zeros(n + 1, np.int64), np.zeros(n + 1, np.bool_)
-        contacts = Contacts(
-            *find_contacts(
-                (x, v, push, radius, w, no), (none, np.empty(0, np.int32)), ~no, h, self.length, self.point, self.normal
-            )
-        )
-        local = Local(x, v, push, radius, w, no, (np.append(p["supported"][rows], 0) != 0) & (w > 0.0))
+        supported = (np.append(p["supported"][rows], 0) != 0) & (w > 0.0)
+        local = Local(x, v, push, radius, w, np.zeros(n + 1, np.bool_), supported)
+        none = np.zeros(n + 1, np.int64), np.empty(0, np.int32)
+        contacts, edges = self.contacts(local, none, np.ones(n + 1, np.bool_), h, alone)
+        borne, nothing, after = np.zeros(len(contacts.gap)), np.zeros(len(contacts.gap)), v.copy()
         touch = contacts.gap <= contacts.widest * h
-        borne, nothing = np.zeros(len(touch)), np.zeros(len(touch))
-        of = np.flatnonzero(touch)
-        borne[of] = self.each(local, contacts, of, np.zeros(len(of)), contacts.widest[of], push.copy(), h)
-        left, stress = np.zeros_like(push), np.zeros((*push.shape, push.shape[1]))
-        share = np.ones(len(touch))
-        loads(contacts.start, contacts.partner, contacts.normal, share, borne, push, left, stress)
-        pressed = pressing(contacts.start, contacts.partner, contacts.normal, borne, nothing, left, stress)
-        of, may_close, speed = slow(tuple(contacts), nothing, local.supported, pressed, h, nothing)
-        after = v.copy()
-        taken = self.each(local, contacts, of, may_close, speed, after, h)
-        self.give_back(p, rows, (after - v)[:n], after[:n], starts_of(contacts.start, of), taken)
-
-    def each(
-        self, local: Local, contacts: Contacts, of: Array, may_close: Array, speed: Array, v: Array, h: float
-    ) -> Array:  # fmt: skip
-        """Velocities v of rows on walls, in place, with the contacts `of`; what these took."""
-        chosen = problem(starts_of(contacts.start, of), contacts.partner[of], contacts.normal[of], local.w, alone)
-        targets = self.targets(local, chosen, may_close, speed, h)
-        taken = np.zeros(len(of))
-        solve_each(self.solver.axes, tuple(chosen), local.w, tuple(targets), v, taken)
-        return taken
+        solve_each(self.solver.axes, tuple(bearing(edges, touch)), w, tuple(exactly(contacts)), push.copy(), borne)
+        pressed = self.pressed(local, contacts, edges, borne, nothing, alone)
+        chosen, targets = self.slow(local, contacts, nothing, pressed, h, 0.0)
+        solve_each(self.solver.axes, tuple(bearing(edges, chosen)), w, tuple(targets), after, nothing)
+        self.give_back(p, rows, (after - v)[:n], after[:n], edges.start, nothing)
 
     def give_back(self, p: Particles, rows: Array, given: Array, v: Array, start: Array, taken: Array) -> None:
         """To our particles: velocities v of `rows`, and who is supported, having one of the contacts that took something."""
         self.given = rows, given
         p.velocity[rows] = v
         p["supported"][rows] = PRESSED * carried(start, taken)
+
+
+def bearing(edges: Edges, which: Array) -> Edges:
+    """The same contacts, of which only `which` (m,) may take anything."""
+    return edges._replace(step=edges.step * which)
+
+
+def exactly(contacts: Contacts) -> Targets:
+    """That nothing closes, but for round-off of the widest pushes."""
+    tight = 1.0 / (PRECISE * contacts.widest)
+    return Targets(np.zeros(len(tight)), tight, tight)
 
 
 def alone(*columns: Array) -> None:
