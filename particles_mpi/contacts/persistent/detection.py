@@ -118,18 +118,18 @@ def find_contacts(axes, state, graph, inside, h, length, point, normal):
     near, other = graph
     n, d, walls, size = len(near) - 1, len(axes), len(point), len(x) - 1
     most = len(other)
-    for i in range(n):
-        most += walls * inside[i]
+    for row in range(n):
+        most += walls * inside[row]
     start, partner, slot = np.zeros(n + 1, np.int64), np.empty(most, np.int32), np.empty(most, np.int64)
     normals, gaps, widest = np.empty((most, d)), np.empty(most), np.empty(most)
     approach, any_speed = np.empty(most), np.empty(most, np.bool_)
     pushes, speeds = np.empty(len(x)), np.empty(len(x))
-    for i in range(len(x)):
+    for row in range(len(x)):
         push2, speed2 = 0.0, 0.0
         for k in range(d):
-            push2 += push[i, k] * push[i, k]
-            speed2 += v[i, k] * v[i, k]
-        pushes[i], speeds[i] = sqrt(push2), sqrt(speed2)
+            push2 += push[row, k] * push[row, k]
+            speed2 += v[row, k] * v[row, k]
+        pushes[row], speeds[row] = sqrt(push2), sqrt(speed2)
     made = np.uint64(0)
     for row in range(n):
         start[row] = made

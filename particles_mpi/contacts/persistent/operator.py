@@ -47,7 +47,6 @@ from particles_mpi.timers import Timers
 PRECISE = 1e-12  # of the slow speed: approach that does not matter
 SKIN = 0.3  # radii: so far rows may move, two together, before the graph is made anew
 EXACT = 100  # iterations: a pile for which so many are always spent keeps no margin for what is left
-BEARING = 5  # iterations from what contacts bore before to what they bear now
 
 
 class Local(NamedTuple):
@@ -202,10 +201,8 @@ class PersistentContacts:
         before = took[contacts.slot]
         effort = EFFORT // max(int(self.ranks.allreduce_sum(len(before))[0]), 1)
         borne, push = 2.0 * SLOW * before, local.push.copy()
-        touch = bearing(edges, (contacts.gap <= contacts.widest * h) | (before > 0.0))
-        if known:
-            self.solver.approach(touch, np.zeros(len(borne)), push, borne, graph.exchange, BEARING)
-        else:
+        if not known:  # else they bear what they bore
+            touch = bearing(edges, contacts.gap <= contacts.widest * h)
             self.solver.solve(touch, local.w, exactly(contacts), push, borne, graph.exchange, effort)
         pressed = self.pressed(local, contacts, edges, borne, 2.0 * SLOW * before, graph.exchange)
         chosen, targets = self.slow(local, contacts, before, pressed, h, OUTLIER * (effort < EXACT))

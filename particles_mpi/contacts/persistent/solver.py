@@ -123,11 +123,19 @@ def take(start, normal, share, v0, taken, v):
 
 
 @inner
-def iterate(axes, first, last, problem, may_close, v0, taken, ahead, v, after, beta):
-    """An iteration of the rows first ... last - 1: their `taken` and `ahead` in place, velocities to `after`."""
+def iterate(axes, first, last, problem, targets, state, v, after, beta, looks, sums):
+    """An iteration of the rows first ... last - 1: `taken` and `ahead` of the `state` in place, velocities v to `after`.
+
+    If it `looks`: returns the largest errors in v, in what is enough and in round-off. To sums[i] then the squares of the first,
+    and the work of what changes against the momentum, which is positive past a minimum.
+    """
     start, partner, normal, share, step = problem
+    may_close, loose, tight = targets
+    w, v0, taken, ahead = state
     one = np.uint64(1)
+    rough, left = 0.0, 0.0
     for i in range(np.uint64(first), np.uint64(last)):  # unsigned: indices that may be negative take twice as long
+        squares, work = 0.0, 0.0
         for k in range(len(axes)):
             after[i, np.uint64(k)] = v0[i, np.uint64(k)]
         for e in range(np.uint64(start[i]), np.uint64(start[i + one])):
@@ -136,39 +144,22 @@ def iterate(axes, first, last, problem, may_close, v0, taken, ahead, v, after, b
                 excess += (v[i, np.uint64(k)] - v[j, np.uint64(k)]) * normal[e, np.uint64(k)]
             new = ahead[e] - excess * step[e]
             new = new if new > 0.0 else 0.0
-            next_one = new + beta * (new - taken[e])
+            change = new - taken[e]
+            if looks and step[e] > 0.0:
+                error = (ahead[e] - new) / step[e]
+                part = abs(error) * loose[e]
+                squares += part * part
+                rough = part if part > rough else rough
+                part = abs(error) * tight[e]
+                left = part if part > left else left
+                work += error * change * share[e]
+            next_one = new + beta * change
             ahead[e], taken[e] = next_one, new
             given = share[e] * next_one
             for k in range(len(axes)):
                 after[i, np.uint64(k)] += given * normal[e, np.uint64(k)]
-
-
-@inner
-def look(axes, first, last, problem, w, targets, v, taken, ahead, sums):
-    """What the next iteration would change, of the rows first ... last - 1: (largest error, in what is enough; in round-off).
-
-    To sums[i]: the squares of the errors, in what is enough; the work against the momentum, which is positive past a minimum.
-    """
-    start, partner, normal, share, step = problem
-    may_close, loose, tight = targets
-    one = np.uint64(1)
-    rough, left = 0.0, 0.0
-    for i in range(np.uint64(first), np.uint64(last)):
-        squares, work = 0.0, 0.0
-        for e in range(np.uint64(start[i]), np.uint64(start[i + one])):
-            j, excess = np.uint64(partner[e]), may_close[e]
-            for k in range(len(axes)):
-                excess += (v[i, np.uint64(k)] - v[j, np.uint64(k)]) * normal[e, np.uint64(k)]
-            new = ahead[e] - excess * step[e]
-            new = new if new > 0.0 else 0.0
-            error = (ahead[e] - new) / step[e] if step[e] > 0.0 else 0.0
-            part = abs(error) * loose[e]
-            squares += part * part
-            rough = part if part > rough else rough
-            part = abs(error) * tight[e]
-            left = part if part > left else left
-            work += error * (new - taken[e]) * share[e]
-        sums[i, np.uint64(0)], sums[i, np.uint64(1)] = squares, work / w[i] if w[i] > 0.0 else 0.0
+        if looks:
+            sums[i, np.uint64(0)], sums[i, np.uint64(1)] = squares, work / w[i] if w[i] > 0.0 else 0.0
     return rough, left
 
 
@@ -180,23 +171,20 @@ def momentum(theta):
 
 
 @kernel
-def iterations(axes, count, problem, may_close, v0, taken, ahead, v, other, theta):
-    """So many iterations of all rows; v and `other` (size, d) take turns. Returns theta of the next one."""
+def iterations(axes, count, problem, targets, state, v, other, theta, looks, sums):
+    """So many iterations of all rows; v and `other` (size + 1, d) take turns. If it `looks`, one only.
+
+    Returns theta of the next one, and of the last one the largest errors and the largest work of a row: see `iterate`.
+    """
+    rough, left, most = 0.0, 0.0, 0.0
     for _ in range(count):
         beta, theta = momentum(theta)
-        iterate(axes, 0, len(v0), problem, may_close, v0, taken, ahead, v, other, beta)
+        rough, left = iterate(axes, 0, len(problem[0]) - 1, problem, targets, state, v, other, beta, looks, sums)
         v, other = other, v
-    return theta
-
-
-@kernel
-def error(axes, problem, w, targets, v, taken, ahead, sums):
-    """`look` at all rows: (largest error, in what is enough; in round-off; largest work of a row)."""
-    rough, left = look(axes, 0, len(sums), problem, w, targets, v, taken, ahead, sums)
-    most = 0.0
-    for i in range(len(sums)):
-        most = max(most, abs(sums[i, 1]))
-    return rough, left, most
+    if looks:
+        for i in range(len(sums)):
+            most = max(most, abs(sums[i, 1]))
+    return theta, rough, left, most
 
 
 @kernel
@@ -215,31 +203,33 @@ def solve_each(axes, problem, w, targets, v, taken):
     start, _, normal, share, _ = problem
     n, d = len(start) - 1, v.shape[1]
     v0, other, ahead, sums = v.copy(), v.copy(), taken.copy(), np.empty((n, 2))
+    state = w, v0, taken, ahead
     take(start, normal, share, v0, ahead, v)
     for i in range(n):
         theta, swapped = 1.0, False
         for _ in range(MOST):
             here, there = (other, v) if swapped else (v, other)
-            _, left = look(axes, i, i + 1, problem, w, targets, here, taken, ahead, sums)
-            if sums[i, 1] > 0.0 and theta < 1.0:
-                theta = 1.0
-                for e in range(start[i], start[i + 1]):
-                    ahead[e] = taken[e]
-                for k in range(d):
-                    here[i, k] = v0[i, k]
-                    for e in range(start[i], start[i + 1]):
-                        here[i, k] += share[e] * taken[e] * normal[e, k]
-                continue
             beta, theta = momentum(theta)
-            iterate(axes, i, i + 1, problem, targets[0], v0, taken, ahead, here, there, beta)
+            _, left = iterate(axes, i, i + 1, problem, targets, state, here, there, beta, True, sums)
             swapped = not swapped
             if left <= 1.0:
                 break
+            if sums[i, 1] > 0.0:
+                theta = 1.0
+                for k in range(d):
+                    there[i, k] = v0[i, k]
+                for e in range(start[i], start[i + 1]):
+                    ahead[e] = taken[e]
+                    for k in range(d):
+                        there[i, k] += share[e] * taken[e] * normal[e, k]
     take(start, normal, share, v0, taken, v)
 
 
 class Solver:
-    """Solves for all ranks together; `exchange(v)` refreshes the ghost rows of v (size, d)."""
+    """Solves for all ranks together, for velocities v (size + 1, d); `exchange(v)` refreshes those of ghosts.
+
+    edges: of our rows; w (size + 1,): inverse masses. `iterations` counts those done.
+    """
 
     def __init__(self, ranks: Communicator, dimension: int):
         self.ranks, self.axes = ranks, (0,) * dimension
@@ -248,71 +238,67 @@ class Solver:
     def solve(
         self, edges: Edges, w: Array, targets: Targets, v: Array, taken: Array, exchange: Callable[[Array], None], least: int
     ) -> bool:  # fmt: skip
-        """Velocities v (size + 1, d) at which no contact closes faster than it may; v and what each has `taken` (m,) in place.
+        """Velocities at which no contact closes faster than it may; v, and what each has `taken` (m,), in place.
 
         Ends when errors are allowed and `least` iterations are done, or nothing but round-off is left, or after MOST
         iterations; returns whether errors are allowed. Collective.
         """
-        wanted, sums, done = tuple(targets), np.empty((len(edges.start) - 1, 2)), 0
         count = max(int(self.ranks.allreduce_sum(int((edges.step > 0.0).sum()))[0]), 1)
-        run = Run(self, tuple(edges), wanted[0], v, taken, exchange)
+        run = Run(self, tuple(edges), tuple(targets), w, v, taken, exchange)
+        done = 1
         while True:
-            worst = np.array(error(self.axes, run.edges, w, wanted, run.v, taken, run.ahead, sums))
-            rough, left, most = self.ranks.allreduce_max(worst)
-            squares, work = self.ranks.allreduce_sum(np.array(whole_numbers(sums, most if most > 0.0 else 1.0)))
+            worst = run.advance(1, looks=True)
+            rough, left, most = self.ranks.allreduce_max(np.array(worst))
+            squares, work = self.ranks.allreduce_sum(np.array(whole_numbers(run.sums, most if most > 0.0 else 1.0)))
             good = rough <= OUTLIER and squares <= count * FINE
             if left <= 1.0 or (good and done >= least) or done >= MOST:
                 break
             if work > 0.0:
                 run.restart()
-            run.advance(CHECK)
+            run.advance(CHECK - 1)
             done += CHECK
         run.finish()
         self.iterations += done + 1
         return bool(good or left <= 1.0)
-
-    def approach(
-        self, edges: Edges, may_close: Array, v: Array, taken: Array, exchange: Callable[[Array], None], count: int
-    ) -> None:  # fmt: skip
-        """So many iterations towards the same. Collective."""
-        run = Run(self, tuple(edges), may_close, v, taken, exchange)
-        run.advance(count)
-        run.finish()
-        self.iterations += count + 1
 
 
 class Run:
     """The iterations of one solution: see `Solver.solve`."""
 
     def __init__(
-        self, solver: Solver, edges: tuple[Array, ...], may_close: Array, v: Array, taken: Array,
+        self, solver: Solver, edges: tuple[Array, ...], targets: tuple[Array, ...], w: Array, v: Array, taken: Array,
         exchange: Callable[[Array], None],
     ):  # fmt: skip
+        n = len(edges[0]) - 1
         self.axes, self.parallel, self.exchange = solver.axes, solver.ranks.size > 1, exchange
-        self.edges, self.may_close, self.taken, self.result = edges, may_close, taken, v
-        self.v0, self.v, self.other, self.ahead = v[: len(edges[0]) - 1].copy(), v.copy(), v.copy(), taken.copy()
+        self.edges, self.targets, self.result = edges, targets, v
+        self.v, self.other, self.sums = v.copy(), v.copy(), np.empty((n, 2))
+        self.state = w, v[:n].copy(), taken, taken.copy()
         self.restart()
 
     def restart(self) -> None:
         """Begin with what is taken, without momentum."""
         start, _, normal, share, _ = self.edges
+        _, v0, taken, ahead = self.state
         self.theta = 1.0
-        self.ahead[:] = self.taken
-        take(start, normal, share, self.v0, self.ahead, self.v)
+        ahead[:] = taken
+        take(start, normal, share, v0, ahead, self.v)
         self.exchange(self.v)
 
-    def advance(self, count: int) -> None:
-        """So many iterations, with an exchange of ghosts after each."""
+    def advance(self, count: int, looks: bool = False) -> tuple[float, float, float]:
+        """So many iterations, with an exchange of ghosts after each; what the last one saw, if it `looks`."""
         for part in [1] * count if self.parallel else [count]:
-            self.theta = iterations(
-                self.axes, part, self.edges, self.may_close, self.v0, self.taken, self.ahead, self.v, self.other, self.theta
+            self.theta, *seen = iterations(
+                self.axes, part, self.edges, self.targets, self.state, self.v, self.other, self.theta, looks, self.sums
             )
             if part % 2:
                 self.v, self.other = self.other, self.v
             self.exchange(self.v)
+        return seen[0], seen[1], seen[2]
 
     def finish(self) -> None:
         """A last iteration without momentum; velocities are those that go with what is taken."""
         self.theta = 1.0
         self.advance(1)
-        self.result[: len(self.v0)] = self.v[: len(self.v0)]
+        n = len(self.sums)
+        self.result[:n] = self.v[:n]
