@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from particles_mpi import Scene, Simulation
-from particles_mpi.contacts.persistent.operator import NOTHING
 
 MODES = ("rewind", "event")
 SPEEDS = (0.6, 0.4, 0.1, 0.01)
@@ -191,7 +190,7 @@ def test_cradle_on_a_floor(mode, d, step):
 
 def forget(sim):
     """As after a change of the state by a user."""
-    sim.rest.memory = NOTHING
+    sim.rest.forget()
     sim.particles["supported"][:] = 0
 
 

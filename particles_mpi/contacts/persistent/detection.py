@@ -19,7 +19,7 @@ from particles_mpi.particles import Array
 SLOW = 2.0  # times what forces do in a step: a bounce that is over in about two steps
 HELD = 5.0  # times as fast may it be among those that are held, who would rattle between one another
 MARGIN = 1e-3  # of the widest slow gap: closer nothing gets, so that round-off makes no contact
-PUSH = 0.05  # of a margin: so far contacts that are nearer are moved apart in a step
+PUSH = 0.01  # of what forces do in a step: so fast contacts that are nearer than their margin are moved apart
 
 
 class Contacts(NamedTuple):
@@ -183,7 +183,7 @@ def find_contacts(axes, state, graph, inside, h, length, point, normal):
 
 
 @kernel
-def loads(axes, start, partner, normal, share, borne, push, left, stress):
+def loads(axes, start, partner, normal, w, borne, push, left, stress):
     """Of each row with pushes (n, d) whose half-edges bear `borne`: what is left (n, d) of its push, and its stress (n, d, d)."""
     one = np.uint64(1)
     for i in range(np.uint64(len(start) - 1)):
@@ -192,8 +192,9 @@ def loads(axes, start, partner, normal, share, borne, push, left, stress):
             for m in range(len(axes)):
                 stress[i, np.uint64(k), np.uint64(m)] = 0.0
         for e in range(np.uint64(start[i]), np.uint64(start[i + one])):
+            given = w[i] / (w[i] + w[np.uint64(partner[e])]) * borne[e]
             for k in range(len(axes)):
-                part = share[e] * borne[e] * normal[e, np.uint64(k)]
+                part = given * normal[e, np.uint64(k)]
                 left[i, np.uint64(k)] += part
                 for m in range(len(axes)):
                     stress[i, np.uint64(k), np.uint64(m)] += part * normal[e, np.uint64(m)]
@@ -239,7 +240,7 @@ def slow(contacts, took, of_rows, pressed, h, tolerance, margin, precise):
                 allowed = tolerance * (min(one, other) if one > 0.0 and other > 0.0 else max(one, other))
                 apart = margin * allowed
                 chosen[e] = True
-                may_close[e] = max(gap[e] - apart - MARGIN * most * h, -PUSH * apart) / h
+                may_close[e] = max((gap[e] - apart - MARGIN * most * h) / h, -PUSH * widest[e] if apart > 0.0 else 0.0)
                 tight[e] = 1.0 / (precise * (most if crowd[e] else speed))
                 loose[e] = min(h / allowed, tight[e]) if allowed > 0.0 else tight[e]
     return chosen, may_close, loose, tight

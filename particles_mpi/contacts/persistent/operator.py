@@ -45,7 +45,8 @@ from particles_mpi.particles import Array, Particles, row_dot
 from particles_mpi.timers import Timers
 
 PRECISE = 1e-12  # of the slow speed: approach that does not matter
-SKIN = 0.3  # radii: so far rows may move, two together, before the graph is made anew
+SKIN = 0.3  # of the smallest radius: so far rows may move, two together, before the graph is made anew
+UNKNOWN = 10  # times the effort where nothing is remembered
 EXACT = 100  # iterations: a pile for which so many are always spent keeps no margin for what is left
 
 
@@ -169,7 +170,9 @@ class PersistentContacts:
         good = self.graph is not None and self.graph.holds(p, wide, zone)
         if not self.ranks.allreduce_min(float(good))[0] or self.graph is None:
             memory = send_home(self.ranks, self.remembered(), p)
-            skin = SKIN * self.ranks.allreduce_max(float(p.radius.max(initial=0.0)))[0]
+            least = p.radius.min(initial=np.inf, where=p.radius > 0.0)
+            skin = SKIN * float(self.ranks.allreduce_min(least)[0])
+            skin = skin if skin < np.inf else 0.0
             rows = rows_in(p.position, wide + skin, zone)
             self.graph = ContactGraph(self.ranks, p, rows, wide, skin, self.length)
             self.taken = recall(memory, self.graph, len(self.point))
@@ -197,40 +200,43 @@ class PersistentContacts:
 
         `again`: these velocities have been through it since the last kick, so that contacts take little more.
         """
-        contacts, edges = self.contacts(local, (graph.start, graph.other), inside, h, graph.exchange)
+        contacts = self.contacts(local, (graph.start, graph.other), inside, h)
         before = took[contacts.slot]
-        effort = EFFORT // max(int(self.ranks.allreduce_sum(len(before))[0]), 1)
+        effort = EFFORT // max(int(self.ranks.allreduce_sum(len(before))[0]), 1) * (1 if known else UNKNOWN)
         borne, push = 2.0 * SLOW * before, local.push.copy()
         if not known:  # else they bear what they bore
-            touch = bearing(edges, contacts.gap <= contacts.widest * h)
+            touch = self.edges(local, contacts, contacts.gap <= contacts.widest * h, graph.exchange)
             self.solver.solve(touch, local.w, exactly(contacts), push, borne, graph.exchange, effort)
-        pressed = self.pressed(local, contacts, edges, borne, 2.0 * SLOW * before, graph.exchange)
+        pressed = self.pressed(local, contacts, borne, 2.0 * SLOW * before, graph.exchange)
         chosen, targets = self.slow(local, contacts, before, pressed, h, OUTLIER * (effort < EXACT))
         taken = np.zeros(len(before)) if again else chosen * (before if known else borne / (2.0 * SLOW))
         v = local.v.copy()
-        good = self.solver.solve(bearing(edges, chosen), local.w, targets, v, taken, graph.exchange, effort)
+        edges = self.edges(local, contacts, chosen, graph.exchange)
+        good = self.solver.solve(edges, local.w, targets, v, taken, graph.exchange, effort)
         self.totals["unconverged"] += self.ranks.is_root and not good
         n = len(graph.rows)
-        self.give_back(p, graph.rows, v[:n] - local.v[:n], v[:n], edges.start, taken)
+        bears = np.maximum(taken, before) if again else taken
+        self.give_back(p, graph.rows, v[:n] - local.v[:n], v[:n], edges.start, bears)
         all_taken = np.zeros(len(took))
         all_taken[contacts.slot] = taken
         return all_taken
 
-    def contacts(
-        self, local: Local, near: tuple[Array, Array], inside: Array, h: float, exchange: Exchange
-    ) -> tuple[Contacts, Edges]:  # fmt: skip
-        """The half-edges of rows `inside` that may be slow, and what the solver must know of them. Collective."""
+    def contacts(self, local: Local, near: tuple[Array, Array], inside: Array, h: float) -> Contacts:
+        """The half-edges of rows `inside` that may be slow."""
         found = find_contacts(self.solver.axes, tuple(local[:6]), near, inside, h, self.length, self.point, self.normal)
-        contacts = Contacts(*found)
-        return contacts, edges_of(self.solver.axes, contacts.start, contacts.partner, contacts.normal, local.w, exchange)
+        return Contacts(*found)
+
+    def edges(self, local: Local, contacts: Contacts, which: Array, exchange: Exchange) -> Edges:
+        """What the solver must know of the contacts, of which only `which` (m,) may take anything. Collective."""
+        return edges_of(self.solver.axes, contacts.start, contacts.partner, contacts.normal, local.w, which, exchange)
 
     def pressed(
-        self, local: Local, contacts: Contacts, edges: Edges, borne: Array, before: Array, exchange: Exchange
+        self, local: Local, contacts: Contacts, borne: Array, before: Array, exchange: Exchange
     ) -> Array:  # fmt: skip
         """The speed that presses each contact, by pushes of rows and what contacts bear now or bore `before`. Collective."""
         left, stress = np.zeros_like(local.push), np.zeros((*local.push.shape, local.push.shape[1]))
         some = contacts.start, contacts.partner, contacts.normal
-        loads(self.solver.axes, *some, edges.share, borne, local.push, left, stress)
+        loads(self.solver.axes, *some, local.w, borne, local.push, left, stress)
         exchange(left, stress)
         return np.asarray(pressing(self.solver.axes, *some, borne, before, left, stress))
 
@@ -250,13 +256,14 @@ class PersistentContacts:
         supported = (np.append(p["supported"][rows], 0) != 0) & (w > 0.0)
         local = Local(x, v, push, radius, w, np.zeros(n + 1, np.bool_), supported)
         none = np.zeros(n + 1, np.int64), np.empty(0, np.int32)
-        contacts, edges = self.contacts(local, none, np.ones(n + 1, np.bool_), h, alone)
+        contacts = self.contacts(local, none, np.ones(n + 1, np.bool_), h)
         borne, nothing, after = np.zeros(len(contacts.gap)), np.zeros(len(contacts.gap)), v.copy()
-        touch = contacts.gap <= contacts.widest * h
-        solve_each(self.solver.axes, tuple(bearing(edges, touch)), w, tuple(exactly(contacts)), push.copy(), borne)
-        pressed = self.pressed(local, contacts, edges, borne, nothing, alone)
+        touch = self.edges(local, contacts, contacts.gap <= contacts.widest * h, alone)
+        solve_each(self.solver.axes, tuple(touch), w, tuple(exactly(contacts)), push.copy(), borne)
+        pressed = self.pressed(local, contacts, borne, nothing, alone)
         chosen, targets = self.slow(local, contacts, nothing, pressed, h, 0.0)
-        solve_each(self.solver.axes, tuple(bearing(edges, chosen)), w, tuple(targets), after, nothing)
+        edges = self.edges(local, contacts, chosen, alone)
+        solve_each(self.solver.axes, tuple(edges), w, tuple(targets), after, nothing)
         self.give_back(p, rows, (after - v)[:n], after[:n], edges.start, nothing)
 
     def give_back(self, p: Particles, rows: Array, given: Array, v: Array, start: Array, taken: Array) -> None:
@@ -264,11 +271,6 @@ class PersistentContacts:
         self.given = rows, given
         p.velocity[rows] = v
         p["supported"][rows] = PRESSED * carried(start, taken)
-
-
-def bearing(edges: Edges, which: Array) -> Edges:
-    """The same contacts, of which only `which` (m,) may take anything."""
-    return edges._replace(step=edges.step * which)
 
 
 def exactly(contacts: Contacts) -> Targets:

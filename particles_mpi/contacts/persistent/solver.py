@@ -58,26 +58,33 @@ class Targets(NamedTuple):
 
 
 def edges_of(
-    axes: tuple[int, ...], start: Array, partner: Array, normal: Array, w: Array, exchange: Callable[[Array], None]
+    axes: tuple[int, ...], start: Array, partner: Array, normal: Array, w: Array, which: Array, exchange: Callable[[Array], None]
 ) -> Edges:  # fmt: skip
-    """The contacts of rows with inverse masses w (size + 1,). `exchange` gives ghosts the numbers of their owners. Collective."""
+    """The contacts of rows with inverse masses w (size + 1,), of which those that `which` (m,) marks may take anything.
+
+    `exchange` gives ghosts the numbers of their owners. Collective.
+    """
     bound = np.zeros(len(w))
-    bound_rows(axes, start, normal, w, bound)
+    bound_rows(axes, start, normal, w, which, bound)
     exchange(bound)
-    return Edges(start, partner, normal, *step_lengths(start, partner, w, bound))
+    return Edges(start, partner, normal, *step_lengths(start, partner, w, which, bound))
 
 
 @kernel
-def bound_rows(axes, start, normal, w, bound):
+def bound_rows(axes, start, normal, w, which, bound):
     """Of each row w b, where b bounds the largest eigenvalue of S = sum of n n^T: tr S |(S/tr S)^4|^(1/4)."""
     s, t = np.empty((len(axes), len(axes))), np.empty((len(axes), len(axes)))
     for i in range(len(start) - 1):
-        trace = float(start[i + 1] - start[i])
+        trace = 0.0
+        for e in range(start[i], start[i + 1]):
+            trace += which[e]
         if trace <= 1.0:
             bound[i] = w[i] * trace
             continue
         s[:] = 0.0
         for e in range(np.uint64(start[i]), np.uint64(start[i + 1])):
+            if not which[e]:
+                continue
             for k in range(len(axes)):
                 part = normal[e, np.uint64(k)] / trace
                 for m in range(len(axes)):
@@ -98,7 +105,7 @@ def bound_rows(axes, start, normal, w, bound):
 
 
 @kernel
-def step_lengths(start, partner, w, bound):
+def step_lengths(start, partner, w, which, bound):
     """(shares, lengths of a gradient step) of all half-edges."""
     share, step = np.empty(len(partner)), np.empty(len(partner))
     for i in range(len(start) - 1):
@@ -106,7 +113,7 @@ def step_lengths(start, partner, w, bound):
             j = partner[e]
             both = w[i] + w[j]
             share[e] = w[i] / both
-            step[e] = both / (bound[i] + bound[j])
+            step[e] = both / (bound[i] + bound[j]) if which[e] else 0.0
     return share, step
 
 
