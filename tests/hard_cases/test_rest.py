@@ -175,7 +175,7 @@ def test_only_those_that_are_near_are_looked_at():
 
 
 def test_a_large_sphere_among_many_small_ones():
-    """A sphere of radius 100 that 30 000 of radius 0.9 are pressed onto: memory goes with the contacts, not with their squares."""
+    """30 000 spheres of radius 0.9 pressed onto one of radius 100: memory goes with the contacts, not with their squares."""
     n = 30_000
     z, turn = 1.0 - (2.0 * np.arange(n) + 1.0) / n, np.pi * (1.0 + 5.0**0.5) * np.arange(n)
     ring = np.sqrt(1.0 - z * z)

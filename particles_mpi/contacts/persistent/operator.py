@@ -151,7 +151,8 @@ class PersistentContacts:
                     break
                 marked[:] = local.crowd
                 graph.exchange(marked)
-            took = recall(self.remembered(), graph, len(self.point))
+            memory = send_home(self.ranks, self.remembered(), p)  # rows may have changed their rank since the kick
+            took = recall(memory, graph, len(self.point))
             self.solve(p, local, graph, np.ones(graph.size + 1, np.bool_), h, took, True, again=True)
 
     def zone(self, p: Particles, wide: Array, involved: Array, known: bool) -> Array:
