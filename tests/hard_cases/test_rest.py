@@ -235,7 +235,7 @@ def test_projection(drawn):
     targets = Targets(may, np.full(len(may), 1e9), np.full(len(may), 1e11))
     v, taken = np.vstack((v, np.zeros(3))), np.zeros(len(may))
     solver = Solver(Communicator.alone(), 3)
-    converged = solver.solve(edges, w, targets, v, taken, lambda _: None, 0)
+    converged = solver.solve(edges, w, targets, v, taken, np.arange(n), lambda _: None, 0)
     both = np.full((2, len(a)), np.nan)
     both.reshape(-1)[order] = taken
     assert (both[0] == both[1])[b >= 0].all()  # the two owners of a contact come to the same bits

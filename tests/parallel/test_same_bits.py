@@ -203,7 +203,7 @@ SCENES = {
     "a heap that collapses in crowds": dict(
         dimension=3,
         box={"lower": [0, 0, 0], "upper": [0.6, 0.6, 1.6]},
-        time={"step": 0.005, "steps": 80},
+        time={"step": 0.005, "steps": 200},
         particles=[{"count": 120, "position": "random", "radius": {"min": 0.045, "max": 0.05}}],
         effects={"uniform_gravity": GRAVITY, "collisions": {"restitution": 0.5}, "walls": {"restitution": 0.5}},
     ),

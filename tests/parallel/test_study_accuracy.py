@@ -66,7 +66,7 @@ def test_files(reports, only):
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (("accuracy", "--only", "AX"), "--only: there is no experiment X; there are A, B, C, D, F, G, H"),
+        (("accuracy", "--only", "AX"), "--only: there is no experiment X; there are A, B, C, D, F, G, H, I"),
         (("accuracy", "none.toml"), "none.toml: cannot be read"),
         (("none.toml",), "none.toml: cannot be read"),
         (("nothing",), "nothing"),

@@ -32,7 +32,7 @@ def test_oblique_pair_is_exact_at_every_step_and_phase(step, phase):
     contact = 3.0 - sqrt(0.75) + phase * step
     assert np.abs(v - after).max() <= 1e-12
     assert np.abs(x - ([[-sqrt(0.75), 0.5], [0.0, 0.0]] + (sim.time - contact) * after)).max() <= 1e-12
-    assert sim.totals == {"collisions": 1, "wall_hits": 0, "missed": 0, "exchanges": 0}
+    assert sim.totals == {"collisions": 1, "wall_hits": 0, "missed": 0, "exchanges": 0, "unconverged": 0}
 
 
 @settings(max_examples=60, deadline=None)

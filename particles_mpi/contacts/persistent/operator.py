@@ -207,13 +207,13 @@ class PersistentContacts:
         borne, push = 2.0 * SLOW * before, local.push.copy()
         if not known:  # else they bear what they bore
             touch = self.edges(local, contacts, contacts.gap <= contacts.widest * h, graph.exchange)
-            self.solver.solve(touch, local.w, exactly(contacts), push, borne, graph.exchange, effort)
+            self.solver.solve(touch, local.w, exactly(contacts), push, borne, graph.id, graph.exchange, effort)
         pressed = self.pressed(local, contacts, borne, 2.0 * SLOW * before, graph.exchange)
         chosen, targets = self.slow(local, contacts, before, pressed, h, OUTLIER * (effort < EXACT))
         taken = np.zeros(len(before)) if again else chosen * (before if known else borne / (2.0 * SLOW))
         v = local.v.copy()
         edges = self.edges(local, contacts, chosen, graph.exchange)
-        good = self.solver.solve(edges, local.w, targets, v, taken, graph.exchange, effort)
+        good = self.solver.solve(edges, local.w, targets, v, taken, graph.id, graph.exchange, effort)
         self.totals["unconverged"] += self.ranks.is_root and not good
         n = len(graph.rows)
         bears = np.maximum(taken, before) if again else taken

@@ -24,12 +24,14 @@ import numpy as np
 
 from particles_mpi.kernels.jit import inner, kernel
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.particles import Array
+from particles_mpi.parallel.exchange import allgather_rows
+from particles_mpi.particles import Array, rows_of
 
 CHECK = 5  # iterations between two looks at what is left
 FINE, LARGE = 2.0**24, 2.0**14  # of whole numbers that stand for sums: units of 1, and the largest number
 MOST = 5000  # iterations
 OUTLIER = 20.0  # times the root mean square that is allowed may the largest error be
+FEW = 10_000  # half-edges of all ranks: so many are solved for by each
 EFFORT = 200_000  # half-edges times iterations that are always spent, as long as it is no waste: small piles are exact
 
 
@@ -243,21 +245,29 @@ class Solver:
         self.iterations = 0
 
     def solve(
-        self, edges: Edges, w: Array, targets: Targets, v: Array, taken: Array, exchange: Callable[[Array], None], least: int
+        self, edges: Edges, w: Array, targets: Targets, v: Array, taken: Array, ids: Array, exchange: Callable[[Array], None],
+        least: int,
     ) -> bool:  # fmt: skip
         """Velocities at which no contact closes faster than it may; v, and what each has `taken` (m,), in place.
+
+        ids: of rows and ghosts.
 
         Ends when errors are allowed and `least` iterations are done, or nothing but round-off is left, or after MOST
         iterations; returns whether errors are allowed. Collective.
         """
-        count = max(int(self.ranks.allreduce_sum(int((edges.step > 0.0).sum()))[0]), 1)
-        run = Run(self, tuple(edges), tuple(targets), w, v, taken, exchange)
+        count, every = self.ranks.allreduce_sum(np.array([(edges.step > 0.0).sum(), len(taken)]))
+        ranks, together = self.ranks, None
+        if ranks.size > 1 and every <= FEW:
+            together = Together(ranks, ids, edges, targets, w, v, taken)
+            run, ranks = Run(self.axes, False, *together.all, unchanged), Communicator.alone()
+        else:
+            run = Run(self.axes, ranks.size > 1, tuple(edges), tuple(targets), w, v, taken, exchange)
         done = 1
         while True:
             worst = run.advance(1, looks=True)
-            rough, left, most = self.ranks.allreduce_max(np.array(worst))
-            squares, work = self.ranks.allreduce_sum(np.array(whole_numbers(run.sums, most if most > 0.0 else 1.0)))
-            good = rough <= OUTLIER and squares <= count * FINE
+            rough, left, most = ranks.allreduce_max(np.array(worst))
+            squares, work = ranks.allreduce_sum(np.array(whole_numbers(run.sums, most if most > 0.0 else 1.0)))
+            good = rough <= OUTLIER and squares <= max(count, 1) * FINE
             if left <= 1.0 or (good and done >= least) or done >= MOST:
                 break
             if work > 0.0:
@@ -265,6 +275,8 @@ class Solver:
             run.advance(CHECK - 1)
             done += CHECK
         run.finish()
+        if together:
+            together.give_back(v, taken)
         self.iterations += done + 1
         return bool(good or left <= 1.0)
 
@@ -273,11 +285,11 @@ class Run:
     """The iterations of one solution: see `Solver.solve`."""
 
     def __init__(
-        self, solver: Solver, edges: tuple[Array, ...], targets: tuple[Array, ...], w: Array, v: Array, taken: Array,
-        exchange: Callable[[Array], None],
+        self, axes: tuple[int, ...], parallel: bool, edges: tuple[Array, ...], targets: tuple[Array, ...], w: Array, v: Array,
+        taken: Array, exchange: Callable[[Array], None],
     ):  # fmt: skip
         n = len(edges[0]) - 1
-        self.axes, self.parallel, self.exchange = solver.axes, solver.ranks.size > 1, exchange
+        self.axes, self.parallel, self.exchange = axes, parallel, exchange
         self.edges, self.targets, self.result = edges, targets, v
         self.v, self.other, self.sums = v.copy(), v.copy(), np.empty((n, 2))
         self.state = w, v[:n].copy(), taken, taken.copy()
@@ -309,3 +321,40 @@ class Run:
         self.advance(1)
         n = len(self.sums)
         self.result[:n] = self.v[:n]
+
+
+class Together:
+    """The contacts of all ranks on each of them, where they are so few that exchanges would take longer than the iterations.
+
+    Each rank then computes the same bits for all rows, in the order of ids. `all`: what `Run` takes, but for the exchange.
+    """
+
+    def __init__(self, ranks: Communicator, ids: Array, edges: Edges, targets: Targets, w: Array, v: Array, taken: Array):
+        n = len(edges.start) - 1
+        names = np.append(ids, -1)  # of a wall
+        columns = {"row": np.repeat(ids[:n], np.diff(edges.start)), "other": names[edges.partner], "taken": taken}
+        columns |= {name: getattr(edges, name) for name in ("normal", "share", "step")} | targets._asdict()
+        every = allgather_rows(ranks, columns)
+        rows = allgather_rows(ranks, {"id": ids[:n], "v": v[:n], "w": w[:n]})
+        order, by_row = np.argsort(rows["id"]), np.argsort(every["row"], kind="stable")
+        known, every = rows["id"][order], rows_of(every, by_row)
+        partner = np.searchsorted(known, every["other"])
+        partner[every["other"] < 0] = len(known)
+        start = np.searchsorted(every["row"], np.append(known, 2**62))
+        both = Edges(start, partner.astype(np.int32), *(every[name] for name in Edges._fields[2:]))
+        self.v = np.concatenate((rows["v"][order], np.zeros((1, v.shape[1]))))
+        self.taken = every["taken"]
+        wanted = tuple(every[name] for name in Targets._fields)
+        self.all = tuple(both), wanted, np.append(rows["w"][order], 0.0), self.v, self.taken
+        self.place = np.searchsorted(known, ids[:n])
+        self.first, self.count = start[self.place], np.diff(edges.start)
+
+    def give_back(self, v: Array, taken: Array) -> None:
+        """The solution for our rows."""
+        v[: len(self.place)] = self.v[self.place]
+        within = np.arange(len(taken)) - np.repeat(np.cumsum(self.count) - self.count, self.count)
+        taken[:] = self.taken[np.repeat(self.first, self.count) + within]
+
+
+def unchanged(v: Array) -> None:
+    """There are no ghosts."""

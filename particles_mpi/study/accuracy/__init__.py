@@ -8,5 +8,6 @@ softening       F: what softening changes and what it spares
 losses          G: drag, friction, bounces
 bouncing        the exact paths of bouncing balls, for G
 effects         H: what each effect costs, and that an absent one costs nothing
+resting         I: contacts that last, by the tolerance of their solution
 scene_accuracy  the settings and the effects of a scene of the user's
 """

@@ -1,0 +1,89 @@
+"""I: contacts that last. What the tolerance of their solution costs in a bed of spheres, and what it changes."""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from particles_mpi import Simulation
+from particles_mpi.particles import Array
+from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, everyone, slope
+from particles_mpi.study.hard_cases.resting import deepest_overlap
+
+TOLERANCES, EXACT = (1e-2, 1e-3, 1e-4, 1e-5), 1e-8
+N, QUICK_N, STEP, FALL = 2000, 600, 0.005, 400  # spheres; steps in which they fall and settle
+STEPS, QUICK_STEPS = 400, 60  # that are measured
+R, G = 0.05, 9.81
+ERRORS = {
+    "height": "how much higher or lower the mean sphere lies in the end, in radii",
+    "speed": "root mean square of speeds in the end, in what gravity gives in a step",
+    "overlap": "deepest, in radii",
+    "energy": "largest rise of the total energy from one row to the next, in the weight of the bed times R",
+}
+
+
+def bed(n: int, particles: dict[str, Any], tolerance: float, steps: int) -> dict[str, Any]:
+    """The scene of spheres in a box with gravity, e = 0.5, mode event."""
+    side = 2.0 * R * (n / 8.0) ** 0.5  # some eight layers
+    return {
+        "dimension": 3,
+        "seed": 1,
+        "box": {"lower": [0.0] * 3, "upper": [side, side, 50.0 * R]},
+        "time": {"step": STEP, "steps": steps},
+        "particles": [{"mass": 1.0, **particles}],
+        "effects": {
+            "uniform_gravity": {"acceleration": [0.0, 0.0, -G]},
+            "walls": {"restitution": 0.5},
+            "collisions": {"mode": "event", "restitution": 0.5, "contact_tolerance": tolerance},
+        },
+    }
+
+
+def measure(benchmark: Benchmark) -> list[Experiment]:
+    """I: a bed that has settled goes on with each tolerance. Collective."""
+    n, steps = (QUICK_N, QUICK_STEPS) if benchmark.quick else (N, STEPS)
+
+    @cache
+    def settled() -> dict[str, Any]:
+        start = {"count": n, "position": "random", "radius": {"min": 0.9 * R, "max": R}}
+        sim = benchmark.simulate(bed(n, start, TOLERANCES[2], FALL))
+        sim.run()
+        p = everyone(sim)
+        return {"position": p.position.tolist(), "radius": p.radius.tolist()}
+
+    def begin(tolerance: float) -> Simulation:
+        return benchmark.simulate(bed(n, settled(), tolerance, steps))
+
+    def heights(sim: Simulation) -> tuple[Array, float]:
+        """(heights of all spheres at the end of the run, largest rise of the energy)."""
+        before, rise = np.inf, 0.0
+        for _ in range(10):
+            for _ in range(steps // 10):
+                sim.step()
+            energy = sim.measure()["total_energy"]
+            rise, before = max(rise, energy - before), energy
+        return everyone(sim).position[:, 2], rise
+
+    exact = cache(lambda: heights(begin(EXACT))[0].mean())
+
+    def errors(sim: Simulation) -> Errors:
+        z, rise = heights(sim)
+        speed = (everyone(sim).velocity ** 2).sum(axis=1).mean() ** 0.5
+        return {
+            "height": abs(float(z.mean() - exact())) / R,
+            "speed": float(speed) / (G * STEP),
+            "overlap": max(deepest_overlap(sim), 0.0),
+            "energy": rise / (n * G * R),
+        }
+
+    settings = [Setting("event", tolerance, lambda t=tolerance: begin(t), steps, errors) for tolerance in TOLERANCES]  # type: ignore[misc]
+    title = f"A bed of {n} spheres that has settled, {steps * STEP:g} s more"
+    reference = f"a solution at a tolerance of {EXACT:g}"
+    found = benchmark.measure("I", title, settings, ERRORS, reference, "contact_tolerance")
+    first, default, last = found.rows[0], found.rows[2], found.rows[-1]
+    longer = (last.seconds.median / first.seconds.median) ** (1.0 / (len(found.rows) - 1))
+    found.answers = [
+        f"ten times as exact takes {longer:.1f} times as long; heights differ as tolerance^{slope(found.rows, 'height'):.1f}",
+        f"the default, {TOLERANCES[2]:g}: height within {default.errors['height']:.1e} R, overlap {default.errors['overlap']:.1e} R",
+    ]
+    return [found]
