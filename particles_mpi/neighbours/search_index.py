@@ -75,7 +75,8 @@ def build_index(midpoint: Array, bounding_radius: Array, owned: int, all_in_cell
     order, start = sort_rows(midpoint, level, SLOW, fine)
     place = np.empty(n, np.int32)
     place[order] = np.arange(len(order))
-    entry = np.column_stack((midpoint.take(order, axis=0)[:, :g], bounding_radius[order]))
+    entry = np.empty((len(order), g + 1))
+    entry[:, :g], entry[:, g] = midpoint[order, :g], bounding_radius[order]
     after, before, cell_of = np.empty((3, n), np.int32)
     linked = LinkedCells(np.full(coarse.cells.prod(), -1, np.int32), after, before, cell_of, coarse)
     link_rows(np.flatnonzero(level == FAST), midpoint, linked)

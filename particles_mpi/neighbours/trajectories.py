@@ -15,7 +15,7 @@ import numpy as np
 
 from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import kernel
-from particles_mpi.particles import Array, row_dot
+from particles_mpi.particles import Array
 
 
 class Horizon(NamedTuple):
@@ -66,9 +66,23 @@ def fastest(x, v):
 
 def start_paths(x: Array, v: Array, radius: Array, horizon: Horizon) -> tuple[Array, Array, Array]:
     """(path, midpoint, bounding radius) of rows that all start now, at time 0: see `Paths`."""
-    half = 0.5 * horizon.valid_until
-    path = np.column_stack((x, v, np.zeros(len(x)), radius))
-    return path, x + half * v, radius + horizon.tolerance + half * np.sqrt(row_dot(v, v))
+    path, midpoint, bounding_radius = np.empty((len(x), 2 * x.shape[1] + 2)), np.empty_like(x), np.empty(len(x))
+    fill_paths((0,) * x.shape[1], x, v, radius, horizon.tolerance, 0.5 * horizon.valid_until, path, midpoint, bounding_radius)
+    return path, midpoint, bounding_radius
+
+
+@kernel
+def fill_paths(axes, x, v, radius, tolerance, half, path, midpoint, bounding_radius):
+    """The columns of `start_paths`; `half` of the time until the horizon."""
+    d = len(axes)
+    for i in range(len(x)):
+        v2 = 0.0
+        for k in range(d):
+            path[i, k], path[i, d + k] = x[i, k], v[i, k]
+            midpoint[i, k] = x[i, k] + half * v[i, k]
+            v2 += v[i, k] * v[i, k]
+        path[i, 2 * d], path[i, 2 * d + 1] = 0.0, radius[i]
+        bounding_radius[i] = radius[i] + tolerance + half * sqrt(v2)
 
 
 @kernel

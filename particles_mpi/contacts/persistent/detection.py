@@ -108,6 +108,18 @@ def widths(radius, a, h, out):
 
 
 @kernel
+def gather(rows, position, velocity, a, supported, scale, x, v, push, held):
+    """The state of `rows` of the particles, pushes being accelerations times `scale`; the last row is that of a wall."""
+    d, last = x.shape[1], len(x) - 1
+    for n in range(len(rows)):
+        i = rows[n]
+        for k in range(d):
+            x[n, k], v[n, k], push[n, k] = position[i, k], velocity[i, k], scale * a[i, k]
+        held[n] = supported[i]
+    x[last], v[last], push[last], held[last] = 0.0, 0.0, 0.0, 0.0
+
+
+@kernel
 def find_contacts(axes, state, graph, inside, h, length, point, normal):
     """All half-edges between rows `inside` that may be slow, or that are among a crowd: the columns of `Contacts`.
 

@@ -25,6 +25,7 @@ from particles_mpi.contacts.persistent.detection import (
     Contacts,
     carried,
     find_contacts,
+    gather,
     inside_zone,
     loads,
     near_walls,
@@ -46,6 +47,7 @@ from particles_mpi.timers import Timers
 
 PRECISE = 1e-12  # of the slow speed: approach that does not matter
 SKIN = 0.3  # of the smallest radius: so far rows may move, two together, before the graph is made anew
+DILUTE = 1.0  # the same, in a gas: few pairs come near, but rows move far
 UNKNOWN = 10  # times the effort where nothing is remembered
 EXACT = 100  # iterations: a pile for which so many are always spent keeps no margin for what is left
 
@@ -84,6 +86,7 @@ class PersistentContacts:
         self.awake = True  # else particles pass through one another and through walls
         self.totals = {"unconverged": 0}  # of this rank, which are counted for all by rank 0
         self.graphs_made = 0
+        self.dilute = False  # has the graph few half-edges?
 
     def forget(self) -> None:
         """Nothing is known of what contacts took."""
@@ -172,26 +175,24 @@ class PersistentContacts:
         if not self.ranks.allreduce_min(float(good))[0] or self.graph is None:
             memory = send_home(self.ranks, self.remembered(), p)
             least = p.radius.min(initial=np.inf, where=p.radius > 0.0)
-            skin = SKIN * float(self.ranks.allreduce_min(least)[0])
+            skin = (DILUTE if self.dilute else SKIN) * float(self.ranks.allreduce_min(least)[0])
             skin = skin if skin < np.inf else 0.0
             rows = rows_in(p.position, wide + skin, zone)
             self.graph = ContactGraph(self.ranks, p, rows, wide, skin, self.length)
             self.taken = recall(memory, self.graph, len(self.point))
+            many = len(self.graph.other) - (4 if self.dilute else 1) * len(rows)
+            self.dilute = bool(self.ranks.allreduce_sum(many)[0] < 0)
             self.graphs_made += 1
         return self.graph
 
     def local(self, p: Particles, a: Array, h: float, graph: ContactGraph) -> Local:
         """The state of the graph's rows, and of ghosts as their owners have them. Collective."""
-        n, d, rows = len(graph.rows), p.dimension, graph.rows
-        table = np.zeros((graph.size + 1, 3 * d + 1))
-        table[:n, :d], table[:n, d : 2 * d], table[:n, 2 * d : 3 * d] = p.position[rows], p.velocity[rows], SLOW * h * a[rows]
-        table[:n, 3 * d] = p["supported"][rows]
-        graph.exchange(table)
-        x, v, push = (np.ascontiguousarray(table[:, k * d : (k + 1) * d]) for k in range(3))
-        supported = table[:, 3 * d]
-        return Local(
-            x, v, push, graph.radius, graph.inverse_mass, supported == CROWD, (supported != 0) & (graph.inverse_mass > 0.0)
-        )
+        size, d = graph.size + 1, p.dimension
+        x, v, push, supported = np.empty((size, d)), np.empty((size, d)), np.empty((size, d)), np.empty(size)
+        gather(graph.rows, p.position, p.velocity, a, p["supported"], SLOW * h, x, v, push, supported)
+        graph.exchange(x, v, push, supported)
+        w = graph.inverse_mass
+        return Local(x, v, push, graph.radius, w, supported == CROWD, (supported != 0) & (w > 0.0))
 
     def solve(
         self, p: Particles, local: Local, graph: ContactGraph, inside: Array, h: float, took: Array, known: bool,
