@@ -37,7 +37,8 @@ from particles_mpi.contacts.persistent.detection import (
 )
 from particles_mpi.contacts.persistent.graph import ContactGraph, Exchange, rows_in
 from particles_mpi.contacts.persistent.memory import NOTHING, Memory, recall, remember, send_home
-from particles_mpi.contacts.persistent.solver import EFFORT, OUTLIER, Edges, Solver, Targets, edges_of, solve_each
+from particles_mpi.contacts.persistent.on_walls import settle_on_walls
+from particles_mpi.contacts.persistent.solver import EFFORT, OUTLIER, Edges, Solver, Targets, edges_of
 from particles_mpi.contacts.walls import Planes
 from particles_mpi.kernels.markers import CROWD, PRESSED
 from particles_mpi.parallel.communicator import Communicator
@@ -218,7 +219,7 @@ class PersistentContacts:
         self.totals["unconverged"] += self.ranks.is_root and not good
         n = len(graph.rows)
         bears = np.maximum(taken, before) if again else taken
-        self.give_back(p, graph.rows, v[:n] - local.v[:n], v[:n], edges.start, bears)
+        self.give_back(p, graph.rows, v[:n], carried(edges.start, bears))
         all_taken = np.zeros(len(took))
         all_taken[contacts.slot] = taken
         return all_taken
@@ -252,34 +253,20 @@ class PersistentContacts:
 
     def keep_on_walls(self, p: Particles, a: Array, h: float, rows: Array) -> None:
         """As `keep`, of rows that nothing but walls can hold: each by itself."""
-        n, wall = len(rows), np.zeros((1, p.dimension))
-        x, v, push = (np.concatenate((part, wall)) for part in (p.position[rows], p.velocity[rows], SLOW * h * a[rows]))
-        radius, w = np.append(p.radius[rows], np.inf), np.append(p.inverse_mass[rows], 0.0)
-        supported = (np.append(p["supported"][rows], 0) != 0) & (w > 0.0)
-        local = Local(x, v, push, radius, w, np.zeros(n + 1, np.bool_), supported)
-        none = np.zeros(n + 1, np.int64), np.empty(0, np.int32)
-        contacts = self.contacts(local, none, np.ones(n + 1, np.bool_), h)
-        borne, nothing, after = np.zeros(len(contacts.gap)), np.zeros(len(contacts.gap)), v.copy()
-        touch = self.edges(local, contacts, contacts.gap <= contacts.widest * h, alone)
-        solve_each(self.solver.axes, tuple(touch), w, tuple(exactly(contacts)), push.copy(), borne)
-        pressed = self.pressed(local, contacts, borne, nothing, alone)
-        chosen, targets = self.slow(local, contacts, nothing, pressed, h, 0.0)
-        edges = self.edges(local, contacts, chosen, alone)
-        solve_each(self.solver.axes, tuple(edges), w, tuple(targets), after, nothing)
-        self.give_back(p, rows, (after - v)[:n], after[:n], edges.start, nothing)
+        fields = p.position, p.velocity, p.radius, p.mass, p.fixed, p["supported"]
+        v, held = settle_on_walls(
+            self.solver.axes, rows, fields, a, h, self.length, (self.point, self.normal), PRECISE
+        )  # fmt: skip
+        self.give_back(p, rows, v, held)
 
-    def give_back(self, p: Particles, rows: Array, given: Array, v: Array, start: Array, taken: Array) -> None:
-        """To our particles: velocities v of `rows`, and who is supported, having one of the contacts that took something."""
-        self.given = rows, given
+    def give_back(self, p: Particles, rows: Array, v: Array, held: Array) -> None:
+        """To our particles: velocities v of `rows`, and which of them contacts hold."""
+        self.given = rows, v - p.velocity[rows]
         p.velocity[rows] = v
-        p["supported"][rows] = PRESSED * carried(start, taken)
+        p["supported"][rows] = PRESSED * held
 
 
 def exactly(contacts: Contacts) -> Targets:
     """That nothing closes, but for round-off of the widest pushes."""
     tight = 1.0 / (PRECISE * contacts.widest)
     return Targets(np.zeros(len(tight)), tight, tight)
-
-
-def alone(*columns: Array) -> None:
-    """There are no ghosts."""

@@ -1,0 +1,49 @@
+"""Rows that nothing but walls can hold: each by itself, in one kernel, for most scenes have few of them."""
+
+from math import inf
+
+import numpy as np
+
+from particles_mpi.contacts.persistent.detection import SLOW, carried, find_contacts, gather, loads, pressing, slow
+from particles_mpi.contacts.persistent.solver import bound_rows, solve_each, step_lengths
+from particles_mpi.kernels.jit import kernel
+
+
+@kernel
+def settle_on_walls(axes, rows, fields, a, h, length, planes, precise):
+    """(velocities (n, d) of `rows` that keep slow contacts with walls, which of them these contacts hold (n,) uint8).
+
+    fields: position, velocity, radius, mass, fixed, supported of all rows of the rank; planes: points and normals; `precise`: of
+    the speed below which a contact is slow, the error that is allowed.
+    """
+    position, velocity, radii, mass, fixed, supported = fields
+    n, d = len(rows), len(axes)
+    x, v, push, was = np.empty((n + 1, d)), np.empty((n + 1, d)), np.empty((n + 1, d)), np.empty(n + 1)
+    gather(rows, position, velocity, a, supported, SLOW * h, x, v, push, was)
+    radius, w, held = np.full(n + 1, inf), np.zeros(n + 1), np.zeros(n + 1, np.bool_)
+    for r in range(n):
+        i = rows[r]
+        radius[r] = radii[i]
+        if fixed[i] == 0 and mass[i] > 0.0:
+            w[r] = 1.0 / mass[i]
+        held[r] = was[r] != 0.0 and w[r] > 0.0
+    nobody, all_rows = (np.zeros(n + 1, np.int64), np.empty(0, np.int32)), np.ones(n + 1, np.bool_)
+    state = x, v, push, radius, w, np.zeros(n + 1, np.bool_)
+    contacts = find_contacts(axes, state, nobody, all_rows, h, length, planes[0], planes[1])
+    start, partner, _, normal, gap, widest, _, _ = contacts
+    borne, nothing, bound = np.zeros(len(gap)), np.zeros(len(gap)), np.zeros(n + 1)
+    touch = gap <= widest * h
+    bound_rows(axes, start, normal, w, touch, bound)
+    share, step = step_lengths(start, partner, w, touch, bound)
+    tight = 1.0 / (precise * widest)
+    solve_each(axes, (start, partner, normal, share, step), w, (nothing, tight, tight), push.copy(), borne)
+    left, stress = np.zeros((n + 1, d)), np.zeros((n + 1, d, d))
+    loads(axes, start, partner, normal, w, borne, push, left, stress)
+    pressed = pressing(axes, start, partner, normal, borne, nothing, left, stress)
+    chosen, may_close, loose, tight = slow(contacts, nothing, (held, radius), pressed, h, 0.0, 0.0, precise)
+    bound[:] = 0.0
+    bound_rows(axes, start, normal, w, chosen, bound)
+    share, step = step_lengths(start, partner, w, chosen, bound)
+    taken = np.zeros(len(gap))
+    solve_each(axes, (start, partner, normal, share, step), w, (may_close, loose, tight), v, taken)
+    return v[:n], carried(start, taken)
