@@ -8,21 +8,26 @@ import numpy as np
 
 from particles_mpi.kernels.jit import plain
 from particles_mpi.kernels.motion import Segments
-from particles_mpi.neighbours.halo_region import HaloRegion, everywhere, renew_paths
+from particles_mpi.neighbours.cells import FINE, LinkedCells, grid, sort_rows, spacing
+from particles_mpi.neighbours.halo_region import HaloRegion, everywhere
 from particles_mpi.neighbours.pair_search import AT_ONCE, drop_pairs, find_partners
-from particles_mpi.neighbours.search_index import build_index, move_rows
+from particles_mpi.neighbours.search_index import SLOW, SearchIndex, SortedCells, fill_cells, levels, move_rows
 from particles_mpi.neighbours.trajectories import (
     AT_REST,
     Horizon,
     Paths,
     Spheres,
     find_near_walls,
+    renew_paths,
     rows_leaving,
     rows_turned,
     start_paths,
 )
 from particles_mpi.particles import Array
 
+SLOWEST = 2.2  # times the mean bounding radius: rows beyond it are FAST, one in a hundred of a gas
+LARGEST = 8.0  # times the mean bounding radius: rows beyond it are OVERSIZE, if they are few
+FEW = 64
 EXPECTED = 6  # contacts of a sphere in a heap, twice what are needed to rest
 ALONE = 4  # times as long takes a test for a row that asks alone: its surroundings are not in the cache
 
@@ -36,10 +41,10 @@ class Hits(NamedTuple):
 
 
 class Candidates:
-    """Pairs of rows that can touch, the rows near walls, and room for the `hits` of both.
+    """`pairs` are the candidate pairs as rows (first, second), `near_wall` the rows near walls, `hits` room for contacts of both.
 
     x, v (n, d) may change in place: `leaving` finds rows that forces bend away from their paths, `turned` those that contacts
-    turned, and `follow` gives them new ones. `expected` pairs have room from the start.
+    turned, and `follow` gives them new ones. The first `expected` pairs have room from the start.
     """
 
     def __init__(
@@ -59,6 +64,7 @@ class Candidates:
         self.time = 0.0  # since the search
         n = len(x)
         self.marked, self.around = np.zeros(n, np.bool_), np.empty(n + AT_ONCE, np.int32)  # scratch of kernels
+        self.chosen = np.empty(n, np.int32)
         self.pair_count = self.wall_count = self.tests = self.asked = 0
         self.first, self.second = np.empty(0, np.int32), np.empty(0, np.int32)
         self.reserve(expected + expected // 4 + 256)
@@ -83,15 +89,27 @@ class Candidates:
 
     def search(self) -> None:
         """All candidates, from cells made anew."""
-        radius, horizon = self.spheres.radius, self.horizon
-        path, first_midpoint, bounding_radius = start_paths(self.x, self.v, radius, horizon)
-        midpoint, periodic = first_midpoint.copy(), self.length[self.length > 0.0]
-        widest = 2.0 * float(radius.max(initial=0.0)) + 4.0 * horizon.bound
-        all_in_cells = bool((0.5 * periodic < widest).any())  # OVERSIZE rows only know the nearest image of a partner
-        level, index = build_index(midpoint, bounding_radius, self.spheres.owned, all_in_cells)
-        self.paths, self.index = Paths(path, midpoint, bounding_radius, level, first_midpoint), plain(index)
+        n, radius = len(self.x), self.spheres.radius
+        path, first_midpoint, bounding_radius, mean, box, own_box = start_paths(
+            self.axes, self.x, self.v, radius, self.horizon, self.spheres.owned
+        )
+        midpoint = first_midpoint.copy()
+        limit = LARGEST * mean
+        largest, periodic = float(radius.max(initial=0.0)), self.length[self.length > 0.0]
+        if len(periodic) and 2.0 * largest + 4.0 * self.horizon.bound > 0.5 * periodic.min():
+            limit = np.inf  # no row is OVERSIZE: those only know the nearest image of a partner
+        level, oversize, count, reaches = levels(bounding_radius, SLOWEST * mean, limit, FEW)
+        self.paths = Paths(path, midpoint, bounding_radius, level, first_midpoint)
+        low, high = box
+        apart = spacing(low, high, n)
+        fine = grid(midpoint, (low, high), max(0.9 * apart, 0.6 * mean), FINE)
+        order, start = sort_rows(midpoint, level, SLOW, fine)
+        coarse = grid(midpoint, (low, high), max(2.0 * apart, 2.0 * mean), 1)
+        place, entry, head, after, before, cell_of = fill_cells(self.paths, order, coarse)
+        cells = SortedCells(order, start, place, entry, fine), LinkedCells(head, after, before, cell_of, coarse)
+        self.index = plain(SearchIndex(*cells, oversize, np.array([count]), reaches, limit, low, high, *own_box))
         self.path_arrays = tuple(self.paths)
-        self.ask(np.arange(len(self.x), dtype=np.int32), everything=True)
+        self.ask(np.arange(n, dtype=np.int32), everything=True)
 
     def ask(self, rows: Array, everything: bool) -> None:
         """Replace the candidates of `rows`."""
@@ -116,13 +134,15 @@ class Candidates:
 
     def leaving(self, h: float) -> Array:
         """Rows that a drift over h from now takes away from their paths."""
-        tolerance = self.horizon.tolerance
-        return np.asarray(rows_leaving(self.axes, self.x, self.v, self.paths.path, self.time, h, tolerance, self.length))
+        found = rows_leaving(
+            self.axes, self.x, self.v, self.paths.path, self.time, h, self.horizon.tolerance, self.length, self.chosen
+        )
+        return self.chosen[:found]
 
     def turned(self, rows: Array, start: Array) -> Array:
         """Those of `rows` whose segments, begun at `start` (n,), leave their paths before the horizon; reorders `rows`."""
-        horizon = tuple(self.horizon)
-        return np.asarray(rows_turned(self.x, self.v, start, self.paths.path, rows, self.time, horizon, self.length))
+        found = rows_turned(self.x, self.v, start, self.paths.path, rows, self.time, tuple(self.horizon), self.length)
+        return rows[:found]
 
     def follow(self, rows: Array, segments: Segments, h: float) -> float:
         """New paths and candidates for `rows`, on their segments in the drift over h.

@@ -1,17 +1,19 @@
 """What ranks tell one another of the particles that others hold as ghosts: states, selected partners in a pass, new segments.
 
-After a pass a message holds only the rows to which something happened, each with its place among those that the rank holds.
+After a pass a message holds only the rows to which something happened. `Halo.exchange` sends what `pack_...` wrote into a buffer
+of numbers, and `unpack_...` reads it; `words` is such a buffer seen as int64.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from particles_mpi.kernels.jit import kernel
 from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.kernels.motion import Segments
+from particles_mpi.neighbours.rank_boxes import index_of
 from particles_mpi.parallel.exchange import Halo
 from particles_mpi.particles import Array
 
@@ -29,70 +31,132 @@ def message_width(dimension: int) -> int:
     return max(3 + 2 * dimension, 3 * dimension)
 
 
-def refresh(halo: Halo, columns: Sequence[Array]) -> None:
-    """Ghost rows of all columns (n, d) as their owners have them: a message has one after the other."""
-    number, d = len(columns), columns[0].shape[1]
+def refresh(halo: Halo, x: Array, v: Array, a: Array) -> None:
+    """Ghost rows of x, v and accelerations a (n, d), as their owners have them; a without rows is the same for all."""
+    for first, message in halo.exchange(lambda rows, buffer: pack_state(rows, x, v, a, buffer)):
+        unpack_state(first, message, x, v, a)
+
+
+def exchange_selections(halo: Halo, selected: Array, first_rows: Array, second_rows: Array, marked: Array) -> None:
+    """The selected partners of owned rows with hits, to all who hold them as ghosts. `marked`: no row, now and after."""
 
     def pack(rows: Array, buffer: Array) -> int:
-        parts = buffer[: number * len(rows) * d].reshape(number, len(rows), d)
-        for column, part in zip(columns, parts, strict=True):
-            column.take(rows, axis=0, out=part, mode="clip")
-        return parts.size
+        return int(pack_selections(rows, selected, first_rows, second_rows, halo.owned, marked, buffer.view(np.int64)))
 
     for first, message in halo.exchange(pack):
-        for column, part in zip(columns, message.reshape(number, -1, d), strict=True):
-            column[first : first + len(part)] = part
-
-
-def places(rows: Array, of: Array) -> tuple[Array, Array]:
-    """(those rows `of` that are among `rows`, which ascend; their places there)."""
-    place = np.searchsorted(rows, of)
-    among = rows.take(place, mode="clip") == of
-    return of[among], place[among]
-
-
-def exchange_selections(halo: Halo, selected: Array, first_rows: Array, second_rows: Array) -> None:
-    """The selected partners of owned rows with hits, to all who hold them as ghosts."""
-    hit = np.unique(np.concatenate((first_rows, second_rows)))
-    hit = hit[(hit >= 0) & (hit < halo.owned)]
-    hit = hit[selected[hit] != NOBODY]
-
-    def pack(rows: Array, buffer: Array) -> int:
-        mine, place = places(rows, hit)
-        words = buffer[: 2 * len(mine)].view(np.int64).reshape(-1, 2)
-        words[:, 0], words[:, 1] = place, selected[mine]
-        return words.size
-
-    for first, message in halo.exchange(pack):
-        words = message.view(np.int64).reshape(-1, 2)
-        selected[first + words[:, 0]] = words[:, 1]
+        unpack_selections(first, message.view(np.int64), selected)
 
 
 def exchange_segments(halo: Halo, active: Active, segments: Segments) -> None:
-    """New segments of active owned rows to all who hold them as ghosts; they are active there too if the segment is new.
+    """New segments of active owned rows to all who hold them as ghosts; they are active there too if the segment is new."""
+    own = active.rows[: active.number[0]]  # at this moment
+    all_ = tuple(segments)
+    for first, message in halo.exchange(lambda rows, buffer: pack_segments(rows, own, all_, buffer, buffer.view(np.int64))):
+        unpack_segments(first, message, message.view(np.int64), tuple(active), all_)
+
+
+@kernel
+def any_of(marks, a, b):
+    """Is a row of a, or one of b that is no wall (b < 0), marked?"""
+    found = False
+    for p in range(len(a)):
+        found |= marks[a[p]] or (b[p] >= 0 and marks[b[p]])
+    return found
+
+
+@kernel
+def pack_state(rows, x, v, a, out):
+    """x and v of rows, and a if it has rows, one after the other."""
+    d = x.shape[1]
+    size = 0
+    for i in rows:
+        for k in range(d):
+            out[size + k] = x[i, k]
+            out[size + d + k] = v[i, k]
+            if len(a) > 0:
+                out[size + 2 * d + k] = a[i, k]
+        size += 3 * d if len(a) > 0 else 2 * d
+    return size
+
+
+@kernel
+def unpack_state(first, message, x, v, a):
+    """What pack_state wrote, to the rows from `first` on."""
+    d = x.shape[1]
+    each = 3 * d if len(a) > 0 else 2 * d
+    for r in range(len(message) // each):
+        for k in range(d):
+            x[first + r, k] = message[each * r + k]
+            v[first + r, k] = message[each * r + d + k]
+            if len(a) > 0:
+                a[first + r, k] = message[each * r + 2 * d + k]
+
+
+@kernel
+def pack_selections(rows, selected, first_rows, second_rows, owned, marked, words):
+    """(place among rows, selected partner) of the owned rows of the hits that are among them."""
+    size = 0
+    for told in (True, False):  # each row once, and all unmarked again
+        for p in range(len(first_rows)):
+            for i in (first_rows[p], second_rows[p]):
+                if 0 <= i < owned and marked[i] != told:
+                    marked[i] = told
+                    place = index_of(i, rows) if told and selected[i] != NOBODY else -1
+                    if place >= 0:
+                        words[size] = place
+                        words[size + 1] = selected[i]
+                        size += 2
+    return size
+
+
+@kernel
+def unpack_selections(first, words, selected):
+    """What pack_selections wrote."""
+    for m in range(0, len(words), 2):
+        selected[first + words[m]] = words[m + 1]
+
+
+@kernel
+def pack_segments(rows, active_rows, segments, out, words):
+    """(place among rows, last partner, start, x, v) of the active rows that are among them."""
+    x, v, start, last_partner = segments
+    d = x.shape[1]
+    size = 0
+    for i in active_rows:
+        place = index_of(i, rows)
+        if place >= 0:
+            words[size] = place
+            words[size + 1] = last_partner[i]
+            out[size + 2] = start[i]
+            for k in range(d):
+                out[size + 3 + k] = x[i, k]
+                out[size + 3 + d + k] = v[i, k]
+            size += 3 + 2 * d
+    return size
+
+
+@kernel
+def unpack_segments(first, message, words, active, segments):
+    """What pack_segments wrote; rows whose segment is new become active.
 
     Two who overlap may meet again in no time, after one of them met another: then only the velocity tells the segments apart.
     """
     x, v, start, last_partner = segments
-    d, turned = x.shape[1], active.rows[: active.number[0]]  # at this moment
-    width = 3 + 2 * d
-
-    def pack(rows: Array, buffer: Array) -> int:
-        mine, place = places(rows, turned)
-        table = buffer[: width * len(mine)].reshape(-1, width)
-        words = table.view(np.int64)
-        words[:, 0], words[:, 1], table[:, 2] = place, last_partner[mine], start[mine]
-        table[:, 3 : 3 + d], table[:, 3 + d :] = x[mine], v[mine]
-        return table.size
-
-    for first, message in halo.exchange(pack):
-        table = message.reshape(-1, width)
-        words = table.view(np.int64)
-        rows = first + words[:, 0]
-        is_new = (last_partner[rows] != words[:, 1]) | (start[rows] != table[:, 2]) | (v[rows] != table[:, 3 + d :]).any(axis=1)
-        awakened = rows[is_new & ~active.flag[rows]]
-        count = active.number[0]
-        active.flag[awakened], active.rows[count : count + len(awakened)] = True, awakened
-        active.number[0] += len(awakened)
-        last_partner[rows], start[rows] = words[:, 1], table[:, 2]
-        x[rows], v[rows] = table[:, 3 : 3 + d], table[:, 3 + d :]
+    flag, active_rows, number = active
+    d = x.shape[1]
+    count = number[0]
+    for m in range(0, len(message), 3 + 2 * d):
+        i = first + words[m]
+        is_new = last_partner[i] != words[m + 1] or start[i] != message[m + 2]
+        for k in range(d):
+            is_new |= v[i, k] != message[m + 3 + d + k]
+        if is_new and not flag[i]:
+            flag[i] = True
+            active_rows[count] = i
+            count += 1
+        last_partner[i] = words[m + 1]
+        start[i] = message[m + 2]
+        for k in range(d):
+            x[i, k] = message[m + 3 + k]
+            v[i, k] = message[m + 3 + d + k]
+    number[0] = count

@@ -1,4 +1,8 @@
-"""The neighbourhood of a rank's particles: ghosts, and candidates that hold until a horizon."""
+"""The neighbourhood of a rank's particles: ghosts, and candidates that hold until a horizon.
+
+Owned rows come first in every array, ghosts behind them. The particles' own position and velocity are the first `owned`
+rows, so that forces and drift work in place on what the pair search reads.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,7 @@ from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.kernels.motion import Segments, end_segments
 from particles_mpi.neighbours.candidates import Candidates, Hits
 from particles_mpi.neighbours.cells import GRIDDED, bounds, order_in_space, spacing
-from particles_mpi.neighbours.halo import Active, message_width, refresh
+from particles_mpi.neighbours.halo import Active, any_of, message_width, refresh
 from particles_mpi.neighbours.halo_region import HaloRegion, everywhere, fetch_near_rows
 from particles_mpi.neighbours.rebuild_interval import RebuildTuner
 from particles_mpi.neighbours.trajectories import Horizon, Spheres, fastest
@@ -27,16 +31,17 @@ from particles_mpi.timers import Timers
 
 SORT_EVERY = 2  # searches; between two sorts in space the rows keep their order, which changes slowly
 SLACK = 0.2  # how far rows may get over the border of their rank's box, in paths of the fastest one
-MOVING = "position", "velocity", "total_acceleration"
+NONE = np.empty((0, 0))
 TOO_MANY = 0.1  # of the rows left their paths at once: a search of all is cheaper than one for each
 
 
 class Neighbourhood:
     """Ghosts and candidates of this rank: `prepare` renews them where a drift needs it, `follow` after contacts.
 
-    `segments`, `spheres` and the arrays of `fields` hold the owned rows, which are the particles' own arrays, then ghosts; x, v
-    are those of `segments`, and `rows` are both as plain tuples, for kernels. `active`: rows with news in this pass. `planes`:
-    (point, normal) of the walls. `kicked`: do forces or dissipation change velocities? If not, ghosts fly on by themselves.
+    `segments`, `spheres` and the arrays of `fields` hold the owned rows, then ghosts; x, v are those of `segments`, and `rows`
+    are both as plain tuples, for kernels. `active`: rows with news in this pass. `candidates`: the pairs among all these that
+    can touch. `planes`: (point, normal) of the walls. `kicked`: do forces or dissipation change velocities? If not, ghosts fly
+    on by themselves, and only contacts need a message.
     """
 
     windows_redone = None  # ranks compute windows of time in mode event only
@@ -82,7 +87,7 @@ class Neighbourhood:
         """
         if self.halo:
             with self.timers("ghosts"):
-                refresh(self.halo, [self.fields[name] for name in MOVING if name in self.fields])
+                refresh(self.halo, self.x, self.v, self.fields.get("total_acceleration", NONE))
         if not self.searches:
             return np.inf
         with self.timers("pairs"):
@@ -173,9 +178,7 @@ class Neighbourhood:
 
     def concern_others(self, hits: Hits) -> bool:
         """Is a row among the hits that other ranks hold too?"""
-        if self.halo is None:
-            return False
-        return bool(self.shared[hits.first].any() or self.shared[hits.second[hits.second >= 0]].any())
+        return self.halo is not None and any_of(self.shared, hits.first, hits.second)
 
     def follow(self, h: float) -> float:
         """After a pass in the drift over h: candidates for the segments of the active rows.

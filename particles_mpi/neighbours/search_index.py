@@ -12,83 +12,92 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.kernels.jit import kernel, lean
-from particles_mpi.neighbours.cells import (
-    FINE,
-    GRIDDED,
-    Grid,
-    LinkedCells,
-    bounds,
-    cell_at,
-    grid,
-    link,
-    sort_rows,
-    spacing,
-    unlink,
-)
+from particles_mpi.neighbours.cells import Grid, LinkedCells, cell_at, link, unlink
 from particles_mpi.particles import Array
 
 SLOW, FAST, OVERSIZE = 0, 1, 2
-SLOWEST = 2.2  # times the mean bounding radius: rows beyond it are FAST, one in a hundred of a gas
-LARGEST = 8.0  # times the mean bounding radius: rows beyond it are OVERSIZE, if no more than FEW are
-FEW = 64
 
 
 class SortedCells(NamedTuple):
-    """SLOW rows in the order of their cells."""
+    """SLOW rows in the order of their cells: rows `order` (m,) by place, and places where each cell starts (cells + 1 or more).
 
-    order: Array  # (m,) the rows by place
-    start: Array  # (cells + 1 or more,) the place where each cell starts
-    place: Array  # (n,) of each row in `order`
-    entry: Array  # (m, g + 1) by place: midpoint on the g gridded axes, and bounding radius
+    place (n,): where a row is in `order`. entry (m, g + 1): by place, midpoint on the g gridded axes and bounding radius.
+    """
+
+    order: Array
+    start: Array
+    place: Array
+    entry: Array
     grid: Grid
 
 
 class SearchIndex(NamedTuple):
-    """By what `find_partners` finds rows."""
+    """By what `find_partners` finds rows: SLOW ones in `sorted`, FAST ones in `linked`, the first number[0] of `oversize`.
 
-    sorted: SortedCells  # SLOW rows
-    linked: LinkedCells  # FAST rows
-    oversize: Array  # of which the first number[0] are OVERSIZE rows
+    largest (2,): the largest bounding radius of SLOW and of FAST rows; with a larger one than `limit` a row is OVERSIZE.
+    low, high (d,): bounds of all midpoints, and own_low, own_high of those of owned rows.
+    """
+
+    sorted: SortedCells
+    linked: LinkedCells
+    oversize: Array
     number: Array
-    largest: Array  # (2,) largest bounding radius of SLOW rows, and of FAST ones
-    limit: float  # with a larger bounding radius a row is OVERSIZE
-    low: Array  # (d,) bounds of all midpoints
+    largest: Array
+    limit: float
+    low: Array
     high: Array
-    own_low: Array  # (d,) those of owned rows
+    own_low: Array
     own_high: Array
 
 
-def build_index(midpoint: Array, bounding_radius: Array, owned: int, all_in_cells: bool) -> tuple[Array, SearchIndex]:
-    """(level (n,), the index) of rows with these midpoints (n, d); if `all_in_cells`, none is OVERSIZE now or later."""
-    n, g = len(midpoint), min(midpoint.shape[1], GRIDDED)
-    mean = float(bounding_radius.mean()) if n else 0.0
-    limit = inf if all_in_cells else LARGEST * mean
-    level = np.where(bounding_radius <= SLOWEST * mean, SLOW, FAST).astype(np.int8)
-    oversize, beyond = np.empty(n, np.int32), np.flatnonzero(bounding_radius > limit)
-    count = len(beyond) if len(beyond) <= FEW else 0
-    level[beyond[:count]] = OVERSIZE
-    oversize[:count] = beyond[:count]
-    largest = np.array([bounding_radius[level == which].max(initial=0.0) for which in (SLOW, FAST)])
-    low, high = box = bounds(midpoint)
-    apart = spacing(low, high, n)
-    fine, coarse = grid(midpoint, box, max(0.9 * apart, 0.6 * mean), FINE), grid(midpoint, box, 2.0 * max(apart, mean), 1)
-    order, start = sort_rows(midpoint, level, SLOW, fine)
-    place = np.empty(n, np.int32)
-    place[order] = np.arange(len(order))
-    entry = np.empty((len(order), g + 1))
-    entry[:, :g], entry[:, g] = midpoint[order, :g], bounding_radius[order]
-    after, before, cell_of = np.empty((3, n), np.int32)
-    linked = LinkedCells(np.full(coarse.cells.prod(), -1, np.int32), after, before, cell_of, coarse)
-    link_rows(np.flatnonzero(level == FAST), midpoint, linked)
-    in_order = SortedCells(order, start, place, entry, fine)
-    return level, SearchIndex(in_order, linked, oversize, np.array([count]), largest, limit, low, high, *bounds(midpoint[:owned]))
+@kernel
+def levels(bounding_radius, slow, fast, most):
+    """(level of each row, OVERSIZE rows, their number, largest bounding radius of SLOW rows and of FAST ones).
+
+    SLOW are rows with a bounding radius up to `slow`, FAST up to `fast`, and OVERSIZE beyond; but if more than `most` are
+    beyond, they are FAST.
+    """
+    beyond = 0
+    for r in bounding_radius:
+        beyond += r > fast
+    level = np.empty(len(bounding_radius), np.int8)
+    oversize = np.empty(len(bounding_radius), np.int32)
+    count = 0
+    largest = np.zeros(2)
+    for i in range(len(bounding_radius)):
+        if bounding_radius[i] <= slow:
+            level[i] = SLOW
+        elif bounding_radius[i] <= fast or beyond > most:
+            level[i] = FAST
+        else:
+            level[i] = OVERSIZE
+            oversize[count] = i
+            count += 1
+            continue
+        largest[level[i]] = max(largest[level[i]], bounding_radius[i])
+    return level, oversize, count, largest
 
 
 @kernel
-def link_rows(rows, midpoint, linked):
-    """Put rows into the linked cells of their midpoints."""
-    for i in rows:
-        link(i, cell_at(midpoint, i, linked.grid), linked)
+def fill_cells(paths, order, grid):
+    """(place, entry) of `SortedCells` for SLOW rows `order`; (head, after, before, cell_of) of `LinkedCells` for FAST ones."""
+    _, midpoint, bounding_radius, level, _ = paths
+    n, g = len(midpoint), min(midpoint.shape[1], 3)
+    place = np.empty(n, np.int32)
+    entry = np.empty((len(order), g + 1))
+    for e in range(len(order)):
+        i = order[e]
+        place[i] = e
+        for k in range(g):
+            entry[e, k] = midpoint[i, k]
+        entry[e, g] = bounding_radius[i]
+    head = np.full(grid.cells[0] * grid.cells[1] * grid.cells[2], -1, np.int32)
+    after, before, cell_of = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
+    linked = LinkedCells(head, after, before, cell_of, grid)
+    for i in range(n):
+        if level[i] == FAST:
+            link(i, cell_at(midpoint, i, grid), linked)
+    return place, entry, head, after, before, cell_of
 
 
 @lean
@@ -97,7 +106,7 @@ def move_rows(rows, paths, owned, index):
     _, midpoint, bounding_radius, level, _ = paths
     sorted_, linked, oversize, number, largest, limit, low, high, own_low, own_high = index
     _, _, place, entry, _ = sorted_
-    _, _, _, _, linked_grid = linked
+    _, _, _, _, grid = linked
     for r in range(len(rows)):
         i = np.int64(rows[r])
         for k in range(midpoint.shape[1]):
@@ -119,4 +128,4 @@ def move_rows(rows, paths, owned, index):
         else:
             level[i] = FAST
             largest[FAST] = max(largest[FAST], bounding_radius[i])
-            link(i, cell_at(midpoint, i, linked_grid), linked)
+            link(i, cell_at(midpoint, i, grid), linked)

@@ -1,52 +1,68 @@
 """Where particles will be for some steps: straight paths, which they follow give or take a tolerance.
 
-Every row has a *path*: a straight line x0 + v0 (t - t0) that it is expected to follow until the `Horizon`. A pair can touch only
-if, at some moment until then, its paths come nearer than R_i + R_j + 2 tolerance: those are the candidates, which hold as
-long as rows stay within the tolerance of their paths. A row that does not (a contact turned it, a force bent its way) gets a new
-path, and partners are sought for that row alone. Times count from the last search for all candidates.
+Every row has a *path*: a straight line x0 + v0 (t - t0) that it is expected to follow until the candidates end to be valid
+(`Horizon`). A pair can touch only if, at some moment until then, its paths come nearer than R_i + R_j + 2 tolerance: those are
+the candidates, and `pair_search` finds them. They hold for as long as rows stay within the tolerance of their paths. A row
+that does not (a contact turned it, a force bent its way) gets a new path, and partners are sought for that row alone.
+
+A path is found in cells by its midpoint and by a radius around that: see `Paths`. Everything here may say that two can meet
+which do not; how often it does costs time, and never changes a result. Times count from the last search for all candidates.
 """
 
 from __future__ import annotations
 
-from math import sqrt
+from math import inf, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import kernel
+from particles_mpi.neighbours.rank_boxes import index_of, time_in_box, time_to_box
 from particles_mpi.particles import Array
 
 
 class Horizon(NamedTuple):
-    """What candidates are good for."""
+    """What candidates are good for.
 
-    valid_until: float  # the time until which they hold
-    tolerance: float  # how far a row may be from its path
-    bound: float  # how far a row may get from the midpoint of its first path, tolerance included
-    slack: float  # how far rows may get out of their rank's box: see `halo_region`
+    valid_until: the time until which they hold. tolerance: how far a row may be from its path. bound: how far it may get from
+    the midpoint of its first path, tolerance included. slack: how far rows may get out of their rank's box (`halo_region`).
+    """
+
+    valid_until: float
+    tolerance: float
+    bound: float
+    slack: float
 
 
 AT_REST = Horizon(0.0, 0.0, 0.0, 0.0)
 
 
 class Spheres(NamedTuple):
-    """What does not change from step to step, of all rows: first the `owned` ones of this rank, then ghosts."""
+    """What does not change from step to step, of all rows: radius, inverse_mass = 1/m or 0 if fixed, id (n,).
+
+    The first `owned` rows are those of this rank, and ghosts follow.
+    """
 
     radius: Array
-    inverse_mass: Array  # 1/m, or 0 if fixed
+    inverse_mass: Array
     id: Array
     owned: int
 
 
 class Paths(NamedTuple):
-    """The paths of all rows, and what encloses them until the horizon."""
+    """The paths of all rows, and what encloses them until the horizon.
 
-    path: Array  # (n, 2d + 2): a row is (x0, v0, t0, R), so that all of it lies together in memory
-    midpoint: Array  # (n, d) where the row will be halfway to the horizon
-    bounding_radius: Array  # (n,) R, tolerance and path lie within that distance of the midpoint
-    level: Array  # (n,) int8, how rows are held by their bounding radius: see `search_index`
-    first_midpoint: Array  # (n, d) as it was at the search
+    path (n, 2d + 2): a row is (x0, v0, t0, R), so that all of it lies together in memory. midpoint (n, d): where the row will be
+    halfway to the horizon. bounding_radius (n,): R, tolerance and path lie within that distance of the midpoint. level (n,)
+    int8: how rows are held by their bounding radius (`pair_search`). first_midpoint (n, d): as it was at the search.
+    """
+
+    path: Array
+    midpoint: Array
+    bounding_radius: Array
+    level: Array
+    first_midpoint: Array
 
 
 @kernel
@@ -64,31 +80,44 @@ def fastest(x, v):
     return most**0.5 + wrong
 
 
-def start_paths(x: Array, v: Array, radius: Array, horizon: Horizon) -> tuple[Array, Array, Array]:
-    """(path, midpoint, bounding radius) of rows that all start now, at time 0: see `Paths`."""
-    path, midpoint, bounding_radius = np.empty((len(x), 2 * x.shape[1] + 2)), np.empty_like(x), np.empty(len(x))
-    fill_paths((0,) * x.shape[1], x, v, radius, horizon.tolerance, 0.5 * horizon.valid_until, path, midpoint, bounding_radius)
-    return path, midpoint, bounding_radius
-
-
 @kernel
-def fill_paths(axes, x, v, radius, tolerance, half, path, midpoint, bounding_radius):
-    """The columns of `start_paths`; `half` of the time until the horizon."""
+def start_paths(axes, x, v, radius, horizon, owned):
+    """Paths of rows that all start now, at time 0.
+
+    Returns (path, midpoint, bounding radius, the mean of it, bounds (2, d) of the midpoints, those of the first `owned` rows).
+    """
     d = len(axes)
+    until, tolerance = horizon.valid_until, horizon.tolerance
+    path, midpoint = np.empty((len(x), 2 * d + 2)), np.empty((len(x), d))
+    bounding_radius = np.empty(len(x))
+    box = np.empty((2, d))
+    box[0], box[1] = inf, -inf
+    own_box = box.copy()
+    total = 0.0
     for i in range(len(x)):
         v2 = 0.0
+        if i == owned:
+            own_box = box.copy()
         for k in range(d):
-            path[i, k], path[i, d + k] = x[i, k], v[i, k]
-            midpoint[i, k] = x[i, k] + half * v[i, k]
+            path[i, k] = x[i, k]
+            path[i, d + k] = v[i, k]
+            midpoint[i, k] = x[i, k] + 0.5 * until * v[i, k]
+            box[0, k] = box[0, k] if box[0, k] <= midpoint[i, k] else midpoint[i, k]
+            box[1, k] = box[1, k] if box[1, k] >= midpoint[i, k] else midpoint[i, k]
             v2 += v[i, k] * v[i, k]
-        path[i, 2 * d], path[i, 2 * d + 1] = 0.0, radius[i]
-        bounding_radius[i] = radius[i] + tolerance + half * sqrt(v2)
+        path[i, 2 * d] = 0.0
+        path[i, 2 * d + 1] = radius[i]
+        bounding_radius[i] = radius[i] + tolerance + sqrt(v2) * 0.5 * until
+        total += bounding_radius[i]
+    if owned == len(x):
+        own_box = box.copy()
+    return path, midpoint, bounding_radius, total / max(len(x), 1), box, own_box
 
 
 @kernel
-def rows_leaving(axes, x, v, path, time, h, tolerance, length):
-    """Rows that a drift over h from `time` takes away from their paths."""
-    d, rows = len(axes), np.empty(len(x), np.int32)
+def rows_leaving(axes, x, v, path, time, h, tolerance, length, rows):
+    """Rows that a drift over h from `time` takes away from their paths; into `rows`, returns how many."""
+    d = len(axes)
     found = 0
     for i in range(len(x)):
         passed = time + h - path[i, 2 * d]
@@ -99,14 +128,14 @@ def rows_leaving(axes, x, v, path, time, h, tolerance, length):
         if not r2 <= tolerance * tolerance:
             rows[found] = i
             found += 1
-    return rows[:found]
+    return found
 
 
 @kernel
 def rows_turned(x, v, start, path, rows, time, horizon, length):
-    """Those of `rows` whose segment, begun at time + start_i, leaves the path before the horizon; reorders `rows`.
+    """Those of `rows` whose present segment, begun at time + start_i, leaves the path before the horizon.
 
-    Segment and path are straight: where they end decides.
+    To the front of `rows`; returns how many. Segment and path are straight: where they end decides.
     """
     d = x.shape[1]
     until, tolerance, _, _ = horizon
@@ -123,7 +152,54 @@ def rows_turned(x, v, start, path, rows, time, horizon, length):
         if outside:
             rows[found] = i
             found += 1
-    return rows[:found]
+    return found
+
+
+@kernel(error_model="numpy")
+def renew_paths(rows, segments, owned, paths, region, horizon, length, time, h):
+    """New paths for `rows` along their present segments, in the drift over h from `time`; in place on `paths`.
+
+    Returns (0, or how far from its first midpoint a row gets in this drift if it may not get there; until when candidates are
+    valid now). Rows that could get further than the bound, or out of their `HaloRegion`, before the horizon bring it nearer.
+    """
+    x, v, starts, _ = segments
+    path, midpoint, bounding_radius, _, first_midpoint = paths
+    end, tolerance, bound, _ = horizon
+    own, others, sent, known = region
+    d = x.shape[1]
+    needed = 0.0
+    for i in rows:
+        start = time + starts[i]
+        now = 0.0
+        soon = 0.0
+        late = 0.0
+        speed = 0.0
+        for k in range(d):
+            r = nearest(x[i, k] - first_midpoint[i, k], length[k])
+            path[i, k] = first_midpoint[i, k] + r
+            path[i, d + k] = v[i, k]
+            now += r * r
+            soon += (r + v[i, k] * (time + h - start)) ** 2
+            late += (r + v[i, k] * (end - start)) ** 2
+            speed += v[i, k] * v[i, k]
+        path[i, 2 * d] = start
+        now, soon, late = sqrt(now) + tolerance, sqrt(soon) + tolerance, sqrt(late) + tolerance
+        speed = sqrt(speed)
+        until = max(time + h, start + (bound - now) / speed) if late > bound else inf
+        if i < owned:
+            margin = path[i, 2 * d + 1] + tolerance
+            until = min(until, start + time_in_box(path, i, margin, own[0], own[1]))
+            for p in range(len(others)):
+                if index_of(i, known[sent[p] : sent[p + 1]]) < 0:
+                    until = min(until, start + time_to_box(path, i, margin, others[p, 0], others[p, 1], length))
+        if not (max(now, soon) <= bound and until >= time + h):
+            needed = max(needed, now, soon) if soon == soon else inf
+            continue
+        end = min(end, until)
+        for k in range(d):
+            midpoint[i, k] = path[i, k] + 0.5 * v[i, k] * (end - start)
+        bounding_radius[i] = path[i, 2 * d + 1] + tolerance + 0.5 * speed * (end - start)
+    return needed, end
 
 
 @kernel

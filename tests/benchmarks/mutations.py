@@ -48,8 +48,8 @@ MUTATIONS = (
     Mutation(
         "ghosts are not refreshed",
         "neighbours/halo.py",
-        "            column[first : first + len(part)] = part\n",
-        "            pass\n",
+        "        unpack_state(first, message, x, v, a)\n\n\ndef",
+        "        pass\n\n\ndef",
         ("tests/parallel/test_same_bits.py", "-k", "2-marbles"),
     ),
     Mutation(

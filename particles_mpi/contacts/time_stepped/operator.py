@@ -184,7 +184,7 @@ class Rewind:
             select_contacts(near.spheres.id, near.spheres.owned, tuple(hits), tuple(self.selection))
         if shared:
             with self.timers("ghosts"):
-                exchange_selections(near.halo, selected, hits.first, hits.second)
+                exchange_selections(near.halo, selected, hits.first, hits.second, near.candidates.marked)
         with self.timers("collide"):
             near.deactivate()
             apply_contacts(

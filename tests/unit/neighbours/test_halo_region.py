@@ -6,7 +6,8 @@ from hypothesis import strategies as st
 from test_candidates import at_start, closest, listed
 
 from particles_mpi.neighbours.candidates import Candidates
-from particles_mpi.neighbours.halo_region import build, enclosing, swept
+from particles_mpi.neighbours.halo_region import build
+from particles_mpi.neighbours.rank_boxes import swept_box
 from particles_mpi.neighbours.trajectories import Horizon, Spheres
 
 
@@ -31,9 +32,8 @@ def test_turned_rows_meet_only_rows_that_their_rank_holds(seed, d, ranks, n, per
     owner = np.minimum((x[:, 0] / side * ranks).astype(int), ranks - 1)
     mine = [np.flatnonzero(owner == p) for p in range(ranks)]
     horizon = Horizon(end, half, bound, slack)
-    covered = [swept(x[m], v[m], radius[m], horizon) for m in mine]
-    boxes = np.array([enclosing(rows) for rows in covered])
-    fences = [build(boxes, p, rows, slack, length) for p, rows in enumerate(covered)]
+    boxes = np.array([swept_box(x[m], v[m], radius[m], horizon) for m in mine])
+    fences = [build(boxes, p, (x[m], v[m], radius[m]), horizon, length) for p, m in enumerate(mine)]
 
     turning = random.random(n) < 0.2
     after = np.where(turning[:, None], 6.0 * random.permutation(v), v)
@@ -67,10 +67,9 @@ def test_a_turned_row_does_not_leave_the_space_that_its_rank_knows():
     radius, w, ids, length, end, half = np.full(3, 0.2), np.ones(3), np.arange(3), np.zeros(2), 1.0, 0.01
     a, b = np.array([0]), np.array([1, 2])
     horizon = Horizon(end, half, np.inf, 0.1)
-    covered = [swept(x[m], v[m], radius[m], horizon) for m in (a, b)]
-    boxes = np.array([enclosing(rows) for rows in covered])
+    boxes = np.array([swept_box(x[m], v[m], radius[m], horizon) for m in (a, b)])
     boxes[1, 0, 0] = -0.05  # some other row of the rank of B reaches there
-    fence, rows, _ = build(boxes, 0, covered[0], horizon.slack, length)
+    fence, rows, _ = build(boxes, 0, (x[a], v[a], radius[a]), horizon, length)
     assert rows.tolist() == [0]
     none = np.empty((0, 2))
     c = Candidates(x[a], v[a], Spheres(radius[a], w[a], ids[a], 1), length, (none, none), horizon, fence, 0)
