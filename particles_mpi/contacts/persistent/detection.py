@@ -291,17 +291,24 @@ def carried(start, taken):
     return rows
 
 
+@lean_inner
+def touches(x, i, wide, zone):
+    """Does the sphere of row i, of the radius `wide`, touch the box `zone` (2, d)?"""
+    inside = True
+    for k in range(x.shape[1]):
+        inside &= (x[i, k] + wide >= zone[0, k]) & (x[i, k] - wide <= zone[1, k])
+    return inside
+
+
 @kernel
 def inside_zone(x, push, radius, h, zone):
     """Which rows and ghosts touch the zone (2, d), with their widths."""
-    inside = np.ones(len(x), np.bool_)
+    inside = np.empty(len(x), np.bool_)
     for i in range(len(x)):
         push2 = 0.0
         for k in range(x.shape[1]):
             push2 += push[i, k] * push[i, k]
-        wide = radius[i] + HELD * h * sqrt(push2)
-        for k in range(x.shape[1]):
-            inside[i] &= (x[i, k] + wide >= zone[0, k]) & (x[i, k] - wide <= zone[1, k])
+        inside[i] = touches(x, i, radius[i] + HELD * h * sqrt(push2), zone)
     return inside
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from particles_mpi.contacts.persistent.detection import touches
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.neighbours.candidates import touching
 from particles_mpi.neighbours.halo_region import fetch_near_rows
@@ -112,10 +113,7 @@ def covers(x, wide, zone, index, place, width, margin, length):
     """Is every row that touches the zone in the graph, and moved and widened by no more than the margin since it was built?"""
     good = True
     for i in range(len(x)):
-        inside = True
-        for k in range(x.shape[1]):
-            inside &= (x[i, k] + wide[i] >= zone[0, k]) & (x[i, k] - wide[i] <= zone[1, k])
-        if inside:
+        if touches(x, i, wide[i], zone):
             n = index[i]
             if n < 0:
                 good = False
@@ -137,9 +135,6 @@ def rows_in(x, wide, zone):
     """Rows whose spheres, with their widths, touch the zone (2, d)."""
     rows, found = np.empty(len(x), np.int64), 0
     for i in range(len(x)):
-        inside = True
-        for k in range(x.shape[1]):
-            inside &= (x[i, k] + wide[i] >= zone[0, k]) & (x[i, k] - wide[i] <= zone[1, k])
         rows[found] = i
-        found += inside
+        found += touches(x, i, wide[i], zone)
     return rows[:found]

@@ -250,10 +250,8 @@ class Solver:
     ) -> bool:  # fmt: skip
         """Velocities at which no contact closes faster than it may; v, and what each has `taken` (m,), in place.
 
-        ids: of rows and ghosts.
-
-        Ends when errors are allowed and `least` iterations are done, or nothing but round-off is left, or after MOST
-        iterations; returns whether errors are allowed. Collective.
+        ids: of rows and ghosts. Ends when errors are allowed and `least` iterations are done, or nothing but round-off is left,
+        or after MOST iterations; returns whether errors are allowed. Collective.
         """
         count, every = self.ranks.allreduce_sum(np.array([(edges.step > 0.0).sum(), len(taken)]))
         ranks, together = self.ranks, None
@@ -326,7 +324,8 @@ class Run:
 class Together:
     """The contacts of all ranks on each of them, where they are so few that exchanges would take longer than the iterations.
 
-    Each rank then computes the same bits for all rows, in the order of ids. `all`: what `Run` takes, but for the exchange.
+    Each rank then computes the same bits for all rows that have some, in the order of ids; other rows keep their velocities and
+    are not sent. `all`: what `Run` takes, but for the exchange.
     """
 
     def __init__(self, ranks: Communicator, ids: Array, edges: Edges, targets: Targets, w: Array, v: Array, taken: Array):
@@ -335,7 +334,9 @@ class Together:
         columns = {"row": np.repeat(ids[:n], np.diff(edges.start)), "other": names[edges.partner], "taken": taken}
         columns |= {name: getattr(edges, name) for name in ("normal", "share", "step")} | targets._asdict()
         every = allgather_rows(ranks, columns)
-        rows = allgather_rows(ranks, {"id": ids[:n], "v": v[:n], "w": w[:n]})
+        self.count = np.diff(edges.start)
+        self.mine = np.flatnonzero(self.count)
+        rows = allgather_rows(ranks, {"id": ids[self.mine], "v": v[self.mine], "w": w[self.mine]})
         order, by_row = np.argsort(rows["id"]), np.argsort(every["row"], kind="stable")
         known, every = rows["id"][order], rows_of(every, by_row)
         partner = np.searchsorted(known, every["other"])
@@ -346,14 +347,15 @@ class Together:
         self.taken = every["taken"]
         wanted = tuple(every[name] for name in Targets._fields)
         self.all = tuple(both), wanted, np.append(rows["w"][order], 0.0), self.v, self.taken
-        self.place = np.searchsorted(known, ids[:n])
-        self.first, self.count = start[self.place], np.diff(edges.start)
+        self.place = np.searchsorted(known, ids[self.mine])
+        self.first = start[self.place]
 
     def give_back(self, v: Array, taken: Array) -> None:
         """The solution for our rows."""
-        v[: len(self.place)] = self.v[self.place]
-        within = np.arange(len(taken)) - np.repeat(np.cumsum(self.count) - self.count, self.count)
-        taken[:] = self.taken[np.repeat(self.first, self.count) + within]
+        v[self.mine] = self.v[self.place]
+        count = self.count[self.mine]
+        within = np.arange(len(taken)) - np.repeat(np.cumsum(count) - count, count)
+        taken[:] = self.taken[np.repeat(self.first, count) + within]
 
 
 def unchanged(v: Array) -> None:
