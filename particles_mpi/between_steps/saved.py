@@ -41,7 +41,7 @@ class Saved(State):
         if sim.rest and metadata["kept"]:
             sim.rest.restore(metadata["kept"], sim.rows.id)
         if ranks.is_root:  # counts are sums over ranks: one rank carries those from before
-            sim.totals.update(zip(COUNTS, metadata["totals"], strict=False))
+            sim.totals.update(zip(COUNTS, metadata["totals"], strict=True))
         return sim
 
     @classmethod

@@ -20,7 +20,8 @@ from particles_mpi.particles import Array, Particles
 from particles_mpi.scene.active import ActiveEffects
 from particles_mpi.scene.effect import Context, Damping, Event, PairContacts, WallContacts
 
-COUNTS = ("collisions", "wall_hits", "missed", "exchanges", "unconverged")
+HAPPENED = ("collisions", "wall_hits", "missed", "exchanges")  # in a drift
+COUNTS = (*HAPPENED, "unconverged")
 
 
 def keeper_of_contacts(effects: ActiveEffects, context: Context, dimension: int) -> Any:
@@ -105,7 +106,7 @@ class Drift:
                 free_drift(p.position, p.velocity, h)
             happened = [0, 0, 0, 0]
             p.version += self.effects.pairs is not None  # what is known of neighbours does not hold any longer
-        for name, number in zip(COUNTS, happened, strict=False):
+        for name, number in zip(HAPPENED, happened, strict=True):
             self.totals[name] += int(number)
         if self.events and self.act(self.events, h):
             wrapped = False

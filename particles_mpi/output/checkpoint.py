@@ -25,7 +25,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, allgather_rows, in_id_order
 from particles_mpi.particles import FIELDS, Array, shape
 
-MARK, FORMAT = "particles_mpi_checkpoint", 3
+MARK, FORMAT = "particles_mpi_checkpoint", 4
 SEAL = f"\n{MARK} {{:20d}} {{:08x}}\n"  # the last line of a file: length and CRC-32 of the HDF5 file before it
 OURS = ("trajectory.vtkhdf", "particles.pvd", "vtk", "checkpoint.h5", "diagnostics.csv", "run.json", "stopped.h5", "plots")
 INTERVALS = {f"output.{name}" for name in ("every", "formats", "checkpoint_every", "diagnostics_every")}
