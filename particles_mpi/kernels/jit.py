@@ -20,6 +20,7 @@ from llvmlite import ir
 from numba import njit, types
 from numba.core import cgutils
 from numba.core.registry import CPUDispatcher
+from numba.cpython.unsafe.tuple import tuple_setitem
 from numba.extending import intrinsic
 
 kernel: Any = partial(njit, cache=True, no_cfunc_wrapper=True)
@@ -44,6 +45,9 @@ def inner(function: Any = None, **options: Any) -> Any:
 
 
 lean_inner: Any = inner(_nrt=False)
+with_item: Any = (
+    tuple_setitem  # (tuple, place, value): sums in a tuple stay in registers, while those in an array are stored each time
+)
 
 
 def plain(bundle: tuple[Any, ...]) -> tuple[Any, ...]:

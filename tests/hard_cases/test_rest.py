@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from particles_mpi import Scene, Simulation
-from particles_mpi.contacts.persistent.solver import Solver, Targets, edges_of
+from particles_mpi.contacts.persistent.problem import TAKEN, Problem, bound_rows, table_of
+from particles_mpi.contacts.persistent.solver import Solver
 from particles_mpi.parallel.communicator import Communicator
 
 MODES = ("rewind", "event")
@@ -230,12 +231,14 @@ def test_projection(drawn):
     v = np.where(w[:, None] > 0.0, random.standard_normal((n, 3)), 0.0)
     before, w = v.copy(), np.append(w, 0.0)
     order, start, partner, normals = half_edges(n, a, b, normal)
-    edges = edges_of((0, 0, 0), start, partner, normals, w, np.ones(len(partner), np.bool_), lambda _: None)
+    axes, all_of_them, bound = (0.0, 0.0, 0.0), np.ones(len(partner), np.bool_), np.zeros(n + 1)
+    bound_rows(axes, start, normals, w, all_of_them, bound)
     may = np.concatenate((may_close, may_close))[order]
-    targets = Targets(may, np.full(len(may), 1e9), np.full(len(may), 1e11))
-    v, taken = np.vstack((v, np.zeros(3))), np.zeros(len(may))
-    solver = Solver(Communicator.alone(), 3)
-    converged = solver.solve(edges, w, targets, v, taken, np.arange(n), lambda _: None, 0)
+    table = table_of(axes, start, partner, normals, w, all_of_them, bound, may, np.zeros(len(may)))
+    problem = Problem(start, partner, table, np.full(len(may), 1e9), np.full(len(may), 1e11))
+    solver = Solver(Communicator.alone(), axes)
+    v, converged = solver.solve(problem, w, np.vstack((v, np.zeros(3))), np.arange(n), lambda _: None, 0)
+    v, taken = np.vstack((v, np.zeros(3))), table[:, TAKEN]
     both = np.full((2, len(a)), np.nan)
     both.reshape(-1)[order] = taken
     assert (both[0] == both[1])[b >= 0].all()  # the two owners of a contact come to the same bits

@@ -60,6 +60,7 @@ FIRST, GROWING = 0.25, 1.2  # of the longest window: the first one; and how it g
 LEAST = 1e-3  # of the longest window: with shorter ones it is no use
 MOST_TRIES = 8  # of a window, each of half the length; then contacts follow one another in no time (touching spheres)
 WORTH = 10  # contacts a window and rank, or windows are not worth their messages
+CHEAP = 8  # windows in a step, which cost less than a drift without them
 UNTRIED = 1000  # windows a step at most where the number of contacts is not known yet
 
 
@@ -93,7 +94,7 @@ class Windows:
         if self.crowded and not self.always:
             return None
         self.longest = 0.9 * self.displacement_bound / speed if speed > 0.0 else np.inf
-        if h / self.longest > (self.events / WORTH if self.events else UNTRIED) and not self.always:
+        if h / self.longest > (max(self.events / WORTH, CHEAP) if self.events else UNTRIED) and not self.always:
             return None
         self.window = min(self.window or FIRST * self.longest, self.longest)
         with self.timers("ghosts"):

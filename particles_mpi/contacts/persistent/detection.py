@@ -19,6 +19,7 @@ from particles_mpi.particles import Array
 SLOW = 2.0  # times what forces do in a step: a bounce that is over in about two steps
 HELD = 5.0  # times as fast may it be among those that are held, who would rattle between one another
 MARGIN = 1e-3  # of the widest slow gap: closer nothing gets, so that round-off makes no contact
+RETURN = 0.2  # of what contacts are off their margin is mended in a step
 PUSH = 0.01  # of what forces do in a step: so fast contacts that are nearer than their margin are moved apart
 
 
@@ -27,7 +28,7 @@ class Contacts(NamedTuple):
 
     start (n + 1,); partner (m,): a row or ghost, or `size`, which stands for all walls; slot (m,): where the half-edge is in the
     graph, or the graph's half-edges and then i walls + wall; normal (m, d), towards the row; gap (m,); widest (m,): the larger
-    push of the two; closing (m,): approach; crowd (m,): kept at any speed.
+    push of the two; crowd (m,): kept at any speed.
     """
 
     start: Array
@@ -36,7 +37,6 @@ class Contacts(NamedTuple):
     normal: Array
     gap: Array
     widest: Array
-    closing: Array
     crowd: Array
 
 
@@ -134,7 +134,7 @@ def find_contacts(axes, state, graph, inside, h, length, point, normal):
         most += walls * inside[row]
     start, partner, slot = np.zeros(n + 1, np.int64), np.empty(most, np.int32), np.empty(most, np.int64)
     normals, gaps, widest = np.empty((most, d)), np.empty(most), np.empty(most)
-    approach, any_speed = np.empty(most), np.empty(most, np.bool_)
+    any_speed = np.empty(most, np.bool_)
     pushes, speeds = np.empty(len(x)), np.empty(len(x))
     for row in range(len(x)):
         push2, speed2 = 0.0, 0.0
@@ -154,11 +154,9 @@ def find_contacts(axes, state, graph, inside, h, length, point, normal):
                 distance += (x[i, np.uint64(k)] - point[wall, k]) * normal[wall, k]
             wide, gap = pushes[i], distance - radius[i]
             if w[i] > 0.0 and wide > 0.0 and gap <= max(HELD * wide, speeds[i] * crowd[i]) * h:
-                closing = 0.0
                 for k in range(len(axes)):
-                    closing -= v[i, np.uint64(k)] * normal[wall, k]
                     normals[made, np.uint64(k)] = normal[wall, k]
-                partner[made], widest[made], gaps[made], approach[made] = size, wide, gap, closing
+                partner[made], widest[made], gaps[made] = size, wide, gap
                 slot[made], any_speed[made] = len(other) + row * walls + wall, crowd[i]
                 made += np.uint64(1)
         for e in range(np.uint64(near[row]), np.uint64(near[row + 1])):
@@ -181,17 +179,27 @@ def find_contacts(axes, state, graph, inside, h, length, point, normal):
             gap = distance - both
             if not distance > 0.0 or gap > reach:
                 continue
-            closing = 0.0
             for k in range(len(axes)):
-                part = normals[made, np.uint64(k)] / distance
-                normals[made, np.uint64(k)] = part
-                closing -= (v[i, np.uint64(k)] - v[j, np.uint64(k)]) * part
-            partner[made], slot[made], widest[made], gaps[made], approach[made] = other[e], e, wide, gap, closing
+                normals[made, np.uint64(k)] /= distance
+            partner[made], slot[made], widest[made], gaps[made] = other[e], e, wide, gap
             any_speed[made] = of_crowd
             made += np.uint64(1)
     start[n] = made
     of = slice(0, start[n])
-    return start, partner[of], slot[of], normals[of], gaps[of], widest[of], approach[of], any_speed[of]
+    return start, partner[of], slot[of], normals[of], gaps[of], widest[of], any_speed[of]
+
+
+@kernel
+def approach(axes, start, partner, normal, v):
+    """The speed at which each half-edge closes, (m,), at velocities v (size + 1, d)."""
+    closing, one = np.empty(len(partner)), np.uint64(1)
+    for i in range(np.uint64(len(start) - 1)):
+        for e in range(np.uint64(start[i]), np.uint64(start[i + one])):
+            j, speed = np.uint64(partner[e]), 0.0
+            for k in range(len(axes)):
+                speed -= (v[i, np.uint64(k)] - v[j, np.uint64(k)]) * normal[e, np.uint64(k)]
+            closing[e] = speed
+    return closing
 
 
 @kernel
@@ -230,20 +238,20 @@ def pressing(axes, start, partner, normal, borne, before, left, stress):
 
 
 @kernel
-def slow(contacts, took, of_rows, pressed, h, tolerance, margin, precise):
-    """Which contacts are slow, and what is asked of them: the columns of `solver.Targets`; all 0 for the others.
+def slow(contacts, closing, took, of_rows, pressed, h, tolerance, margin, precise):
+    """Which contacts are slow, and what is asked of them (`may_close`, `loose`, `tight`), 0 for the others.
 
     `of_rows`: who is held already, and radii. A contact that `took` something is held too. Errors are allowed up to `tolerance`
     radii of the smaller sphere in a step, or `precise` times the speed below which a contact is slow; contacts keep a gap of
-    `margin` tolerances. What is nearer than that is moved apart, in some steps.
+    `margin` tolerances, to which they return in some steps, or errors of one step would be the work of the next one.
     """
-    start, partner, _, _, gap, widest, closing, crowd = contacts
+    start, partner, _, _, gap, widest, crowd = contacts
     supported, radius = of_rows
     m = len(gap)
     chosen, may_close, loose, tight = np.zeros(m, np.bool_), np.zeros(m), np.zeros(m), np.zeros(m)
-    for i in range(len(start) - 1):
-        for e in range(start[i], start[i + 1]):
-            j = partner[e]
+    for i in range(np.uint64(len(start) - 1)):
+        for e in range(np.uint64(start[i]), np.uint64(start[i + np.uint64(1)])):
+            j = np.uint64(partner[e])
             held = took[e] > 0.0 or supported[i] or supported[j]
             most = HELD * widest[e]
             speed = min((HELD if held else 1.0) * pressed[e], most)
@@ -251,8 +259,12 @@ def slow(contacts, took, of_rows, pressed, h, tolerance, margin, precise):
                 one, other = radius[i], radius[j]
                 allowed = tolerance * (min(one, other) if one > 0.0 and other > 0.0 else max(one, other))
                 apart = margin * allowed
-                chosen[e] = True
-                may_close[e] = max((gap[e] - apart - MARGIN * most * h) / h, -PUSH * widest[e] if apart > 0.0 else 0.0)
+                room = gap[e] - apart - MARGIN * most * h
+                if apart > 0.0:
+                    room = max(room - (1.0 - RETURN) * min(room, 5.0 * allowed), -PUSH * widest[e] * h)
+                else:
+                    room = max(room, 0.0)
+                chosen[e], may_close[e] = True, room / h
                 tight[e] = 1.0 / (precise * (most if crowd[e] else speed))
                 loose[e] = min(h / allowed, tight[e]) if allowed > 0.0 else tight[e]
     return chosen, may_close, loose, tight

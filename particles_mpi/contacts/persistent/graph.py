@@ -17,7 +17,7 @@ from particles_mpi.neighbours.candidates import touching
 from particles_mpi.neighbours.halo_region import fetch_near_rows
 from particles_mpi.neighbours.trajectories import AT_REST
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exchange import Halo
+from particles_mpi.parallel.exchange import Halo, Standing
 from particles_mpi.particles import Array, Particles
 
 CLOSE = 1.0 + 1e-9  # times the widths, so that ranks agree on who is near the border, whatever the round-off
@@ -26,21 +26,22 @@ CLOSE = 1.0 + 1e-9  # times the widths, so that ranks agree on who is near the b
 class ContactGraph:
     """Rows of this rank, the ghosts next to them, and the pairs that come nearer than the sum of their widths plus a skin.
 
-    rows (n,): rows of the particles, ascending; these are followed by `size` - n ghosts. start (n + 1,) and other (m,): the
-    half-edges of row i are start[i] ... start[i + 1] - 1, and other[e] is the partner's place among rows and ghosts. index: the
-    place of each row of the particles, or -1. id (size,); radius and inverse_mass (size + 1,), the last one being
-    that of a wall.
+    ids: of all particles of the rank; rows (n,): those of them that are here, ascending; these are followed by `size` - n
+    ghosts. start (n + 1,) and other (m,): the half-edges of row i are start[i] ... start[i + 1] - 1, and other[e] is the
+    partner's place among rows and ghosts. index: the place of each row of the particles, or -1. id (size,); radius and
+    inverse_mass (size + 1,), the last one being that of a wall.
     """
 
     def __init__(self, ranks: Communicator, p: Particles, rows: Array, wide: Array, skin: float, length: Array):
         """`wide` (len(p),): half of the distance up to which two rows of the same kind are near. Collective."""
         self.rows, self.skin, self.version, self.length = rows, skin, p.version, length
-        self.place, self.wide = p.position[rows], wide[rows]
+        self.ids, self.place, self.wide = p.id.copy(), p.position[rows], wide[rows]
         self.index = np.full(len(p), -1, np.int32)
         self.index[rows] = np.arange(len(rows), dtype=np.int32)
         known = {"id": p.id[rows], "position": self.place, "radius": p.radius[rows], "inverse_mass": p.inverse_mass[rows]}
         known["reach"] = self.wide + 0.5 * skin
         self.halo: Halo | None = None
+        self.standing: Standing | None = None
         if ranks.size > 1:
             still = self.place, np.zeros_like(self.place), CLOSE * known["reach"]
             _, sent, counts, theirs, arriving = fetch_near_rows(ranks, known, still, AT_REST, length)
@@ -60,6 +61,10 @@ class ContactGraph:
     def exchange(self, *columns: Array) -> None:
         """Ghost rows of each column (size or more, ...) as their owners have them. In place. Collective."""
         if self.halo is None:
+            return
+        if len(columns) == 1 and columns[0].ndim == 2:  # velocities, in each iteration
+            self.standing = self.standing or Standing(self.halo, columns[0].shape[1])
+            self.standing.exchange(columns[0])
             return
         table = [column.reshape(len(column), -1) for column in columns]
         exchange_table(self.halo, np.concatenate(table, axis=1) if len(table) > 1 else table[0], table)

@@ -45,6 +45,33 @@ def recall(memory: Memory, graph: ContactGraph, walls: int) -> Array:
     return match(ids, partners, memory.id[order], memory.partner[order], memory.taken[order])
 
 
+def carry_over(old: ContactGraph, took: Array, new: ContactGraph, walls: int) -> Array:
+    """As `recall` from what half-edges of an `old` graph of the same rows `took`, without names: five times as fast."""
+    names = old.id[old.other], new.id[new.other]
+    return np.asarray(copy_taken((old.index, old.start, names[0], took), (new.rows, new.start, names[1]), walls))
+
+
+@kernel
+def copy_taken(old, new, walls):
+    """What the new graph's half-edges and walls took. old: (index, start, ids of partners, taken); new: (rows, start, ids)."""
+    index, old_start, known, took = old
+    rows, start, ids = new
+    taken = np.zeros(len(ids) + walls * len(rows))
+    for n in range(len(rows)):
+        m = index[rows[n]]
+        if m < 0:
+            continue
+        c, last = old_start[m], old_start[m + 1]
+        for e in range(start[n], start[n + 1]):  # both in the order of ids
+            while c < last and known[c] < ids[e]:
+                c += 1
+            if c < last and known[c] == ids[e]:
+                taken[e] = took[c]
+        for wall in range(walls):
+            taken[len(ids) + n * walls + wall] = took[len(known) + m * walls + wall]
+    return taken
+
+
 @kernel
 def match(ids, partners, known_id, known_partner, known_taken):
     """What the contacts (ids, partners) took, 0 for those that are not known; `known_id` ascends."""

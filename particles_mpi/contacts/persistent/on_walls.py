@@ -4,8 +4,9 @@ from math import inf
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.detection import SLOW, carried, find_contacts, gather, loads, pressing, slow
-from particles_mpi.contacts.persistent.solver import bound_rows, solve_each, step_lengths
+from particles_mpi.contacts.persistent.detection import SLOW, approach, carried, find_contacts, gather, loads, pressing, slow
+from particles_mpi.contacts.persistent.problem import TAKEN, bound_rows, table_of
+from particles_mpi.contacts.persistent.solver import solve_each
 from particles_mpi.kernels.jit import kernel
 
 
@@ -30,20 +31,20 @@ def settle_on_walls(axes, rows, fields, a, h, length, planes, precise):
     nobody, all_rows = (np.zeros(n + 1, np.int64), np.empty(0, np.int32)), np.ones(n + 1, np.bool_)
     state = x, v, push, radius, w, np.zeros(n + 1, np.bool_)
     contacts = find_contacts(axes, state, nobody, all_rows, h, length, planes[0], planes[1])
-    start, partner, _, normal, gap, widest, _, _ = contacts
-    borne, nothing, bound = np.zeros(len(gap)), np.zeros(len(gap)), np.zeros(n + 1)
+    start, partner, _, normal, gap, widest, _ = contacts
+    nothing, bound = np.zeros(len(gap)), np.zeros(n + 1)
     touch = gap <= widest * h
     bound_rows(axes, start, normal, w, touch, bound)
-    share, step = step_lengths(start, partner, w, touch, bound)
-    tight = 1.0 / (precise * widest)
-    solve_each(axes, (start, partner, normal, share, step), w, (nothing, tight, tight), push.copy(), borne)
+    table, tight = table_of(axes, start, partner, normal, w, touch, bound, nothing, nothing), 1.0 / (precise * widest)
+    solve_each(axes, (start, partner, table, tight, tight), w, push.copy())
+    borne = table[:, TAKEN].copy()
     left, stress = np.zeros((n + 1, d)), np.zeros((n + 1, d, d))
     loads(axes, start, partner, normal, w, borne, push, left, stress)
     pressed = pressing(axes, start, partner, normal, borne, nothing, left, stress)
-    chosen, may_close, loose, tight = slow(contacts, nothing, (held, radius), pressed, h, 0.0, 0.0, precise)
+    closing = approach(axes, start, partner, normal, v)
+    chosen, may_close, loose, tight = slow(contacts, closing, nothing, (held, radius), pressed, h, 0.0, 0.0, precise)
     bound[:] = 0.0
     bound_rows(axes, start, normal, w, chosen, bound)
-    share, step = step_lengths(start, partner, w, chosen, bound)
-    taken = np.zeros(len(gap))
-    solve_each(axes, (start, partner, normal, share, step), w, (may_close, loose, tight), v, taken)
-    return v[:n], carried(start, taken)
+    table = table_of(axes, start, partner, normal, w, chosen, bound, may_close, nothing)
+    solve_each(axes, (start, partner, table, loose, tight), w, v)
+    return v[:n], carried(start, table[:, TAKEN].copy())

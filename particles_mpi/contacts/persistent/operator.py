@@ -23,6 +23,7 @@ import numpy as np
 from particles_mpi.contacts.persistent.detection import (
     SLOW,
     Contacts,
+    approach,
     carried,
     find_contacts,
     gather,
@@ -36,9 +37,10 @@ from particles_mpi.contacts.persistent.detection import (
     zone_around,
 )
 from particles_mpi.contacts.persistent.graph import ContactGraph, Exchange, rows_in
-from particles_mpi.contacts.persistent.memory import NOTHING, Memory, recall, remember, send_home
+from particles_mpi.contacts.persistent.memory import NOTHING, Memory, carry_over, recall, remember, send_home
 from particles_mpi.contacts.persistent.on_walls import settle_on_walls
-from particles_mpi.contacts.persistent.solver import EFFORT, OUTLIER, Edges, Solver, Targets, edges_of
+from particles_mpi.contacts.persistent.problem import TAKEN, Problem, bound_rows, table_of
+from particles_mpi.contacts.persistent.solver import EFFORT, OUTLIER, Solver
 from particles_mpi.contacts.walls import Planes
 from particles_mpi.kernels.markers import CROWD, PRESSED
 from particles_mpi.parallel.communicator import Communicator
@@ -65,6 +67,22 @@ class Local(NamedTuple):
     supported: Array
 
 
+class Targets(NamedTuple):
+    """What is asked of each half-edge, (m,): it may close at `may_close`; `loose`, `tight`: see `Problem`."""
+
+    may_close: Array
+    loose: Array
+    tight: Array
+
+
+class Found(NamedTuple):
+    """Contacts of a graph, and what they were found for: x, push, who is inside, the step."""
+
+    graph: ContactGraph
+    for_these: tuple[Array, ...]
+    contacts: Contacts
+
+
 class PersistentContacts:
     """Keeps the slow contacts of particles: with one another if `pairs`, and with those of the planes that take energy.
 
@@ -82,7 +100,10 @@ class PersistentContacts:
         self.faces = planes.lower, planes.upper, planes.oblique
         self.memory: Memory = NOTHING  # of contacts that the graph does not hold
         self.graph: ContactGraph | None = None
-        self.solver = Solver(self.ranks, len(length))
+        self.taken: Array = np.empty(0)  # by half-edges of the graph
+        self.axes = (0.0,) * len(length)
+        self.solver = Solver(self.ranks, self.axes)
+        self.found: Found | None = None
         self.given: tuple[Array, Array] = np.empty(0, np.int64), np.empty(0)  # our rows, velocities given to them
         self.awake = True  # else particles pass through one another and through walls
         self.totals = {"unconverged": 0}  # of this rank, which are counted for all by rank 0
@@ -155,8 +176,7 @@ class PersistentContacts:
                     break
                 marked[:] = local.crowd
                 graph.exchange(marked)
-            memory = send_home(self.ranks, self.remembered(), p)  # rows may have changed their rank since the kick
-            took = recall(memory, graph, len(self.point))
+            took = self.taken_before(p, graph)
             self.solve(p, local, graph, np.ones(graph.size + 1, np.bool_), h, took, True, again=True)
 
     def zone(self, p: Particles, wide: Array, involved: Array, known: bool) -> Array:
@@ -174,17 +194,25 @@ class PersistentContacts:
         """The graph of all who are near one another in the zone, new or as before. Collective."""
         good = self.graph is not None and self.graph.holds(p, wide, zone)
         if not self.ranks.allreduce_min(float(good))[0] or self.graph is None:
-            memory = send_home(self.ranks, self.remembered(), p)
             least = p.radius.min(initial=np.inf, where=p.radius > 0.0)
             skin = (DILUTE if self.dilute else SKIN) * float(self.ranks.allreduce_min(least)[0])
             skin = skin if skin < np.inf else 0.0
             rows = rows_in(p.position, wide + skin, zone)
-            self.graph = ContactGraph(self.ranks, p, rows, wide, skin, self.length)
-            self.taken = recall(memory, self.graph, len(self.point))
+            graph = ContactGraph(self.ranks, p, rows, wide, skin, self.length)
+            self.taken = self.taken_before(p, graph)
+            self.graph = graph
             many = len(self.graph.other) - (4 if self.dilute else 1) * len(rows)
             self.dilute = bool(self.ranks.allreduce_sum(many)[0] < 0)
             self.graphs_made += 1
         return self.graph
+
+    def taken_before(self, p: Particles, graph: ContactGraph) -> Array:
+        """What half-edges of a new graph took in the last solution. Collective."""
+        old = self.graph
+        if old is not None and not np.array_equal(old.ids, p.id):  # rows have changed their rank, or their order
+            old = None
+        memory = send_home(self.ranks, NOTHING if old else self.remembered(), p)
+        return carry_over(old, self.taken, graph, len(self.point)) if old else recall(memory, graph, len(self.point))
 
     def local(self, p: Particles, a: Array, h: float, graph: ContactGraph) -> Local:
         """The state of the graph's rows, and of ghosts as their owners have them. Collective."""
@@ -203,35 +231,54 @@ class PersistentContacts:
 
         `again`: these velocities have been through it since the last kick, so that contacts take little more.
         """
-        contacts = self.contacts(local, (graph.start, graph.other), inside, h)
+        contacts = self.contacts(local, graph, inside, h)
         before = took[contacts.slot]
         effort = EFFORT // max(int(self.ranks.allreduce_sum(len(before))[0]), 1) * (1 if known else UNKNOWN)
-        borne, push = 2.0 * SLOW * before, local.push.copy()
+        borne = 2.0 * SLOW * before
         if not known:  # else they bear what they bore
-            touch = self.edges(local, contacts, contacts.gap <= contacts.widest * h, graph.exchange)
-            self.solver.solve(touch, local.w, exactly(contacts), push, borne, graph.id, graph.exchange, effort)
+            touch = contacts.gap <= contacts.widest * h
+            problem = self.problem(local, contacts, touch, exactly(contacts), borne, graph.exchange)
+            self.solver.solve(problem, local.w, local.push, graph.id, graph.exchange, effort)
+            borne = problem.table[:, TAKEN].copy()
         pressed = self.pressed(local, contacts, borne, 2.0 * SLOW * before, graph.exchange)
-        chosen, targets = self.slow(local, contacts, before, pressed, h, OUTLIER * (effort < EXACT))
+        chosen, *targets = slow(
+            tuple(contacts), approach(self.axes, contacts.start, contacts.partner, contacts.normal, local.v), before,
+            (local.supported, local.radius), pressed, h, self.tolerance, OUTLIER * (effort < EXACT), PRECISE,
+        )  # fmt: skip
         taken = np.zeros(len(before)) if again else chosen * (before if known else borne / (2.0 * SLOW))
-        v = local.v.copy()
-        edges = self.edges(local, contacts, chosen, graph.exchange)
-        good = self.solver.solve(edges, local.w, targets, v, taken, graph.id, graph.exchange, effort)
+        problem = self.problem(local, contacts, chosen, Targets(*targets), taken, graph.exchange)
+        v, good = self.solver.solve(problem, local.w, local.v, graph.id, graph.exchange, effort)
         self.totals["unconverged"] += self.ranks.is_root and not good
-        n = len(graph.rows)
-        bears = np.maximum(taken, before) if again else taken
-        self.give_back(p, graph.rows, v[:n], carried(edges.start, bears))
+        taken = problem.table[:, TAKEN].copy()
+        self.give_back(p, graph.rows, v, carried(contacts.start, np.maximum(taken, before) if again else taken))
         all_taken = np.zeros(len(took))
         all_taken[contacts.slot] = taken
         return all_taken
 
-    def contacts(self, local: Local, near: tuple[Array, Array], inside: Array, h: float) -> Contacts:
-        """The half-edges of rows `inside` that may be slow."""
-        found = find_contacts(self.solver.axes, tuple(local[:6]), near, inside, h, self.length, self.point, self.normal)
-        return Contacts(*found)
+    def contacts(self, local: Local, graph: ContactGraph, inside: Array, h: float) -> Contacts:
+        """The half-edges of rows `inside` that may be slow: as last time, where nothing but velocities has changed since.
 
-    def edges(self, local: Local, contacts: Contacts, which: Array, exchange: Exchange) -> Edges:
-        """What the solver must know of the contacts, of which only `which` (m,) may take anything. Collective."""
-        return edges_of(self.solver.axes, contacts.start, contacts.partner, contacts.normal, local.w, which, exchange)
+        The last kick of a step and the first one of the next take place at the same positions.
+        """
+        for_these = local.x, local.push, inside, np.array(h)
+        crowd, found = bool(local.crowd.any()), self.found  # velocities decide what contacts a crowd has
+        if found and not crowd and found.graph is graph and all(map(np.array_equal, found.for_these, for_these)):
+            return found.contacts
+        near = graph.start, graph.other
+        columns = find_contacts(self.axes, tuple(local[:6]), near, inside, h, self.length, self.point, self.normal)
+        contacts = Contacts(*columns)
+        self.found = None if crowd else Found(graph, for_these, contacts)
+        return contacts
+
+    def problem(
+        self, local: Local, contacts: Contacts, which: Array, targets: Targets, taken: Array, exchange: Exchange
+    ) -> Problem:  # fmt: skip
+        """For the solver: the contacts, of which `which` (m,) may take anything, and what they took. Collective."""
+        some, bound = (contacts.start, contacts.partner, contacts.normal), np.zeros_like(local.w)
+        bound_rows(self.axes, contacts.start, contacts.normal, local.w, which, bound)
+        exchange(bound)
+        table = table_of(self.axes, *some, local.w, which, bound, targets.may_close, taken)
+        return Problem(contacts.start, contacts.partner, table, targets.loose, targets.tight)
 
     def pressed(
         self, local: Local, contacts: Contacts, borne: Array, before: Array, exchange: Exchange
@@ -239,23 +286,15 @@ class PersistentContacts:
         """The speed that presses each contact, by pushes of rows and what contacts bear now or bore `before`. Collective."""
         left, stress = np.zeros_like(local.push), np.zeros((*local.push.shape, local.push.shape[1]))
         some = contacts.start, contacts.partner, contacts.normal
-        loads(self.solver.axes, *some, local.w, borne, local.push, left, stress)
+        loads(self.axes, *some, local.w, borne, local.push, left, stress)
         exchange(left, stress)
-        return np.asarray(pressing(self.solver.axes, *some, borne, before, left, stress))
-
-    def slow(
-        self, local: Local, contacts: Contacts, before: Array, pressed: Array, h: float, margin: float
-    ) -> tuple[Array, Targets]:  # fmt: skip
-        """(which contacts are slow, what is asked of them); they keep a gap of `margin` tolerances."""
-        of_rows = local.supported, local.radius
-        chosen, *targets = slow(tuple(contacts), before, of_rows, pressed, h, self.tolerance, margin, PRECISE)
-        return chosen, Targets(*targets)
+        return np.asarray(pressing(self.axes, *some, borne, before, left, stress))
 
     def keep_on_walls(self, p: Particles, a: Array, h: float, rows: Array) -> None:
         """As `keep`, of rows that nothing but walls can hold: each by itself."""
         fields = p.position, p.velocity, p.radius, p.mass, p.fixed, p["supported"]
         v, held = settle_on_walls(
-            self.solver.axes, rows, fields, a, h, self.length, (self.point, self.normal), PRECISE
+            self.axes, rows, fields, a, h, self.length, (self.point, self.normal), PRECISE
         )  # fmt: skip
         self.give_back(p, rows, v, held)
 

@@ -18,155 +18,76 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import sqrt
-from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.kernels.jit import inner, kernel
+from particles_mpi.contacts.persistent.problem import AHEAD, MAY_CLOSE, NORMAL, SHARE, STEP, TAKEN, Problem
+from particles_mpi.contacts.persistent.together import FEW, Together
+from particles_mpi.kernels.jit import inner, kernel, with_item
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exchange import allgather_rows
-from particles_mpi.particles import Array, rows_of
+from particles_mpi.particles import Array
 
 CHECK = 5  # iterations between two looks at what is left
 FINE, LARGE = 2.0**24, 2.0**14  # of whole numbers that stand for sums: units of 1, and the largest number
+MOVING = 0.25  # of the sequence of momenta where it begins: warm, not at 1, from where it takes iterations to gather way
 MOST = 5000  # iterations
 OUTLIER = 20.0  # times the root mean square that is allowed may the largest error be
-FEW = 10_000  # half-edges of all ranks: so many are solved for by each
 EFFORT = 200_000  # half-edges times iterations that are always spent, as long as it is no waste: small piles are exact
 
 
-class Edges(NamedTuple):
-    """The contacts that are solved for, as half-edges: those of row i are start[i] ... start[i + 1] - 1.
-
-    start (n + 1,); partner (m,): a row or ghost, or the row of zeros behind them that stands for walls; normal (m, d), towards
-    the row; share (m,): the part of what a contact takes that the row gives; step (m,): length of a gradient step,
-    (w_i + w_j)/D, and 0 for contacts that take nothing.
-    """
-
-    start: Array
-    partner: Array
-    normal: Array
-    share: Array
-    step: Array
-
-
-class Targets(NamedTuple):
-    """What is asked of each half-edge, (m,): it may close at `may_close`. An error in speed is allowed up to 1/`loose`, as root
-    mean square; below 1/`tight` nothing is left but round-off."""
-
-    may_close: Array
-    loose: Array
-    tight: Array
-
-
-def edges_of(
-    axes: tuple[int, ...], start: Array, partner: Array, normal: Array, w: Array, which: Array, exchange: Callable[[Array], None]
-) -> Edges:  # fmt: skip
-    """The contacts of rows with inverse masses w (size + 1,), of which those that `which` (m,) marks may take anything.
-
-    `exchange` gives ghosts the numbers of their owners. Collective.
-    """
-    bound = np.zeros(len(w))
-    bound_rows(axes, start, normal, w, which, bound)
-    exchange(bound)
-    return Edges(start, partner, normal, *step_lengths(start, partner, w, which, bound))
-
-
 @kernel
-def bound_rows(axes, start, normal, w, which, bound):
-    """Of each row w b, where b bounds the largest eigenvalue of S = sum of n n^T: tr S |(S/tr S)^4|^(1/4)."""
-    s, t = np.empty((len(axes), len(axes))), np.empty((len(axes), len(axes)))
-    for i in range(len(start) - 1):
-        trace = 0.0
-        for e in range(start[i], start[i + 1]):
-            trace += which[e]
-        if trace <= 1.0:
-            bound[i] = w[i] * trace
-            continue
-        s[:] = 0.0
-        for e in range(np.uint64(start[i]), np.uint64(start[i + 1])):
-            if not which[e]:
-                continue
+def begin(axes, first, last, start, table, v0, v):
+    """Velocities v of the rows first ... last - 1, whose half-edges have taken what they did from v0; nothing is ahead of it."""
+    one = np.uint64(1)
+    for i in range(np.uint64(first), np.uint64(last)):
+        given = axes
+        for e in range(np.uint64(start[i]), np.uint64(start[i + one])):
+            table[e, AHEAD] = table[e, TAKEN]
+            part = table[e, SHARE] * table[e, TAKEN]
             for k in range(len(axes)):
-                part = normal[e, np.uint64(k)] / trace
-                for m in range(len(axes)):
-                    s[k, m] += part * normal[e, np.uint64(m)]
-        for _ in range(2):
-            for k in range(len(axes)):
-                for m in range(len(axes)):
-                    total = 0.0
-                    for q in range(len(axes)):
-                        total += s[k, q] * s[m, q]
-                    t[k, m] = total
-            s, t = t, s
-        size2 = 0.0
+                given = with_item(given, k, given[k] + part * table[e, NORMAL + k])
         for k in range(len(axes)):
-            for m in range(len(axes)):
-                size2 += s[k, m] * s[k, m]
-        bound[i] = w[i] * trace * sqrt(sqrt(sqrt(size2)))
-
-
-@kernel
-def step_lengths(start, partner, w, which, bound):
-    """(shares, lengths of a gradient step) of all half-edges."""
-    share, step = np.empty(len(partner)), np.empty(len(partner))
-    for i in range(len(start) - 1):
-        for e in range(start[i], start[i + 1]):
-            j = partner[e]
-            both = w[i] + w[j]
-            share[e] = w[i] / both
-            step[e] = both / (bound[i] + bound[j]) if which[e] else 0.0
-    return share, step
-
-
-@kernel
-def take(start, normal, share, v0, taken, v):
-    """Velocities v of rows whose half-edges have taken so much from v0."""
-    for i in range(len(start) - 1):
-        for k in range(v.shape[1]):
-            v[i, k] = v0[i, k]
-        for e in range(start[i], start[i + 1]):
-            given = share[e] * taken[e]
-            for k in range(v.shape[1]):
-                v[i, k] += given * normal[e, k]
+            v[i, np.uint64(k)] = v0[i, np.uint64(k)] + given[k]
 
 
 @inner
-def iterate(axes, first, last, problem, targets, state, v, after, beta, looks, sums):
-    """An iteration of the rows first ... last - 1: `taken` and `ahead` of the `state` in place, velocities v to `after`.
+def iterate(axes, first, last, problem, w, v0, v, after, beta, looks, sums):
+    """An iteration of the rows first ... last - 1: the table in place, velocities v to `after`.
 
     If it `looks`: returns the largest errors in v, in what is enough and in round-off. To sums[i] then the squares of the first,
     and the work of what changes against the momentum, which is positive past a minimum.
     """
-    start, partner, normal, share, step = problem
-    may_close, loose, tight = targets
-    w, v0, taken, ahead = state
+    start, partner, table, loose, tight = problem
     one = np.uint64(1)
     rough, left = 0.0, 0.0
     for i in range(np.uint64(first), np.uint64(last)):  # unsigned: indices that may be negative take twice as long
         squares, work = 0.0, 0.0
+        own, given = axes, axes  # velocity of the row, and what its contacts give it: kept in registers, as no array is
         for k in range(len(axes)):
-            after[i, np.uint64(k)] = v0[i, np.uint64(k)]
+            own = with_item(own, k, v[i, np.uint64(k)])
         for e in range(np.uint64(start[i]), np.uint64(start[i + one])):
-            j, excess = np.uint64(partner[e]), may_close[e]
+            j, excess = np.uint64(partner[e]), table[e, MAY_CLOSE]
             for k in range(len(axes)):
-                excess += (v[i, np.uint64(k)] - v[j, np.uint64(k)]) * normal[e, np.uint64(k)]
-            new = ahead[e] - excess * step[e]
+                excess += (own[k] - v[j, np.uint64(k)]) * table[e, NORMAL + k]
+            step, ahead = table[e, STEP], table[e, AHEAD]
+            new = ahead - excess * step
             new = new if new > 0.0 else 0.0
-            change = new - taken[e]
-            if looks and step[e] > 0.0:
-                error = (ahead[e] - new) / step[e]
+            change = new - table[e, TAKEN]
+            if looks and step > 0.0:
+                error = (ahead - new) / step
                 part = abs(error) * loose[e]
                 squares += part * part
                 rough = part if part > rough else rough
                 part = abs(error) * tight[e]
                 left = part if part > left else left
-                work += error * change * share[e]
+                work += error * change * table[e, SHARE]
             next_one = new + beta * change
-            ahead[e], taken[e] = next_one, new
-            given = share[e] * next_one
+            table[e, TAKEN], table[e, AHEAD] = new, next_one
+            part = table[e, SHARE] * next_one
             for k in range(len(axes)):
-                after[i, np.uint64(k)] += given * normal[e, np.uint64(k)]
+                given = with_item(given, k, given[k] + part * table[e, NORMAL + k])
+        for k in range(len(axes)):
+            after[i, np.uint64(k)] = v0[i, np.uint64(k)] + given[k]
         if looks:
             sums[i, np.uint64(0)], sums[i, np.uint64(1)] = squares, work / w[i] if w[i] > 0.0 else 0.0
     return rough, left
@@ -180,7 +101,7 @@ def momentum(theta):
 
 
 @kernel
-def iterations(axes, count, problem, targets, state, v, other, theta, looks, sums):
+def iterations(axes, count, problem, w, v0, v, other, theta, looks, sums):
     """So many iterations of all rows; v and `other` (size + 1, d) take turns. If it `looks`, one only.
 
     Returns theta of the next one, and of the last one the largest errors and the largest work of a row: see `iterate`.
@@ -188,7 +109,7 @@ def iterations(axes, count, problem, targets, state, v, other, theta, looks, sum
     rough, left, most = 0.0, 0.0, 0.0
     for _ in range(count):
         beta, theta = momentum(theta)
-        rough, left = iterate(axes, 0, len(problem[0]) - 1, problem, targets, state, v, other, beta, looks, sums)
+        rough, left = iterate(axes, 0, len(problem[0]) - 1, problem, w, v0, v, other, beta, looks, sums)
         v, other = other, v
     if looks:
         for i in range(len(sums)):
@@ -207,156 +128,112 @@ def whole_numbers(sums, unit):
 
 
 @kernel
-def solve_each(axes, problem, w, targets, v, taken):
+def solve_each(axes, problem, w, v):
     """Velocities v (n, d) of rows that touch walls alone, in place, each by itself: a row's bits depend on no other."""
-    start, _, normal, share, _ = problem
-    n, d = len(start) - 1, v.shape[1]
-    v0, other, ahead, sums = v.copy(), v.copy(), taken.copy(), np.empty((n, 2))
-    state = w, v0, taken, ahead
-    take(start, normal, share, v0, ahead, v)
+    start, table = problem[0], problem[2]
+    n = len(start) - 1
+    v0, other, sums = v.copy(), v.copy(), np.empty((n, 2))
+    begin(axes, 0, n, start, table, v0, v)
     for i in range(n):
         theta, swapped = 1.0, False
         for _ in range(MOST):
             here, there = (other, v) if swapped else (v, other)
             beta, theta = momentum(theta)
-            _, left = iterate(axes, i, i + 1, problem, targets, state, here, there, beta, True, sums)
+            _, left = iterate(axes, i, i + 1, problem, w, v0, here, there, beta, True, sums)
             swapped = not swapped
             if left <= 1.0:
                 break
             if sums[i, 1] > 0.0:
                 theta = 1.0
-                for k in range(d):
-                    there[i, k] = v0[i, k]
-                for e in range(start[i], start[i + 1]):
-                    ahead[e] = taken[e]
-                    for k in range(d):
-                        there[i, k] += share[e] * taken[e] * normal[e, k]
-    take(start, normal, share, v0, taken, v)
+                begin(axes, i, i + 1, start, table, v0, there)
+    begin(axes, 0, n, start, table, v0, v)
 
 
-class Solver:
-    """Solves for all ranks together, for velocities v (size + 1, d); `exchange(v)` refreshes those of ghosts.
+class Run:
+    """The iterations of one solution for velocities v (size + 1, d), which stay as they are; `result` (n, d) has the last ones.
 
-    edges: of our rows; w (size + 1,): inverse masses. `iterations` counts those done.
+    w (size + 1,): inverse masses; `exchange` refreshes the velocities of ghosts, if there are any.
     """
 
-    def __init__(self, ranks: Communicator, dimension: int):
-        self.ranks, self.axes = ranks, (0,) * dimension
-        self.iterations = 0
+    def __init__(self, axes: tuple[float, ...], problem: Problem, w: Array, v: Array, exchange: Callable[[Array], None] | None):
+        self.axes, self.problem, self.exchange, self.w, self.v0 = axes, tuple(problem), exchange, w, v
+        self.v, self.other, self.sums = v.copy(), v.copy(), np.empty((len(problem.start) - 1, 2))
+        self.restart()
 
-    def solve(
-        self, edges: Edges, w: Array, targets: Targets, v: Array, taken: Array, ids: Array, exchange: Callable[[Array], None],
-        least: int,
-    ) -> bool:  # fmt: skip
-        """Velocities at which no contact closes faster than it may; v, and what each has `taken` (m,), in place.
+    @property
+    def result(self) -> Array:
+        """Velocities of the rows."""
+        return self.v[: len(self.sums)]
 
-        ids: of rows and ghosts. Ends when errors are allowed and `least` iterations are done, or nothing but round-off is left,
-        or after MOST iterations; returns whether errors are allowed. Collective.
+    def restart(self) -> None:
+        """Begin with what is taken, without momentum."""
+        self.theta = MOVING
+        begin(self.axes, 0, len(self.sums), self.problem[0], self.problem[2], self.v0, self.v)
+        if self.exchange:
+            self.exchange(self.v)
+
+    def advance(self, count: int, looks: bool = False) -> tuple[float, float, float]:
+        """So many iterations, with an exchange of ghosts after each; what the last one saw, if it `looks`."""
+        for part in [1] * count if self.exchange else [count]:
+            self.theta, *seen = iterations(
+                self.axes, part, self.problem, self.w, self.v0, self.v, self.other, self.theta, looks, self.sums
+            )
+            if part % 2:
+                self.v, self.other = self.other, self.v
+            if self.exchange:
+                self.exchange(self.v)
+        return seen[0], seen[1], seen[2]
+
+    def finish(self) -> None:
+        """A last iteration without momentum, so that velocities are those that go with what is taken."""
+        self.theta = 1.0
+        self.advance(1)
+
+    def until_good(self, ranks: Communicator, least: int) -> tuple[bool, int]:
+        """Iterate until errors are allowed and `least` iterations are done, or nothing but round-off is left, or MOST are done.
+
+        Returns whether errors are allowed, and the iterations done. Collective.
         """
-        count, every = self.ranks.allreduce_sum(np.array([(edges.step > 0.0).sum(), len(taken)]))
-        ranks, together = self.ranks, None
-        if ranks.size > 1 and every <= FEW:
-            together = Together(ranks, ids, edges, targets, w, v, taken)
-            run, ranks = Run(self.axes, False, *together.all, unchanged), Communicator.alone()
-        else:
-            run = Run(self.axes, ranks.size > 1, tuple(edges), tuple(targets), w, v, taken, exchange)
-        done = 1
+        done, count = 1, ranks.allreduce_sum(float((self.problem[2][:, STEP] > 0.0).sum()))[0]
         while True:
-            worst = run.advance(1, looks=True)
+            worst = self.advance(1, looks=True)
             rough, left, most = ranks.allreduce_max(np.array(worst))
-            squares, work = ranks.allreduce_sum(np.array(whole_numbers(run.sums, most if most > 0.0 else 1.0)))
+            squares, work = ranks.allreduce_sum(np.array(whole_numbers(self.sums, most if most > 0.0 else 1.0)))
             good = rough <= OUTLIER and squares <= max(count, 1) * FINE
             if left <= 1.0 or (good and done >= least) or done >= MOST:
                 break
             if work > 0.0:
-                run.restart()
-            run.advance(CHECK - 1)
+                self.restart()
+            self.advance(CHECK - 1)
             done += CHECK
-        run.finish()
-        if together:
-            together.give_back(v, taken)
-        self.iterations += done + 1
-        return bool(good or left <= 1.0)
+        self.finish()
+        return bool(good or left <= 1.0), done + 1
 
 
-class Run:
-    """The iterations of one solution: see `Solver.solve`."""
+class Solver:
+    """Solves for all ranks together; `iterations` counts those done."""
 
-    def __init__(
-        self, axes: tuple[int, ...], parallel: bool, edges: tuple[Array, ...], targets: tuple[Array, ...], w: Array, v: Array,
-        taken: Array, exchange: Callable[[Array], None],
-    ):  # fmt: skip
-        n = len(edges[0]) - 1
-        self.axes, self.parallel, self.exchange = axes, parallel, exchange
-        self.edges, self.targets, self.result = edges, targets, v
-        self.v, self.other, self.sums = v.copy(), v.copy(), np.empty((n, 2))
-        self.state = w, v[:n].copy(), taken, taken.copy()
-        self.restart()
+    def __init__(self, ranks: Communicator, axes: tuple[float, ...]):
+        self.ranks, self.axes = ranks, axes
+        self.iterations = 0
 
-    def restart(self) -> None:
-        """Begin with what is taken, without momentum."""
-        start, _, normal, share, _ = self.edges
-        _, v0, taken, ahead = self.state
-        self.theta = 1.0
-        ahead[:] = taken
-        take(start, normal, share, v0, ahead, self.v)
-        self.exchange(self.v)
+    def solve(
+        self, problem: Problem, w: Array, v: Array, ids: Array, exchange: Callable[[Array], None], least: int
+    ) -> tuple[Array, bool]:  # fmt: skip
+        """Velocities (n, d) at which no contact closes faster than it may, and whether errors are allowed; to the table, what
+        contacts have taken.
 
-    def advance(self, count: int, looks: bool = False) -> tuple[float, float, float]:
-        """So many iterations, with an exchange of ghosts after each; what the last one saw, if it `looks`."""
-        for part in [1] * count if self.parallel else [count]:
-            self.theta, *seen = iterations(
-                self.axes, part, self.edges, self.targets, self.state, self.v, self.other, self.theta, looks, self.sums
-            )
-            if part % 2:
-                self.v, self.other = self.other, self.v
-            self.exchange(self.v)
-        return seen[0], seen[1], seen[2]
-
-    def finish(self) -> None:
-        """A last iteration without momentum; velocities are those that go with what is taken."""
-        self.theta = 1.0
-        self.advance(1)
-        n = len(self.sums)
-        self.result[:n] = self.v[:n]
-
-
-class Together:
-    """The contacts of all ranks on each of them, where they are so few that exchanges would take longer than the iterations.
-
-    Each rank then computes the same bits for all rows that have some, in the order of ids; other rows keep their velocities and
-    are not sent. `all`: what `Run` takes, but for the exchange.
-    """
-
-    def __init__(self, ranks: Communicator, ids: Array, edges: Edges, targets: Targets, w: Array, v: Array, taken: Array):
-        n = len(edges.start) - 1
-        names = np.append(ids, -1)  # of a wall
-        columns = {"row": np.repeat(ids[:n], np.diff(edges.start)), "other": names[edges.partner], "taken": taken}
-        columns |= {name: getattr(edges, name) for name in ("normal", "share", "step")} | targets._asdict()
-        every = allgather_rows(ranks, columns)
-        self.count = np.diff(edges.start)
-        self.mine = np.flatnonzero(self.count)
-        rows = allgather_rows(ranks, {"id": ids[self.mine], "v": v[self.mine], "w": w[self.mine]})
-        order, by_row = np.argsort(rows["id"]), np.argsort(every["row"], kind="stable")
-        known, every = rows["id"][order], rows_of(every, by_row)
-        partner = np.searchsorted(known, every["other"])
-        partner[every["other"] < 0] = len(known)
-        start = np.searchsorted(every["row"], np.append(known, 2**62))
-        both = Edges(start, partner.astype(np.int32), *(every[name] for name in Edges._fields[2:]))
-        self.v = np.concatenate((rows["v"][order], np.zeros((1, v.shape[1]))))
-        self.taken = every["taken"]
-        wanted = tuple(every[name] for name in Targets._fields)
-        self.all = tuple(both), wanted, np.append(rows["w"][order], 0.0), self.v, self.taken
-        self.place = np.searchsorted(known, ids[self.mine])
-        self.first = start[self.place]
-
-    def give_back(self, v: Array, taken: Array) -> None:
-        """The solution for our rows."""
-        v[self.mine] = self.v[self.place]
-        count = self.count[self.mine]
-        within = np.arange(len(taken)) - np.repeat(np.cumsum(count) - count, count)
-        taken[:] = self.taken[np.repeat(self.first, count) + within]
-
-
-def unchanged(v: Array) -> None:
-    """There are no ghosts."""
+        w (size + 1,): inverse masses; v (size + 1, d) and ids of rows and ghosts. For `least`, see `Run.until_good`. Collective.
+        """
+        ranks = self.ranks
+        if ranks.size > 1 and ranks.allreduce_sum(len(problem.partner))[0] <= FEW:
+            together = Together(ranks, ids, problem, w, v)
+            run = Run(self.axes, together.problem, together.w, together.v, None)
+            good, done = run.until_good(Communicator.alone(), least)
+            result = together.ours(run.result, v, problem.table)
+        else:
+            run = Run(self.axes, problem, w, v, exchange if ranks.size > 1 else None)
+            good, done = run.until_good(ranks, least)
+            result = run.result
+        self.iterations += done
+        return result, good

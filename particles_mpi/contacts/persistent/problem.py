@@ -1,0 +1,85 @@
+"""What `solver` is given: the contacts of a rank's rows, one row of a table for each half-edge."""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from particles_mpi.kernels.jit import kernel
+from particles_mpi.particles import Array
+
+# Columns of the table of half-edges. It has one row for each, 64 bytes long in space: arrays of their own would be in one
+# another's way in the cache, all being read at the same pace.
+SHARE = 0  # the part of what the contact takes that this row gives
+STEP = 1  # length of a gradient step, (w_i + w_j)/D, and 0 for contacts that take nothing
+MAY_CLOSE = 2  # the speed at which it may close
+TAKEN = 3  # the approach that it has taken
+AHEAD = 4  # the same, moved on along the last change
+NORMAL = 5  # and the following ones: the normal, towards the row
+
+
+class Problem(NamedTuple):
+    """The contacts that are solved for, as half-edges: those of row i are start[i] ... start[i + 1] - 1.
+
+    start (n + 1,); partner (m,): a row or ghost, or the row of zeros behind them that stands for walls; table (m, 5 + d), with
+    the columns above. An error in speed is allowed up to 1/`loose` (m,), as root mean square; below 1/`tight` (m,) nothing is
+    left but round-off.
+    """
+
+    start: Array
+    partner: Array
+    table: Array
+    loose: Array
+    tight: Array
+
+
+@kernel
+def bound_rows(axes, start, normal, w, which, bound):
+    """Of each row w b, where b bounds the largest eigenvalue of S = sum of n n^T: tr S |(S/tr S)^4|^(1/4)."""
+    s, t = np.empty((len(axes), len(axes))), np.empty((len(axes), len(axes)))
+    for i in range(len(start) - 1):
+        trace = 0.0
+        for e in range(start[i], start[i + 1]):
+            trace += which[e]
+        if trace <= 1.0:
+            bound[i] = w[i] * trace
+            continue
+        s[:] = 0.0
+        for e in range(np.uint64(start[i]), np.uint64(start[i + 1])):
+            if not which[e]:
+                continue
+            for k in range(len(axes)):
+                part = normal[e, np.uint64(k)] / trace
+                for m in range(len(axes)):
+                    s[k, m] += part * normal[e, np.uint64(m)]
+        for _ in range(2):
+            for k in range(len(axes)):
+                for m in range(len(axes)):
+                    total = 0.0
+                    for q in range(len(axes)):
+                        total += s[k, q] * s[m, q]
+                    t[k, m] = total
+            s, t = t, s
+        size2 = 0.0
+        for k in range(len(axes)):
+            for m in range(len(axes)):
+                size2 += s[k, m] * s[k, m]
+        bound[i] = w[i] * trace * sqrt(sqrt(sqrt(size2)))
+
+
+@kernel
+def table_of(axes, start, partner, normal, w, which, bound, may_close, taken):
+    """The table of half-edges (m, 5 + d), of which those that `which` marks may take anything; w, bound: see `bound_rows`."""
+    table = np.empty((len(partner), NORMAL + len(axes)))
+    for i in range(len(start) - 1):
+        for e in range(start[i], start[i + 1]):
+            j = partner[e]
+            both = w[i] + w[j]
+            table[e, SHARE] = w[i] / both
+            table[e, STEP] = both / (bound[i] + bound[j]) if which[e] else 0.0
+            table[e, MAY_CLOSE], table[e, TAKEN], table[e, AHEAD] = may_close[e], taken[e], taken[e]
+            for k in range(len(axes)):
+                table[e, NORMAL + k] = normal[e, k]
+    return table

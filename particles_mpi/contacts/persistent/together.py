@@ -1,0 +1,48 @@
+"""Few contacts are solved for by each rank: exchanges between ranks would take longer than the iterations."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from particles_mpi.contacts.persistent.problem import TAKEN, Problem
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exchange import allgather_rows
+from particles_mpi.particles import Array, rows_of
+
+FEW = 10_000  # half-edges of all ranks: so many are solved for by each
+
+
+class Together:
+    """The contacts of all ranks on each of them.
+
+    Each rank then computes the same bits for all rows that have some, in the order of ids; other rows keep their velocities and
+    are not sent. `problem`, `w`, `v`: what `solver.Run` takes.
+    """
+
+    def __init__(self, ranks: Communicator, ids: Array, problem: Problem, w: Array, v: Array):
+        n = len(problem.start) - 1
+        names = np.append(ids, -1)  # of a wall
+        self.count = np.diff(problem.start)
+        columns = {"row": np.repeat(ids[:n], self.count), "other": names[problem.partner]}
+        every = allgather_rows(ranks, columns | {name: getattr(problem, name) for name in ("table", "loose", "tight")})
+        self.mine = np.flatnonzero(self.count)
+        rows = allgather_rows(ranks, {"id": ids[self.mine], "v": v[self.mine], "w": w[self.mine]})
+        order = np.argsort(rows["id"])
+        known, every = rows["id"][order], rows_of(every, np.argsort(every["row"], kind="stable"))
+        partner = np.searchsorted(known, every["other"])
+        partner[every["other"] < 0] = len(known)
+        start = np.searchsorted(every["row"], np.append(known, 2**62))
+        self.problem = Problem(start, partner.astype(np.int32), every["table"], every["loose"], every["tight"])
+        self.v = np.concatenate((rows["v"][order], np.zeros((1, v.shape[1]))))
+        self.w = np.append(rows["w"][order], 0.0)
+        self.place = np.searchsorted(known, ids[self.mine])
+        self.first = start[self.place]
+
+    def ours(self, result: Array, v: Array, table: Array) -> Array:
+        """Of the velocities `result` of all rows those of ours, which were v; to our table what contacts have taken."""
+        count = self.count[self.mine]
+        within = np.arange(len(table)) - np.repeat(np.cumsum(count) - count, count)
+        table[:, TAKEN] = self.problem.table[np.repeat(self.first, count) + within, TAKEN]
+        ours = v[: len(self.count)].copy()
+        ours[self.mine] = result[self.place]
+        return ours
