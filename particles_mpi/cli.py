@@ -170,7 +170,7 @@ def scaling(
 @study.command("hard-cases")
 def hard_cases(
     only: Annotated[str | None, typer.Option(metavar="TEXT", help="Only cases with this in their name, long ones too.")] = None,
-    full: Annotated[bool, typer.Option("--full", help="Also the cases that take many minutes: beds of 10 000.")] = False,
+    full: Annotated[bool, typer.Option("--full", help="Also the cases that take many minutes: beds of 10 000 for 10 s.")] = False,
     output: Annotated[Path | None, typer.Option(metavar="FILE.json", help="The outcomes as JSON.")] = None,
 ) -> None:
     """What goes wrong in naive programs, and what must hold here; exit code 3 if something does not.

@@ -45,9 +45,7 @@ def inner(function: Any = None, **options: Any) -> Any:
 
 
 lean_inner: Any = inner(_nrt=False)
-with_item: Any = (
-    tuple_setitem  # (tuple, place, value): sums in a tuple stay in registers, while those in an array are stored each time
-)
+with_item: Any = tuple_setitem  # (tuple, place, value): sums in a tuple stay in registers, those in an array do not
 
 
 def plain(bundle: tuple[Any, ...]) -> tuple[Any, ...]:

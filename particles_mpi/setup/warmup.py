@@ -44,6 +44,7 @@ def run(ranks: Communicator, d: int, effects: dict[str, Any], **more: Any) -> No
     sim.run()
     sim.measure()
     if sim.rest and sim.rest.pairs:
+        sim.rest.effort = 0  # as in a large pile
         sim.rest.keep_crowds(sim.rows, sim.sum_forces(), sim.h)
 
 

@@ -9,6 +9,7 @@ HEAVY = {
     "resting ball": (),  # test_rest.py has them, and looks at more
     "resting columns": (),
     "beds of 200": (("event", 2),),
+    "bed of 10 000": (),  # half a minute each
     "1e5 bounces of an elastic ball": (("rewind", 2),),
     "1e5 bounces under gravity": ((None, 2),),
     "1e6 Kepler orbits": (),

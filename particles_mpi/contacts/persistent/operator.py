@@ -27,6 +27,7 @@ from particles_mpi.contacts.persistent.detection import (
     carried,
     find_contacts,
     gather,
+    hand_over,
     inside_zone,
     loads,
     near_walls,
@@ -40,9 +41,9 @@ from particles_mpi.contacts.persistent.graph import ContactGraph, Exchange, rows
 from particles_mpi.contacts.persistent.memory import NOTHING, Memory, carry_over, recall, remember, send_home
 from particles_mpi.contacts.persistent.on_walls import settle_on_walls
 from particles_mpi.contacts.persistent.problem import TAKEN, Problem, bound_rows, table_of
-from particles_mpi.contacts.persistent.solver import EFFORT, OUTLIER, Solver
+from particles_mpi.contacts.persistent.solver import EFFORT, EXACT, OUTLIER, Solver
 from particles_mpi.contacts.walls import Planes
-from particles_mpi.kernels.markers import CROWD, PRESSED
+from particles_mpi.kernels.markers import CROWD
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.particles import Array, Particles, row_dot
@@ -52,7 +53,6 @@ PRECISE = 1e-12  # of the slow speed: approach that does not matter
 SKIN = 0.3  # of the smallest radius: so far rows may move, two together, before the graph is made anew
 DILUTE = 1.0  # the same, in a gas: few pairs come near, but rows move far
 UNKNOWN = 10  # times the effort where nothing is remembered
-EXACT = 100  # iterations: a pile for which so many are always spent keeps no margin for what is left
 
 
 class Local(NamedTuple):
@@ -108,6 +108,7 @@ class PersistentContacts:
         self.awake = True  # else particles pass through one another and through walls
         self.totals = {"unconverged": 0}  # of this rank, which are counted for all by rank 0
         self.graphs_made = 0
+        self.effort = EFFORT  # see there; 0 in a large pile
         self.dilute = False  # has the graph few half-edges?
 
     def forget(self) -> None:
@@ -233,7 +234,11 @@ class PersistentContacts:
         """
         contacts = self.contacts(local, graph, inside, h)
         before = took[contacts.slot]
-        effort = EFFORT // max(int(self.ranks.allreduce_sum(len(before))[0]), 1) * (1 if known else UNKNOWN)
+        count = int(self.ranks.allreduce_sum(len(before))[0])
+        if not count:
+            p["supported"][graph.rows] = 0
+            return np.zeros(len(took))
+        effort = self.effort // count * (1 if known else UNKNOWN)
         borne = 2.0 * SLOW * before
         if not known:  # else they bear what they bore
             touch = contacts.gap <= contacts.widest * h
@@ -300,9 +305,7 @@ class PersistentContacts:
 
     def give_back(self, p: Particles, rows: Array, v: Array, held: Array) -> None:
         """To our particles: velocities v of `rows`, and which of them contacts hold."""
-        self.given = rows, v - p.velocity[rows]
-        p.velocity[rows] = v
-        p["supported"][rows] = PRESSED * held
+        self.given = hand_over(rows, v, held, p.velocity, p["supported"])
 
 
 def exactly(contacts: Contacts) -> Targets:

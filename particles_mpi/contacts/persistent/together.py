@@ -9,7 +9,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.particles import Array, rows_of
 
-FEW = 10_000  # half-edges of all ranks: so many are solved for by each
+FEW = 2_000  # half-edges of all ranks: so many are solved for by each
 
 
 class Together:
