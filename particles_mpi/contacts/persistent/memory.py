@@ -9,8 +9,8 @@ import numpy as np
 from particles_mpi.contacts.persistent.graph import ContactGraph
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exchange import allgather_rows
-from particles_mpi.particles import Array, Particles
+from particles_mpi.parallel.exchange import by_destination, id_range, send_rows
+from particles_mpi.particles import Array, Particles, rows_of
 
 
 class Memory(NamedTuple):
@@ -90,12 +90,30 @@ def match(ids, partners, known_id, known_partner, known_taken):
 
 
 def send_home(ranks: Communicator, memory: Memory, p: Particles) -> Memory:
-    """The contacts of our rows, after rows have changed their rank. Collective."""
+    """The contacts of our rows, after rows have changed their rank. Collective.
+
+    A stray one first goes to the rank that its id falls to, where those ask that have rows without contacts.
+    """
     if ranks.size == 1:
         return memory
     here = np.isin(memory.id, p.id)
     if not ranks.allreduce_max(float(not here.all()))[0]:
         return memory
-    strays = allgather_rows(ranks, {name: column[~here] for name, column in memory._asdict().items()})
-    ours = np.isin(strays["id"], p.id)
-    return Memory(*(np.concatenate((column[here], strays[name][ours])) for name, column in memory._asdict().items()))
+    known = id_range(ranks, p.id)
+
+    def send(columns: dict[str, Array], to: Array) -> tuple[dict[str, Array], Array]:
+        return send_rows(ranks, columns, *by_destination(to, ranks.size))
+
+    def middle(ids: Array) -> Array:
+        return (np.clip(ids, known.first, known.end - 1) - known.first) * ranks.size // max(known.end - known.first, 1)
+
+    strays = {name: column[~here] for name, column in memory._asdict().items()}
+    strays, _ = send(strays, middle(strays["id"]))
+    without = p.id[~np.isin(p.id, memory.id)]
+    asked, counts = send({"id": without}, middle(without))
+    order = np.argsort(asked["id"])
+    ids, owner = asked["id"][order], np.repeat(np.arange(ranks.size), counts)[order]
+    place = np.minimum(np.searchsorted(ids, strays["id"]), max(len(ids) - 1, 0))
+    found = np.flatnonzero(ids[place] == strays["id"]) if len(ids) else np.empty(0, np.int64)
+    ours, _ = send(rows_of(strays, found), owner[place[found]])
+    return Memory(*(np.concatenate((column[here], ours[name])) for name, column in memory._asdict().items()))
