@@ -1,7 +1,8 @@
 """The next event of every row, in buckets of time: a calendar queue, which finds the first of all without comparing them all.
 
 Rows whose events are in the same bucket are linked; the present bucket is searched for the first event under the total order:
-time, pair before wall, lower id, higher id or wall.
+time, pair before wall, lower id, higher id or wall. If it has many (spheres that fall side by side leave their skins at the same
+time) it is sorted first, and stays so.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from particles_mpi.particles import Array
 PARTNER, PARTNER_COUNT, NEXT, PREVIOUS, BUCKET = range(5)  # columns of `node`
 NODE, TIME = 8, 3  # width of a node, half a line of the cache; column of `times`
 NO_EVENT = -(2**30)  # values of PARTNER: nothing happens before the end of the drift
+MANY = 64  # events in a bucket: to search it for each of them would take longer than to sort it
 LIST_EXPIRY = NO_EVENT + 1  # it gets to its skin, where its neighbour list expires; -1 - w is wall w, and rows are >= 0
 
 
@@ -27,21 +29,45 @@ class Queue(NamedTuple):
     times: Array  # the same memory as float64: TIME of the event
     first: Array  # (buckets,) int32: a row of each bucket, or -1
     per_time: float  # buckets in a unit of time
-    present: Array  # (1,) the present bucket
+    present: Array  # (2,) the present bucket; is it sorted?
 
 
 @lean_inner
-def push(queue, i, t, partner, count):
+def comes_before(i, partner_i, j, partner_j, state):
+    """Does the event of row i with its partner come before that of row j with its own at the same time?"""
+    if partner_i < 0 or partner_j < 0:
+        if partner_i >= 0 or partner_j >= 0:
+            return partner_i >= 0
+        return (state[i, ID], -partner_i) < (state[j, ID], -partner_j)
+    a, b, c, d = state[i, ID], state[partner_i, ID], state[j, ID], state[partner_j, ID]
+    return (min(a, b), max(a, b)) < (min(c, d), max(c, d))
+
+
+@lean_inner
+def earlier(queue, i, j, state):
+    """Is the event of row i before that of row j?"""
+    one, other = queue.times[i, TIME], queue.times[j, TIME]
+    return one < other or (one == other and comes_before(i, queue.node[i, PARTNER], j, queue.node[j, PARTNER], state))
+
+
+@lean_inner
+def push(queue, state, i, t, partner, count):
     """Give row i, which has no event, one at time t with the partner of this event count; never before the present bucket."""
-    node, first = queue.node, queue.first
-    bucket = max(min(np.int64(max(t, 0.0) * queue.per_time), len(first) - 1), queue.present[0])
-    after = first[bucket]
+    node, first, present = queue.node, queue.first, queue.present
+    bucket = max(min(np.int64(max(t, 0.0) * queue.per_time), len(first) - 1), present[0])
     queue.times[i, TIME] = t
     node[i, PARTNER], node[i, PARTNER_COUNT] = partner, count
-    node[i, NEXT], node[i, PREVIOUS], node[i, BUCKET] = after, -1, bucket
+    before, after = np.int64(-1), np.int64(first[bucket])
+    if bucket == present[0] and present[1]:
+        while after >= 0 and earlier(queue, after, i, state):
+            before, after = after, np.int64(node[after, NEXT])
+    node[i, NEXT], node[i, PREVIOUS], node[i, BUCKET] = after, before, bucket
     if after >= 0:
         node[after, PREVIOUS] = i
-    first[bucket] = i
+    if before >= 0:
+        node[before, NEXT] = i
+    else:
+        first[bucket] = i
 
 
 @lean_inner
@@ -61,30 +87,52 @@ def cancel(queue, i):
 
 
 @lean_inner
-def comes_before(i, partner_i, j, partner_j, state):
-    """Does the event of row i with its partner come before that of row j with its own at the same time?"""
-    if partner_i < 0 or partner_j < 0:
-        if partner_i >= 0 or partner_j >= 0:
-            return partner_i >= 0
-        return (state[i, ID], -partner_i) < (state[j, ID], -partner_j)
-    a, b, c, d = state[i, ID], state[partner_i, ID], state[j, ID], state[partner_j, ID]
-    return (min(a, b), max(a, b)) < (min(c, d), max(c, d))
+def sort_present(queue, state):
+    """Sort the present bucket: runs of 1, 2, 4 ... linked rows are merged, two at a time."""
+    node, bucket = queue.node, queue.present[0]
+    length, merges = 1, 2
+    while merges > 1:
+        rest, end, merges = np.int64(queue.first[bucket]), np.int64(-1), 0
+        while rest >= 0:
+            merges += 1
+            one, other, ones, others = rest, rest, 0, length
+            while ones < length and other >= 0:
+                ones, other = ones + 1, np.int64(node[other, NEXT])
+            while ones > 0 or (others > 0 and other >= 0):
+                if ones > 0 and (others == 0 or other < 0 or earlier(queue, one, other, state)):
+                    i, one, ones = one, np.int64(node[one, NEXT]), ones - 1
+                else:
+                    i, other, others = other, np.int64(node[other, NEXT]), others - 1
+                node[i, PREVIOUS] = end
+                if end >= 0:
+                    node[end, NEXT] = i
+                else:
+                    queue.first[bucket] = i
+                end = i
+            rest = other
+        node[end, NEXT] = -1
+        length *= 2
+    queue.present[1] = 1
 
 
 @lean_inner
 def find_first(queue, state):
     """The row with the first event of all, or -1. Moves the present on to its bucket."""
-    node, times, first, present = queue.node, queue.times, queue.first, queue.present
+    node, first, present = queue.node, queue.first, queue.present
     while present[0] < len(first):
         best = np.int64(first[present[0]])
         if best >= 0:
-            i = np.int64(node[best, NEXT])
-            while i >= 0:
-                if times[i, TIME] < times[best, TIME] or (
-                    times[i, TIME] == times[best, TIME] and comes_before(i, node[i, PARTNER], best, node[best, PARTNER], state)
-                ):
+            if present[1]:
+                return best
+            i, count = np.int64(node[best, NEXT]), 1
+            while i >= 0 and count < MANY:
+                if earlier(queue, i, best, state):
                     best = i
-                i = np.int64(node[i, NEXT])
-            return best
+                i, count = np.int64(node[i, NEXT]), count + 1
+            if i < 0:
+                return best
+            sort_present(queue, state)
+            return np.int64(first[present[0]])
         present[0] += 1
+        present[1] = 0
     return -1

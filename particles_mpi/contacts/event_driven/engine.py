@@ -128,12 +128,12 @@ class Engine:
         buckets = int(min(max(self.events / CONTACTS, len(here)), 4 * len(here))) + 64
         first = np.full(buckets, -1, np.int32)
         self.h = h
-        self.queue = Queue(self.node, self.node.view(np.float64), first, buckets / h, np.zeros(1, np.int64))
+        self.queue = Queue(self.node, self.node.view(np.float64), first, buckets / h, np.zeros(2, np.int64))
 
     def run(self, now: float, until: float, moment: float) -> None:
         """All events from `now` to `until`, times since the start of the drift at `moment`."""
         queue, work = self.queue, self.work
-        queue.present[0] = min(int(now * queue.per_time), len(queue.first) - 1)  # nothing is left from before
+        queue.present[:] = min(int(now * queue.per_time), len(queue.first) - 1), 0  # nothing is left from before
         a, drag = self.rows.acceleration, self.rows.drag
         rates = self.rates.of({"drag": drag, "total_acceleration": a} if len(a) else {"drag": drag})
         rules = self.loss, self.contact_duration, self.crowded, self.planes, rates

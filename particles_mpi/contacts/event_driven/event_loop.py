@@ -249,7 +249,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             cancel(queue, i)
             t, partner = next_event(axes, rows, lists, planes, work, i, now, h)
             if partner != NO_EVENT:
-                push(queue, i, t, partner, state[partner, EVENT_COUNT] if partner >= 0 else 0)
+                push(queue, state, i, t, partner, state[partner, EVENT_COUNT] if partner >= 0 else 0)
             continue
         prefetch_next(rows, lists, queue)
         i = find_first(queue, state)
