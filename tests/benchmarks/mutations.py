@@ -32,6 +32,13 @@ class Mutation(NamedTuple):
 EXCHANGE = "    for k in range(len(axes)):\n        v[i, column + k] = keep * (v[i, column + k] - impulse * own * r[k])\n"
 MUTATIONS = (
     Mutation(
+        "what contacts took is lost where rows change their rank",
+        "contacts/persistent/memory.py",
+        "    ours, _ = send(rows_of(strays, found), owner[place[found]])\n",
+        "    ours, _ = send(rows_of(strays, found[:0]), owner[place[found[:0]]])\n",
+        ("tests/parallel/test_same_bits.py", "-k", "heap and 2-"),
+    ),
+    Mutation(
         "sign of the restitution",
         "contacts/law.py",
         "    take = (1.0 + restitution) * approach\n",

@@ -7,17 +7,22 @@ from pathlib import Path
 import numpy as np
 
 from particles_mpi import Scene, Simulation
+from particles_mpi.contacts.persistent import solver
 from particles_mpi.parallel import exchange
 from particles_mpi.parallel.exchange import in_id_order
 
-folder, FEW = Path(sys.argv[2]), exchange.FEW
+folder, FEW, FEW_CONTACTS = Path(sys.argv[2]), exchange.FEW, solver.FEW
 for name, tables in json.loads(Path(sys.argv[1]).read_text()).items():
     windows = tables.pop("windows", False)
     exchange.FEW = tables.pop("few", FEW)
+    large = tables.pop("large", False)
+    solver.FEW = 0 if large else FEW_CONTACTS  # no rank solves for contacts that are not its own
     scene = Scene.from_dict(tables)
     sim = Simulation(scene)
     if windows and sim.ranks.size > 1:  # divide space however few there are
         sim.near.divided = sim.near.windows.always = True
+    if large:
+        sim.rest.effort = 0
     rows = []
     for _ in range(scene.steps):
         sim.step()

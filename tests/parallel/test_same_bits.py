@@ -303,6 +303,12 @@ SCENES[LARGE] = dict(
 SCENES["cluster, in blocks"] = SCENES["cluster, fixed and without mass"] | {"few": 0}
 WINDOWS = [name for name in SCENES if SCENES[name]["effects"].get("collisions", {}).get("mode") == "event" and name != LARGE]
 SCENES |= {f"{name}: in windows": SCENES[name] | {"windows": True, "few": 0} for name in WINDOWS}
+HEAP = "a heap that collapses in crowds"
+SCENES |= {
+    f"{HEAP}, solved as a large one": SCENES[HEAP] | {"large": True},
+    f"{HEAP}, solved as a large one, in windows": SCENES[f"{HEAP}: in order of time"]
+    | {"large": True, "windows": True, "few": 0},
+}
 MANY = [pytest.param(ranks, marks=pytest.mark.slow) for ranks in (4, 7, 8)]
 
 

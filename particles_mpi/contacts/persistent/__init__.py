@@ -3,6 +3,9 @@
 operator    what happens after a kick, and with crowds; who is involved
 graph       who is near whom, among the rows of a rank and their ghosts
 detection   which contacts are slow, and so kept
+problem     these as a table, one row for each of the two sides of a contact
 solver      velocities at which none of these closes, solved by all ranks together
+together    few contacts, which every rank solves for by itself
+on_walls    the same for rows that touch nothing but walls, in one kernel
 memory      what contacts took last, which goes with the rows
 """

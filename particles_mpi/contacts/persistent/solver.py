@@ -12,6 +12,9 @@ D = w_i b_i + w_j b_j makes D - A positive, so no step is too long. Instead of t
 p (w_i + w_j) is kept, the approach that it takes from its partners. A half-edge is computed by the owner of its row, from
 velocities that ranks exchange in each iteration; all sums are in the order of half-edges (`graph`). So the bits are the same on
 any number of ranks. To take a friction cone, the projection max(., 0) is what has to be replaced.
+
+Large piles are solved to a tolerance only. There p is multiplied by the factor that makes p A p/2 + p (N v + c) least, before the
+iterations and after them: then errors do no work in sum over all contacts.
 """
 
 from __future__ import annotations
