@@ -70,6 +70,8 @@ def event(d: int, ranks: Communicator) -> None:
     run(ranks, d, {"collisions": collisions}, periodic=True)
     if ranks.size == 1:
         Simulation(scene(d, {"collisions": collisions}), ranks.comm).step_to_collision()
+        flock = [{"count": 100, "position": "lattice", "velocity": [9.0] * d, "radius": 0.01}]  # all leave their skins at once
+        run(ranks, d, {"collisions": collisions}, periodic=True, particles=flock, time={"step": 0.05, "steps": 12})
     else:  # particles that change their rank, and windows that have to be undone
         gas = [{"count": 8 * d, "position": "random", "velocity": {"speed": 10.0}, "radius": 0.05}]
         run(ranks, d, {"collisions": collisions}, periodic=True, particles=gas, time={"step": 0.05, "steps": 12})

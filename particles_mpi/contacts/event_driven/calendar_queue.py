@@ -12,13 +12,14 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.contacts.event_driven.rows import ID
-from particles_mpi.kernels.jit import lean_inner
+from particles_mpi.kernels.jit import lean, lean_inner
 from particles_mpi.particles import Array
 
 PARTNER, PARTNER_COUNT, NEXT, PREVIOUS, BUCKET = range(5)  # columns of `node`
 NODE, TIME = 8, 3  # width of a node, half a line of the cache; column of `times`
 NO_EVENT = -(2**30)  # values of PARTNER: nothing happens before the end of the drift
 MANY = 64  # events in a bucket: to search it for each of them would take longer than to sort it
+UNSORTED = -2  # what `find_first` returns for a bucket with MANY
 LIST_EXPIRY = NO_EVENT + 1  # it gets to its skin, where its neighbour list expires; -1 - w is wall w, and rows are >= 0
 
 
@@ -58,7 +59,7 @@ def push(queue, state, i, t, partner, count):
     queue.times[i, TIME] = t
     node[i, PARTNER], node[i, PARTNER_COUNT] = partner, count
     before, after = np.int64(-1), np.int64(first[bucket])
-    if bucket == present[0] and present[1]:
+    if present[1] and bucket == present[0]:
         while after >= 0 and earlier(queue, after, i, state):
             before, after = after, np.int64(node[after, NEXT])
     node[i, NEXT], node[i, PREVIOUS], node[i, BUCKET] = after, before, bucket
@@ -86,9 +87,10 @@ def cancel(queue, i):
     node[i, PARTNER] = NO_EVENT
 
 
-@lean_inner
+@lean
 def sort_present(queue, state):
-    """Sort the present bucket: runs of 1, 2, 4 ... linked rows are merged, two at a time."""
+    """Sort the present bucket: runs of 1, 2, 4 ... linked rows are merged, two at a time. `queue` as a plain tuple."""
+    queue = Queue(*queue)
     node, bucket = queue.node, queue.present[0]
     length, merges = 1, 2
     while merges > 1:
@@ -117,7 +119,7 @@ def sort_present(queue, state):
 
 @lean_inner
 def find_first(queue, state):
-    """The row with the first event of all, or -1. Moves the present on to its bucket."""
+    """The row with the first event of all, or -1, or UNSORTED: call `sort_present`. Moves the present on to its bucket."""
     node, first, present = queue.node, queue.first, queue.present
     while present[0] < len(first):
         best = np.int64(first[present[0]])
@@ -131,8 +133,7 @@ def find_first(queue, state):
                 i, count = np.int64(node[i, NEXT]), count + 1
             if i < 0:
                 return best
-            sort_present(queue, state)
-            return np.int64(first[present[0]])
+            return UNSORTED
         present[0] += 1
         present[1] = 0
     return -1

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from particles_mpi.contacts.event_driven.calendar_queue import LIST_EXPIRY, NO_EVENT, NODE, PARTNER, Queue
+from particles_mpi.contacts.event_driven.calendar_queue import LIST_EXPIRY, NO_EVENT, NODE, PARTNER, Queue, sort_present
 from particles_mpi.contacts.event_driven.event_loop import (
     COLLISIONS,
     EXPIRIES,
+    FULL_BUCKET,
     INTERRUPTED,
     LAST_PROGRESS,
     STANDSTILL,
@@ -146,6 +147,8 @@ class Engine:
                 raise StateError(self.standstill(moment + work.progress[LAST_PROGRESS]))
             if short == INTERRUPTED:
                 check_signals()
+            elif short == FULL_BUCKET:
+                sort_present(tuple(queue), self.rows.state)
             else:
                 self.lists.enlarge(short)
             pending = 0

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.contacts.event_driven.calendar_queue import (
+    UNSORTED,
     LIST_EXPIRY,
     NEXT,
     NO_EVENT,
@@ -68,7 +69,7 @@ COLLISIONS, WALL_HITS, TC_ELASTIC, EXPIRIES = range(4)  # what `counts` counts
 ASKED, LOWER, HIGHER = range(3)  # columns of `stop`
 LAST_PROGRESS, EVENTS_SINCE = range(2)  # columns of `progress`
 MANY_BOXES, ANY_SQUEEZED = range(2)  # columns of `flags`
-INTERRUPTED, STANDSTILL = -1, -2  # what `run` returns
+INTERRUPTED, STANDSTILL, FULL_BUCKET = -1, -2, -3  # what `run` returns
 QUICK = 0.01  # of a drift: a contact so soon after the last one is quick
 PIECE = 100_000  # events, about a tenth of a second
 STANDING = 1e-9  # of a drift: time that does not count as passed
@@ -221,7 +222,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
     rules: loss of a pair, contact duration t_c, how many quick contacts make a crowd, `Planes`, `Rates`. interval: length of the
     drift and when it began, from when until when in it, and how many skins before a particle its new reference position lies.
     Returns 0; or how many places the pool of the lists is short of: then call again with a larger one; or INTERRUPTED after so
-    many events that a user may have pressed Ctrl-C: then call again; or STANDSTILL, where events follow one another for ever
+    many events that a user may have pressed Ctrl-C: then call again; or FULL_BUCKET: sort it and call again; or STANDSTILL, where events follow one another for ever
     but time does not pass. With stop[ASKED] the loop ends after the first collision.
 
     A contact within t_c of the last one of either partner takes no energy: the TC model (Luding and McNamara, Granular
@@ -253,6 +254,8 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             continue
         prefetch_next(rows, lists, queue)
         i = find_first(queue, state)
+        if i == UNSORTED:
+            return FULL_BUCKET
         if i < 0 or times[i, TIME] >= until:
             return 0
         t = times[i, TIME]
