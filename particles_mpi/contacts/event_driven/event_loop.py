@@ -8,13 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.contacts.event_driven.calendar_queue import (
-    UNSORTED,
     LIST_EXPIRY,
     NEXT,
     NO_EVENT,
     PARTNER,
     PARTNER_COUNT,
     TIME,
+    UNSORTED,
     Queue,
     cancel,
     comes_before,
@@ -222,8 +222,8 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
     rules: loss of a pair, contact duration t_c, how many quick contacts make a crowd, `Planes`, `Rates`. interval: length of the
     drift and when it began, from when until when in it, and how many skins before a particle its new reference position lies.
     Returns 0; or how many places the pool of the lists is short of: then call again with a larger one; or INTERRUPTED after so
-    many events that a user may have pressed Ctrl-C: then call again; or FULL_BUCKET: sort it and call again; or STANDSTILL, where events follow one another for ever
-    but time does not pass. With stop[ASKED] the loop ends after the first collision.
+    many events that a user may have pressed Ctrl-C: then call again; or FULL_BUCKET: sort it, and call again; or STANDSTILL,
+    where events follow one another for ever but time does not pass. With stop[ASKED] the loop ends after the first collision.
 
     A contact within t_c of the last one of either partner takes no energy: the TC model (Luding and McNamara, Granular
     Matter 1, 113, 1998), which keeps inelastic collapse from stopping the clock.
