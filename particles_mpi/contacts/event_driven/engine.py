@@ -9,7 +9,6 @@ from particles_mpi.contacts.event_driven.event_loop import (
     COLLISIONS,
     EXPIRIES,
     FULL_BUCKET,
-    INTERRUPTED,
     LAST_PROGRESS,
     STANDSTILL,
     WALL_HITS,
@@ -145,12 +144,12 @@ class Engine:
         while short := run(self.axes, rows, tuple(self.lists.arrays), tuple(queue), rules, interval, written, log, pending):
             if short == STANDSTILL:
                 raise StateError(self.standstill(moment + work.progress[LAST_PROGRESS]))
-            if short == INTERRUPTED:
-                check_signals()
-            elif short == FULL_BUCKET:
-                sort_present(tuple(queue), self.rows.state)
-            else:
+            if short > 0:
                 self.lists.enlarge(short)
+            else:
+                check_signals()
+            if short == FULL_BUCKET:
+                sort_present(tuple(queue), self.rows.state)
             pending = 0
 
     def standstill(self, time: float) -> str:
