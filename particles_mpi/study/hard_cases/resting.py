@@ -97,7 +97,7 @@ NAIVE_BED, STEADY_BED = "sinks, boils, or spheres leave the box", "K -> 0, overl
 @case("beds of 200, e = 0, 0.5, 0.9", NAIVE_BED, STEADY_BED)
 def small_beds(run: CaseRun) -> Finding:
     """Six layers."""
-    outcomes = [bed(run, 200, 6.0, e, 1.5, 1.5) for e in RESTITUTIONS]
+    outcomes = [bed(run, 200, 6.0, e, 2.0, 2.0) for e in RESTITUTIONS]
     return "; ".join(measured for measured, _ in outcomes), all(holds for _, holds in outcomes)
 
 
