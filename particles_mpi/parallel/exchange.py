@@ -158,7 +158,7 @@ class Halo:
         ]
 
 
-class Standing:
+class PersistentMessages:
     """The messages of a halo for tables of `width` columns that are refreshed many times: MPI prepares them once."""
 
     def __init__(self, halo: Halo, width: int):
@@ -170,13 +170,14 @@ class Standing:
         self.receives = len(self.requests)
         self.requests += [comm.Send_init([self.sent[b:e], MPI.DOUBLE], dest=p, tag=TAG) for p, b, e in halo.outgoing]
 
-    def exchange(self, table: Array) -> None:
-        """Ghost rows of the table (rows, width) as their owners have them. In place. Collective."""
+    def exchange(self, table: Array) -> slice:
+        """Ghost rows of the table (rows, width) as their owners have them, in place; returns which rows. Collective."""
         table.take(self.rows, axis=0, out=self.sent, mode="clip")
         self.ranks.messages += len(self.requests) - self.receives
         MPI.Prequest.Startall(self.requests)
         MPI.Request.Waitall(self.requests)
         table[self.ghosts] = self.received
+        return self.ghosts
 
     def __del__(self) -> None:
         """MPI forgets the messages."""

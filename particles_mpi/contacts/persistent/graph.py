@@ -17,7 +17,7 @@ from particles_mpi.neighbours.candidates import touching
 from particles_mpi.neighbours.halo_region import fetch_near_rows
 from particles_mpi.neighbours.trajectories import AT_REST
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exchange import Halo, Standing
+from particles_mpi.parallel.exchange import Halo, PersistentMessages
 from particles_mpi.particles import Array, Particles
 
 CLOSE = 1.0 + 1e-9  # times the widths, so that ranks agree on who is near the border, whatever the round-off
@@ -41,7 +41,7 @@ class ContactGraph:
         known = {"id": p.id[rows], "position": self.place, "radius": p.radius[rows], "inverse_mass": p.inverse_mass[rows]}
         known["reach"] = self.wide + 0.5 * skin
         self.halo: Halo | None = None
-        self.standing: Standing | None = None
+        self.messages: dict[int, PersistentMessages] = {}  # by columns of a table
         if ranks.size > 1:
             still = self.place, np.zeros_like(self.place), CLOSE * known["reach"]
             _, sent, counts, theirs, arriving = fetch_near_rows(ranks, known, still, AT_REST, length)
@@ -62,27 +62,14 @@ class ContactGraph:
         """Ghost rows of each column (size or more, ...) as their owners have them. In place. Collective."""
         if self.halo is None:
             return
-        if len(columns) == 1 and columns[0].ndim == 2:  # velocities, in each iteration
-            self.standing = self.standing or Standing(self.halo, columns[0].shape[1])
-            self.standing.exchange(columns[0])
-            return
-        table = [column.reshape(len(column), -1) for column in columns]
-        exchange_table(self.halo, np.concatenate(table, axis=1) if len(table) > 1 else table[0], table)
-
-
-def exchange_table(halo: Halo, together: Array, parts: list[Array]) -> None:
-    """Send the owned rows of the table `together` (size, k) to who holds them; what arrives goes to the parts (size, k_i)."""
-    width = together.shape[1]
-    halo.reserve(width)
-
-    def pack(rows: Array, buffer: Array) -> int:
-        together.take(rows, axis=0, out=buffer[: len(rows) * width].reshape(-1, width), mode="clip")
-        return len(rows) * width
-
-    for first, message in halo.exchange(pack):
-        arrived, at = message.reshape(-1, width), 0
-        for part in parts:
-            part[first : first + len(arrived)] = arrived[:, at : at + part.shape[1]]
+        parts = [column.reshape(len(column), -1) for column in columns]
+        table = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+        width = table.shape[1]
+        if width not in self.messages:
+            self.messages[width] = PersistentMessages(self.halo, width)
+        ghosts, at = self.messages[width].exchange(table), 0
+        for part in parts if len(parts) > 1 else ():
+            part[ghosts] = table[ghosts, at : at + part.shape[1]]
             at += part.shape[1]
 
 

@@ -108,7 +108,7 @@ class PersistentContacts:
         self.awake = True  # else particles pass through one another and through walls
         self.totals = {"unconverged": 0}  # of this rank, which are counted for all by rank 0
         self.graphs_made = 0
-        self.effort = EFFORT  # see there; 0 in a large pile
+        self.effort = EFFORT  # see there; with 0 any pile is solved as a large one
         self.dilute = False  # has the graph few half-edges?
 
     def forget(self) -> None:

@@ -32,7 +32,7 @@ from particles_mpi.particles import Array
 
 CHECK = 5  # iterations between two looks at what is left
 FINE, LARGE = 2.0**24, 2.0**14  # of whole numbers that stand for sums: units of 1, and the largest number
-MOVING = 0.25  # of the sequence of momenta where it begins: warm, not at 1, from where it takes iterations to gather way
+FIRST_THETA = 0.25  # where the sequence of momenta begins: not at 1, for solutions begin near the last one
 MOST = 5000  # iterations
 OUTLIER = 20.0  # times the root mean square that is allowed may the largest error be
 NEAR = 0.2  # to 1 must a factor be that is right for all contacts: else what was taken last was another thing
@@ -189,7 +189,7 @@ class Run:
 
     def restart(self) -> None:
         """Begin with what is taken, without momentum."""
-        self.theta = MOVING
+        self.theta = FIRST_THETA
         begin(self.axes, 0, len(self.sums), self.problem[0], self.problem[2], self.v0, self.v)
         if self.exchange:
             self.exchange(self.v)
