@@ -159,7 +159,7 @@ class Halo:
 
 
 class PersistentMessages:
-    """The messages of a halo for tables of `width` columns that are refreshed many times: MPI prepares them once."""
+    """The messages of a halo for tables of `width` columns together that are refreshed many times: MPI prepares them once."""
 
     def __init__(self, halo: Halo, width: int):
         comm, self.ranks, self.rows = halo.ranks.comm, halo.ranks, halo.rows
@@ -170,14 +170,19 @@ class PersistentMessages:
         self.receives = len(self.requests)
         self.requests += [comm.Send_init([self.sent[b:e], MPI.DOUBLE], dest=p, tag=TAG) for p, b, e in halo.outgoing]
 
-    def exchange(self, table: Array) -> slice:
-        """Ghost rows of the table (rows, width) as their owners have them, in place; returns which rows. Collective."""
-        table.take(self.rows, axis=0, out=self.sent, mode="clip")
+    def exchange(self, *tables: Array) -> None:
+        """Ghost rows of the tables (rows, columns) as their owners have them, in place. Collective."""
+        if len(tables) == 1:
+            tables[0].take(self.rows, axis=0, out=self.sent, mode="clip")
+        else:
+            np.concatenate([table[self.rows] for table in tables], axis=1, out=self.sent)
         self.ranks.messages += len(self.requests) - self.receives
         MPI.Prequest.Startall(self.requests)
         MPI.Request.Waitall(self.requests)
-        table[self.ghosts] = self.received
-        return self.ghosts
+        at = 0
+        for table in tables:
+            table[self.ghosts] = self.received[:, at : at + table.shape[1]]
+            at += table.shape[1]
 
     def __del__(self) -> None:
         """MPI forgets the messages."""

@@ -62,15 +62,11 @@ class ContactGraph:
         """Ghost rows of each column (size or more, ...) as their owners have them. In place. Collective."""
         if self.halo is None:
             return
-        parts = [column.reshape(len(column), -1) for column in columns]
-        table = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
-        width = table.shape[1]
+        tables = [column.reshape(len(column), -1) for column in columns]
+        width = sum(table.shape[1] for table in tables)
         if width not in self.messages:
             self.messages[width] = PersistentMessages(self.halo, width)
-        ghosts, at = self.messages[width].exchange(table), 0
-        for part in parts if len(parts) > 1 else ():
-            part[ghosts] = table[ghosts, at : at + part.shape[1]]
-            at += part.shape[1]
+        self.messages[width].exchange(*tables)
 
 
 Exchange = Callable[..., None]
