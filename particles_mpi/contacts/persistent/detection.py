@@ -137,14 +137,16 @@ def hand_over(rows, v, held, velocity, supported):
 
 
 @kernel
-def find_contacts(axes, state, graph, inside, h, length, point, normal):
+def find_contacts(axes, state, graph, inside, h, length, faces, planes):
     """All half-edges between rows `inside` that may be slow, or that are among a crowd: the columns of `Contacts`.
 
     `state`: x, v, push (size + 1, d), radius, w, crowd (size + 1,) of rows, ghosts and a wall; `graph`: (start, other) of the
-    near pairs.
+    near pairs; `faces`: see `near_walls`; `planes`: (points, normals) of the walls.
     """
     x, v, push, radius, w, crowd = state
     near, other = graph
+    lower, upper, oblique = faces
+    point, normal = planes
     n, d, walls, size = len(near) - 1, len(axes), len(point), len(x) - 1
     most = len(other)
     for row in range(n):
@@ -165,12 +167,17 @@ def find_contacts(axes, state, graph, inside, h, length, point, normal):
         if not inside[row]:
             continue
         i = np.uint64(row)
-        for wall in range(walls):
+        reach = max(HELD * pushes[i], speeds[i] * crowd[i]) * h
+        by_wall = bool(oblique)
+        for k in range(len(axes)):  # most rows are near no face
+            room = 1.000001 * (radius[i] + reach)
+            by_wall |= x[i, np.uint64(k)] - lower[k] < room or upper[k] - x[i, np.uint64(k)] < room
+        for wall in range(walls if by_wall else 0):
             distance = 0.0
             for k in range(len(axes)):
                 distance += (x[i, np.uint64(k)] - point[wall, k]) * normal[wall, k]
             wide, gap = pushes[i], distance - radius[i]
-            if w[i] > 0.0 and wide > 0.0 and gap <= max(HELD * wide, speeds[i] * crowd[i]) * h:
+            if w[i] > 0.0 and wide > 0.0 and gap <= reach:
                 for k in range(len(axes)):
                     normals[made, np.uint64(k)] = normal[wall, k]
                 partner[made], widest[made], gaps[made] = size, wide, gap

@@ -11,10 +11,10 @@ from particles_mpi.kernels.jit import kernel
 
 
 @kernel
-def settle_on_walls(axes, rows, fields, a, h, length, planes, precise):
+def settle_on_walls(axes, rows, fields, a, h, length, faces, planes, precise):
     """(velocities (n, d) of `rows` that keep slow contacts with walls, which of them these contacts hold (n,) uint8).
 
-    fields: position, velocity, radius, mass, fixed, supported of all rows of the rank; planes: points and normals; `precise`: of
+    fields: position, velocity, radius, mass, fixed, supported of all rows of the rank; `faces` and `planes`: see `find_contacts`; `precise`: of
     the speed below which a contact is slow, the error that is allowed.
     """
     position, velocity, radii, mass, fixed, supported = fields
@@ -30,7 +30,7 @@ def settle_on_walls(axes, rows, fields, a, h, length, planes, precise):
         held[r] = was[r] != 0.0 and w[r] > 0.0
     nobody, all_rows = (np.zeros(n + 1, np.int64), np.empty(0, np.int32)), np.ones(n + 1, np.bool_)
     state = x, v, push, radius, w, np.zeros(n + 1, np.bool_)
-    contacts = find_contacts(axes, state, nobody, all_rows, h, length, planes[0], planes[1])
+    contacts = find_contacts(axes, state, nobody, all_rows, h, length, faces, planes)
     start, partner, _, normal, gap, widest, _ = contacts
     nothing, bound = np.zeros(len(gap)), np.zeros(n + 1)
     touch = gap <= widest * h

@@ -270,7 +270,8 @@ class PersistentContacts:
         if found and not crowd and found.graph is graph and all(map(np.array_equal, found.for_these, for_these)):
             return found.contacts
         near = graph.start, graph.other
-        columns = find_contacts(self.axes, tuple(local[:6]), near, inside, h, self.length, self.point, self.normal)
+        planes = self.point, self.normal
+        columns = find_contacts(self.axes, tuple(local[:6]), near, inside, h, self.length, self.faces, planes)
         contacts = Contacts(*columns)
         self.found = None if crowd else Found(graph, for_these, contacts)
         return contacts
@@ -299,7 +300,7 @@ class PersistentContacts:
         """As `keep`, of rows that nothing but walls can hold: each by itself."""
         fields = p.position, p.velocity, p.radius, p.mass, p.fixed, p["supported"]
         v, held = settle_on_walls(
-            self.axes, rows, fields, a, h, self.length, (self.point, self.normal), PRECISE
+            self.axes, rows, fields, a, h, self.length, self.faces, (self.point, self.normal), PRECISE
         )  # fmt: skip
         self.give_back(p, rows, v, held)
 
