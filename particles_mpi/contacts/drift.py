@@ -53,6 +53,9 @@ class Drift:
         self.pair_names, self.wall_names = effects.names(PairContacts), effects.names(WallContacts)
         self.damping, self.strength = effects.names(Damping), effects.friction.strength if effects.friction else 0.0
         self.middle = 0.0
+        self.total: Array | None = None  # the accelerations that `rates` wrote last,
+        self.known = -1, -1  # to particles of this version and edition,
+        self.pushed: Array = np.empty(0, np.int64)  # and the rows that contacts push besides
         self.past_work: dict[str, int] = {}  # of operators that are no longer there
         self.past_remarks: list[str] = []
         self.near: Any = None
@@ -90,6 +93,9 @@ class Drift:
         """
         p, context = self.rows, self.context
         wrapped = False
+        near = self.rest.near_faces if self.rest else None
+        if near:
+            near.known = None
         if contacts and self.effects.pairs:
             migrated = self.near.migrated
             stopping = {"stop": True} if stop else {}
@@ -99,7 +105,7 @@ class Drift:
             wrapped = True  # ghosts too
         elif contacts and self.effects.walls:
             with context.timers("walls"):
-                happened = [0, self.effects.walls.drift(p, h, rates.of(p.arrays)), 0, 0]
+                happened = [0, self.effects.walls.drift(p, h, rates.of(p.arrays), near), 0, 0]
             self.calls.update(self.wall_names)
         else:
             with context.timers("drift"):
@@ -132,12 +138,17 @@ class Drift:
         """
         p, none = self.rows, np.empty((0, self.rows.dimension))
         if "total_acceleration" in p.arrays:
-            p["total_acceleration"][:] = 0.0 if total is None else total
-            if by_flows is not None:
-                p["total_acceleration"][:] += by_flows
+            field, known = p["total_acceleration"], (p.version, p.edition)
+            if total is not None and by_flows is None and total is self.total and known == self.known:
+                field[self.pushed] = total[self.pushed]  # the other rows have it since last time
+            else:
+                field[:] = 0.0 if total is None else total
+                if by_flows is not None:
+                    field += by_flows
+            self.total, self.known, self.pushed = total if by_flows is None else None, known, np.empty(0, np.int64)
         if self.rest:  # contacts that last push too: what lies on something does not fall
-            rows, given = self.rest.given
-            p["total_acceleration"][rows] += given.reshape(len(rows), p.dimension) / self.middle
+            self.pushed, given = self.rest.given
+            field[self.pushed] += given.reshape(len(given), p.dimension) / self.middle
         kicked = self.effects.forces or self.effects.on_velocities
         return Rates(g[None, :] if kicked else none, np.zeros(len(self.damping)), self.strength, self.middle)
 

@@ -13,7 +13,7 @@ from particles_mpi.contacts.velocity_flow import change_of, row_of
 from particles_mpi.kernels.jit import kernel, lean_inner
 from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.kernels.motion import move_to
-from particles_mpi.particles import Array
+from particles_mpi.particles import Array, Particles
 
 MOST_BOUNCES = 1000  # of one particle in one step; past it (a wedge without end) it waits where it is for the next step
 
@@ -145,18 +145,45 @@ def bounce_until(axes, x, v, start, last_partner, i, radius, inverse_mass, h, pl
     return MOST_BOUNCES
 
 
-@kernel
-def drift_with_walls(axes, x, v, radius, inverse_mass, h, planes, rates):
-    """x += v h, reflected by walls on the way. In place on x, v (n, d); returns the number of hits.
+class NearFaces:
+    """The `rows` that may have ended the last drift within `reach` of a wall, as long as nobody has moved any row since."""
 
-    `inverse_mass` (n,), or no row where nothing depends on it.
+    def __init__(self) -> None:
+        self.reach = 0.0  # wanted of the next drift, at least 0
+        self.rows: Array = np.empty(0, np.int64)
+        self.known: tuple[float, int, int] | None = None  # reach, and version and edition of the particles
+
+    def within(self, reach: float, p: Particles) -> Array | None:
+        """Those rows, or None if they are not known for so long a reach."""
+        good = self.known is not None and self.known[0] >= reach and self.known[1:] == (p.version, p.edition)
+        return self.rows if good else None
+
+
+@kernel
+def drift_with_walls(axes, x, v, radius, inverse_mass, h, planes, rates, reach, near):
+    """x += v h, reflected by walls on the way. In place on x, v (n, d); returns the number of hits, and of rows in `near`.
+
+    `inverse_mass` (n,), or no row where nothing depends on it. To `near` (n,), if it has room, the rows that may be within
+    `reach` of a wall at the end.
     """
-    hits = 0
+    hits, found = 0, 0
+    _, _, _, _, lower, upper, oblique = planes
     start = np.zeros(len(x))  # of the last segments
     for i in range(len(x)):
+        clear, room = not oblique, radius[i] + reach
+        for k in range(len(axes)):
+            end = x[i, k] + v[i, k] * h
+            clear &= (end >= lower[k] + room) & (end <= upper[k] - room)
+        if clear:  # as most are
+            for k in range(len(axes)):
+                x[i, k] += v[i, k] * h
+            continue
         if may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i], h, planes):
             w = inverse_mass[i] if len(inverse_mass) > 0 else 1.0
             hits += bounce_until(axes, x, v, start, np.int64(NOBODY), i, radius[i], w, h, planes, rates)
         for k in range(len(axes)):
             x[i, k] += v[i, k] * (h - start[i])
-    return hits
+        if len(near) > 0:
+            near[found] = i
+            found += 1
+    return hits, found

@@ -6,7 +6,7 @@ import numpy as np
 
 from particles_mpi.contacts.law import loss
 from particles_mpi.contacts.velocity_flow import Rates
-from particles_mpi.contacts.walls import Planes, drift_with_walls
+from particles_mpi.contacts.walls import NearFaces, Planes, drift_with_walls
 from particles_mpi.particles import Particles
 from particles_mpi.scene.effect import FORWARD, EffectOptions, Losses, Needs, WallContacts
 from particles_mpi.scene.model import wrong_length
@@ -65,7 +65,12 @@ class Effect(WallContacts):
         self.planes = Planes(point, normal, e, factor, lower, upper, bool(oblique.any()))
         self.lossy = bool(self.planes.lossy.any())
 
-    def drift(self, particles: Particles, h: float, rates: Rates) -> int:
+    def drift(self, particles: Particles, h: float, rates: Rates, near: NearFaces | None = None) -> int:
         p, axes = particles, (0,) * particles.dimension
         w = p.inverse_mass if rates.alpha else np.empty(0)
-        return drift_with_walls(axes, p.position, p.velocity, p.radius, w, h, tuple(self.planes), rates)
+        reach, rows = (near.reach, np.empty(len(p), np.int64)) if near else (0.0, np.empty(0, np.int64))
+        fields = p.position, p.velocity, p.radius, w
+        hits, found = drift_with_walls(axes, *fields, h, tuple(self.planes), rates, reach, rows)
+        if near:
+            near.rows, near.known = rows[:found], (reach, p.version, p.edition)
+        return hits

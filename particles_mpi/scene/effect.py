@@ -175,8 +175,11 @@ class WallContacts(Effect):
     planes: Any
     lossy: bool
 
-    def drift(self, particles: Particles, h: float, rates: Any) -> int:
-        """Drift over h with walls alone, while velocities change by `rates`; returns the number of wall hits. Purely local."""
+    def drift(self, particles: Particles, h: float, rates: Any, near: Any = None) -> int:
+        """Drift over h with walls alone, while velocities change by `rates`; returns the number of wall hits. Purely local.
+
+        To `near`, if given, the rows that end near walls.
+        """
         raise NotImplementedError
 
 

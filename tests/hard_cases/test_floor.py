@@ -223,3 +223,42 @@ def test_what_rests_needs_no_memory(mode, n):
         sim.step()
         assert sim.measure()["kinetic"] <= most
     assert np.abs(sim.particles.position - place).max() <= most**0.5
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_rows_that_a_drift_tells_near_walls_are_those_that_are_found_by_looking(d):
+    """With lossy walls alone the drift tells who is near; looking at all rows after each kick gives the same bits.
+
+    Also where a user moves, adds and removes particles, lets them pass through walls for a step, and changes g and the step.
+    """
+    scene = Scene.from_dict(
+        {
+            "dimension": d,
+            "seed": 3,
+            "box": {"lower": [-1.0] * d, "upper": [1.0] * d},
+            "time": {"step": 0.01, "steps": 1000},
+            "particles": [
+                {"count": 60, "position": "random", "velocity": {"speed": 1.0}, "radius": {"min": 0.01, "max": 0.05}, "mass": 1.0}
+            ],
+            "effects": {"uniform_gravity": {"acceleration": [-9.81, 1.0, 0.5][:d]}, "walls": {"restitution": 0.6}},
+        }
+    )
+    told, looking = Simulation(scene), Simulation(scene)
+    rested = 0
+    for step in range(400):
+        for sim in (told, looking):
+            if step == 100:
+                sim.particles.position[:5] = 0.25
+            if step == 150:
+                sim.remove(sim.particles.id[3:6])
+                sim.add({"count": 2, "position": "random", "radius": 0.03, "mass": 1.0})
+            if step == 200:
+                sim.effects["uniform_gravity"].acceleration = [9.81, 0.0, -2.0][:d]
+            if step == 250:
+                sim.h = 0.003
+            if sim is looking:
+                sim.rest.near_faces = None
+            sim.step(collisions=step < 300 or step % 4 != 0)
+        assert told == looking, step
+        rested += int(told.rows["supported"].sum())
+    assert rested > 1000

@@ -43,15 +43,25 @@ class Contacts(NamedTuple):
 
 @lean_inner
 def wall_push(x, v, push, radius, i, w, point, normal):
-    """Of row i, which has the given push, at wall w: (push onto it, all of the push, approach, speed, gap)."""
-    pressed, push2, closing, fast2, distance = 0.0, 0.0, 0.0, 0.0, 0.0
+    """Of row i, which has the given push, at wall w: (push onto it, approach, gap)."""
+    pressed, closing, distance = 0.0, 0.0, 0.0
     for k in range(x.shape[1]):
-        fast2 += v[i, k] * v[i, k]
         pressed -= push[k] * normal[w, k]
-        push2 += push[k] * push[k]
         closing -= v[i, k] * normal[w, k]
         distance += (x[i, k] - point[w, k]) * normal[w, k]
-    return pressed, sqrt(push2), closing, sqrt(fast2), distance - radius[i]
+    return pressed, closing, distance - radius[i]
+
+
+@lean_inner
+def has_slow_wall(x, v, a, radius, i, h, push, point, normal):
+    """Has row i a slow contact with a wall, which forces press? push (d,): room for its push."""
+    slow = False
+    for k in range(x.shape[1]):
+        push[k] = SLOW * h * a[i, k]
+    for wall in range(len(point)):
+        pressed, closing, gap = wall_push(x, v, push, radius, i, wall, point, normal)
+        slow |= pressed > 0.0 and gap <= pressed * h and abs(closing) <= pressed
+    return slow
 
 
 @kernel
@@ -80,22 +90,20 @@ def near_walls(x, v, a, radius, fixed, supported, h, lower, upper, oblique, poin
             inside &= (x[i, k] >= low[k] + radius[i]) & (x[i, k] <= high[k] - radius[i])
         if inside & (not here):
             continue
-        if not here and len(point):
-            fast2, clear = 0.0, not oblique
-            for k in range(d):
-                push[k] = SLOW * h * a[i, k]
-                fast2 += push[k] * push[k]
-            gap = radius[i] + sqrt(fast2) * h
-            for k in range(d):
-                clear &= (x[i, k] >= lower[k] + gap) & (x[i, k] <= upper[k] - gap)
-            if not clear:
-                for wall in range(len(point)):
-                    pressed, _, closing, _, gap = wall_push(x, v, push, radius, i, wall, point, normal)
-                    here |= pressed > 0.0 and gap <= pressed * h and abs(closing) <= pressed
-        if here:
+        if here or has_slow_wall(x, v, a, radius, i, h, push, point, normal):
             rows[found] = i
             found += 1
     return rows[:found]
+
+
+@kernel
+def near_walls_among(rows, x, v, a, radius, supported, h, point, normal):
+    """Those of `rows` that are supported, or have a slow contact with a wall."""
+    chosen, found, push = np.empty(len(rows), np.int64), 0, np.empty(x.shape[1])
+    for i in rows:
+        chosen[found] = i
+        found += supported[i] != 0 or has_slow_wall(x, v, a, radius, i, h, push, point, normal)
+    return chosen[:found]
 
 
 @kernel

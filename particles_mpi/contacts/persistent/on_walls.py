@@ -14,8 +14,8 @@ from particles_mpi.kernels.jit import kernel
 def settle_on_walls(axes, rows, fields, a, h, length, faces, planes, precise):
     """(velocities (n, d) of `rows` that keep slow contacts with walls, which of them these contacts hold (n,) uint8).
 
-    fields: position, velocity, radius, mass, fixed, supported of all rows of the rank; `faces` and `planes`: see `find_contacts`; `precise`: of
-    the speed below which a contact is slow, the error that is allowed.
+    fields: position, velocity, radius, mass, fixed, supported of all rows of the rank; `faces` and `planes`: see
+    `find_contacts`; `precise`: of the speed below which a contact is slow, the error that is allowed.
     """
     position, velocity, radii, mass, fixed, supported = fields
     n, d = len(rows), len(axes)

@@ -31,6 +31,7 @@ from particles_mpi.contacts.persistent.detection import (
     inside_zone,
     loads,
     near_walls,
+    near_walls_among,
     pressing,
     slow,
     spread,
@@ -42,7 +43,7 @@ from particles_mpi.contacts.persistent.memory import NOTHING, Memory, carry_over
 from particles_mpi.contacts.persistent.on_walls import settle_on_walls
 from particles_mpi.contacts.persistent.problem import TAKEN, Problem, bound_rows, table_of
 from particles_mpi.contacts.persistent.solver import EFFORT, EXACT, OUTLIER, Solver
-from particles_mpi.contacts.walls import Planes
+from particles_mpi.contacts.walls import NearFaces, Planes
 from particles_mpi.kernels.markers import CROWD
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows
@@ -98,6 +99,10 @@ class PersistentContacts:
         self.pairs, self.uniform, self.tolerance, self.timers = pairs, uniform, tolerance, timers
         self.point, self.normal = planes.point[planes.lossy], planes.normal[planes.lossy]
         self.faces = planes.lower, planes.upper, planes.oblique
+        screens = uniform and not pairs and not planes.oblique
+        self.near_faces = NearFaces() if screens else None  # which a drift with walls tells
+        self.round_off = 1e-12 * np.abs(self.point).max(initial=0.0)
+        self.held: Array = np.empty(0, np.int64)  # rows that walls hold, where pairs are not kept
         self.memory: Memory = NOTHING  # of contacts that the graph does not hold
         self.graph: ContactGraph | None = None
         self.taken: Array = np.empty(0)  # by half-edges of the graph
@@ -139,11 +144,9 @@ class PersistentContacts:
         if not self.awake:
             return
         with self.timers("rest"):
-            state = p.position, p.velocity, a, p.radius, p.fixed, p["supported"]
-            involved = near_walls(*state, h, *self.faces, self.point, self.normal)
+            involved = self.involved(p, a, h)
             if not self.pairs:
-                if len(involved):
-                    self.keep_on_walls(p, a, h, involved)
+                self.keep_on_walls(p, a, h, involved)
                 return
             remembers = bool(self.taken.any()) if self.graph else len(self.memory.id) > 0
             some, known = self.ranks.allreduce_max(np.array([len(involved) > 0, remembers], np.int64))
@@ -157,6 +160,18 @@ class PersistentContacts:
             local = self.local(p, a, h, graph)
             inside = inside_zone(local.x, local.push, local.radius, h, zone)
             self.taken[:] = self.solve(p, local, graph, inside, h, self.taken, bool(known))
+
+    def involved(self, p: Particles, a: Array, h: float) -> Array:
+        """Rows that are supported, or have a slow contact with a wall; where pairs are kept, fixed ones too."""
+        state, near = (p.position, p.velocity, a, p.radius), self.near_faces
+        if near and len(p):
+            push = float(np.linalg.norm(a[np.argmin(p.fixed)]))  # the same for all that are not fixed
+            near.reach = 1.000001 * SLOW * h * h * push + self.round_off
+            rows = near.within(near.reach, p)
+            if rows is not None:
+                rows = np.union1d(rows, self.held) if len(self.held) else rows
+                return near_walls_among(rows, *state, p["supported"], h, self.point, self.normal)
+        return near_walls(*state, p.fixed, p["supported"], h, *self.faces, self.point, self.normal)
 
     def keep_crowds(self, p: Particles, a: Array, h: float) -> None:
         """As `keep`, but contacts with those that are CROWD, and with all who touch them, are kept at any speed. Collective."""
@@ -299,9 +314,13 @@ class PersistentContacts:
     def keep_on_walls(self, p: Particles, a: Array, h: float, rows: Array) -> None:
         """As `keep`, of rows that nothing but walls can hold: each by itself."""
         fields = p.position, p.velocity, p.radius, p.mass, p.fixed, p["supported"]
+        self.held = rows
+        if not len(rows):
+            return
         v, held = settle_on_walls(
             self.axes, rows, fields, a, h, self.length, self.faces, (self.point, self.normal), PRECISE
         )  # fmt: skip
+        self.held = rows[held != 0]
         self.give_back(p, rows, v, held)
 
     def give_back(self, p: Particles, rows: Array, v: Array, held: Array) -> None:
