@@ -102,7 +102,6 @@ class PersistentContacts:
         screens = uniform and not pairs and not planes.oblique
         self.near_faces = NearFaces() if screens else None  # which a drift with walls tells
         self.round_off = 1e-12 * np.abs(self.point).max(initial=0.0)
-        self.held: Array = np.empty(0, np.int64)  # rows that walls hold, where pairs are not kept
         self.memory: Memory = NOTHING  # of contacts that the graph does not hold
         self.graph: ContactGraph | None = None
         self.taken: Array = np.empty(0)  # by half-edges of the graph
@@ -167,9 +166,8 @@ class PersistentContacts:
         if near and len(p):
             push = float(np.linalg.norm(a[np.argmin(p.fixed)]))  # the same for all that are not fixed
             near.reach = 1.000001 * SLOW * h * h * push + self.round_off
-            rows = near.within(near.reach, p)
+            rows = near.within(near.reach, p)  # with all that were held: these have not moved away from their walls
             if rows is not None:
-                rows = np.union1d(rows, self.held) if len(self.held) else rows
                 return near_walls_among(rows, *state, p["supported"], h, self.point, self.normal)
         return near_walls(*state, p.fixed, p["supported"], h, *self.faces, self.point, self.normal)
 
@@ -314,13 +312,11 @@ class PersistentContacts:
     def keep_on_walls(self, p: Particles, a: Array, h: float, rows: Array) -> None:
         """As `keep`, of rows that nothing but walls can hold: each by itself."""
         fields = p.position, p.velocity, p.radius, p.mass, p.fixed, p["supported"]
-        self.held = rows
         if not len(rows):
             return
         v, held = settle_on_walls(
             self.axes, rows, fields, a, h, self.length, self.faces, (self.point, self.normal), PRECISE
         )  # fmt: skip
-        self.held = rows[held != 0]
         self.give_back(p, rows, v, held)
 
     def give_back(self, p: Particles, rows: Array, v: Array, held: Array) -> None:
