@@ -51,6 +51,15 @@ def on_a_worker(config):
     return hasattr(config, "workerinput")
 
 
+def pytest_runtest_setup(item):
+    """All else is less urgent than tests/parallel: ranks that wait for one another give their cores away.
+
+    What gets one keeps it for some milliseconds, a thousand times as long as an exchange takes, unless it is less urgent.
+    """
+    if on_a_worker(item.config) and not item.nodeid.startswith("tests/parallel/") and os.getpriority(os.PRIO_PROCESS, 0) == 0:
+        os.nice(19)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def ranks_that_stay():
     """Those of `run_ranks` end with the session."""
