@@ -24,6 +24,7 @@ KNOWN = re.compile(
 )
 SIGNAL = re.compile(rb"noticed that process rank (\d+) with PID \d+ on node (\S+) exited on (signal \d+ \([^)]*\))")
 STUMBLED = re.compile(rb"\[[^\]]*\] \[\[[^\]]*\],\d+\] ORTE_ERROR_LOG: [^\n]* in file \S*orte/util/show_help.c at line \d+\n")
+EVENTS = re.compile(rb"\[warn\] Epoll [^\n]* failed\.[^\n]*\n")  # of its library of events, now and then when ranks end
 COUNTED = re.compile(rb"\[[^\]]*\] \d+ more process(es)? ha(s|ve) sent help message help-mpi-api.txt / mpi-abort\n")
 ADVICE = re.compile(rb"\[[^\]]*\] Set MCA parameter \"orte_base_help_aggregate\" to 0 to see all help / error messages\n")
 
@@ -70,7 +71,8 @@ class Filter:
     def line(self, text: bytes) -> bytes:
         """What is printed of a line: nothing if it says how many paragraphs were left out, or that one was not understood."""
         counted, self.counted = self.counted, bool(self.at_start and COUNTED.fullmatch(text))
-        about = self.counted or (counted and ADVICE.fullmatch(text)) or (self.at_start and STUMBLED.fullmatch(text))
+        own = any(pattern.fullmatch(text) for pattern in (STUMBLED, EVENTS))
+        about = self.counted or (counted and ADVICE.fullmatch(text)) or (self.at_start and own)
         return b"" if about else text
 
     def rest(self) -> bytes:
