@@ -29,20 +29,18 @@ def pytest_collection_modifyitems(config, items):
 
 # Files whose tests share what one process has made; all other tests go to whichever process is free.
 SHARING = {"test_accuracy_study.py", "test_event_loop.py", "test_kernel_sources.py", "test_study_gravity.py", "test_tree.py"}
-# Files of tests/parallel that look at how ranks start and end: they mostly wait.
-STARTS = {"test_nothing_lost.py", "test_one_rank_fails.py", "test_command.py", "test_output.py", "test_scripts.py"}
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """Which tests xdist gives to one process: those whose ranks stay and want the cores, those of STARTS, each of SHARING."""
+    """Which tests xdist gives to one process: tests/parallel, whose ranks stay and want the cores, and each of SHARING."""
     from xdist.scheduler import LoadScopeScheduling
 
     class Scheduling(LoadScopeScheduling):
         def _split_scope(self, nodeid):
             path = nodeid.partition("::")[0]
             if path.startswith("tests/parallel/"):
-                return "starts" if Path(path).name in STARTS else "tests/parallel"
+                return "tests/parallel"
             return path if Path(path).name in SHARING else nodeid
 
     return Scheduling(config, log)
