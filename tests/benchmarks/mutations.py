@@ -29,7 +29,8 @@ class Mutation(NamedTuple):
     tests: tuple[str, ...]
 
 
-EXCHANGE = "    for k in range(len(axes)):\n        v[i, column + k] = keep * (v[i, column + k] - impulse * own * r[k])\n"
+CHANGE = "            return change\n    change = (1.0 + restitution) * approach\n    impulse = change / (r2 * (w_i + w_j))"
+OTHER = "        v[j, column + k] = velocity_factor * (v[j, column + k] + impulse * w_j * r[k])\n"
 MUTATIONS = (
     Mutation(
         "what contacts took is lost where rows change their rank",
@@ -41,15 +42,15 @@ MUTATIONS = (
     Mutation(
         "sign of the restitution",
         "contacts/law.py",
-        "    take = (1.0 + restitution) * approach\n",
-        "    take = (1.0 - restitution) * approach\n",
+        CHANGE,
+        CHANGE.replace("1.0 + restitution", "1.0 - restitution"),
         ("tests/physics/test_time_stepped.py", "-k", "oblique"),
     ),
     Mutation(
         "the impulses of a pair are not opposite",
         "contacts/law.py",
-        EXCHANGE + "        v[j, column + k] = keep * (v[j, column + k] + impulse * other * r[k])\n",
-        EXCHANGE + "        v[j, column + k] = keep * (v[j, column + k] + impulse * own * r[k])\n",
+        OTHER,
+        OTHER.replace("impulse * w_j", "impulse * w_i"),
         ("tests/physics/test_time_stepped.py", "-k", "momentum"),
     ),
     Mutation(
@@ -99,8 +100,8 @@ MUTATIONS = (
     Mutation(
         "normals of oblique planes point the other way",
         "effects/walls.py",
-        "    losses = [\n",
-        "    normal[np.abs(normal).max(axis=1, initial=0.0) < 1.0] *= -1.0\n    losses = [\n",
+        "        losses = [options if",
+        "        normal[np.abs(normal).max(axis=1, initial=0.0) < 1.0] *= -1.0\n        losses = [options if",
         ("tests/physics/test_order_of_bounces.py", "tests/unit/initial"),
     ),
     Mutation(
@@ -112,8 +113,8 @@ MUTATIONS = (
     ),
     Mutation(
         "places are not brought back into a periodic box",
-        "simulation.py",
-        "                wrap(p.position, self.lower, self.upper, self.length)\n",
+        "contacts/drift.py",
+        "                wrap(p.position, context.lower, context.upper, context.length)\n",
         "                pass\n",
         ("tests/unit",),
     ),

@@ -2,9 +2,13 @@
 
 operator    what happens after a kick, and with crowds; who is involved
 graph       who is near whom, among the rows of a rank and their ghosts
-detection   which contacts are slow, and so kept
+detection   which of these may have contacts that last
+slow        which contacts are slow, and so kept
+zone        where contacts are sought; crowds
+rows        rows of the particles, copied and given back
 problem     these as a table, one row for each of the two sides of a contact
 solver      velocities at which none of these closes, solved by all ranks together
+iterations  its compiled loops
 together    few contacts, which every rank solves for by itself
 on_walls    the same for rows that touch nothing but walls, in one kernel
 memory      what contacts took last, which goes with the rows

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.detection import touches
+from particles_mpi.contacts.persistent.zone import touches
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.neighbours.candidates import touching
 from particles_mpi.neighbours.halo_region import fetch_near_rows

@@ -4,9 +4,11 @@ from math import inf
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.detection import SLOW, approach, carried, find_contacts, gather, loads, pressing, slow
+from particles_mpi.contacts.persistent.detection import SLOW, find_contacts
+from particles_mpi.contacts.persistent.iterations import solve_each
 from particles_mpi.contacts.persistent.problem import TAKEN, bound_rows, table_of
-from particles_mpi.contacts.persistent.solver import solve_each
+from particles_mpi.contacts.persistent.rows import gather
+from particles_mpi.contacts.persistent.slow import approach, carried, loads, pressing, slow
 from particles_mpi.kernels.jit import kernel
 
 

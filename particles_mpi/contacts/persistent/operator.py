@@ -20,29 +20,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.detection import (
-    SLOW,
-    Contacts,
-    approach,
-    carried,
-    find_contacts,
-    gather,
-    hand_over,
-    inside_zone,
-    loads,
-    near_walls,
-    near_walls_among,
-    pressing,
-    slow,
-    spread,
-    widths,
-    zone_around,
-)
+from particles_mpi.contacts.persistent.detection import SLOW, Contacts, find_contacts, near_walls, near_walls_among, widths
 from particles_mpi.contacts.persistent.graph import ContactGraph, Exchange, rows_in
 from particles_mpi.contacts.persistent.memory import NOTHING, Memory, carry_over, recall, remember, send_home
 from particles_mpi.contacts.persistent.on_walls import settle_on_walls
 from particles_mpi.contacts.persistent.problem import TAKEN, Problem, bound_rows, table_of
+from particles_mpi.contacts.persistent.rows import gather, hand_over
+from particles_mpi.contacts.persistent.slow import approach, carried, loads, pressing, slow
 from particles_mpi.contacts.persistent.solver import EFFORT, EXACT, OUTLIER, Solver
+from particles_mpi.contacts.persistent.zone import inside_zone, spread, zone_around
 from particles_mpi.contacts.walls import NearFaces, Planes
 from particles_mpi.kernels.markers import CROWD
 from particles_mpi.parallel.communicator import Communicator

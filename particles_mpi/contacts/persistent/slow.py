@@ -1,0 +1,108 @@
+"""Which contacts last: what presses each of them, and below which speed it is slow. See `operator`. Plain arrays.
+
+What *presses* a contact is a speed, as a push is, and belongs to the direction of its normal n: forces and all other contacts
+together, if they press it; and the part of what contacts of its partners bear that lies along n. That of a partner is n S n with
+its stress S, the sum of borne n' n' over its contacts n'. A contact is slow below the speed that presses it, or HELD times that
+between those who are held. So a ball that rolls along a floor meets another one, or a wall, at any speed: the floor does not bear
+along that normal.
+"""
+
+import numpy as np
+
+from particles_mpi.contacts.persistent.detection import HELD
+from particles_mpi.kernels.jit import kernel
+
+MARGIN = 1e-3  # of the widest slow gap: closer nothing gets, so that round-off makes no contact
+RETURN = 0.2  # of what contacts are off their margin is mended in a step
+PUSH = 0.01  # of what forces do in a step: so fast contacts that are nearer than their margin are moved apart
+
+
+@kernel
+def approach(axes, start, partner, normal, v):
+    """The speed at which each half-edge closes, (m,), at velocities v (size + 1, d)."""
+    closing, one = np.empty(len(partner)), np.uint64(1)
+    for i in range(np.uint64(len(start) - 1)):
+        for e in range(np.uint64(start[i]), np.uint64(start[i + one])):
+            j, speed = np.uint64(partner[e]), 0.0
+            for k in range(len(axes)):
+                speed -= (v[i, np.uint64(k)] - v[j, np.uint64(k)]) * normal[e, np.uint64(k)]
+            closing[e] = speed
+    return closing
+
+
+@kernel
+def loads(axes, start, partner, normal, w, borne, push, left, stress):
+    """Of each row with pushes (n, d) whose half-edges bear `borne`: what is left (n, d) of its push, and its stress (n, d, d)."""
+    one = np.uint64(1)
+    for i in range(np.uint64(len(start) - 1)):
+        for k in range(len(axes)):
+            left[i, np.uint64(k)] = push[i, np.uint64(k)]
+            for m in range(len(axes)):
+                stress[i, np.uint64(k), np.uint64(m)] = 0.0
+        for e in range(np.uint64(start[i]), np.uint64(start[i + one])):
+            given = w[i] / (w[i] + w[np.uint64(partner[e])]) * borne[e]
+            for k in range(len(axes)):
+                part = given * normal[e, np.uint64(k)]
+                left[i, np.uint64(k)] += part
+                for m in range(len(axes)):
+                    stress[i, np.uint64(k), np.uint64(m)] += part * normal[e, np.uint64(m)]
+
+
+@kernel
+def pressing(axes, start, partner, normal, borne, before, left, stress):
+    """The speed that presses each contact: by forces and other contacts along its normal, or as `before` (m,)."""
+    speeds, one = np.empty(len(partner)), np.uint64(1)
+    for i in range(np.uint64(len(start) - 1)):
+        for e in range(np.uint64(start[i]), np.uint64(start[i + one])):
+            along, others, j = 0.0, 0.0, np.uint64(partner[e])
+            for k in range(len(axes)):
+                of = np.uint64(k)
+                others += (left[i, of] - left[j, of]) * normal[e, of]
+                for m in range(len(axes)):
+                    also = np.uint64(m)
+                    along += normal[e, of] * normal[e, also] * (stress[i, of, also] + stress[j, of, also])
+            speeds[e] = max(before[e], abs(others - borne[e]), along)
+    return speeds
+
+
+@kernel
+def slow(contacts, closing, took, of_rows, pressed, h, tolerance, margin, precise):
+    """Which contacts are slow, and what is asked of them (`may_close`, `loose`, `tight`), 0 for the others.
+
+    `of_rows`: who is held already, and radii. A contact that `took` something is held too. Errors are allowed up to `tolerance`
+    radii of the smaller sphere in a step, or `precise` times the speed below which a contact is slow; contacts keep a gap of
+    `margin` tolerances, to which they return in some steps, or errors of one step would be the work of the next one.
+    """
+    start, partner, _, _, gap, widest, crowd = contacts
+    supported, radius = of_rows
+    m = len(gap)
+    chosen, may_close, loose, tight = np.zeros(m, np.bool_), np.zeros(m), np.zeros(m), np.zeros(m)
+    for i in range(np.uint64(len(start) - 1)):
+        for e in range(np.uint64(start[i]), np.uint64(start[i + np.uint64(1)])):
+            j = np.uint64(partner[e])
+            held = took[e] > 0.0 or supported[i] or supported[j]
+            most = HELD * widest[e]
+            speed = min((HELD if held else 1.0) * pressed[e], most)
+            if crowd[e] or (speed > 0.0 and gap[e] <= speed * h and abs(closing[e]) <= speed):
+                one, other = radius[i], radius[j]
+                allowed = tolerance * (min(one, other) if one > 0.0 and other > 0.0 else max(one, other))
+                apart = margin * allowed
+                room = gap[e] - apart - MARGIN * most * h
+                if apart > 0.0:
+                    room = max(room - (1.0 - RETURN) * min(room, 5.0 * allowed), -PUSH * widest[e] * h)
+                else:
+                    room = max(room, 0.0)
+                chosen[e], may_close[e] = True, room / h
+                tight[e] = 1.0 / (precise * (most if crowd[e] else speed))
+                loose[e] = min(h / allowed, tight[e]) if allowed > 0.0 else tight[e]
+    return chosen, may_close, loose, tight
+
+
+@kernel
+def carried(start, taken):
+    """Which rows have a half-edge that took something; (n,) uint8."""
+    rows = np.zeros(len(start) - 1, np.uint8)
+    for i in range(len(rows)):
+        for e in range(start[i], start[i + 1]):
+            rows[i] |= taken[e] > 0.0
+    return rows

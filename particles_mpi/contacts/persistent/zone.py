@@ -1,0 +1,65 @@
+"""The zone: the box in which contacts are sought, around those involved; and crowds, which spread from row to row."""
+
+from math import inf, sqrt
+
+import numpy as np
+
+from particles_mpi.contacts.persistent.detection import HELD
+from particles_mpi.kernels.geometry import nearest
+from particles_mpi.kernels.jit import kernel, lean_inner
+
+
+@lean_inner
+def touches(x, i, wide, zone):
+    """Does the sphere of row i, of the radius `wide`, touch the box `zone` (2, d)?"""
+    inside = True
+    for k in range(x.shape[1]):
+        inside &= (x[i, k] + wide >= zone[0, k]) & (x[i, k] - wide <= zone[1, k])
+    return inside
+
+
+@kernel
+def inside_zone(x, push, radius, h, zone):
+    """Which rows and ghosts touch the zone (2, d), with their widths."""
+    inside = np.empty(len(x), np.bool_)
+    for i in range(len(x)):
+        push2 = 0.0
+        for k in range(x.shape[1]):
+            push2 += push[i, k] * push[i, k]
+        inside[i] = touches(x, i, radius[i] + HELD * h * sqrt(push2), zone)
+    return inside
+
+
+@kernel
+def zone_around(x, wide, rows):
+    """-low and high (2 d,) of the box around these rows with their widths; -inf if there are none."""
+    d = x.shape[1]
+    ends = np.full(2 * d, -inf)
+    for i in rows:
+        for k in range(d):
+            ends[k] = max(ends[k], wide[i] - x[i, k])
+            ends[d + k] = max(ends[d + k], wide[i] + x[i, k])
+    return ends
+
+
+@kernel
+def spread(start, other, x, wide, length, crowd):
+    """Who touches one of a crowd, widths taken together, belongs to it: marks rows; returns whether any was new. In place."""
+    new = False
+    more = True
+    while more:
+        more = False
+        for i in range(len(start) - 1):
+            if crowd[i]:
+                continue
+            for e in range(start[i], start[i + 1]):
+                j = other[e]
+                if not crowd[j]:
+                    continue
+                r2 = 0.0
+                for k in range(x.shape[1]):
+                    r2 += nearest(x[i, k] - x[j, k], length[k]) ** 2
+                if r2 <= (wide[i] + wide[j]) ** 2:
+                    crowd[i] = new = more = True
+                    break
+    return new
