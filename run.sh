@@ -7,7 +7,7 @@ help() {
   cat <<'TEXT'
 ./run.sh                 set up, then the main job: particles_mpi/scenes/marbles.toml on 2 ranks, into out/marbles
 ./run.sh test [...]      set up, then the tests of every feature, three at once (arguments go to pytest: tests/unit, -k WORD)
-./run.sh test --all      the same and all that takes longer: 4, 7 and 8 ranks, long physics, kills
+./run.sh test --all      the same and all that takes longer: more ranks, long physics, kills
 ./run.sh lint            ruff (rules and format) and mypy
 ./run.sh setup           only set up
 ./run.sh doctor          what is installed, and whether it fits together
