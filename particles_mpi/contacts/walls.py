@@ -167,14 +167,9 @@ def drift_with_walls(axes, x, v, radius, inverse_mass, h, planes, rates, reach, 
     `reach` of a wall at the end.
     """
     hits, found = 0, 0
-    _, _, _, _, lower, upper, oblique = planes
     start = np.zeros(len(x))  # of the last segments
     for i in range(len(x)):
-        clear, room = not oblique, radius[i] + reach
-        for k in range(len(axes)):
-            end = x[i, k] + v[i, k] * h
-            clear &= (end >= lower[k] + room) & (end <= upper[k] - room)
-        if clear:  # as most are
+        if not may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i] + reach, h, planes):  # far from all walls, as most are
             for k in range(len(axes)):
                 x[i, k] += v[i, k] * h
             continue
