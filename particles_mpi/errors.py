@@ -35,8 +35,9 @@ class Interrupted(Exception):
     exit_code = EXIT_ON_SIGNAL
 
 
-def listed(names: Sequence[Any] | Any, what: str = "particle") -> str:
-    """ "particle 3", "particles 3 and 7", "particles 0, 1, 2, 3, 4 and 12 more"; `names`: a list or an array."""
-    parts = [str(name) for name in names[:SHOWN]] + ([f"{len(names) - SHOWN} more"] if len(names) > SHOWN else [])
+def listed(names: Sequence[Any] | Any, what: str = "particle", total: int | None = None) -> str:
+    """ "particle 3", "particles 3 and 7", "particles 0, 1, 2, 3, 4 and 12 more"; `names`: the first of `total`, or all."""
+    total = len(names) if total is None else total
+    parts = [str(name) for name in names[:SHOWN]] + ([f"{total - SHOWN} more"] if total > SHOWN else [])
     text = parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
-    return f"{what}{'s' if len(names) > 1 else ''} {text}"
+    return f"{what}{'s' if total > 1 else ''} {text}"

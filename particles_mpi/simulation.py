@@ -34,12 +34,14 @@ class Simulation(Saved):
     def __init__(self, scene: Scene, comm: Any = None, start: Particles | None = None):
         """`start`: all particles in id order on every rank, with the fields that the scene needs, instead of its own."""
         ranks = Communicator(comm)
-        warnings: list[str] = []
+        same_on_all(ranks, scene.to_dict(), start.arrays if start else {})
         with raising_together(ranks):
-            particles, warnings = populate(scene) if start is None else (start, warnings)
-        same_on_all(ranks, scene.to_dict(), particles.arrays)
+            if start is None:
+                rows, warnings = populate(scene, ranks)
+            else:
+                rows, warnings = start.select(np.arange(*ranks.share(len(start)))), []
         with raising_together(ranks):
-            self.begin(scene, ranks, particles)
+            self.begin(scene, ranks, rows)
         self.warnings = warnings
 
     def step(self, collisions: bool = True) -> None:

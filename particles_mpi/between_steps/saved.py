@@ -34,7 +34,7 @@ class Saved(State):
     def restored(cls, scene: Scene, ranks: Communicator, everyone: Particles, metadata: dict[str, Any]) -> Self:
         """The simulation that `metadata` tells of, with these particles (in id order on every rank). Collective."""
         sim = cls.__new__(cls)
-        sim.begin(scene, ranks, everyone, metadata["next_id"])
+        sim.begin(scene, ranks, everyone.select(np.arange(*ranks.share(len(everyone)))), metadata["next_id"])
         sim.steps_done, sim._h, sim.additions = metadata["step"], metadata["h"], metadata["additions"]
         sim.moment = metadata["moment"][0], metadata["moment"][1]
         sim.observed = list(metadata["observed"])

@@ -14,7 +14,6 @@ from particles_mpi.errors import StateError, listed
 from particles_mpi.initial.checks import value_limits
 from particles_mpi.initial.populate import add_population
 from particles_mpi.integrators.kicks_and_drifts import Accelerations, Kick, integrator_of
-from particles_mpi.measure import snapshot
 from particles_mpi.measure.watchdog import Watchdog
 from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.parallel.communicator import Communicator
@@ -41,8 +40,8 @@ class State:
     drift: Any = None
     accelerations: Any = None
 
-    def begin(self, scene: Scene, ranks: Communicator, everyone: Particles, next_id: int = 0) -> None:
-        """Set all of it from all particles (in id order on every rank); `next_id`: of one that is added, or above. Collective."""
+    def begin(self, scene: Scene, ranks: Communicator, rows: Particles, next_id: int = 0) -> None:
+        """Set all of it from the particles of this rank; `next_id`: of one that is added, or above. Collective."""
         if digests := scene.digests():
             same_on_all(ranks, {"contents of files of effects": digests})
         self.scene, self.ranks, self.timers = scene.running(), ranks, Timers()
@@ -53,10 +52,10 @@ class State:
         self.written: dict[str, int] = {}
         self.observed = [0.0, 0.0, 0.0]
         self.additions = 0  # populations added while it ran
-        self.rows = everyone.select(np.arange(*ranks.share(len(everyone))))
+        self.rows = rows
         self.rows.velocity[self.rows.fixed != 0] = 0.0
         self._particles = ParticleView(self.rows, self.check_values)
-        self.next_id = max(next_id, int(everyone.id.max(initial=-1)) + 1)
+        self.next_id = max(next_id, int(ranks.allreduce_max(rows.id.max(initial=-1))[0]) + 1)
         d, box = scene.dimension, scene.box
         self.lower = np.array(box.lower, float) if box else np.zeros(d)
         self.upper = np.array(box.upper, float) if box else np.zeros(d)
@@ -192,21 +191,18 @@ class State:
         the start, for particles that cannot be: overlapping others, outside, ...
         """
         self.take_changes()
-        everyone = snapshot.gather_all(self.ranks, self.rows)
         number = len(self.scene.particles) + self.additions
+        same_on_all(self.ranks, {"add": {key: np.asarray(v).tolist() for key, v in population.items()}})
         with raising_together(self.ranks):
-            all_, warnings = add_population(self.scene, everyone, population, self.next_id, number)
-        same_on_all(self.ranks, {}, all_.arrays)
-        new = all_.select(np.arange(len(everyone), len(all_)))
+            rows, warnings = add_population(self.scene, self.ranks, self.rows, population, self.next_id, number)
         self.warnings += warnings
-        mine = np.isin(all_.id, self.rows.id)  # the same as before, in another place if they were pushed apart
-        mine[len(everyone) + np.arange(*self.ranks.share(len(new)))] = True
-        self.rows.replace(all_.select(np.flatnonzero(mine)).arrays)
+        added = int(self.ranks.allreduce_sum(len(rows) - len(self.rows))[0])
+        self.rows.replace(rows.arrays)
         self.particles.close()
-        self.next_id += len(new)
+        self.next_id += added
         self.additions += 1
         self.build()
-        return new.id
+        return np.arange(self.next_id - added, self.next_id)
 
     def remove(self, ids: Any) -> None:
         """Take away particles that any rank names by id; ValueError, on all ranks, for ids that no particle has. Collective."""

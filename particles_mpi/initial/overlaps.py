@@ -2,63 +2,141 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
 import numpy as np
 
-from particles_mpi.errors import listed
-from particles_mpi.initial.placement import Container
+from particles_mpi.errors import SHOWN, listed
+from particles_mpi.initial.container import Container
+from particles_mpi.initial.faults import Faults
+from particles_mpi.initial.sphere_grid import LEVELS, SphereGrid, class_of
 from particles_mpi.kernels.geometry import image_shift, image_shifts
 from particles_mpi.kernels.jit import inner, kernel
 from particles_mpi.neighbours.candidates import touching
-from particles_mpi.particles import Array, Particles
+from particles_mpi.neighbours.cells import SAMPLE
+from particles_mpi.neighbours.halo_region import fetch_near_rows
+from particles_mpi.neighbours.trajectories import AT_REST
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.decomposition import bisect
+from particles_mpi.parallel.exchange import allgather_rows, by_destination, send_rows
+from particles_mpi.particles import Array, Particles, rows_of
 
 MOST_SWEEPS = 1000
 TOUCH = 1e-12  # relative overlap that still counts as touching
 
 
-def check_overlaps(particles: Particles, room: Container, allowed: bool, before: int) -> tuple[list[str], list[str]]:
-    """Overlapping spheres are a fault, or a warning and pushed apart where the scene allows them."""
-    first, second, depth = overlapping(particles, room.length, before)
-    if not len(first):
-        return [], []
-    text = f"{listed_pairs(particles, first, second)} overlap{'s' if len(first) == 1 else ''} at the start"
-    text = f"effects.collisions: {text} (deepest by {depth.max():.3g})"
-    if not allowed:
-        return [f"{text}; move them, or set allow_overlap = true"], []
-    x, w, warnings = particles.position, particles.inverse_mass, [f"{text}; pushed apart"]
-    for _ in range(MOST_SWEEPS):
-        first, second, depth = overlapping(particles, room.length)
-        if not len(first):
-            return [], warnings
-        separate(x, particles.radius, w, first, second, room.lower, room.upper, room.length, room.point, room.normal)
-    first, second, depth = overlapping(particles, room.length)
-    if len(first):
-        left = f"{listed_pairs(particles, first, second)} still overlap after {MOST_SWEEPS} sweeps"
-        warnings.append(f"effects.collisions: {left} (deepest by {depth.max():.3g})")
-    return [], warnings
+def check_overlaps(particles: Particles, room: Container, allowed: bool, before: int, judged: Array, faults: Faults) -> list[str]:
+    """Overlapping spheres are a fault, or a warning and pushed apart where the scene allows them; returns warnings. Collective.
 
-
-def overlapping(particles: Particles, length: Array, before: int = 0) -> tuple[Array, Array, Array]:
-    """(first, second, depth): pairs of rows that overlap and are not both fixed, in order, and how deep.
-
-    Without pairs among the first `before` rows.
+    Of this rank's particles the first `before` were there already, and those that are not `judged` (n,) overlap nobody.
     """
-    x, radius, n = particles.position, particles.radius, len(particles)
-    if n < 2 or not radius.any():
+    ranks, rows = faults.ranks, np.flatnonzero(judged)
+    near = {"id": particles.id[rows], "position": particles.position[rows], "radius": particles.radius[rows]}
+    near |= {"fixed": particles.fixed[rows], "old": (rows < before).astype(np.uint8)}
+    first, second, depth = overlapping_ids(ranks, near, room.length)
+    pairs = listed_pairs(ranks, first, second)
+    if not pairs:
+        return []
+    verb, deepest = "overlap" if pairs.startswith("pairs") else "overlaps", ranks.allreduce_max(depth.max(initial=0.0))[0]
+    text = f"effects.collisions: {pairs} {verb} at the start (deepest by {deepest:.3g})"
+    if not allowed:
+        faults.add(f"{text}; move them, or set allow_overlap = true")
+        return []
+    return [f"{text}; pushed apart", *push_apart(ranks, particles, room)]
+
+
+def overlapping_ids(ranks: Communicator, columns: dict[str, Array], length: Array) -> tuple[Array, Array, Array]:
+    """(lower ids, higher ids, depths) of spheres that overlap and are neither both fixed nor both old. Collective.
+
+    Each pair is found by one rank, in whose part of space the one with the lower id is.
+    """
+    owned = len(columns["id"])
+    if ranks.size > 1:
+        owner = bisect(ranks, columns["position"], 1.0).owner(columns["position"])
+        columns, _ = send_rows(ranks, columns, *by_destination(owner, ranks.size))
+        owned, x = len(columns["id"]), columns["position"]
+        state = x, np.zeros_like(x), columns["radius"]
+        ghosts = fetch_near_rows(ranks, columns, state, AT_REST, length)[3]
+        columns = {name: np.concatenate([columns[name], ghosts[name]]) for name in columns}
+    rows = in_contact(columns["position"], columns["radius"], length)
+    columns = rows_of(columns, rows)
+    first, second, depth = overlapping(columns["position"], columns["radius"], columns["fixed"] != 0, columns["id"], length)
+    mine = (rows[first] < owned) & ~((columns["old"][first] != 0) & (columns["old"][second] != 0))
+    return columns["id"][first[mine]], columns["id"][second[mine]], depth[mine]
+
+
+def in_contact(x: Array, radius: Array, length: Array) -> Array:
+    """The rows of spheres at x (n, d) that touch another one: few, as a rule."""
+    if len(x) < 2 or not radius.any():
+        return np.empty(0, np.int64)
+    lower, upper = bulk(x)
+    extent = np.where(length > 0.0, length, np.maximum(upper - lower, np.finfo(float).tiny))
+    level = class_of(radius, float(radius.max()))
+    reach = np.array([radius[level == k].max(initial=-1.0) for k in range(LEVELS)])
+    grid = SphereGrid(lower, extent, length, np.bincount(level, minlength=LEVELS), reach)
+    order = grid.order(x, radius)
+    first, last = grid.append(x[order], radius[order], np.arange(len(x)))
+    return np.sort(order[~grid.alone(first, last, 1.0 - 0.1 * TOUCH)])
+
+
+def bulk(x: Array) -> tuple[Array, Array]:
+    """The corners of a box with nearly all rows of x (n, d): a few outliers would make all cells coarse."""
+    sample = np.sort(x[:: max(len(x) // SAMPLE, 1)], axis=0)
+    left, right = sample[len(sample) // 20], sample[-1 - len(sample) // 20]
+    return np.maximum(x.min(axis=0), left - (right - left)), np.minimum(x.max(axis=0), right + (right - left))
+
+
+def overlapping(x: Array, radius: Array, fixed: Array, ids: Array, length: Array) -> tuple[Array, Array, Array]:
+    """(first, second, depth): pairs of rows that overlap and are not both fixed, by their ids, and how deep."""
+    if len(x) < 2 or not radius.any():
         return np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0)
-    first, second = touching(x, radius, np.where(particles.fixed == 0, 1.0, 0.0), particles.id, length)
-    order = np.lexsort((second, first))
+    first, second = touching(x, radius, np.where(fixed, 0.0, 1.0), ids, length)
+    order = np.lexsort((ids[second], ids[first]))
     first, second = first[order].astype(np.int64), second[order].astype(np.int64)
     r = x[first] - x[second]
     r -= image_shifts(r, length)
     sum_of_radii = radius[first] + radius[second]
     depth = sum_of_radii - np.sqrt((r**2).sum(axis=1))
-    deep = (depth > TOUCH * sum_of_radii) & (np.maximum(first, second) >= before)
+    deep = depth > TOUCH * sum_of_radii
     return first[deep], second[deep], depth[deep]
 
 
-def listed_pairs(particles: Particles, first: Array, second: Array) -> str:
-    """ "pairs 0-1 and 3-4": pairs of rows by their ids."""
-    return listed([f"{i}-{j}" for i, j in zip(particles.id[first].tolist(), particles.id[second].tolist())], "pair")
+def push_apart(ranks: Communicator, particles: Particles, room: Container) -> list[str]:
+    """Move overlapping spheres apart, in place; returns warnings of those that still overlap. Collective.
+
+    They are moved one after the other, in the order of their ids, by every rank: each holds the places of all.
+    """
+    names = ("id", "position", "radius", "mass", "fixed")
+    all_ = allgather_rows(ranks, {name: particles[name] for name in names})
+    all_ = rows_of(all_, np.argsort(all_["id"]))
+    everyone = Particles(particles.dimension, all_)
+    x, radius, w = everyone.position, everyone.radius, everyone.inverse_mass
+    for _ in range(MOST_SWEEPS):
+        first, second, depth = overlapping(x, radius, everyone.fixed != 0, everyone.id, room.length)
+        if not len(first):
+            break
+        separate(x, radius, w, first, second, room.lower, room.upper, room.length, room.point, room.normal)
+    else:
+        first, second, depth = overlapping(x, radius, everyone.fixed != 0, everyone.id, room.length)
+    particles.position[...] = x[np.searchsorted(everyone.id, particles.id)]
+    if not len(first):
+        return []
+    left = f"{named_pairs(everyone.id[first], everyone.id[second])} still overlap after {MOST_SWEEPS} sweeps"
+    return [f"effects.collisions: {left} (deepest by {depth.max():.3g})"]
+
+
+def named_pairs(first: Array, second: Array, total: int | None = None) -> str:
+    """ "pairs 0-1 and 3-4"."""
+    return listed([f"{i}-{j}" for i, j in zip(first.tolist(), second.tolist())], "pair", total)
+
+
+def listed_pairs(ranks: Communicator, first: Array, second: Array) -> str:
+    """ "pairs 0-1 and 3-4" of any rank, the lowest ids first; "" if there are none. Collective."""
+    total = int(ranks.allreduce_sum(len(first))[0])
+    order = np.lexsort((second, first))[:SHOWN]
+    mine = list(zip(first[order].tolist(), second[order].tolist()))
+    lowest = np.array(sorted(chain.from_iterable(ranks.allgather(mine)))[:SHOWN])
+    return named_pairs(lowest[:, 0], lowest[:, 1], total) if total else ""
 
 
 @kernel

@@ -7,6 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from particles_mpi.initial.random_numbers import directions
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.particles import Array
 
 MOST = 0.999  # of the mass: the rest would be further out than 38 a
@@ -14,31 +17,35 @@ MOST = 0.999  # of the mass: the rest would be further out than 38 a
 
 def plummer_places(random: np.random.Generator, a: float, mass: Array) -> Array:
     """Places (n, 3) around the origin, at which their centre of mass is; `a` is the scale length."""
-    inside = MOST * random.random(len(mass))
+    return centered(Communicator.alone(), plummer_points(random, len(mass), a), mass)
+
+
+def plummer_points(random: np.random.Generator, n: int, a: float) -> Array:
+    """Places (n, 3) around the centre of the sphere."""
+    inside = MOST * random.random(n)
     radius = a / np.sqrt(np.maximum(inside, 1e-12) ** (-2.0 / 3.0) - 1.0)
-    return centered(radius[:, None] * directions(random, len(mass)), mass)
+    return radius[:, None] * directions(random, n, 3)
 
 
-def plummer_velocities(random: np.random.Generator, x: Array, a: float, mass: Array, G: float) -> Array:
-    """Isotropic velocities (n, 3) in equilibrium, without momentum; q = speed over escape, of density q^2 (1 - q^2)^(7/2)."""
-    n = len(mass)
+def plummer_speeds(random: np.random.Generator, n: int) -> Array:
+    """Isotropic velocities (n, 3) over the speed of escape, q, of density q^2 (1 - q^2)^(7/2)."""
     q, rest = np.zeros(n), np.arange(n)
     while len(rest):
         tried, height = random.random(len(rest)), 0.1 * random.random(len(rest))
         good = height < tried**2 * (1.0 - tried**2) ** 3.5
         q[rest[good]] = tried[good]
         rest = rest[~good]
-    escape = np.sqrt(2.0 * G * mass.sum()) * ((x**2).sum(axis=1) + a**2) ** -0.25
-    return centered((q * escape)[:, None] * directions(random, n), mass)
+    return q[:, None] * directions(random, n, 3)
 
 
-def directions(random: np.random.Generator, n: int) -> Array:
-    """Unit vectors (n, 3), no direction preferred."""
-    normal = random.standard_normal((n, 3))
-    return normal / np.sqrt((normal**2).sum(axis=1))[:, None]
+def plummer_velocities(ranks: Communicator, speeds: Array, x: Array, a: float, mass: Array, G: float) -> Array:
+    """Velocities (n, 3) in equilibrium, without momentum, of this rank's particles at x (n, 3). Collective."""
+    total = exact_sums(ranks, [mass])[0]
+    escape = np.sqrt(2.0 * G * total) * ((x**2).sum(axis=1) + a**2) ** -0.25
+    return centered(ranks, escape[:, None] * speeds, mass)
 
 
-def centered(vectors: Array, mass: Array) -> Array:
-    """Less their mean, weighted by mass."""
-    total = mass.sum()
-    return vectors - (mass[:, None] * vectors).sum(axis=0) / total if total > 0.0 else vectors
+def centered(ranks: Communicator, vectors: Array, mass: Array) -> Array:
+    """The vectors (n, d) less the mean of those of all ranks, weighted by mass. Collective."""
+    total, *sums = exact_sums(ranks, [mass, *(mass[:, None] * vectors).T])
+    return vectors - np.array(sums) / total if total > 0.0 else vectors

@@ -22,8 +22,8 @@ SCENES = ROOT / "particles_mpi" / "scenes"
 
 
 def mpirun(ranks, *arguments):
-    """Output of `python arguments...` on the ranks."""
-    done = run_ranks(ranks, *arguments, timeout=1000)
+    """Output of `python arguments...` on ranks that are started for it."""
+    done = run_ranks(ranks, *arguments, timeout=1000, fresh=True)
     if done.returncode:
         sys.exit(f"{' '.join(map(str, arguments))} on {ranks} ranks failed:\n{done.stderr[-2000:]}")
     return done.stdout

@@ -11,10 +11,13 @@ from typing import Any
 import numpy as np
 
 from particles_mpi import Scene, Simulation
-from particles_mpi.errors import SceneError, StoppedError
+from particles_mpi.errors import StoppedError
 from particles_mpi.initial.checks import check_start, endless_falls
-from particles_mpi.initial.populate import populate, room_of
+from particles_mpi.initial.container import room_of
+from particles_mpi.initial.faults import Faults
+from particles_mpi.initial.populate import populate
 from particles_mpi.parallel.agreement import raising_together, same_on_all
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles, default_values
 from particles_mpi.scene.active import ActiveEffects, fields_of
 from particles_mpi.scene.schema import periodic_length
@@ -67,7 +70,7 @@ class Start:
         self.smooth = not self.contacts and not self.dissipates  # forces depend on places alone: all integrators apply
         self.forces = list(effects.forces)
         lossy = any(contact.lossy for contact in hard)
-        self.conserves = not self.dissipates and not lossy and not endless_falls(scene, self.particles)
+        self.conserves = not self.dissipates and not lossy and not endless_falls(scene, self.particles, Communicator.alone())
         self.duration = scene.steps * scene.time.step
         self.length = periodic_length(scene)  # of periodic axes, 0 of others
 
@@ -87,9 +90,9 @@ class Start:
             name: known[name].copy() if name in known and name not in STATELESS else default_values(name, self.total, d)
             for name in fields_of(scene)
         }
-        faults, _ = check_start(scene, particles := Particles(d, arrays), room_of(scene))
-        if faults:
-            raise SceneError(faults)
+        faults = Faults(Communicator.alone())
+        check_start(scene, particles := Particles(d, arrays), room_of(scene), faults)
+        faults.stop()
         if shifted:
             self.displace(particles, shifted, duration, amount)
         return Simulation(scene, comm=self.benchmark.comm, start=particles)

@@ -1,0 +1,45 @@
+"""The space in which particles are placed at the start."""
+
+from __future__ import annotations
+
+from math import exp, inf, lgamma, log, pi
+from typing import NamedTuple
+
+import numpy as np
+
+from particles_mpi.contacts.walls import no_planes
+from particles_mpi.particles import Array
+from particles_mpi.scene.active import ActiveEffects
+from particles_mpi.scene.schema import Scene, periodic_length
+
+
+class Container(NamedTuple):
+    """The space in which particles are placed, and what they must keep clear of."""
+
+    lower: Array  # (d,) corners of the box
+    upper: Array
+    length: Array  # (d,) of periodic axes; 0 for others
+    point: Array  # (w, d) a point on each wall
+    normal: Array  # (w, d) of each wall, into the space
+    solid: bool  # spheres may not overlap one another
+    bounded: bool  # spheres stay a radius away from faces of the box that are not periodic
+
+
+def room_of(scene: Scene) -> Container:
+    """Box and walls of a scene as arrays; an open side is infinite."""
+    box, effects = scene.box, ActiveEffects(scene, switched_off=True)
+    lower, upper = np.full((2, scene.dimension), [[-inf], [inf]]) if box is None else np.array([box.lower, box.upper], float)
+    walls, solid = effects.walls.planes if effects.walls else no_planes(scene.dimension), effects.pairs is not None
+    bounded = solid or len(walls.point) > 0
+    return Container(lower, upper, periodic_length(scene), walls.point, walls.normal, solid, bounded)
+
+
+def packing(volumes: float, room: Container) -> float:
+    """The total volume of spheres, divided by that of the box; `volumes`: the sum of (radius / `size(room)`)^d."""
+    d = len(room.lower)
+    return volumes * exp(0.5 * d * log(pi) - lgamma(0.5 * d + 1.0))
+
+
+def size(room: Container) -> float:
+    """The edge of a cube with the volume of the box."""
+    return float(np.exp(np.log(room.upper - room.lower).mean()))

@@ -1,0 +1,42 @@
+"""What is wrong with a start, collected over the ranks: each fault a line, the same on all of them."""
+
+from __future__ import annotations
+
+from itertools import chain
+
+from particles_mpi.errors import SHOWN, SceneError, listed
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.particles import Array
+
+
+def listed_ids(ranks: Communicator, ids: Array) -> str:
+    """The particles that any rank names: the lowest ids, and how many more there are; "" if none. Collective."""
+    total = int(ranks.allreduce_sum(len(ids))[0])
+    if not total:
+        return ""
+    mine = sorted(ids.tolist())[:SHOWN]
+    return listed(sorted(chain.from_iterable(ranks.allgather(mine))), total=total)
+
+
+class Faults:
+    """Faults that were `found`, in order."""
+
+    def __init__(self, ranks: Communicator):
+        self.ranks = ranks
+        self.found: list[str] = []
+
+    def add(self, fault: str) -> None:
+        """One that all ranks found."""
+        self.found.append(fault)
+
+    def name(self, before: str, ids: Array, after: str = "") -> bool:
+        """One of particles that some ranks found, if there is any: "before particles 0, 1 and 7 after". Collective."""
+        who = listed_ids(self.ranks, ids)
+        if who:
+            self.found.append(f"{before}{who}{after}")
+        return bool(who)
+
+    def stop(self) -> None:
+        """SceneError if there is a fault."""
+        if self.found:
+            raise SceneError(self.found)

@@ -1,0 +1,198 @@
+"""Positions for `position = "random"`: random sequential addition, with the same result on any number of ranks.
+
+Spheres are thrown at random points, one after the other; one that would overlap another is thrown again. All that have no place
+yet are thrown at once, and of those that overlap one another the larger one stays, or that with the lower number: this is the
+same as one after the other in that order. Each rank judges those that fall into its part of space, and knows who is near it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from particles_mpi.initial.container import Container
+from particles_mpi.initial.random_numbers import MASK, random_pair
+from particles_mpi.initial.sphere_grid import FREE, LEVELS, SphereGrid, class_of
+from particles_mpi.kernels.jit import kernel
+from particles_mpi.neighbours.halo_region import build
+from particles_mpi.neighbours.trajectories import AT_REST
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.decomposition import bisect
+from particles_mpi.parallel.exchange import Halo, PersistentMessages, allgather_rows, by_destination, send_rows
+from particles_mpi.particles import Array, rows_of
+
+MOST_TRIES = 100_000  # failures in a row before spheres are given up: at packing 0.30 in 3D about 1 try in 1000 succeeds
+JAMMED = {1: 0.7476, 2: 0.547, 3: 0.384}  # packing at which random addition of equal spheres stops (literature)
+FEW = 10_000  # spheres without a place that each rank throws all of, several times at once, in its part of space
+POINTS = 100_000  # thrown at once then
+MARGIN = 1.0 + 1e-12  # spheres as near as this to touching overlap
+CUTTING = 1000  # points of each rank that tell where space is cut
+
+
+class RandomAddition:
+    """Places for spheres in a room, beside those that are there. Collective throughout.
+
+    `x` (n, d), `radius` (n,): the spheres of this rank that have a place; `radii`: of those of this rank that will get one.
+    """
+
+    def __init__(self, ranks: Communicator, room: Container, x: Array, radius: Array, radii: list[Array]):
+        self.ranks, self.room, self.dimension = ranks, room, x.shape[1]
+        every = np.concatenate([radius, *radii])
+        self.largest = float(ranks.allreduce_max(every.max(initial=0.0))[0])
+        level = class_of(every, self.largest)
+        counts = ranks.allreduce_sum(np.bincount(level, minlength=LEVELS))
+        reach = ranks.allreduce_max(np.array([every[level == k].max(initial=-1.0) for k in range(LEVELS)]))
+        extent = room.upper - room.lower
+        if ranks.size > 1:  # equal parts of the room, by any points that fill it
+            some = np.random.Generator(np.random.Philox(key=ranks.rank)).random((CUTTING, self.dimension))
+            self.parts = bisect(ranks, room.lower + some * extent, 1.0)
+            corners = np.clip([self.parts.lower, self.parts.upper], room.lower, room.upper)
+            self.boxes = corners.transpose(1, 0, 2) + self.largest * np.array([[-1.0], [1.0]])
+        self.grid = SphereGrid(room.lower, extent, room.length, counts * room.solid, reach, ranks.size)
+        if room.solid:
+            self.append(self.to_their_parts({"id": np.full(len(x), -1), "radius": radius, "position": x}))
+
+    def to_their_parts(self, rows: dict[str, Array]) -> dict[str, Array]:
+        """Rows to the ranks in whose parts of space they are."""
+        if self.ranks.size == 1:
+            return rows
+        return send_rows(self.ranks, rows, *by_destination(self.parts.owner(rows["position"]), self.ranks.size))[0]
+
+    def append(self, rows: dict[str, Array]) -> tuple[int, int, PersistentMessages | None]:
+        """Rows of this rank's part, and those of others that are near it, into the grid.
+
+        Returns (first row, how many are of this rank, messages that tell others what became of them).
+        """
+        mine = rows_of(rows, self.grid.order(rows["position"], rows["radius"]))
+        x, radius = mine["position"], mine["radius"]
+        first, own = self.grid.append(x, radius, mine["id"])
+        if self.ranks.size == 1:
+            return first, own - first, None
+        _, near, counts = build(self.boxes, self.ranks.rank, (x, np.zeros_like(x), radius), AT_REST, self.room.length)
+        ghosts, arriving = send_rows(self.ranks, mine, near, counts)
+        self.grid.append(ghosts["position"], ghosts["radius"], ghosts["id"])
+        return first, own - first, PersistentMessages(Halo(self.ranks, near, counts, arriving, own - first, 1), 1)
+
+    def place(self, key: int, number: Array, radius: Array) -> tuple[Array, int]:
+        """(positions (n, d) of the spheres with these numbers, ascending, and radii (n,); how many on all ranks have none).
+
+        `key`: of their random numbers. Large ones come first, by classes of radius; lower ranks have lower numbers.
+        """
+        self.key = np.array([key >> (32 * k) & int(MASK) for k in range(2)], np.uint64)
+        x, missing = np.zeros((len(number), self.dimension)), 0
+        level = class_of(radius, self.largest)
+        for k in range(LEVELS):
+            rows = np.flatnonzero(level == k)
+            total = int(self.ranks.allreduce_sum(len(rows))[0])
+            if total and not missing:
+                x[rows], missing = self.place_class(number[rows], radius[rows], total)
+            elif total:
+                missing += total
+        return x, missing
+
+    def place_class(self, number: Array, radius: Array, total: int) -> tuple[Array, int]:
+        """`place` for spheres of one class, of which there are `total` on all ranks."""
+        self.found: list[dict[str, Array]] = []
+        rows, shared = {"id": number, "radius": radius}, False
+        left, throws, at_once, in_vain, tries = total, 0, 1, 0, 0
+        while left and in_vain < MOST_TRIES and tries < 50 * MOST_TRIES + 200 * total:
+            if not shared and self.room.solid and left <= FEW:
+                rows = allgather_rows(self.ranks, rows)
+                rows, shared = rows_of(rows, np.lexsort((rows["id"], -rows["radius"]))), True
+            rows = self.throw_few(rows, throws, at_once) if shared else self.throw_many(rows, throws)
+            now = len(rows["id"]) if shared else int(self.ranks.allreduce_sum(len(rows["id"]))[0])
+            throws += at_once
+            tries += left * at_once
+            in_vain = in_vain + left * at_once if now == left else 0
+            if shared:
+                at_once = max(1, min(2 * at_once if 2 * now > left else at_once, POINTS // max(now, 1)))
+            left = now
+        self.tries = max(tries, MOST_TRIES)
+        return self.to_their_numbers(number), left
+
+    def to_their_numbers(self, number: Array) -> Array:
+        """The places that were found, to whoever asked for them: x (n, d) of the spheres with these numbers."""
+        columns = {"id": np.empty(0, np.int64), "position": np.empty((0, self.dimension))}
+        found = {name: np.concatenate([none, *(rows[name] for rows in self.found)]) for name, none in columns.items()}
+        if self.ranks.size > 1:
+            least = self.ranks.allgather_array(np.array(number[0] if len(number) else -1))
+            holders = np.flatnonzero(least >= 0)
+            holder = holders[np.searchsorted(least[holders], found["id"], "right") - 1]
+            found, _ = send_rows(self.ranks, found, *by_destination(holder, self.ranks.size))
+        x = np.zeros((len(number), self.dimension))
+        x[np.searchsorted(number, found["id"])] = found["position"]
+        return x
+
+    def throw_many(self, rows: dict[str, Array], throw: int) -> dict[str, Array]:
+        """Throw each sphere once; returns those without a place, wherever they fell."""
+        points, clear = points_of(self.key, rows["id"], np.full(len(rows["id"]), throw), rows["radius"], self.room)
+        astray = rows_of(rows, np.flatnonzero(~clear))
+        rows = rows_of(rows | {"position": points}, np.flatnonzero(clear))
+        if not self.room.solid:
+            self.found.append(rows)
+            return astray
+        first, own, messages = self.append(self.to_their_parts(rows))
+        status, left = np.zeros(self.grid.n - first, np.int8), np.arange(first, first + own)
+        while True:
+            left = self.grid.decide(left, first, status, MARGIN)
+            if messages is None:
+                break
+            told = status[:, None].astype(float)
+            messages.exchange(told)
+            status[:] = told[:, 0]
+            if not self.ranks.allreduce_sum(len(left))[0]:
+                break
+        free = status == FREE
+        placed, others = (first + np.flatnonzero(of) for of in (free[:own], ~free[:own]))
+        self.found.append({"id": self.grid.id[placed], "position": self.grid.x[placed]})
+        again = {"id": self.grid.id[others], "radius": self.grid.radius[others]}
+        self.grid.keep(first, free)
+        return {name: np.concatenate([astray[name], again[name]]) for name in again}
+
+    def throw_few(self, rows: dict[str, Array], throw: int, times: int) -> dict[str, Array]:
+        """Throw each of `rows`, which all ranks hold, in order, so many times; returns those without a place, in order."""
+        n = len(rows["id"])
+        number, radius = np.tile(rows["id"], times), np.tile(rows["radius"], times)
+        points, here = points_of(self.key, number, np.repeat(np.arange(throw, throw + times), n), radius, self.room)
+        if self.ranks.size > 1:
+            here &= self.parts.owner(points) == self.ranks.rank
+        at = np.flatnonzero(here)
+        at = at[self.grid.open_points(points[at], radius[at], MARGIN)]
+        tried = allgather_rows(self.ranks, {"id": at})["id"]
+        tried.sort()
+        first, stays = self.grid.first_come(points[tried], radius[tried], tried % n, MARGIN)
+        placed = tried[stays]
+        mine = placed[here[placed]]
+        self.found.append({"id": number[mine], "position": points[mine]})
+        if self.ranks.size > 1:
+            stays &= self.near(points[tried], radius[tried])
+        self.grid.keep(first, stays)
+        return rows_of(rows, np.setdiff1d(np.arange(n), placed % n))
+
+    def near(self, x: Array, radius: Array) -> Array:
+        """Which spheres touch the box around this rank's part of space and all spheres in it? (n,) bool."""
+        low, high = self.boxes[self.ranks.rank]
+        touches = np.zeros(x.shape, bool)
+        for shift in (0.0, self.room.length, -self.room.length):
+            touches |= (x + shift + radius[:, None] >= low) & (x + shift - radius[:, None] <= high)
+        return np.asarray(touches.all(axis=1))
+
+
+@kernel
+def points_of(key, number, throw, radius, room):
+    """The random points (n, d) of spheres with these numbers in these throws (n,), and which are clear of the walls (bool)."""
+    lower, upper, length, point, normal, _, bounded = room
+    n, d = len(number), len(lower)
+    x, clear = np.empty((n, d)), np.ones(n, np.bool_)
+    for i in range(n):
+        low, high = np.uint64(number[i]) & MASK, np.uint64(number[i]) >> np.uint64(32)
+        for k in range(0, d, 2):
+            pair = random_pair(key[0], key[1], np.uint64(throw[i]), np.uint64(k), low, high)
+            for m in range(k, min(k + 2, d)):
+                margin = radius[i] if bounded and length[m] == 0.0 else 0.0
+                x[i, m] = lower[m] + margin + pair[m - k] * (upper[m] - lower[m] - 2.0 * margin)
+        for w in range(len(point)):
+            gap = 0.0
+            for k in range(d):
+                gap += (x[i, k] - point[w, k]) * normal[w, k]
+            clear[i] &= gap >= radius[i] * (1.0 - 1e-12)
+    return x, clear

@@ -1,0 +1,64 @@
+"""Random numbers of a start by (seed, population, quantity, number of the particle), whoever draws them, in whatever order.
+
+A particle has the same numbers however many others there are, and on whatever rank: each rank draws those of its particles only.
+Most quantities take few numbers a particle, and come from numpy's generators, one for each block of particles. A particle that
+looks for a free place may need any number of points: those come from a hash of (particle, try, axis).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from zlib import crc32
+
+import numpy as np
+
+from particles_mpi.kernels.jit import lean_inner
+from particles_mpi.particles import Array
+
+BLOCK = 4096  # particles that have a generator together
+STREAMS = {name: k for k, name in enumerate(("position", "velocity", "speed", "radius", "mass", "drag"))}
+MASK = np.uint64(0xFFFFFFFF)
+HALF = np.uint64(32)
+
+
+def stream_key(seed: int, population: int, quantity: str) -> Array:
+    """The two uint64 that key the random numbers of one quantity of one population (by its number) of a scene with this seed."""
+    known = quantity in STREAMS
+    stream = population * len(STREAMS) + STREAMS[quantity] if known else crc32(f"{population} {quantity}".encode()) << 31
+    return np.array([seed, stream], np.uint64)
+
+
+def draw(key: Array, first: int, last: int, numbers: Callable[[np.random.Generator, int], Array]) -> Array:
+    """What `numbers(generator, count)` gives, (count, ...), for the particles first ... last - 1 of a population."""
+    parts = []
+    for block in range(first // BLOCK, max(-(-last // BLOCK), first // BLOCK + 1)):
+        generator = np.random.Generator(np.random.Philox(key=key, counter=[0, 0, 0, block]))
+        begin = block * BLOCK
+        parts.append(numbers(generator, BLOCK)[max(first - begin, 0) : max(last - begin, 0)])
+    return np.concatenate(parts) if len(parts) > 1 else parts[0]
+
+
+def uniform(generator: np.random.Generator, count: int) -> Array:
+    """Numbers (count,) of [0, 1)."""
+    return generator.random(count)
+
+
+def directions(generator: np.random.Generator, count: int, d: int) -> Array:
+    """Unit vectors (count, d), no direction preferred."""
+    normal = generator.standard_normal((count, d))
+    norm = np.sqrt((normal**2).sum(axis=1))
+    return normal / np.where(norm > 0.0, norm, 1.0)[:, None]
+
+
+@lean_inner
+def random_pair(k0, k1, c0, c1, c2, c3):
+    """Two numbers of [0, 1) from a key and a counter, all uint64 below 2^32.
+
+    Philox4x32-10: J. Salmon, M. Moraes, R. Dror and D. Shaw, Parallel random numbers: as easy as 1, 2, 3, SC11 (2011).
+    """
+    for _ in range(10):
+        p0, p1 = np.uint64(0xD2511F53) * c0, np.uint64(0xCD9E8D57) * c2
+        c0, c1, c2, c3 = (p1 >> HALF) ^ c1 ^ k0, p1 & MASK, (p0 >> HALF) ^ c3 ^ k1, p0 & MASK
+        k0, k1 = (k0 + np.uint64(0x9E3779B9)) & MASK, (k1 + np.uint64(0xBB67AE85)) & MASK
+    high, low = (c0 << HALF) | c1, (c2 << HALF) | c3
+    return np.float64(high >> np.uint64(11)) * 2.0**-53, np.float64(low >> np.uint64(11)) * 2.0**-53

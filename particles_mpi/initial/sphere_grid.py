@@ -1,0 +1,260 @@
+"""Spheres of any sizes in linked cells: who overlaps whom.
+
+Each class of radius has a grid of its own, so that a few large spheres among many small ones cost no time. A rank holds the
+spheres of its part of space; the cells are those of the whole box, folded into as many lists as it has room for.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from particles_mpi.kernels.geometry import nearest
+from particles_mpi.kernels.jit import kernel, lean_inner
+from particles_mpi.particles import Array
+
+LEVELS = 10  # classes of radius, each with radii at most half as large as in the one before
+UNDECIDED, FREE, TAKEN = 0, 1, 2  # may a sphere stay where it is?
+
+
+class Grids(NamedTuple):
+    """Linked cells: a grid over the box for each class of radius, and for each cell a list of the spheres in it, newest first."""
+
+    head: Array  # (lists,) first row of each list; -1: none
+    after: Array  # (n,) the next row of the same list; -1: none
+    level: Array  # (n,) class of each sphere
+    reach: Array  # (LEVELS,) largest radius of a class; -1: no sphere has this class
+    cells: Array  # (LEVELS, 3) cells of a grid along each axis
+    first: Array  # (LEVELS,) where the lists of a class begin in `head`
+    mask: Array  # (LEVELS,) its number of lists less one: a power of two less one
+    lower: Array  # (d,) corner of the box
+    extent: Array  # (d,) its lengths
+    length: Array  # (d,) those of periodic axes; 0 for others
+
+
+def class_of(radius: Array, largest: float) -> Array:
+    """The class of each radius (n,): 0 for those above half of the largest, and so on."""
+    ratio = np.divide(largest, radius, out=np.full(len(radius), np.inf), where=radius > 0.0)
+    exponent = np.frexp(ratio)[1] - 1  # of two, without rounding
+    return np.where(np.isfinite(ratio), np.clip(exponent, 0, LEVELS - 1), LEVELS - 1).astype(np.int8)
+
+
+class SphereGrid:
+    """Rows of spheres x (n, d), radius (n,), id (n,) in linked cells; room for more is made as they come.
+
+    `counts` and `reach` (LEVELS,): how many spheres of each class there will be on all ranks, and the largest radius of each;
+    `ranks`: among how many they are divided.
+    """
+
+    def __init__(self, lower: Array, extent: Array, length: Array, counts: Array, reach: Array, ranks: int = 1):
+        cells = np.array([cells_of(extent, int(count), 2.0 * far) for count, far in zip(counts, reach)])
+        lists = np.array([1 << int(-(-int(c) // ranks) - 1).bit_length() for c in cells.prod(axis=1)])
+        first = np.cumsum(lists) - lists
+        self.n, d = 0, len(lower)
+        self.x, self.radius, self.id = np.empty((0, d)), np.empty(0), np.empty(0, np.int64)
+        head, none = np.full(int(lists.sum()), -1, np.int32), np.empty(0, np.int32)
+        self.grids = Grids(head, none, np.empty(0, np.int8), reach, cells, first, lists - 1, lower, extent, length)
+        self.largest = float(reach.max())
+
+    def append(self, x: Array, radius: Array, ids: Array, enter: bool = True) -> tuple[int, int]:
+        """Put spheres behind the others, and `enter` them into the lists; returns (first, last + 1) of their rows."""
+        first, last = self.n, self.n + len(x)
+        if last > len(self.radius):
+            capacity = last + last // 4
+            new = np.empty((capacity, x.shape[1])), np.empty(capacity), np.empty(capacity, np.int64)
+            grids = self.grids._replace(after=np.empty(capacity, np.int32), level=np.empty(capacity, np.int8))
+            old = self.x, self.radius, self.id, self.grids.after, self.grids.level
+            for wide, narrow in zip((*new, grids.after, grids.level), old, strict=True):
+                wide[:first] = narrow[:first]
+            self.x, self.radius, self.id, self.grids = *new, grids
+        self.x[first:last], self.radius[first:last], self.id[first:last] = x, radius, ids
+        self.grids.level[first:last] = class_of(radius, self.largest)
+        if enter:
+            insert(self.x, first, last, self.grids)
+        self.n = last
+        return first, last
+
+    def keep(self, first: int, stays: Array) -> None:
+        """Of the rows from `first` on, which are the last that came, take away those that do not stay (bool)."""
+        withdraw(self.x, first, self.n, self.grids)
+        rows = first + np.flatnonzero(stays)
+        last = first + len(rows)
+        for column in (self.x, self.radius, self.id, self.grids.level):
+            column[first:last] = column[rows]
+        insert(self.x, first, last, self.grids)
+        self.n = last
+
+    def order(self, x: Array, radius: Array) -> Array:
+        """The spheres (n,) sorted by their cells: neighbours in space are then near one another in memory."""
+        return np.argsort(list_of_each(x, class_of(radius, self.largest), self.grids))
+
+    def decide(self, rows: Array, first: int, status: Array, margin: float) -> Array:
+        """Decide which of `rows` may stay, as far as that can be told; returns those that are undecided. See `decide`."""
+        rows = rows.copy()
+        while True:
+            left = decide(rows, self.x, self.radius, self.id, first, status, margin, self.grids)
+            if left == 0 or left == len(rows):
+                return rows[:left]
+            rows = rows[:left]
+
+    def alone(self, first: int, last: int, margin: float) -> Array:
+        """Which of the rows first ... last - 1 overlap no other one? (n,) bool."""
+        return alone(first, last, self.x, self.radius, self.id, self.n, np.empty(0, np.int8), margin, self.grids)
+
+    def open_points(self, x: Array, radius: Array, margin: float) -> Array:
+        """At which of the points x (n, d) would a sphere with this radius (n,) overlap nobody? Their numbers."""
+        nobody = np.empty(0, np.int8)
+        return np.flatnonzero(open_points(x, radius, self.x, self.radius, self.id, self.n, nobody, margin, self.grids))
+
+    def first_come(self, x: Array, radius: Array, who: Array, margin: float) -> tuple[int, Array]:
+        """Put spheres at x (n, d), one after the other; those that `who` (n,) names already, or that overlap, are left out.
+
+        Returns (first row, which stay): they are rows from there on until `keep` is called.
+        """
+        first, last = self.append(x, radius, np.full(len(x), -1), enter=False)
+        nobody = np.empty(0, np.int8)
+        stays = first_come(first, last, who, self.x, self.radius, self.id, nobody, margin, self.grids)
+        return first, stays
+
+
+def cells_of(extent: Array, count: int, side: float) -> Array:
+    """Cells along three axes (3,): each at least `side` wide, and not many more than two for each of `count` spheres."""
+    extent = extent[:3]
+    side = max(side, 1e-6 * float(extent.max()), np.finfo(float).tiny)
+    while np.maximum(1.0, cells := np.floor(extent / side)).prod() > 2 * count + 64:
+        side *= 1.2
+    return np.append(np.maximum(1.0, cells), [1.0, 1.0])[:3].astype(np.int64)
+
+
+@lean_inner
+def cells_within(k, y, far, grid, cells):
+    """First and last cell on axis k within `far` of the point y (d,); below 0 and from `cells` on are those beyond a period."""
+    if k >= len(y) or cells == 1:
+        return 0, 0
+    low = int(np.floor((y[k] - far - grid.lower[k]) / grid.extent[k] * cells))
+    high = int(np.floor((y[k] + far - grid.lower[k]) / grid.extent[k] * cells))
+    if grid.length[k] == 0.0:
+        return min(max(low, 0), cells - 1), max(min(high, cells - 1), 0)
+    return (0, cells - 1) if high - low >= cells else (low, high)
+
+
+@lean_inner
+def list_of(y, level, grid):
+    """The list of a sphere of this class at the point y (d,)."""
+    c = 0
+    for k in range(3):
+        cells = grid.cells[level, k]
+        c = c * cells + cells_within(k, y, 0.0, grid, cells)[0] % cells
+    return grid.first[level] + (c & grid.mask[level])
+
+
+@kernel
+def list_of_each(x, level, grid):
+    """The lists of the spheres at x (n, d) with these classes (n,)."""
+    lists = np.empty(len(x), np.int32)
+    for i in range(len(x)):
+        lists[i] = list_of(x[i], level[i], grid)
+    return lists
+
+
+@kernel
+def insert(x, first, last, grid):
+    """Enter the rows first ... last - 1."""
+    for i in range(first, last):
+        c = list_of(x[i], grid.level[i], grid)
+        grid.after[i] = grid.head[c]
+        grid.head[c] = i
+
+
+@kernel
+def withdraw(x, first, last, grid):
+    """Take away the rows first ... last - 1, which are the last that were entered, and so at the heads of their lists."""
+    for i in range(first, last):
+        c = list_of(x[i], grid.level[i], grid)
+        while grid.head[c] >= first:
+            grid.head[c] = grid.after[grid.head[c]]
+
+
+@lean_inner
+def verdict(y, r, me, x, radius, ids, first, status, margin, grid):
+    """May a sphere of radius r be at the point y (d,)? FREE, TAKEN or UNDECIDED; `me`: its row, or -1. See `decide`."""
+    result = FREE
+    for level in range(len(grid.reach)):
+        far = (r + grid.reach[level]) * (1.0 + 1e-9)
+        if grid.reach[level] < 0.0 or far == 0.0:
+            continue
+        m0, m1, m2 = grid.cells[level, 0], grid.cells[level, 1], grid.cells[level, 2]
+        a0, a1 = cells_within(np.int64(0), y, far, grid, m0)
+        b0, b1 = cells_within(np.int64(1), y, far, grid, m1)
+        c0, c1 = cells_within(np.int64(2), y, far, grid, m2)
+        for a in range(a0, a1 + 1):
+            row_a = (a + m0 if a < 0 else a - m0 if a >= m0 else a) * m1
+            for b in range(b0, b1 + 1):
+                row = (row_a + (b + m1 if b < 0 else b - m1 if b >= m1 else b)) * m2
+                for c in range(c0, c1 + 1):
+                    cell = row + (c + m2 if c < 0 else c - m2 if c >= m2 else c)
+                    j = grid.head[grid.first[level] + (cell & grid.mask[level])]
+                    while j >= 0:
+                        r2 = 0.0
+                        for k in range(len(y)):
+                            gap = nearest(y[k] - x[j, k], grid.length[k])
+                            r2 += gap * gap
+                        if r2 < ((r + radius[j]) * margin) ** 2 and j != me:
+                            if j < first:
+                                return TAKEN
+                            before = radius[j] > r or (radius[j] == r and ids[j] < ids[me])
+                            if before and status[j - first] == FREE:
+                                return TAKEN
+                            if before and status[j - first] == UNDECIDED:
+                                result = UNDECIDED
+                        j = grid.after[j]
+    return result
+
+
+@kernel
+def decide(rows, x, radius, ids, first, status, margin, grid):
+    """Which of `rows` (m,) overlap nobody whose place is older? Returns how many are undecided, with which `rows` then begins.
+
+    Rows below `first` were there before. Of those from `first` on the larger sphere has its place first, and of equal ones that
+    with the lower id; their `status` is FREE, TAKEN, or UNDECIDED while it depends on another one that is. Two spheres overlap
+    whose distance is below `margin` times the sum of their radii.
+    """
+    left = 0
+    for i in rows:
+        status[i - first] = verdict(x[i], radius[i], i, x, radius, ids, first, status, margin, grid)
+        if status[i - first] == UNDECIDED:
+            rows[left] = i
+            left += 1
+    return left
+
+
+@kernel
+def open_points(y, r, x, radius, ids, n, status, margin, grid):
+    """At which of the points y (m, d) would a sphere with radius r (m,) overlap none of the n that are in the lists?"""
+    free = np.empty(len(y), np.bool_)
+    for i in range(len(y)):
+        free[i] = verdict(y[i], r[i], -1, x, radius, ids, n, status, margin, grid) == FREE
+    return free
+
+
+@kernel
+def alone(first, last, x, radius, ids, n, status, margin, grid):
+    """Which of the rows first ... last - 1 overlap none of the n that are in the lists, but themselves?"""
+    free = np.empty(last - first, np.bool_)
+    for i in range(first, last):
+        free[i - first] = verdict(x[i], radius[i], i, x, radius, ids, n, status, margin, grid) == FREE
+    return free
+
+
+@kernel
+def first_come(first, last, who, x, radius, ids, status, margin, grid):
+    """Enter those of the rows first ... last - 1 that overlap nobody, unless their `who` has a place; which of them (bool)."""
+    stays = np.zeros(last - first, np.bool_)
+    placed = np.zeros(who.max() + 1 if len(who) > 0 else 0, np.bool_)
+    for i in range(first, last):
+        sphere = who[i - first]
+        if not placed[sphere] and verdict(x[i], radius[i], i, x, radius, ids, last, status, margin, grid) == FREE:
+            insert(x, i, i + 1, grid)
+            stays[i - first] = placed[sphere] = True
+    return stays

@@ -1,0 +1,113 @@
+"""Columns of numbers in a CSV file, of which each rank reads a part: from about its share of the bytes, whole lines."""
+
+from __future__ import annotations
+
+import warnings
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+from zlib import crc32
+
+import numpy as np
+
+from particles_mpi.errors import listed
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.particles import Array
+
+
+class Table(NamedTuple):
+    """The rows `first` ... first + len(values) - 1 of a file with `total` rows; values (n, columns)."""
+
+    values: Array
+    first: int
+    total: int
+
+
+def read_table(ranks: Communicator, path: Path, columns: int) -> Table | str:
+    """The first columns of a CSV file, or what is wrong with it, the same on all ranks. Collective.
+
+    A first line that begins with no number is a header. Files that are not the same on all ranks are refused: each rank also
+    looks at what the next one reads.
+    """
+    fault, block, seen = "", b"", (0, 0)
+    try:
+        block = lines_of(path, ranks.rank, ranks.size)
+        seen = crc32(block), crc32(lines_of(path, (ranks.rank + 1) % ranks.size, ranks.size))
+    except OSError as error:
+        fault = f"{path} cannot be read ({error.strerror})"
+    if told := first_of(ranks, fault):
+        return told
+    crcs = ranks.allgather(seen)
+    for rank in range(1, ranks.size):
+        if crcs[rank - 1][1] != crcs[rank][0]:
+            return f"{path}: not the same on rank {rank} as on rank {rank - 1}"
+    header = ranks.is_root and not begins_with_number(block)
+    lines = block.count(b"\n") + (not block.endswith(b"\n") and len(block) > 0)
+    line = 1 + sum(ranks.allgather(lines)[: ranks.rank])  # the number of the first line of this rank
+    values = np.empty((0, columns))
+    try:
+        values = parsed(block, columns, header)
+    except ValueError:
+        fault = f"{path}: {wrong_line(block, columns, header, line)}"
+    else:
+        bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+        if len(bad):
+            fault = f"{path}: {listed((bad + line + header).tolist(), 'line')} not finite"
+    if told := first_of(ranks, fault, name_rank=False):
+        return told
+    counts = ranks.allgather(len(values))
+    return Table(values, sum(counts[: ranks.rank]), sum(counts)) if sum(counts) else f"{path} holds no rows"
+
+
+def first_of(ranks: Communicator, fault: str, name_rank: bool = True) -> str:
+    """The fault of the lowest rank that has one, or "". Collective."""
+    faults = ranks.allgather(fault)
+    rank = next((rank for rank, text in enumerate(faults) if text), None)
+    if rank is None:
+        return ""
+    return f"rank {rank}: {faults[rank]}" if name_rank and set(faults) != {faults[rank]} else faults[rank]
+
+
+def lines_of(path: Path, rank: int, size: int) -> bytes:
+    """The lines that begin in the part of a rank of so many."""
+    total = path.stat().st_size
+    with open(path, "rb") as file:
+        begin, end = (line_start(file, total * r // size) for r in (rank, rank + 1))
+        file.seek(begin)
+        return file.read(end - begin)
+
+
+def line_start(file: BinaryIO, at: int) -> int:
+    """Where the first line begins that begins at this byte or behind."""
+    if at > 0:
+        file.seek(at - 1)
+        file.readline()
+    return file.tell()
+
+
+def begins_with_number(block: bytes) -> bool:
+    try:
+        float(block.partition(b"\n")[0].split(b",")[0])
+    except ValueError:
+        return False
+    return True
+
+
+def parsed(block: bytes, columns: int, header: bool) -> Array:
+    """The numbers (n, columns) of some lines; ValueError if one has none."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # no line at all: an empty array
+        text = BytesIO(block)
+        return np.loadtxt(text, delimiter=",", skiprows=int(header), usecols=range(columns), ndmin=2, encoding="utf-8").reshape(
+            -1, columns
+        )
+
+
+def wrong_line(block: bytes, columns: int, header: bool, first: int) -> str:
+    """Which of the lines, of which the first has this number, cannot be read."""
+    for number, line in enumerate(block.split(b"\n")[int(header) :], first + header):
+        try:
+            parsed(line, columns, header=False)
+        except ValueError as error:
+            return f"line {number}: {' '.join(str(error).split())}"
+    return "cannot be read as columns of numbers"
