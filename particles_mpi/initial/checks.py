@@ -9,10 +9,11 @@ import numpy as np
 from particles_mpi.initial.container import Container
 from particles_mpi.initial.faults import Faults, listed_ids
 from particles_mpi.initial.overlaps import check_overlaps, listed_pairs
+from particles_mpi.kernels.jit import kernel
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.decomposition import bisect
 from particles_mpi.parallel.exchange import by_destination, send_rows
-from particles_mpi.particles import FIELDS, Array, Particles
+from particles_mpi.particles import FIELDS, Array, Particles, row_dot
 from particles_mpi.scene.effect import ConstantFriction
 from particles_mpi.scene.model import LARGEST
 from particles_mpi.scene.schema import Scene, periodic_length
@@ -100,15 +101,41 @@ def coincident_pairs(columns: dict[str, Array]) -> tuple[Array, Array]:
 def check_places(particles: Particles, room: Container, faults: Faults) -> None:
     """Centres outside the box, and movable spheres that are not fully inside a wall (fixed ones may stand in it)."""
     x = particles.position
-    out = ((x < room.lower) | (x > room.upper)).any(axis=1)
+    out = outside(x, room.lower, room.upper)
     faults.name("box: ", particles.id[out], " outside")
     for w, (point, normal) in enumerate(zip(room.point, room.normal, strict=True)):
-        gap = (x - point) @ normal - particles.radius
-        size = np.abs(point).max() + np.abs(x).max(axis=1, initial=0.0)
-        out = (particles.fixed == 0) & (gap < -1e-9 * particles.radius - 1e-14 * size)
+        out = inside_wall(x, particles.radius, point, normal) & (particles.fixed == 0)
         place, direction = (", ".join(f"{number:g}" for number in vector) for vector in (point, normal))
         what = f" not fully inside the wall at ({place}) with normal ({direction})"
         faults.name(f"effects.walls.planes[{w}]: ", particles.id[out], what)
+
+
+@kernel
+def outside(x, lower, upper):
+    """Which rows of x (n, d) are outside of the box? (n,) bool."""
+    out = np.zeros(len(x), np.bool_)
+    for i in range(len(x)):
+        for k in range(x.shape[1]):
+            out[i] |= (x[i, k] < lower[k]) | (x[i, k] > upper[k])
+    return out
+
+
+@kernel
+def inside_wall(x, radius, point, normal):
+    """Which spheres at x (n, d) are at least in part inside the wall at `point` with `normal` (d,)? (n,) bool."""
+    out = np.zeros(len(x), np.bool_)
+    for i in range(len(x)):
+        gap, size, shift = -radius[i], 0.0, 0.0
+        for k in range(x.shape[1]):
+            gap += (x[i, k] - point[k]) * normal[k]
+            size, shift = max(size, abs(x[i, k])), max(shift, abs(point[k]))
+        out[i] = gap < -1e-9 * radius[i] - 1e-14 * (size + shift)
+    return out
+
+
+def largest_component(vectors: Array) -> Array:
+    """The largest absolute value of each row of (n, d); column by column, which is the faster way."""
+    return np.asarray(np.max([np.abs(vectors[:, k]) for k in range(vectors.shape[1])], axis=0))
 
 
 def check_crossings(scene: Scene, particles: Particles, faults: Faults) -> None:
@@ -116,10 +143,10 @@ def check_crossings(scene: Scene, particles: Particles, faults: Faults) -> None:
     if scene.box is None or not {"walls", "collisions"} & scene.effects.keys():
         return
     edge, dt = min(hi - lo for lo, hi in zip(scene.box.lower, scene.box.upper, strict=True)), scene.time.step
-    pull = np.abs(particles.arrays.get("acceleration", np.zeros((1, 1)))).max(axis=1, initial=0.0)
+    pull = largest_component(particles.arrays.get("acceleration", np.zeros((1, 1))))
     if "uniform_gravity" in scene.effects:
         pull = pull + max(map(abs, scene.effects["uniform_gravity"].acceleration))
-    speed = np.abs(particles.velocity).max(axis=1, initial=0.0) + dt * pull
+    speed = largest_component(particles.velocity) + dt * pull
     fast = (particles.fixed == 0) & ~(speed * dt <= MOST_CROSSINGS * edge)
     what = f" would cross the box more than {MOST_CROSSINGS:g} times in a step of {dt:g}"
     faults.name("time.step: ", particles.id[fast], what)
@@ -128,7 +155,7 @@ def check_crossings(scene: Scene, particles: Particles, faults: Faults) -> None:
 def check_step(scene: Scene, particles: Particles, event: bool, faults: Faults) -> list[str]:
     """A step must be short against spheres (`rewind`), and contacts against a periodic box; returns warnings."""
     warnings, dt, ranks = [], scene.time.step, faults.ranks
-    speed = np.sqrt((particles.velocity**2).sum(axis=1))
+    speed = np.sqrt(row_dot(particles.velocity, particles.velocity))
     radius, moving = particles.radius, speed > 0.0
     points = listed_ids(ranks, particles.id[moving & (radius == 0.0)])
     if points and not (event and scene.dimension == 1):

@@ -84,7 +84,8 @@ class RandomAddition:
             rows = np.flatnonzero(level == k)
             total = int(self.ranks.allreduce_sum(len(rows))[0])
             if total and not missing:
-                x[rows], missing = self.place_class(number[rows], radius[rows], total)
+                places, missing = self.place_class(number[rows], radius[rows], total)
+                x = scattered(x, rows, places)
             elif total:
                 missing += total
         return x, missing
@@ -118,15 +119,16 @@ class RandomAddition:
             holders = np.flatnonzero(least >= 0)
             holder = holders[np.searchsorted(least[holders], found["id"], "right") - 1]
             found, _ = send_rows(self.ranks, found, *by_destination(holder, self.ranks.size))
-        x = np.zeros((len(number), self.dimension))
-        x[np.searchsorted(number, found["id"])] = found["position"]
-        return x
+        order = np.argsort(found["id"])
+        rows = np.searchsorted(number, found["id"][order]) if len(order) < len(number) else np.arange(len(number))
+        return scattered(np.zeros((len(number), self.dimension)), rows, found["position"][order])
 
     def throw_many(self, rows: dict[str, Array], throw: int) -> dict[str, Array]:
         """Throw each sphere once; returns those without a place, wherever they fell."""
-        points, clear = points_of(self.key, rows["id"], np.full(len(rows["id"]), throw), rows["radius"], self.room)
-        astray = rows_of(rows, np.flatnonzero(~clear))
-        rows = rows_of(rows | {"position": points}, np.flatnonzero(clear))
+        points, clear = points_of(self.key, rows["id"], np.array([throw]), rows["radius"], self.room)
+        astray, rows = rows_of(rows, np.flatnonzero(~clear)), rows | {"position": points}
+        if len(astray["id"]):
+            rows = rows_of(rows, np.flatnonzero(clear))
         if not self.room.solid:
             self.found.append(rows)
             return astray
@@ -142,10 +144,11 @@ class RandomAddition:
             if not self.ranks.allreduce_sum(len(left))[0]:
                 break
         free = status == FREE
-        placed, others = (first + np.flatnonzero(of) for of in (free[:own], ~free[:own]))
-        self.found.append({"id": self.grid.id[placed], "position": self.grid.x[placed]})
+        others = first + np.flatnonzero(~free[:own])
         again = {"id": self.grid.id[others], "radius": self.grid.radius[others]}
         self.grid.keep(first, free)
+        placed = slice(first, first + own - len(others))
+        self.found.append({"id": self.grid.id[placed], "position": self.grid.x[placed]})
         return {name: np.concatenate([astray[name], again[name]]) for name in again}
 
     def throw_few(self, rows: dict[str, Array], throw: int, times: int) -> dict[str, Array]:
@@ -177,16 +180,25 @@ class RandomAddition:
         return np.asarray(touches.all(axis=1))
 
 
+def scattered(x: Array, rows: Array, values: Array) -> Array:
+    """x (n, d) with other values in some rows, ascending; without a copy if these are all."""
+    if len(rows) == len(x):
+        return values
+    x[rows] = values
+    return x
+
+
 @kernel
 def points_of(key, number, throw, radius, room):
-    """The random points (n, d) of spheres with these numbers in these throws (n,), and which are clear of the walls (bool)."""
+    """Random points (n, d) of spheres with these numbers, in these throws (n,) or in one; which are clear of the walls (bool)."""
     lower, upper, length, point, normal, _, bounded = room
     n, d = len(number), len(lower)
     x, clear = np.empty((n, d)), np.ones(n, np.bool_)
     for i in range(n):
         low, high = np.uint64(number[i]) & MASK, np.uint64(number[i]) >> np.uint64(32)
+        turn = np.uint64(throw[i if len(throw) > 1 else 0])
         for k in range(0, d, 2):
-            pair = random_pair(key[0], key[1], np.uint64(throw[i]), np.uint64(k), low, high)
+            pair = random_pair(key[0], key[1], turn, np.uint64(k), low, high)
             for m in range(k, min(k + 2, d)):
                 margin = radius[i] if bounded and length[m] == 0.0 else 0.0
                 x[i, m] = lower[m] + margin + pair[m - k] * (upper[m] - lower[m] - 2.0 * margin)

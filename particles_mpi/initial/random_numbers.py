@@ -13,7 +13,7 @@ from zlib import crc32
 import numpy as np
 
 from particles_mpi.kernels.jit import lean_inner
-from particles_mpi.particles import Array
+from particles_mpi.particles import Array, row_dot
 
 BLOCK = 4096  # particles that have a generator together
 STREAMS = {name: k for k, name in enumerate(("position", "velocity", "speed", "radius", "mass", "drag"))}
@@ -46,7 +46,7 @@ def uniform(generator: np.random.Generator, count: int) -> Array:
 def directions(generator: np.random.Generator, count: int, d: int) -> Array:
     """Unit vectors (count, d), no direction preferred."""
     normal = generator.standard_normal((count, d))
-    norm = np.sqrt((normal**2).sum(axis=1))
+    norm = np.sqrt(row_dot(normal, normal))
     return normal / np.where(norm > 0.0, norm, 1.0)[:, None]
 
 

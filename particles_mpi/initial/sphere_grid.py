@@ -33,11 +33,17 @@ class Grids(NamedTuple):
     length: Array  # (d,) those of periodic axes; 0 for others
 
 
-def class_of(radius: Array, largest: float) -> Array:
+@kernel
+def class_of(radius, largest):
     """The class of each radius (n,): 0 for those above half of the largest, and so on."""
-    ratio = np.divide(largest, radius, out=np.full(len(radius), np.inf), where=radius > 0.0)
-    exponent = np.frexp(ratio)[1] - 1  # of two, without rounding
-    return np.where(np.isfinite(ratio), np.clip(exponent, 0, LEVELS - 1), LEVELS - 1).astype(np.int8)
+    level = np.empty(len(radius), np.int8)
+    for i in range(len(radius)):
+        least = 0.5 * largest
+        level[i] = 0
+        while radius[i] <= least and level[i] < LEVELS - 1:
+            least *= 0.5
+            level[i] += 1
+    return level
 
 
 class SphereGrid:
@@ -61,7 +67,7 @@ class SphereGrid:
         """Put spheres behind the others, and `enter` them into the lists; returns (first, last + 1) of their rows."""
         first, last = self.n, self.n + len(x)
         if last > len(self.radius):
-            capacity = last + last // 4
+            capacity = last + last // 4 if first else last
             new = np.empty((capacity, x.shape[1])), np.empty(capacity), np.empty(capacity, np.int64)
             grids = self.grids._replace(after=np.empty(capacity, np.int32), level=np.empty(capacity, np.int8))
             old = self.x, self.radius, self.id, self.grids.after, self.grids.level
@@ -77,13 +83,8 @@ class SphereGrid:
 
     def keep(self, first: int, stays: Array) -> None:
         """Of the rows from `first` on, which are the last that came, take away those that do not stay (bool)."""
-        withdraw(self.x, first, self.n, self.grids)
-        rows = first + np.flatnonzero(stays)
-        last = first + len(rows)
-        for column in (self.x, self.radius, self.id, self.grids.level):
-            column[first:last] = column[rows]
-        insert(self.x, first, last, self.grids)
-        self.n = last
+        if not stays.all():
+            self.n = keep(first, self.n, stays, self.x, self.radius, self.id, self.grids)
 
     def order(self, x: Array, radius: Array) -> Array:
         """The spheres (n,) sorted by their cells: neighbours in space are then near one another in memory."""
@@ -98,14 +99,13 @@ class SphereGrid:
                 return rows[:left]
             rows = rows[:left]
 
-    def alone(self, first: int, last: int, margin: float) -> Array:
-        """Which of the rows first ... last - 1 overlap no other one? (n,) bool."""
-        return alone(first, last, self.x, self.radius, self.id, self.n, np.empty(0, np.int8), margin, self.grids)
+    def open_points(self, x: Array, radius: Array, margin: float, rows: Array | None = None) -> Array:
+        """At which of the points x (n, d) would a sphere with this radius (n,) overlap nobody? (n,) bool.
 
-    def open_points(self, x: Array, radius: Array, margin: float) -> Array:
-        """At which of the points x (n, d) would a sphere with this radius (n,) overlap nobody? Their numbers."""
-        nobody = np.empty(0, np.int8)
-        return np.flatnonzero(open_points(x, radius, self.x, self.radius, self.id, self.n, nobody, margin, self.grids))
+        `rows` (n,): those of these spheres, if they are in the grid themselves.
+        """
+        me, nobody = np.full(len(x), -1) if rows is None else rows, np.empty(0, np.int8)
+        return np.asarray(open_points(x, radius, me, self.x, self.radius, self.id, self.n, nobody, margin, self.grids))
 
     def first_come(self, x: Array, radius: Array, who: Array, margin: float) -> tuple[int, Array]:
         """Put spheres at x (n, d), one after the other; those that `who` (n,) names already, or that overlap, are left out.
@@ -168,12 +168,24 @@ def insert(x, first, last, grid):
 
 
 @kernel
-def withdraw(x, first, last, grid):
-    """Take away the rows first ... last - 1, which are the last that were entered, and so at the heads of their lists."""
+def keep(first, last, stays, x, radius, ids, grid):
+    """Take away those of the rows first ... last - 1, the last that were entered, that do not stay; the new `last`.
+
+    The newest rows are at the heads of their lists: all are taken out, and those that stay enter again in their new rows.
+    """
     for i in range(first, last):
         c = list_of(x[i], grid.level[i], grid)
         while grid.head[c] >= first:
             grid.head[c] = grid.after[grid.head[c]]
+    n = first
+    for i in range(first, last):
+        if stays[i - first]:
+            for k in range(x.shape[1]):
+                x[n, k] = x[i, k]
+            radius[n], ids[n], grid.level[n] = radius[i], ids[i], grid.level[i]
+            n += 1
+    insert(x, first, n, grid)
+    return n
 
 
 @lean_inner
@@ -230,20 +242,11 @@ def decide(rows, x, radius, ids, first, status, margin, grid):
 
 
 @kernel
-def open_points(y, r, x, radius, ids, n, status, margin, grid):
-    """At which of the points y (m, d) would a sphere with radius r (m,) overlap none of the n that are in the lists?"""
+def open_points(y, r, me, x, radius, ids, n, status, margin, grid):
+    """At which of the points y (m, d) would a sphere with radius r (m,) overlap none of the n rows but its own, `me` (m,)?"""
     free = np.empty(len(y), np.bool_)
     for i in range(len(y)):
-        free[i] = verdict(y[i], r[i], -1, x, radius, ids, n, status, margin, grid) == FREE
-    return free
-
-
-@kernel
-def alone(first, last, x, radius, ids, n, status, margin, grid):
-    """Which of the rows first ... last - 1 overlap none of the n that are in the lists, but themselves?"""
-    free = np.empty(last - first, np.bool_)
-    for i in range(first, last):
-        free[i - first] = verdict(x[i], radius[i], i, x, radius, ids, n, status, margin, grid) == FREE
+        free[i] = verdict(y[i], r[i], me[i], x, radius, ids, n, status, margin, grid) == FREE
     return free
 
 

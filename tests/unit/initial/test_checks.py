@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.initial.checks import coincident
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Particles
 
 AXES = st.lists(st.booleans(), min_size=3, max_size=3)
@@ -109,5 +110,5 @@ def test_a_lattice_is_searched_without_comparing_all_pairs():
     grid[n // 2] = grid[3]
     scene = Scene(dimension=3, G=1.0, time={"step": 0.1, "steps": 1}, particles=[], effects={"mutual_gravity": {}})
     arrays = {"id": np.arange(n), "position": grid, "mass": np.ones(n), "fixed": np.zeros(n, np.uint8)}
-    (warning,) = coincident(scene, Particles(3, arrays))
+    (warning,) = coincident(scene, Particles(3, arrays), Communicator.alone())
     assert f"pair 3-{n // 2} is at the same place" in warning
