@@ -162,7 +162,7 @@ class RandomAddition:
         at = at[self.grid.open_points(points[at], radius[at], MARGIN)]
         tried = allgather_rows(self.ranks, {"id": at})["id"]
         tried.sort()
-        first, stays = self.grid.first_come(points[tried], radius[tried], tried % n, MARGIN)
+        first, stays = self.grid.first_come(points[tried], radius[tried], tried % n, n, MARGIN)
         placed = tried[stays]
         mine = placed[here[placed]]
         self.found.append({"id": number[mine], "position": points[mine]})

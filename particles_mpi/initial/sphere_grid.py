@@ -107,14 +107,14 @@ class SphereGrid:
         me, nobody = np.full(len(x), -1) if rows is None else rows, np.empty(0, np.int8)
         return np.asarray(open_points(x, radius, me, self.x, self.radius, self.id, self.n, nobody, margin, self.grids))
 
-    def first_come(self, x: Array, radius: Array, who: Array, margin: float) -> tuple[int, Array]:
-        """Put spheres at x (n, d), one after the other; those that `who` (n,) names already, or that overlap, are left out.
+    def first_come(self, x: Array, radius: Array, who: Array, count: int, margin: float) -> tuple[int, Array]:
+        """Put spheres at x (n, d), one after the other; those that overlap, or whose `who` (n,) has a place, are left out.
 
         Returns (first row, which stay): they are rows from there on until `keep` is called.
         """
         first, last = self.append(x, radius, np.full(len(x), -1), enter=False)
-        nobody = np.empty(0, np.int8)
-        stays = first_come(first, last, who, self.x, self.radius, self.id, nobody, margin, self.grids)
+        nobody, placed = np.empty(0, np.int8), np.zeros(count, np.bool_)
+        stays = first_come(first, last, who, placed, self.x, self.radius, self.id, nobody, margin, self.grids)
         return first, stays
 
 
@@ -251,10 +251,9 @@ def open_points(y, r, me, x, radius, ids, n, status, margin, grid):
 
 
 @kernel
-def first_come(first, last, who, x, radius, ids, status, margin, grid):
-    """Enter those of the rows first ... last - 1 that overlap nobody, unless their `who` has a place; which of them (bool)."""
+def first_come(first, last, who, placed, x, radius, ids, status, margin, grid):
+    """Enter those of the rows first ... last - 1 that overlap nobody, unless their `who` is `placed`; which of them (bool)."""
     stays = np.zeros(last - first, np.bool_)
-    placed = np.zeros(who.max() + 1 if len(who) > 0 else 0, np.bool_)
     for i in range(first, last):
         sphere = who[i - first]
         if not placed[sphere] and verdict(x[i], radius[i], i, x, radius, ids, last, status, margin, grid) == FREE:

@@ -15,6 +15,8 @@ import numpy as np
 
 from particles_mpi.contacts.event_driven.messages import message_of
 from particles_mpi.contacts.event_driven.operator import Event
+from particles_mpi.initial.populate import populate
+from particles_mpi.initial.random_addition import FEW
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.scene.schema import Scene
 from particles_mpi.setup.kernel_sources import PACKAGE, Sources
@@ -128,6 +130,12 @@ def windows(ranks: Communicator) -> None:
     divided.accept(nothing, np.empty((0, 2), np.int64), divided.plan_moves())
 
 
+def starts(ranks: Communicator) -> None:
+    """Random places of so many spheres that ranks throw them apart from one another."""
+    many = [{"count": FEW + 1000, "position": "random", "radius": 0.001}]
+    populate(scene(3, {"collisions": {}, "walls": {}}, particles=many), ranks)
+
+
 def tree(ranks: Communicator) -> None:
     """The tree, the same in all dimensions; with enough particles for far cells."""
     many = [{"count": 300, "position": "random"}]
@@ -145,6 +153,7 @@ def orbits(ranks: Communicator) -> None:
 # Each for one rank: those that take longest first, in an order in which neighbours share few kernels. Mode `rewind` needs the
 # kernels of mode `event` too, one of which takes longer to compile than any other.
 JOBS: tuple[Callable[[Communicator], None], ...] = (
+    starts,
     partial(event, 3),
     partial(event, 2),
     tree,
@@ -180,6 +189,7 @@ def main() -> None:
         rewind(d, world)
         others(d, world)
     tree(world)
+    starts(world)
     if world.is_root:
         Sources(PACKAGE).note()
         print(f"kernels compiled in {perf_counter() - begin:.0f} s")
