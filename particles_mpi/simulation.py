@@ -37,7 +37,7 @@ class Simulation(Saved):
         same_on_all(ranks, scene.to_dict(), start.arrays if start else {})
         with raising_together(ranks):
             if start is None:
-                rows, warnings = populate(scene, ranks)
+                rows, warnings = populate(scene, Communicator(ranks.comm))  # its messages are not counted among the steps'
             else:
                 rows, warnings = start.select(np.arange(*ranks.share(len(start)))), []
         with raising_together(ranks):

@@ -41,9 +41,9 @@ def read_table(ranks: Communicator, path: Path, columns: int) -> Table | str:
     for rank in range(1, ranks.size):
         if crcs[rank - 1][1] != crcs[rank][0]:
             return f"{path}: not the same on rank {rank} as on rank {rank - 1}"
-    header = ranks.is_root and not begins_with_number(block)
     lines = block.count(b"\n") + (not block.endswith(b"\n") and len(block) > 0)
     line = 1 + sum(ranks.allgather(lines)[: ranks.rank])  # the number of the first line of this rank
+    header = line == 1 and lines > 0 and not begins_with_number(block)
     values = np.empty((0, columns))
     try:
         values = parsed(block, columns, header)

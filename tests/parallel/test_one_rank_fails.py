@@ -69,7 +69,7 @@ def test_what_goes_wrong_in_the_set_up_of_one_rank_is_raised_on_all(tmp_path):
         "scene": ("SceneError", "rank 1: ", "1/scene.toml: cannot be read (No such file"),
         "scene on rank 0": ("SceneError", "rank 0: ", "1/scene.toml: cannot be read (No such file"),
         "file": ("SceneError", "particles[0].position: rank 1: ", "1/none.csv cannot be read (No such file"),
-        "rows": ("SceneError", "particles[0].position: ", "rows.csv: not the same on rank 1 as on rank 0"),
+        "rows": ("SceneError", "rank 0: particles[0].position: ", "rows.csv: not the same on rank 1 as on rank 0"),
         "checkpoint": ("SceneError", "rank 1: ", "1/checkpoint.h5: no such checkpoint"),
         "damaged": ("SceneError", "rank 0: ", "0/damaged.h5: damaged"),
         "json": ("SceneError", "rank 1: ", "1/state.json: no such file"),
