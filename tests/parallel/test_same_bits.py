@@ -295,6 +295,7 @@ SCENES |= {
 LARGE = "fluid large enough to divide"
 SCENES[LARGE] = dict(
     dimension=3,
+    seed=3,  # one of those (five of six) in which no row of contacts crosses a border in no time, which costs a dozen windows
     box={"lower": [0, 0, 0], "upper": [28, 28, 28], "periodic": True},
     time={"step": 0.05, "steps": 3},
     particles=[{"count": 12000, "position": "lattice", "velocity": {"temperature": 1.0}, "radius": 0.5}],
