@@ -24,6 +24,7 @@ MOST_TRIES = 100_000  # failures in a row before spheres are given up: at packin
 JAMMED = {1: 0.7476, 2: 0.547, 3: 0.384}  # packing at which random addition of equal spheres stops (literature)
 FEW = 10_000  # spheres without a place that each rank throws all of, several times at once, in its part of space
 POINTS = 100_000  # thrown at once then
+TOGETHER = 2**20  # spheres of all ranks that are thrown at once, which need several times the memory of their places
 MARGIN = 1.0 + 1e-12  # spheres as near as this to touching overlap
 CUTTING = 1000  # points of each rank that tell where space is cut
 
@@ -99,7 +100,7 @@ class RandomAddition:
             if not shared and self.room.solid and left <= FEW:
                 rows = allgather_rows(self.ranks, rows)
                 rows, shared = rows_of(rows, np.lexsort((rows["id"], -rows["radius"]))), True
-            rows = self.throw_few(rows, throws, at_once) if shared else self.throw_many(rows, throws)
+            rows = self.throw_few(rows, throws, at_once) if shared else self.throw_all(rows, throws, left)
             now = len(rows["id"]) if shared else int(self.ranks.allreduce_sum(len(rows["id"]))[0])
             throws += at_once
             tries += left * at_once
@@ -122,6 +123,15 @@ class RandomAddition:
         order = np.argsort(found["id"])
         rows = np.searchsorted(number, found["id"][order]) if len(order) < len(number) else np.arange(len(number))
         return scattered(np.zeros((len(number), self.dimension)), rows, found["position"][order])
+
+    def throw_all(self, rows: dict[str, Array], throw: int, left: int) -> dict[str, Array]:
+        """Throw each of the `left` spheres of all ranks once, no more than TOGETHER at a time; returns those without a place."""
+        parts = -(-left // TOGETHER) if self.room.solid else 1
+        if parts == 1:
+            return self.throw_many(rows, throw)
+        of = rows["id"] % parts
+        again = [self.throw_many(rows_of(rows, np.flatnonzero(of == part)), throw) for part in range(parts)]
+        return {name: np.concatenate([part[name] for part in again]) for name in rows}
 
     def throw_many(self, rows: dict[str, Array], throw: int) -> dict[str, Array]:
         """Throw each sphere once; returns those without a place, wherever they fell."""

@@ -66,6 +66,7 @@ class Neighbourhood:
         self.position: Array | None = None  # the particles' own array at the last search
         self.searches = self.migrated = self.ghost_rows = self.expected = self.pair_tests = 0
         self.tuner = RebuildTuner()
+        self.work = 0.0  # of the last search, in the tuner's units
 
     def prepare(self, h: float) -> None:
         """Before a drift over h: candidates for wherever it will take any particle. Collective."""
@@ -99,6 +100,7 @@ class Neighbourhood:
     def search(self, h: float, at_least: float) -> None:
         """Migrate, fetch ghosts, find candidates to last some steps of h; `at_least`: how far rows must get. Collective."""
         particles = self.particles
+        self.forget_candidates()
         with self.timers("migrate"):
             self.balance.update(particles, self.searches)
             self.row_buffers.adopt()
@@ -116,13 +118,21 @@ class Neighbourhood:
             self.expected = self.candidates.pair_count
         self.searches += 1
 
+    def forget_candidates(self) -> None:
+        """Give back the memory of the last search before the next one takes its own."""
+        if self.searches:
+            self.work = self.tuner.work(len(self.x), self.candidates.tests, self.candidates.asked)
+            del self.candidates, self.segments, self.active, self.rows, self.spheres, self.fields, self.x, self.v
+        self.version = -1
+
     def horizon(self, h: float, at_least: float, extent: tuple[Array, Array]) -> Horizon:
         """That of the next candidates, the same on all ranks; `extent`: bounds of this rank's particles."""
         particles = self.particles
         d, x, n = particles.dimension, particles.position, len(particles)
-        work = self.tuner.work(len(self.x), self.candidates.tests, self.candidates.asked) if self.searches else 0.0
         radius = particles.radius
-        mine = np.array([n, fastest(x, particles.velocity), radius.max(initial=0.0), radius.sum(), work, *extent[0], *extent[1]])
+        mine = np.array(
+            [n, fastest(x, particles.velocity), radius.max(initial=0.0), radius.sum(), self.work, *extent[0], *extent[1]]
+        )
         table = self.ranks.allgather_array(mine)  # of all in one message
         counts, speeds, largest_radii, radii, works = table[:, :5].T
         lowest, highest = table[:, 5 : 5 + d].min(axis=0), table[:, 5 + d :].max(axis=0)

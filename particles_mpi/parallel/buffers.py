@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows, by_destination, send_rows
 from particles_mpi.particles import MEETING, Array, Particles, field
 
+AT_ONCE = 100_000  # rows that a rank sends away in one message to each other rank
 GROWTH = 1.2  # of the rows that are needed: how many new arrays have space for
 
 
@@ -19,7 +21,7 @@ class RowBuffers:
     def __init__(self, particles: Particles):
         self.particles = particles
         self.buffers: dict[str, Array] = {}
-        self.spare: dict[str, Array] = {}
+        self.spare: dict[Any, Array] = {}  # one array for each type and width, into which columns are sorted in turn
 
     @property
     def count(self) -> int:
@@ -29,8 +31,9 @@ class RowBuffers:
         """Copy the arrays of `particles` into the buffers, if somebody else has put new ones there."""
         arrays = self.particles.arrays
         if any(array.base is not self.buffers.get(name, self) for name, array in arrays.items()):
-            self.buffers = {name: np.array(array, order="C") for name, array in arrays.items()}
-            self.spare = {name: np.empty_like(array) for name, array in self.buffers.items()}
+            self.buffers = {}
+            for name, array in arrays.items():
+                arrays[name] = self.buffers[name] = np.array(array, order="C")  # one column at a time is there twice
             self.show(len(self.buffers["id"]))
 
     def show(self, count: int) -> None:
@@ -42,28 +45,51 @@ class RowBuffers:
         if rows <= len(self.buffers["id"]):
             return
         n, space = self.count, int(rows * GROWTH) + 1
+        self.spare = {}
         for name, old in self.buffers.items():
-            self.buffers[name], self.spare[name] = (np.empty((space, *old.shape[1:]), old.dtype) for _ in range(2))
+            self.buffers[name] = np.empty((space, *old.shape[1:]), old.dtype)
             self.buffers[name][:n] = old[:n]
+            self.particles.arrays[name] = self.buffers[name][:n]
         self.show(n)
 
     def sort(self, order: Array) -> None:
         """Put the rows into another order: row i becomes what row order[i] was."""
         n = len(order)
         for name, old in self.buffers.items():
-            new = self.spare[name]
+            kind = old.dtype, old.shape[1:]
+            new = self.spare.get(kind, old)
+            if len(new) != len(old) or new is old:
+                new = np.empty_like(old)
             old[:n].take(order, axis=0, out=new[:n], mode="clip")
-            self.buffers[name], self.spare[name] = new, old
+            self.buffers[name], self.spare[kind] = new, old
         self.show(n)
 
     def migrate(self, ranks: Communicator, owner: Array) -> int:
-        """Send every row to its owner (n,), any rank; returns how many rows this rank sent away. Collective."""
+        """Send every row to its owner (n,), any rank; returns how many rows this rank sent away. Collective.
+
+        A rank sends at most AT_ONCE rows at a time: so messages need little memory, even where all rows move.
+        """
         if ranks.size == 1:
             return 0
-        n, leaving = self.count, np.flatnonzero(owner != ranks.rank)
-        if ranks.allreduce_sum(len(leaving))[0] == 0:
-            return 0
-        order, counts = by_destination(owner[leaving], ranks.size)
+        leaving = np.flatnonzero(owner != ranks.rank)
+        away, most = len(leaving), int(ranks.allreduce_max(len(leaving))[0])
+        if 0 < most <= AT_ONCE:
+            self.send(ranks, leaving, owner[leaving])
+        elif most:
+            self.buffers["owner"] = np.resize(owner, len(self.buffers["id"]))  # goes where its row goes
+            self.show(len(owner))
+            while ranks.allreduce_max(len(leaving))[0]:
+                leaving = leaving[:AT_ONCE]
+                self.send(ranks, leaving, self.buffers["owner"][leaving])
+                leaving = np.flatnonzero(self.particles.arrays["owner"] != ranks.rank)
+            del self.buffers["owner"]
+            self.show(self.count)
+        return away
+
+    def send(self, ranks: Communicator, leaving: Array, owner: Array) -> None:
+        """Send the rows `leaving`, ascending, to the ranks `owner`, and take those that arrive. Collective."""
+        n = self.count
+        order, counts = by_destination(owner, ranks.size)
         arrived, _ = send_rows(ranks, self.particles.arrays, leaving[order], counts)
         came = len(arrived["id"])
         after = n - len(leaving) + came
@@ -75,7 +101,6 @@ class RowBuffers:
             array[places] = arrived[name]
             array[holes] = array[last]
         self.show(after)
-        return len(leaving)
 
     def append_ghosts(self, arrived: dict[str, Array]) -> dict[str, Array]:
         """Put ghosts behind the particles; returns the arrays of both together, for the fields that ghosts have."""

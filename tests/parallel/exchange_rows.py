@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from particles_mpi.parallel import buffers
 from particles_mpi.parallel.buffers import RowBuffers
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import by_destination, id_range, in_id_order, send_rows
@@ -37,6 +38,7 @@ for seed, total, dimension, emptied in json.loads(Path(sys.argv[1]).read_text())
     for name, column in every.items():
         assert arrived[name].dtype == column.dtype and (arrived[name] == column[expected]).all(), (seed, name)
 
+    buffers.AT_ONCE = (100_000, 3)[seed % 2]
     store = RowBuffers(Particles(dimension, held))
     store.adopt()
     left = store.migrate(ranks, owner[mine])
