@@ -76,7 +76,7 @@ def in_contact(x: Array, radius: Array, length: Array) -> Array:
     grid = SphereGrid(lower, extent, length, np.bincount(level, minlength=LEVELS), reach)
     order = grid.order(x, radius)
     first, last = grid.append(x[order], radius[order], np.arange(len(x)))
-    return np.sort(order[~grid.open_points(grid.x, grid.radius, 1.0 - 0.1 * TOUCH, np.arange(first, last))])
+    return np.sort(order[~grid.open_points(grid.x[:last], grid.radius[:last], 1.0 - 0.1 * TOUCH, np.arange(first, last))])
 
 
 def bulk(x: Array) -> tuple[Array, Array]:

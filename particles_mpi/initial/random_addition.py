@@ -93,7 +93,7 @@ class RandomAddition:
 
     def place_class(self, number: Array, radius: Array, total: int) -> tuple[Array, int]:
         """`place` for spheres of one class, of which there are `total` on all ranks."""
-        self.found: list[dict[str, Array]] = []
+        self.found: list[dict[str, Array] | slice] = []  # numbers and places, or rows of the grid that have them
         rows, shared = {"id": number, "radius": radius}, False
         left, throws, at_once, in_vain, tries = total, 0, 1, 0, 0
         while left and in_vain < MOST_TRIES and tries < 50 * MOST_TRIES + 200 * total:
@@ -114,7 +114,11 @@ class RandomAddition:
     def to_their_numbers(self, number: Array) -> Array:
         """The places that were found, to whoever asked for them: x (n, d) of the spheres with these numbers."""
         columns = {"id": np.empty(0, np.int64), "position": np.empty((0, self.dimension))}
-        found = {name: np.concatenate([none, *(rows[name] for rows in self.found)]) for name, none in columns.items()}
+        held = {"id": self.grid.id, "position": self.grid.x}
+        found = {
+            name: np.concatenate([none, *(held[name][of] if isinstance(of, slice) else of[name] for of in self.found)])
+            for name, none in columns.items()
+        }
         if self.ranks.size > 1:
             least = self.ranks.allgather_array(np.array(number[0] if len(number) else -1))
             holders = np.flatnonzero(least >= 0)
@@ -157,8 +161,7 @@ class RandomAddition:
         others = first + np.flatnonzero(~free[:own])
         again = {"id": self.grid.id[others], "radius": self.grid.radius[others]}
         self.grid.keep(first, free)
-        placed = slice(first, first + own - len(others))
-        self.found.append({"id": self.grid.id[placed], "position": self.grid.x[placed]})
+        self.found.append(slice(first, first + own - len(others)))
         return {name: np.concatenate([astray[name], again[name]]) for name in again}
 
     def throw_few(self, rows: dict[str, Array], throw: int, times: int) -> dict[str, Array]:

@@ -57,17 +57,17 @@ class SphereGrid:
         cells = np.array([cells_of(extent, int(count), 2.0 * far) for count, far in zip(counts, reach)])
         lists = np.array([1 << int(-(-int(c) // ranks) - 1).bit_length() for c in cells.prod(axis=1)])
         first = np.cumsum(lists) - lists
-        self.n, d = 0, len(lower)
-        self.x, self.radius, self.id = np.empty((0, d)), np.empty(0), np.empty(0, np.int64)
-        head, none = np.full(int(lists.sum()), -1, np.int32), np.empty(0, np.int32)
-        self.grids = Grids(head, none, np.empty(0, np.int8), reach, cells, first, lists - 1, lower, extent, length)
+        self.n, d, space = 0, len(lower), int(1.05 * counts.sum() / ranks) + 1
+        self.x, self.radius, self.id = np.empty((space, d)), np.empty(space), np.empty(space, np.int64)
+        head, after, level = np.full(int(lists.sum()), -1, np.int32), np.empty(space, np.int32), np.empty(space, np.int8)
+        self.grids = Grids(head, after, level, reach, cells, first, lists - 1, lower, extent, length)
         self.largest = float(reach.max())
 
     def append(self, x: Array, radius: Array, ids: Array, enter: bool = True) -> tuple[int, int]:
         """Put spheres behind the others, and `enter` them into the lists; returns (first, last + 1) of their rows."""
         first, last = self.n, self.n + len(x)
         if last > len(self.radius):
-            capacity = last + last // 4 if first else last
+            capacity = last + last // 4
             new = np.empty((capacity, x.shape[1])), np.empty(capacity), np.empty(capacity, np.int64)
             grids = self.grids._replace(after=np.empty(capacity, np.int32), level=np.empty(capacity, np.int8))
             old = self.x, self.radius, self.id, self.grids.after, self.grids.level
