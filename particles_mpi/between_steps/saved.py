@@ -11,10 +11,11 @@ import numpy as np
 from particles_mpi.between_steps.state import State
 from particles_mpi.contacts.drift import COUNTS
 from particles_mpi.measure import snapshot
-from particles_mpi.output.checkpoint import load
+from particles_mpi.output.checkpoint import NO_CONTACTS, Checkpoint, Contacts
 from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.particles import Array, Particles
+from particles_mpi.parallel.exchange import allgather_rows, by_destination, in_id_order, send_rows
+from particles_mpi.particles import Particles
 from particles_mpi.scene.schema import Scene
 
 
@@ -22,55 +23,64 @@ class Saved(State):
     """A state that can be copied and saved."""
 
     def metadata(self) -> dict[str, Any]:
-        """Clock, counts over all ranks, and scene, as plain data: what a state is besides its particles. Collective."""
+        """Clock, counts over all ranks, and scene, as plain data: what a state is besides particles and contacts. Collective."""
         self.take_changes()
         totals = self.ranks.allreduce_sum(np.array([self.totals[name] for name in COUNTS])).tolist()
         clock = {"step": self.steps_done, "moment": self.moment, "h": self._h, "observed": self.observed}
-        kept = self.rest.saved() if self.rest else []
-        counts = {"totals": totals, "next_id": self.next_id, "additions": self.additions}
-        return {**clock, **counts, "kept": kept, "scene": self.scene.to_dict()}
+        return {**clock, "totals": totals, "next_id": self.next_id, "additions": self.additions, "scene": self.scene.to_dict()}
+
+    def lasting_contacts(self) -> Contacts:
+        """What the lasting contacts of this rank's particles took."""
+        return Contacts(*self.rest.remembered()) if self.rest else NO_CONTACTS
 
     @classmethod
-    def restored(cls, scene: Scene, ranks: Communicator, everyone: Particles, metadata: dict[str, Any]) -> Self:
-        """The simulation that `metadata` tells of, with these particles (in id order on every rank). Collective."""
+    def restored(cls, scene: Scene, ranks: Communicator, rows: Particles, metadata: dict[str, Any], contacts: Contacts) -> Self:
+        """The simulation that `metadata` tells of, with these particles on this rank, and their contacts. Collective."""
         sim = cls.__new__(cls)
-        sim.begin(scene, ranks, everyone.select(np.arange(*ranks.share(len(everyone)))), metadata["next_id"])
+        sim.begin(scene, ranks, rows, metadata["next_id"])
         sim.steps_done, sim._h, sim.additions = metadata["step"], metadata["h"], metadata["additions"]
         sim.moment = metadata["moment"][0], metadata["moment"][1]
         sim.observed = list(metadata["observed"])
-        if sim.rest and metadata["kept"]:
-            sim.rest.restore(metadata["kept"], sim.rows.id)
+        if sim.rest:
+            sim.rest.restore(contacts)
         if ranks.is_root:  # counts are sums over ranks: one rank carries those from before
             sim.totals.update(zip(COUNTS, metadata["totals"], strict=True))
         return sim
 
     @classmethod
-    def read(cls, ranks: Communicator, arrays: dict[str, Array], metadata: dict[str, Any]) -> Self:
-        """The simulation of a state that every rank has read from a file: it must be the same on all."""
-        same_on_all(ranks, metadata, arrays)
-        with raising_together(ranks):
-            scene = Scene.from_dict(metadata["scene"])
-            return cls.restored(scene, ranks, Particles(scene.dimension, arrays), metadata)
-
-    @classmethod
     def resume(cls, path: str | Path, comm: Any = None) -> Self:
-        """The run that wrote the checkpoint, where it stood, on any number of ranks; the same bits from there on."""
+        """The run that wrote the checkpoint, where it stood, on any number of ranks; the same bits from there on.
+
+        Each rank reads its share of the particles, and of the contacts, which then go to the ranks that have their particles.
+        """
         ranks = Communicator(comm)
         with raising_together(ranks):
-            arrays, saved = load(Path(path))
+            file = Checkpoint(Path(path))
+            saved = file.attributes
             metadata = {name: json.loads(str(saved[name])) for name in snapshot.METADATA}
-        sim = cls.read(ranks, arrays, metadata)
+            scene = Scene.from_dict(metadata["scene"])
+            rows = Particles(scene.dimension, file.rows(*ranks.share(file.total)))
+            contacts = file.contacts(*ranks.share(file.number_of_contacts))._asdict()
+        same_on_all(ranks, metadata)
+        least = ranks.allgather_array(np.array(rows.id[0] if len(rows) else 2**62))
+        owner = np.maximum(np.searchsorted(least, contacts["id"], "right") - 1, 0)
+        contacts, _ = send_rows(ranks, contacts, *by_destination(owner, ranks.size))
+        with raising_together(ranks):
+            sim = cls.restored(scene, ranks, rows, metadata, Contacts(**contacts))
         sim.reported, sim.written = json.loads(saved["reported"]), json.loads(saved["written"])
         return sim
 
     def copy(self) -> Self:
         """Another simulation in the same state. Collective."""
         metadata = self.metadata()
-        return self.restored(self.scene, self.ranks, snapshot.gather_all(self.ranks, self.rows), metadata)
+        rows = self.rows.select(np.arange(len(self.rows)))
+        return self.restored(self.scene, self.ranks, rows, metadata, self.lasting_contacts())
 
     def to_json(self, path: str | Path, indent: int | None = None) -> None:
         """Save scene and state, exact to the bit; compact, or readable with `indent`. Collective."""
-        metadata = self.metadata()
+        contacts = allgather_rows(self.ranks, self.lasting_contacts()._asdict())
+        order = np.lexsort((contacts["partner"], contacts["id"]))
+        metadata = self.metadata() | {"kept": [contacts[name][order].tolist() for name in Contacts._fields]}
         snapshot.save_json(Path(path), self.ranks, self.rows, metadata, indent)
 
     @classmethod
@@ -79,7 +89,13 @@ class Saved(State):
         ranks = Communicator(comm)
         with raising_together(ranks):
             arrays, metadata = snapshot.load_json(Path(path))
-        return cls.read(ranks, arrays, metadata)
+        same_on_all(ranks, metadata, arrays)
+        with raising_together(ranks):
+            scene = Scene.from_dict(metadata["scene"])
+            rows = Particles(scene.dimension, arrays).select(np.arange(*ranks.share(len(arrays["id"]))))
+            kept = [np.array(column, kind) for column, kind in zip(metadata["kept"], (np.int64, np.int64, float), strict=True)]
+            mine = np.isin(kept[0], rows.id)
+            return cls.restored(scene, ranks, rows, metadata, Contacts(*(column[mine] for column in kept)))
 
     def __eq__(self, other: object) -> bool:
         """The same scene, time, step length and particles, to the bit. Collective."""
@@ -87,9 +103,12 @@ class Saved(State):
             return NotImplemented
         for sim in (self, other):
             sim.take_changes()
-        mine, theirs = (snapshot.gather_all(sim.ranks, sim.rows) for sim in (self, other))
         clocks = [(sim.time, sim.h, sim.next_id) for sim in (self, other)]
-        return self.scene == other.scene and clocks[0] == clocks[1] and snapshot.same(mine, theirs)
+        if self.scene != other.scene or clocks[0] != clocks[1] or self.ids != other.ids:
+            return False
+        mine, theirs = (in_id_order(sim.ranks, sim.rows.arrays, sim.ids, sim.ranks.size) for sim in (self, other))
+        d = self.scene.dimension
+        return bool(self.ranks.allreduce_min(float(snapshot.same(Particles(d, mine), Particles(d, theirs))))[0])
 
     __hash__ = None  # type: ignore[assignment]
 

@@ -13,7 +13,7 @@ from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.particles import FIELDS, Array, Particles, rows_of
 
 FORMAT = "particles_mpi state 2"
-METADATA = ("step", "moment", "h", "observed", "totals", "next_id", "additions", "kept", "scene")  # what `metadata` tells
+METADATA = ("step", "moment", "h", "observed", "totals", "next_id", "additions", "scene")  # what `metadata` tells
 SHOWN = 20  # rows of a printed table
 
 

@@ -1,10 +1,13 @@
 """The exact state of a run in one HDF5 file, which is replaced as a whole, and the folder in which a run goes on from it.
 
 - /particles/<field>: (N,) or (N, d), in id order, every bit as it was (NaN, -0.0 and subnormals too)
-- @particles_mpi_checkpoint = 3, @total, @dimension, and the attributes given: step, time, scene text, counts
+- /contacts/id, partner, taken: (M,), in the order of ids, what lasting contacts took: see `contacts/persistent/memory`
+- @particles_mpi_checkpoint = 5, @total, @dimension, and the attributes given: step, time, scene text, counts
 
-Behind the HDF5 file there is a line with its length and CRC-32, which HDF5 ignores: a file that was cut short, or of which a bit
-has changed, is never taken for a state.
+Rank 0 makes the file with room for all rows, and each rank writes those of its range of ids into it, by MPI-IO: no rank holds the
+rows of another. Behind the HDF5 file there is a seal, which HDF5 ignores: the CRC-32 of each piece of rows, and of all bytes
+between them. A file that was cut short, or of which a bit has changed, is never taken for a state; who reads some rows reads
+and checks the pieces with them only.
 """
 
 import json
@@ -12,37 +15,166 @@ import os
 import shutil
 import zlib
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, cast
 
 import h5py
 import numpy as np
+from mpi4py import MPI
 
 from particles_mpi.errors import SceneError
-from particles_mpi.output.files import failing_together, replacing, sync_folder
+from particles_mpi.output.files import failing_together, mpi_io_errors, replacing, sync_folder
 from particles_mpi.parallel.agreement import differences
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, allgather_rows, in_id_order
-from particles_mpi.particles import FIELDS, Array, shape
+from particles_mpi.particles import FIELDS, Array, rows_of, shape
 
-MARK, FORMAT = "particles_mpi_checkpoint", 4
-SEAL = f"\n{MARK} {{:20d}} {{:08x}}\n"  # the last line of a file: length and CRC-32 of the HDF5 file before it
+MARK, FORMAT = "particles_mpi_checkpoint", 5
+TAIL = f"\n{MARK} {{:20d}} {{:20d}} {{:08x}}\n"  # the last line: lengths of the HDF5 file and of the seal, CRC-32 of the seal
+PIECE = 2**17  # rows that have a checksum together
+ONCE = 2**28  # bytes written in one call: MPI counts to 2^31
 OURS = ("trajectory.vtkhdf", "particles.pvd", "vtk", "checkpoint.h5", "diagnostics.csv", "run.json", "stopped.h5", "plots")
 INTERVALS = {f"output.{name}" for name in ("every", "formats", "checkpoint_every", "diagnostics_every")}
 FREE = {"title", "time.end", "time.steps"} | INTERVALS  # keys of a scene that may change when a run is continued
 
 
+class Contacts(NamedTuple):
+    """What lasting contacts took: id (m,) of a row, its partner, taken."""
+
+    id: Array
+    partner: Array
+    taken: Array
+
+
+NO_CONTACTS = Contacts(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))
+
+
 def save(
-    path: Path, ranks: Communicator, arrays: dict[str, Array], ids: IdRange, dimension: int, attributes: dict[str, Any]
+    path: Path,
+    ranks: Communicator,
+    arrays: dict[str, Array],
+    ids: IdRange,
+    dimension: int,
+    attributes: dict[str, Any],
+    contacts: Contacts = NO_CONTACTS,
 ) -> None:
     """Write the state of all ranks, whose ids lie in `ids`. Collective.
 
-    `arrays`: this rank's owned rows in any order, with every field that a restart needs; `attributes`: numbers and texts.
+    `arrays`: this rank's owned rows in any order, with every field that a restart needs; `attributes`: numbers and texts;
+    `contacts`: those of this rank's rows.
     """
-    rows = in_id_order(ranks, arrays, ids, 1)
-    with failing_together(ranks, f"cannot write {path} at step {attributes.get('step', '?')}"):
+    rows = in_id_order(ranks, arrays, ids, ranks.size)
+    lasting = in_id_order(ranks, {name: column for name, column in contacts._asdict().items()}, ids, ranks.size)
+    lasting = rows_of(lasting, np.lexsort((lasting["partner"], lasting["id"])))
+    columns = {f"particles/{name}": column for name, column in rows.items()}
+    columns |= {f"contacts/{name}": column for name, column in lasting.items()}
+    held = ranks.allgather_array(np.array([len(rows["id"]), len(lasting["id"])]))
+    before, totals = held[: ranks.rank].sum(axis=0).tolist(), held.sum(axis=0).tolist()
+    first = {name: before[name.startswith("contacts")] for name in columns}
+    total = {name: totals[name.startswith("contacts")] for name in columns}
+    facts = {MARK: FORMAT, "total": ids.total, "dimension": dimension} | attributes
+    part = path.with_name(path.name + ".tmp")
+    task = f"cannot write {path} at step {attributes.get('step', '?')}"
+    try:
+        places: dict[str, int] = {}
+        with failing_together(ranks, task):
+            if ranks.is_root:
+                places = _make(part, columns, total, facts)
+        places = ranks.bcast(places)
+        writes = [(places[name] + first[name] * _width(column), column) for name, column in columns.items() if len(column)]
+        _write_all(part, ranks, writes, task)
+        pieces = {name: _pieces(column, first[name]) for name, column in columns.items()}
+        everyone = ranks.comm.gather(pieces) or []
+        with failing_together(ranks, task):
+            if ranks.is_root:
+                sizes = {name: [places[name], _width(column)] for name, column in columns.items() if total[name]}
+                crcs = {name: [piece for of in everyone for piece in of[name]] for name in sizes}
+                _replace(path, part, sizes, crcs)
+    except BaseException:
         if ranks.is_root:
-            _replace(Path(path), rows, {MARK: FORMAT, "total": ids.total, "dimension": dimension} | attributes)
+            part.unlink(missing_ok=True)  # half a file is of no use
+        raise
+
+
+def _width(column: Array) -> int:
+    """Bytes of a row."""
+    return int(column.dtype.itemsize * np.prod(column.shape[1:], dtype=np.int64))
+
+
+def _make(part: Path, columns: dict[str, Array], total: dict[str, int], facts: dict[str, Any]) -> dict[str, int]:
+    """An HDF5 file with room for all rows of the columns; returns at which byte each begins."""
+    properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    properties.set_layout(h5py.h5d.CONTIGUOUS)
+    properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+    properties.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+    places = {}
+    with h5py.File(part, "w", locking=False) as file:
+        for name, column in columns.items():
+            made = file.create_dataset(name, (total[name], *column.shape[1:]), column.dtype, dcpl=properties)
+            places[name] = made.id.get_offset() or 0
+        file.attrs.update(facts)
+    return places
+
+
+def _write_all(part: Path, ranks: Communicator, writes: list[tuple[int, Array]], task: str) -> None:
+    """Write the columns of each rank at these bytes of the file. Collective."""
+    parts = [
+        (place + at, data[at : at + ONCE])
+        for place, column in writes
+        for data in [np.ascontiguousarray(column).view(np.uint8).reshape(-1)]
+        for at in range(0, len(data), ONCE)
+    ]
+    if ranks.size == 1:
+        with failing_together(ranks, task), open(part, "r+b") as plain:
+            for place, data in parts:
+                plain.seek(place)
+                plain.write(data.data)
+        return
+    file, intracomm = None, cast(MPI.Intracomm, ranks.comm)
+    with failing_together(ranks, task), mpi_io_errors():
+        file = MPI.File.Open(intracomm, str(part), MPI.MODE_WRONLY)
+    with failing_together(ranks, task), mpi_io_errors():
+        for place, data in parts:
+            file.Write_at(place, data)
+    with failing_together(ranks, task), mpi_io_errors():
+        file.Close()  # all have written when all have closed it
+
+
+def _pieces(column: Array, first: int) -> list[list[int]]:
+    """[first row, last + 1, CRC-32] of each piece of a column, whose first row is row `first` of all."""
+    edges = [*range(0, len(column), PIECE), len(column)]
+    return [
+        [first + begin, first + end, zlib.crc32(np.ascontiguousarray(column[begin:end]).view(np.uint8).data)]
+        for begin, end in pairwise(edges)
+        if end > begin
+    ]
+
+
+def _replace(path: Path, part: Path, sizes: dict[str, list[int]], crcs: dict[str, list[list[int]]]) -> None:
+    """Seal the file that all have written, and give it its name."""
+    length = part.stat().st_size
+    told = {"columns": sizes, "pieces": crcs, "rest": 0}
+    told["rest"] = _crc_between(part, length, told)
+    seal = json.dumps(told).encode()
+    with open(part, "ab") as written:
+        written.write(seal + TAIL.format(length, len(seal), zlib.crc32(seal)).encode())
+        written.flush()
+        os.fsync(written.fileno())  # on the disk before it takes the name, or a power cut leaves an empty file of that name
+    os.replace(part, path)
+    sync_folder(path.parent)
+
+
+def _crc_between(path: Path, length: int, seal: dict[str, Any]) -> int:
+    """CRC-32 of the bytes of the HDF5 file that are not of a column."""
+    crc, at = 0, 0
+    ends = [(place, place + width * seal["pieces"][name][-1][1]) for name, (place, width) in seal["columns"].items()]
+    with open(path, "rb") as file:
+        for begin, end in [*sorted(ends), (length, length)]:
+            file.seek(at)
+            crc = zlib.crc32(file.read(begin - at), crc)
+            at = end
+    return crc
 
 
 def dump(path: Path, ranks: Communicator, arrays: dict[str, Array], attributes: dict[str, Any]) -> None:
@@ -50,67 +182,115 @@ def dump(path: Path, ranks: Communicator, arrays: dict[str, Array], attributes: 
     rows = allgather_rows(ranks, arrays | {"rank": np.full(len(arrays["id"]), ranks.rank)})
     with failing_together(ranks, f"cannot write {path}"):
         if ranks.is_root:
-            with replacing(path) as part:
-                _write(part, rows, attributes)
+            with replacing(path) as part, h5py.File(part, "w", locking=False) as file:
+                for name, values in rows.items():
+                    file[f"particles/{name}"] = values
+                file.attrs.update(attributes)
 
 
-def _write(path: Path, rows: dict[str, Array], attributes: dict[str, Any]) -> None:
-    with h5py.File(path, "w", locking=False) as file:
-        for name, values in rows.items():
-            file[f"particles/{name}"] = values
-        file.attrs.update(attributes)
+class Checkpoint:
+    """A checkpoint to be read: `attributes`, `total` particles; `rows` and `contacts` of some. Not collective.
+
+    Raises a SceneError, one line, for any other or a damaged file.
+    """
+
+    def __init__(self, path: Path):
+        self.path = Path(path)
+        try:
+            self.seal = self._check_seal()
+            with h5py.File(path, "r", locking=False) as file:
+                attributes = {name: value.item() if hasattr(value, "item") else value for name, value in file.attrs.items()}
+                if attributes.pop(MARK, None) != FORMAT:
+                    raise SceneError(f"{path}: not a checkpoint of this version of particles_mpi")
+                self.total, self.dimension = attributes["total"], attributes["dimension"]
+                self.shapes = {
+                    f"{group}/{name}": (file[group][name].shape, file[group][name].dtype)
+                    for group in ("particles", "contacts")
+                    for name in file[group]
+                }
+            self.attributes = attributes
+            self._check_shapes()
+        except FileNotFoundError:
+            raise SceneError(f"{path}: no such checkpoint") from None
+        except (OSError, RuntimeError, KeyError, AttributeError) as error:
+            raise SceneError(f"{path}: cannot be read as a checkpoint ({str(error).splitlines()[0]})") from None
+
+    def _check_seal(self) -> dict[str, Any]:
+        """The seal, if the file has one and all but its columns is as it was written. HDF5 may crash on a file that is not."""
+        size, tail = self.path.stat().st_size, len(TAIL.format(0, 0, 0))
+        with open(self.path, "rb") as file:
+            file.seek(max(size - tail, 0))
+            words = file.read().decode(errors="replace").split()
+            told = len(words) == 4 and words[0] == MARK and words[1].isdigit() and words[2].isdigit()
+            if not told or int(words[1]) + int(words[2]) + tail != size:
+                raise SceneError(f"{self.path}: not a checkpoint of this version of particles_mpi, or cut short")
+            length = int(words[1])
+            file.seek(length)
+            seal = file.read(int(words[2]))
+        if TAIL.format(length, len(seal), zlib.crc32(seal)).split() != words or not self._ends_with(words, tail):
+            raise self._damaged()
+        read: dict[str, Any] = json.loads(seal)
+        if read["rest"] != _crc_between(self.path, length, read):
+            raise self._damaged()
+        return read
+
+    def _ends_with(self, words: list[str], tail: int) -> bool:
+        """Is the last line written as this program writes it?"""
+        with open(self.path, "rb") as file:
+            file.seek(-tail, os.SEEK_END)
+            return file.read() == TAIL.format(int(words[1]), int(words[2]), int(words[3], 16)).encode()
+
+    def _damaged(self) -> SceneError:
+        return SceneError(f"{self.path}: damaged: it is not what was written (CRC-32)")
+
+    def _check_shapes(self) -> None:
+        """Every field has a row for each particle."""
+        for place, (found, dtype) in self.shapes.items():
+            group, name = place.split("/")
+            known = group == "particles" and name in FIELDS
+            wrong = found[:1] != (self.total,) if group == "particles" else len(found) != 1
+            if wrong or (known and (found != shape(name, self.total, self.dimension) or dtype != FIELDS[name].dtype)):
+                raise SceneError(f"{self.path}: {place} is not a field of {self.total} particles in dimension {self.dimension}")
+
+    def rows(self, first: int, last: int) -> dict[str, Array]:
+        """The fields of the particles first ... last - 1, in id order."""
+        names = [place.split("/")[1] for place in self.shapes if place.startswith("particles/")]
+        names.sort(key=lambda n: list(FIELDS).index(n) if n in FIELDS else len(FIELDS))  # as at the start
+        return {name: self._column(f"particles/{name}", first, last) for name in names}
+
+    def contacts(self, first: int, last: int) -> Contacts:
+        """The contacts first ... last - 1, in the order of their ids."""
+        return Contacts(*(self._column(f"contacts/{name}", first, last) for name in Contacts._fields))
+
+    @property
+    def number_of_contacts(self) -> int:
+        return int(self.shapes["contacts/id"][0][0])
+
+    def _column(self, place: str, first: int, last: int) -> Array:
+        """Rows first ... last - 1 of a column, from the pieces that have them."""
+        found, dtype = self.shapes[place]
+        column = np.empty((last - first, *found[1:]), dtype)
+        if last == first:
+            return column
+        offset, width = self.seal["columns"][place]
+        with open(self.path, "rb") as file:
+            for begin, end, crc in self.seal["pieces"][place]:
+                if end <= first or begin >= last:
+                    continue
+                file.seek(offset + begin * width)
+                data = file.read((end - begin) * width)
+                if zlib.crc32(data) != crc or len(data) != (end - begin) * width:
+                    raise self._damaged()
+                piece = np.frombuffer(data, dtype).reshape(-1, *found[1:])
+                low, high = max(begin, first), min(end, last)
+                column[low - first : high - first] = piece[low - begin : high - begin]
+        return column
 
 
-def _replace(path: Path, rows: dict[str, Array], attributes: dict[str, Any]) -> None:
-    with replacing(path) as part:
-        _write(part, rows, attributes)
-        seal = _seal(part, part.stat().st_size)
-        with open(part, "ab") as written:
-            written.write(seal)
-            written.flush()
-            os.fsync(written.fileno())  # on the disk before it takes the name, or a power cut leaves an empty file of that name
-    sync_folder(path.parent)
-
-
-def _seal(path: Path, length: int) -> bytes:
-    return SEAL.format(length, zlib.crc32(np.memmap(path, np.uint8, "r", shape=length).data)).encode()
-
-
-def _check_seal(path: Path) -> None:
-    """Raise a SceneError unless the file is a checkpoint, as it was written. HDF5 may crash on a file that is not."""
-    length = path.stat().st_size - len(SEAL.format(0, 0))
-    with open(path, "rb") as file:
-        file.seek(max(length, 0))
-        found = file.read()
-    if length <= 0 or not found.startswith(f"\n{MARK} ".encode()):
-        raise SceneError(f"{path}: not a checkpoint of this version of particles_mpi, or cut short")
-    if found != _seal(path, length):
-        raise SceneError(f"{path}: damaged: it is not what was written (CRC-32)")
-
-
-def load(path: Path, rows: slice = slice(None)) -> tuple[dict[str, Array], dict[str, Any]]:
-    """(arrays of the `rows` in id order, attributes). Not collective. SceneError, one line, for any other or a damaged file."""
-    try:
-        _check_seal(Path(path))
-        with h5py.File(path, "r", locking=False) as file:
-            attributes = {name: value.item() if hasattr(value, "item") else value for name, value in file.attrs.items()}
-            if attributes.pop(MARK, None) != FORMAT:
-                raise SceneError(f"{path}: not a checkpoint of this version of particles_mpi")
-            total, dimension = attributes["total"], attributes["dimension"]
-            arrays = {}
-            stored = file["particles"]
-            for name in sorted(stored, key=lambda n: list(FIELDS).index(n) if n in FIELDS else len(FIELDS)):  # as at the start
-                dataset, ours = stored[name], name in FIELDS
-                if dataset.shape[:1] != (total,) or (
-                    ours and (dataset.shape != shape(name, total, dimension) or dataset.dtype != FIELDS[name].dtype)
-                ):
-                    raise SceneError(f"{path}: particles/{name} is not a field of {total} particles in dimension {dimension}")
-                arrays[name] = dataset[rows]
-    except FileNotFoundError:
-        raise SceneError(f"{path}: no such checkpoint") from None
-    except (OSError, RuntimeError, KeyError, AttributeError) as error:
-        raise SceneError(f"{path}: cannot be read as a checkpoint ({str(error).splitlines()[0]})") from None
-    return arrays, attributes
+def load(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
+    """(all particles in id order, attributes): for those who look at a checkpoint. As `Checkpoint`."""
+    file = Checkpoint(path)
+    return file.rows(0, file.total), file.attributes
 
 
 def changed(one: dict[str, Any], two: dict[str, Any]) -> Iterator[str]:
@@ -144,6 +324,6 @@ def claim(folder: Path, ranks: Communicator, scene: dict[str, Any], resumed: boo
 def _is_of(path: Path, scene: dict[str, Any]) -> bool:
     """Is the file a checkpoint of this run?"""
     try:
-        return not any(changed(json.loads(load(path, slice(0, 0))[1]["scene"]), scene))
+        return not any(changed(json.loads(Checkpoint(path).attributes["scene"]), scene))
     except (SceneError, KeyError, ValueError):
         return False

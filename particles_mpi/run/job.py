@@ -191,7 +191,9 @@ class Job:
             metadata = sim.metadata()
             told = {name: metadata[name] for name in METADATA} | {"reported": self.since.tolist(), "written": self.written}
             state = {name: json.dumps(value) for name, value in told.items()} | {"step": metadata["step"], "time": sim.time}
-            checkpoint.save(self.folder / "checkpoint.h5", self.ranks, sim.rows.arrays, sim.ids, self.scene.dimension, state)
+            contacts = sim.lasting_contacts()
+            path, d = self.folder / "checkpoint.h5", self.scene.dimension
+            checkpoint.save(path, self.ranks, sim.rows.arrays, sim.ids, d, state, contacts)
 
     def close(self) -> None:
         """Close every file."""

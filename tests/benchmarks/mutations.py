@@ -84,17 +84,17 @@ MUTATIONS = (
     Mutation(
         "a checkpoint forgets which contacts last",
         "output/checkpoint.py",
-        "    rows = in_id_order(ranks, arrays, ids, 1)\n",
+        "    rows = in_id_order(ranks, arrays, ids, ranks.size)\n",
         "    arrays = arrays | {name: 0 * column for name, column in arrays.items() if name == 'supported'}\n"
-        "    rows = in_id_order(ranks, arrays, ids, 1)\n",
+        "    rows = in_id_order(ranks, arrays, ids, ranks.size)\n",
         ("tests/parallel/test_nothing_lost.py", "-k", "every_effect"),
     ),
     Mutation(
         "a checkpoint forgets the drag of each",
         "output/checkpoint.py",
-        "    rows = in_id_order(ranks, arrays, ids, 1)\n",
+        "    rows = in_id_order(ranks, arrays, ids, ranks.size)\n",
         "    arrays = arrays | {name: 0 * column for name, column in arrays.items() if name == 'drag'}\n"
-        "    rows = in_id_order(ranks, arrays, ids, 1)\n",
+        "    rows = in_id_order(ranks, arrays, ids, ranks.size)\n",
         ("tests/parallel/test_nothing_lost.py", "-k", "every_effect"),
     ),
     Mutation(

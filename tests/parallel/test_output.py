@@ -176,5 +176,5 @@ def test_checkpoint_that_is_none_is_one_clear_line(tmp_path):
         with pytest.raises(SceneError, match=name) as raised:
             checkpoint.load(tmp_path / name)
         assert "\n" not in str(raised.value)
-    part, _ = checkpoint.load(tmp_path / "checkpoint.h5", slice(100, 200))
+    part = checkpoint.Checkpoint(tmp_path / "checkpoint.h5").rows(100, 200)
     assert list(part["id"]) == list(range(100, 200))

@@ -32,7 +32,6 @@ from particles_mpi.contacts.persistent.zone import inside_zone, spread, zone_aro
 from particles_mpi.contacts.walls import NearFaces, Planes
 from particles_mpi.kernels.markers import CROWD
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.particles import Array, Particles, row_dot
 from particles_mpi.timers import Timers
 
@@ -111,17 +110,9 @@ class PersistentContacts:
             self.memory = remember(self.graph, self.taken, len(self.point))
         return self.memory
 
-    def saved(self) -> list[list[float]]:
-        """What the contacts of all ranks took, as plain data in the order of ids. Collective with pairs."""
-        rows = allgather_rows(self.ranks, self.remembered()._asdict())
-        order = np.lexsort((rows["partner"], rows["id"]))
-        return [rows[name][order].tolist() for name in Memory._fields]
-
-    def restore(self, saved: list[list[float]], ids: Array) -> None:
-        """Begin with what contacts took when they were `saved`, those of our ids."""
-        id_, partner, taken = np.array(saved[0], np.int64), np.array(saved[1], np.int64), np.array(saved[2], float)
-        mine = np.isin(id_, ids)
-        self.memory, self.graph = Memory(id_[mine], partner[mine], taken[mine]), None
+    def restore(self, contacts: tuple[Array, Array, Array]) -> None:
+        """Begin with what contacts of our rows took: the columns of a `Memory`."""
+        self.memory, self.graph = Memory(*contacts), None
 
     def keep(self, p: Particles, a: Array, h: float) -> None:
         """After a kick by accelerations a (n, d) in a step of h: velocities that keep slow contacts. Collective with pairs."""
