@@ -1,6 +1,12 @@
 """The particles with which a scene starts, and the checks of their places.
 
-`populate` builds them, population by population; `placement` finds random places and lattices, `plummer` Plummer's sphere.
-`checks` asks what only the particles can tell, `overlaps` finds those that overlap and pushes them apart, `names` tells who
-they are in a fault.
+Each rank makes a block of ids, and the result does not depend on how many ranks there are. In the order of their use:
+
+- `populate`: one quantity after the other, population by population
+- `table_file`: columns of CSV files, of which each rank reads a part
+- `random_numbers`: by (seed, population, quantity, number of the particle); `velocities` and `plummer` draw with them
+- `lattices`: places by a formula of the number; `container`: the room for them
+- `random_addition`: random places without overlap; each rank judges those in its part of space. `sphere_grid`: who overlaps whom
+- `checks`: what only the particles can tell; `overlaps`: those that overlap, which may be pushed apart
+- `faults`: what is wrong, collected over the ranks, with the lowest ids
 """

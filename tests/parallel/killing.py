@@ -114,8 +114,10 @@ def contents(folder):
 
 def final_state(folder):
     """Of its last checkpoint."""
-    arrays, about = checkpoint.load(folder / "checkpoint.h5")
-    return {name: array.tobytes() for name, array in arrays.items()}, about["step"], about["time"], about["observed"]
+    file = checkpoint.Checkpoint(folder / "checkpoint.h5")
+    contacts, about = file.contacts(0, file.number_of_contacts), file.attributes
+    rows = {name: array.tobytes() for name, array in file.rows(0, file.total).items()}
+    return rows, [column.tobytes() for column in contacts], about["step"], about["time"], about["observed"]
 
 
 def check_killed(folder, whole):
