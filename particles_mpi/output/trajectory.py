@@ -26,6 +26,7 @@ KINDS = ("Vertices", "Lines", "Polygons", "Strips")  # of cells: particles are v
 PARTS = ("NumberOfPoints", *(f"{kind}/{what}" for kind in KINDS for what in ("NumberOfCells", "NumberOfConnectivityIds")))
 CELLS = ("Connectivity", "Offsets")  # the point of each cell, and where each cell begins
 STEPS_CHUNK = 1024  # frames
+BLOCK = 2**20  # rows of the topology that are written at once
 # Datasets with a row for each frame: (shape of a row, dtype, fill value). `Step` is an addition, which VTK ignores.
 STEPS: dict[str, tuple[tuple[int, ...], str, int]] = {
     "Steps/Values": ((), "float64", 0),
@@ -152,7 +153,9 @@ class Trajectory(Continuing):
         for extra, what in enumerate(CELLS):
             before, rows = len(self.datasets[f"Vertices/{what}"]), count + extra
             if rows > before:
-                self._extend(f"Vertices/{what}", rows, np.arange(before, rows))
+                self._extend(f"Vertices/{what}", rows, None)
+                if self.ranks.is_root:
+                    _count_up(self.datasets[f"Vertices/{what}"], before, rows)
 
     def _append_step(self, step: int, time: float) -> None:
         """The row of this frame in every dataset of Steps; None: the fill value."""
@@ -204,7 +207,7 @@ class Trajectory(Continuing):
         for kind in KINDS:
             for extra, what in enumerate(CELLS):
                 rows = (total if kind == "Vertices" else 0) + extra
-                _dataset(group, f"{kind}/{what}", (rows,), "int64", chunk)[:] = np.arange(rows)
+                _count_up(_dataset(group, f"{kind}/{what}", (rows,), "int64", chunk), 0, rows)
         for place, (width, kind, fill) in STEPS.items():
             _dataset(group, place, (0, *width), kind, STEPS_CHUNK, fill=fill)
         group["Steps"].attrs["NSteps"] = np.int64(0)
@@ -217,6 +220,13 @@ def _leave() -> None:
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(StoppedError.exit_code)
+
+
+def _count_up(dataset: Any, first: int, last: int) -> None:
+    """Row i is i, for the rows first ... last - 1; a block at a time, so that memory does not grow with them."""
+    for begin in range(first, last, BLOCK):
+        end = min(begin + BLOCK, last)
+        dataset[begin:end] = np.arange(begin, end)
 
 
 def _dataset(group: Any, name: str, shape: tuple[int, ...], dtype: Any, chunk: int, fill: int | None = None) -> Any:

@@ -25,6 +25,7 @@ from particles_mpi.run.console import Screen
 from particles_mpi.run.forecast import Forecast, Forecaster
 from particles_mpi.scene.plan import plan
 
+MOST_VTK = 1_000_000  # particles of which there are VTK files without being asked for: rank 0 alone writes them
 SHOW_EVERY = 10  # steps between two moves of the progress bar
 LIBRARIES = ("numpy", "numba", "mpi4py", "h5py", "meshio", "particles-mpi")
 
@@ -58,6 +59,10 @@ class Job:
         self.rehearsal = rehearsal
         self.forecast: Forecast | None = None
         self.screen = Screen(self.ranks.is_root, quiet or rehearsal)
+        output = self.scene.output
+        if sim.total > MOST_VTK and "vtk" in output.formats and "formats" not in output.model_fields_set:
+            output.formats.remove("vtk")
+            sim.warnings.append(f"output.formats: no VTK files of more than {MOST_VTK} particles, unless it asks for them")
         self.plan = plan(self.scene, sim.rows, sim.total, self.ranks.size)
         self.plan["fixed"] = int(self.ranks.allreduce_sum(self.plan["fixed"])[0])
         self.request = StopRequest(self.ranks, self.setup_began, wall_time)  # from here on a signal must not leave half a file

@@ -1,0 +1,24 @@
+"""VTK files of very many particles are written only for those who ask for them, and it is said."""
+
+import pytest
+
+from particles_mpi import Scene, Simulation
+from particles_mpi.run import job
+
+
+@pytest.mark.parametrize(
+    ("asked", "written"), [({}, False), ({"formats": ["vtk", "hdf5"]}, True), ({"formats": ["hdf5"]}, False)]
+)
+def test_vtk_files_of_many_particles(tmp_path, monkeypatch, asked, written):
+    monkeypatch.setattr(job, "MOST_VTK", 5)
+    tables = {"dimension": 2, "time": {"step": 0.1, "steps": 4}, "output": {"every": 2, "checkpoint_every": 2} | asked}
+    for count, said in ((5, False), (6, not asked)):
+        scene = Scene.from_dict({**tables, "particles": [{"position": [[k, 0.0] for k in range(count)]}], "effects": {}})
+        sim, out = Simulation(scene), tmp_path / str(count)
+        sim.run(out, steps=2)
+        Simulation.resume(out / "checkpoint.h5").run(out, resumed=True)
+        vtk = written or (count == 5 and "vtk" in scene.output.formats)
+        assert (out / "trajectory.vtkhdf").exists()
+        assert len(list((out / "vtk").glob("*.vtu"))) == 3 * vtk if vtk else not (out / "particles.pvd").exists()
+        assert [w for w in sim.warnings if w.startswith("output.formats: no VTK files")] == sim.warnings[: int(said)]
+        assert len(sim.warnings) == said
