@@ -17,23 +17,22 @@ import zlib
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
-from mpi4py import MPI
 
 from particles_mpi.errors import SceneError
 from particles_mpi.output.files import failing_together, mpi_io_errors, replacing, sync_folder
 from particles_mpi.parallel.agreement import differences
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, allgather_rows, in_id_order
+from particles_mpi.parallel.shared_file import SharedFile
 from particles_mpi.particles import FIELDS, Array, rows_of, shape
 
 MARK, FORMAT = "particles_mpi_checkpoint", 5
 TAIL = f"\n{MARK} {{:20d}} {{:20d}} {{:08x}}\n"  # the last line: lengths of the HDF5 file and of the seal, CRC-32 of the seal
 PIECE = 2**17  # rows that have a checksum together
-ONCE = 2**28  # bytes written in one call: MPI counts to 2^31
 OURS = ("trajectory.vtkhdf", "particles.pvd", "vtk", "checkpoint.h5", "diagnostics.csv", "run.json", "stopped.h5", "plots")
 INTERVALS = {f"output.{name}" for name in ("every", "formats", "checkpoint_every", "diagnostics_every")}
 FREE = {"title", "time.end", "time.steps"} | INTERVALS  # keys of a scene that may change when a run is continued
@@ -119,26 +118,13 @@ def _make(part: Path, columns: dict[str, Array], total: dict[str, int], facts: d
 
 def _write_all(part: Path, ranks: Communicator, writes: list[tuple[int, Array]], task: str) -> None:
     """Write the columns of each rank at these bytes of the file. Collective."""
-    parts = [
-        (place + at, data[at : at + ONCE])
-        for place, column in writes
-        for data in [np.ascontiguousarray(column).view(np.uint8).reshape(-1)]
-        for at in range(0, len(data), ONCE)
-    ]
-    if ranks.size == 1:
-        with failing_together(ranks, task), open(part, "r+b") as plain:
-            for place, data in parts:
-                plain.seek(place)
-                plain.write(data.data)
-        return
-    file, intracomm = None, cast(MPI.Intracomm, ranks.comm)
     with failing_together(ranks, task), mpi_io_errors():
-        file = MPI.File.Open(intracomm, str(part), MPI.MODE_WRONLY)
+        file = SharedFile(ranks, part)
     with failing_together(ranks, task), mpi_io_errors():
-        for place, data in parts:
-            file.Write_at(place, data)
+        for place, column in writes:
+            file.write(place, column)
     with failing_together(ranks, task), mpi_io_errors():
-        file.Close()  # all have written when all have closed it
+        file.close()
 
 
 def _pieces(column: Array, first: int) -> list[list[int]]:

@@ -8,6 +8,7 @@ In the order in which to read them:
 - `buffers`: the arrays of a rank, with space for particles that arrive and for ghosts; or all particles on every rank
 - `exact_sum`: sums that do not depend on the order of their terms, hence not on the ranks
 - `agreement`: an error on one rank becomes an error on all, or ends all
+- `shared_file`: a file into which all ranks write
 - `signals`: Ctrl-C, SIGTERM and the wall-time limit
 - `launcher`: starts mpirun and shortens what it prints about ranks that failed
 
