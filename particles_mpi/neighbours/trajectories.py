@@ -192,7 +192,7 @@ def renew_paths(rows, segments, owned, paths, region, horizon, length, time, h):
             for p in range(len(others)):
                 if index_of(i, known[sent[p] : sent[p + 1]]) < 0:
                     until = min(until, start + time_to_box(path, i, margin, others[p, 0], others[p, 1], length))
-        if not (max(now, soon) <= bound and until >= time + h):
+        if not (now <= bound and soon <= bound and until >= time + h):  # not a number is not <= anything
             needed = max(needed, now, soon) if soon == soon else inf
             continue
         end = min(end, until)

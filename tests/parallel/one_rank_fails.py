@@ -1,4 +1,4 @@
-"""A user's script in which something goes wrong on one rank only: one_rank_fails.py FOLDER raise|nan"""
+"""A user's script in which something goes wrong on one rank only: one_rank_fails.py FOLDER raise|nan rewind|event"""
 
 import sys
 
@@ -12,7 +12,7 @@ tables = {
     "box": {"lower": [0, 0], "upper": [4, 4]},
     "time": {"step": 0.01, "steps": 40},
     "particles": [{"count": 30, "position": "random", "velocity": {"speed": 2.0}, "radius": 0.1, "acceleration": [0, 0]}],
-    "effects": {"collisions": {}, "walls": {}, "user_acceleration": {}},
+    "effects": {"collisions": {"mode": sys.argv[3]}, "walls": {}, "user_acceleration": {}},
     "output": {"every": 1, "checkpoint_every": 3, "diagnostics_every": 1},
 }
 sim = Simulation(Scene.from_dict(tables))
@@ -22,7 +22,7 @@ plain_step = sim.step
 def step():
     plain_step()
     if sim.steps_done == 10 and sim.ranks.rank == 1:
-        sim.particles.acceleration[0] = 1 / 0 if sys.argv[2] == "raise" else np.nan
+        sim.particles.acceleration[:9] = 1 / 0 if sys.argv[2] == "raise" else np.nan  # ghosts of rank 0 among them
 
 
 sim.step = step
