@@ -10,11 +10,12 @@ import numpy as np
 
 from particles_mpi.between_steps.state import State
 from particles_mpi.contacts.drift import COUNTS
+from particles_mpi.contacts.warm_start import NOTHING, Memory
 from particles_mpi.measure import snapshot
-from particles_mpi.output.checkpoint import NO_CONTACTS, Checkpoint, Contacts
+from particles_mpi.output.checkpoint import Checkpoint
 from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exchange import allgather_rows, by_destination, in_id_order, send_rows
+from particles_mpi.parallel.exchange import allgather_rows, by_destination, holders, in_id_order, send_rows
 from particles_mpi.particles import Particles
 from particles_mpi.scene.schema import Scene
 
@@ -29,12 +30,12 @@ class Saved(State):
         clock = {"step": self.steps_done, "moment": self.moment, "h": self._h, "observed": self.observed}
         return {**clock, "totals": totals, "next_id": self.next_id, "additions": self.additions, "scene": self.scene.to_dict()}
 
-    def lasting_contacts(self) -> Contacts:
+    def lasting_contacts(self) -> Memory:
         """What the lasting contacts of this rank's particles took."""
-        return Contacts(*self.rest.remembered()) if self.rest else NO_CONTACTS
+        return self.rest.remembered() if self.rest else NOTHING
 
     @classmethod
-    def restored(cls, scene: Scene, ranks: Communicator, rows: Particles, metadata: dict[str, Any], contacts: Contacts) -> Self:
+    def restored(cls, scene: Scene, ranks: Communicator, rows: Particles, metadata: dict[str, Any], contacts: Memory) -> Self:
         """The simulation that `metadata` tells of, with these particles on this rank, and their contacts. Collective."""
         sim = cls.__new__(cls)
         sim.begin(scene, ranks, rows, metadata["next_id"])
@@ -62,11 +63,10 @@ class Saved(State):
             rows = Particles(scene.dimension, file.rows(*ranks.share(file.total)))
             contacts = file.contacts(*ranks.share(file.number_of_contacts))._asdict()
         same_on_all(ranks, metadata)
-        least = ranks.allgather_array(np.array(rows.id[0] if len(rows) else 2**62))
-        owner = np.maximum(np.searchsorted(least, contacts["id"], "right") - 1, 0)
+        owner = holders(ranks, rows.id, contacts["id"])
         contacts, _ = send_rows(ranks, contacts, *by_destination(owner, ranks.size))
         with raising_together(ranks):
-            sim = cls.restored(scene, ranks, rows, metadata, Contacts(**contacts))
+            sim = cls.restored(scene, ranks, rows, metadata, Memory(**contacts))
         sim.reported, sim.written = json.loads(saved["reported"]), json.loads(saved["written"])
         return sim
 
@@ -80,7 +80,7 @@ class Saved(State):
         """Save scene and state, exact to the bit; compact, or readable with `indent`. Collective."""
         contacts = allgather_rows(self.ranks, self.lasting_contacts()._asdict())
         order = np.lexsort((contacts["partner"], contacts["id"]))
-        metadata = self.metadata() | {"kept": [contacts[name][order].tolist() for name in Contacts._fields]}
+        metadata = self.metadata() | {"kept": [contacts[name][order].tolist() for name in Memory._fields]}
         snapshot.save_json(Path(path), self.ranks, self.rows, metadata, indent)
 
     @classmethod
@@ -95,7 +95,7 @@ class Saved(State):
             rows = Particles(scene.dimension, arrays).select(np.arange(*ranks.share(len(arrays["id"]))))
             kept = [np.array(column, kind) for column, kind in zip(metadata["kept"], (np.int64, np.int64, float), strict=True)]
             mine = np.isin(kept[0], rows.id)
-            return cls.restored(scene, ranks, rows, metadata, Contacts(*(column[mine] for column in kept)))
+            return cls.restored(scene, ranks, rows, metadata, Memory(*(column[mine] for column in kept)))
 
     def __eq__(self, other: object) -> bool:
         """The same scene, time, step length and particles, to the bit. Collective."""

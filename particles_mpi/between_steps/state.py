@@ -12,7 +12,7 @@ from particles_mpi.contacts.drift import COUNTS, Drift, keeper_of_contacts
 from particles_mpi.contacts.walls import no_planes
 from particles_mpi.errors import StateError, listed
 from particles_mpi.initial.checks import value_limits
-from particles_mpi.initial.populate import add_population
+from particles_mpi.initial.populate import add_population, plain_table
 from particles_mpi.integrators.kicks_and_drifts import Accelerations, Kick, integrator_of
 from particles_mpi.measure.watchdog import Watchdog
 from particles_mpi.parallel.agreement import raising_together, same_on_all
@@ -192,7 +192,7 @@ class State:
         """
         self.take_changes()
         number = len(self.scene.particles) + self.additions
-        same_on_all(self.ranks, {"add": {key: np.asarray(v).tolist() for key, v in population.items()}})
+        same_on_all(self.ranks, {"add": plain_table(population)})
         with raising_together(self.ranks):
             rows, warnings = add_population(self.scene, self.ranks, self.rows, population, self.next_id, number)
         self.warnings += warnings

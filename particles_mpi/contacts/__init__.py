@@ -7,6 +7,7 @@ The files and folders, in the order in which one reads them:
     velocity_flow    how forces, drag and friction change velocities between the middle of a step and a contact in it
     time_stepped/    mode `rewind`: the contacts of a drift in a few passes over all candidate pairs
     event_driven/    mode `event`: the contacts of a drift one after the other, in exact order of time
+    warm_start       what lasting contacts took, which is saved with a state
     persistent/      contacts that last, where forces press particles that lose energy onto one another
 
 The way of one drift in mode `rewind` (`time_stepped.operator.Rewind.drift`): `Neighbourhood.prepare` sees that the candidate

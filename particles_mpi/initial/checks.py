@@ -11,8 +11,7 @@ from particles_mpi.initial.faults import Faults, listed_ids
 from particles_mpi.initial.overlaps import check_overlaps, listed_pairs
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.decomposition import bisect
-from particles_mpi.parallel.exchange import by_destination, send_rows
+from particles_mpi.parallel.decomposition import bisect, to_owners
 from particles_mpi.particles import FIELDS, Array, Particles, row_dot
 from particles_mpi.scene.effect import ConstantFriction
 from particles_mpi.scene.model import LARGEST
@@ -69,8 +68,7 @@ def coincident(scene: Scene, particles: Particles, ranks: Communicator) -> list[
         return []
     columns = {name: particles[name] for name in ("id", "position", "mass", "fixed")}
     if ranks.size > 1:  # those at the same place to the same rank
-        owner = bisect(ranks, particles.position, 1.0).owner(particles.position)
-        columns, _ = send_rows(ranks, columns, *by_destination(owner, ranks.size))
+        columns = to_owners(ranks, columns, bisect(ranks, particles.position, 1.0))
     pairs = coincident_pairs(columns)
     text = listed_pairs(ranks, *pairs)
     if not text:

@@ -13,12 +13,12 @@ from particles_mpi.initial.sphere_grid import LEVELS, SphereGrid, class_of
 from particles_mpi.kernels.geometry import image_shift, image_shifts
 from particles_mpi.kernels.jit import inner, kernel
 from particles_mpi.neighbours.candidates import touching
-from particles_mpi.neighbours.cells import SAMPLE
+from particles_mpi.neighbours.cells import bulk
 from particles_mpi.neighbours.halo_region import fetch_near_rows
 from particles_mpi.neighbours.trajectories import AT_REST
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.decomposition import bisect
-from particles_mpi.parallel.exchange import allgather_rows, by_destination, send_rows
+from particles_mpi.parallel.decomposition import bisect, to_owners
+from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.particles import Array, Particles, rows_of
 
 MOST_SWEEPS = 1000
@@ -31,6 +31,8 @@ def check_overlaps(particles: Particles, room: Container, allowed: bool, before:
     Of this rank's particles the first `before` were there already, and those that are not `judged` (n,) overlap nobody.
     """
     ranks, rows = faults.ranks, np.flatnonzero(judged)
+    if not ranks.allreduce_sum(len(rows))[0]:
+        return []
     near = {"id": particles.id[rows], "position": particles.position[rows], "radius": particles.radius[rows]}
     near |= {"fixed": particles.fixed[rows], "old": (rows < before).astype(np.uint8)}
     first, second, depth = overlapping_ids(ranks, near, room.length)
@@ -52,8 +54,7 @@ def overlapping_ids(ranks: Communicator, columns: dict[str, Array], length: Arra
     """
     owned = len(columns["id"])
     if ranks.size > 1:
-        owner = bisect(ranks, columns["position"], 1.0).owner(columns["position"])
-        columns, _ = send_rows(ranks, columns, *by_destination(owner, ranks.size))
+        columns = to_owners(ranks, columns, bisect(ranks, columns["position"], 1.0))
         owned, x = len(columns["id"]), columns["position"]
         state = x, np.zeros_like(x), columns["radius"]
         ghosts = fetch_near_rows(ranks, columns, state, AT_REST, length)[3]
@@ -69,7 +70,7 @@ def in_contact(x: Array, radius: Array, length: Array) -> Array:
     """The rows of spheres at x (n, d) that touch another one: few, as a rule."""
     if len(x) < 2 or not radius.any():
         return np.empty(0, np.int64)
-    lower, upper = bulk(x)
+    lower, upper = bulk(x, x.min(axis=0), x.max(axis=0))
     extent = np.where(length > 0.0, length, np.maximum(upper - lower, np.finfo(float).tiny))
     level = class_of(radius, float(radius.max()))
     reach = np.array([radius[level == k].max(initial=-1.0) for k in range(LEVELS)])
@@ -77,13 +78,6 @@ def in_contact(x: Array, radius: Array, length: Array) -> Array:
     order = grid.order(x, radius)
     first, last = grid.append(x[order], radius[order], np.arange(len(x)))
     return np.sort(order[~grid.open_points(grid.x[:last], grid.radius[:last], 1.0 - 0.1 * TOUCH, np.arange(first, last))])
-
-
-def bulk(x: Array) -> tuple[Array, Array]:
-    """The corners of a box with nearly all rows of x (n, d): a few outliers would make all cells coarse."""
-    sample = np.sort(x[:: max(len(x) // SAMPLE, 1)], axis=0)
-    left, right = sample[len(sample) // 20], sample[-1 - len(sample) // 20]
-    return np.maximum(x.min(axis=0), left - (right - left)), np.minimum(x.max(axis=0), right + (right - left))
 
 
 def overlapping(x: Array, radius: Array, fixed: Array, ids: Array, length: Array) -> tuple[Array, Array, Array]:

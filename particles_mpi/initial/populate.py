@@ -57,7 +57,7 @@ def add_population(
     population from others, in messages and in random numbers.
     """
     key = f"particles[{number}]"
-    plain = {name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value for name, value in table.items()}
+    plain = plain_table(table)
     own = {name: plain.pop(name) for name in there.arrays.keys() - set(fields_of(scene)) - set(OWN) if name in plain}
     try:
         population = Population.model_validate(plain)
@@ -76,6 +76,11 @@ def add_population(
         except ValueError:
             raise SceneError(f"{key}.{name}: not a value for each of {total} particles") from None
     return particles, warnings
+
+
+def plain_table(table: Mapping[str, Any]) -> dict[str, Any]:
+    """The table with lists and numbers of Python in place of arrays."""
+    return {name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value for name, value in table.items()}
 
 
 class Populator:
@@ -101,7 +106,7 @@ class Populator:
         counts = [self.count_of(number, p) for number, p in self.populations.items()]
         self.faults.stop()
         self.check_memory(counts)
-        self.ends = np.cumsum([0, *counts])
+        self.counts, self.ends = dict(zip(self.populations, counts)), np.cumsum([0, *counts])
         self.first, self.last = self.ranks.share(int(self.ends[-1]))
         self.before = 0 if self.there is None else len(self.there)
         with raising_together(self.ranks):
@@ -231,8 +236,7 @@ class Populator:
 
     def own_rows(self, values: Array, first: int) -> Array:
         """Of rows that the ranks hold in order, this rank's beginning with number `first`, those of the numbers it builds."""
-        edges = np.array([self.ends[-1] * rank // self.ranks.size for rank in range(self.ranks.size)])
-        owner = np.searchsorted(edges, np.arange(first, first + len(values)), "right") - 1
+        owner = self.ranks.sharer(int(self.ends[-1]), np.arange(first, first + len(values)))
         return send_rows(self.ranks, {"values": values}, *by_destination(owner, self.ranks.size))[0]["values"]
 
     def fill(self, number: int, name: str, value: Any) -> None:
@@ -260,12 +264,11 @@ class Populator:
         largest = {k: float(self.ranks.allreduce_max(radius[rows].max(initial=0.0))[0]) for k, rows in self.rows.items()}
         for number, population in self.populations.items():
             rows, given, (first, last) = self.rows[number], population.position, self.numbers(number)
-            count = int(np.diff(self.ends)[list(self.populations).index(number)])
             if given == "lattice":
-                places = lattice(count, largest[number], room, first, last)
+                places = lattice(self.counts[number], largest[number], room, first, last)
                 if places is None:
                     fraction = self.packing(radius[rows], room)
-                    why = f"{count} spheres do not fit (packing fraction {fraction:.3g})"
+                    why = f"{self.counts[number]} spheres do not fit (packing fraction {fraction:.3g})"
                     self.faults.add(f"particles[{number}].position: lattice: {why}")
                 else:
                     x[rows] = places
@@ -299,7 +302,7 @@ class Populator:
         if room.bounded and len(wide):
             return f"spheres of radius {largest:g} do not fit into the box on axis {wide[0]}"
         most, fraction = JAMMED.get(self.scene.dimension, inf), self.packing(own, room)
-        count = int(self.ranks.allreduce_sum(len(own))[0])
+        count = self.counts[number]
         if room.solid and count > 1000 and smallest == largest and fraction > most:
             said = f"{count} spheres have packing fraction {fraction:.3g}, above the {most} at which"
             return f"{said} random places run out; {advice}"

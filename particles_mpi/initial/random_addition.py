@@ -14,10 +14,11 @@ from particles_mpi.initial.random_numbers import MASK, random_pair
 from particles_mpi.initial.sphere_grid import FREE, LEVELS, SphereGrid, class_of
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.neighbours.halo_region import build
+from particles_mpi.neighbours.rank_boxes import rows_near_box
 from particles_mpi.neighbours.trajectories import AT_REST
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.decomposition import bisect
-from particles_mpi.parallel.exchange import Halo, PersistentMessages, allgather_rows, by_destination, send_rows
+from particles_mpi.parallel.decomposition import bisect, to_owners
+from particles_mpi.parallel.exchange import Halo, PersistentMessages, allgather_rows, by_destination, holders, send_rows
 from particles_mpi.particles import Array, rows_of
 
 MOST_TRIES = 100_000  # failures in a row before spheres are given up: at packing 0.30 in 3D about 1 try in 1000 succeeds
@@ -54,9 +55,7 @@ class RandomAddition:
 
     def to_their_parts(self, rows: dict[str, Array]) -> dict[str, Array]:
         """Rows to the ranks in whose parts of space they are."""
-        if self.ranks.size == 1:
-            return rows
-        return send_rows(self.ranks, rows, *by_destination(self.parts.owner(rows["position"]), self.ranks.size))[0]
+        return rows if self.ranks.size == 1 else to_owners(self.ranks, rows, self.parts)
 
     def append(self, rows: dict[str, Array]) -> tuple[int, int, PersistentMessages | None]:
         """Rows of this rank's part, and those of others that are near it, into the grid.
@@ -120,10 +119,8 @@ class RandomAddition:
             for name, none in columns.items()
         }
         if self.ranks.size > 1:
-            least = self.ranks.allgather_array(np.array(number[0] if len(number) else -1))
-            holders = np.flatnonzero(least >= 0)
-            holder = holders[np.searchsorted(least[holders], found["id"], "right") - 1]
-            found, _ = send_rows(self.ranks, found, *by_destination(holder, self.ranks.size))
+            owner = holders(self.ranks, number, found["id"])
+            found, _ = send_rows(self.ranks, found, *by_destination(owner, self.ranks.size))
         order = np.argsort(found["id"])
         rows = np.searchsorted(number, found["id"][order]) if len(order) < len(number) else np.arange(len(number))
         return scattered(np.zeros((len(number), self.dimension)), rows, found["position"][order])
@@ -180,17 +177,11 @@ class RandomAddition:
         mine = placed[here[placed]]
         self.found.append({"id": number[mine], "position": points[mine]})
         if self.ranks.size > 1:
-            stays &= self.near(points[tried], radius[tried])
+            x, (low, high) = points[tried], self.boxes[self.ranks.rank]
+            near = rows_near_box(x, np.zeros_like(x), radius[tried], AT_REST, low, high, self.room.length)
+            stays &= np.isin(np.arange(len(x)), near)
         self.grid.keep(first, stays)
         return rows_of(rows, np.setdiff1d(np.arange(n), placed % n))
-
-    def near(self, x: Array, radius: Array) -> Array:
-        """Which spheres touch the box around this rank's part of space and all spheres in it? (n,) bool."""
-        low, high = self.boxes[self.ranks.rank]
-        touches = np.zeros(x.shape, bool)
-        for shift in (0.0, self.room.length, -self.room.length):
-            touches |= (x + shift + radius[:, None] >= low) & (x + shift - radius[:, None] <= high)
-        return np.asarray(touches.all(axis=1))
 
 
 def scattered(x: Array, rows: Array, values: Array) -> Array:

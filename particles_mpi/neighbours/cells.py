@@ -44,11 +44,7 @@ def grid(x: Array, box: tuple[Array, Array], side: float, fine: int) -> Grid:
     origin, per, cells = np.zeros(GRIDDED), np.zeros(GRIDDED), np.ones(GRIDDED, np.int64)
     if len(x) == 0:
         return Grid(origin, per, cells)
-    sample = np.sort(x[:: max(len(x) // SAMPLE, 1), :g], axis=0)
-    left, right = sample[len(sample) // 20], sample[-1 - len(sample) // 20]
-    low, high = box
-    low = np.maximum(low[:g], left - (right - left))
-    high = np.minimum(high[:g], right + (right - left))
+    low, high = bulk(x[:, :g], box[0][:g], box[1][:g])
     extent = np.maximum(high - low, 0.0)
     side = max(side, np.finfo(float).tiny, float(extent.max()) * 1e-6)
     while np.prod(np.floor(extent / side) + 1.0) > max(len(x), 64):
@@ -58,6 +54,13 @@ def grid(x: Array, box: tuple[Array, Array], side: float, fine: int) -> Grid:
     per[-1] *= fine
     cells[first:] = (extent * per[first:]).astype(np.int64) + 1
     return Grid(origin, per, cells)
+
+
+def bulk(x: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """The corners of a box in [low, high] that has nearly all rows of x (n, d): outliers would make all cells coarse."""
+    sample = np.sort(x[:: max(len(x) // SAMPLE, 1)], axis=0)
+    left, right = sample[len(sample) // 20], sample[-1 - len(sample) // 20]
+    return np.maximum(low, left - (right - left)), np.minimum(high, right + (right - left))
 
 
 def spacing(low: Array, high: Array, n: int) -> float:

@@ -1,7 +1,7 @@
 """The exact state of a run in one HDF5 file, which is replaced as a whole, and the folder in which a run goes on from it.
 
 - /particles/<field>: (N,) or (N, d), in id order, every bit as it was (NaN, -0.0 and subnormals too)
-- /contacts/id, partner, taken: (M,), in the order of ids, what lasting contacts took: see `contacts/persistent/memory`
+- /contacts/id, partner, taken: (M,), in the order of ids, what lasting contacts took: see `contacts/warm_start`
 - @particles_mpi_checkpoint = 5, @total, @dimension, and the attributes given: step, time, scene text, counts
 
 Rank 0 makes the file with room for all rows, and each rank writes those of its range of ids into it, by MPI-IO: no rank holds the
@@ -17,13 +17,14 @@ import zlib
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import h5py
 import numpy as np
 
+from particles_mpi.contacts.warm_start import NOTHING, Memory
 from particles_mpi.errors import SceneError
-from particles_mpi.output.files import failing_together, mpi_io_errors, replacing, sync_folder
+from particles_mpi.output.files import failing_together, mpi_io_errors, part_of, replacing, sync_folder
 from particles_mpi.parallel.agreement import differences
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, allgather_rows, in_id_order
@@ -38,17 +39,6 @@ INTERVALS = {f"output.{name}" for name in ("every", "formats", "checkpoint_every
 FREE = {"title", "time.end", "time.steps"} | INTERVALS  # keys of a scene that may change when a run is continued
 
 
-class Contacts(NamedTuple):
-    """What lasting contacts took: id (m,) of a row, its partner, taken."""
-
-    id: Array
-    partner: Array
-    taken: Array
-
-
-NO_CONTACTS = Contacts(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))
-
-
 def save(
     path: Path,
     ranks: Communicator,
@@ -56,7 +46,7 @@ def save(
     ids: IdRange,
     dimension: int,
     attributes: dict[str, Any],
-    contacts: Contacts = NO_CONTACTS,
+    contacts: Memory = NOTHING,
 ) -> None:
     """Write the state of all ranks, whose ids lie in `ids`. Collective.
 
@@ -64,7 +54,7 @@ def save(
     `contacts`: those of this rank's rows.
     """
     rows = in_id_order(ranks, arrays, ids, ranks.size)
-    lasting = in_id_order(ranks, {name: column for name, column in contacts._asdict().items()}, ids, ranks.size)
+    lasting = in_id_order(ranks, contacts._asdict(), ids, ranks.size)
     lasting = rows_of(lasting, np.lexsort((lasting["partner"], lasting["id"])))
     columns = {f"particles/{name}": column for name, column in rows.items()}
     columns |= {f"contacts/{name}": column for name, column in lasting.items()}
@@ -73,7 +63,7 @@ def save(
     first = {name: before[name.startswith("contacts")] for name in columns}
     total = {name: totals[name.startswith("contacts")] for name in columns}
     facts = {MARK: FORMAT, "total": ids.total, "dimension": dimension} | attributes
-    part = path.with_name(path.name + ".tmp")
+    part = part_of(path)
     task = f"cannot write {path} at step {attributes.get('step', '?')}"
     try:
         places: dict[str, int] = {}
@@ -89,7 +79,7 @@ def save(
             if ranks.is_root:
                 sizes = {name: [places[name], _width(column)] for name, column in columns.items() if total[name]}
                 crcs = {name: [piece for of in everyone for piece in of[name]] for name in sizes}
-                _replace(path, part, sizes, crcs)
+                _replace(path, sizes, crcs)
     except BaseException:
         if ranks.is_root:
             part.unlink(missing_ok=True)  # half a file is of no use
@@ -137,17 +127,16 @@ def _pieces(column: Array, first: int) -> list[list[int]]:
     ]
 
 
-def _replace(path: Path, part: Path, sizes: dict[str, list[int]], crcs: dict[str, list[list[int]]]) -> None:
+def _replace(path: Path, sizes: dict[str, list[int]], crcs: dict[str, list[list[int]]]) -> None:
     """Seal the file that all have written, and give it its name."""
-    length = part.stat().st_size
-    told = {"columns": sizes, "pieces": crcs, "rest": 0}
-    told["rest"] = _crc_between(part, length, told)
-    seal = json.dumps(told).encode()
-    with open(part, "ab") as written:
-        written.write(seal + TAIL.format(length, len(seal), zlib.crc32(seal)).encode())
-        written.flush()
-        os.fsync(written.fileno())  # on the disk before it takes the name, or a power cut leaves an empty file of that name
-    os.replace(part, path)
+    with replacing(path) as part:
+        length = part.stat().st_size
+        told = {"columns": sizes, "pieces": crcs}
+        seal = json.dumps(told | {"rest": _crc_between(part, length, told)}).encode()
+        with open(part, "ab") as written:
+            written.write(seal + TAIL.format(length, len(seal), zlib.crc32(seal)).encode())
+            written.flush()
+            os.fsync(written.fileno())  # on the disk before it takes the name, or a power cut leaves an empty file of that name
     sync_folder(path.parent)
 
 
@@ -206,25 +195,20 @@ class Checkpoint:
         size, tail = self.path.stat().st_size, len(TAIL.format(0, 0, 0))
         with open(self.path, "rb") as file:
             file.seek(max(size - tail, 0))
-            words = file.read().decode(errors="replace").split()
+            last = file.read()
+            words = last.decode(errors="replace").split()
             told = len(words) == 4 and words[0] == MARK and words[1].isdigit() and words[2].isdigit()
             if not told or int(words[1]) + int(words[2]) + tail != size:
                 raise SceneError(f"{self.path}: not a checkpoint of this version of particles_mpi, or cut short")
             length = int(words[1])
             file.seek(length)
             seal = file.read(int(words[2]))
-        if TAIL.format(length, len(seal), zlib.crc32(seal)).split() != words or not self._ends_with(words, tail):
+        if last != TAIL.format(length, len(seal), zlib.crc32(seal)).encode():
             raise self._damaged()
         read: dict[str, Any] = json.loads(seal)
         if read["rest"] != _crc_between(self.path, length, read):
             raise self._damaged()
         return read
-
-    def _ends_with(self, words: list[str], tail: int) -> bool:
-        """Is the last line written as this program writes it?"""
-        with open(self.path, "rb") as file:
-            file.seek(-tail, os.SEEK_END)
-            return file.read() == TAIL.format(int(words[1]), int(words[2]), int(words[3], 16)).encode()
 
     def _damaged(self) -> SceneError:
         return SceneError(f"{self.path}: damaged: it is not what was written (CRC-32)")
@@ -244,9 +228,9 @@ class Checkpoint:
         names.sort(key=lambda n: list(FIELDS).index(n) if n in FIELDS else len(FIELDS))  # as at the start
         return {name: self._column(f"particles/{name}", first, last) for name in names}
 
-    def contacts(self, first: int, last: int) -> Contacts:
+    def contacts(self, first: int, last: int) -> Memory:
         """The contacts first ... last - 1, in the order of their ids."""
-        return Contacts(*(self._column(f"contacts/{name}", first, last) for name in Contacts._fields))
+        return Memory(*(self._column(f"contacts/{name}", first, last) for name in Memory._fields))
 
     @property
     def number_of_contacts(self) -> int:

@@ -90,10 +90,15 @@ def check_last(steps: list[int], resume_step: int, last: int | None) -> None:
         )
 
 
+def part_of(path: Path) -> Path:
+    """The temporary file that becomes `path` when it is whole."""
+    return path.with_name(path.name + ".tmp")
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Gives the name of a temporary file, which becomes `path` at the end: at any time `path` is the old file or the new one."""
-    part = path.with_name(path.name + ".tmp")
+    part = part_of(path)
     try:
         yield part
         os.replace(part, path)

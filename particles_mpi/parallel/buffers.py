@@ -57,8 +57,8 @@ class RowBuffers:
         n = len(order)
         for name, old in self.buffers.items():
             kind = old.dtype, old.shape[1:]
-            new = self.spare.get(kind, old)
-            if len(new) != len(old) or new is old:
+            new = self.spare.get(kind)
+            if new is None or len(new) != len(old):
                 new = np.empty_like(old)
             old[:n].take(order, axis=0, out=new[:n], mode="clip")
             self.buffers[name], self.spare[kind] = new, old

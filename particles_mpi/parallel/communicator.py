@@ -41,6 +41,11 @@ class Communicator:
         """First and last + 1 of this rank's share of `total` things in a row."""
         return total * self.rank // self.size, total * (self.rank + 1) // self.size
 
+    def sharer(self, total: int, numbers: Array) -> Array:
+        """The rank in whose share of `total` things each of these numbers (n,) is."""
+        begins = np.array([total * rank // self.size for rank in range(self.size)])
+        return np.searchsorted(begins, numbers, "right") - 1
+
     def _allreduce(self, values: Any, operation: MPI.Op) -> Array:
         values = np.atleast_1d(values)
         if self.size == 1:

@@ -14,6 +14,7 @@ import numpy as np
 
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exchange import by_destination, send_rows
 from particles_mpi.particles import Array, Particles
 from particles_mpi.timers import Timers
 
@@ -96,6 +97,11 @@ def owners(x, axis, cut, below, above):
             node = below[node] if x[i, axis[node]] < cut[node] else above[node]
         owner[i] = -1 - node
     return owner
+
+
+def to_owners(ranks: Communicator, columns: dict[str, Array], parts: Decomposition) -> dict[str, Array]:
+    """Rows to the ranks that own their positions; `columns` have a "position". Collective."""
+    return send_rows(ranks, columns, *by_destination(parts.owner(columns["position"]), ranks.size))[0]
 
 
 class LoadBalance:

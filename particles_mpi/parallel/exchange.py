@@ -103,6 +103,13 @@ def by_destination(destination: Array, size: int) -> tuple[Array, Array]:
     return np.argsort(destination, kind="stable"), counts
 
 
+def holders(ranks: Communicator, mine: Array, wanted: Array) -> Array:
+    """The rank that has each of the `wanted` ids (n,); lower ranks have lower ones, and `mine` ascend. Collective."""
+    least = ranks.allgather_array(np.array(mine[0] if len(mine) else -1))
+    some = np.flatnonzero(least >= 0)
+    return some[np.searchsorted(least[some], wanted, "right") - 1]
+
+
 def id_range(ranks: Communicator, ids: Array) -> IdRange:
     """The range of the ids of all ranks; `ids` (n,): those of this rank. Collective."""
     low, high = (int(ids.min()), int(ids.max())) if len(ids) else (2**62, -1)

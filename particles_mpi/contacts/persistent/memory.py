@@ -2,26 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from particles_mpi.contacts.persistent.graph import ContactGraph
+from particles_mpi.contacts.warm_start import Memory
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import by_destination, id_range, send_rows
 from particles_mpi.particles import Array, Particles, rows_of
-
-
-class Memory(NamedTuple):
-    """Contacts that took something, once for each of their rows: id (m,) of the row; partner (m,), wall or walls + id; taken."""
-
-    id: Array
-    partner: Array
-    taken: Array
-
-
-NOTHING = Memory(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))
 
 
 def names_of(graph: ContactGraph, walls: int) -> tuple[Array, Array]:

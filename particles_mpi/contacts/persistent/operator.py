@@ -22,7 +22,7 @@ import numpy as np
 
 from particles_mpi.contacts.persistent.detection import SLOW, Contacts, find_contacts, near_walls, near_walls_among, widths
 from particles_mpi.contacts.persistent.graph import ContactGraph, Exchange, rows_in
-from particles_mpi.contacts.persistent.memory import NOTHING, Memory, carry_over, recall, remember, send_home
+from particles_mpi.contacts.persistent.memory import carry_over, recall, remember, send_home
 from particles_mpi.contacts.persistent.on_walls import settle_on_walls
 from particles_mpi.contacts.persistent.problem import TAKEN, Problem, bound_rows, table_of
 from particles_mpi.contacts.persistent.rows import gather, hand_over
@@ -30,6 +30,7 @@ from particles_mpi.contacts.persistent.slow import approach, carried, loads, pre
 from particles_mpi.contacts.persistent.solver import EFFORT, EXACT, OUTLIER, Solver
 from particles_mpi.contacts.persistent.zone import inside_zone, spread, zone_around
 from particles_mpi.contacts.walls import NearFaces, Planes
+from particles_mpi.contacts.warm_start import NOTHING, Memory
 from particles_mpi.kernels.markers import CROWD
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles, row_dot
@@ -110,9 +111,9 @@ class PersistentContacts:
             self.memory = remember(self.graph, self.taken, len(self.point))
         return self.memory
 
-    def restore(self, contacts: tuple[Array, Array, Array]) -> None:
-        """Begin with what contacts of our rows took: the columns of a `Memory`."""
-        self.memory, self.graph = Memory(*contacts), None
+    def restore(self, memory: Memory) -> None:
+        """Begin with what contacts of our rows took."""
+        self.memory, self.graph = memory, None
 
     def keep(self, p: Particles, a: Array, h: float) -> None:
         """After a kick by accelerations a (n, d) in a step of h: velocities that keep slow contacts. Collective with pairs."""

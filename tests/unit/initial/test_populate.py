@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import KDTree
 
+from particles_mpi import Simulation
 from particles_mpi.errors import SceneError
 from particles_mpi.initial.populate import populate
 from particles_mpi.scene.schema import Scene
@@ -281,3 +282,10 @@ def test_a_million_random_spheres_take_seconds():
     particles, _ = start({"count": 1_000_000, "position": "random", "radius": 0.001}, d=3)
     assert len(particles) == 1_000_000
     assert time.perf_counter() - begin < 30.0
+
+
+@pytest.mark.parametrize("position", [[[0.1, 0.2], [0.3]], [[0.1, 0.2], 0.3], "nowhere", 3.0])
+def test_added_particles_that_make_no_sense_are_refused_by_key(position):
+    sim = Simulation(scene({"position": [[0.5, 0.5]]}, effects={}))
+    with pytest.raises(SceneError, match=r"particles\[1\]\.position"):
+        sim.add({"position": position})

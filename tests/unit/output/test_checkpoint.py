@@ -4,9 +4,10 @@ import h5py
 import numpy as np
 import pytest
 
+from particles_mpi.contacts.warm_start import Memory
 from particles_mpi.errors import SceneError
 from particles_mpi.output import checkpoint
-from particles_mpi.output.checkpoint import Checkpoint, Contacts, save
+from particles_mpi.output.checkpoint import Checkpoint, save
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange
 
@@ -21,12 +22,12 @@ def written(tmp_path, monkeypatch):
     x = random.standard_normal((N, 2))
     x[4], x[5, 0] = np.nan, -0.0
     arrays = {"id": 3 * np.arange(N), "position": x, "mass": random.random(N), "fixed": np.zeros(N, np.uint8)}
-    taken = Contacts(np.sort(random.choice(arrays["id"], M)), np.arange(M), random.random(M))
+    taken = Memory(np.sort(random.choice(arrays["id"], M)), np.arange(M), random.random(M))
     order, other = random.permutation(N), random.permutation(M)
     path = tmp_path / "checkpoint.h5"
     mixed = {name: column[order] for name, column in arrays.items()}
     facts = {"step": 7, "scene": "π" * 1000}
-    contacts = Contacts(*(column[other] for column in taken))
+    contacts = Memory(*(column[other] for column in taken))
     save(path, Communicator.alone(), mixed, IdRange(0, 3 * N, N), 2, facts, contacts)
     return path, arrays, taken
 
