@@ -7,13 +7,16 @@ caught goes to `abort_all`, which prints the message of the lowest failing rank 
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import json
 import os
+import stat
 import sys
+import termios
 import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import perf_counter, sleep
 from types import TracebackType
@@ -154,12 +157,27 @@ def abort_all(error: BaseException, whole: bool = False) -> int:
         before = "" if notice.trace else f"particles-mpi: rank {lowest}: " if alone else "particles-mpi: "
         sys.stderr.write("".join(f"{before}{line}\n" for line in notice.text.splitlines()))
         sys.stderr.flush()
+        wait_until_read(2, PATIENCE)
     if comm.Get_size() > 1 and not (complete and all(other.shared for other in found.values())):
         if comm.Get_rank() != lowest:
             sleep(PATIENCE)  # the lowest rank ends all when it has printed its message
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # MPICH would add a line of its own
         comm.Abort(code)
     return code
+
+
+def wait_until_read(descriptor: int, patience: float) -> None:
+    """Wait, at most `patience` seconds, until what was written into a pipe has been read; at once if it is no pipe.
+
+    The launcher reads what ranks print from pipes. Once a rank has ended with an exit code that is not 0, it closes them, and
+    what it has not yet read is lost.
+    """
+    end = perf_counter() + patience
+    with suppress(OSError):  # no such descriptor, or nothing that can be asked
+        while stat.S_ISFIFO(os.fstat(descriptor).st_mode) and perf_counter() < end:
+            if not int.from_bytes(fcntl.ioctl(descriptor, termios.FIONREAD, bytes(4)), sys.byteorder):
+                break
+            sleep(NAP)
 
 
 def _notice(error: BaseException, whole: bool) -> Notice:

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
 
 import h5py
@@ -14,6 +15,7 @@ from particles_mpi.integrators.kicks_and_drifts import Composition
 from particles_mpi.neighbours.neighbour_list import Neighbourhood
 from particles_mpi.output import checkpoint
 from particles_mpi.output.trajectory import Trajectory
+from particles_mpi.parallel.agreement import wait_until_read
 from particles_mpi.parallel.communicator import mpi_library
 from particles_mpi.parallel.launcher import Filter
 
@@ -135,6 +137,26 @@ def test_a_rank_that_is_killed_is_told_in_one_line(scene, tmp_path):
     code, said, seconds = with_fault(tmp_path, f"killed:{ADVANCE}", 1, "run", scene, "--output", tmp_path / "o", "--quiet")
     assert code == 137 and said.count("\n") == 1 and said.startswith("mpirun: rank 1 on ") and "signal 9" in said, said
     assert seconds < WITHIN
+
+
+def test_a_rank_that_failed_waits_until_its_message_is_read():
+    """Otherwise the launcher, on a machine with much to do, learns first that the rank has ended, and closes the pipe."""
+    source, end = os.pipe()
+    os.write(end, b"why")
+    begin = time.monotonic()
+    wait_until_read(end, 0.2)
+    assert time.monotonic() - begin >= 0.2  # nobody reads it
+    threading.Timer(0.2, os.read, (source, 10)).start()
+    begin = time.monotonic()
+    wait_until_read(end, 20.0)
+    assert 0.1 < time.monotonic() - begin < 10.0
+    wait_until_read(end, 20.0)  # nothing is left to read
+    os.close(source)
+    os.close(end)
+    wait_until_read(end, 20.0)  # no such pipe
+    with open(os.devnull, "w") as null:
+        wait_until_read(null.fileno(), 20.0)
+    assert time.monotonic() - begin < 20.0
 
 
 def test_a_script_that_nobody_catches_errors_in(tmp_path):
