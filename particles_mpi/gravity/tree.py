@@ -32,7 +32,8 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows, send_rows
 from particles_mpi.particles import Array, rows_of
 
-SAMPLES = 512  # keys that each rank sends to all others, to find the cuts
+SECTIONS = 64  # into which the keys between two bounds of a cut are divided
+FEW = 0.02  # of the work of a rank: a cut is known well enough where there is no more between its bounds
 SMALLEST = -900  # the least power of two that the side of the cube may be
 LAST_KEY = np.iinfo(np.int64).max
 
@@ -77,7 +78,7 @@ class Tree:
 
     def cut(self, keys: Array, work: Array) -> Array:
         """The first key of every rank but the first, (ranks - 1,), from this rank's sorted keys. Collective."""
-        cuts = quantiles(self.ranks.allgather_array(sample_keys(keys, work)))
+        cuts = equal_shares(self.ranks, keys, work)
         return cut_between_groups(cuts, self.ranks.allreduce_sum(count_in_cells(keys, cuts, self.dimension)), self.dimension)
 
     def attract_sorted(self, keys: Array, x: Array, mass: Array, low: int, high: int) -> Array:
@@ -125,27 +126,26 @@ def insert(mine: dict[str, Array], theirs: dict[str, Array], place: int) -> dict
     return {name: np.concatenate((theirs[name][:place], mine[name], theirs[name][place:])) for name in mine}
 
 
-def sample_keys(keys: Array, work: Array) -> Array:
-    """SAMPLES of the sorted keys (n,) that divide `work` (n,) into equal parts; last the whole work, as the bits of a float64."""
-    reached = np.cumsum(work)
-    if not len(keys):
-        return np.zeros(SAMPLES + 1, np.int64)
-    at = np.searchsorted(reached, (np.arange(SAMPLES) + 0.5) / SAMPLES * reached[-1])
-    return np.append(keys[np.minimum(at, len(keys) - 1)], reached[-1:].view(np.int64))
+def equal_shares(ranks: Communicator, keys: Array, work: Array) -> Array:
+    """The ranks - 1 keys that divide the work of all ranks into equal parts; keys (n,): sorted, work (n,). Collective.
 
-
-def quantiles(table: Array) -> Array:
-    """The size - 1 keys that divide the work of all ranks into equal parts; table (size, SAMPLES + 1): their samples."""
-    size = len(table)
-    work = np.repeat(table[:, -1].copy().view(np.float64) / SAMPLES, SAMPLES)
-    keys = table[:, :-1].reshape(-1)
-    keys, work = keys[work > 0.0], work[work > 0.0]
-    if not len(keys):
-        return np.zeros(size - 1, np.int64)
-    order = np.argsort(keys, kind="stable")
-    reached = np.cumsum(work[order])
-    at = np.searchsorted(reached, np.arange(1, size) / size * reached[-1])
-    return keys[order][np.minimum(at, len(keys) - 1)]
+    For all cuts at once the keys between two bounds are divided into SECTIONS, and the section that holds the cut is kept, until
+    there is little work in it: a number of reductions that grows as the logarithm of the number of ranks.
+    """
+    low, high = np.zeros(ranks.size - 1, np.int64), np.full(ranks.size - 1, LAST_KEY)
+    before = np.concatenate(([0.0], np.cumsum(work)))
+    every = np.arange(len(low))
+    while True:
+        step = np.maximum((high - low) // SECTIONS, 1)
+        edges = np.column_stack((low[:, None] + np.minimum(step[:, None] * np.arange(SECTIONS), (high - low)[:, None]), high))
+        reached = ranks.allreduce_sum(np.append(before[np.searchsorted(keys, edges)], before[-1]))
+        total, reached = reached[-1], reached[:-1].reshape(edges.shape)
+        wanted = total * np.arange(1, ranks.size) / ranks.size
+        at = np.minimum((reached <= wanted[:, None]).sum(axis=1), SECTIONS)  # the first edge beyond, if there is one
+        at = np.maximum(at, 1)
+        low, high = edges[every, at - 1], edges[every, at]
+        if not ((reached[every, at] - reached[every, at - 1] > FEW * total / ranks.size) & (high - low > 1)).any():
+            return low
 
 
 def cells_of(cuts: Array, d: int) -> tuple[Array, Array]:

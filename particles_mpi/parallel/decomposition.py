@@ -18,7 +18,8 @@ from particles_mpi.parallel.exchange import by_destination, send_rows
 from particles_mpi.particles import Array, Particles
 from particles_mpi.timers import Timers
 
-BINS, ROUNDS = 64, 4  # of the search for a cut: each round divides the interval into so many bins and keeps one
+BINS, ROUNDS = 128, 4  # of the search for a cut: each round divides an interval into so many bins
+FEW = 0.02  # of the work of a part: with less in it, a bin is not divided once more
 LOOK_EVERY = 8  # searches for neighbours between two comparisons of the ranks' times
 NOISE = 0.05  # of the mean time: differences between ranks with equal work on a shared machine
 MOVING = 10.0  # cost of a new decomposition, in units of the time for the cuts: rows have to move too
@@ -40,51 +41,98 @@ class Decomposition(NamedTuple):
         return owners(x, self.axis, self.cut, self.below, self.above)
 
 
+class Part(NamedTuple):
+    """A box that is to be divided among the ranks first ... last - 1."""
+
+    first: int
+    last: int
+    rows: Array  # (n, d) positions of this rank in it
+    low: Array  # (d,) corners of a box around the positions of all ranks; they lie below `high`
+    high: Array
+
+
 def bisect(ranks: Communicator, x: Array, weight: float) -> Decomposition:
-    """Cut space so that all ranks get equal work: each position of x (n, d) on this rank means `weight` units. Collective."""
+    """Cut space so that all ranks get equal work: each position of x (n, d) on this rank means `weight` units. Collective.
+
+    All boxes of a level of the tree are cut together, so that there is one reduction a level, and more only where the positions
+    of one box are crowded in a small part of it.
+    """
     d = x.shape[1]
-    nodes: list[tuple[int, float, int, int]] = []  # axis, cut, below, above
+    axis, cut, children = [], [], []
     lower, upper = np.full((ranks.size, d), -inf), np.full((ranks.size, d), inf)
+    low, high = extent(ranks, x) if ranks.size > 1 else (np.zeros(d), np.zeros(d))
+    level = [Part(0, ranks.size, x, low, high)]
+    numbers = iter(range(1, ranks.size))  # of the nodes, level by level; the first one is 0
+    while level := [part for part in level if part.last - part.first > 1]:
+        below_and_above: list[Part] = []
+        for part, (k, at) in zip(level, best_cuts(ranks, level, weight), strict=True):
+            middle, under = (part.first + part.last) // 2, part.rows[:, k] < at
+            upper[part.first : middle, k] = lower[middle : part.last, k] = at
+            corner = np.where(np.arange(d) == k, at, part.high), np.where(np.arange(d) == k, at, part.low)
+            halves = (
+                Part(part.first, middle, part.rows[under], part.low, corner[0]),
+                Part(middle, part.last, part.rows[~under], corner[1], part.high),
+            )
+            axis.append(k)
+            cut.append(at)
+            children.append([next(numbers) if half.last - half.first > 1 else -1 - half.first for half in halves])
+            below_and_above += halves
+        level = below_and_above
+    below, above = np.array(children, np.int64).reshape(-1, 2).T.copy()
+    return Decomposition(np.array(axis, np.int64), np.array(cut, float), below, above, lower, upper)
 
-    def split(first: int, last: int, rows: Array) -> int:
-        """Divide the domain of the ranks first ... last - 1, with this rank's positions in it, among them; its node."""
-        if last - first == 1:
-            return -1 - first
-        node, middle = len(nodes), (first + last) // 2
-        k, at = best_cut(ranks, rows, weight, (middle - first) / (last - first))
-        nodes.append((k, at, 0, 0))
-        upper[first:middle, k] = at
-        lower[middle:last, k] = at
-        under = rows[:, k] < at
-        nodes[node] = k, at, split(first, middle, rows[under]), split(middle, last, rows[~under])
-        return node
 
-    split(0, ranks.size, x)
-    axis, cut, below, above = (np.array([node[c] for node in nodes], float if c == 1 else np.int64) for c in range(4))
-    return Decomposition(axis, cut, below, above, lower, upper)
+def extent(ranks: Communicator, x: Array) -> tuple[Array, Array]:
+    """Corners (d,) of the least box low <= x < high with the positions (n, d) of all ranks; zeros without any. Collective."""
+    ends = ranks.allreduce_max(np.array([x.max(axis=0, initial=-inf), -x.min(axis=0, initial=inf)]))
+    low, high = -ends[1], np.nextafter(ends[0], inf)
+    return (low, high) if np.all(high > low) and np.isfinite(ends).all() else (np.zeros(len(low)), np.zeros(len(low)))
 
 
-def best_cut(ranks: Communicator, x: Array, weight: float, share: float) -> tuple[int, float]:
-    """(axis, position) of a cut of the longest axis, with `share` of the weight of all ranks' positions below it. Collective."""
-    high, low = ranks.allreduce_max(np.array([x.max(axis=0, initial=-inf), -x.min(axis=0, initial=inf)]))
-    low = -low
-    if not np.all(high >= low):
-        return 0, 0.0  # no positions at all: any cut will do
-    k = int((high - low).argmax())
-    left, right, passed, wanted = float(low[k]), float(np.nextafter(high[k], inf)), 0.0, None
+def best_cuts(ranks: Communicator, parts: list[Part], weight: float) -> list[tuple[int, float]]:
+    """For each part the (axis, position) of a cut with half of its ranks' work on either side, across its longest axis.
+
+    An interval is divided into BINS, and the cut lies in one of them, as if the work in it were spread evenly; a bin with more
+    than FEW of the part's work is divided in turn. Collective.
+    """
+    d = parts[0].rows.shape[1]
+    sums = ranks.allreduce_sum([[work_in_bins(p.rows[:, k], p.low[k], p.high[k]) * weight for k in range(d)] for p in parts])
+    axes = [longest_axis(part, in_part) for part, in_part in zip(parts, sums)]
+    lines = [(float(part.low[k]), float(part.high[k])) for part, k in zip(parts, axes)]
+    sums = sums[np.arange(len(parts)), axes]
+    total = sums.sum(axis=1)
+    wanted = total * [((p.first + p.last) // 2 - p.first) / (p.last - p.first) for p in parts]
+    passed, cuts = np.zeros(len(parts)), np.zeros(len(parts))
+    searched = list(range(len(parts)))  # the parts whose cut is not good enough
     for _ in range(ROUNDS):
-        edges = np.linspace(left, right, BINS + 1)
-        inside = x[(x[:, k] >= left) & (x[:, k] < right), k]
-        sums = ranks.allreduce_sum(np.bincount(np.searchsorted(edges, inside, "right") - 1, minlength=BINS)[:BINS] * weight)
-        if wanted is None:
-            wanted = share * sums.sum()
-        reached = passed + np.cumsum(sums)
-        bin_ = min(int(np.searchsorted(reached, wanted)), BINS - 1)
-        passed = passed if bin_ == 0 else float(reached[bin_ - 1])
-        left, right = float(edges[bin_]), float(edges[bin_ + 1])
-        if not left < 0.5 * (left + right) < right:
+        left = []
+        for i, in_line in zip(searched, sums):
+            edges = np.linspace(*lines[i], BINS + 1)
+            reached = passed[i] + np.concatenate(([0.0], np.cumsum(in_line)))
+            beyond = min(max(int(np.searchsorted(reached, wanted[i])), 1), BINS)  # the edge at which the wanted share is reached
+            before = beyond - 1
+            lines[i], passed[i] = (float(edges[before]), float(edges[beyond])), reached[before]
+            cuts[i] = np.interp(wanted[i], reached[before : beyond + 1], edges[before : beyond + 1])
+            small = in_line[before] <= FEW * total[i] or not edges[before] < 0.5 * (edges[before] + edges[beyond]) < edges[beyond]
+            left += [] if small else [i]
+        if not left:
             break
-    return k, right
+        searched = left
+        sums = ranks.allreduce_sum([work_in_bins(parts[i].rows[:, axes[i]], *lines[i]) * weight for i in searched])
+    return list(zip(axes, cuts.tolist()))
+
+
+def work_in_bins(x: Array, low: float, high: float) -> Array:
+    """How many of the numbers x (n,) lie in each of the BINS into which low <= x < high is divided."""
+    bins = np.searchsorted(np.linspace(low, high, BINS + 1), x, "right")
+    return np.bincount(bins, minlength=BINS + 2)[1 : BINS + 1]
+
+
+def longest_axis(part: Part, sums: Array) -> int:
+    """The axis along which the positions of a part extend furthest; `sums` (d, BINS): the work in the bins of each axis."""
+    some = sums > 0.0
+    bins = np.where(some.any(axis=1), BINS - some.argmax(axis=1) - some[:, ::-1].argmax(axis=1), BINS)
+    return int((bins * (part.high - part.low)).argmax())
 
 
 @kernel
@@ -120,11 +168,10 @@ class LoadBalance:
         elif self.ranks.size > 1 and searches % LOOK_EVERY == 0:
             worked = sum(self.timers.seconds.get(phase, 0.0) for phase in WORK)
             mine, self.worked = worked - self.worked, worked
-            times = np.array(self.ranks.allgather(mine))
-            self.lost = max(self.lost + float(times.max() - (1.0 + NOISE) * times.mean()), 0.0)
+            longest, (total, count) = self.ranks.allreduce_max(mine)[0], self.ranks.allreduce_sum([mine, float(len(particles))])
+            self.lost = max(self.lost + float(longest - (1.0 + NOISE) * total / self.ranks.size), 0.0)
             if self.lost > self.cost:
-                each = mine / max(len(particles), 1)
-                typical = float(times.sum()) / max(int(self.ranks.allreduce_sum(len(particles))[0]), 1)
+                each, typical = mine / max(len(particles), 1), float(total) / max(count, 1.0)
                 self.cut(particles.position, float(np.clip(each / typical, 0.5, 2.0)) if typical > 0.0 else 1.0)
 
     def cut(self, x: Array, weight: float) -> None:

@@ -53,9 +53,22 @@ def send_rows(ranks: Communicator, arrays: dict[str, Array], rows: Array, counts
 
 def allgather_rows(ranks: Communicator, arrays: dict[str, Array]) -> dict[str, Array]:
     """The rows of all ranks on every rank, sorted by owner. Collective."""
+    if ranks.size == 1:
+        return {name: column.copy() for name, column in arrays.items()}
     n = len(next(iter(arrays.values())))
-    rows, counts = np.tile(np.arange(n), ranks.size), np.full(ranks.size, n, np.int32)
-    return send_rows(ranks, arrays, rows, counts)[0]
+    counts = ranks.allgather_array(np.array(n))
+    row_size = sum(column.dtype.itemsize * prod(column.shape[1:]) for column in arrays.values())
+    words = -(row_size * counts // -WORD)
+    outgoing, incoming = np.empty(int(words[ranks.rank]), np.int64), np.empty(int(words.sum()), np.int64)
+    for name, part in columns_of(outgoing, n, arrays):
+        part[:] = arrays[name]
+    ranks.comm.Allgatherv(outgoing, [incoming, (words, starts(words))])
+    ranks.rows += int(counts.sum()) - n
+    every = {name: np.empty((int(counts.sum()), *column.shape[1:]), column.dtype) for name, column in arrays.items()}
+    for p, begin, end in parts(counts):
+        for name, part in columns_of(incoming[starts(words)[p] :], end - begin, arrays):
+            every[name][begin:end] = part
+    return every
 
 
 def sendrecv(ranks: Communicator, others: Sequence[int], outgoing: Sequence[Array]) -> Array:

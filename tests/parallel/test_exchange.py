@@ -1,6 +1,7 @@
-"""Rows get to the rank they are sent to, whole, once: any number of them, any rank, empty ranks."""
+"""Rows get to the rank they are sent to, whole, once: any number of them, any rank, empty ranks. Ranks get equal work."""
 
 import json
+from math import ceil, log2
 
 import pytest
 from conftest import run_ranks
@@ -22,3 +23,19 @@ def test_rows_arrive(tmp_path_factory, ranks):
         assert "all arrived" in done.stdout, done.stderr
 
     rows_arrive()
+
+
+@pytest.mark.parametrize("ranks", [2, 3, pytest.param(8, marks=pytest.mark.slow)])
+def test_ranks_get_equal_work(ranks):
+    """Space, and the keys of the tree, are divided evenly, with one reduction a level of cuts where positions are spread."""
+    done = run_ranks(ranks, "tests/parallel/equal_work.py")
+    assert done.returncode == 0, done.stderr
+    told, levels = json.loads(done.stdout), ceil(log2(ranks))
+    for name, (balance, reductions, balance_of_keys, rounds) in told.items():
+        if name == "one place":
+            assert balance == balance_of_keys == ranks, name
+            continue
+        assert balance < 1.01 and balance_of_keys < 1.05, (name, balance, balance_of_keys)
+        spread = name not in ("cluster", "crowded")
+        assert reductions <= 1 + levels * (1 if spread else 4), (name, reductions)  # the first one: how far positions extend
+        assert rounds <= 11, (name, rounds)  # 63 bits, 6 in a round
