@@ -53,7 +53,10 @@ from particles_mpi.particles import Array, Particles, field
 from particles_mpi.timers import Timers
 
 DISPLACEMENT_BOUND = 0.125  # of a skin: how far a row may get in a window
-DEPTH = 1.2  # mean diameters of ghosts beyond those that own particles can touch: what went wrong has to come through them
+DEPTH = 1.6  # mean diameters of ghosts beyond those that own particles can touch: what went wrong has to come through them
+LEAST_DEPTH, MOST_DEPTH = 1.2, 4.0  # it is fitted, so that windows need not be shorter on more ranks:
+DEEPER, MOST_REDONE = 0.4, 0.02  # by so much at a time where a larger part of the windows is redone,
+SHALLOWER, ENOUGH = 0.1, 100  # and back where none of so many is
 CROWDED = 0.75  # of all particles on one rank, ghosts included: then each may as well compute everything
 FASTER, SLOWER = 1.015, 0.6  # what success and failure do to the length of a window: in balance about 3 % fail
 FIRST, GROWING = 0.25, 1.2  # of the longest window: the first one; and how it grows until one fails
@@ -82,7 +85,10 @@ class Windows:
         self.searches = self.migrated = self.ghost_rows = self.count = self.redone = 0
         self.always = False
         self.window = 0.0  # length of the next one
+        self.crowded = False
         self.growing = True
+        self.depth = DEPTH
+        self.verified = 0, 0  # `count` and `redone` when the depth was last fitted
         self.total = int(ranks.allreduce_sum(len(particles))[0])
         self.ids = int(ranks.allreduce_max(particles.id.max(initial=-1))[0]) + 1
 
@@ -135,7 +141,7 @@ class Windows:
                 speed = fastest(p.position, p.velocity)
             else:
                 moved, speed = engine.start_drift(p, self.own_rows)
-                outdated = moved or engine.expiries > MOST_EXPIRIES * len(engine.rows.segment)
+                outdated = moved or engine.expiries > MOST_EXPIRIES * len(engine.rows.segment) or self.redone_often()
             speed = speed if speed < np.inf else np.inf  # or it is not a number
             outdated, speed, self.events = self.ranks.allreduce_max(np.array([outdated, speed, engine.events], float))
             require_finite(self.ranks, p, speed, f"t = {moment:g}")
@@ -146,9 +152,23 @@ class Windows:
         self.directory.fields_at[self.own_rows, PLACE] = np.arange(len(p))
         return float(speed)
 
+    def redone_often(self) -> bool:
+        """Were too many windows redone since the depth of the ghosts was fitted?"""
+        count, redone = self.count - self.verified[0], self.redone - self.verified[1]
+        return redone > MOST_REDONE * max(count, ENOUGH) and self.depth < MOST_DEPTH
+
+    def fit_depth(self) -> None:
+        """More ghosts where many windows were redone, fewer where none was or ghosts are too many."""
+        if self.redone_often():
+            self.depth += DEEPER
+        elif self.crowded or (self.redone == self.verified[1] and self.count > self.verified[0] + ENOUGH):
+            self.depth = max(self.depth - SHALLOWER, LEAST_DEPTH)
+        self.verified = self.count, self.redone
+
     def redistribute(self) -> None:
         """Particles to the ranks whose regions they are in, ghosts to all who need them, new lists for all. Collective."""
         p, engine, ranks, lists = self.particles, self.engine, self.ranks, self.engine.lists
+        self.fit_depth()
         self.balance.update(p, self.searches)
         self.row_buffers.adopt()
         inside = p.position.copy()
@@ -197,7 +217,7 @@ class Windows:
         low = np.where(length > 0.0, np.maximum(domain.lower, self.box.lower), domain.lower)
         high = np.where(length > 0.0, np.minimum(domain.upper, self.box.upper), domain.upper)
         reach = (self.skin + 2.0 * self.displacement_bound + largest) * MARGIN
-        depth = (reach + 2.0 * max(DEPTH * mean, largest)) * MARGIN
+        depth = (reach + 2.0 * max(self.depth * mean, largest)) * MARGIN
         apart = np.full(low.shape, np.inf)  # from the region of this rank to the nearest image of each
         for shift in (0.0, length, -length):
             apart = np.minimum(apart, np.maximum(np.maximum(low[me] + shift - high, low - high[me] - shift), 0.0))
