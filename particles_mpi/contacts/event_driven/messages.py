@@ -5,8 +5,8 @@ A message is a series of numbers, each part beginning with its kind and a partic
 - UPDATE: the record (see `rows`) of a row that was changed, to all ranks that hold it as a ghost.
 - ADD_GHOST: the record, R, 1/m, reference position, and the acceleration and drag where these differ from row to row, of a row
   that comes near the receiver's region.
-- TRANSFER: rank and place of the particle's fields, reference position, and who holds it, of a row that the receiver owns
-  from now on.
+- TRANSFER: rank and place of the particle's fields, reference position, and who had it, of a row that the receiver owns
+  from now on. Who holds it the receiver finds as the sender did.
 - DROP_GHOST: a row that has gone away from the receiver's region.
 """
 
@@ -17,7 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.contacts.event_driven.calendar_queue import Queue, cancel
-from particles_mpi.contacts.event_driven.regions import Moves, Regions, can_affect_owned
+from particles_mpi.contacts.event_driven.id_table import drop, home, put, row_of
+from particles_mpi.contacts.event_driven.regions import Moves, Regions, can_affect_owned, mark_holders
 from particles_mpi.contacts.event_driven.rows import (
     EVENT_COUNT,
     GHOST,
@@ -57,10 +58,10 @@ HOLDER, PLACE = range(2)  # columns of `fields_at`
 
 
 class Directory(NamedTuple):
-    """Which ranks hold a particle, and where it is here. A set of ranks is a bit mask: (ranks // 64 + 1) int64."""
+    """Which ranks hold a particle, and where it is here. A set of ranks is a bit mask, of one int64 for 64 known ranks."""
 
-    row_of: Array  # (ids,) int32, of each id, -1 if it is not here
-    holders: Array  # (n, masks) of an own row: the ranks that hold it, this one too
+    table: Array  # (places, 2) the rows by id, see `id_table`
+    holders: Array  # (n, masks) of an own row: the known ranks that hold it, this one too
     fields_at: Array  # (n, 2) of an own row: HOLDER, the rank that holds the fields of the particle until the end of the drift
     updated: Array  # (n,) the last window in which an owner sent an UPDATE of this row
     free: Array  # (n,) int32, rows that are not in use
@@ -73,7 +74,7 @@ def message_of(numbers: Array) -> tuple[Array, Array]:
 
 
 @inner
-def part_width(kind, d, masks, extra):
+def part_width(kind, d, extra):
     """Numbers in a part of a message; `extra`: see `extra_width`."""
     record = record_width(d)
     if kind == UPDATE:
@@ -81,7 +82,7 @@ def part_width(kind, d, masks, extra):
     if kind == ADD_GHOST:
         return HEAD + record + 2 + d + extra
     if kind == TRANSFER:
-        return HEAD + 2 + d + masks
+        return HEAD + 3 + d
     return HEAD
 
 
@@ -92,29 +93,35 @@ def extra_width(rows):
 
 
 @lean_inner
-def holds(masks, i, rank):
-    """Is the bit of a rank set in row i?"""
-    return (masks[i, rank >> 6] >> (rank & 63)) & 1 == 1
+def holds(masks, i, bit):
+    """Is this bit set in row i?"""
+    return (masks[i, bit >> 6] >> (bit & 63)) & 1 == 1
 
 
 @lean_inner
-def ownership(holders, i, rank):
-    """Of own row i of this rank: SHARED if another rank holds it, else OWN."""
-    others = holders[i, rank >> 6] & ~(np.int64(1) << (rank & 63))
+def add_holder(masks, i, bit):
+    """Set this bit in row i."""
+    masks[i, bit >> 6] |= np.int64(1) << (bit & 63)
+
+
+@lean_inner
+def ownership(holders, i, here):
+    """Of own row i: SHARED if another rank than that of bit `here` holds it, else OWN."""
+    others = holders[i, here >> 6] & ~(np.int64(1) << (here & 63))
     for b in range(holders.shape[1]):
-        if b != rank >> 6:
+        if b != here >> 6:
             others |= holders[i, b]
     return SHARED if others != 0 else OWN
 
 
 @lean
-def pack_changes(rows, reference, directory, log, moves, rank, message):
-    """All that the rank must know of the window of own rows; returns the length. `message` has room for it."""
+def pack_changes(rows, reference, directory, log, moves, regions, bit, message):
+    """All that the known rank of a bit must know of the window of own rows; returns the length. `message` has room for it."""
     rows, directory, log, moves = Rows(*rows), Directory(*directory), Log(*log), Moves(*moves)
+    rank, me = Regions(*regions).known[bit], Regions(*regions).rank
     out, bits = message
     segment, state, acceleration, holders = rows.segment, rows.state, rows.acceleration, directory.holders
     d = dimension(rows)
-    masks = holders.shape[1]
     size = 0
     for p in log.border[: log.border_count[0]]:
         prefetch(state, log.changed[p])
@@ -122,12 +129,12 @@ def pack_changes(rows, reference, directory, log, moves, rank, message):
         prefetch(segment, log.changed[p])
     for p in log.border[: log.border_count[0]]:
         i = np.int64(log.changed[p])
-        if state[i, OWNERSHIP] == SHARED and holds(holders, i, rank) and has_new_segment(d, rows, log, p):
+        if state[i, OWNERSHIP] == SHARED and holds(holders, i, bit) and has_new_segment(d, rows, log, p):
             bits[size], bits[size + 1] = UPDATE, state[i, ID]
             size = save_row(d, rows, i, out, bits, size + HEAD)
     for m in range(log.moved_count[0]):
         i = np.int64(log.moved[m])
-        if holds(moves.holders, m, rank) and not holds(holders, i, rank):
+        if holds(moves.holders, m, bit) and not holds(holders, i, bit):
             bits[size], bits[size + 1] = ADD_GHOST, state[i, ID]
             size = save_row(d, rows, i, out, bits, size + HEAD)
             out[size], out[size + 1] = segment[i, 2 * d + RADIUS], reference[i, d + INVERSE_MASS]
@@ -144,15 +151,13 @@ def pack_changes(rows, reference, directory, log, moves, rank, message):
         if moves.owner[m] == rank:
             bits[size], bits[size + 1] = TRANSFER, state[i, ID]
             size += HEAD
-            bits[size], bits[size + 1] = directory.fields_at[i, HOLDER], directory.fields_at[i, PLACE]
+            bits[size], bits[size + 1], bits[size + 2] = directory.fields_at[i, HOLDER], directory.fields_at[i, PLACE], me
             for k in range(d):
-                out[size + 2 + k] = reference[i, k]
-            for b in range(masks):
-                bits[size + 2 + d + b] = moves.holders[m, b]
-            size += 2 + d + masks
+                out[size + 3 + k] = reference[i, k]
+            size += 3 + d
     for m in range(log.moved_count[0]):
         i = np.int64(log.moved[m])
-        if holds(holders, i, rank) and not holds(moves.holders, m, rank):
+        if holds(holders, i, bit) and not holds(moves.holders, m, bit):
             bits[size], bits[size + 1] = DROP_GHOST, state[i, ID]
             size += HEAD
     return size
@@ -178,8 +183,8 @@ def verify(rows, directory, log, regions, begin, message):
     """
     rows, directory, log, regions = Rows(*rows), Directory(*directory), Log(*log), Regions(*regions)
     numbers, bits = message
-    state, row_of, updated = rows.state, directory.row_of, directory.updated
-    d, masks, extra, window = regions.low.shape[1], directory.holders.shape[1], extra_width(rows), log.window[0]
+    state, table, updated = rows.state, directory.table, directory.updated
+    d, extra, window = regions.low.shape[1], extra_width(rows), log.window[0]
     differing, found = np.empty((len(numbers) // (HEAD + record_width(d)) + log.border_count[0], 2), np.int64), 0
     place = np.empty((1, d))
     wrong = False
@@ -188,21 +193,22 @@ def verify(rows, directory, log, regions, begin, message):
         while at < len(numbers):
             if bits[at] == UPDATE:
                 if step == 0:
-                    prefetch(row_of, bits[at + 1])
+                    prefetch(table, home(table, bits[at + 1]))
                 else:
-                    prefetch(state, row_of[bits[at + 1]])
-                    prefetch(updated, row_of[bits[at + 1]])
-            at += part_width(bits[at], d, masks, extra)
+                    i = row_of(table, bits[at + 1])
+                    prefetch(state, i)
+                    prefetch(updated, i)
+            at += part_width(bits[at], d, extra)
     at = 0
     while at < len(numbers):
         if bits[at] == UPDATE:
-            i = np.int64(row_of[bits[at + 1]])
+            i = row_of(table, bits[at + 1])
             updated[i] = window
             if bits[at + HEAD + hash_place(d)] != state[i, TRAJECTORY_HASH]:
                 wrong |= can_affect_owned(rows, log, regions, i, begin, place)
                 differing[found, 0], differing[found, 1] = i, at + HEAD
                 found += 1
-        at += part_width(bits[at], d, masks, extra)
+        at += part_width(bits[at], d, extra)
     for p in log.border[: log.border_count[0]]:
         i = np.int64(log.changed[p])
         if state[i, OWNERSHIP] == GHOST and updated[i] != window and has_new_segment(d, rows, log, p):
@@ -213,13 +219,14 @@ def verify(rows, directory, log, regions, begin, message):
 
 
 @lean
-def reconcile(rows, directory, log, message, differing, moves, rank, stale):
+def reconcile(rows, directory, log, message, differing, moves, regions, stale):
     """After a correct window: ghosts that differ from their owners' rows become equal to them, and moved rows change owner.
 
     Returns how many rows, written to `stale`, must find their next events again.
     """
     rows, directory, log, moves = Rows(*rows), Directory(*directory), Log(*log), Moves(*moves)
     numbers, bits = message
+    rank, here = Regions(*regions).rank, len(Regions(*regions).known) - 1
     d, state, masks = dimension(rows), rows.state, directory.holders.shape[1]
     for p in range(len(differing)):
         i, at = differing[p, 0], differing[p, 1]
@@ -233,13 +240,13 @@ def reconcile(rows, directory, log, message, differing, moves, rank, stale):
         log.is_moved[i] = False
         for b in range(masks):
             directory.holders[i, b] = moves.holders[m, b]
-        state[i, OWNERSHIP] = ownership(directory.holders, i, rank) if moves.owner[m] == rank else GHOST
+        state[i, OWNERSHIP] = ownership(directory.holders, i, here) if moves.owner[m] == rank else GHOST
     log.moved_count[0] = 0
     return len(differing)
 
 
 @kernel
-def apply_moves(rows, lists, queue, directory, message, at, skin, stale, pending):
+def apply_moves(rows, lists, queue, directory, regions, message, at, skin, stale, pending):
     """ADD_GHOST, TRANSFER and DROP_GHOST of a message, from place `at` on.
 
     stale[:pending[0]]: rows that must find their next events. Returns (place, shortage): the end and 0, or the place of the part
@@ -248,15 +255,17 @@ def apply_moves(rows, lists, queue, directory, message, at, skin, stale, pending
     """
     rows, lists, queue, directory = Rows(*rows), Lists(*lists), Queue(*queue), Directory(*directory)
     numbers, bits = message
-    row_of, holders, free, free_count = directory.row_of, directory.holders, directory.free, directory.free_count
+    table, holders, free, free_count = directory.table, directory.holders, directory.free, directory.free_count
+    known = Regions(*regions).known
+    at_row = np.empty(1, np.int32)
     segment, state, reference = rows.segment, rows.state, lists.reference
     _, _, length = lists.box
     d, extra = dimension(rows), extra_width(rows)
-    record, masks = record_width(d), holders.shape[1]
+    record = record_width(d)
     while at < len(numbers):
         kind, name = bits[at], bits[at + 1]
         if kind in (ADD_GHOST, TRANSFER):
-            i = np.int64(row_of[name])
+            i = row_of(table, name)
             fresh = kind == ADD_GHOST and i < 0
             if fresh:
                 if free_count[0] == 0:
@@ -264,7 +273,7 @@ def apply_moves(rows, lists, queue, directory, message, at, skin, stale, pending
                 i = np.int64(free[free_count[0] - 1])
                 segment[i, 2 * d + RADIUS] = numbers[at + HEAD + record]
                 reference[i, d + INVERSE_MASS] = numbers[at + HEAD + record + 1]
-            begin = at + HEAD + 2 + (record if kind == ADD_GHOST else 0)
+            begin = at + HEAD + (2 + record if kind == ADD_GHOST else 3)
             if fresh or kind == TRANSFER:
                 before = reference[i].copy()
                 for k in range(d):
@@ -280,7 +289,7 @@ def apply_moves(rows, lists, queue, directory, message, at, skin, stale, pending
                     return at, short
                 if fresh:
                     free_count[0] -= 1
-                    row_of[name] = i
+                    put(table, name, i)
                     state[i, ID], state[i, OWNERSHIP] = name, GHOST
                     load_row(d, rows, i, numbers, bits, at + HEAD)
                     if len(rows.acceleration) > 0:
@@ -296,17 +305,21 @@ def apply_moves(rows, lists, queue, directory, message, at, skin, stale, pending
                 pending[0] += 1
             if kind == TRANSFER:
                 directory.fields_at[i, HOLDER], directory.fields_at[i, PLACE] = bits[at + HEAD], bits[at + HEAD + 1]
-                for b in range(masks):
-                    holders[i, b] = bits[begin + d + b]
+                at_row[0] = i
+                mark_holders(reference, at_row, regions, holders[i : i + 1])
+                for k in range(len(known)):
+                    if known[k] == bits[at + HEAD + 2]:
+                        add_holder(holders, i, k)
+                add_holder(holders, i, len(known) - 1)
                 state[i, OWNERSHIP] = SHARED  # the rank that had it holds it, at least
         elif kind == DROP_GHOST:
-            i = np.int64(row_of[name])
+            i = row_of(table, name)
             cancel(queue, i)
             remove(length, lists, i)
             state[i, OWNERSHIP] = NOT_HERE
             state[i, EVENT_COUNT] += 1
-            row_of[name] = -1
+            drop(table, name)
             free[free_count[0]] = i
             free_count[0] += 1
-        at += part_width(kind, d, masks, extra)
+        at += part_width(kind, d, extra)
     return at, 0

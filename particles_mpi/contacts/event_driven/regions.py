@@ -21,7 +21,7 @@ class Regions(NamedTuple):
     high: Array  # (ranks, d)
     box: tuple[Array, ...]  # a `Box`, as a plain tuple
     rank: int  # this one
-    known: Array  # the ranks that may have to know rows of this one, and itself
+    known: Array  # the ranks that may have to know rows of this one, and itself as the last: bit k of a mask is rank known[k]
     reach: float  # between a region and the surface of a ghost that own rows may meet in a window
     depth: float  # between a region and the skin of a row that its rank must know: `reach`, and some ghosts more
 
@@ -57,7 +57,7 @@ def distance2(regions, rank, x, i):
 
 @kernel
 def mark_holders(reference, rows, regions, masks):
-    """masks[p] (p, masks): which ranks must know row rows[p]: those whose region is within `depth` of its skin."""
+    """masks[p] (p, masks): which of the known ranks must know row rows[p]: those whose region is within `depth` of its skin."""
     regions = Regions(*regions)
     d = regions.low.shape[1]
     for p in range(len(rows)):
@@ -65,9 +65,9 @@ def mark_holders(reference, rows, regions, masks):
         within = regions.depth + reference[i, d + SIZE]
         for b in range(masks.shape[1]):
             masks[p, b] = 0
-        for rank in regions.known:
-            if distance2(regions, rank, reference, i) <= within * within:
-                masks[p, rank >> 6] |= np.int64(1) << (rank & 63)
+        for k in range(len(regions.known)):
+            if distance2(regions, regions.known[k], reference, i) <= within * within:
+                masks[p, k >> 6] |= np.int64(1) << (k & 63)
 
 
 @kernel
@@ -77,7 +77,7 @@ def plan_moves(reference, log, regions, tree, moves):
     log, regions, moves = Log(*log), Regions(*regions), Moves(*moves)
     low, high, me = regions.low, regions.high, regions.rank
     lower, _, length = regions.box
-    d = len(length)
+    d, here = len(length), len(regions.known) - 1
     place = np.empty((1, d))
     for m in range(log.moved_count[0]):
         prefetch(reference, log.moved[m])
@@ -93,7 +93,7 @@ def plan_moves(reference, log, regions, tree, moves):
             for k in range(d):
                 place[0, k] = in_box(reference[i, k], length[k], lower[k])
             moves.owner[m] = owners(place, *tree)[0]
-        moves.holders[m, me >> 6] |= np.int64(1) << (me & 63)  # it stays here for now, as a ghost if not as an own row
+        moves.holders[m, here >> 6] |= np.int64(1) << (here & 63)  # it stays here for now, as a ghost if not as an own row
 
 
 @lean_inner

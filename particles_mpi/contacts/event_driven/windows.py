@@ -15,6 +15,7 @@ import numpy as np
 
 from particles_mpi.contacts.event_driven.engine import MOST_EXPIRIES, Engine
 from particles_mpi.contacts.event_driven.event_loop import ANY_SQUEEZED, COLLISIONS, WALL_HITS
+from particles_mpi.contacts.event_driven.id_table import rows_of_ids, table_of
 from particles_mpi.contacts.event_driven.messages import (
     HOLDER,
     PLACE,
@@ -30,6 +31,7 @@ from particles_mpi.contacts.event_driven.regions import Moves, Regions, mark_hol
 from particles_mpi.contacts.event_driven.rows import (
     ID,
     LAST_PARTNER,
+    NOT_HERE,
     OWN,
     OWNERSHIP,
     RAPID_EVENTS,
@@ -76,6 +78,7 @@ class Windows:
 
     directory: Directory
     regions: Regions
+    events: float
 
     def __init__(self, particles: Particles, ranks: Communicator, engine: Engine, box: Box, timers: Timers):
         self.particles, self.ranks, self.engine, self.timers = particles, ranks, engine, timers
@@ -90,7 +93,6 @@ class Windows:
         self.depth = DEPTH
         self.verified = 0, 0  # `count` and `redone` when the depth was last fitted
         self.total = int(ranks.allreduce_sum(len(particles))[0])
-        self.ids = int(ranks.allreduce_max(particles.id.max(initial=-1))[0]) + 1
 
     def drift(self, h: float, moment: float) -> Array | None:
         """(collisions, wall hits, missed) of this rank, or None where it cannot be done; then nothing has changed. Collective."""
@@ -183,26 +185,27 @@ class Windows:
         self.displacement_bound = DISPLACEMENT_BOUND * self.skin
         lists.width = self.skin
         self.divide(largest, mean)
-        holders = np.zeros((n, ranks.size // 64 + 1), np.int64)
+        known = len(self.regions.known)
+        holders = np.zeros((n, known // 64 + 1), np.int64)
         reference = lists.arrays.reference
         reference[:n, d + SIZE] = p.radius + np.where(p.inverse_mass > 0.0, self.skin, 0.0)
         mark_holders(reference, np.arange(n, dtype=np.int32), tuple(self.regions), holders)
-        everyone = np.arange(ranks.size)
-        held = holders[:, everyone >> 6] >> (everyone & 63) & (everyone != ranks.rank)
+        held = [np.flatnonzero(holders[:, k >> 6] >> (k & 63) & 1) for k in range(known - 1)]
+        shared, counts = np.concatenate([*held, np.empty(0, np.int64)]).astype(np.int64), np.zeros(ranks.size, np.int32)
+        counts[self.near] = list(map(len, held))
         sent = {name: column for name, column in p.arrays.items() if field(name).ghost or name == "virial"}
-        arrived, _ = send_rows(ranks, sent, np.nonzero(held.T)[1], held.sum(axis=0, dtype=np.int32))
+        arrived, _ = send_rows(ranks, sent, shared, counts)
         here = Particles(d, {name: np.concatenate((column, arrived[name])) for name, column in sent.items()})
         ghosts = len(here) - n
         spare = ghosts // 2 + 256
         lists.share = self.total / max(len(here), 1)
         lists.build(here.position, here.radius, here.inverse_mass, spare)
         engine.load(here, n, spare)
-        engine.rows.state[:n, OWNERSHIP][held.any(axis=1)] = SHARED
+        engine.rows.state[shared, OWNERSHIP] = SHARED
         total = len(here) + spare
-        row_of = np.full(self.ids, -1, np.int32)
-        row_of[here.id] = np.arange(len(here))
         self.directory = Directory(
-            row_of, enlarged(holders, np.zeros((total, holders.shape[1]), np.int64)), np.zeros((total, 2), np.int64),
+            table_of(here.id, np.arange(len(here)), total),
+            enlarged(holders, np.zeros((total, holders.shape[1]), np.int64)), np.zeros((total, 2), np.int64),
             np.zeros(total, np.int64), np.roll(np.arange(total, dtype=np.int32), spare), np.array([spare]),
         )  # fmt: skip
         self.own_rows = np.arange(n, dtype=np.int32)
@@ -232,9 +235,9 @@ class Windows:
         numbers = [rows.state[shared, ID].view(float), rows.segment[shared, : 2 * d]]
         numbers += [rows.acceleration[shared]] if len(rows.acceleration) else []
         table = np.column_stack(numbers)
-        outgoing = [table[(holders[shared, rank >> 6] >> (rank & 63) & 1) == 1].ravel() for rank in self.near]
+        outgoing = [table[(holders[shared, k >> 6] >> (k & 63) & 1) == 1].ravel() for k in range(len(self.near))]
         arrived = sendrecv(self.ranks, self.near, outgoing).reshape(-1, table.shape[1])
-        ghosts = self.directory.row_of[arrived[:, 0].view(np.int64)]
+        ghosts = rows_of_ids(self.directory.table, arrived[:, 0].copy().view(np.int64))
         rows.segment[ghosts, : 2 * d], rows.segment[ghosts, 2 * d + START] = arrived[:, 1 : 2 * d + 1], 0.0
         rows.state[ghosts, LAST_PARTNER] = NOBODY
         rows.state[ghosts, RAPID_EVENTS] = rows.state[ghosts, TRAJECTORY_HASH] = 0
@@ -252,7 +255,7 @@ class Windows:
             engine.run(begin, until, moment)
         with self.timers("ghosts"):
             moves = self.plan_moves()
-            message = message_of(sendrecv(ranks, self.near, [self.changes_for(rank, moves) for rank in self.near]))
+            message = message_of(sendrecv(ranks, self.near, [self.changes_for(k, moves) for k in range(len(self.near))]))
             rows, directory, regions = tuple(engine.rows), tuple(self.directory), tuple(self.regions)
             wrong, differing = verify(rows, directory, tuple(log), regions, begin, message)
         with self.timers("agree"):
@@ -277,13 +280,14 @@ class Windows:
         plan_moves(self.engine.lists.arrays.reference, tuple(log), tuple(self.regions), tree, tuple(moves))
         return moves
 
-    def changes_for(self, rank: int, moves: Moves) -> Array:
-        """What happened in the window, for a rank."""
+    def changes_for(self, bit: int, moves: Moves) -> Array:
+        """What happened in the window, for the known rank of a bit."""
         engine, log, d = self.engine, self.engine.log, len(self.box.length)
-        widest = record_width(d) + 2 * d + 7 + moves.holders.shape[1]
+        widest = record_width(d) + 2 * d + 8
         message = message_of(np.empty((int(log.border_count[0]) + 3 * int(log.moved_count[0])) * widest))
         rows, directory, reference = tuple(engine.rows), tuple(self.directory), engine.lists.arrays.reference
-        return message[0][: pack_changes(rows, reference, directory, tuple(log), tuple(moves), rank, message)]
+        regions = tuple(self.regions)
+        return message[0][: pack_changes(rows, reference, directory, tuple(log), tuple(moves), regions, bit, message)]
 
     def undo(self, before: Array) -> None:
         """All rows and counts as they were when the window began."""
@@ -295,13 +299,13 @@ class Windows:
     def accept(self, message: tuple[Array, Array], differing: Array, moves: Moves) -> None:
         """The window is right: correct the other ghosts, and let rows come, go and change owners."""
         engine, at = self.engine, 0
-        rows, directory, log = tuple(engine.rows), tuple(self.directory), tuple(engine.log)
-        pending = reconcile(rows, directory, log, message, differing, tuple(moves), self.ranks.rank, engine.work.stale)
+        rows, directory, log, regions = tuple(engine.rows), tuple(self.directory), tuple(engine.log), tuple(self.regions)
+        pending = reconcile(rows, directory, log, message, differing, tuple(moves), regions, engine.work.stale)
         stale_count = np.array([pending])
         while at < len(message[0]):
             at, short = apply_moves(
-                tuple(engine.rows), tuple(engine.lists.arrays), tuple(engine.queue), tuple(self.directory), message, at,
-                self.skin, engine.work.stale, stale_count,
+                tuple(engine.rows), tuple(engine.lists.arrays), tuple(engine.queue), tuple(self.directory), regions,
+                message, at, self.skin, engine.work.stale, stale_count,
             )  # fmt: skip
             if short > 0:
                 engine.lists.enlarge(short)
@@ -313,7 +317,11 @@ class Windows:
         """More rows than there is room for came near."""
         more, old = self.engine.grow(), self.directory
         old.free_count[0] = len(more)
-        self.directory = doubled(old, "holders", "fields_at", "updated")._replace(free=np.concatenate((more, old.free)))
+        state = self.engine.rows.state
+        here = np.flatnonzero(state[:, OWNERSHIP] != NOT_HERE)
+        self.directory = doubled(old, "holders", "fields_at", "updated")._replace(
+            free=np.concatenate((more, old.free)), table=table_of(state[here, ID], here, len(state))
+        )
 
     def migrate(self) -> None:
         """The fields of particles that changed owner go to their new owners. Collective."""
@@ -327,5 +335,5 @@ class Windows:
         owner[asked["row"]] = np.repeat(np.arange(ranks.size), of)
         self.row_buffers.adopt()
         self.migrated += self.row_buffers.migrate(ranks, owner)
-        self.own_rows = self.directory.row_of[p.id]
+        self.own_rows = rows_of_ids(self.directory.table, p.id).astype(np.int32)
         self.version = p.version
