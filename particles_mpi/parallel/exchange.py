@@ -130,13 +130,19 @@ def id_range(ranks: Communicator, ids: Array) -> IdRange:
     return IdRange(max(-int(ends[0]), 0) if ends[1] >= 0 else 0, int(ends[1]) + 1, int(ranks.allreduce_sum(len(ids))[0]))
 
 
+def by_range(numbers: Array, ids: IdRange, writers: int, size: int) -> tuple[Array, Array]:
+    """`by_destination` of rows with these ids, where the first `writers` of `size` ranks each own an even part of the range."""
+    return by_destination((numbers - ids.first) * writers // max(ids.end - ids.first, 1), size)
+
+
 def in_id_order(ranks: Communicator, arrays: dict[str, Array], ids: IdRange, writers: int) -> dict[str, Array]:
-    """Rows in id order: the range of ids is divided evenly among the first `writers` ranks. Collective."""
-    owner = (arrays["id"] - ids.first) * writers // max(ids.end - ids.first, 1)
-    order, counts = by_destination(owner, ranks.size)
-    arrived, _ = send_rows(ranks, arrays, order, counts)
-    order = np.argsort(arrived["id"], kind="stable")
-    return rows_of(arrived, order)
+    """Rows in id order: the range of ids is divided evenly among the first `writers` ranks. Collective.
+
+    The columns are sent one after the other: a rank holds the rows that it gets and, of a single column, what is on its way.
+    """
+    order, counts = by_range(arrays["id"], ids, writers, ranks.size)
+    places = np.argsort(send_rows(ranks, {"id": arrays["id"]}, order, counts)[0]["id"], kind="stable")
+    return {name: send_rows(ranks, {name: of}, order, counts)[0][name].take(places, axis=0) for name, of in arrays.items()}
 
 
 class Halo:
@@ -221,7 +227,9 @@ def blocks(ranks: Communicator, columns: dict[str, Array], ids: IdRange) -> Iter
         rows = columns if ranks.size == 1 else allgather_rows(ranks, columns)
         yield rows if (rows["id"][1:] > rows["id"][:-1]).all() else rows_of(rows, np.argsort(rows["id"]))
         return
-    mine = in_id_order(ranks, columns, ids, ranks.size)
+    # all columns in one message: this is done in each step
+    mine, _ = send_rows(ranks, columns, *by_range(columns["id"], ids, ranks.size, ranks.size))
+    mine = rows_of(mine, np.argsort(mine["id"]))
     ranks.all_to_alls += 1
     ranks.rows += ids.total - len(mine["id"])
     counts = ranks.allgather_array(np.array(len(mine["id"])))
