@@ -1,26 +1,36 @@
-"""The same frames as files `vtk/particles_%06d.vtu` and a list `particles.pvd`: for VisIt, and ParaView before 5.12."""
+"""The same frames for VisIt, and for ParaView before 5.12: files in the folder `vtk`, and a list of them, `particles.pvd`.
+
+A frame is cut into blocks of PIECE ids, on any number of ranks in the same way, and one rank writes a block: no rank holds more
+of the frame. The only block of a small frame is the file `vtk/particles_000100.vtu`. The blocks of a large one are the files
+`vtk/particles_000100/piece_000000.vtu` and so on, which `vtk/particles_000100.pvtu` names; readers open that one.
+"""
 
 import re
+import shutil
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import meshio
 import numpy as np
 
+from particles_mpi.errors import StoppedError
 from particles_mpi.output.files import Continuing, check_last, failing_together, frame_arrays, replacing
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
-from particles_mpi.particles import Array, field
+from particles_mpi.particles import Array, field, rows_of
+
+PIECE = 2**20  # ids in a file
+KINDS = {"f": "Float", "i": "Int", "u": "UInt"}  # of numbers: as numpy and as VTK call them
 
 
 class VtkSeries(Continuing):
-    """Writer of a .vtu file for each frame, and of the .pvd file that lists them with their times; every method is collective."""
+    """Writer of the files of each frame, and of the .pvd file that lists them with their times; every method is collective."""
 
     def __init__(
         self, folder: Path, ranks: Communicator, dimension: int, resume_step: int | None = None, last: int | None = None
     ):
         self.folder, self.dimension = Path(folder), dimension
-        self.frames: dict[int, str] = {}  # step → time as written
+        self.frames: dict[int, tuple[str, str]] = {}  # step → (file, time as written), on rank 0
         super().__init__(self.folder / "particles.pvd", ranks, resume_step, last)
 
     def prepare(self) -> None:
@@ -28,49 +38,87 @@ class VtkSeries(Continuing):
         (self.folder / "vtk").mkdir(parents=True, exist_ok=True)
         if self.frames:
             self._write_listing()
-        kept = {Path(self._name(step)).name for step in self.frames}
-        for path in (self.folder / "vtk").glob("particles_*.vtu"):  # a killed run may not have listed its last
+        kept = {name for file, _ in self.frames.values() for name in (Path(file).name, Path(file).stem)}
+        for path in (self.folder / "vtk").glob("particles_*"):  # a killed run may not have listed its last
             if path.name not in kept:
-                path.unlink()
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
 
     def write(self, step: int, time: float, arrays: dict[str, Array], ids: IdRange) -> None:
         """Add a frame. `arrays`: this rank's owned rows in any order, (n,) or (n, d); fields not meant for frames are skipped."""
         shown = {name: array for name, array in arrays.items() if field(name).output}
-        rows = in_id_order(self.ranks, shown, ids, 1)
-        path = self.folder / self._name(step)
+        path = self.folder / f"vtk/particles_{step:06d}.{'pvtu' if ids.end - ids.first > PIECE else 'vtu'}"
+        try:
+            pieces = self._write_pieces(path, step, shown, ids)
+        except StoppedError:
+            if self.ranks.is_root:
+                shutil.rmtree(path.with_suffix(""), ignore_errors=True)  # pieces that no file names are of no use
+            raise
         with failing_together(self.ranks, f"cannot write {path} at step {step}"):
             if self.ranks.is_root:
-                with replacing(path) as part:
-                    _write_vtu(part, frame_arrays(rows, self.dimension))
-                self.frames[step] = repr(float(time))
+                if path.suffix == ".pvtu":
+                    _write_pvtu(path, pieces, frame_arrays(rows_of(shown, np.arange(0)), self.dimension))
+                self.frames[step] = f"vtk/{path.name}", repr(float(time))
                 self._write_listing()
 
-    @staticmethod
-    def _name(step: int) -> str:
-        return f"vtk/particles_{step:06d}.vtu"
+    def _write_pieces(self, path: Path, step: int, arrays: dict[str, Array], ids: IdRange) -> list[str]:
+        """Write the blocks of a frame, as many at once as there are ranks. Returns the files of those that have particles."""
+        together, pieces = self.ranks.size * PIECE, []
+        for first in range(ids.first, max(ids.end, ids.first + 1), together):
+            inside = np.flatnonzero((arrays["id"] >= first) & (arrays["id"] < first + together))
+            blocks = IdRange(first, first + together, ids.total)
+            rows = in_id_order(self.ranks, rows_of(arrays, inside), blocks, self.ranks.size)
+            files = [path] * self.ranks.size
+            if path.suffix == ".pvtu":
+                begin = (first - ids.first) // PIECE
+                files = [path.with_suffix("") / f"piece_{begin + rank:06d}.vtu" for rank in range(self.ranks.size)]
+            held = self.ranks.allgather_array(np.array(len(rows["id"])))
+            pieces += [f"{path.stem}/{file.name}" for file, count in zip(files, held, strict=True) if count]
+            file = files[self.ranks.rank]
+            with failing_together(self.ranks, f"cannot write {file} at step {step}"):
+                if len(rows["id"]) or (self.ranks.is_root and not ids.total):
+                    file.parent.mkdir(exist_ok=True)
+                    with replacing(file) as part:
+                        _write_vtu(part, frame_arrays(rows, self.dimension))
+        return pieces
 
     def _write_listing(self) -> None:
-        lines = [f'    <DataSet timestep="{time}" part="0" file="{self._name(step)}"/>\n' for step, time in self.frames.items()]
-        with replacing(self.path) as part:
-            part.write_text(
-                '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n  <Collection>\n'
-                + "".join(lines)
-                + "  </Collection>\n</VTKFile>\n"
-            )
+        lines = [f'    <DataSet timestep="{time}" part="0" file="{file}"/>' for file, time in self.frames.values()]
+        _write_xml(self.path, "Collection", ["  <Collection>", *lines, "  </Collection>"])
 
     def look(self, resume_step: int, last: int | None) -> None:
         """Read the list of frames up to a step."""
         for entry in ElementTree.parse(self.path).iter("DataSet"):
-            numbers = re.findall(r"^vtk/particles_(\d+)\.vtu$", entry.get("file", ""))
+            file = entry.get("file", "")
+            numbers = re.findall(r"^vtk/particles_(\d+)\.p?vtu$", file)
             if not numbers:
-                raise ValueError(f"it lists {entry.get('file')!r}, which this program did not write")
+                raise ValueError(f"it lists {file!r}, which this program did not write")
             if int(numbers[0]) <= resume_step:
-                self.frames[int(numbers[0])] = repr(float(entry.get("timestep", "")))
+                self.frames[int(numbers[0])] = file, repr(float(entry.get("timestep", "")))
         check_last(list(self.frames), resume_step, last)
 
 
 def _write_vtu(path: Path, columns: dict[str, Array]) -> None:
-    """Write one frame, binary and uncompressed. Each particle is a vertex cell: without cells ParaView shows nothing."""
+    """Write one block, binary and uncompressed. Each particle is a vertex cell: without cells ParaView shows nothing."""
     points = columns.pop("Points")
     cells = [("vertex", np.arange(len(points))[:, None])] if len(points) else []  # meshio raises for a kind without cells
     meshio.write(path, meshio.Mesh(points, cells, point_data=columns), file_format="vtu", binary=True, compression=None)
+
+
+def _write_pvtu(path: Path, pieces: list[str], columns: dict[str, Array]) -> None:
+    """Write the file that names the pieces of a frame, which all have these columns."""
+    told = {}
+    for name, column in columns.items():
+        kind, width = f"{KINDS[column.dtype.kind]}{8 * column.dtype.itemsize}", column.shape[1:] or (1,)
+        told[name] = f'      <PDataArray type="{kind}" Name="{name}" NumberOfComponents="{width[0]}"/>'
+    points = ["    <PPoints>", told.pop("Points"), "    </PPoints>"]
+    data = ["    <PPointData>", *told.values(), "    </PPointData>"]
+    sources = [f'    <Piece Source="{piece}"/>' for piece in pieces]
+    grid = ['  <PUnstructuredGrid GhostLevel="0">', *points, *data, *sources, "  </PUnstructuredGrid>"]
+    _write_xml(path, "PUnstructuredGrid", grid)
+
+
+def _write_xml(path: Path, kind: str, lines: list[str]) -> None:
+    """Write a file of VTK with these lines inside, replaced as a whole."""
+    begin = ['<?xml version="1.0"?>', f'<VTKFile type="{kind}" version="0.1" byte_order="LittleEndian">']
+    with replacing(path) as part:
+        part.write_text("\n".join([*begin, *lines, "</VTKFile>\n"]))
