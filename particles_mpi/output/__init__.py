@@ -4,15 +4,15 @@ In the order in which to read them:
 
 - `files`: what all writers share: errors on all ranks together, files that are replaced as a whole, the columns of a frame
 - `trajectory`: all frames in one HDF5 file, which ParaView opens
-- `vtk`: the same frames as one VTK file each
+- `vtk`: the same frames as one VTK file each, or as several pieces where they are large
 - `diagnostics_csv`: a row of sums every few steps
 - `checkpoint`: the exact state in one file, from which a run continues with the same bits; may a run use its output folder?
 
 How a frame gets to disk. `run.job` gives each writer this rank's rows. `parallel.exchange.in_id_order` sorts the rows of all
-ranks by id: each rank gets a range of ids where HDF5 is parallel and every rank writes, otherwise rank 0 gets all.
-`frame_arrays` makes the columns that viewers expect, and the writer appends them; the count of frames in the file is raised
-last, so that a killed run leaves a readable file. Checkpoints are written by all ranks with any HDF5. Every access to a file
-stands in a block `failing_together`: if the file system refuses it on one rank, all ranks raise the same error. A writer that
-continues a run first reads its old file, in its constructor which changes nothing, and then removes what came after the
-checkpoint, in `open`: a fault in one file is found before another one is changed.
+ranks by id: each rank gets a range of ids where HDF5 is parallel and every rank writes, otherwise rank 0 gets all; of a VTK
+frame each rank gets one block of ids at a time. `frame_arrays` makes the columns that viewers expect, and the writer appends
+them; the count of frames in the file is raised last, so that a killed run leaves a readable file. Checkpoints are written by
+all ranks with any HDF5. Every access to a file stands in a block `failing_together`: if the file system refuses it on one rank,
+all ranks raise the same error. A writer that continues a run first reads its old file, in its constructor which changes
+nothing, and then removes what came after the checkpoint, in `open`: a fault in one file is found before another one is changed.
 """

@@ -25,7 +25,7 @@ from particles_mpi.run.console import Screen
 from particles_mpi.run.forecast import Forecast, Forecaster
 from particles_mpi.scene.plan import plan
 
-MOST_VTK = 1_000_000  # particles of which there are VTK files without being asked for: rank 0 alone writes them
+MOST_VTK = 1_000_000  # particles of which there are VTK files without being asked for: slower and larger than HDF5
 SHOW_EVERY = 10  # steps between two moves of the progress bar
 LIBRARIES = ("numpy", "numba", "mpi4py", "h5py", "meshio", "particles-mpi")
 
