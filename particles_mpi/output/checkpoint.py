@@ -306,11 +306,11 @@ def claim(folder: Path, ranks: Communicator, scene: dict[str, Any], resumed: boo
     with failing_together(ranks, f"cannot write into {folder}"):  # only now, when no rank has found a fault
         if ranks.is_root:
             folder.mkdir(parents=True, exist_ok=True)
-            for name in OURS if not continues else ():
-                path = folder / name
+            told = folder / "run.json"  # from the beginning it tells whose folder this is
+            for path in (folder / name for name in OURS if not continues and name != told.name):
                 shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
             if not continues:
-                with replacing(folder / "run.json") as part:  # from the beginning it tells whose folder this is
+                with replacing(told) as part:
                     part.write_text(json.dumps({"scene": scene}, indent=2) + "\n")
     return bool(ranks.bcast(continues))
 

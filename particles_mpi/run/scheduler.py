@@ -42,8 +42,8 @@ def _squeue(job: str) -> str:
 
 def seconds(text: str) -> float:
     """The seconds of a time [days-][[hours:]minutes:]seconds. Raises a ValueError for any other text."""
-    days, _, clock = text.rpartition("-")
-    parts = [float(part) for part in (days or "0", *clock.split(":"))]
-    if len(parts) > 4 or not 0.0 <= min(parts) <= max(parts) < inf:
+    days, dash, clock = text.rpartition("-")
+    parts = [float(part) for part in (days if dash else "0", *clock.split(":"))]
+    if len(parts) > 4 or not all(0.0 <= part < inf for part in parts):
         raise ValueError(f"{text!r} is not HH:MM:SS")
     return 86400.0 * parts[0] + sum(part * 60.0**k for k, part in enumerate(reversed(parts[1:])))
