@@ -273,7 +273,7 @@ launch() {  # launch COMMAND...: on ranks; in a job of Slurm its srun starts the
   local ranks=${RANKS:-${SLURM_NTASKS:-}} pmi=pmi2
   if [[ -n ${SLURM_JOB_ID:-} ]] && command -v srun >/dev/null; then
     [[ $(mpirun --version 2>&1) != *[Oo]pen* ]] || pmi=pmix
-    if [[ $(srun --mpi=list 2>&1) == *$pmi* ]]; then  # wait: for MPI a rank that is gone never comes back
+    if [[ $(srun --mpi=list 2>&1) == *$pmi* ]]; then  # wait: so many seconds after the first rank has ended, end all
       exec srun --mpi=$pmi --wait=30 ${SLURM_STEP_ID:+--overlap} ${ranks:+-n "$ranks"} "$@"
     fi
   fi
