@@ -8,7 +8,7 @@ import subprocess
 from math import inf
 from time import localtime, strftime, time
 
-MARGIN, SHARE = 60.0, 0.02  # before the limit a run stops: seconds, or this share of the time left if that is longer,
+MARGIN, SHARE = 60.0, 0.01  # before the limit a run stops: seconds, or this share of the time left if that is longer,
 MOST = 0.25  # but at most this share of it
 PATIENCE = 30.0  # seconds in which squeue has to answer
 

@@ -19,7 +19,7 @@ def answers(folder, name, text):
     return f"{folder}:{os.environ['PATH']}"
 
 
-@pytest.mark.parametrize(("left", "stop"), [(40, 30), (1000, 940), (86400, 84672), (0, 0), (-5, -5)])
+@pytest.mark.parametrize(("left", "stop"), [(40, 30), (1000, 940), (86400, 85536), (0, 0), (-5, -5)])
 def test_a_run_stops_before_the_end_of_its_job(monkeypatch, left, stop):
     monkeypatch.setenv("SLURM_JOB_ID", "7")
     monkeypatch.setenv("SLURM_JOB_END_TIME", str(time.time() + left))
@@ -29,7 +29,7 @@ def test_a_run_stops_before_the_end_of_its_job(monkeypatch, left, stop):
 
 @pytest.mark.parametrize(
     ("said", "stop", "line"),
-    [("1-00:00:00", 84672, "stops at"), ("16:40", 940, "stops at"), ("UNLIMITED", None, ""), ("", None, "give --wall-time")],
+    [("1-00:00:00", 85536, "stops at"), ("16:40", 940, "stops at"), ("UNLIMITED", None, ""), ("", None, "give --wall-time")],
 )
 def test_an_old_slurm_is_asked(monkeypatch, tmp_path, said, stop, line):
     monkeypatch.setenv("SLURM_JOB_ID", "7")
