@@ -8,6 +8,8 @@ import time
 import pytest
 from conftest import ROOT
 
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.signals import StopRequest
 from particles_mpi.run.scheduler import seconds, slurm_limit
 
 
@@ -74,3 +76,12 @@ def test_the_command_of_run_sh(tmp_path, mpi, offers, variables, command):
         words, env={"PATH": f"{tmp_path}:/usr/bin:/bin"} | variables, capture_output=True, text=True, check=True
     )
     assert done.stdout.strip() == command
+
+
+def test_time_is_left_for_a_checkpoint():
+    request = StopRequest(Communicator.alone(), time.perf_counter(), 100.0)
+    stops = [request.poll(0)]
+    request.reserve = 150.0
+    stops.append(request.poll(request.next))
+    request.close()
+    assert stops == [False, True]
