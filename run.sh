@@ -11,7 +11,7 @@ help() {
 ./run.sh lint            ruff (rules and format) and mypy
 ./run.sh setup           only set up
 ./run.sh doctor          what is installed, and whether it fits together
-./run.sh COMMAND [...]   anything else goes to particles-mpi under mpirun: run, check, study, --help
+./run.sh COMMAND [...]   anything else goes to particles-mpi under mpirun, or srun in a job of Slurm: run, check, study, --help
 
 RANKS=4 ./run.sh ...              how many MPI ranks (2; in a job of Slurm: its tasks)
 PYTHON=python3.12 ./run.sh ...    which Python >= 3.11 makes .venv (only the first time)

@@ -32,7 +32,7 @@ SceneFile = Annotated[Path, typer.Argument(metavar="SCENE.toml", help="The scene
 AnyScene = Annotated[Path | None, typer.Argument(metavar="[SCENE.toml]", help="A scene of yours; else the built-in set.")]
 Folder = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for report, pictures and CSV files.")]
 Quick = Annotated[bool, typer.Option("--quick", help="A look within a minute: fewer settings, short samples.")]
-STOPPING = "Write a checkpoint and stop by this time; else before the limit of a Slurm job, unless this is none."
+STOPPING = "Write a checkpoint and stop within this time; if not given, before the limit of a Slurm job; none: without a limit."
 WallTime = Annotated[str | None, typer.Option(metavar="HH:MM:SS", help=STOPPING)]
 RESUMING = "Go on from this checkpoint.h5, on any number of ranks; auto: from the folder's own, or else from the start."
 TunedFile = Annotated[Path | None, typer.Option(metavar="TUNED.toml", help="The tuned scene; NAME.tuned.toml if not given.")]

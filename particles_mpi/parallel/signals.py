@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM, SIGUSR1 (of a scheduler) and the wall-time limit: they end the program; a run, with a checkpoint."""
+"""Ctrl-C, SIGTERM, SIGUSR1 and the wall-time limit: first they end the program, later they ask a run for a checkpoint."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from particles_mpi.errors import EXIT_ON_SIGNAL
 if TYPE_CHECKING:  # signals are caught before anything that takes long is imported
     from particles_mpi.parallel.communicator import Communicator
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)  # the last: of a scheduler, before the end of a job
 GRACE = 0.4  # seconds that a step has to end after a signal, where `check_signals` is called within it
 POLL_STEPS, POLL_SECONDS = 10, 0.2  # between two polls of all ranks: whichever is less
 
