@@ -94,7 +94,8 @@ def test_a_chain_of_jobs_has_the_bits_of_one_run(job, apart, tmp_path):
     assert ended == ((out / "checkpoint.h5").stat().st_mtime_ns, (out / "run.json").stat().st_mtime_ns)
 
 
-@pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("ranks", [2, 3])
 def test_mode_rewind_on_ranks_that_share_nothing_but_the_output(job, tmp_path, ranks):
     scene, out, whole = tmp_path / "scene.toml", tmp_path / "o", tmp_path / "whole"
     scene.write_text(REWIND)
