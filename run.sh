@@ -11,9 +11,9 @@ help() {
 ./run.sh lint            ruff (rules and format) and mypy
 ./run.sh setup           only set up
 ./run.sh doctor          what is installed, and whether it fits together
-./run.sh COMMAND [...]   anything else goes to particles-mpi under mpirun: run, check, study, --help
+./run.sh COMMAND [...]   anything else goes to particles-mpi under mpirun, or srun in a job of Slurm: run, check, study, --help
 
-RANKS=4 ./run.sh ...              how many MPI ranks (2)
+RANKS=4 ./run.sh ...              how many MPI ranks (2; in a job of Slurm: its tasks)
 PYTHON=python3.12 ./run.sh ...    which Python >= 3.11 makes .venv (only the first time)
 PARTICLES_MPI_SETUP=apt|system|pip ./run.sh setup     where MPI comes from. Left alone, it is
    apt      for root with apt: Open MPI and parallel HDF5 are installed, h5py is built on them
@@ -269,6 +269,17 @@ setup() {  # setup [test]: with what the tests need
   exec 9<&-
 }
 
+launch() {  # launch COMMAND...: on ranks; in a job of Slurm its srun starts them, if it speaks the language of this MPI
+  local ranks=${RANKS:-${SLURM_NTASKS:-}} pmi=pmi2
+  if [[ -n ${SLURM_JOB_ID:-} ]] && command -v srun >/dev/null; then
+    [[ $(mpirun --version 2>&1) != *[Oo]pen* ]] || pmi=pmix
+    if [[ $(srun --mpi=list 2>&1) == *$pmi* ]]; then  # wait: so many seconds after the first rank has ended, end all
+      exec srun --mpi=$pmi --wait=30 ${SLURM_STEP_ID:+--overlap} ${ranks:+-n "$ranks"} "$@"
+    fi
+  fi
+  exec mpirun -n "${ranks:-2}" "$@"
+}
+
 main() {
   local command=${1:-}
   case $command in
@@ -277,8 +288,8 @@ main() {
     test) setup test; warm_up; exec $PY -m pytest -n 3 "${@:2}" ;;
     lint) setup test; ruff check . && ruff format --check . && mypy ;;
     doctor) setup; exec particles-mpi doctor ;;  # alone, so that it can try a start on two ranks itself
-    '') setup; warm_up; exec mpirun -n "${RANKS:-2}" $PY -m particles_mpi run particles_mpi/scenes/marbles.toml --output out/marbles --overwrite ;;
-    *) setup; warm_up; exec mpirun -n "${RANKS:-2}" $PY -m particles_mpi "$@" ;;
+    '') setup; warm_up; launch $PY -m particles_mpi run particles_mpi/scenes/marbles.toml --output out/marbles --overwrite ;;
+    *) setup; warm_up; launch $PY -m particles_mpi "$@" ;;
   esac
 }
 

@@ -1,10 +1,17 @@
 """The program: signals first, so that none finds it with half of its imports done and leaves a traceback."""
 
+import sys
+
+from particles_mpi.errors import SceneError
 from particles_mpi.parallel.signals import exit_on_signals
 
 exit_on_signals()
 
-from particles_mpi.cli import main  # noqa: E402
+try:
+    from particles_mpi.cli import main
+except SceneError as error:  # numba has no folder for kernels
+    print(f"particles-mpi: {error}", file=sys.stderr)
+    sys.exit(error.exit_code)
 
 if __name__ == "__main__":
     main()

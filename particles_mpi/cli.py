@@ -32,7 +32,9 @@ SceneFile = Annotated[Path, typer.Argument(metavar="SCENE.toml", help="The scene
 AnyScene = Annotated[Path | None, typer.Argument(metavar="[SCENE.toml]", help="A scene of yours; else the built-in set.")]
 Folder = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for report, pictures and CSV files.")]
 Quick = Annotated[bool, typer.Option("--quick", help="A look within a minute: fewer settings, short samples.")]
-WallTime = Annotated[str | None, typer.Option(metavar="HH:MM:SS", help="Write a checkpoint and stop after this time.")]
+STOPPING = "Write a checkpoint and stop within this time; if not given, before the limit of a Slurm job; none: without a limit."
+WallTime = Annotated[str | None, typer.Option(metavar="HH:MM:SS", help=STOPPING)]
+RESUMING = "Go on from this checkpoint.h5, on any number of ranks; auto: from the folder's own, or else from the start."
 TunedFile = Annotated[Path | None, typer.Option(metavar="TUNED.toml", help="The tuned scene; NAME.tuned.toml if not given.")]
 IS_ROOT = MPI.COMM_WORLD.Get_rank() == 0
 
@@ -42,7 +44,7 @@ def run(
     scene: SceneFile,
     output: Annotated[Path | None, typer.Option(help="Folder for the results; out/<scene name> if not given.")] = None,
     steps: Annotated[int | None, typer.Option(min=0, help="Stop after this many steps instead of at the scene's end.")] = None,
-    resume: Annotated[Path | None, typer.Option(help="Go on from this checkpoint.h5, on any number of ranks.")] = None,
+    resume: Annotated[Path | None, typer.Option(help=RESUMING)] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run that the folder holds.")] = False,
     wall_time: WallTime = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing but errors.")] = False,
@@ -51,12 +53,18 @@ def run(
 
     Example:   mpirun -n 2 particles-mpi run my.toml --output out/my --steps 100
     """
-    from particles_mpi.output.checkpoint import changed
+    from particles_mpi.output.checkpoint import changed, to_go_on
     from particles_mpi.run.job import Job
     from particles_mpi.simulation import Simulation
 
-    limit = seconds(wall_time) if wall_time else None
+    limit, note = stop_after(wall_time)
     described = load(scene, quiet)
+    folder, auto = output or Path("out") / scene.stem, str(resume) == "auto"
+    if auto:
+        if overwrite:
+            raise SceneError("--overwrite: either this, or --resume auto")
+        resume = to_go_on(folder, Communicator(), described.to_dict())
+        overwrite = resume is None  # a run that was ended before its first checkpoint
     if resume:
         sim = Simulation.resume(resume)
         other = [f"{scene}: {key}: not as in {resume}, which goes on with the scene that it began with"
@@ -66,8 +74,13 @@ def run(
         sim.scene = described  # it may end later, or write more often
     else:
         sim = Simulation(described)
+    if auto and sim.steps_done >= (last := sim.last_step if steps is None else steps):
+        if IS_ROOT and not quiet:
+            print(f"{folder}: step {sim.steps_done} of {last}: nothing is left to do")
+        return
+    notes = [line for line in (note, f"goes on from step {sim.steps_done}" if resume else "") if line]
     how: dict[str, Any] = {"quiet": quiet, "overwrite": overwrite, "steps": steps, "wall_time": limit, "setup_began": STARTED}
-    Job(sim, output or Path("out") / scene.stem, resumed=resume is not None, **how).run()
+    Job(sim, folder, resumed=resume is not None, notes=notes, **how).run()
 
 
 @app.command()
@@ -191,15 +204,18 @@ def doctor() -> None:
     raise SystemExit(examined.main(IS_ROOT, MPI.COMM_WORLD.Get_size()))
 
 
-def seconds(text: str) -> float:
-    """HH:MM:SS, MM:SS or SS."""
+def stop_after(wall_time: str | None) -> tuple[float | None, str]:
+    """Seconds since STARTED after which a run stops, and a line about a limit that the user did not give. Collective."""
+    from particles_mpi.run.scheduler import seconds, slurm_limit
+
+    if wall_time is None:
+        limit, note = slurm_limit() if IS_ROOT else (None, "")
+        limit, note = Communicator().bcast((None if limit is None else limit + perf_counter() - STARTED, note))
+        return limit, note
     try:
-        parts = [float(p) for p in text.split(":")]
-        if not 1 <= len(parts) <= 3 or min(parts) < 0:
-            raise ValueError
+        return None if wall_time == "none" else seconds(wall_time), ""
     except ValueError:
-        raise SceneError(f"--wall-time: {text!r} is not HH:MM:SS") from None
-    return sum(p * 60.0**k for k, p in enumerate(reversed(parts)))
+        raise SceneError(f"--wall-time: {wall_time!r} is not HH:MM:SS") from None
 
 
 def load(path: Path, quiet: bool = True) -> Any:

@@ -268,6 +268,27 @@ def changed(one: dict[str, Any], two: dict[str, Any]) -> Iterator[str]:
     return (key for key, _, _ in differences(one, two) if key not in FREE)
 
 
+def to_go_on(folder: Path, ranks: Communicator, scene: dict[str, Any]) -> Path | None:
+    """The checkpoint in the folder of a run; None if it has none, and the run begins. Rank 0 looks. Collective.
+
+    What is there without a checkpoint must be the beginning of a run of this scene. Otherwise raises a SceneError on all ranks.
+    """
+    path = folder / "checkpoint.h5"
+    found = None
+    with failing_together(ranks, f"cannot read {folder}"):
+        if ranks.is_root:
+            held = [name for name in OURS if (folder / name).exists()]
+            found = path if path.name in held else None
+            if held and not found:
+                told = folder / "run.json"
+                if told.name not in held:
+                    raise SceneError(f"--resume auto: {folder} holds {', '.join(held)} of an unknown run; use --overwrite")
+                keys = list(changed(json.loads(told.read_text())["scene"], scene))
+                if keys:
+                    raise SceneError([f"{key}: not as in {told}, the run that the folder holds; use --overwrite" for key in keys])
+    return ranks.bcast(found)
+
+
 def claim(folder: Path, ranks: Communicator, scene: dict[str, Any], resumed: bool, overwrite: bool) -> bool:
     """Take the folder for a run of this scene; True if a resumed run continues there, where its checkpoint is. Collective.
 
@@ -285,9 +306,12 @@ def claim(folder: Path, ranks: Communicator, scene: dict[str, Any], resumed: boo
     with failing_together(ranks, f"cannot write into {folder}"):  # only now, when no rank has found a fault
         if ranks.is_root:
             folder.mkdir(parents=True, exist_ok=True)
-            for name in OURS if not continues else ():
-                path = folder / name
+            told = folder / "run.json"  # from the beginning it tells whose folder this is
+            for path in (folder / name for name in OURS if not continues and name != told.name):
                 shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+            if not continues:
+                with replacing(told) as part:
+                    part.write_text(json.dumps({"scene": scene}, indent=2) + "\n")
     return bool(ranks.bcast(continues))
 
 

@@ -9,7 +9,7 @@ In the order in which to read them:
 - `exact_sum`: sums that do not depend on the order of their terms, hence not on the ranks
 - `agreement`: an error on one rank becomes an error on all, or ends all
 - `shared_file`: a file into which all ranks write
-- `signals`: Ctrl-C, SIGTERM and the wall-time limit
+- `signals`: Ctrl-C, SIGTERM, SIGUSR1 and the wall-time limit
 - `launcher`: starts mpirun and shortens what it prints about ranks that failed
 
 How a row gets to another rank. `LoadBalance` keeps the `Decomposition` of space, which tells the owner of each position.

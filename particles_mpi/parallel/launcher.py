@@ -84,7 +84,7 @@ class Filter:
 
 def relay(source: int) -> None:
     """Pass on what comes from `source` until it is closed; signals are left to the launcher."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1):
         signal.signal(number, signal.SIG_IGN)
     passing = Filter()
     ended = False

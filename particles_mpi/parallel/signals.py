@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and the wall-time limit: first they end the program, later they ask a run for a checkpoint."""
+"""Ctrl-C, SIGTERM, SIGUSR1 and the wall-time limit: first they end the program, later they ask a run for a checkpoint."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from particles_mpi.errors import EXIT_ON_SIGNAL
 if TYPE_CHECKING:  # signals are caught before anything that takes long is imported
     from particles_mpi.parallel.communicator import Communicator
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)  # the last: of a scheduler, before the end of a job
 GRACE = 0.4  # seconds that a step has to end after a signal, where `check_signals` is called within it
 POLL_STEPS, POLL_SECONDS = 10, 0.2  # between two polls of all ranks: whichever is less
 
@@ -31,6 +31,7 @@ class StopRequest:
     def __init__(self, ranks: Communicator, began: float, wall_time: float | None):
         self.ranks, self.asked = ranks, False
         self.end = np.inf if wall_time is None else began + wall_time
+        self.reserve = 0.0  # seconds before the end that a checkpoint needs
         self.polled, self.step, self.next = perf_counter(), 0, 0
         self.asked_at = np.inf
         self.before = {number: signal.signal(number, self._ask) for number in SIGNALS}
@@ -45,7 +46,7 @@ class StopRequest:
             return False
         now = perf_counter()
         pace = (now - self.polled) / max(step - self.step, 1)
-        stop, pace = self.ranks.allreduce_max(np.array([self.asked or now > self.end, pace]))
+        stop, pace = self.ranks.allreduce_max(np.array([self.asked or now + self.reserve > self.end, pace]))
         self.polled, self.step = now, step
         self.next = step + int(np.clip(POLL_SECONDS / max(pace, 1e-9), 1, POLL_STEPS))
         return bool(stop)

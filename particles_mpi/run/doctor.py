@@ -158,11 +158,11 @@ def _hdf5(alone: dict[str, Any]) -> Answer:
 
 
 def _kernels(folder: Path) -> Answer:
+    if not os.access(folder, os.W_OK):
+        return f"{folder} cannot be written: numba keeps kernels in the home folder, the first run compiles", ""
     if compiled := sum(1 for _ in folder.rglob("*.nbi")):
         return f"{compiled} compiled, in {folder}", ""
-    if os.access(folder, os.W_OK) or os.access(Path.home(), os.W_OK):
-        return "empty: the first run compiles (./run.sh setup does it now)", ""
-    return f"{folder} cannot be written", "every run will compile: set NUMBA_CACHE_DIR to a folder of yours"
+    return "empty: the first run compiles (./run.sh setup does it now)", ""
 
 
 def usable_cores() -> int | None:

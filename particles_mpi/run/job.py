@@ -2,6 +2,7 @@
 
 import json
 import platform
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
@@ -27,13 +28,15 @@ from particles_mpi.scene.plan import plan
 
 MOST_VTK = 1_000_000  # particles of which there are VTK files without being asked for: slower and larger than HDF5
 SHOW_EVERY = 10  # steps between two moves of the progress bar
+SAFETY = 1.5  # times the slowest checkpoint: how long before the limit of its time a run stops
 LIBRARIES = ("numpy", "numba", "mpi4py", "h5py", "meshio", "particles-mpi")
 
 
 class Job:
     """Runs a simulation into a folder. Collective throughout.
 
-    A `rehearsal` says nothing, and ends as soon as rank 0 has a `forecast` of how long the run would take.
+    A `rehearsal` says nothing, and ends as soon as rank 0 has a `forecast` of how long the run would take. `notes` are lines to
+    be shown below the plan.
     """
 
     def __init__(
@@ -48,6 +51,7 @@ class Job:
         wall_time: float | None = None,
         setup_began: float | None = None,
         rehearsal: bool = False,
+        notes: Sequence[str] = (),
     ):
         self.sim, self.folder, self.resumed = sim, folder, resumed
         self.scene, self.ranks = sim.scene, sim.ranks
@@ -56,7 +60,7 @@ class Job:
         options = {"output": str(folder), "steps": self.last, "overwrite": overwrite, "resume": resumed, "wall-time": wall_time}
         same_on_all(self.ranks, {f"--{name}": value for name, value in options.items()})
         self.since = np.array(sim.reported, np.int64)
-        self.rehearsal = rehearsal
+        self.rehearsal, self.notes = rehearsal, notes
         self.forecast: Forecast | None = None
         self.screen = Screen(self.ranks.is_root, quiet or rehearsal)
         output = self.scene.output
@@ -99,6 +103,8 @@ class Job:
         """To the last step, or to a signal."""
         sim, output = self.sim, self.scene.output
         self.screen.plan(self.scene.title, self.plan, sim.warnings)
+        for note in self.notes:
+            self.screen.say(f"  {note}")
         setup = perf_counter() - self.setup_began
         begin, done = perf_counter(), sim.steps_done
         pace = Forecaster(sim, self.last) if self.screen.loud or (self.rehearsal and self.ranks.is_root) else None
@@ -191,7 +197,7 @@ class Job:
 
     def save(self) -> None:
         """The exact state; replaces the checkpoint before."""
-        sim = self.sim
+        sim, began = self.sim, perf_counter()
         with sim.timers("checkpoint"):
             metadata = sim.metadata()
             told = {name: metadata[name] for name in METADATA} | {"reported": self.since.tolist(), "written": self.written}
@@ -199,6 +205,7 @@ class Job:
             contacts = sim.lasting_contacts()
             path, d = self.folder / "checkpoint.h5", self.scene.dimension
             checkpoint.save(path, self.ranks, sim.rows.arrays, sim.ids, d, state, contacts)
+        self.request.reserve = max(self.request.reserve, SAFETY * (perf_counter() - began))
 
     def close(self) -> None:
         """Close every file."""

@@ -1,5 +1,6 @@
 """What set-up compiles again after an edit: the kernels whose code has changed, or that of what they call, and no others."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -90,3 +91,10 @@ def test_what_is_stale_is_forgotten(whole, edit):
     assert [file.exists() for file in files] == [False, False, True]
     (whole / STATE).write_text("half a file")
     assert subprocess.run(script, timeout=60).returncode == 1
+
+
+def test_no_folder_for_kernels_is_one_line():
+    nowhere = {"NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator", "NUMBA_CACHE_DIR": "/proc/none"}
+    command = [sys.executable, "-m", "particles_mpi", "doctor"]
+    done = subprocess.run(command, cwd=PACKAGE.parent, env=os.environ | nowhere, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "set NUMBA_CACHE_DIR" in done.stderr, done.stderr

@@ -1,0 +1,49 @@
+"""The time limit of the scheduler in whose job a run is: Slurm's.
+
+Sources: the manual pages of sbatch (SLURM_JOB_ID, SLURM_JOB_END_TIME) and squeue (%L, the time left).
+"""
+
+import os
+import subprocess
+from math import inf
+from time import localtime, strftime, time
+
+MARGIN, SHARE = 60.0, 0.01  # before the limit a run stops: seconds, or this share of the time left if that is longer,
+MOST = 0.25  # but at most this share of it
+PATIENCE = 30.0  # seconds in which squeue has to answer
+
+
+def slurm_limit() -> tuple[float | None, str]:
+    """Seconds from now after which a run in a job of Slurm should stop, and a line that says so; (None, "") if there is no limit.
+
+    Where the limit cannot be found out, the line tells why.
+    """
+    job = os.environ.get("SLURM_JOB_ID")
+    if not job:
+        return None, ""
+    try:
+        end = os.environ.get("SLURM_JOB_END_TIME")  # since the epoch; older versions of Slurm do not tell it
+        text = "" if end else _squeue(job)
+        if text == "UNLIMITED":
+            return None, ""
+        left = float(end) - time() if end else seconds(text)
+    except (OSError, ValueError, subprocess.SubprocessError) as error:
+        return None, f"the time limit of job {job} is not known ({str(error).splitlines()[0]}): give --wall-time"
+    margin = min(max(MARGIN, SHARE * left), MOST * max(left, 0.0))
+    stop = left - margin
+    return stop, f"stops at {strftime('%H:%M:%S', localtime(time() + stop))}, {margin:.0f} s before the limit of job {job}"
+
+
+def _squeue(job: str) -> str:
+    """What squeue says of the time left to a job."""
+    command = ["squeue", "-h", "-j", job, "-o", "%L"]
+    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=PATIENCE).stdout.strip()
+
+
+def seconds(text: str) -> float:
+    """The seconds of a time [days-][[hours:]minutes:]seconds. Raises a ValueError for any other text."""
+    days, dash, clock = text.rpartition("-")
+    parts = [float(part) for part in (days if dash else "0", *clock.split(":"))]
+    if len(parts) > 4 or not all(0.0 <= part < inf for part in parts):
+        raise ValueError(f"{text!r} is not HH:MM:SS")
+    return 86400.0 * parts[0] + sum(part * 60.0**k for k, part in enumerate(reversed(parts[1:])))

@@ -1,0 +1,87 @@
+"""In a job of Slurm: when a run stops, and by which command run.sh starts it."""
+
+import os
+import re
+import subprocess
+import time
+
+import pytest
+from conftest import ROOT
+
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.signals import StopRequest
+from particles_mpi.run.scheduler import seconds, slurm_limit
+
+
+def answers(folder, name, text):
+    """Put a program of this name first on the PATH of a test, which prints a text; it fails if that is empty."""
+    path = folder / name
+    path.write_text(f"#!/bin/sh\n[ '{text}' ] && echo {text}\n")
+    path.chmod(0o755)
+    return f"{folder}:{os.environ['PATH']}"
+
+
+@pytest.mark.parametrize(("left", "stop"), [(40, 30), (1000, 940), (86400, 85536), (0, 0), (-5, -5)])
+def test_a_run_stops_before_the_end_of_its_job(monkeypatch, left, stop):
+    monkeypatch.setenv("SLURM_JOB_ID", "7")
+    monkeypatch.setenv("SLURM_JOB_END_TIME", str(time.time() + left))
+    found, line = slurm_limit()
+    assert abs(found - stop) < 0.5 and "of job 7" in line
+
+
+@pytest.mark.parametrize(
+    ("said", "stop", "line"),
+    [("1-00:00:00", 85536, "stops at"), ("16:40", 940, "stops at"), ("UNLIMITED", None, ""), ("", None, "give --wall-time")],
+)
+def test_an_old_slurm_is_asked(monkeypatch, tmp_path, said, stop, line):
+    monkeypatch.setenv("SLURM_JOB_ID", "7")
+    monkeypatch.delenv("SLURM_JOB_END_TIME", raising=False)
+    monkeypatch.setenv("PATH", answers(tmp_path, "squeue", said))
+    found, told = slurm_limit()
+    assert found == (stop and pytest.approx(stop)) and line in told and bool(line) == bool(told)
+
+
+def test_outside_of_a_job_there_is_no_limit(monkeypatch):
+    monkeypatch.delenv("SLURM_JOB_ID", raising=False)
+    assert slurm_limit() == (None, "")
+
+
+@pytest.mark.parametrize("text", ["", "1:2:3:4", "ten", "-5", "1:-2", "nan", "inf", "NOT_SET"])
+def test_no_time(text):
+    with pytest.raises(ValueError):
+        seconds(text)
+
+
+OPEN, MPICH, BOTH = "mpirun Open MPI 5.0.7", "HYDRA build details", "none pmi2 pmix_v4 pmix"
+
+
+@pytest.mark.parametrize(
+    ("mpi", "offers", "variables", "command"),
+    [
+        (OPEN, BOTH, {"SLURM_JOB_ID": "7", "SLURM_NTASKS": "16"}, "srun --mpi=pmix --wait=30 -n 16 run"),
+        (MPICH, BOTH, {"SLURM_JOB_ID": "7", "SLURM_NTASKS": "16", "RANKS": "4"}, "srun --mpi=pmi2 --wait=30 -n 4 run"),
+        (OPEN, BOTH, {"SLURM_JOB_ID": "7", "SLURM_STEP_ID": "0"}, "srun --mpi=pmix --wait=30 --overlap run"),
+        (OPEN, "none pmi2", {"SLURM_JOB_ID": "7", "SLURM_NTASKS": "16"}, "mpirun -n 16 run"),
+        (OPEN, BOTH, {"RANKS": "4"}, "mpirun -n 4 run"),
+        (OPEN, BOTH, {}, "mpirun -n 2 run"),
+    ],
+)
+def test_the_command_of_run_sh(tmp_path, mpi, offers, variables, command):
+    for name, asked, text in (("mpirun", "--version", mpi), ("srun", "--mpi=list", offers)):
+        (tmp_path / name).write_text(f'#!/bin/sh\n[ "$1" = {asked} ] && echo {text} || echo {name} "$@"\n')
+        (tmp_path / name).chmod(0o755)
+    launch = re.search(r"^launch\(\) \{.*?^\}", (ROOT / "run.sh").read_text(), re.DOTALL | re.MULTILINE)[0]
+    words = ["bash", "-euc", launch + "\nlaunch run"]
+    done = subprocess.run(
+        words, env={"PATH": f"{tmp_path}:/usr/bin:/bin"} | variables, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == command
+
+
+def test_time_is_left_for_a_checkpoint():
+    request = StopRequest(Communicator.alone(), time.perf_counter(), 100.0)
+    stops = [request.poll(0)]
+    request.reserve = 150.0
+    stops.append(request.poll(request.next))
+    request.close()
+    assert stops == [False, True]
