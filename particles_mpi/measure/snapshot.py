@@ -1,6 +1,7 @@
 """The whole state of a simulation apart from any rank: to copy, compare, print and save it as JSON."""
 
 import json
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +10,14 @@ import numpy as np
 from particles_mpi.errors import SceneError
 from particles_mpi.output.files import write_text
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exchange import allgather_rows
+from particles_mpi.parallel.exchange import allgather_rows, id_range, in_id_order
 from particles_mpi.particles import FIELDS, Array, Particles, rows_of
 
 FORMAT = "particles_mpi state 2"
 METADATA = ("step", "moment", "h", "observed", "totals", "next_id", "additions", "scene")  # what `metadata` tells
 SHOWN = 20  # rows of a printed table
+MANY = 1_000_000  # particles: with more a user is told what a text with all of them costs
+JSON_BYTES = 1000  # of memory for a particle: its numbers as objects and as text, measured in 3D
 
 
 def gather_all(ranks: Communicator, particles: Particles) -> Particles:
@@ -47,10 +50,15 @@ def _cell(value: Any) -> str:
     return "(" + ", ".join(map(_cell, value)) + ")" if np.ndim(value) else f"{value:.6g}"
 
 
-def save_json(path: Path, ranks: Communicator, particles: Particles, metadata: dict[str, Any], indent: int | None) -> None:
-    """Write all particles in id order, floats with the digits that give the same bits back. Collective."""
-    all_ = gather_all(ranks, particles)
-    columns = {name: {"dtype": str(column.dtype), "values": _plain(column)} for name, column in all_.arrays.items()}
+def save_json(path: Path, ranks: Communicator, rows: Particles, metadata: dict[str, Any], indent: int | None) -> None:
+    """Write all particles in id order, floats with the digits that give the same bits back. Rank 0 holds all. Collective."""
+    ids = id_range(ranks, rows.id)
+    if ids.total > MANY and ranks.is_root:
+        needed = ids.total * JSON_BYTES / 1e9
+        told = f"to_json: {ids.total} particles as text take about {needed:.0f} GB of rank 0; a checkpoint takes none"
+        warnings.warn(told, stacklevel=3)
+    arrays = in_id_order(ranks, rows.arrays, ids, 1)
+    columns = {name: {"dtype": str(column.dtype), "values": _plain(column)} for name, column in arrays.items()}
     text = json.dumps({"format": FORMAT, **metadata, "particles": columns}, indent=indent, allow_nan=False) + "\n"
     write_text(path, ranks, text)
 

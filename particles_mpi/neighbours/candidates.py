@@ -90,16 +90,15 @@ class Candidates:
     def search(self) -> None:
         """All candidates, from cells made anew."""
         n, radius = len(self.x), self.spheres.radius
-        path, first_midpoint, bounding_radius, mean, box, own_box = start_paths(
+        path, midpoint, bounding_radius, mean, box, own_box = start_paths(
             self.axes, self.x, self.v, radius, self.horizon, self.spheres.owned
         )
-        midpoint = first_midpoint.copy()
         limit = LARGEST * mean
         largest, periodic = float(radius.max(initial=0.0)), self.length[self.length > 0.0]
         if len(periodic) and 2.0 * largest + 4.0 * self.horizon.bound > 0.5 * periodic.min():
             limit = np.inf  # no row is OVERSIZE: those only know the nearest image of a partner
         level, oversize, count, reaches = levels(bounding_radius, SLOWEST * mean, limit, FEW)
-        self.paths = Paths(path, midpoint, bounding_radius, level, first_midpoint)
+        self.paths = Paths(path, midpoint, bounding_radius, level, midpoint[: n if len(periodic) else 0].copy())
         low, high = box
         apart = spacing(low, high, n)
         fine = grid(midpoint, (low, high), max(0.9 * apart, 0.6 * mean), FINE)

@@ -55,7 +55,8 @@ class Paths(NamedTuple):
 
     path (n, 2d + 2): a row is (x0, v0, t0, R), so that all of it lies together in memory. midpoint (n, d): where the row will be
     halfway to the horizon. bounding_radius (n,): R, tolerance and path lie within that distance of the midpoint. level (n,)
-    int8: how rows are held by their bounding radius (`pair_search`). first_midpoint (n, d): as it was at the search.
+    int8: how rows are held by their bounding radius (`pair_search`). first_midpoint (n, d): as it was at the search; without
+    rows where no axis is periodic, because there is no bound then.
     """
 
     path: Array
@@ -159,8 +160,9 @@ def rows_turned(x, v, start, path, rows, time, horizon, length):
 def renew_paths(rows, segments, owned, paths, region, horizon, length, time, h):
     """New paths for `rows` along their present segments, in the drift over h from `time`; in place on `paths`.
 
-    Returns (0, or how far from its first midpoint a row gets in this drift if it may not get there; until when candidates are
-    valid now). Rows that could get further than the bound, or out of their `HaloRegion`, before the horizon bring it nearer.
+    Returns (0, or how far from its midpoint, the first one if there is a bound, a row gets in this drift if it may not get
+    there; until when candidates are valid now). Rows that could get further than the bound, or out of their `HaloRegion`,
+    before the horizon bring it nearer.
     """
     x, v, starts, _ = segments
     path, midpoint, bounding_radius, _, first_midpoint = paths
@@ -175,8 +177,9 @@ def renew_paths(rows, segments, owned, paths, region, horizon, length, time, h):
         late = 0.0
         speed = 0.0
         for k in range(d):
-            r = nearest(x[i, k] - first_midpoint[i, k], length[k])
-            path[i, k] = first_midpoint[i, k] + r
+            origin = first_midpoint[i, k] if len(first_midpoint) else midpoint[i, k]
+            r = nearest(x[i, k] - origin, length[k])
+            path[i, k] = origin + r
             path[i, d + k] = v[i, k]
             now += r * r
             soon += (r + v[i, k] * (time + h - start)) ** 2

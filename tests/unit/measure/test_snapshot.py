@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from particles_mpi import Scene, SceneError, Simulation
+from particles_mpi.measure import snapshot
 from particles_mpi.measure.snapshot import load_json, same, save_json
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Particles
@@ -69,6 +70,13 @@ def test_json_gives_every_float_back(tmp_path_factory, rows):
     path = tmp_path_factory.mktemp("json") / "state.json"
     save_json(path, Communicator(), Particles(2, arrays), {"scene": {"dimension": 2}}, None)
     assert same(Particles(2, load_json(path)[0]), Particles(2, arrays))
+
+
+def test_a_text_with_many_particles_is_warned_of(tmp_path, monkeypatch):
+    monkeypatch.setattr(snapshot, "MANY", 2)
+    rows = Particles(1, {"id": np.arange(3), "position": np.zeros((3, 1))})
+    with pytest.warns(UserWarning, match="3 particles as text"):
+        save_json(tmp_path / "state.json", Communicator(), rows, {"scene": {"dimension": 1}}, None)
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[1]", '{"format": "something else"}'])
