@@ -63,6 +63,7 @@ def allgather_rows(ranks: Communicator, arrays: dict[str, Array]) -> dict[str, A
     for name, part in columns_of(outgoing, n, arrays):
         part[:] = arrays[name]
     ranks.comm.Allgatherv(outgoing, [incoming, (words, starts(words))])
+    ranks.messages += ranks.size - 1
     ranks.rows += int(counts.sum()) - n
     every = {name: np.empty((int(counts.sum()), *column.shape[1:]), column.dtype) for name, column in arrays.items()}
     for p, begin, end in parts(counts):
