@@ -12,12 +12,16 @@ from mpi4py import MPI
 from particles_mpi.particles import Array
 
 NAP = 0.005  # seconds between two checks of a rank that sleeps while it waits
+KINDS = ("rows", "counts", "gathers", "reductions")  # of the bytes that a rank sends
 
 
 class Communicator:
     """A thin layer over an MPI communicator. On a single rank nothing is sent.
 
-    It counts `messages` sent to single ranks, `reductions`, `all_to_alls`, and `rows` of particles received.
+    It counts `messages` sent to other single ranks, `reductions` (and other calls that take log2 P stages), `all_to_alls`, and
+    `rows` of particles received. `bytes` are those that this rank sends to others, by kind: `rows` in messages to single ranks;
+    `counts`, in which every rank tells every other how many rows come; `gathers`, in which every rank sends the same to all
+    others, hence P - 1 times; and `reductions`, in which it sends its numbers in each of log2 P stages.
     """
 
     def __init__(self, comm: MPI.Comm | None = None):
@@ -25,7 +29,9 @@ class Communicator:
         self.comm = MPI.COMM_WORLD if comm is None else comm
         self.rank, self.size = self.comm.Get_rank(), self.comm.Get_size()
         self.is_root = self.rank == 0
+        self.stages = (self.size - 1).bit_length()  # log2 of the number of ranks, rounded up
         self.messages = self.reductions = self.all_to_alls = self.rows = 0
+        self.bytes = dict.fromkeys(KINDS, 0)
 
     @classmethod
     def alone(cls) -> Communicator:
@@ -51,6 +57,7 @@ class Communicator:
         if self.size == 1:
             return values
         self.reductions += 1
+        self.bytes["reductions"] += values.nbytes * self.stages
         result = np.empty_like(values)
         self.comm.Allreduce(values, result, operation)
         return result
@@ -74,12 +81,18 @@ class Communicator:
             table[0] = row
         else:
             self.reductions += 1
+            self.bytes["gathers"] += row.nbytes * (self.size - 1)
             self.comm.Allgather(row, table)
         return table
 
     def allgather(self, value: Any) -> list[Any]:
         """The small Python objects of all ranks, on every rank."""
-        return [value] if self.size == 1 else self.comm.allgather(value)
+        if self.size == 1:
+            return [value]
+        packed = MPI.pickle.dumps(value)
+        self.reductions += 2  # mpi4py gathers the lengths first
+        self.bytes["gathers"] += len(packed) * (self.size - 1)
+        return [MPI.pickle.loads(one) for one in self.comm.allgather(packed)]
 
     def bcast(self, value: Any) -> Any:
         """The small Python object that rank 0 has, on every rank."""

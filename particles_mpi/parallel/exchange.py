@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from math import prod
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from mpi4py import MPI
@@ -14,7 +14,8 @@ from particles_mpi.particles import Array, rows_of
 
 TAG = 0  # of messages with rows; `agreement` uses another one
 FEW = 10_000  # most rows that `blocks` sends to all ranks in one message
-WORD = 8  # bytes: messages are counted in words, because MPI counts to 2^31 at most
+WORD = 8  # bytes; all messages consist of such words
+MOST_WORDS = 2**31 - 1  # in one message, as MPI counts with 32 bits: longer ones are sent in pieces
 
 
 class IdRange(NamedTuple):
@@ -32,23 +33,45 @@ def send_rows(ranks: Communicator, arrays: dict[str, Array], rows: Array, counts
     """
     if ranks.size == 1:
         return rows_of(arrays, rows), counts
-    arriving = np.empty_like(counts)
+    arriving, me = np.empty_like(counts), ranks.rank
     ranks.comm.Alltoall(counts, arriving)
-    ranks.messages += int((counts > 0).sum())
     ranks.all_to_alls += 1
-    ranks.rows += int(arriving.sum() - arriving[ranks.rank])
+    ranks.bytes["counts"] += counts.itemsize * (ranks.size - 1)
+    ranks.rows += int(arriving.sum() - arriving[me])
     row_size = sum(column.dtype.itemsize * prod(column.shape[1:]) for column in arrays.values())
     words_out, words_in = (-(row_size * numbers.astype(np.int64) // -WORD) for numbers in (counts, arriving))
-    outgoing, incoming = np.empty(words_out.sum(), np.int64), np.empty(words_in.sum(), np.int64)
+    outgoing, incoming = np.empty(words_out.sum()), np.empty(words_in.sum())
+    places = {p: incoming[first:last] for p, first, last in parts(words_in)}
+    requests = [one for p, place in places.items() if p != me for one in receive(ranks, p, place)]
+    first_words = starts(words_out)
     for p, begin, end in parts(counts):
-        for name, part in columns_of(outgoing[starts(words_out)[p] :], end - begin, arrays):
+        message = outgoing[first_words[p] : first_words[p] + words_out[p]]
+        for name, part in columns_of(message, end - begin, arrays):
             arrays[name].take(rows[begin:end], axis=0, out=part, mode="clip")
-    ranks.comm.Alltoallv([outgoing, (words_out, starts(words_out))], [incoming, (words_in, starts(words_in))])
+        if p == me:
+            places[p][:] = message
+        else:
+            requests += send(ranks, p, message, len(message))
+    MPI.Request.Waitall(requests)
     arrived = {name: np.empty((int(arriving.sum()), *column.shape[1:]), column.dtype) for name, column in arrays.items()}
     for p, begin, end in parts(arriving):
-        for name, part in columns_of(incoming[starts(words_in)[p] :], end - begin, arrays):
+        for name, part in columns_of(places[p], end - begin, arrays):
             arrived[name][begin:end] = part
     return arrived, arriving
+
+
+def send(ranks: Communicator, to: int, message: Array, size: int) -> list[MPI.Request]:
+    """Begin to send the first `size` words of a message, in as many pieces as the whole message would need."""
+    pieces = [message[at : min(at + MOST_WORDS, size)] for at in range(0, len(message), MOST_WORDS)]
+    ranks.messages += len(pieces)
+    ranks.bytes["rows"] += WORD * size
+    return [ranks.comm.Isend([piece, MPI.DOUBLE], dest=to, tag=TAG) for piece in pieces]
+
+
+def receive(ranks: Communicator, sender: int, place: Array) -> list[MPI.Request]:
+    """Begin to receive a message of up to as many words as there are in `place`, in the pieces of `send`."""
+    pieces = (place[at : at + MOST_WORDS] for at in range(0, len(place), MOST_WORDS))
+    return [ranks.comm.Irecv([piece, MPI.DOUBLE], source=sender, tag=TAG) for piece in pieces]
 
 
 def allgather_rows(ranks: Communicator, arrays: dict[str, Array]) -> dict[str, Array]:
@@ -74,15 +97,23 @@ def allgather_rows(ranks: Communicator, arrays: dict[str, Array]) -> dict[str, A
 
 def sendrecv(ranks: Communicator, others: Sequence[int], outgoing: Sequence[Array]) -> Array:
     """Send one float64 message to each of the `others`, which do the same; returns what they sent, one after the other."""
-    comm = ranks.comm
-    requests = [comm.Isend([message, MPI.DOUBLE], dest=p, tag=TAG) for p, message in zip(others, outgoing, strict=True)]
+    requests = []
+    for p, message in zip(others, outgoing, strict=True):  # the last piece, which may be empty, is not full
+        pieces = [message[at : at + MOST_WORDS] for at in range(0, len(message) + 1, MOST_WORDS)]
+        requests += [ranks.comm.Isend([piece, MPI.DOUBLE], dest=p, tag=TAG) for piece in pieces]
+        ranks.bytes["rows"] += WORD * len(message)
     ranks.messages += len(requests)
-    status = MPI.Status()
-    messages = [(comm.Mprobe(source=p, tag=TAG, status=status), status.Get_count(MPI.DOUBLE)) for p in others]
+    status, messages = MPI.Status(), []
+    for p in others:
+        size = MOST_WORDS
+        while size == MOST_WORDS:
+            piece = ranks.comm.Mprobe(source=p, tag=TAG, status=status)
+            size = status.Get_count(MPI.DOUBLE)
+            messages.append((piece, size))
     incoming = np.empty(sum(size for _, size in messages))
     at = 0
-    for message, size in messages:
-        message.Recv([incoming[at : at + size], MPI.DOUBLE])
+    for piece, size in messages:
+        piece.Recv([incoming[at : at + size], MPI.DOUBLE])
         at += size
     MPI.Request.Waitall(requests)
     return incoming
@@ -170,19 +201,18 @@ class Halo:
 
     def exchange(self, pack: Callable[[Array, Array], int]) -> list[tuple[int, Array]]:
         """Refresh the ghosts by what `pack(rows, buffer)` writes, returning its length: (first row, message)s. Collective."""
-        comm, requests = self.ranks.comm, []
+        ranks, requests = self.ranks, []
         for (p, _, _), buffer in zip(self.incoming, self.receive_buffers, strict=True):
-            requests.append(comm.Irecv([buffer, MPI.DOUBLE], source=p, tag=TAG))
+            requests += receive(ranks, p, buffer)
         for (p, begin, end), buffer in zip(self.outgoing, self.send_buffers, strict=True):
-            size = pack(self.rows[begin:end], buffer)
-            requests.append(comm.Isend([buffer, size, MPI.DOUBLE], dest=p, tag=TAG))
-        self.ranks.messages += len(self.outgoing)
+            requests += send(ranks, p, buffer, pack(self.rows[begin:end], buffer))
         statuses = [MPI.Status() for _ in requests]
         MPI.Request.Waitall(requests, statuses)
-        return [
-            (self.owned + begin, buffer[: status.Get_count(MPI.DOUBLE)])
-            for (_, begin, _), buffer, status in zip(self.incoming, self.receive_buffers, statuses, strict=False)
-        ]
+        sizes, arrived = (status.Get_count(MPI.DOUBLE) for status in statuses), []
+        for (_, begin, _), buffer in zip(self.incoming, self.receive_buffers, strict=True):
+            size = sum(next(sizes) for _ in range(0, len(buffer), MOST_WORDS))
+            arrived.append((self.owned + begin, buffer[:size]))
+        return arrived
 
 
 class PersistentMessages:
@@ -193,9 +223,9 @@ class PersistentMessages:
         self.sent = np.empty((len(halo.rows), width))
         self.received = np.empty((sum(last - first for _, first, last in halo.incoming), width))
         self.ghosts = slice(halo.owned, halo.owned + len(self.received))
-        self.requests = [comm.Recv_init([self.received[b:e], MPI.DOUBLE], source=p, tag=TAG) for p, b, e in halo.incoming]
+        self.requests = [comm.Recv_init(piece, source=p, tag=TAG) for p, piece in in_pieces(self.received, halo.incoming)]
         self.receives = len(self.requests)
-        self.requests += [comm.Send_init([self.sent[b:e], MPI.DOUBLE], dest=p, tag=TAG) for p, b, e in halo.outgoing]
+        self.requests += [comm.Send_init(piece, dest=p, tag=TAG) for p, piece in in_pieces(self.sent, halo.outgoing)]
 
     def exchange(self, *tables: Array) -> None:
         """Ghost rows of the tables (rows, columns) as their owners have them, in place. Collective."""
@@ -204,6 +234,7 @@ class PersistentMessages:
         else:
             np.concatenate([table[self.rows] for table in tables], axis=1, out=self.sent)
         self.ranks.messages += len(self.requests) - self.receives
+        self.ranks.bytes["rows"] += self.sent.nbytes
         MPI.Prequest.Startall(self.requests)
         MPI.Request.Waitall(self.requests)
         at = 0
@@ -216,6 +247,14 @@ class PersistentMessages:
         if not MPI.Is_finalized():
             for request in self.requests:
                 request.Free()
+
+
+def in_pieces(table: Array, rows: list[tuple[int, int, int]]) -> Iterator[tuple[int, list[Any]]]:
+    """(rank, what MPI takes as a message) for the rows of a table (n, width) that `parts` gives to each rank."""
+    most = max(MOST_WORDS // table.shape[1], 1)
+    for p, begin, end in rows:
+        for at in range(begin, end, most):
+            yield p, [table[at : min(at + most, end)], MPI.DOUBLE]
 
 
 def blocks(ranks: Communicator, columns: dict[str, Array], ids: IdRange) -> Iterator[dict[str, Array]]:
@@ -236,20 +275,22 @@ def blocks(ranks: Communicator, columns: dict[str, Array], ids: IdRange) -> Iter
     counts = ranks.allgather_array(np.array(len(mine["id"])))
     width = sum(prod(column.shape[1:]) for column in columns.values())
 
-    def start(rank: int) -> tuple[dict[str, Array], MPI.Request]:
+    def start(rank: int) -> tuple[dict[str, Array], list[MPI.Request]]:
         """Begin to send the block of a rank to all."""
         buffer = np.empty(int(counts[rank]) * width, np.int64)
         block = dict(columns_of(buffer, int(counts[rank]), columns))
         if rank == ranks.rank:
             ranks.messages += 1
+            ranks.bytes["gathers"] += buffer.nbytes * (ranks.size - 1)
             for name, column in block.items():
                 column[:] = mine[name]
-        return block, ranks.comm.Ibcast(buffer, root=rank)
+        pieces = range(0, len(buffer), MOST_WORDS)
+        return block, [ranks.comm.Ibcast(buffer[at : at + MOST_WORDS], root=rank) for at in pieces]
 
     coming = start(0)
     for rank in range(ranks.size):
-        block, request = coming
-        request.Wait()
+        block, requests = coming
+        MPI.Request.Waitall(requests)
         if rank + 1 < ranks.size:
             coming = start(rank + 1)
         yield block

@@ -39,3 +39,9 @@ def test_ranks_get_equal_work(ranks):
         spread = name not in ("cluster", "crowded")
         assert reductions <= 1 + levels * (1 if spread else 4), (name, reductions)  # the first one: how far positions extend
         assert rounds <= 11, (name, rounds)  # 63 bits, 6 in a round
+
+
+@pytest.mark.parametrize("ranks", [1, 2, 3])
+def test_messages_that_are_too_long_for_mpi_are_sent_in_pieces(ranks):
+    done = run_ranks(ranks, "tests/parallel/long_messages.py")
+    assert "the same bits" in done.stdout, done.stderr
