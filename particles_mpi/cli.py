@@ -170,14 +170,19 @@ def scaling(
     scene: Annotated[Path | None, typer.Argument(metavar="[SCENE.toml]", help="A scene of yours; else headline.toml.")] = None,
     quick: Quick = False,
     output: Folder = None,
+    counts: Annotated[
+        bool, typer.Option("--counts", help="Only what ranks send and hold: ranks may be more than cores.")
+    ] = False,
 ) -> None:
     """Strong and weak scaling over 1, 2, 4 ... ranks of this start, phases, and a model of more ranks.
 
-    Example:   RANKS=4 ./run.sh study scaling my.toml
+    Example:   RANKS=4 ./run.sh study scaling my.toml,   RANKS=32 ./run.sh study scaling --counts
     """
+    from particles_mpi.study.scaling.counted import count
     from particles_mpi.study.scaling.measure import scale
 
-    scale(load(scene) if scene else None, output or Path("out/study/scaling") / (scene.stem if scene else ""), quick)
+    described, folder = load(scene) if scene else None, output or Path("out/study/scaling") / (scene.stem if scene else "")
+    (count if counts else scale)(described, folder, quick)
 
 
 @study.command("hard-cases")

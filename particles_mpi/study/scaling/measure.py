@@ -105,6 +105,7 @@ def counters(sim: Simulation) -> dict[str, float]:
     ranks, near = sim.ranks, sim.near
     searching = near and divides(sim) and "mutual_gravity" not in sim.forces
     counted = {name: getattr(ranks, name) for name in ("rows", "messages", "reductions", "all_to_alls")}
+    counted |= {f"bytes_{kind}": sent for kind, sent in ranks.bytes.items()}
     counted |= {"fetches": near.searches if searching else sim.steps_done, "ghost_rows": near.ghost_rows if near else 0}
     return counted | {f"{PHASE}{name}": seconds for name, seconds in sim.timers.seconds.items()}
 
@@ -181,17 +182,26 @@ def scale(described: Scene | None, folder: Path, quick: bool, comm: Any = None) 
     ]
     if not no_weak:
         curves.append(Curve(f"weak, N/P = {total}", True, [points[float(count), count] for count in counts]))
+    law, found = law_of(scene, total, divided), list(points.values())
+    model = fit(found, law, row_bytes(scene)) if ranks.size > 1 else None
+    result = Result(scene.title or "untitled scene", law, curves, found, model, no_weak, described is None)
+    with failing_together(ranks, f"cannot write into {folder}"):
+        ranks.run_on_root(lambda: write(result, folder, screen))
+
+
+def row_bytes(scene: Scene) -> int:
+    """Bytes of a ghost, as they are sent."""
     ghosts = (FIELDS[name] for name in fields_of(scene) if FIELDS[name].ghost)
-    row_bytes = sum(8 * (scene.dimension if column.vector else 1) for column in ghosts)  # as they are sent
+    return sum(8 * (scene.dimension if column.vector else 1) for column in ghosts)
+
+
+def law_of(scene: Scene, total: int, divided: bool) -> Law:
+    """How work and traffic of the scene grow; `divided`: does each rank compute its part of space?"""
     growth, everyone = "N", not divided
     if "mutual_gravity" in scene.effects:
         tree = scene.effects["mutual_gravity"].choice(scene, total).angle is not None
         growth, everyone = ("N log N", False) if tree else ("N^2", True)
-    law, found = Law(growth, edges(scene), tuple(scene.periodic), everyone, divided), list(points.values())
-    model = fit(found, law, row_bytes) if ranks.size > 1 else None
-    result = Result(scene.title or "untitled scene", law, curves, found, model, no_weak, described is None)
-    with failing_together(ranks, f"cannot write into {folder}"):
-        ranks.run_on_root(lambda: write(result, folder, screen))
+    return Law(growth, edges(scene), tuple(scene.periodic), everyone, divided)
 
 
 def write(result: Result, folder: Path, screen: Screen) -> None:

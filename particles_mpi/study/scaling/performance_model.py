@@ -1,11 +1,12 @@
 """A model of the seconds of a step with N particles on P ranks, fitted where it was measured, a guess elsewhere.
 
-    t = fixed + imbalance * each * work(N)/P + row * rows(N, P) + latency * stages(P)
+    t = fixed + imbalance * each * work(N)/P + row * rows(N, P) + latency * stages(P) + bytes for all others / bandwidth
 
 work(N): N, N log2 N (tree) or N^2 (direct sum). rows: particles of others that a rank fetches in a step, those within
-a layer around its block of space. stages: messages one after the other: one to each neighbour, log2 P for a reduction,
-P - 1 for an exchange in which every rank may send to every other (Alltoallv, pairwise). The costs are fitted to the phases by
-non-negative least squares of relative errors (Lawson and Hanson 1974); the numbers of rows, messages and reductions are counted.
+a layer around its block of space. stages: messages one after the other: one to each neighbour, log2 P for a reduction, and for
+an exchange in which every rank tells every other how many rows come (J. Bruck et al., IEEE TPDS 8, 1143, 1997). Bytes for all
+others: what a rank sends P - 1 times. The costs are fitted to the phases by non-negative least squares of relative errors
+(Lawson and Hanson 1974); the numbers of rows, messages, reductions and bytes are counted.
 """
 
 from collections.abc import Sequence
@@ -117,9 +118,11 @@ class Model:
     """What a rank does in a step, and what that costs in seconds.
 
     thickness: of the layer of rows that is fetched `fetches` times, in mean distances; messages: to one neighbour; all_to_alls:
-    exchanges of all with all. Costs: `fixed` of a step, `each` of a unit of work, `row` of a row of row_bytes, `latency` of a
-    stage. imbalance: work of the slowest rank over the mean; measured: ranks up to which it was fitted, in one machine; beyond
-    them the latency and the bandwidth of a network come in.
+    exchanges of all with all; for_each: bytes for each of the other ranks, wherever it is.
+
+    Costs: `fixed` of a step, `each` of a unit of work, `row` of a row of row_bytes, `latency` of a stage. imbalance: work of the
+    slowest rank over the mean; measured: ranks up to which it was fitted, in one machine; beyond them the latency and the
+    bandwidth of a network come in.
     """
 
     law: Law
@@ -135,28 +138,48 @@ class Model:
     each: float = 0.0
     row: float = 0.0
     latency: float = 0.0
+    for_each: float = 0.0
 
     def rows(self, particles: float, ranks: int) -> float:
         """Rows that a rank fetches in a step."""
         return self.fetches * self.law.rows(particles, ranks, self.thickness) if ranks > 1 else 0.0
 
+    def stages_for(self, ranks: int) -> dict[str, float]:
+        """Messages of a rank in a step, one after the other, by what they are for."""
+        depth, neighbours = ceil(log2(ranks)), self.law.neighbours(ranks)
+        collective = {"reductions": self.reductions * depth, "exchanges of all with all": self.all_to_alls * depth}
+        return {"messages to neighbours": self.messages * neighbours} | collective
+
     def stages(self, ranks: int) -> float:
-        """Messages of a rank in a step, one after the other."""
-        depth = ceil(log2(ranks))
-        at_once = self.messages * self.law.neighbours(ranks) + self.reductions * depth
-        return at_once + self.all_to_alls * (depth + ranks - 1)
+        """All of them."""
+        return sum(self.stages_for(ranks).values())
 
     def parts(self, particles: float, ranks: int) -> dict[str, float]:
         """Seconds of a step, term by term."""
-        row, latency = self.row, self.latency
+        row, latency, byte = self.row, self.latency, 0.0
         if ranks > self.measured:
-            row, latency = row + self.row_bytes / NETWORK_BANDWIDTH, max(latency, NETWORK_LATENCY)
+            byte = 1.0 / NETWORK_BANDWIDTH
+            row, latency = row + self.row_bytes * byte, max(latency, NETWORK_LATENCY)
         return {
             "fixed": self.fixed,
             "work": (self.imbalance if ranks > 1 else 1.0) * self.each * self.law.share(particles, ranks),
             "rows": row * self.rows(particles, ranks),
             "latency": latency * self.stages(ranks),
+            "all_others": byte * self.for_each * (ranks - 1),
         }
+
+    def limit(self, particles: float, ranks: int, weak: bool) -> str:
+        """The longest term of a step that does not fall with the number of ranks, in words, with its share of the step.
+
+        `weak`: the number of particles of a rank is constant, and with it what a step costs apart from particles does no harm.
+        """
+        parts, stages = self.parts(particles, ranks), self.stages_for(ranks)
+        terms = {f"latency of {name}": parts["latency"] * n / max(self.stages(ranks), 1e-300) for name, n in stages.items()}
+        terms |= {"rows of ghosts": parts["rows"], "bytes for all other ranks": parts["all_others"]}
+        if not weak:
+            terms["what a step costs apart from particles"] = parts["fixed"]
+        longest = max(terms, key=lambda name: terms[name])
+        return f"{longest} ({terms[longest] / sum(parts.values()):.0%} of a step)"
 
     def seconds(self, particles: float, ranks: int) -> float:
         return sum(self.parts(particles, ranks).values())
@@ -187,6 +210,7 @@ def fit(points: Sequence[Point], law: Law, row_bytes: float) -> Model:
     names = ("fetches", "reductions", "all_to_alls")
     fetches, reductions, all_to_alls = (median(p.counts[name] for p in widest) for name in names)
     messages, measured = median(p.counts["messages"] / law.neighbours(p.ranks) for p in widest), max(p.ranks for p in timed)
+    for_each = median((p.counts["bytes_gathers"] + p.counts["bytes_counts"]) / (p.ranks - 1) for p in widest)
     imbalance = median([p.slowest / p.own for p in several] or [1.0])
     thickness = median(layers or [0.0])
     model = Model(law, thickness, fetches, messages, reductions, all_to_alls, row_bytes, measured, imbalance)
@@ -195,7 +219,7 @@ def fit(points: Sequence[Point], law: Law, row_bytes: float) -> Model:
     talkers = [p for p in several if p.talk > 0.0]  # none where no phase is communication alone
     talking = [[model.rows(p.particles, p.ranks), model.stages(p.ranks)] for p in talkers]
     row_sent, latency = costs(talking, [p.talk for p in talkers]) if talkers else (0.0, 0.0)
-    return replace(model, fixed=fixed, each=each, row=row + row_sent, latency=latency)
+    return replace(model, fixed=fixed, each=each, row=row + row_sent, latency=latency, for_each=for_each)
 
 
 def costs(units: Sequence[Sequence[float]], seconds: Sequence[float]) -> list[float]:

@@ -9,13 +9,14 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from particles_mpi.parallel.communicator import KINDS
 from particles_mpi.run.console import Screen
 from particles_mpi.study.report import numbers_table
 from particles_mpi.study.scaling.performance_model import Law, Model, Point
 
-EXTRAPOLATED = [1 << k for k in range(11)]  # ranks that the model is asked about
+EXTRAPOLATED = [1 << k for k in (*range(11), 16)]  # ranks that the model is asked about
 DISTURBED = 1e-4  # seconds: no message within a machine takes that long, unless somebody else has the core
-COUNTS = ("fetches", "rows", "ghost_rows", "messages", "reductions", "all_to_alls")
+COUNTS = ("fetches", "rows", "ghost_rows", "messages", "reductions", "all_to_alls", *(f"bytes_{kind}" for kind in KINDS))
 SHOWN = 7  # phases of a table, and of the figure
 COURSE = {4: 148.0, 8: 37.9, 16: 10.3, 32: 3.13, 64: 1.036}  # cores: seconds of 500 steps, as the course code printed
 COURSE_STEPS, COURSE_LABEL = 500, "course code, N = 32000, Xeon Gold 6230"
@@ -125,6 +126,9 @@ def say_model(result: Result, model: Model, screen: Screen) -> None:
         cells = ((r["seconds_per_step"], r["efficiency"], r["seconds_work"]) for r in rows if r["ranks"] == ranks)
         table.add_row(str(ranks), *(f"{seconds * 1e3:.3g} ms, {e:.0%}, {work / seconds:.0%}" for seconds, e, work in cells))
     screen.table(table)
+    for curve in result.curves:
+        limits = (f"on {ranks} ranks {model.limit(curve.particles(ranks), ranks, curve.weak)}" for ranks in EXTRAPOLATED[-2:])
+        screen.say(f"  what ends the scaling ({curve.name}): {', '.join(limits)}")
     fitted = [p for p in result.points if not p.oversubscribed]
     residuals = ", ".join(f"N = {p.particles} on {p.ranks}: {model.residual(p):+.0%}" for p in fitted)
     screen.say("\n  assumed: ".join([f"  error of the model where it was fitted: {residuals}", *model.assumptions]))

@@ -1,0 +1,264 @@
+"""`study scaling --counts`: what a rank sends and holds in a step, counted on as many ranks as were started.
+
+Counts are the same where ranks share cores, so there may be many more ranks than cores. Each scene grows with the ranks (weak:
+PER_RANK particles on each) and is divided among them (strong). Every column should stay flat on a weak curve past FROM ranks,
+and fall on a strong one as the surface of a block of space; `verdict` names those that do not. Only steps on a single rank
+are timed: with the counts they give the model of many ranks.
+
+How often mode rewind renews its candidates is learned during a run; here it is every INTERVAL steps, so that counts can be
+compared. Memory is the largest sum of all arrays of a rank (of tracemalloc; what kernels allocate for themselves is not in it).
+"""
+
+import tracemalloc
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import inf, log
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from particles_mpi.errors import SceneError, StoppedError
+from particles_mpi.output.files import failing_together
+from particles_mpi.parallel.agreement import raise_first, raising_together
+from particles_mpi.parallel.communicator import KINDS, Communicator
+from particles_mpi.run.console import Screen
+from particles_mpi.scene.schema import Scene
+from particles_mpi.simulation import Simulation
+from particles_mpi.study.report import numbers_table, write_csv
+from particles_mpi.study.scaling.measure import HEADLINE, counters, divides, law_of, rank_counts, row_bytes, unable_to_grow
+from particles_mpi.study.scaling.performance_model import Law, Point, fit
+from particles_mpi.study.scaling.report import Curve, Result, say_model
+from particles_mpi.study.scaling.scale_scene import scale_scene
+
+PER_RANK = 2000  # particles; fewer would be blocks of space that are all surface
+LARGEST, QUICK = 32, 8  # ranks of the strong curve's scene; ranks at most with --quick
+INTERVAL, STEPS = 8, 24  # steps from one search for neighbours to the next, and those that are counted
+FROM, TOLERANCE = 8, 0.1  # ranks from which on a column is judged, and how much it may change
+MANY = 1 << 21  # ranks: nearly all blocks have neighbours on all sides
+SENT = {f"bytes_{kind}": f"bytes: {kind}" for kind in KINDS}
+COLUMNS = {
+    "bytes": "bytes sent", **SENT, "messages": "messages", "reductions": "reductions", "all_to_alls": "all-to-alls",
+    "ghosts": "ghost rows", "memory": "memory, MB", "memory_start": "memory of set-up, MB",
+}  # fmt: skip
+CAUSES = {
+    "bytes_rows": "rows of ghosts or of a tree, and what is sent of each",
+    "bytes_counts": "in every exchange each rank tells all others how many rows come: P - 1 numbers",
+    "bytes_gathers": "each rank sends its box, its sums and errors to all others: P - 1 times",
+    "bytes_reductions": "each number is sent in log2 P stages",
+    "messages": "a rank has more neighbours, or sends to all",
+    "reductions": "more numbers have to be agreed on",
+    "all_to_alls": "more exchanges of all with all",
+    "ghosts": "ghosts come from further away",
+    "memory": "arrays with an entry for each rank, or with particles of others",
+    "memory_start": "arrays with an entry for each rank, or with particles of others",
+}
+
+
+@dataclass(frozen=True)
+class Counted:
+    """One scene on so many ranks: the counts of a step, mean over the ranks and largest of a rank. `seconds`: on one rank."""
+
+    particles: int
+    ranks: int
+    mean: dict[str, float]
+    most: dict[str, float]
+    seconds: float
+
+    def point(self) -> Point:
+        """As the model takes it: only a rank that was alone was timed."""
+        s = self.seconds
+        return Point(self.particles, self.ranks, s, s, s, s, s, 0.0, self.mean, oversubscribed=self.ranks > 1)
+
+
+def count(described: Scene | None, folder: Path, quick: bool, comm: Any = None) -> None:
+    """Count, print tables and verdicts, write counts.csv and counts_model.csv. Collective.
+
+    `described`: None for the headline gas, in both modes of collisions. `quick`: on QUICK ranks at most.
+    """
+    world = Communicator(comm)
+    screen = Screen(world.is_root, False)
+    with failing_together(world, f"cannot write into {folder}"):
+        if world.is_root:
+            folder.mkdir(parents=True, exist_ok=True)
+    with raising_together(world):
+        scenes = [described] if described else [in_mode(Scene.load(HEADLINE), mode) for mode in ("rewind", "event")]
+    counts = [number for number in rank_counts(world.size) if number <= (QUICK if quick else inf)]
+    tables: dict[str, list[dict[str, Any]]] = {"counts.csv": [], "counts_model.csv": []}
+    for scene in scenes:
+        counted, divided = count_scene(scene, world, counts, screen)
+        if not world.is_root:
+            continue
+        law = law_of(scene, counted[0][0].particles, divided)
+        names = [f"strong, N = {counted[0][0].particles}", f"weak, N/P = {counted[-1][0].particles}"]
+        curves = [Curve(name, weak, [one.point() for one in points]) for name, weak, points in zip(names, (False, True), counted)]
+        for curve, points in zip(curves, counted, strict=True):
+            tables["counts.csv"] += table_rows(title(scene), curve.name, points)
+            say(title(scene), curve, points, law, screen)
+        if counts[-1] > 1:
+            found = [point for curve in curves for point in curve.points]
+            model = fit(found, law, row_bytes(scene))
+            result = Result(title(scene), law, curves, found, model, [], False)
+            say_model(result, model, screen)
+            tables["counts_model.csv"] += [{"scene": title(scene)} | row for row in result.predicted_rows(model)]
+    with failing_together(world, f"cannot write into {folder}"):
+        world.run_on_root(lambda: [write_csv(folder / name, table) for name, table in tables.items() if table])
+    screen.say(f"written: {', '.join(str(folder / name) for name, table in tables.items() if table)}")
+
+
+def in_mode(scene: Scene, mode: str) -> Scene:
+    """The scene with another mode of collisions."""
+    tables = scene.to_dict()
+    tables["effects"]["collisions"]["mode"] = mode
+    return Scene.from_dict(tables, scene.folder)
+
+
+def title(scene: Scene) -> str:
+    """Of the scene, with its mode of collisions."""
+    collisions = scene.effects.get("collisions")
+    return (scene.title or "untitled scene") + (f", mode {collisions.mode}" if collisions else "")
+
+
+def count_scene(scene: Scene, world: Communicator, counts: list[int], screen: Screen) -> tuple[list[list[Counted]], bool]:
+    """The points of the strong curve, and of the weak one if the scene can grow; do ranks divide space? Collective."""
+    own, weak = sum(population.count or 0 for population in scene.particles), not unable_to_grow(scene)
+    strong = PER_RANK * min(LARGEST, counts[-1])
+    curves = [[(strong, ranks) for ranks in counts], [(PER_RANK * ranks, ranks) for ranks in counts]][: 1 + weak]
+    wanted = list(dict.fromkeys(setting for curve in curves for setting in curve))
+    progress = screen.count("counting", len(wanted))
+    scaled = lambda total: scale_scene(scene, total / own) if weak else scene  # noqa: E731
+    pairs = Communicator(world.comm.Split(world.rank // 2))
+    run_counted(scaled(PER_RANK * pairs.size), pairs)  # loads modules and kernels, which are not to be counted as memory
+    found, divided = {}, True
+    for total, ranks in wanted:
+        subset, mine, error = world.subset(ranks), None, None
+        if subset:
+            try:
+                mine = run_counted(scaled(total), subset)
+            except (SceneError, StoppedError) as raised:  # on all of the subset together
+                error = raised
+        world.sleeping_barrier()
+        raise_first(world, error)
+        every = [part for part in world.allgather(mine) if part]
+        columns = [counted for _, counted, _ in every]
+        mean, most = ({name: float(of([one[name] for one in columns])) for name in columns[0]} for of in (np.mean, np.max))
+        sim, _, seconds = every[0]
+        found[total, ranks] = Counted(sim[0], ranks, mean, most, seconds)
+        divided &= ranks == 1 or sim[1]
+        progress("counting")
+    screen.stop()
+    return [[found[setting] for setting in curve] for curve in curves], divided
+
+
+class Regular:
+    """Instead of a `RebuildTuner`: candidates always last INTERVAL steps."""
+
+    steps = INTERVAL
+
+    def step(self, pairs: int) -> None:
+        """Nothing is learned."""
+
+    def work(self, rows: int, tests: int, asked: int) -> float:
+        """Nothing is compared."""
+        return 0.0
+
+    def next(self, work: float, crossing: float) -> int:
+        """Steps that the next candidates shall last."""
+        return INTERVAL
+
+
+def run_counted(scene: Scene, ranks: Communicator) -> tuple[tuple[int, bool], dict[str, float], float]:
+    """((number of particles, do ranks divide space), counts of a step on this rank, its seconds if it is alone). Collective."""
+    tracemalloc.start()
+    sim = Simulation(scene, comm=ranks.comm)
+    if hasattr(sim.near, "tuner"):
+        sim.near.tuner = Regular()
+    memory_start = tracemalloc.get_traced_memory()[1]
+    to_search(sim, 1)
+    tracemalloc.reset_peak()
+    before, first = counters(sim), sim.steps_done
+    to_search(sim, STEPS)
+    memory = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    steps, seconds = sim.steps_done - first, 0.0
+    columns = {name: (value - before.get(name, 0)) / steps for name, value in counters(sim).items()}
+    columns["bytes"] = sum(columns[name] for name in SENT)
+    holder = vars(sim.near).get("windows", sim.near) if sim.near else None  # of the ghosts: what divides space
+    columns["ghosts"] = holder.ghost_rows / max(holder.searches, 1) if holder else 0.0
+    columns |= {"memory": memory / 1e6, "memory_start": memory_start / 1e6}
+    if ranks.size == 1:
+        begin = perf_counter()
+        to_search(sim, STEPS)
+        seconds = (perf_counter() - begin) / (sim.steps_done - first - steps)
+    return (sim.total, divides(sim)), columns, seconds
+
+
+def to_search(sim: Simulation, least: int) -> None:
+    """At least so many steps, and on to the end of the next one with a search for neighbours, if there is one soon."""
+    searches = -1
+    for done in range(least + INTERVAL):
+        if done >= least and (sim.near is None or sim.near.searches > searches >= 0):
+            break
+        searches = sim.near.searches if sim.near else 0
+        sim.step()
+
+
+def verdict(name: str, points: list[Counted], law: Law, weak: bool) -> str:
+    """How the mean of a column changes past FROM ranks: flat, as geometry makes it, or what is wrong with it."""
+    past = [point for point in points if point.ranks >= FROM]
+    if len(past) < 2:
+        return f"more than {FROM} ranks needed"
+    first, last = past[0], past[-1]
+    before, after = first.mean[name], last.mean[name]
+    if not before or not after:
+        return "none" if before == after else f"NOT FLAT: {amount(before)} to {amount(after)}; {cause(name, first, last)}"
+    growth = after / before
+    if abs(growth - 1.0) <= TOLERANCE:
+        return "flat"
+    thickness = law.thickness(first.particles, first.ranks, first.mean["ghosts"])
+    if name in ("bytes", "bytes_rows", "ghosts"):
+        sizes = [law.rows(p.particles, p.ranks, thickness) for p in (first, last, Counted(MANY * PER_RANK, MANY, {}, {}, 0.0))]
+        reason = "as the surface of a block"
+    elif name == "messages":
+        sizes, reason = [law.neighbours(ranks) for ranks in (first.ranks, last.ranks, MANY)], "as the neighbours of a block"
+    elif name.startswith("memory"):
+        sizes, reason = [p.particles / p.ranks for p in (first, last, last)], "as the particles of a rank"
+    else:
+        sizes, reason = [1.0, 1.0, 1.0], ""
+    if reason and sizes[0] > 0.0 and growth <= (1.0 + TOLERANCE) * sizes[1] / sizes[0]:
+        limit = f", x {sizes[2] / sizes[0]:.2g} at most" if weak or name == "messages" else ""
+        return f"x {growth:.2g}: {reason}{limit}"
+    exponent = log(growth) / log(last.ranks / first.ranks)
+    return f"NOT FLAT: x {growth:.2g}, P^{exponent:.2f}; {cause(name, first, last)}"
+
+
+def cause(name: str, first: Counted, last: Counted) -> str:
+    """Why a column is not flat; of all bytes, the kind that grew most."""
+    if name == "bytes":
+        name = max(SENT, key=lambda kind: last.mean[kind] - first.mean[kind])
+    return CAUSES[name]
+
+
+def say(scene: str, curve: Curve, points: list[Counted], law: Law, screen: Screen) -> None:
+    """A line for each column: its mean over the ranks for every number of ranks, and the verdict; and the largest rank's."""
+    table = numbers_table("a rank and step", *(f"P = {point.ranks}" for point in points), "largest", "past 8 ranks")
+    for name, words in COLUMNS.items():
+        means = (amount(point.mean[name]) for point in points)
+        table.add_row(words, *means, amount(points[-1].most[name]), verdict(name, points, law, curve.weak))
+    screen.say(f"[bold]{scene}[/bold]: {curve.name}, counted")
+    screen.table(table)
+
+
+def amount(value: float) -> str:
+    """A short text: whole numbers from 100 on, else three digits."""
+    return f"{value:,.0f}".replace(",", " ") if value >= 100.0 else f"{value:.3g}"
+
+
+def table_rows(scene: str, curve: str, points: list[Counted]) -> Iterator[dict[str, Any]]:
+    """Of counts.csv: a row for each point, mean and largest of each column."""
+    for point in points:
+        row = {"scene": scene, "curve": curve, "ranks": point.ranks, "particles": point.particles}
+        for name in (*COLUMNS, "fetches"):
+            row |= {name: point.mean[name], f"{name}_largest": point.most[name]}
+        yield row
