@@ -26,6 +26,7 @@ from particles_mpi.initial.random_addition import JAMMED, RandomAddition
 from particles_mpi.initial.random_numbers import draw, stream_key, uniform
 from particles_mpi.initial.table_file import Table, read_table
 from particles_mpi.initial.velocities import random_velocities
+from particles_mpi.kernels import limits
 from particles_mpi.parallel.agreement import raising_together
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exact_sum import exact_sums
@@ -36,7 +37,6 @@ from particles_mpi.scene.model import LARGEST, faults_of
 from particles_mpi.scene.schema import Population, Scene
 
 PER_PARTICLE = ("position", "velocity", "radius", "mass", "fixed", "drag", "acceleration")
-MOST_ROWS = 2**31 - 1  # of a rank
 
 
 def populate(scene: Scene, ranks: Communicator | None = None) -> tuple[Particles, list[str]]:
@@ -162,12 +162,13 @@ class Populator:
         total, ranks = sum(counts), self.ranks.size
         need = total * 8 * (4 + 3 * self.scene.dimension) / ranks
         have = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-        if need > have or total / ranks > MOST_ROWS:
+        if need > have or total / ranks > limits.MOST:
             k = list(self.populations)[int(np.argmax(np.array(counts, float)))]
             each = f" on each of {ranks} ranks" if ranks > 1 else ""
             raise SceneError(
                 f"particles[{k}].count: {total} particles in all need {need / 1e9:.3g} GB{each},"
                 f" this machine has {have / 1e9:.3g} GB"
+                + (f"; more than {limits.MOST} particles on a rank: use more ranks" if total / ranks > limits.MOST else "")
             )
 
     def numbers(self, number: int) -> tuple[int, int]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import kernel, lean_inner
+from particles_mpi.kernels.limits import require_countable
 from particles_mpi.particles import Array
 
 LEVELS = 10  # classes of radius, each with radii at most half as large as in the one before
@@ -58,6 +59,7 @@ class SphereGrid:
         lists = np.array([1 << int(-(-int(c) // ranks) - 1).bit_length() for c in cells.prod(axis=1)])
         first = np.cumsum(lists) - lists
         self.n, d, space = 0, len(lower), int(1.05 * counts.sum() / ranks) + 1
+        require_countable(max(space, int(lists.sum())), "spheres, or cells for them,")
         self.x, self.radius, self.id = np.empty((space, d)), np.empty(space), np.empty(space, np.int64)
         head, after, level = np.full(int(lists.sum()), -1, np.int32), np.empty(space, np.int32), np.empty(space, np.int8)
         self.grids = Grids(head, after, level, reach, cells, first, lists - 1, lower, extent, length)
@@ -67,6 +69,7 @@ class SphereGrid:
         """Put spheres behind the others, and `enter` them into the lists; returns (first, last + 1) of their rows."""
         first, last = self.n, self.n + len(x)
         if last > len(self.radius):
+            require_countable(last, "spheres")
             capacity = last + last // 4
             new = np.empty((capacity, x.shape[1])), np.empty(capacity), np.empty(capacity, np.int64)
             grids = self.grids._replace(after=np.empty(capacity, np.int32), level=np.empty(capacity, np.int8))

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from particles_mpi.kernels import limits
 from particles_mpi.kernels.jit import kernel, lean_inner
 from particles_mpi.particles import Array
 
@@ -47,7 +48,7 @@ def grid(x: Array, box: tuple[Array, Array], side: float, fine: int) -> Grid:
     low, high = bulk(x[:, :g], box[0][:g], box[1][:g])
     extent = np.maximum(high - low, 0.0)
     side = max(side, np.finfo(float).tiny, float(extent.max()) * 1e-6)
-    while np.prod(np.floor(extent / side) + 1.0) > max(len(x), 64):
+    while np.prod(np.floor(extent / side) + 1.0) > min(max(len(x), 64), limits.MOST // fine):
         side *= 1.25
     origin[first:] = low
     per[first:] = 1.0 / side

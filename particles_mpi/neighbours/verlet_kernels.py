@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from particles_mpi.kernels import limits
 from particles_mpi.kernels.geometry import Box, image_shift
 from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch
 from particles_mpi.particles import Array
@@ -74,7 +75,7 @@ def make_grid(x: Array, size: Array, box: Box, share: float) -> tuple[Grid, Arra
             largest[step] = sizes.max()
             extent = np.maximum(high - low, 1e-300)
             side = max(WIDTH * float(largest[step]), float(extent.max()) * 1e-5, 1e-300)
-            while np.prod(np.floor(extent / side) + 1.0) > max(2 * len(sizes) * share, 64):
+            while np.prod(np.floor(extent / side) + 1.0) > min(max(2 * len(sizes) * share, 64), limits.MOST // LEVELS):
                 side *= 1.25
             count = np.maximum(np.floor(extent / side), 1.0)
             cells[step, :g] = count.astype(np.int64)

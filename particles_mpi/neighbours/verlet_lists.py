@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from particles_mpi.kernels import limits
 from particles_mpi.kernels.geometry import Box
+from particles_mpi.kernels.limits import require_countable
 from particles_mpi.neighbours.cells import spacing
 from particles_mpi.neighbours.verlet_kernels import (
     BEGIN,
@@ -24,6 +26,7 @@ from particles_mpi.particles import Array
 
 WANTED = {1: 3.0, 2: 7.0, 3: 12.0}  # neighbours in a list: fewer, and lists expire too often; more, and looks take longer
 MANY = 20.0  # in more dimensions
+PLACES_IN_LISTS = "places in lists of neighbours"
 LOOSE = 1.3  # times more or fewer neighbours than wanted are accepted
 
 
@@ -72,6 +75,8 @@ class VerletLists:
         """New lists with skins of the present width, and room for `spare` rows more. Arguments as in `tune`."""
         n, d = x.shape
         rows = n + spare
+        pool = rows * (PLACES + PLACES // 2) + 64
+        require_countable(pool, PLACES_IN_LISTS)
         self.skin = max(self.width, 64.0 * np.finfo(float).eps * float(np.abs(x).max(initial=0.0)))  # above round-off of x
         reference = aligned(rows, 8 * ((d + 5 + 7) // 8))
         skin = reference[:n, d + SKIN] = np.where(w > 0.0, self.skin, 0.0)
@@ -82,7 +87,7 @@ class VerletLists:
         spans = np.zeros((rows, 4), np.int32)
         spans[:, BEGIN], spans[:, ROOM] = np.arange(rows) * PLACES, PLACES
         self.arrays = Lists(
-            reference, reference.view(np.int32), level, spans, np.empty(rows * (PLACES + PLACES // 2) + 64, np.int32),
+            reference, reference.view(np.int32), level, spans, np.empty(pool, np.int32),
             np.array([rows * PLACES]), np.full(grid.first[-1], -1, np.int32), np.empty(rows + 2, np.int32), tuple(grid),
             tuple(self.box),
         )  # fmt: skip
@@ -92,14 +97,17 @@ class VerletLists:
             self.enlarge(short)
 
     def enlarge(self, short: int) -> None:
-        """Where the pool is too small by so many places, replace it by one more than twice as large."""
+        """Where the pool is too small by so many places, replace it by one about twice as large."""
         if short > 0:
             pool = self.arrays.pool
-            self.arrays = self.arrays._replace(pool=enlarged(pool, np.empty(2 * len(pool) + short, np.int32)))
+            require_countable(len(pool) + short, PLACES_IN_LISTS)
+            size = max(min(2 * len(pool), limits.MOST), len(pool) + short)
+            self.arrays = self.arrays._replace(pool=enlarged(pool, np.empty(size, np.int32)))
 
     def grow(self) -> None:
         """Room for twice as many rows."""
         old = self.arrays
+        require_countable(int(old.used[0]) + len(old.level) * PLACES, PLACES_IN_LISTS)
         rows, more = len(old.level), doubled(old, "reference", "level", "spans", "nearby")
         self.arrays = more._replace(links=more.reference.view(np.int32))
         added = self.arrays.spans[rows:]

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from particles_mpi.kernels.limits import require_countable
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows, by_destination, send_rows
 from particles_mpi.particles import MEETING, Array, Particles, field
@@ -31,6 +32,7 @@ class RowBuffers:
         """Copy the arrays of `particles` into the buffers, if somebody else has put new ones there."""
         arrays = self.particles.arrays
         if any(array.base is not self.buffers.get(name, self) for name, array in arrays.items()):
+            require_countable(len(self.particles), "particles")
             self.buffers = {}
             for name, array in arrays.items():
                 arrays[name] = self.buffers[name] = np.array(array, order="C")  # one column at a time is there twice
@@ -44,6 +46,7 @@ class RowBuffers:
         """Make space for so many rows; the particles keep theirs."""
         if rows <= len(self.buffers["id"]):
             return
+        require_countable(rows, "particles and ghosts")
         n, space = self.count, int(rows * GROWTH) + 1
         self.spare = {}
         for name, old in self.buffers.items():

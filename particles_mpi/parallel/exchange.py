@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from mpi4py import MPI
 
+from particles_mpi.kernels.limits import require_countable
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, rows_of
 
@@ -33,8 +34,10 @@ def send_rows(ranks: Communicator, arrays: dict[str, Array], rows: Array, counts
     """
     if ranks.size == 1:
         return rows_of(arrays, rows), counts
+    require_countable(len(rows), "rows to send")
     arriving, me = np.empty_like(counts), ranks.rank
     ranks.comm.Alltoall(counts, arriving)
+    require_countable(int(arriving.sum()), "rows that arrive")
     ranks.all_to_alls += 1
     ranks.bytes["counts"] += counts.itemsize * (ranks.size - 1)
     ranks.rows += int(arriving.sum() - arriving[me])
@@ -80,13 +83,21 @@ def allgather_rows(ranks: Communicator, arrays: dict[str, Array]) -> dict[str, A
         return {name: column.copy() for name, column in arrays.items()}
     n = len(next(iter(arrays.values())))
     counts = ranks.allgather_array(np.array(n))
+    require_countable(int(counts.sum()), "rows of all ranks")
     row_size = sum(column.dtype.itemsize * prod(column.shape[1:]) for column in arrays.values())
     words = -(row_size * counts // -WORD)
     outgoing, incoming = np.empty(int(words[ranks.rank]), np.int64), np.empty(int(words.sum()), np.int64)
     for name, part in columns_of(outgoing, n, arrays):
         part[:] = arrays[name]
-    ranks.comm.Allgatherv(outgoing, [incoming, (words, starts(words))])
+    if len(incoming) <= MOST_WORDS:
+        ranks.comm.Allgatherv(outgoing, [incoming, (words, starts(words))])
+    else:
+        incoming[starts(words)[ranks.rank] :][: len(outgoing)] = outgoing
+        for p, first, last in parts(words):
+            for at in range(first, last, MOST_WORDS):
+                ranks.comm.Bcast(incoming[at : min(at + MOST_WORDS, last)], root=p)
     ranks.messages += ranks.size - 1
+    ranks.bytes["gathers"] += outgoing.nbytes * (ranks.size - 1)
     ranks.rows += int(counts.sum()) - n
     every = {name: np.empty((int(counts.sum()), *column.shape[1:]), column.dtype) for name, column in arrays.items()}
     for p, begin, end in parts(counts):

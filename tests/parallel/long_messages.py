@@ -4,7 +4,16 @@ import numpy as np
 
 from particles_mpi.parallel import exchange
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exchange import Halo, IdRange, PersistentMessages, blocks, by_destination, send_rows, sendrecv
+from particles_mpi.parallel.exchange import (
+    Halo,
+    IdRange,
+    PersistentMessages,
+    allgather_rows,
+    blocks,
+    by_destination,
+    send_rows,
+    sendrecv,
+)
 
 FULL, FEW = exchange.MOST_WORDS, exchange.FEW
 ranks = Communicator()
@@ -21,7 +30,7 @@ def all_messages(most):
     """All that arrives on this rank, as bytes, and how many messages it sent, where messages have at most so many words."""
     exchange.MOST_WORDS, before = most, ranks.messages
     arrived, arriving = send_rows(ranks, columns, order, counts)
-    found = [arriving, *arrived.values()]
+    found = [arriving, *arrived.values(), *allgather_rows(ranks, columns).values()]
     if ranks.size > 1:
         found += [sendrecv(ranks, others, [message] * len(others)) for message in messages]
         ghosts = int(arriving.sum() - arriving[ranks.rank])

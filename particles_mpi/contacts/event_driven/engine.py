@@ -16,6 +16,7 @@ from particles_mpi.contacts.event_driven.event_loop import (
     run,
 )
 from particles_mpi.contacts.event_driven.rows import (
+    EVENT_COUNT,
     GHOST,
     ID,
     LAST_CONTACT,
@@ -125,6 +126,7 @@ class Engine:
         self.work.stale[: self.pending] = here
         self.work.counts[:], self.work.flags[:], self.work.stopped[0] = 0, False, h
         self.node[:, PARTNER] = NO_EVENT
+        self.rows.state[:, EVENT_COUNT] = 0  # compared within a drift only, and there with 32 bits
         buckets = int(min(max(self.events / CONTACTS, len(here)), 4 * len(here))) + 64
         first = np.full(buckets, -1, np.int32)
         self.h = h
