@@ -1,9 +1,10 @@
-"""`study scaling` of a scene of a few particles: scale_scene.py FOLDER gas|listed|cluster, quick."""
+"""`study scaling` of a scene of a few particles: scale_scene.py FOLDER gas|listed|cluster [counts], quick."""
 
 import sys
 from pathlib import Path
 
 from particles_mpi import Scene
+from particles_mpi.study.scaling.counted import count
 from particles_mpi.study.scaling.measure import scale
 
 SCENES = {
@@ -23,4 +24,4 @@ SCENES = {
 }
 time = {"step": 0.01, "steps": 40}
 tables = {"title": sys.argv[2], "dimension": 3, "G": 1.0, "time": time, **SCENES[sys.argv[2]]}
-scale(Scene.from_dict(tables), Path(sys.argv[1]), quick=True)
+(count if sys.argv[3:] else scale)(Scene.from_dict(tables), Path(sys.argv[1]), quick=True)

@@ -12,8 +12,8 @@ pytestmark = pytest.mark.parallel
 FILES = {"scaling.csv", "scaling_model.csv", "scaling.png", "scaling.svg"}
 
 
-def scaled(ranks, folder, scene):
-    done = run_ranks(ranks, "tests/parallel/scale_scene.py", folder, scene, timeout=300)
+def scaled(ranks, folder, scene, *more):
+    done = run_ranks(ranks, "tests/parallel/scale_scene.py", folder, scene, *more, timeout=300)
     assert done.returncode == 0, done.stderr[-2000:]
     return done.stdout
 
@@ -45,10 +45,11 @@ def test_two_ranks(tmp_path):
     assert all(line.split()[0] in said for line in ("1 ", "2 ")) and said.count("speed-up") == 2
     if len(os.sched_getaffinity(0)) > 1:
         assert "MODEL, extrapolated from 1 to 2 ranks of one machine" in said and "oversubscribed" not in said
+    assert said.count("what ends the scaling (") == 2
     assert said.count("assumed: ") == 5 and "error of the model where it was fitted: N = 2000 on 1: " in said
     predicted = table(tmp_path / "scaling_model.csv")
     assert {row["kind"] for row in predicted} == {"model"}
-    assert [int(row["ranks"]) for row in predicted] == [1 << k for k in range(11)] * 2
+    assert [int(row["ranks"]) for row in predicted] == [1 << k for k in (*range(11), 16)] * 2
     assert all(float(row["seconds_per_step"]) > 0.0 for row in predicted)
 
 
@@ -88,3 +89,33 @@ def test_a_folder_that_cannot_be_is_one_error_on_all(tmp_path):
     (tmp_path / "file").write_text("")
     done = run_ranks(2, "tests/parallel/scale_scene.py", tmp_path / "file" / "under", "gas")
     assert done.returncode == 3 and "cannot write into" in done.stderr
+
+
+def test_counts(tmp_path):
+    said = scaled(2, tmp_path, "gas", "counts")
+    assert {path.name for path in tmp_path.iterdir()} == {"counts.csv", "counts_model.csv"}
+    rows = {(row["curve"].split(",")[0], row["ranks"]): row for row in table(tmp_path / "counts.csv")}
+    assert [int(rows[key]["particles"]) for key in rows] == [4000, 4000, 2000, 4000]
+    for (_, ranks), row in rows.items():
+        number = {name: float(value) for name, value in row.items() if name not in ("scene", "curve")}
+        kinds = [number[f"bytes_{kind}"] for kind in ("rows", "counts", "gathers", "reductions")]
+        assert number["bytes"] == pytest.approx(sum(kinds)) and all(
+            number[name] <= number[f"{name}_largest"] for name in ("bytes", "memory")
+        )
+        assert 0.3 < number["memory"] < 5.0 and number["memory_start"] > 0.1
+        if ranks == "1":
+            assert number["bytes"] == number["messages"] == number["ghosts"] == 0.0
+        else:
+            assert 0.1 <= number["fetches"] <= 0.3  # each INTERVAL steps, or more often
+            assert number["bytes_counts"] == pytest.approx(4 * number["all_to_alls"])  # a count of 4 bytes to the other rank
+            assert number["bytes_gathers"] == pytest.approx(11 * 8 * number["fetches"] + 6 * 8 * number["fetches"], rel=0.5)
+            assert number["bytes_rows"] > 8 * 6 * number["ghosts"] * number["fetches"]  # x and v of each
+    assert rows["strong", "2"] | {"curve": ""} == rows["weak", "2"] | {"curve": ""}  # the same setting, counted once
+    assert {row["kind"] for row in table(tmp_path / "counts_model.csv")} == {"model"}
+    assert "MODEL, extrapolated from 1 rank" in said and said.count("what ends the scaling (") == 2
+    assert "which columns are flat, is judged past 8 ranks" in said
+
+
+def test_what_is_listed_is_counted_too(tmp_path):
+    said = scaled(2, tmp_path, "listed", "counts")
+    assert {row["curve"] for row in table(tmp_path / "counts.csv")} == {"strong, N = 3"} and "weak" not in said

@@ -36,11 +36,10 @@ PER_RANK = 2000  # particles; fewer would be blocks of space that are all surfac
 LARGEST, QUICK = 32, 8  # ranks of the strong curve's scene; ranks at most with --quick
 INTERVAL, STEPS = 8, 24  # steps from one search for neighbours to the next, and those that are counted
 FROM, TOLERANCE = 8, 0.1  # ranks from which on a column is judged, and how much it may change
-MANY = 1 << 21  # ranks: nearly all blocks have neighbours on all sides
 SENT = {f"bytes_{kind}": f"bytes: {kind}" for kind in KINDS}
 COLUMNS = {
     "bytes": "bytes sent", **SENT, "messages": "messages", "reductions": "reductions", "all_to_alls": "all-to-alls",
-    "ghosts": "ghost rows", "memory": "memory, MB", "memory_start": "memory of set-up, MB",
+    "fetches": "searches", "ghosts": "ghost rows", "memory": "memory, MB", "memory_start": "memory of set-up, MB",
 }  # fmt: skip
 CAUSES = {
     "bytes_rows": "rows of ghosts or of a tree, and what is sent of each",
@@ -48,11 +47,12 @@ CAUSES = {
     "bytes_gathers": "each rank sends its box, its sums and errors to all others: P - 1 times",
     "bytes_reductions": "each number is sent in log2 P stages",
     "messages": "a rank has more neighbours, or sends to all",
-    "reductions": "more numbers have to be agreed on",
+    "reductions": "ranks agree more often: of more particles some need more passes, or more windows of time",
     "all_to_alls": "more exchanges of all with all",
+    "fetches": "all search when one of more particles has gone too far",
     "ghosts": "ghosts come from further away",
-    "memory": "arrays with an entry for each rank, or with particles of others",
-    "memory_start": "arrays with an entry for each rank, or with particles of others",
+    "memory": "more than the rows of the rank and of ghosts: entries for each rank, or all particles",
+    "memory_start": "more than the particles of the rank: entries for each rank, or all particles",
 }
 
 
@@ -204,33 +204,34 @@ def to_search(sim: Simulation, least: int) -> None:
         sim.step()
 
 
-def verdict(name: str, points: list[Counted], law: Law, weak: bool) -> str:
-    """How the mean of a column changes past FROM ranks: flat, as geometry makes it, or what is wrong with it."""
-    past = [point for point in points if point.ranks >= FROM]
-    if len(past) < 2:
-        return f"more than {FROM} ranks needed"
-    first, last = past[0], past[-1]
+def verdict(name: str, points: list[Counted], law: Law) -> str:
+    """How the mean of a column changes past FROM ranks: "flat", or as geometry makes it, or what is wrong with it."""
+    first, last = points[0], points[-1]
     before, after = first.mean[name], last.mean[name]
-    if not before or not after:
-        return "none" if before == after else f"NOT FLAT: {amount(before)} to {amount(after)}; {cause(name, first, last)}"
-    growth = after / before
-    if abs(growth - 1.0) <= TOLERANCE:
+    ideal, reason = expected(name, first, last, law)
+    if abs(after - before) <= TOLERANCE * before and ideal >= 1.0 - TOLERANCE:
         return "flat"
-    thickness = law.thickness(first.particles, first.ranks, first.mean["ghosts"])
+    grows = f"from {amount(before)} to {amount(after)} on {last.ranks} ranks"
+    if reason and after <= (1.0 + TOLERANCE) * ideal * before:
+        return f"{grows}: as {reason}"
+    power = f", as P^{log(after / before) / log(last.ranks / first.ranks):.2f}" if before and after else ""
+    return f"NOT FLAT, {grows}{power}: {cause(name, first, last)}"
+
+
+def expected(name: str, first: Counted, last: Counted, law: Law) -> tuple[float, str]:
+    """By which factor a column changes where ranks divide space perfectly, and as what; 1 and "" for what should not change."""
     if name in ("bytes", "bytes_rows", "ghosts"):
-        sizes = [law.rows(p.particles, p.ranks, thickness) for p in (first, last, Counted(MANY * PER_RANK, MANY, {}, {}, 0.0))]
-        reason = "as the surface of a block"
-    elif name == "messages":
-        sizes, reason = [law.neighbours(ranks) for ranks in (first.ranks, last.ranks, MANY)], "as the neighbours of a block"
-    elif name.startswith("memory"):
-        sizes, reason = [p.particles / p.ranks for p in (first, last, last)], "as the particles of a rank"
-    else:
-        sizes, reason = [1.0, 1.0, 1.0], ""
-    if reason and sizes[0] > 0.0 and growth <= (1.0 + TOLERANCE) * sizes[1] / sizes[0]:
-        limit = f", x {sizes[2] / sizes[0]:.2g} at most" if weak or name == "messages" else ""
-        return f"x {growth:.2g}: {reason}{limit}"
-    exponent = log(growth) / log(last.ranks / first.ranks)
-    return f"NOT FLAT: x {growth:.2g}, P^{exponent:.2f}; {cause(name, first, last)}"
+        layer = law.thickness(first.particles, first.ranks, first.mean["ghosts"])
+        if layer > (first.particles / first.ranks) ** (1.0 / len(law.edges)):  # thicker than the block
+            return 1.0, ""
+        rows = [law.rows(point.particles, point.ranks, layer) for point in (first, last)]
+        return (rows[1] / rows[0] if rows[0] else 0.0), "the surfaces that a block has in common with others"
+    if name == "messages":
+        return law.neighbours(last.ranks) / law.neighbours(first.ranks), "the number of neighbours of a block"
+    if name.startswith("memory"):
+        rows = [p.particles / p.ranks + (p.mean["ghosts"] if name == "memory" else 0.0) for p in (first, last)]
+        return rows[1] / rows[0], "the rows of a rank and its ghosts" if name == "memory" else "the particles of a rank"
+    return 1.0, ""
 
 
 def cause(name: str, first: Counted, last: Counted) -> str:
@@ -241,13 +242,21 @@ def cause(name: str, first: Counted, last: Counted) -> str:
 
 
 def say(scene: str, curve: Curve, points: list[Counted], law: Law, screen: Screen) -> None:
-    """A line for each column: its mean over the ranks for every number of ranks, and the verdict; and the largest rank's."""
-    table = numbers_table("a rank and step", *(f"P = {point.ranks}" for point in points), "largest", "past 8 ranks")
+    """A line for each column: its mean over the ranks for every number of ranks, and the largest of a rank; then the verdicts."""
+    table = numbers_table("a rank and step", *(f"P = {point.ranks}" for point in points), "largest")
     for name, words in COLUMNS.items():
-        means = (amount(point.mean[name]) for point in points)
-        table.add_row(words, *means, amount(points[-1].most[name]), verdict(name, points, law, curve.weak))
+        table.add_row(words, *(amount(point.mean[name]) for point in points), amount(points[-1].most[name]))
     screen.say(f"[bold]{scene}[/bold]: {curve.name}, counted")
     screen.table(table)
+    past = [point for point in points if point.ranks >= FROM]
+    if len(past) < 2:
+        screen.say(f"  which columns are flat, is judged past {FROM} ranks")
+        return
+    said = {words: verdict(name, past, law) for name, words in COLUMNS.items()}
+    screen.say(f"  flat past {FROM} ranks: {', '.join(words for words, text in said.items() if text == 'flat') or 'none'}")
+    for words, text in said.items():
+        if text != "flat":
+            screen.say(f"  {words}: {text}")
 
 
 def amount(value: float) -> str:
@@ -259,6 +268,6 @@ def table_rows(scene: str, curve: str, points: list[Counted]) -> Iterator[dict[s
     """Of counts.csv: a row for each point, mean and largest of each column."""
     for point in points:
         row = {"scene": scene, "curve": curve, "ranks": point.ranks, "particles": point.particles}
-        for name in (*COLUMNS, "fetches"):
+        for name in COLUMNS:
             row |= {name: point.mean[name], f"{name}_largest": point.most[name]}
         yield row

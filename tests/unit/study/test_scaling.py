@@ -8,8 +8,9 @@ import pytest
 
 from particles_mpi import Scene, SceneError
 from particles_mpi.initial.populate import populate
+from particles_mpi.study.scaling.counted import Counted, verdict
 from particles_mpi.study.scaling.measure import HEADLINE, rank_counts, settings, unable_to_grow
-from particles_mpi.study.scaling.performance_model import NETWORK_LATENCY, Law, Model, Point, fit
+from particles_mpi.study.scaling.performance_model import NETWORK_BANDWIDTH, NETWORK_LATENCY, Law, Model, Point, fit
 from particles_mpi.study.scaling.report import Curve, Result
 from particles_mpi.study.scaling.scale_scene import edges, scale_scene
 
@@ -110,6 +111,7 @@ def measured(model, particles, ranks, factor=1.0):
     slowest = own * (model.imbalance if ranks > 1 else 1.0)
     counts = {name: getattr(model, name) for name in ("fetches", "reductions", "all_to_alls")}
     counts |= {"messages": model.messages * model.law.neighbours(ranks), "rows": model.rows(particles, ranks)}
+    counts |= {"bytes_counts": 0.25 * model.for_each * (ranks - 1), "bytes_gathers": 0.75 * model.for_each * (ranks - 1)}
     if ranks == 1:
         counts = dict.fromkeys(counts, 0.0)
     seconds = factor * sum(parts.values())
@@ -117,7 +119,7 @@ def measured(model, particles, ranks, factor=1.0):
 
 
 def synthetic(law=CUBE):
-    return Model(law, 0.8, 0.15, 3.0, 5.0, 0.25, 80.0, 4, 1.0, 1e-4, 7e-8, 3e-7, 8e-6)
+    return Model(law, 0.8, 0.15, 3.0, 5.0, 0.25, 80.0, 4, 1.0, 1e-4, 7e-8, 3e-7, 8e-6, 40.0)
 
 
 @pytest.mark.parametrize("growth", ["N", "N log N", "N^2"])
@@ -128,7 +130,7 @@ def test_the_model_finds_the_costs_it_was_made_from(growth):
     found = fit(points, made.law, made.row_bytes)
     for name in ("fixed", "each", "row", "latency", "imbalance"):
         assert getattr(found, name) == pytest.approx(getattr(made, name), rel=1e-6), name
-    for name in ("thickness", "fetches", "messages", "reductions", "all_to_alls"):
+    for name in ("thickness", "fetches", "messages", "reductions", "all_to_alls", "for_each"):
         assert getattr(found, name) == pytest.approx(getattr(made, name), rel=1e-6), name
     assert max(abs(found.residual(p)) for p in points) < 1e-6
     assert found.seconds(1e6, 512) == pytest.approx(made.seconds(1e6, 512), rel=1e-6)
@@ -177,3 +179,50 @@ def test_efficiency_is_what_the_course_calls_so():
     assert strong.particles(4) == 1000 and weak.particles(4) == 4000
     tree = replace(result, law=replace(CUBE, growth="N log N"))
     assert tree.efficiency(weak, weak.points[1]) == pytest.approx(0.8 * log2(4000) / log2(1000))
+
+
+def test_what_ends_the_scaling():
+    made, quick = synthetic(), replace(synthetic(), latency=0.0)
+    assert made.limit(32_000, 64, weak=False).startswith("latency of messages to neighbours (")
+    assert replace(made, reductions=500.0).limit(32_000, 64, weak=False).startswith("latency of reductions (")
+    assert replace(made, all_to_alls=500.0).limit(32_000, 64, weak=True).startswith("latency of exchanges of all with all (")
+    assert replace(quick, fixed=1.0).limit(32_000, 4, weak=False) == "what a step costs apart from particles (100% of a step)"
+    assert replace(quick, fixed=1.0).limit(32_000, 4, weak=True).startswith("rows of ghosts (")
+    assert replace(made, for_each=1e6).limit(32_000, 65_536, weak=False).startswith("bytes for all other ranks (")
+    parts = made.parts(32_000, 4)
+    assert parts["all_others"] == 0.0  # within a machine
+    assert made.parts(32_000, 65_536)["all_others"] == pytest.approx(65_535 * 40.0 / NETWORK_BANDWIDTH)
+
+
+def counted(ranks, particles, **columns):
+    """A point with these columns; ghosts: those of a layer of one mean distance."""
+    known = {"ghosts": CUBE.rows(particles, ranks, 1.0), "bytes_rows": 0.0, "bytes_counts": 0.0} | columns
+    known |= {"bytes_gathers": known.get("bytes_gathers", 0.0), "bytes_reductions": 0.0}
+    return Counted(particles, ranks, known, known, 0.0)
+
+
+@pytest.mark.parametrize("weak", [True, False])
+def test_columns_are_flat_or_as_surfaces_or_named(weak):
+    sizes = [(ranks, 2000 * (ranks if weak else 32)) for ranks in (8, 16, 32)]
+
+    def said(name, law):
+        return verdict(name, [counted(*size, **{name: law(*size)}) for size in sizes], CUBE)
+
+    assert said("reductions", lambda ranks, n: 4.0 + ranks / 320) == "flat"
+    assert said("reductions", lambda ranks, n: float(ranks)).startswith(
+        "NOT FLAT, from 8 to 32 on 32 ranks, as P^1.00: ranks agree"
+    )
+    assert said("bytes_counts", lambda ranks, n: 0.0) == "flat"
+    assert said("messages", lambda ranks, n: 3.0 * CUBE.neighbours(ranks)).endswith("as the number of neighbours of a block")
+    assert said("messages", lambda ranks, n: ranks - 1.0).startswith("NOT FLAT")
+    surface = said("ghosts", lambda ranks, n: CUBE.rows(n, ranks, 1.0))
+    assert surface.endswith("as the surfaces that a block has in common with others") and "NOT FLAT" not in surface
+    assert said("ghosts", lambda ranks, n: n - n / ranks).startswith("NOT FLAT")  # all others
+    held = said("memory", lambda ranks, n: 1e-3 * (n / ranks + CUBE.rows(n, ranks, 1.0)))
+    assert "NOT FLAT" not in held
+    everything = said("memory", lambda ranks, n: 1e-3 * n)
+    assert everything.startswith("NOT FLAT") and everything.endswith("or all particles")
+    if not weak:  # it should fall
+        assert said("ghosts", lambda ranks, n: 1000.0).startswith("NOT FLAT")
+    growing = [counted(*size, bytes=10.0 * size[0], bytes_gathers=9.0 * size[0], bytes_counts=float(size[0])) for size in sizes]
+    assert verdict("bytes", growing, CUBE).endswith("each rank sends its box, its sums and errors to all others: P - 1 times")
