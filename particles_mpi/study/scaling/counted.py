@@ -46,12 +46,12 @@ CAUSES = {
     "bytes_counts": "in every exchange each rank tells all others how many rows come: P - 1 numbers",
     "bytes_gathers": "each rank sends its box, its sums and errors to all others: P - 1 times",
     "bytes_reductions": "each number is sent in log2 P stages",
-    "messages": "a rank has more neighbours, or sends to all",
+    "messages": "blocks of bisection have more neighbours than those of a regular grid, or ranks send to all",
     "reductions": "ranks agree more often: of more particles some need more passes, or more windows of time",
     "all_to_alls": "more exchanges of all with all",
     "fetches": "all search when one of more particles has gone too far",
     "ghosts": "ghosts come from further away",
-    "memory": "more than the rows of the rank and of ghosts: entries for each rank, or all particles",
+    "memory": "more than the rows of the rank and of ghosts: room for messages, entries for each rank, or all particles",
     "memory_start": "more than the particles of the rank: entries for each rank, or all particles",
 }
 

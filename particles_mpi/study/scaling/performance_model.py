@@ -168,18 +168,15 @@ class Model:
             "all_others": byte * self.for_each * (ranks - 1),
         }
 
-    def limit(self, particles: float, ranks: int, weak: bool) -> str:
-        """The longest term of a step that does not fall with the number of ranks, in words, with its share of the step.
+    def losses(self, particles: float, ranks: int, weak: bool) -> dict[str, float]:
+        """Seconds of a step that do not fall with the number of ranks, by what takes them.
 
         `weak`: the number of particles of a rank is constant, and with it what a step costs apart from particles does no harm.
         """
         parts, stages = self.parts(particles, ranks), self.stages_for(ranks)
         terms = {f"latency of {name}": parts["latency"] * n / max(self.stages(ranks), 1e-300) for name, n in stages.items()}
         terms |= {"rows of ghosts": parts["rows"], "bytes for all other ranks": parts["all_others"]}
-        if not weak:
-            terms["what a step costs apart from particles"] = parts["fixed"]
-        longest = max(terms, key=lambda name: terms[name])
-        return f"{longest} ({terms[longest] / sum(parts.values()):.0%} of a step)"
+        return terms if weak else terms | {"what a step costs apart from particles": parts["fixed"]}
 
     def seconds(self, particles: float, ranks: int) -> float:
         return sum(self.parts(particles, ranks).values())

@@ -127,11 +127,21 @@ def say_model(result: Result, model: Model, screen: Screen) -> None:
         table.add_row(str(ranks), *(f"{seconds * 1e3:.3g} ms, {e:.0%}, {work / seconds:.0%}" for seconds, e, work in cells))
     screen.table(table)
     for curve in result.curves:
-        limits = (f"on {ranks} ranks {model.limit(curve.particles(ranks), ranks, curve.weak)}" for ranks in EXTRAPOLATED[-2:])
-        screen.say(f"  what ends the scaling ({curve.name}): {', '.join(limits)}")
+        screen.say(f"  what ends the scaling ({curve.name}): {what_ends(model, curve)}")
     fitted = [p for p in result.points if not p.oversubscribed]
     residuals = ", ".join(f"N = {p.particles} on {p.ranks}: {model.residual(p):+.0%}" for p in fitted)
     screen.say("\n  assumed: ".join([f"  error of the model where it was fitted: {residuals}", *model.assumptions]))
+
+
+def what_ends(model: Model, curve: Curve) -> str:
+    """The longest loss on the largest numbers of ranks that the model is asked about, and the one that grows most between them."""
+    said, losses = [], [model.losses(curve.particles(ranks), ranks, curve.weak) for ranks in EXTRAPOLATED[-2:]]
+    for ranks, loss in zip(EXTRAPOLATED[-2:], losses, strict=True):
+        longest = max(loss, key=lambda name: loss[name])
+        said.append(f"on {ranks} ranks {longest}, {loss[longest] / model.seconds(curve.particles(ranks), ranks):.0%} of a step")
+    growth = {name: seconds - losses[0][name] for name, seconds in losses[1].items()}
+    growing = max(growth, key=lambda name: growth[name])
+    return f"{'; '.join(said)}; from the one to the other {growing} grow most, by {growth[growing] * 1e3:.2g} ms"
 
 
 def draw(result: Result) -> Figure:

@@ -11,7 +11,7 @@ from particles_mpi.initial.populate import populate
 from particles_mpi.study.scaling.counted import Counted, verdict
 from particles_mpi.study.scaling.measure import HEADLINE, rank_counts, settings, unable_to_grow
 from particles_mpi.study.scaling.performance_model import NETWORK_BANDWIDTH, NETWORK_LATENCY, Law, Model, Point, fit
-from particles_mpi.study.scaling.report import Curve, Result
+from particles_mpi.study.scaling.report import Curve, Result, what_ends
 from particles_mpi.study.scaling.scale_scene import edges, scale_scene
 
 CUBE = Law("N", (1.0, 1.0, 1.0), (False, False, False))
@@ -183,12 +183,14 @@ def test_efficiency_is_what_the_course_calls_so():
 
 def test_what_ends_the_scaling():
     made, quick = synthetic(), replace(synthetic(), latency=0.0)
-    assert made.limit(32_000, 64, weak=False).startswith("latency of messages to neighbours (")
-    assert replace(made, reductions=500.0).limit(32_000, 64, weak=False).startswith("latency of reductions (")
-    assert replace(made, all_to_alls=500.0).limit(32_000, 64, weak=True).startswith("latency of exchanges of all with all (")
-    assert replace(quick, fixed=1.0).limit(32_000, 4, weak=False) == "what a step costs apart from particles (100% of a step)"
-    assert replace(quick, fixed=1.0).limit(32_000, 4, weak=True).startswith("rows of ghosts (")
-    assert replace(made, for_each=1e6).limit(32_000, 65_536, weak=False).startswith("bytes for all other ranks (")
+    weak, strong = (Curve("", kind, [measured(made, 32_000, 1)]) for kind in (True, False))
+    assert what_ends(made, strong).startswith("on 1024 ranks latency of messages to neighbours, ")
+    assert what_ends(made, weak).endswith("latency of reductions grow most, by 0.24 ms")  # 5 in 6 more stages of 8 us
+    assert "on 65536 ranks latency of reductions, " in what_ends(replace(made, reductions=500.0), weak)
+    assert "on 65536 ranks latency of exchanges of all with all, " in what_ends(replace(made, all_to_alls=500.0), weak)
+    assert "on 1024 ranks what a step costs apart from particles, 100% of" in what_ends(replace(quick, fixed=1.0), strong)
+    assert "what a step costs" not in what_ends(replace(quick, fixed=1.0), weak)
+    assert "bytes for all other ranks grow most" in what_ends(replace(made, for_each=1e6), weak)
     parts = made.parts(32_000, 4)
     assert parts["all_others"] == 0.0  # within a machine
     assert made.parts(32_000, 65_536)["all_others"] == pytest.approx(65_535 * 40.0 / NETWORK_BANDWIDTH)
