@@ -134,7 +134,7 @@ def say_model(result: Result, model: Model, screen: Screen) -> None:
 
 
 def what_ends(model: Model, curve: Curve) -> str:
-    """The longest loss on the largest numbers of ranks that the model is asked about, and the one that grows most between them."""
+    """The longest loss on the two largest numbers of ranks that the model is asked about, and the one that grows most."""
     said, losses = [], [model.losses(curve.particles(ranks), ranks, curve.weak) for ranks in EXTRAPOLATED[-2:]]
     for ranks, loss in zip(EXTRAPOLATED[-2:], losses, strict=True):
         longest = max(loss, key=lambda name: loss[name])
