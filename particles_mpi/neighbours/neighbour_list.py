@@ -130,19 +130,16 @@ class Neighbourhood:
         particles = self.particles
         d, x, n = particles.dimension, particles.position, len(particles)
         radius = particles.radius
-        mine = np.array(
-            [n, fastest(x, particles.velocity), radius.max(initial=0.0), radius.sum(), self.work, *extent[0], *extent[1]]
-        )
-        table = self.ranks.allgather_array(mine)  # of all in one message
-        counts, speeds, largest_radii, radii, works = table[:, :5].T
-        lowest, highest = table[:, 5 : 5 + d].min(axis=0), table[:, 5 + d :].max(axis=0)
-        require_finite(self.ranks, particles, table[:, 1:3], "in a drift")
-        total, speed, largest = counts.sum(), speeds.max(), 2.0 * float(largest_radii.max())
-        mean = 2.0 * float(radii.sum()) / max(total, 1.0)
+        mine = np.array([n, radius.sum(), self.work, fastest(x, particles.velocity), radius.max(initial=0.0)])
+        total, radii, work, *checked = self.ranks.allreduce_sum(mine)  # a sum is not a number where one of the numbers is none
+        require_finite(self.ranks, particles, checked, "in a drift")
+        ends = self.ranks.allreduce_max(np.concatenate((mine[3:], -extent[0], extent[1])))
+        speed, largest, lowest, highest = ends[0], 2.0 * float(ends[1]), -ends[2 : 2 + d], ends[2 + d :]
+        mean = 2.0 * float(radii) / max(total, 1.0)
         apart = spacing(lowest, highest, int(total)) if total else 1.0
         tolerance = 0.5 * max(0.25 * mean, 0.05 * apart)
         travel = float(speed) * h
-        steps = self.tuner.next(float(works.sum()), 0.5 * apart / travel if travel > 0.0 else 50.0)
+        steps = self.tuner.next(float(work), 0.5 * apart / travel if travel > 0.0 else 50.0)
         slack = max(SLACK * travel * steps + travel + 2.0 * tolerance, 1.01 * at_least)
         bound = np.inf
         # Relative paths up to 4 bound long: on a gridded axis of length L one image of a pair at most may meet, on the

@@ -287,7 +287,8 @@ class Windows:
         message = message_of(np.empty((int(log.border_count[0]) + 3 * int(log.moved_count[0])) * widest))
         rows, directory, reference = tuple(engine.rows), tuple(self.directory), engine.lists.arrays.reference
         regions = tuple(self.regions)
-        return message[0][: pack_changes(rows, reference, directory, tuple(log), tuple(moves), regions, bit, message)]
+        size = pack_changes(rows, reference, directory, tuple(log), tuple(moves), regions, bit, message)
+        return message[0][:size].copy()  # the rest of the room is given back
 
     def undo(self, before: Array) -> None:
         """All rows and counts as they were when the window began."""
