@@ -44,7 +44,7 @@ COLUMNS = {
 CAUSES = {
     "bytes_rows": "rows of ghosts or of a tree, and what is sent of each",
     "bytes_counts": "in every exchange each rank tells all others how many rows come: P - 1 numbers",
-    "bytes_gathers": "each rank sends its box, its sums and errors to all others: P - 1 times",
+    "bytes_gathers": "each rank sends its box, or what went wrong, to all others: P - 1 times",
     "bytes_reductions": "each number is sent in log2 P stages",
     "messages": "blocks of bisection have more neighbours than those of a regular grid, or ranks send to all",
     "reductions": "ranks agree more often: of more particles some need more passes, or more windows of time",
