@@ -227,4 +227,4 @@ def test_columns_are_flat_or_as_surfaces_or_named(weak):
     if not weak:  # it should fall
         assert said("ghosts", lambda ranks, n: 1000.0).startswith("NOT FLAT")
     growing = [counted(*size, bytes=10.0 * size[0], bytes_gathers=9.0 * size[0], bytes_counts=float(size[0])) for size in sizes]
-    assert verdict("bytes", growing, CUBE).endswith("each rank sends its box, its sums and errors to all others: P - 1 times")
+    assert verdict("bytes", growing, CUBE).endswith("each rank sends its box, or what went wrong, to all others: P - 1 times")
