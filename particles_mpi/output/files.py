@@ -36,6 +36,13 @@ def failing_together(ranks: Communicator, task: str) -> Iterator[None]:
     raise_first(ranks, failure, root_reads=True)
 
 
+def make_folder(ranks: Communicator, folder: Path) -> None:
+    """Make a folder for results, if it is not there. Raises a StoppedError on all ranks if that is refused. Collective."""
+    with failing_together(ranks, f"cannot write into {folder}"):
+        if ranks.is_root:
+            folder.mkdir(parents=True, exist_ok=True)
+
+
 class Continuing:
     """A file that rank 0 reads when a run goes on, before anything is changed. Every method is collective.
 

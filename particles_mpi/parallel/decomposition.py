@@ -60,23 +60,22 @@ def bisect(ranks: Communicator, x: Array, weight: float) -> Decomposition:
     d = x.shape[1]
     axis, cut, children = [], [], []
     lower, upper = np.full((ranks.size, d), -inf), np.full((ranks.size, d), inf)
-    low, high = extent(ranks, x) if ranks.size > 1 else (np.zeros(d), np.zeros(d))
-    level = [Part(0, ranks.size, x, low, high)]
+    level = [Part(0, ranks.size, x, *extent(ranks, x))] if ranks.size > 1 else []
     numbers = iter(range(1, ranks.size))  # of the nodes, level by level; the first one is 0
-    while level := [part for part in level if part.last - part.first > 1]:
+    while level:
         below_and_above: list[Part] = []
         for part, (k, at) in zip(level, best_cuts(ranks, level, weight), strict=True):
             middle, under = (part.first + part.last) // 2, part.rows[:, k] < at
             upper[part.first : middle, k] = lower[middle : part.last, k] = at
-            corner = np.where(np.arange(d) == k, at, part.high), np.where(np.arange(d) == k, at, part.low)
-            halves = (
-                Part(part.first, middle, part.rows[under], part.low, corner[0]),
-                Part(middle, part.last, part.rows[~under], corner[1], part.high),
+            across = np.arange(d) == k
+            sides = (
+                (part.first, middle, under, part.low, np.where(across, at, part.high)),
+                (middle, part.last, ~under, np.where(across, at, part.low), part.high),
             )
             axis.append(k)
             cut.append(at)
-            children.append([next(numbers) if half.last - half.first > 1 else -1 - half.first for half in halves])
-            below_and_above += halves
+            children.append([next(numbers) if last - first > 1 else -1 - first for first, last, *_ in sides])
+            below_and_above += [Part(a, b, part.rows[inside], *box) for a, b, inside, *box in sides if b - a > 1]
         level = below_and_above
     below, above = np.array(children, np.int64).reshape(-1, 2).T.copy()
     return Decomposition(np.array(axis, np.int64), np.array(cut, float), below, above, lower, upper)

@@ -184,8 +184,12 @@ def in_id_order(ranks: Communicator, arrays: dict[str, Array], ids: IdRange, wri
     The columns are sent one after the other: a rank holds the rows that it gets and, of a single column, what is on its way.
     """
     order, counts = by_range(arrays["id"], ids, writers, ranks.size)
-    places = np.argsort(send_rows(ranks, {"id": arrays["id"]}, order, counts)[0]["id"], kind="stable")
-    return {name: send_rows(ranks, {name: of}, order, counts)[0][name].take(places, axis=0) for name, of in arrays.items()}
+    arrived, _ = send_rows(ranks, {"id": arrays["id"]}, order, counts)
+    places = np.argsort(arrived["id"], kind="stable")
+    for name in arrays:
+        column = arrived["id"] if name == "id" else send_rows(ranks, {name: arrays[name]}, order, counts)[0][name]
+        arrived[name] = column.take(places, axis=0)
+    return {name: arrived[name] for name in arrays}
 
 
 class Halo:

@@ -181,7 +181,7 @@ class Windows:
             self.row_buffers.sort(order_in_space(p.position, bounds(p.position)))
         lists.tune(p.position, p.radius, p.inverse_mass)
         self.skin, largest = (float(value) for value in ranks.allreduce_max(np.array([lists.skin, p.radius.max(initial=0.0)])))
-        mean = float(ranks.allgather_array(np.array([p.radius.sum()])).sum()) / max(self.total, 1)
+        mean = float(ranks.allreduce_sum(p.radius.sum())[0]) / max(self.total, 1)
         self.displacement_bound = DISPLACEMENT_BOUND * self.skin
         lists.width = self.skin
         self.divide(largest, mean)

@@ -6,7 +6,7 @@ from time import perf_counter
 from typing import Any
 
 from particles_mpi.errors import SceneError
-from particles_mpi.output.files import failing_together
+from particles_mpi.output.files import failing_together, make_folder
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.run.console import Screen
 from particles_mpi.scene.schema import Scene
@@ -46,9 +46,7 @@ def accuracy(scene: Scene | None, keys: str, quick: bool, folder: Path, comm: An
     begin, ranks, keys = perf_counter(), Communicator(comm), keys.upper()
     screen = Screen(ranks.is_root, False)
     benchmark = Benchmark(comm, quick, screen=screen)
-    with failing_together(ranks, f"cannot write into {folder}"):
-        if ranks.is_root:
-            folder.mkdir(parents=True, exist_ok=True)
+    make_folder(ranks, folder)
     if unknown := [key for key in keys if key not in CHAPTERS]:
         raise SceneError(f"--only: there is no experiment {', '.join(unknown)}; there are {', '.join(CHAPTERS)}")
     title = f"What accuracy costs: {scene.title or 'a scene'}" if scene else "What accuracy costs"

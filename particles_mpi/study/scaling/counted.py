@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.errors import SceneError, StoppedError
-from particles_mpi.output.files import failing_together
+from particles_mpi.output.files import failing_together, make_folder
 from particles_mpi.parallel.agreement import raise_first, raising_together
 from particles_mpi.parallel.communicator import KINDS, Communicator
 from particles_mpi.run.console import Screen
@@ -79,9 +79,7 @@ def count(described: Scene | None, folder: Path, quick: bool, comm: Any = None) 
     """
     world = Communicator(comm)
     screen = Screen(world.is_root, False)
-    with failing_together(world, f"cannot write into {folder}"):
-        if world.is_root:
-            folder.mkdir(parents=True, exist_ok=True)
+    make_folder(world, folder)
     with raising_together(world):
         scenes = [described] if described else [in_mode(Scene.load(HEADLINE), mode) for mode in ("rewind", "event")]
     counts = [number for number in rank_counts(world.size) if number <= (QUICK if quick else inf)]

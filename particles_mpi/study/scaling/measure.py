@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.errors import SceneError, StoppedError
-from particles_mpi.output.files import failing_together
+from particles_mpi.output.files import failing_together, make_folder
 from particles_mpi.parallel.agreement import raising_together
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import FIELDS
@@ -168,9 +168,7 @@ def scale(described: Scene | None, folder: Path, quick: bool, comm: Any = None) 
     """
     ranks = Communicator(comm)
     screen = Screen(ranks.is_root, False)
-    with failing_together(ranks, f"cannot write into {folder}"):
-        if ranks.is_root:
-            folder.mkdir(parents=True, exist_ok=True)
+    make_folder(ranks, folder)
     with raising_together(ranks):
         scene = described or Scene.load(HEADLINE)
     no_weak, counts = unable_to_grow(scene), rank_counts(ranks.size)
