@@ -10,8 +10,8 @@ import numpy as np
 from particles_mpi.between_steps.saved import Saved
 from particles_mpi.errors import SceneError, StateError
 from particles_mpi.initial.populate import populate
+from particles_mpi.kernels.validity import WATCH_EVERY
 from particles_mpi.measure.diagnostics import measure, observe
-from particles_mpi.measure.watchdog import WATCH_EVERY
 from particles_mpi.parallel.agreement import raising_together, require_finite, same_on_all
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Particles
@@ -46,14 +46,28 @@ class Simulation(Saved):
 
     def step(self, collisions: bool = True) -> None:
         """Advance by one step; `collisions=False` lets particles pass through one another and through walls. Collective."""
+        self.step_towards(self.steps_done + 1, collisions)
+
+    def steps(self, number: int) -> None:
+        """Advance by a number of steps: for few bodies a hundred times as fast as one `step` after the other. Collective."""
+        last = self.steps_done + number
+        while self.steps_done < last:
+            self.step_towards(last)
+
+    def step_towards(self, last: int, collisions: bool = True) -> None:
+        """Advance by one step, or by as many as few bodies make at once, but not beyond step `last`. Collective."""
         self.take_changes()
         try:
             self.particles.close()
-            self.advance(self._h, collisions)
+            if self.few and collisions:
+                done = self.few.advance(self._h, self.steps_done, last - self.steps_done)
+            else:
+                self.advance(self._h, collisions)
+                done = 1
         except StateError as error:
             raise StateError(f"step {self.steps_done + 1}: {error}") from None
         self.particles.open()
-        self.steps_done += 1
+        self.steps_done += done
 
     def advance(self, h: float, contacts: bool = True, stop: bool = False) -> None:
         """One step of the integrator over h, with kicks and drifts in its order; `stop` ends its drift at a collision."""
@@ -110,7 +124,7 @@ class Simulation(Saved):
             Job(self, Path(output), quiet=quiet, **options).run()
             return
         while self.steps_done < self.last_step:
-            self.step()
+            self.step_towards(self.last_step)
             if self.steps_done % WATCH_EVERY == 0 or self.steps_done == self.last_step:
                 self.watch()
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.contacts.velocity_flow import change_of, row_of
-from particles_mpi.kernels.jit import kernel, lean_inner
+from particles_mpi.kernels.jit import lean, lean_inner
 from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.kernels.motion import move_to
 from particles_mpi.particles import Array, Particles
@@ -159,20 +159,20 @@ class NearFaces:
         return self.rows if good else None
 
 
-@kernel
-def drift_with_walls(axes, x, v, radius, inverse_mass, h, planes, rates, reach, near):
+@lean
+def drift_with_walls(axes, x, v, radius, inverse_mass, start, h, planes, rates, reach, near):
     """x += v h, reflected by walls on the way. In place on x, v (n, d); returns the number of hits, and of rows in `near`.
 
-    `inverse_mass` (n,), or no row where nothing depends on it. To `near` (n,), if it has room, the rows that may be within
-    `reach` of a wall at the end.
+    `inverse_mass` (n,), or no row where nothing depends on it. start (n,): room for the starts of the last segments. To `near`
+    (n,), if it has room, the rows that may be within `reach` of a wall at the end.
     """
     hits, found = 0, 0
-    start = np.zeros(len(x))  # of the last segments
     for i in range(len(x)):
         if not may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i] + reach, h, planes):  # far from all walls, as most are
             for k in range(len(axes)):
                 x[i, k] += v[i, k] * h
             continue
+        start[i] = 0.0
         if may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i], h, planes):
             w = inverse_mass[i] if len(inverse_mass) > 0 else 1.0
             hits += bounce_until(axes, x, v, start, np.int64(NOBODY), i, radius[i], w, h, planes, rates)

@@ -72,7 +72,7 @@ class Effect(Force):
         angle = self.options.choice(self.scene, context.ids.total).angle
         self.sum: DirectSum | TreeSum
         if angle is None:
-            self.sum = DirectSum(context.ranks, context.ids, self.softening2)
+            self.sum = self.direct = DirectSum(context.ranks, context.ids, self.G, self.softening2)
         else:
             quadrupoles = self.options.multipole == "quadrupole"
             self.sum = TreeSum(context.ranks, self.scene.dimension, angle, self.softening2, quadrupoles)
@@ -90,10 +90,10 @@ class Effect(Force):
 
 
 class DirectSum:
-    """Over all pairs, for G = 1."""
+    """Over all pairs; `pull` and `potential` are for G = 1."""
 
-    def __init__(self, ranks: Communicator, ids: IdRange, softening2: float):
-        self.ranks, self.ids, self.softening2 = ranks, ids, softening2
+    def __init__(self, ranks: Communicator, ids: IdRange, G: float, softening2: float):
+        self.ranks, self.ids, self.G, self.softening2 = ranks, ids, G, softening2
         self.interactions = 0  # so far
 
     def sources(self, p: Particles, mass: Array) -> Iterator[tuple[Array, Array, Array]]:

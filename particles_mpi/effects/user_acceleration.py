@@ -15,6 +15,7 @@ class Effect(Force):
     """Adds a_i. (PBPhys cleared it after the first step; here it stays.)"""
 
     formula = "dv/dt = a_i"
+    place_dependent = False
     needs = Needs(columns={"acceleration": FIELDS["acceleration"]})
 
     def __init__(self, options: Options, scene: Scene):

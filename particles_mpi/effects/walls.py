@@ -70,7 +70,7 @@ class Effect(WallContacts):
         w = p.inverse_mass if rates.alpha else np.empty(0)
         reach, rows = (near.reach, np.empty(len(p), np.int64)) if near else (0.0, np.empty(0, np.int64))
         fields = p.position, p.velocity, p.radius, w
-        hits, found = drift_with_walls(axes, *fields, h, tuple(self.planes), rates, reach, rows)
+        hits, found = drift_with_walls(axes, *fields, np.empty(len(p)), h, tuple(self.planes), rates, reach, rows)
         if near:
             near.rows, near.known = rows[:found], (reach, p.version, p.edition)
         return hits

@@ -11,9 +11,32 @@ from math import sqrt
 
 import numpy as np
 
-from particles_mpi.kernels.jit import kernel
+from particles_mpi.kernels.jit import kernel, lean_inner
 
 TILE = 64  # targets whose coordinates and sums stay in the first-level cache
+
+
+@lean_inner(error_model="numpy")
+def attract_few(axes, x, mass, softening2, total):
+    """total (n, d) = what `attract` gives for x as sources and targets: the same bits, for so few that tiles would be empty.
+
+    Each target takes its sources in their order, although each pair is looked at once.
+    """
+    for i in range(len(x)):
+        for k in range(len(axes)):
+            total[i, k] = 0.0
+    for i in range(len(x)):
+        for j in range(i + 1, len(x)):
+            r2 = softening2
+            for k in range(len(axes)):
+                r = x[j, k] - x[i, k]
+                r2 += r * r
+            cube = r2 * sqrt(r2)
+            near = r2 > 0.0
+            on_i, on_j = mass[j] / cube if near else 0.0, mass[i] / cube if near else 0.0
+            for k in range(len(axes)):
+                total[i, k] += on_i * (x[j, k] - x[i, k])
+                total[j, k] += on_j * (x[i, k] - x[j, k])
 
 
 @kernel(error_model="numpy")

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from particles_mpi.kernels.jit import kernel, lean_inner
+from particles_mpi.kernels.jit import lean, lean_inner
 
 
 class Box(NamedTuple):
@@ -52,7 +52,7 @@ def into_box(y, lower, upper, length):
     return y if y < upper else lower
 
 
-@kernel
+@lean
 def wrap(x, lower, upper, length):
     """Places back into [lower, upper) on the periodic axes, in place on x (n, d)."""
     for k in range(x.shape[1]):

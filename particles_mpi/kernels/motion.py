@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from particles_mpi.kernels.jit import kernel, lean, lean_inner
+from particles_mpi.kernels.jit import lean, lean_inner
 
 
 class Segments(NamedTuple):
@@ -22,7 +22,7 @@ class Segments(NamedTuple):
     last_partner: NDArray[Any]
 
 
-@kernel
+@lean
 def kick(v, a, h):
     """v += a h, in place on v (n, d); as `free_drift` x += v h."""
     for i in range(v.shape[0]):
@@ -33,7 +33,7 @@ def kick(v, a, h):
 free_drift = kick
 
 
-@kernel
+@lean
 def kick_with_drag(v, a, decay, push):
     """v = v decay + a push, in place on v (n, d)."""
     for i in range(v.shape[0]):

@@ -3,15 +3,13 @@
 import numpy as np
 
 from particles_mpi.errors import StateError
-from particles_mpi.kernels.jit import kernel
+from particles_mpi.kernels.validity import find_invalid
 from particles_mpi.parallel.agreement import require_finite
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange
 from particles_mpi.particles import Array, Particles
 
-WATCH_EVERY = 10  # steps between two checks
 NAMED = 10  # ids that a message lists
-ROUND_OFF = 1e-9  # relative distance beyond a wall that counts as rounding
 
 
 class Watchdog:
@@ -69,29 +67,3 @@ def id_checksum(ids: Array) -> Array:
     """(3,) number, sum and sum of squares of the ids, int64: the same for every order of the ids; they may overflow and wrap."""
     with np.errstate(over="ignore"):
         return np.array([len(ids), ids.sum(dtype=np.int64), (ids * ids).sum(dtype=np.int64)])
-
-
-@kernel
-def find_invalid(x, v, fixed, point, normal, lower, length):
-    """(first row that is not finite, first row beyond a wall or outside the periodic box, which wall); -1 for none of them."""
-    numbers, astray, at = -1, -1, -1
-    for i in range(len(x)):
-        sums, size = 0.0, 0.0
-        for k in range(x.shape[1]):
-            sums += x[i, k] * 0.0 + v[i, k] * 0.0
-            size += abs(x[i, k])
-            beyond = x[i, k] < lower[k] or x[i, k] > lower[k] + length[k]
-            if length[k] > 0.0 and beyond and astray < 0:
-                astray = i
-        if sums != 0.0 and numbers < 0:
-            numbers = i
-        if fixed[i] or astray >= 0:
-            continue
-        for w in range(len(point)):
-            distance, scale = 0.0, size
-            for k in range(x.shape[1]):
-                distance += (x[i, k] - point[w, k]) * normal[w, k]
-                scale += abs(point[w, k])
-            if distance < -ROUND_OFF * scale and astray < 0:
-                astray, at = i, w
-    return numbers, astray, at

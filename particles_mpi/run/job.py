@@ -12,9 +12,9 @@ import numpy as np
 
 from particles_mpi.contacts.drift import COUNTS
 from particles_mpi.errors import Interrupted, SceneError, StateError, StoppedError
+from particles_mpi.kernels.validity import WATCH_EVERY
 from particles_mpi.measure.diagnostics import columns
 from particles_mpi.measure.snapshot import METADATA
-from particles_mpi.measure.watchdog import WATCH_EVERY
 from particles_mpi.output import checkpoint
 from particles_mpi.output.diagnostics_csv import Diagnostics
 from particles_mpi.output.files import write_text
@@ -110,7 +110,8 @@ class Job:
         pace = Forecaster(sim, self.last) if self.screen.loud or (self.rehearsal and self.ranks.is_root) else None
         show = self.screen.start(done, self.last)
         row: dict[str, Any] = {}
-        stopped = False
+        stopped, shown = False, done
+        periods = output.every, output.diagnostics_every, output.checkpoint_every
         try:
             if not self.resumed:
                 row = self.report()
@@ -120,7 +121,7 @@ class Job:
             elif not self.continues:
                 self.save()  # what is in this folder begins here
             while sim.steps_done < self.last and not (stopped := self.request.poll(sim.steps_done)):
-                sim.step()
+                sim.step_towards(min(self.last, *(sim.steps_done // k * k + k for k in periods)))
                 n, final = sim.steps_done, sim.steps_done == self.last
                 if final or any(n % k == 0 for k in (WATCH_EVERY, output.every, output.checkpoint_every)):
                     sim.watch()
@@ -132,7 +133,8 @@ class Job:
                     self.save()
                 if pace and (forecast := pace.look()) and (n < self.last or self.rehearsal):
                     self.foretell(forecast)
-                if n % SHOW_EVERY == 0:
+                if n >= shown + SHOW_EVERY:
+                    shown = n
                     show(n, row)
             if self.rehearsal:
                 self.close()

@@ -110,6 +110,7 @@ class Force(Effect):
     place_dependent: ClassVar[bool] = True  # False: summed anew only where somebody has changed a field of the particles
     collective: ClassVar[bool] = False  # does `add` communicate? Then all ranks call it together
     g: Any = None  # the acceleration (d,), if it is the same for every particle
+    direct: Any = None  # the sum over all pairs, with its `G` and `softening2`, if that is what the force adds
     interactions: Any = 0  # pairs, or what is put in their place, that were computed so far: for comparisons of cost
 
     def add(self, particles: Particles, acceleration: Array) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from particles_mpi import Scene, SceneError, Simulation, StoppedError
-from particles_mpi.integrators.gauss_radau import add, random_signs
+from particles_mpi.integrators.collocation import add, random_sign
 from particles_mpi.particles import Particles
 from particles_mpi.scene.schema import TOLERANCES
 from particles_mpi.study.accuracy.orbits import PYTHAGOREAN as BODIES
@@ -131,17 +131,13 @@ def test_a_sum_with_what_it_lost():
     """1e16 and 1000 times 0.3: the sum alone would not move."""
     total, lost = np.array([1e16]), np.zeros(1)
     for _ in range(1000):
-        add(total, lost, np.array([0.3]))
+        add(total, lost, 0.3, 0)
     assert total[0] - 1e16 + lost[0] == pytest.approx(300.0, abs=1e-9)
 
 
 def test_signs_belong_to_ids():
-    """In [-1, 1), evenly, another set at each try, whatever the order of the rows."""
-    ids = np.random.default_rng(1).permutation(10_000)
-    signs = random_signs(ids, 3, 7)
-    assert signs.min() >= -1.0 and signs.max() < 1.0 and np.abs(signs.mean(axis=0)).max() < 0.03
-    np.testing.assert_array_equal(signs[::-1], random_signs(ids[::-1], 3, 7))
-    assert abs(np.corrcoef(signs[:, 0], signs[:, 1])[0, 1]) < 0.05
-    assert abs(np.corrcoef(signs[:, 0], random_signs(ids, 3, 8)[:, 0])[0, 1]) < 0.05
-    by_id = random_signs(np.arange(10_000), 3, 7)
-    assert abs(np.corrcoef(by_id[1:, 0], by_id[:-1, 0])[0, 1]) < 0.05  # partners of a binary often have ids in a row
+    """In [-1, 1), evenly, another set at each try: numbers in a row are the axes of an id, and the next id after them."""
+    signs, others = (np.array([random_sign(number, attempt) for number in range(30_000)]) for attempt in (7, 8))
+    assert signs.min() >= -1.0 and signs.max() < 1.0 and np.abs(signs.reshape(-1, 3).mean(axis=0)).max() < 0.03
+    for partner in (others, np.roll(signs, 1), np.roll(signs, 3)):  # partners of a binary often have ids in a row
+        assert abs(np.corrcoef(signs, partner)[0, 1]) < 0.05

@@ -74,8 +74,7 @@ def bits_that_differ(benchmark: Benchmark, name: str) -> int:
     ends = []
     for effects, own in ((falling, {}), (falling | {name: options}, more)):
         sim = benchmark.simulate(gas(FEW, effects, step=0.05, **own))
-        for _ in range(STEPS):
-            sim.step()
+        sim.steps(STEPS)
         p = everyone(sim)
         ends.append(np.concatenate([p.position, p.velocity]).view(np.int64))
     return int(np.count_nonzero(ends[0] != ends[1]))
@@ -85,8 +84,7 @@ def errors(benchmark: Benchmark, name: str, sim: Simulation) -> Errors:
     """Calls of absent effects and messages in some steps, and bits that differ where the effect has no strength. Collective."""
     sim.step()
     messages = sim.ranks.messages
-    for _ in range(10):
-        sim.step()
+    sim.steps(10)
     absent = sum(sim.calls.get(other, 0) for other in effect_names() if other not in sim.scene.effects)
     sent = int(sim.ranks.allreduce_sum(sim.ranks.messages - messages)[0])
     differ = bits_that_differ(benchmark, name) if name in OFF else 0

@@ -30,8 +30,7 @@ def energy_changes(
     sim = run.simulate(masses, step, 1, {"mutual_gravity": {"softening": softening}}, integrator, G=1.0)
     energies = [sim.measure()["total_energy"]]
     for _ in range(looks):
-        for _ in range(every):
-            sim.step()
+        sim.steps(every)
         energies.append(sim.measure()["total_energy"])
     return sim, np.array(energies) / energies[0] - 1.0
 

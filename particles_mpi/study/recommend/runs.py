@@ -158,7 +158,7 @@ def follow(start: Start, sim: Simulation, patience: float = np.inf) -> Record:
     look, peek = steps // LOOKS, max(1, steps // ENERGIES)
     places, at_looks, energies = [], [], [energy(sim)]
     while sim.steps_done < steps:
-        sim.step()
+        sim.steps(min(k - sim.steps_done % k for k in (peek, look, steps)))
         if sim.steps_done % peek == 0 or sim.steps_done == steps:
             energies.append(energy(sim))
             seconds = float(sim.ranks.allreduce_max(perf_counter() - began)[0])

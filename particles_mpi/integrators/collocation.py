@@ -1,0 +1,348 @@
+"""The steps of the integrator `adaptive`, between two evaluations of the forces; scalars and arrays only.
+
+Collocation at the eight Gauss-Radau nodes of a step, order 15 (E. Everhart, in Dynamics of Comets, 1985; the choice of the
+step follows H. Rein and D. S. Spiegel, MNRAS 446, 1424, 2015): the acceleration is a polynomial of the time whose values at
+the nodes are those at the positions it leads to, found by iteration. Its highest coefficient over the largest
+acceleration, to the power 1/7, tells how long the step may be.
+
+Far from the origin, or where bodies are close, coordinates round the accelerations, and no step is short enough to make the
+coefficient small (D. Pham, H. Rein, D. S. Spiegel, Open J. Astrophys. 7, 2024, show how steps then shrink for ever). So this
+round-off is measured at the start of each step, by one more evaluation, at positions moved by their own round-off. Below it the
+iteration has converged, and what it makes of the highest coefficient is the least tolerance. Positions carry their round-off
+along (Kahan's sum). Nothing but the state is kept from one step of the scene to the next, so a resumed run has the same bits.
+
+`go_on` holds all of this, but for the forces: it returns whenever it needs them, at the places that it has set. So forces may
+come from all ranks (`gauss_radau`), or from within one compiled loop (`compiled_steps`), and everything else is the same.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from particles_mpi.kernels.jit import lean, lean_inner
+from particles_mpi.particles import Array
+from particles_mpi.scene.schema import TOLERANCES
+
+NODES = 8
+LARGEST_TOLERANCE = TOLERANCES[1]
+MOST_ITERATIONS = 12
+SHAKEN = 32.0  # units in the last place by which a coordinate is moved, at most, to see what its round-off does
+ROUNDED = float(np.finfo(float).eps)  # round-off of a sum of forces, relative to the largest acceleration
+CAUTION = 10.0  # times the change that the next iteration is expected to make
+NOISY = 8.0  # times the round-off: changes from one iteration to the next that are nothing else
+STALLED, DIVERGED = 1e-10, 1e-8  # of the largest acceleration: changes that need not shrink any more, and that must
+SAFE, SHRINK, GROW = 0.25, 0.1, 4.0  # a step is taken if the next may be at least SAFE as long; bounds on the change
+SHORTEST = 1e-11  # of a step of the scene: where masses meet head on there is no end to it
+BLIND, MOST_BLIND = 4.0, 100  # times the largest tolerance: round-off that hides the motion; tries in a row before that is an end
+FAR = 1.5  # times the last step: for longer ones its polynomial is no guess
+ROOT_ROUNDS = 60
+
+# What `go_on` asks for, or tells.
+FORCES, MAXIMA, END, STUCK = 0, 1, 2, 3
+# Where it stands between two calls: what it has asked for.
+AT_START, SHAKEN_PLACES, AT_NODE, OVER_RANKS = 0, 1, 2, 3
+
+
+class Tables(NamedTuple):
+    """Of the Gauss-Radau nodes, as `radau` gives them; tolerance: of the highest coefficient.
+
+    c (8,): nodes in [0, 1). twice (8, 8): what the accelerations at the nodes add to the places there; once_end, twice_end (8,):
+    to velocity and place at the end. lagrange (8, 8): polynomials; highest (8,): their highest coefficients. gain: of round-off,
+    in the highest coefficient.
+    """
+
+    c: Array
+    twice: Array
+    once_end: Array
+    twice_end: Array
+    lagrange: Array
+    highest: Array
+    gain: float
+    tolerance: float
+
+
+PROGRESS = np.dtype(
+    [(name, np.int64) for name in ("stage", "node", "iterations", "tries", "blind", "substeps", "guessable")]
+    + [(name, np.float64) for name in ("step", "done", "length", "noise", "change", "before", "largest", "top")]
+    + [(name, np.float64) for name in ("last_length", "last_begin")]
+)
+
+
+class Work(NamedTuple):
+    """What a step of `adaptive` knows between two evaluations of the forces; vectors of all rows are flat, (n d,).
+
+    progress (1,) of PROGRESS: stage, node and iterations of the substep of this `length`; tries so far, those in a row that were
+    `blind`, and `substeps` taken; `done` of the `step`; noise: round-off of an acceleration; change, before: of this iteration
+    and the one before; largest acceleration and `top`, the largest highest coefficient; of the last substep its length,
+    where within it the next one begins (0 or 1), and whether it is `guessable`. x0: places at the start; lost: what rounding took
+    from them; at (8, n d): accelerations at the nodes; last (8, n d): those of the last substep; row (8,): numbers of one
+    component.
+    """
+
+    progress: Array
+    x0: Array
+    lost: Array
+    at: Array
+    last: Array
+    row: Array
+
+
+def work_for(numbers: int) -> Work:
+    """For vectors of so many numbers in all."""
+    none = np.zeros(numbers)
+    return Work(np.zeros(1, PROGRESS), none, none.copy(), np.zeros((NODES, numbers)), np.zeros((NODES, numbers)), np.zeros(NODES))
+
+
+def radau(tolerance: float) -> Tables:
+    """The tables. With L_j the Lagrange polynomial of node j, of which `lagrange` has the coefficients (node, power):
+
+    once_end[j] is the integral of L_j from 0 to 1; twice[i, j] the integral of its integral, from 0 to c_i; twice_end[j] to 1.
+    """
+    wide = np.longdouble
+    c = np.sort(legendre.legroots([0.0] * (NODES - 1) + [1.0, 1.0])).astype(wide)[1:]  # P_7 + P_8: the first root is -1
+    for _ in range(4):
+        value, slope = np.add(_legendre(NODES - 1, c), _legendre(NODES, c))
+        c -= value / slope
+    c = np.append(wide(0), (c + 1) / 2)
+    lagrange = np.zeros((NODES, NODES), wide)  # of powers of the time
+    for j in range(NODES):
+        poly = np.ones(1, wide)
+        for other in np.delete(c, j):
+            poly = np.convolve(poly, np.array([-other, 1], wide)) / (c[j] - other)
+        lagrange[j] = poly
+    power, ends = np.arange(NODES), np.append(c, wide(1))[:, None, None]
+    once = (lagrange * ends ** (power + 1) / (power + 1)).sum(axis=-1).astype(float)
+    twice = (lagrange * ends ** (power + 2) / ((power + 1) * (power + 2))).sum(axis=-1).astype(float)
+    highest = lagrange[:, -1].astype(float)
+    gain = 4.0 * float(np.sqrt((highest**2).sum()))
+    return Tables(
+        c.astype(float), twice[:-1].copy(), once[-1].copy(), twice[-1].copy(), lagrange.astype(float), highest, gain, tolerance
+    )
+
+
+def _legendre(n: int, t: Array) -> tuple[Array, Array]:
+    """P_n and its derivative at t, which is not 1 or -1, by the recurrence."""
+    before, now = np.ones_like(t), t
+    for k in range(1, n):
+        before, now = now, ((2 * k + 1) * t * now - k * before) / (k + 1)
+    return now, n * (t * now - before) / (t * t - 1)
+
+
+# --- a substep, between two evaluations of the forces -----------------------------------------------------------------
+
+
+@lean
+def random_sign(number, attempt):
+    """A number in [-1, 1) that depends on these two (int64) alone: a multiplicative hash."""
+    k = (np.uint64(number) + (np.uint64(attempt) << np.uint64(32))) * np.uint64(0x9E3779B97F4A7C15)
+    k = (k ^ (k >> np.uint64(32))) * np.uint64(0xD6E8FEB86659FD93)
+    return np.float64(np.int64(k >> np.uint64(11))) * 2.0**-52 - 1.0
+
+
+@lean_inner
+def unit_in_the_last_place(x):
+    """The distance from |x| to the next larger float64."""
+    return np.spacing(abs(x))
+
+
+@lean_inner
+def copy(source, target):
+    """target = source, both (m,)."""
+    for m in range(len(source)):
+        target[m] = source[m]
+
+
+@lean_inner
+def combine(weights, at, m):
+    """sum_j weights[j] at[j, m], in this order."""
+    total = weights[0] * at[0, m]
+    for j in range(1, NODES):
+        total += weights[j] * at[j, m]
+    return total
+
+
+@lean
+def add(total, lost, change, m):
+    """total[m] + lost[m] += change; total is rounded, and lost is what that took away (D. E. Knuth, TAOCP 2, 4.2.2)."""
+    change += lost[m]
+    rounded = total[m] + change
+    part = rounded - total[m]
+    lost[m] = (total[m] - (rounded - part)) + (change - part)
+    total[m] = rounded
+
+
+@lean_inner
+def seventh_root(number):
+    """Of a number of [SHRINK^7, GROW^7], by Newton's method from above: the same bits on every machine, as a power is not."""
+    root = GROW
+    for _ in range(ROOT_ROUNDS):
+        power = root * root * root
+        power *= power
+        lower = root - (root * power - number) / (7.0 * power)
+        if not lower < root:
+            break
+        root = lower
+    return root
+
+
+@lean_inner
+def larger(one, other):
+    """The larger of two numbers, and NaN if one is not a number."""
+    return other if other > one or other != other else one
+
+
+@lean_inner
+def place(x, v, work, tables):
+    """Positions at the node, by the accelerations known so far."""
+    progress, x0, lost, at, _, _ = work
+    s = progress[0]
+    h, node = s["length"], s["node"]
+    for m in range(len(x)):
+        x[m] = x0[m] + (lost[m] + (h * tables.c[node] * v[m] + h * h * combine(tables.twice[node], at, m)))
+
+
+@lean_inner
+def guess(a, work, tables):
+    """Accelerations at the nodes of a step that begins with a: the last polynomial goes on, if not for too long."""
+    progress, _, _, at, last, row = work
+    s = progress[0]
+    known = s["guessable"] and not s["length"] > FAR * s["last_length"]
+    for i in range(NODES):
+        if known and i > 0:
+            moment = s["last_begin"] + tables.c[i] * (s["length"] / s["last_length"])
+            for j in range(NODES):
+                row[j] = 0.0
+                for power in range(NODES - 1, -1, -1):
+                    row[j] = row[j] * moment + tables.lagrange[j, power]
+        for m in range(len(a)):
+            at[i, m] = combine(row, last, m) if known and i > 0 else a[m]
+
+
+@lean_inner
+def next_try(work, x):
+    """Begin a substep of at most `length` from the places of now."""
+    progress, x0, _, _, _, _ = work
+    s = progress[0]
+    left = s["step"] - s["done"]
+    s["length"] = left if s["length"] >= left else min(s["length"], 0.5 * left)  # no crumb at the end
+    copy(x, x0)
+    s["stage"] = AT_START
+
+
+@lean_inner
+def first_iteration(s):
+    """The next one begins at the first node after the start."""
+    s["node"], s["before"], s["change"], s["largest"] = 1, s["change"], 0.0, 0.0
+
+
+@lean_inner
+def still_to_come(change, before):
+    """What the next iteration would change if changes go on shrinking as from `before` to `change`; with caution."""
+    return min(change, CAUTION * change * (change / before)) if before < np.inf else change
+
+
+@lean_inner
+def end_of_try(x, v, round_off, left, work, tables):
+    """Take the substep, or not; returns how long the next one may be. If that is too short, nothing has changed."""
+    progress, x0, lost, at, last, _ = work
+    s = progress[0]
+    h, largest = s["length"], s["largest"]
+    copy(x0, x)
+    s["blind"] = s["blind"] + 1 if tables.gain * round_off > BLIND * LARGEST_TOLERANCE * largest else 0
+    least = min(tables.gain * round_off, LARGEST_TOLERANCE * largest)  # that the highest coefficient can tell
+    if not s["change"] < np.inf or left > max(DIVERGED * largest, NOISY * least / tables.gain):  # far too long
+        return SHRINK * h
+    factor = GROW
+    if not s["top"] <= 0.0:
+        ratio = max(tables.tolerance * largest, least) / s["top"]
+        factor = seventh_root(min(max(ratio, SHRINK**7), GROW**7)) if ratio == ratio else np.nan
+    s["last_length"], s["last_begin"], s["guessable"] = h, 1.0 if factor >= SAFE else 0.0, 1
+    for i in range(NODES):
+        copy(at[i], last[i])
+    if factor >= SAFE:
+        for m in range(len(x)):
+            add(x, lost, h * v[m] + h * h * combine(tables.twice_end, at, m), m)
+            v[m] += h * combine(tables.once_end, at, m)
+    return h * factor
+
+
+@lean
+def begin(x, step, work):
+    """Begin a step of the scene from the places x; then `go_on` with the forces there."""
+    progress, _, lost, _, _, _ = work
+    s = progress[0]
+    s["step"] = s["length"] = step
+    s["done"] = 0.0
+    s["tries"] = s["blind"] = s["guessable"] = 0
+    for m in range(len(lost)):
+        lost[m] = 0.0
+    next_try(work, x)
+
+
+@lean
+def go_on(x, v, ids, force, work, tables):
+    """Go on with a step as far as it is known what it needs; returns what that is, which must be there at the next call.
+
+    FORCES: `force`, the accelerations at x. MAXIMA: those of all ranks in the place of this rank's. END: the step is done.
+    STUCK: the next substep would be too short, or round-off hides the motion. x, v, force: vectors of all rows, flat (n d,).
+    """
+    progress, _, _, at, _, _ = work
+    s = progress[0]
+    d = len(x) // max(len(ids), 1)
+    if s["stage"] == AT_START:
+        copy(force, at[0])
+        for m in range(len(x)):
+            number = ids[m // d] * d + m % d
+            x[m] += SHAKEN * unit_in_the_last_place(x[m]) * random_sign(number, s["tries"])
+        s["stage"] = SHAKEN_PLACES
+        return FORCES
+    if s["stage"] == SHAKEN_PLACES:
+        s["noise"] = 0.0
+        for m in range(len(x)):
+            s["noise"] = larger(s["noise"], abs(force[m] - at[0, m]) / SHAKEN)
+        guess(at[0], work, tables)
+        s["iterations"], s["change"], s["stage"] = 0, np.inf, AT_NODE
+        first_iteration(s)
+        place(x, v, work, tables)
+        return FORCES
+    if s["stage"] == AT_NODE:
+        node = s["node"]
+        for m in range(len(x)):
+            if abs(force[m] - at[node, m]) > s["change"]:
+                s["change"] = abs(force[m] - at[node, m])
+            if abs(force[m]) > s["largest"]:
+                s["largest"] = abs(force[m])
+            at[node, m] = force[m]
+        s["node"] += 1
+        if s["node"] < NODES:
+            place(x, v, work, tables)
+            return FORCES
+        s["top"] = 0.0
+        for m in range(len(x)):
+            s["top"] = larger(s["top"], abs(combine(tables.highest, at, m)))
+        s["stage"] = OVER_RANKS
+        return MAXIMA
+    s["iterations"] += 1
+    round_off, left = s["noise"] + ROUNDED * s["largest"], still_to_come(s["change"], s["before"])
+    good = not left > round_off
+    stalled = s["change"] >= s["before"] and s["change"] < max(STALLED * s["largest"], NOISY * round_off)
+    if not (good or stalled) and s["iterations"] < MOST_ITERATIONS:
+        first_iteration(s)
+        place(x, v, work, tables)
+        s["stage"] = AT_NODE
+        return FORCES
+    length, next_length = s["length"], end_of_try(x, v, round_off, left, work, tables)
+    s["tries"] += 1
+    if next_length >= SAFE * length:
+        s["done"] = s["step"] if length == s["step"] - s["done"] else s["done"] + length
+        s["substeps"] += 1
+    s["length"] = next_length
+    if s["done"] >= s["step"]:
+        return END
+    if not next_length > SHORTEST * s["step"] or s["blind"] > MOST_BLIND:
+        return STUCK
+    next_try(work, x)
+    return FORCES

@@ -1,0 +1,41 @@
+"""Scenes of few bodies, by steps in one compiled loop and one by one: every field, count and frame must be the same.
+
+Prints "the same" for each scene. `mpirun -n P python few_bodies.py SCENES.json`.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from particles_mpi import Scene, Simulation
+
+STEPS = (1, 7, 2, 30)  # at once; together all of a scene
+
+
+def state(sim):
+    """All that a run may show of it."""
+    arrays = {name: array[np.argsort(sim.rows.id)].tobytes() for name, array in sim.rows.arrays.items()}
+    return arrays, repr(sim.measure()), sim.work(), sim.calls, sim.totals
+
+
+for name, tables in json.loads(Path(sys.argv[1]).read_text()).items():
+    compiled, single = (Simulation(Scene.from_dict(tables)) for _ in range(2))
+    assert compiled.few, f"{name}: not for few bodies"
+    single.few = None
+    for number in STEPS:
+        compiled.steps(number)
+        for _ in range(number):
+            single.step()
+        ranks = compiled.ranks
+        totals = [ranks.allreduce_sum(np.array(list(sim.totals.values()))) for sim in (compiled, single)]
+        for sim in (compiled, single):
+            sim.totals.update(zip(sim.totals, totals[sim is single].tolist(), strict=True))
+        one, other = state(compiled), state(single)
+        for part, (a, b) in enumerate(zip(one, other, strict=True)):
+            assert a == b, f"{name}, {compiled.steps_done} steps, part {part}: {a} and {b}"
+        for sim in (compiled, single):
+            sim.totals.update(dict.fromkeys(sim.totals, 0))
+    if ranks.is_root:
+        print(f"{name}: the same")

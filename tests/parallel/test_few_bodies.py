@@ -1,0 +1,119 @@
+"""Many steps of few bodies in one compiled loop: the bits, counts and errors of single steps; and it stays prompt."""
+
+import json
+import signal
+import subprocess
+import sys
+from itertools import product
+from time import monotonic, sleep
+
+import numpy as np
+import pytest
+from conftest import ROOT, run_ranks
+from ranks import environment
+
+from particles_mpi import Scene, Simulation, StoppedError
+
+pytestmark = pytest.mark.parallel
+
+GRAVITY = {"mutual_gravity": {"G": 1.0, "softening": 0.05}}
+DOWN = {"uniform_gravity": {"acceleration": [0.3, -1.0]}}
+PUSHED = {"user_acceleration": {}}
+PLANES = {"walls": {"planes": [{"point": [0, -3], "normal": [0.2, 1]}, {"point": [0, 5], "normal": [0, -1]}]}}
+FORCES = {
+    "none": {},
+    "gravity": GRAVITY,
+    "down, then gravity": DOWN | GRAVITY,
+    "gravity, then pushed and down": GRAVITY | PUSHED | DOWN,
+    "pushed": PUSHED,
+}
+LOSSES = {"": {}, "drag": {"drag": {"rate": 0.2}}, "friction": {"friction": {"strength": 0.3}}}
+LOSSES["drag and friction"] = LOSSES["drag"] | LOSSES["friction"]
+BODIES = [
+    {"position": [[1.0, 0.0], [-1.0, 0.1]], "velocity": {"speed": 0.5}, "mass": 1.0, "drag": 0.7, "acceleration": [0.5, 0.1]},
+    {"position": [[0.0, 2.0], [0.3, -2.0]], "velocity": {"speed": 2.5}, "mass": {"min": 0.2, "max": 0.5}, "radius": 0.1},
+    {"position": [[3.0, 0.0]], "fixed": True, "mass": 2.0},
+]
+
+
+def tables(effects, integrator, box=None, particles=BODIES):
+    """A scene of 40 steps; keys of particles that no effect asks for are left out."""
+    unknown = {key for key, effect in (("drag", "drag"), ("acceleration", "user_acceleration")) if effect not in effects}
+    particles = [{key: value for key, value in table.items() if key not in unknown} for table in particles]
+    time = {"step": 0.05, "steps": 40, "integrator": integrator}
+    return {"dimension": 2, "time": time, "particles": particles, "effects": effects} | ({"box": box} if box else {})
+
+
+def scenes():
+    """Every force with every loss, walls and a periodic box, by every integrator that takes them."""
+    found = {}
+    for (forced, forces), (lossy, losses) in product(FORCES.items(), LOSSES.items()):
+        for integrator in ("leapfrog", "taylor", "order4", "adaptive"):
+            if (losses and integrator in ("order4", "adaptive")) or ("friction" in losses and integrator == "taylor"):
+                continue
+            found[f"{integrator}: {forced}; {lossy}"] = tables(forces | losses, integrator)
+            if integrator in ("leapfrog", "taylor"):
+                found[f"{integrator}: {forced}; {lossy}; walls"] = tables(forces | losses | PLANES, integrator)
+    box = {"lower": [-4.0, -4.0], "upper": [4.0, 4.0], "periodic": [True, False]}
+    for integrator in ("leapfrog", "adaptive"):
+        found[f"{integrator}: periodic"] = tables(PUSHED, integrator, box)
+    return found
+
+
+@pytest.mark.parametrize("ranks", [1, 2, 3])
+def test_same_bits_and_counts_as_single_steps(ranks, tmp_path):
+    every = scenes()
+    file = tmp_path / "scenes.json"
+    file.write_text(json.dumps(every))
+    done = run_ranks(ranks, ROOT / "tests" / "parallel" / "few_bodies.py", file, timeout=300)
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert done.stdout.splitlines() == [f"{name}: the same" for name in every]
+
+
+def test_another_way_to_sum_ends_it():
+    """A force that is changed between steps to one that the compiled loop does not know."""
+    sim = Simulation(Scene.from_dict(tables(GRAVITY, "leapfrog")))
+    sim.steps(3)
+    sim.effects["mutual_gravity"].method = "tree"
+    assert sim.few is None
+    sim.steps(3)
+    sim.effects["mutual_gravity"].method = "direct"
+    sim.effects["mutual_gravity"].G = 2.0
+    assert sim.few.direct.G == 2.0
+
+
+@pytest.mark.parametrize("at_once", [1, 1000])
+def test_stops_at_the_step_at_which_the_watchdog_looks(at_once):
+    """A speed that overflows: at step 10 or 20 and so on, however many steps are asked for at once."""
+    time = {"step": 1e3, "steps": 1000, "integrator": "taylor"}
+    sim = Simulation(Scene.from_dict(tables({"drag": {"rate": 1e3}}, "taylor") | {"time": time}))
+    with pytest.raises(StoppedError, match="step 60: particle 0 on rank 0"):
+        while True:
+            sim.steps(at_once) if at_once == 1 else sim.step_towards(1000)
+            if sim.steps_done % 10 == 0:
+                sim.watch()
+
+
+def test_ctrl_c_is_heard_at_once(tmp_path):
+    """Of a run that would take hours, and that a resumed one continues with the same bits as one that was not stopped."""
+    scene = tmp_path / "orbit.toml"
+    text = (ROOT / "particles_mpi" / "scenes" / "figure_eight.toml").read_text()
+    scene.write_text(text.replace("steps = 4000", "steps = 100_000_000_000").replace("every = 100", "every = 1_000_000_000"))
+    scene.write_text(scene.read_text() + "diagnostics_every = 1_000_000_000\ncheckpoint_every = 1_000_000_000\n")
+    command = [sys.executable, "-m", "particles_mpi", "run", str(scene), "--output", str(tmp_path / "out")]
+    run = subprocess.Popen(command, cwd=ROOT, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    end = monotonic() + 60
+    while not (tmp_path / "out" / "trajectory.vtkhdf").exists() and monotonic() < end:
+        sleep(0.05)
+    sleep(1.0)
+    run.send_signal(signal.SIGTERM)
+    asked = monotonic()
+    _, said = run.communicate(timeout=60)
+    assert run.returncode == 130 and "stopped at step" in said, said
+    assert monotonic() - asked < 5.0  # a loaded machine; 0.2 s were seen
+    sim = Simulation.resume(tmp_path / "out" / "checkpoint.h5")
+    steps = sim.steps_done
+    assert steps > 10_000
+    other = Simulation(Scene.load(ROOT / "particles_mpi" / "scenes" / "figure_eight.toml"))
+    other.steps(steps)
+    np.testing.assert_array_equal(sim.particles.position, other.particles.position)
