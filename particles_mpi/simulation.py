@@ -46,7 +46,7 @@ class Simulation(Saved):
 
     def step(self, collisions: bool = True) -> None:
         """Advance by one step; `collisions=False` lets particles pass through one another and through walls. Collective."""
-        self.step_towards(self.steps_done + 1, collisions)
+        self.steps_at_once(1, collisions)
 
     def steps(self, number: int) -> None:
         """Advance by a number of steps: for few bodies a hundred times as fast as one `step` after the other. Collective."""
@@ -54,16 +54,23 @@ class Simulation(Saved):
         while self.steps_done < last:
             self.step_towards(last)
 
-    def step_towards(self, last: int, collisions: bool = True) -> None:
+    def step_towards(self, last: int) -> None:
         """Advance by one step, or by as many as few bodies make at once, but not beyond step `last`. Collective."""
+        if self.few:
+            self.steps_at_once(last - self.steps_done)
+        else:
+            self.step()
+
+    def steps_at_once(self, most: int, collisions: bool = True) -> None:
+        """Advance by one step, or by up to `most` of few bodies. Collective."""
         self.take_changes()
+        done = 1
         try:
             self.particles.close()
             if self.few and collisions:
-                done = self.few.advance(self._h, self.steps_done, last - self.steps_done)
+                done = self.few.advance(self._h, self.steps_done, most)
             else:
                 self.advance(self._h, collisions)
-                done = 1
         except StateError as error:
             raise StateError(f"step {self.steps_done + 1}: {error}") from None
         self.particles.open()

@@ -10,6 +10,7 @@ import ctypes
 import os
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -83,22 +84,26 @@ class Trajectory(Continuing):
         if self.file is not None:
             names = (*self.columns, *STEPS, *PARTS, *(f"Vertices/{what}" for what in CELLS))
             self.datasets = {name: self.file[f"VTKHDF/{name}"] for name in names}
+            self.count = h5py.h5a.open(self.file["VTKHDF/Steps"].id, b"NSteps")
 
     def write(self, step: int, time: float, arrays: dict[str, Array], ids: IdRange) -> None:
         """Append a frame. `arrays`: this rank's owned rows in any order, at least the fields given at the start."""
         rows = in_id_order(self.ranks, {n: arrays[n] for n in self.fields}, ids, self.ranks.size if self.parallel else 1)
         frame = frame_arrays(rows, self.dimension)
         first = self.points + int(self.ranks.allgather_array(np.array(len(rows["id"])))[: self.ranks.rank].sum())
+        actions: list[Callable[[], None]] = []
         if ids.total != self.parts[-1]:
-            self._attempt(step, self._append_part, ids.total)
+            actions.append(partial(self._append_part, ids.total))
             self.parts.append(ids.total)
-        for name in frame:
-            self._attempt(step, self._append, self.places[name], first, frame[name])
-        self._attempt(step, self._append_step, step, time)
+        actions += [partial(self._append, self.places[name], first, rows) for name, rows in frame.items()]
+        actions.append(partial(self._append_step, step, time))
         # the count is raised after all that it counts has left this process: the file of a killed run is readable
-        self._attempt(step, lambda: self.file.flush())
-        self._attempt(step, lambda: self.file["VTKHDF/Steps"].attrs.modify("NSteps", np.int64(self.frames + 1)))
-        self._attempt(step, lambda: self.file.flush())
+        actions += [self._flush, self._raise_count, self._flush]
+        if self.parallel:  # after each the ranks ask one another whether it went well
+            for action in actions:
+                self._attempt(step, action)
+        else:
+            self._attempt(step, lambda: [action() for action in actions])
         self.frames += 1
         self.points += ids.total
 
@@ -107,14 +112,21 @@ class Trajectory(Continuing):
         if not self.failed:
             super().close()
 
-    def _attempt(self, step: int, action: Callable[..., None], *arguments: Any) -> None:
+    def _flush(self) -> None:
+        self.file.flush()
+
+    def _raise_count(self) -> None:
+        """One more frame is whole."""
+        self.count.write(np.array(self.frames + 1, np.int64))
+
+    def _attempt(self, step: int, action: Callable[[], Any]) -> None:
         try:
             with failing_together(self.ranks, f"cannot write {self.path} at step {step}"):
                 if self.parallel:
                     with mpi_io_errors():
-                        action(*arguments)
+                        action()
                 elif self.file is not None:
-                    action(*arguments)
+                    action()
         except StoppedError:  # HDF5 crashes when it closes a file that it cannot flush, also at the end of the process
             self.failed = True
             for kept in (self.file, self.datasets):
@@ -125,18 +137,18 @@ class Trajectory(Continuing):
 
     def _append(self, place: str, first: int, values: Array) -> None:
         """Write this rank's rows of a column, from row `first` on. Ranks without rows take part too: the call is collective."""
-        dataset = self.datasets[place]
-        dataset.resize(self.points + self.parts[-1], axis=0)
+        dataset = self.datasets[place].id  # of HDF5 itself: a frame of a few bodies is nothing but calls
+        dataset.set_extent((self.points + self.parts[-1], *values.shape[1:]))
         if self.parts[-1] == 0:
             return
-        space = dataset.id.get_space()
+        space = dataset.get_space()
         memory = h5py.h5s.create_simple(values.shape)
         if len(values):
             space.select_hyperslab((first,) + (0,) * (values.ndim - 1), values.shape)
         else:
             space.select_none()
             memory.select_none()
-        dataset.id.write(memory, space, values, dxpl=self.collective)
+        dataset.write(memory, space, values, dxpl=self.collective)
 
     def _extend(self, place: str, rows: int, values: Any) -> None:
         """Rows at the end of a dataset. Resizing is collective, writing a number is not."""
@@ -160,8 +172,14 @@ class Trajectory(Continuing):
     def _append_step(self, step: int, time: float) -> None:
         """The row of this frame in every dataset of Steps; None: the fill value."""
         row = {"Values": time, "Step": step, "PointOffsets": self.points, "PartOffsets": len(self.parts) - 1}
-        for place in STEPS:
-            self._extend(place, self.frames + 1, row.get(place.removeprefix("Steps/")))
+        memory = h5py.h5s.create_simple((1,))
+        for place, (width, kind, _) in STEPS.items():
+            dataset = self.datasets[place].id
+            dataset.set_extent((self.frames + 1, *width))
+            if self.ranks.is_root and (value := row.get(place.removeprefix("Steps/"))) is not None:
+                space = dataset.get_space()
+                space.select_hyperslab((self.frames,), (1,))
+                dataset.write(memory, space, np.array([value], kind))
 
     def prepare(self) -> None:
         """Make the file, or remove the frames that are not kept."""

@@ -5,6 +5,8 @@ of the frame. The only block of a small frame is the file `vtk/particles_000100.
 `vtk/particles_000100/piece_000000.vtu` and so on, which `vtk/particles_000100.pvtu` names; readers open that one.
 """
 
+import errno
+import os
 import re
 import shutil
 import xml.etree.ElementTree as ElementTree
@@ -20,6 +22,7 @@ from particles_mpi.parallel.exchange import IdRange, in_id_order
 from particles_mpi.particles import Array, field, rows_of
 
 PIECE = 2**20  # ids in a file
+END = ["  </Collection>", "</VTKFile>"]  # the last lines of the list
 KINDS = {"f": "Float", "i": "Int", "u": "UInt"}  # of numbers: as numpy and as VTK call them
 
 
@@ -58,7 +61,7 @@ class VtkSeries(Continuing):
                 if path.suffix == ".pvtu":
                     _write_pvtu(path, pieces, frame_arrays(rows_of(shown, np.arange(0)), self.dimension))
                 self.frames[step] = f"vtk/{path.name}", repr(float(time))
-                self._write_listing()
+                self._list_last(step)
 
     def _write_pieces(self, path: Path, step: int, arrays: dict[str, Array], ids: IdRange) -> list[str]:
         """Write the blocks of a frame, as many at once as there are ranks. Returns the files of those that have particles."""
@@ -82,8 +85,31 @@ class VtkSeries(Continuing):
         return pieces
 
     def _write_listing(self) -> None:
-        lines = [f'    <DataSet timestep="{time}" part="0" file="{file}"/>' for file, time in self.frames.values()]
-        _write_xml(self.path, "Collection", ["  <Collection>", *lines, "  </Collection>"])
+        _write_xml(self.path, "Collection", ["  <Collection>", *map(self._entry, self.frames), END[0]])
+
+    def _entry(self, step: int) -> str:
+        """The line of a frame."""
+        file, time = self.frames[step]
+        return f'    <DataSet timestep="{time}" part="0" file="{file}"/>'
+
+    def _list_last(self, step: int) -> None:
+        """Add the line of a frame, by one write in the place of the last lines: a file system takes a hundred times as long to
+        replace a file."""
+        if len(self.frames) == 1:
+            self._write_listing()
+            return
+        end = "".join(f"{line}\n" for line in END).encode()
+        with self.path.open("r+b", buffering=0) as file:
+            place = file.seek(-len(end), os.SEEK_END)
+            try:
+                written = file.write(added := f"{self._entry(step)}\n".encode() + end)
+                if written < len(added):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            except OSError:
+                file.truncate(place)
+                file.seek(place)
+                file.write(end)
+                raise
 
     def look(self, resume_step: int, last: int | None) -> None:
         """Read the list of frames up to a step."""
@@ -121,4 +147,4 @@ def _write_xml(path: Path, kind: str, lines: list[str]) -> None:
     """Write a file of VTK with these lines inside, replaced as a whole."""
     begin = ['<?xml version="1.0"?>', f'<VTKFile type="{kind}" version="0.1" byte_order="LittleEndian">']
     with replacing(path) as part:
-        part.write_text("\n".join([*begin, *lines, "</VTKFile>\n"]))
+        part.write_text("\n".join([*begin, *lines, f"{END[-1]}\n"]))

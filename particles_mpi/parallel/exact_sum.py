@@ -16,6 +16,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
 
 AT_ONCE = 2**29
+MASK = 0xFFFFFFFF
 DIGITS = 68  # of 32 bits each, from 2^-1074 to beyond 2^1024; the last one counts values that are not finite
 
 
@@ -26,7 +27,7 @@ def accumulate(values, digits):
     In the end all digits but the highest one, which has the sign, are from 0 to 2^32 - 1.
     """
     bits = values.view(np.int64)
-    mask = np.int64(0xFFFFFFFF)
+    mask = np.int64(MASK)
     for i in range(len(bits)):
         exponent = (bits[i] >> 52) & 0x7FF
         mantissa = bits[i] & 0xFFFFFFFFFFFFF
@@ -63,7 +64,8 @@ def rounded(digits: Array) -> float:
     """The float64 nearest to the sum that the digits hold."""
     if digits[-1]:
         return nan
-    total = sum(int(digit) << (32 * place) for place, digit in enumerate(digits[:-1]))
+    lower, upper = (int.from_bytes(part.astype("<u4").tobytes(), "little") for part in (digits[:-2] & MASK, digits[:-2] >> 32))
+    total = lower + (upper << 32) + (int(digits[-2]) << 32 * (DIGITS - 2))  # the sign is that of the highest digit
     try:
         return total / (1 << 1074)
     except OverflowError:
