@@ -13,7 +13,9 @@ an argument makes another one, and so does a variable that starts as a literal: 
 
 from __future__ import annotations
 
+import sys
 from functools import partial
+from importlib import import_module
 from typing import Any
 
 from llvmlite import ir
@@ -25,6 +27,15 @@ from numba.extending import intrinsic
 
 kernel: Any = partial(njit, cache=True, no_cfunc_wrapper=True)
 lean: Any = kernel(_nrt=False)
+
+
+BLAS = "scipy.linalg.cython_blas"
+if (
+    BLAS not in sys.modules
+):  # Numba loads SciPy for it at each start, which takes 0.1 s; only np.inner of kernels asks for it then
+    sys.modules[BLAS] = None  # type: ignore[assignment]
+    import_module("numba.np.arraymath")
+    del sys.modules[BLAS]
 
 
 class Inner(CPUDispatcher):

@@ -17,3 +17,10 @@ How a row gets to another rank. `LoadBalance` keeps the `Decomposition` of space
 rows take their places. Ghosts are sent by `send_rows` too, and `RowBuffers.append_ghosts` puts them behind the owned rows; until
 the next search for neighbours `Halo` refreshes them.
 """
+
+import os
+from pathlib import Path
+
+if not any(Path(f"/sys/class/{kind}").exists() for kind in ("infiniband", "hfi1", "cxi")):
+    # Open MPI would look for fast networks, with drivers that calibrate clocks for 0.2 s, and end at ob1 all the same
+    os.environ.setdefault("OMPI_MCA_pml", "ob1")
