@@ -1,14 +1,20 @@
-"""Speed, as tables: `python tests/benchmarks/speed.py CASE|all [--runs 5]`; `--help` lists the cases.
+"""Speed, as tables: `python tests/benchmarks/speed.py CASE|all [--runs 5] [--readme] [--peers]`; `--help` lists the cases.
 
 Each case is run several times, the settings in turn, and the median and range are printed and written to
-out/benchmarks/CASE.csv. Shared machines are noisy: compare medians of one call, not of two.
+out/benchmarks/CASE.csv. Shared machines are noisy: compare medians of one call, not of two. `all --readme` writes the table of
+tests/README.md, so that no row is older than another. `--peers` measures REBOUND and pytreegrav in the same turns, where they are
+installed (`pip install rebound pytreegrav`).
 """
 
 import argparse
 import csv
 import json
+import os
+import re
 import sys
 import tempfile
+from datetime import date
+from importlib.util import find_spec
 from math import pi
 from pathlib import Path
 from statistics import median
@@ -235,34 +241,138 @@ output = {every = 1, checkpoint_every = 8, formats = ["hdf5"]}
     return {f"{r} ranks": lambda r=r: once(r) for r in (1, 2)}
 
 
-CASES = {
-    f.__name__: f for f in (headline, flat, ranks, walls, bed, events, event_ranks, direct, tree, gravity_ranks, start, frames)
-}
+def few():
+    """few bodies on one core: thousand steps/s of the figure eight by each integrator; milliseconds of whole integrations"""
+
+    def rate(integrator, steps):
+        tables = Scene.load(SCENES / "figure_eight.toml").to_dict()
+        sim = Simulation(Scene.from_dict(tables | {"time": tables["time"] | {"integrator": integrator, "steps": 10 * steps}}))
+        sim.steps(steps // 10)
+        begin = perf_counter()
+        sim.steps(steps)
+        return steps / (perf_counter() - begin) / 1e3
+
+    def pythagorean():
+        sim = Simulation(Scene.load(SCENES / "pythagorean.toml"))
+        sim.step()
+        begin = perf_counter()
+        sim.run()
+        return (perf_counter() - begin) * 1e3
+
+    from particles_mpi import Scene, Simulation
+
+    lengths = {"leapfrog": 2_000_000, "taylor": 2_000_000, "order4": 400_000, "adaptive": 40_000}
+    rates = {f"{name}, 1000 steps/s": lambda name=name, steps=steps: rate(name, steps) for name, steps in lengths.items()}
+    solar = {
+        "solar_system.toml, the loop with all output, ms": lambda: (
+            run(SCENES / "solar_system.toml", 1)[1]["timers"]["loop"]["max"] * 1e3
+        )
+    }
+    return rates | {"Pythagorean problem to t = 70, ms": pythagorean} | solar
+
+
+def few_peers():
+    """REBOUND: the same"""
+    import rebound
+
+    def simulation(mass, x, v):
+        sim = rebound.Simulation()
+        for m, place, speed in zip(mass, x, v, strict=True):
+            sim.add(m=m, x=place[0], y=place[1], vx=speed[0], vy=speed[1])
+        return sim
+
+    def leapfrog():
+        a, b = [0.97000435669733434, -0.24308753153583489], [0.46620368572055115, 0.43236573046050048]
+        sim = simulation([1.0] * 3, [a, [-a[0], -a[1]], [0.0, 0.0]], [b, b, [-2 * b[0], -2 * b[1]]])
+        sim.integrator, sim.dt = "leapfrog", 0.0015814784957455528
+        begin = perf_counter()
+        sim.steps(2_000_000)
+        return 2_000_000 / (perf_counter() - begin) / 1e3
+
+    def pythagorean():
+        sim = simulation([3.0, 4.0, 5.0], [[1.0, 3.0], [-2.0, -1.0], [1.0, -1.0]], [[0.0, 0.0]] * 3)
+        sim.integrator = "ias15"
+        begin = perf_counter()
+        sim.integrate(70.0)
+        return (perf_counter() - begin) * 1e3
+
+    return {"REBOUND leapfrog, 1000 steps/s": leapfrog, "REBOUND IAS15, Pythagorean problem to t = 70, ms": pythagorean}
+
+
+def tree_peers():
+    """pytreegrav: the same at about the same error"""
+    import numpy as np
+    from pytreegrav import Accel
+
+    def once(n):
+        generator = np.random.default_rng(1)
+        radius = 1.0 / np.sqrt(generator.random(n) ** (-2.0 / 3.0) - 1.0)
+        way = generator.standard_normal((n, 3))
+        x = radius[:, None] * way / np.sqrt((way**2).sum(axis=1))[:, None]
+        mass, h = np.full(n, 1.0 / n), np.zeros(n)
+        Accel(x[:100], mass[:100], h[:100], theta=0.5, quadrupole=True, method="tree")
+        begin = perf_counter()
+        Accel(x, mass, h, theta=0.5, quadrupole=True, method="tree")
+        return (perf_counter() - begin) / n * 1e6
+
+    return {f"pytreegrav, N = {n}": lambda n=n: once(n) for n in (10_000, 100_000)}
+
+
+MEASURED = (few, headline, flat, ranks, walls, bed, events, event_ranks, direct, tree, gravity_ranks, start, frames)
+CASES = {case.__name__: case for case in MEASURED}
+PEERS = {"few": ("rebound", few_peers), "tree": ("pytreegrav", tree_peers)}
+ONCE = {"bed"}  # cases of a quarter of an hour, which are run once
+TABLE = re.compile(r"(<!-- speed -->\n).*(<!-- end of speed -->)", re.DOTALL)
+
+
+def measured(name, runs, peers):
+    """[label, median, smallest, largest, median of the ratios to the first] of each setting of a case; printed and kept."""
+    settings = CASES[name]()
+    module, of_peer = PEERS.get(name, ("", None))
+    if peers and module and find_spec(module):
+        settings |= of_peer()
+    figures = {label: [] for label in settings}
+    for _ in range(1 if name in ONCE else runs):
+        for label, measure in settings.items():
+            figures[label].append(measure())
+    base = next(iter(figures))
+    print(f"{name}: {CASES[name].__doc__}", flush=True)
+    rows = []
+    for label, values in figures.items():
+        ratio = median(b / a for a, b in zip(figures[base], values, strict=True))
+        rows.append([label, median(values), min(values), max(values), ratio])
+        _, middle, low, high, _ = rows[-1]
+        print(f"  {label:18} median {middle:9.3f}   range {low:.3f} .. {high:.3f}   to the first: {ratio:.3f}", flush=True)
+    with (ROOT / "out" / "benchmarks" / f"{name}.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([["setting", "median", "min", "max", "median of paired ratios to the first"], *rows])
+    return rows
+
+
+def write_table(found):
+    """The table of tests/README.md: a row for each case, the medians of its settings, and the range where it is wide."""
+    told = [line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")]
+    cpu = told[0].split(":")[1].strip() if told else "unknown CPU"
+    lines = [f"{date.today()}, {cpu}, {os.cpu_count()} cores. Medians, and in brackets the range of all runs.", ""]
+    lines += ["| what | figures | `speed.py` |", "|---|---|---|"]
+    for name, rows in found.items():
+        figures = "; ".join(f"{label}: {middle:.4g} ({low:.4g} to {high:.4g})" for label, middle, low, high, _ in rows)
+        lines.append(f"| {CASES[name].__doc__} | {figures} | `{name}` |")
+    page = ROOT / "tests" / "README.md"
+    page.write_text(TABLE.sub(lambda old: old[1] + "\n".join(lines) + "\n" + old[2], page.read_text()))
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("case", choices=[*CASES, "all"])
     parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--readme", action="store_true", help="with all: write the table of tests/README.md")
+    parser.add_argument("--peers", action="store_true", help="measure other programs too, where they are installed")
     options = parser.parse_args()
-    folder = ROOT / "out" / "benchmarks"
-    folder.mkdir(parents=True, exist_ok=True)
-    for name in CASES if options.case == "all" else [options.case]:
-        settings = CASES[name]()
-        figures = {label: [] for label in settings}
-        for _ in range(options.runs):
-            for label, measure in settings.items():
-                figures[label].append(measure())
-        base = next(iter(figures))
-        print(f"{name}: {CASES[name].__doc__}")
-        rows = []
-        for label, values in figures.items():
-            ratio = median(b / a for a, b in zip(figures[base], values, strict=True))
-            rows.append([label, median(values), min(values), max(values), ratio])
-            _, middle, low, high, _ = rows[-1]
-            print(f"  {label:18} median {middle:9.3f}   range {low:.3f} .. {high:.3f}   to the first: {ratio:.3f}")
-        with (folder / f"{name}.csv").open("w", newline="") as file:
-            csv.writer(file).writerows([["setting", "median", "min", "max", "median of paired ratios to the first"], *rows])
+    (ROOT / "out" / "benchmarks").mkdir(parents=True, exist_ok=True)
+    names = list(CASES) if options.case == "all" else [options.case]
+    found = {name: measured(name, options.runs, options.peers) for name in names}
+    if options.readme and options.case == "all":
+        write_table(found)
 
 
 if __name__ == "__main__":
