@@ -49,26 +49,26 @@ class Simulation(Saved):
         self.steps_at_once(1, collisions)
 
     def steps(self, number: int) -> None:
-        """Advance by a number of steps: for few bodies a hundred times as fast as one `step` after the other. Collective."""
+        """Advance by a number of steps: where `ManySteps` computes them, far faster than one by one. Collective."""
         last = self.steps_done + number
         while self.steps_done < last:
             self.step_towards(last)
 
     def step_towards(self, last: int) -> None:
-        """Advance by one step, or by as many as few bodies make at once, but not beyond step `last`. Collective."""
-        if self.few:
+        """Advance by one step, or by as many as are computed at once, but not beyond step `last`. Collective."""
+        if self.many_steps:
             self.steps_at_once(last - self.steps_done)
         else:
             self.step()
 
     def steps_at_once(self, most: int, collisions: bool = True) -> None:
-        """Advance by one step, or by up to `most` of few bodies. Collective."""
+        """Advance by one step, or by up to `most` if many are computed at once. Collective."""
         self.take_changes()
         done = 1
         try:
             self.particles.close()
-            if self.few and collisions:
-                done = self.few.advance(self._h, self.steps_done, most)
+            if self.many_steps and collisions:
+                done = self.many_steps.advance(self._h, self.steps_done, most)
             else:
                 self.advance(self._h, collisions)
         except StateError as error:

@@ -13,8 +13,8 @@ from particles_mpi.contacts.walls import no_planes
 from particles_mpi.errors import StateError, listed
 from particles_mpi.initial.checks import value_limits
 from particles_mpi.initial.populate import add_population, plain_table
-from particles_mpi.integrators.few_bodies import FewBodies
 from particles_mpi.integrators.kicks_and_drifts import Accelerations, Kick, integrator_of
+from particles_mpi.integrators.many_steps import ManySteps
 from particles_mpi.measure.watchdog import Watchdog
 from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.parallel.communicator import Communicator
@@ -88,14 +88,14 @@ class State:
         self.forces, self.g = self.accelerations.forces, self.accelerations.g
         self.kick = Kick(effects, self.sum_forces, self.timers)
         self.integrator = integrator_of(scene, ranks, self.kick, self.rest)
-        self.look_for_few()
+        self.look_for_many_steps()
         self.taken = p.edition
         self.particles.open()
 
-    def look_for_few(self) -> None:
-        """Are there so few bodies, and such effects, that many steps can be computed at once?"""
-        parts = self.rows, self.context, self.active, self.accelerations, self.drift, self.integrator
-        self.few = FewBodies(*parts) if FewBodies.suit(self.active, self.total) else None
+    def look_for_many_steps(self) -> None:
+        """Can many steps be computed at once, with these effects?"""
+        parts = self.rows, self.context, self.active, self.accelerations, self.drift, self.integrator, self.rest
+        self.many_steps = ManySteps(*parts) if ManySteps.suit(self.active, self.total, self.rest) else None
 
     def sum_forces(self) -> Array | None:
         """Accelerations (n, d) of this rank's particles at the present positions, or None without forces. Collective."""
@@ -186,7 +186,7 @@ class State:
             force.bind(self.context)
             self.accelerations.replace(name, force)
             self.active.all[name] = self.active.forces[name] = force
-            self.look_for_few()
+            self.look_for_many_steps()
             self.rows.edition += 1
             self.forget_contacts()
         else:

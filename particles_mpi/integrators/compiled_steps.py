@@ -1,4 +1,4 @@
-"""Many steps of a few bodies in one compiled loop; scalars and arrays only. See `few_bodies`.
+"""Many steps in one compiled loop; scalars and arrays only. See `many_steps`.
 
 The kernels of a step are those that `Composition`, `Taylor` and `Adaptive` call, in the same order.
 """
@@ -7,12 +7,15 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from particles_mpi.contacts.persistent.detection import near_walls, near_walls_among
+from particles_mpi.contacts.persistent.on_walls import settle_on_walls
+from particles_mpi.contacts.persistent.rows import hand_over
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.contacts.walls import drift_with_walls
 from particles_mpi.gravity.direct import attract_few
 from particles_mpi.integrators.collocation import END, FORCES, STUCK, begin, copy, go_on
 from particles_mpi.kernels.geometry import wrap
-from particles_mpi.kernels.jit import lean, lean_inner
+from particles_mpi.kernels.jit import kernel, lean, lean_inner
 from particles_mpi.kernels.motion import free_drift, kick, kick_with_drag
 from particles_mpi.kernels.sliding import kick_with_friction
 from particles_mpi.kernels.validity import WATCH_EVERY, find_invalid
@@ -20,7 +23,7 @@ from particles_mpi.particles import Array
 
 
 class Bodies(NamedTuple):
-    """All particles, in the order of their ids; n rows, vectors (n, d)."""
+    """Rows of particles; vectors are (n, d). Where they attract one another all of them, in the order of their ids."""
 
     id: Array
     x: Array
@@ -55,6 +58,23 @@ class Losses(NamedTuple):
     coasts: bool  # does nothing but friction act?
 
 
+class Rest(NamedTuple):
+    """Contacts with walls that last, as of `PersistentContacts`; and room for what they give to rows."""
+
+    kept: bool  # are there any?
+    axes: tuple[float, ...]  # a 0.0 for each axis: these kernels begin sums with them
+    supported: Array  # (n,) field of the rows
+    point: Array  # of the walls that take energy
+    normal: Array
+    faces: tuple[Array, Array, bool]
+    length: Array
+    precise: float
+    near: Array  # (n,): rows near walls
+    pushed: Array  # (n,): rows that contacts push
+    given: Array  # (n, d): velocities given to them
+    had: Array  # (n,): rows whose rates have that in them
+
+
 class Space(NamedTuple):
     """Where the bodies move."""
 
@@ -66,7 +86,8 @@ class Space(NamedTuple):
     upper: Array
     length: Array
     start: Array  # (n,): room for the times at which segments start
-    nobody: Array  # (0,)
+    reach: float  # rows that may be so near to walls are found, if contacts with walls last
+    rest: Rest
 
 
 class Scheme(NamedTuple):
@@ -81,33 +102,70 @@ class Scheme(NamedTuple):
 def sum_forces(axes, x, mass, fixed, forces, total):
     """total (n, d) = all forces at x, in the order of `Accelerations.sum`."""
     first, attracts, G, softening2, others, _ = forces
-    if attracts:
-        attract_few(axes, x, mass, softening2, total)
+    if not attracts:  # they are the same everywhere
+        return
+    attract_few(axes, x, mass, softening2, total)
     for i in range(len(x)):
         for k in range(len(axes)):
-            total[i, k] = first[i, k] + G * total[i, k] if attracts else first[i, k]
+            total[i, k] = first[i, k] + G * total[i, k]
             for other in range(len(others)):
                 total[i, k] += others[other, i, k]
             if fixed[i] != 0:
                 total[i, k] = 0.0
 
 
+@kernel(_nrt=True)  # also where a @lean kernel calls it
+def keep_on_walls(axes, bodies, rest, h, near):
+    """As `PersistentContacts.keep`, of rows of which the first `near` of `rest.near` are near walls; -1 if that is not known.
+
+    Returns how many rows contacts push.
+    """
+    x, v, a, radius, supported = bodies.x, bodies.v, bodies.total, bodies.radius, rest.supported
+    if near >= 0:
+        rows = near_walls_among(rest.near[:near], x, v, a, radius, supported, h, rest.point, rest.normal)
+    else:
+        rows = near_walls(x, v, a, radius, bodies.fixed, supported, h, *rest.faces, rest.point, rest.normal)
+    if len(rows) == 0:
+        return 0
+    fields, planes = (x, v, radius, bodies.mass, bodies.fixed, supported), (rest.point, rest.normal)
+    settled, held = settle_on_walls(rest.axes, rows, fields, a, h, rest.length, rest.faces, planes, rest.precise)
+    changed, by = hand_over(rows, settled, held, v, supported)
+    for r in range(len(changed)):
+        rest.pushed[r] = changed[r]
+        for k in range(len(axes)):
+            rest.given[r, k] = by[r, k]
+    return len(changed)
+
+
+@lean_inner
+def set_rates(axes, bodies, space, before, pushed, t_mid):
+    """As `Drift.rates`: accelerations of rows, and what contacts give to the first `pushed` of `rest.pushed` besides.
+
+    before: how many rows of `rest.had` have more than that from the last drift; -1 if not even accelerations are there.
+    """
+    rates, rest, total = space.rates, space.rest, bodies.total
+    for i in range(len(total) if before < 0 else before):
+        row = i if before < 0 else rest.had[i]
+        for k in range(len(axes)):
+            rates[row, k] = total[row, k]
+    for r in range(pushed):
+        rest.had[r] = rest.pushed[r]
+        for k in range(len(axes)):
+            rates[rest.pushed[r], k] += rest.given[r, k] / t_mid
+
+
 @lean_inner
 def move(axes, bodies, space, strength, h, t_mid):
-    """The drift of `Drift.advance`, without pairs; returns the number of wall hits."""
-    hits = 0
+    """The drift of `Drift.advance`, without pairs; returns the number of wall hits, and of rows in `rest.near`."""
+    hits, near = 0, 0
     if space.bounded:
-        if space.own_rates:
-            for i in range(len(bodies.total)):
-                for k in range(len(axes)):
-                    space.rates[i, k] = bodies.total[i, k]
         rates = Rates(space.rates, bodies.drag, strength, t_mid)
         fields = bodies.x, bodies.v, bodies.radius, bodies.inverse_mass
-        hits, _ = drift_with_walls(axes, *fields, space.start, h, space.planes, rates, 0.0, space.nobody)
+        hits, near = drift_with_walls(axes, *fields, space.start, h, space.planes, rates, space.reach, space.rest.near)
     else:
         free_drift(bodies.x, bodies.v, h)
     wrap(bodies.x, space.lower, space.upper, space.length)
-    return hits
+    return hits, near
 
 
 @lean_inner
@@ -139,12 +197,13 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch):
     Returns (steps done, wall hits, sums of forces, are the forces in `bodies.total` those of the present places?).
     """
     hits, sums, known = 0, 0, True
+    before, near, pushed = -1, -1, 0
     for step in range(1, steps + 1):
         for part in range(len(scheme.kicks)):
             kicked, drifted = scheme.kicks[part] * h, scheme.drifts[part] * h
             if not known:
                 sum_forces(axes, bodies.x, bodies.mass, bodies.fixed, forces, bodies.total)
-                sums, known = sums + 1, True
+                sums, known, before = sums + 1, True, -1
             if scheme.taylor:
                 rate = bodies.rate
                 for i in range(len(rate)):
@@ -153,13 +212,19 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch):
                         if len(bodies.drag) > 0:
                             rate[i, k] -= bodies.drag[i] * bodies.v[i, k]
                 kick(bodies.v, rate, kicked)
-                hits += move(axes, bodies, space, losses.strength, drifted, 0.5 * h)
-                kick(bodies.v, rate, kicked)
             else:
                 kick_bodies(axes, bodies, forces, losses, part, kicked, drifted)
-                if drifted != 0.0:
-                    hits += move(axes, bodies, space, losses.strength, drifted, 0.5 * h)
-            known = known and not (forces.attracts and drifted != 0.0)
+                if space.rest.kept:
+                    pushed = keep_on_walls(axes, bodies, space.rest, h, near)
+            if drifted != 0.0:
+                if space.own_rates:
+                    set_rates(axes, bodies, space, before, pushed, 0.5 * h)
+                    before = pushed
+                hit, near = move(axes, bodies, space, losses.strength, drifted, 0.5 * h)
+                hits += hit
+                known = not forces.attracts
+            if scheme.taylor:
+                kick(bodies.v, rate, kicked)
         if step >= watch and (step - watch) % WATCH_EVERY == 0 and invalid(bodies, space):
             return step, hits, sums, known
     return steps, hits, sums, known

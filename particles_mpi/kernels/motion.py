@@ -25,9 +25,9 @@ class Segments(NamedTuple):
 @lean
 def kick(v, a, h):
     """v += a h, in place on v (n, d); as `free_drift` x += v h."""
-    for i in range(v.shape[0]):
-        for k in range(v.shape[1]):
-            v[i, k] += a[i, k] * h
+    changed, rate = v.reshape(-1), a.reshape(-1)  # as one loop: the compiler can use vectors, whatever d is
+    for m in range(len(changed)):
+        changed[m] += rate[m] * h
 
 
 free_drift = kick

@@ -13,7 +13,7 @@ from rich.table import Column, Table
 from particles_mpi.run.forecast import Forecast
 
 PHASES = {
-    "few": "steps of few bodies",
+    "steps": "many steps in one loop",
     "forces": "sum of forces",
     "kick": "velocities, friction, drag",
     "rest": "contacts that last",

@@ -44,8 +44,8 @@ def run(ranks: Communicator, d: int, effects: dict[str, Any], **more: Any) -> No
     if isinstance(sim.near, Event) and ranks.size > 1:  # windows of time on divided space, however few particles there are
         sim.near.divided = sim.near.windows.always = True
     sim.run()
-    if sim.few:  # what more particles need
-        sim.few = None
+    if sim.many_steps:  # what more particles need
+        sim.many_steps = None
         sim.step()
     sim.measure()
     if sim.rest and sim.rest.pairs:

@@ -16,13 +16,11 @@ comm = MPI.COMM_WORLD
 scene = Scene.from_dict(json.loads(Path(sys.argv[1]).read_text()))
 warm, steps = int(sys.argv[2]), int(sys.argv[3])
 sim = Simulation(scene)
-for _ in range(warm):
-    sim.step()
+sim.steps(warm)
 met = sim.totals["collisions"]
 comm.Barrier()
 begin = perf_counter()
-for _ in range(steps):
-    sim.step()
+sim.steps(steps)
 seconds = comm.allreduce(perf_counter() - begin, MPI.MAX)
 met = comm.allreduce(sim.totals["collisions"] - met)
 if comm.rank == 0:

@@ -14,6 +14,7 @@ from particles_mpi.kernels.jit import kernel, lean_inner
 from particles_mpi.particles import Array
 
 SLOW = 2.0  # times what forces do in a step: a bounce that is over in about two steps
+PRECISE = 1e-12  # of the slow speed: approach that does not matter
 HELD = 5.0  # times as fast may it be among those that are held, who would rattle between one another
 
 

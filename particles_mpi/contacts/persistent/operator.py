@@ -20,7 +20,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.detection import SLOW, Contacts, find_contacts, near_walls, near_walls_among, widths
+from particles_mpi.contacts.persistent.detection import (
+    PRECISE,
+    SLOW,
+    Contacts,
+    find_contacts,
+    near_walls,
+    near_walls_among,
+    widths,
+)
 from particles_mpi.contacts.persistent.graph import ContactGraph, Exchange, rows_in
 from particles_mpi.contacts.persistent.memory import carry_over, recall, remember, send_home
 from particles_mpi.contacts.persistent.on_walls import settle_on_walls
@@ -36,7 +44,6 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles, row_dot
 from particles_mpi.timers import Timers
 
-PRECISE = 1e-12  # of the slow speed: approach that does not matter
 SKIN = 0.3  # of the smallest radius: so far rows may move, two together, before the graph is made anew
 DILUTE = 1.0  # the same, in a gas: few pairs come near, but rows move far
 UNKNOWN = 10  # times the effort where nothing is remembered
@@ -142,12 +149,15 @@ class PersistentContacts:
         """Rows that are supported, or have a slow contact with a wall; where pairs are kept, fixed ones too."""
         state, near = (p.position, p.velocity, a, p.radius), self.near_faces
         if near and len(p):
-            push = float(np.linalg.norm(a[np.argmin(p.fixed)]))  # the same for all that are not fixed
-            near.reach = 1.000001 * SLOW * h * h * push + self.round_off
+            near.reach = self.reach(h, float(np.linalg.norm(a[np.argmin(p.fixed)])))
             rows = near.within(near.reach, p)  # with all that were held: these have not moved away from their walls
             if rows is not None:
                 return near_walls_among(rows, *state, p["supported"], h, self.point, self.normal)
         return near_walls(*state, p.fixed, p["supported"], h, *self.faces, self.point, self.normal)
+
+    def reach(self, h: float, push: float) -> float:
+        """How far from walls slow contacts may be; `push`: the acceleration, the same for all rows that are not fixed."""
+        return 1.000001 * SLOW * h * h * push + self.round_off
 
     def keep_crowds(self, p: Particles, a: Array, h: float) -> None:
         """As `keep`, but contacts with those that are CROWD, and with all who touch them, are kept at any speed. Collective."""

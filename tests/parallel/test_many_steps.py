@@ -1,4 +1,4 @@
-"""Many steps of few bodies in one compiled loop: the bits, counts and errors of single steps; and it stays prompt."""
+"""Many steps in one compiled loop: the bits, counts and errors of single steps; and it stays prompt."""
 
 import json
 import signal
@@ -20,6 +20,8 @@ GRAVITY = {"mutual_gravity": {"G": 1.0, "softening": 0.05}}
 DOWN = {"uniform_gravity": {"acceleration": [0.3, -1.0]}}
 PUSHED = {"user_acceleration": {}}
 PLANES = {"walls": {"planes": [{"point": [0, -3], "normal": [0.2, 1]}, {"point": [0, 5], "normal": [0, -1]}]}}
+BOX = {"lower": [-3.0, -0.4], "upper": [3.0, 4.0]}
+MANY = 4500  # more than a block
 FORCES = {
     "none": {},
     "gravity": GRAVITY,
@@ -54,6 +56,11 @@ def scenes():
             found[f"{integrator}: {forced}; {lossy}"] = tables(forces | losses, integrator)
             if integrator in ("leapfrog", "taylor"):
                 found[f"{integrator}: {forced}; {lossy}; walls"] = tables(forces | losses | PLANES, integrator)
+    for name, effects in {"lossy walls": {}, **LOSSES}.items():  # most come to rest on the floor
+        falling = {"uniform_gravity": {"acceleration": [0.0, -20.0]}, "walls": {"restitution": 0.4}} | effects
+        many = [{"count": MANY, "position": "random", "radius": 0.01, "velocity": {"speed": 3.0}}, *BODIES[:1]]
+        found[f"lossy walls; {name}"] = tables(falling, "leapfrog", BOX, many)
+        found[f"elastic walls; {name}"] = tables(falling | {"walls": {}}, "leapfrog", BOX, many)
     box = {"lower": [-4.0, -4.0], "upper": [4.0, 4.0], "periodic": [True, False]}
     for integrator in ("leapfrog", "adaptive"):
         found[f"{integrator}: periodic"] = tables(PUSHED, integrator, box)
@@ -65,7 +72,7 @@ def test_same_bits_and_counts_as_single_steps(ranks, tmp_path):
     every = scenes()
     file = tmp_path / "scenes.json"
     file.write_text(json.dumps(every))
-    done = run_ranks(ranks, ROOT / "tests" / "parallel" / "few_bodies.py", file, timeout=300)
+    done = run_ranks(ranks, ROOT / "tests" / "parallel" / "many_steps.py", file, timeout=300)
     assert done.returncode == 0, done.stderr[-3000:]
     assert done.stdout.splitlines() == [f"{name}: the same" for name in every]
 
@@ -75,11 +82,11 @@ def test_another_way_to_sum_ends_it():
     sim = Simulation(Scene.from_dict(tables(GRAVITY, "leapfrog")))
     sim.steps(3)
     sim.effects["mutual_gravity"].method = "tree"
-    assert sim.few is None
+    assert sim.many_steps is None
     sim.steps(3)
     sim.effects["mutual_gravity"].method = "direct"
     sim.effects["mutual_gravity"].G = 2.0
-    assert sim.few.direct.G == 2.0
+    assert sim.many_steps.direct.G == 2.0
 
 
 @pytest.mark.parametrize("at_once", [1, 1000])

@@ -1,0 +1,226 @@
+"""Many steps in one compiled loop, where particles are few, or do not act on one another.
+
+For a few particles a force takes less time than one call of Python, and for many the memory is slower than the arithmetic
+of a step. So the steps up to the next moment at which anyone looks go on inside one kernel, for a block of particles that stays
+in the cache, with the same bits as `Composition`, `Taylor` and `Adaptive` give step by step: it calls the same kernels in the
+same order. On several ranks each rank computes all of a few particles that attract one another, which costs less than a message.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from particles_mpi.contacts.drift import Drift
+from particles_mpi.contacts.persistent.detection import PRECISE
+from particles_mpi.contacts.walls import no_planes
+from particles_mpi.integrators.collocation import END, STUCK, work_for
+from particles_mpi.integrators.compiled_steps import Bodies, Forces, Losses, Rest, Scheme, Space, adaptive_steps, fixed_steps
+from particles_mpi.integrators.gauss_radau import Adaptive
+from particles_mpi.integrators.kicks_and_drifts import Accelerations, Composition, Taylor
+from particles_mpi.kernels.validity import WATCH_EVERY
+from particles_mpi.parallel.exchange import allgather_rows
+from particles_mpi.parallel.signals import check_signals
+from particles_mpi.particles import Array, Particles, places_of, rows_of
+from particles_mpi.scene.active import ActiveEffects
+from particles_mpi.scene.effect import Context
+
+FEW = 256  # particles that attract one another: with more, a force takes longer than the calls that are saved
+BLOCK = 4096  # rows that are advanced together: what is needed of them stays in the cache
+LONGEST = 1e8  # ns in one call, about, so that Ctrl-C is heard
+PAIR, ROW, BESIDES = 3.0, 8.0, 50.0  # ns of a pair, a row, and everything else in a step, at most
+SUM = "sum of forces"  # a name that no field has
+
+
+class Block(NamedTuple):
+    """The arguments of the kernels for some rows."""
+
+    bodies: Bodies
+    forces: Forces
+    losses: Losses
+    space: Space
+
+
+class ManySteps:
+    """Computes steps of the rows of this rank, or of at most `FEW` particles of all ranks."""
+
+    def __init__(
+        self, rows: Particles, context: Context, effects: ActiveEffects, summed: Accelerations, drift: Drift, rule: Any, rest: Any
+    ):  # fmt: skip
+        """`summed`: the sum of all forces; `drift`, `rule` (an integrator), `rest`: what computes a single step otherwise."""
+        self.rows, self.context, self.effects = rows, context, effects
+        self.summed, self.drift, self.rule, self.rest = summed, drift, rule, rest
+        self.known: tuple[int, int, float] | None = None
+        self.blocks: list[Block] = []
+        self.direct = next((force.direct for force in summed.forces.values() if force.direct), None)
+        self.together = self.direct is not None or isinstance(rule, Adaptive)  # all particles in the same kernel?
+        self.own = context.ranks.size == 1 or not self.together  # are the rows here enough?
+        self.axes = (0,) * rows.dimension
+        kicks, drifts = np.array(rule.parts).T if isinstance(rule, Composition) else np.array([[0.5], [1.0]])
+        self.scheme = Scheme(kicks.copy(), drifts.copy(), isinstance(rule, Taylor))
+
+    @staticmethod
+    def suit(effects: ActiveEffects, total: int, rest: Any) -> bool:
+        """Do these kernels compute all that there is, for so many particles?"""
+        if effects.pairs or effects.flows or effects.events or (rest and not rest.near_faces):
+            return False
+        forces = effects.forces.values()
+        together = effects.integrator == "adaptive" or any(force.direct for force in forces)
+        known = all(force.direct or not force.place_dependent for force in forces)
+        return known and not (together and (rest or total > FEW))
+
+    def advance(self, h: float, steps_done: int, most: int) -> int:
+        """Up to `most` steps of length h, the first one after `steps_done`; returns how many. Collective."""
+        summed, drift, adaptive = self.summed, self.drift, isinstance(self.rule, Adaptive)
+        total = None if adaptive and self.direct else summed.sum(self.rows)
+        with self.context.timers("steps"):
+            self.gather(h, total)
+            watch = WATCH_EVERY - steps_done % WATCH_EVERY
+            if adaptive:
+                done, sums = self.adaptive_steps(h, most, watch)
+                hits, known = 0, False
+            else:
+                done, hits, sums, known = self.fixed_steps(h, most, watch)
+            self.give_back()
+            if known and sums:
+                summed.total, summed.known = self.blocks[0].bodies.total[self.mine], places_of(self.rows)
+        if self.direct:
+            for name in summed.forces:
+                summed.calls[name] += sums
+            self.direct.interactions += len(self.rows) * self.context.ids.total * sums
+        if self.effects.walls:
+            drift.calls.update(dict.fromkeys(drift.wall_names, done))
+            drift.totals["wall_hits"] += hits if self.own or self.context.ranks.is_root else 0
+        drift.total = None
+        if self.rest:
+            self.rest.near_faces.known = None
+        drift.calls.update(dict.fromkeys(self.effects.on_velocities, 2 * done))
+        return done
+
+    def fixed_steps(self, h: float, most: int, watch: int) -> tuple[int, int, int, bool]:
+        """Steps of `Composition` or `Taylor`: (how many, wall hits, sums of forces, are those of the present places?)."""
+        n, parts = self.context.ids.total, len(self.scheme.kicks)
+        cost = BESIDES + ROW * n + (PAIR * n * n * parts if self.direct else 0.0)
+        most = min(most, max(1, int(LONGEST / cost)))
+        if len(self.blocks) > 1 or (self.own and self.context.ranks.size > 1):  # what stops one block must stop all
+            most = min(most, watch)  # the watchdog of all looks then
+            watch = most + 1
+        hits = 0
+        for block in self.blocks:
+            done, hit, sums, known = fixed_steps(self.axes, *block, self.scheme, h, most, watch)
+            hits += hit
+        return done, hits, sums, known
+
+    def adaptive_steps(self, h: float, steps: int, watch: int) -> tuple[int, int]:
+        """Steps of `Adaptive`: (how many, sums of forces). StateError if the first one gets stuck."""
+        (bodies, forces, _, space), rule = self.blocks[0], self.rule
+        work, begun = work_for(bodies.x.size), np.zeros((2, bodies.x.size))
+        n = len(bodies.id)
+        most = max(1, int(LONGEST / (BESIDES + 10.0 * ROW * n + PAIR * n * n)))
+        flat = tuple(vectors.reshape(-1) for vectors in (bodies.x, bodies.v, bodies.total))
+        need, done, sums = END, 0, 0
+        while need not in (END, STUCK) or sums == 0:
+            bundles = bodies, flat, forces, space, rule.tables, work, begun
+            need, done, more = adaptive_steps(self.axes, *bundles, need, done, steps, h, watch, most)
+            sums += more
+            steps = done + 1  # no more than the step that has begun
+            check_signals()
+        if need == STUCK:
+            if done == 0:
+                self.give_back()
+                raise rule.stuck(self.rows, work)
+            flat[0][:], flat[1][:] = begun  # the next call will tell
+        rule.substeps += int(work.progress["substeps"][0])
+        return done, sums
+
+    def gather(self, h: float, total: Array | None) -> None:
+        """The rows to be advanced, and what acts on them; `total` (n, d): the sum of forces on this rank's. Collective."""
+        p, ranks = self.rows, self.context.ranks
+        if self.own and self.known == (p.version, p.edition, h):
+            if total is not None and self.direct:
+                self.blocks[0].bodies.total[:] = total
+            return
+        every = p.arrays | {SUM: np.zeros_like(p.position) if total is None else total.copy() if self.direct else total}
+        if not self.own:
+            every = allgather_rows(ranks, every)
+        if self.together:
+            if (np.diff(every["id"]) < 0).any():
+                every = rows_of(every, np.argsort(every["id"]))
+                if self.own:
+                    p.replace({name: every[name] for name in p.arrays})
+            self.mine = np.searchsorted(every["id"], p.id)
+        self.known = p.version, p.edition, h
+        n, size = len(every["id"]), FEW if self.together else BLOCK
+        slices = [slice(first, first + size) for first in range(0, max(n, 1), size)]
+        parts = ({name: column[some] for name, column in every.items()} for some in slices)
+        self.blocks = [self.block(Particles(p.dimension, part), h) for part in parts]
+
+    def block(self, p: Particles, h: float) -> Block:
+        """The arguments of the kernels, for the rows of p."""
+        d, n, effects, forces = p.dimension, len(p), self.effects, self.summed.forces
+        drag = p["drag"] if effects.damping else np.empty(0)
+        w = p.inverse_mass if effects.friction else np.empty(0)
+        rate = p["rate"] if self.scheme.taylor else np.empty((0, d))
+        bodies = Bodies(p.id, p.position, p.velocity, p.mass, p.radius, w, drag, p.fixed, p[SUM], rate)
+        planes, kicked = effects.walls.planes if effects.walls else no_planes(d), bool(forces or effects.on_velocities)
+        own = kicked and "total_acceleration" in p.arrays
+        a = p["total_acceleration"] if own else self.summed.g[None, :] if kicked else np.empty((0, d))
+        box = self.context.lower, self.context.upper, self.context.length
+        rest = self.rest_of(p)
+        push = float(np.linalg.norm(p[SUM][np.argmin(p.fixed)])) if rest.kept and n else 0.0
+        reach = self.rest.reach(h, push) if rest.kept else 0.0
+        space = Space(tuple(planes), bool(effects.walls), a, own, *box, np.empty(n), reach, rest)
+        return Block(bodies, self.forces_on(p), self.losses_of(p, h), space)
+
+    def forces_on(self, p: Particles) -> Forces:
+        """The forces on the rows of p."""
+        forces, (n, d) = self.summed.forces, p.position.shape
+        if not self.direct:  # the sum of those that do not depend on places is there already
+            none = np.empty((0, d))
+            return Forces(none, False, 0.0, 0.0, none.reshape(0, 0, d), bool(forces))
+        first, others, attracted = np.zeros((n, d)), [], False
+        for force in forces.values():
+            if attracted:
+                others.append(np.zeros((n, d)))
+            if not force.direct:
+                force.add(p, others[-1] if attracted else first)
+            attracted |= force.direct is not None
+        return Forces(first, True, self.direct.G, self.direct.softening2, np.array(others).reshape(-1, n, d), True)
+
+    def rest_of(self, p: Particles) -> Rest:
+        """Contacts with walls that last, if there are any."""
+        d, rest = p.dimension, self.rest
+        n = len(p) if rest else 0
+        nobody, length = np.empty(n, np.int64), self.context.length
+        supported = p["supported"] if rest else np.empty(0, np.uint8)
+        planes = no_planes(d)
+        point, normal, faces = planes.point, planes.normal, (planes.lower, planes.upper, planes.oblique)
+        if rest:
+            point, normal, faces = rest.point, rest.normal, rest.faces
+        room = nobody, nobody.copy(), np.empty((n, d)), nobody.copy()
+        return Rest(rest is not None, (0.0,) * d, supported, point, normal, faces, length, PRECISE, *room)
+
+    def losses_of(self, p: Particles, h: float) -> Losses:
+        """What happens in the kicks of a step of length h besides forces."""
+        damping, friction, kicks = self.effects.damping, self.effects.friction, self.scheme.kicks.tolist()
+        strength = friction.strength if friction else 0.0
+        if not (damping or friction):
+            return Losses(np.empty((0, 0)), np.empty((0, 0)), False, strength, False)
+        n = len(p)
+        factors = [damping.factors(p, part * h) if damping else (np.ones(n), np.full(n, part * h)) for part in kicks]
+        decay, push = (np.array(of) for of in zip(*factors, strict=True))
+        return Losses(decay, push, friction is not None, strength, not (damping or self.summed.forces))
+
+    def give_back(self) -> None:
+        """To this rank's rows what the kernels have changed."""
+        if self.own:
+            return
+        p, (bodies, _, _, space) = self.rows, self.blocks[0]
+        changed = {"position": bodies.x, "velocity": bodies.v}
+        if self.scheme.taylor:
+            changed["rate"] = bodies.rate
+        if space.own_rates:
+            changed["total_acceleration"] = space.rates
+        for name, values in changed.items():
+            p[name][:] = values[self.mine]
