@@ -60,7 +60,7 @@ def test_errors_of_a_reference_are_those_of_the_exact_solution():
 
 
 def test_little_time_gives_the_first_part_of_the_run():
-    found = reference(Start(Benchmark(), kepler(1e-9).scene), 0.05)
+    found = reference(Start(Benchmark(), kepler(1e-9).scene), 0.02)
     assert found.part < 1.0 and np.log2(found.part).is_integer() and found.span == pytest.approx(found.part * 4.0 * np.pi)
 
 

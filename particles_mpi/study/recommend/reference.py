@@ -84,6 +84,8 @@ def by_order_15(start: Start, seconds: float) -> ErrorMetric | None:
                 break
             except TooLongError:  # close encounters came later
                 found.part *= 0.5
+                if found.part * start.scene.steps < 1.0:
+                    return None
         loose, displaced = (follow(start, adaptive(LOOSE, found.span, shifted)) for shifted in (0, 1))
     except StoppedError:
         return None
