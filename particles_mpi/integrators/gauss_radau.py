@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from particles_mpi.errors import StateError
-from particles_mpi.integrators.collocation import END, FORCES, MAXIMA, STUCK, Work, begin, go_on, radau, work_for
+from particles_mpi.integrators.collocation import END, FORCES, MAXIMA, STUCK, Work, begin, go_on, work_for
+from particles_mpi.integrators.radau_tables import radau
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles
 from particles_mpi.timers import Timers
