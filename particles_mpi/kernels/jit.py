@@ -77,3 +77,24 @@ def _prefetch(typing: Any, array: Any, row: Any) -> Any:
 
 
 prefetch: Any = intrinsic(_prefetch)
+
+
+def _fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
+    """a b + c, rounded once, on every processor: those that have no instruction for it take a hundred times as long."""
+    return a(a, a, a), lambda context, builder, signature, arguments: builder.fma(*arguments)
+
+
+fma: Any = intrinsic(_fma)
+
+
+def _wide(typing: Any) -> Any:
+    """The compiler uses the longest vector instructions in the kernel that calls this, not only those of half the length."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        set.add(builder.function.attributes, '"prefer-vector-width"="512"')  # llvmlite itself knows no attributes with values
+        return context.get_dummy_value()
+
+    return types.void(), generate
+
+
+wide: Any = intrinsic(_wide)
