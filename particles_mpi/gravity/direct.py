@@ -11,31 +11,10 @@ from math import sqrt
 
 import numpy as np
 
+from particles_mpi.gravity.powers import formula, pull
 from particles_mpi.kernels.jit import fma, inner, kernel, wide
 
 TILE = 64  # targets whose coordinates and sums stay in the first-level cache
-HALF_EXPONENT = 0x5FE6EB50C7B537A9  # minus half of the bits of a number gives those of its inverse square root, within 3.5 %
-# The cubic polynomial in t that is closest to t^-1/2 where that first guess can lead, within 8e-7.
-CUBIC = (2.18865904, -2.18968855, 1.31340004, -0.31237129)
-
-formula = inner(_nrt=False, error_model="numpy", forceinline=True)
-
-
-@formula
-def pull(mass, r2):
-    """mass/r2^(3/2), within 4e-16 of it; 0 where r2 is 0. By products and sums, which take less time than a root and a quotient.
-
-    A first guess y of r2^(-1/2) comes from the bits of r2, a polynomial in r2 y^2 makes it better, and what is then missing,
-    h = 1 - r2 y^2, enters by the series (1 - h)^(-3/2) = 1 + 3/2 h + 15/8 h^2 + ..., whose next term is below the round-off.
-    First guess: C. Lomont, Fast Inverse Square Root, Purdue University (2003).
-    """
-    guess = np.int64(HALF_EXPONENT - (np.float64(r2).view(np.int64) >> 1)).view(np.float64)
-    t = r2 * (guess * guess)
-    y = guess * fma(fma(fma(CUBIC[3], t, CUBIC[2]), t, CUBIC[1]), t, CUBIC[0])
-    y2 = y * y
-    h = fma(-r2, y2, 1.0)
-    near = mass * y * y2
-    return fma(near * h, fma(1.875, h, 1.5), near) if r2 > 0.0 else 0.0
 
 
 @formula
