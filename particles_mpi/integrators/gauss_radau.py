@@ -71,7 +71,7 @@ def _legendre(n: int, t: Array) -> tuple[Array, Array]:
 
 
 def combine(weights: Array, at: Array) -> Array:
-    """sum_j weights[j] at[j], one after the other: a BLAS product has other bits for another number of rows."""
+    """sum_j weights[j] at[j], one after the other: a BLAS product has other bits for other numbers of rows, or processors."""
     total = weights[0] * at[0]
     for weight, a in zip(weights[1:], at[1:], strict=True):
         total += weight * a
@@ -172,7 +172,7 @@ class Adaptive:
             return np.repeat(a[None], NODES, axis=0)
         at, length, begin = self.before
         moments = begin + self.c * (h / length)
-        weights = (moments[:, None] ** np.arange(NODES)) @ self.lagrange.T
+        weights = combine(np.vander(moments, NODES, increasing=True).T[:, :, None], self.lagrange.T[:, None])
         return np.stack([a, *(combine(row, at) for row in weights[1:])])
 
     def accelerations(self, particles: Particles) -> Array:

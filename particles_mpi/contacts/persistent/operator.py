@@ -142,7 +142,7 @@ class PersistentContacts:
         """Rows that are supported, or have a slow contact with a wall; where pairs are kept, fixed ones too."""
         state, near = (p.position, p.velocity, a, p.radius), self.near_faces
         if near and len(p):
-            push = float(np.linalg.norm(a[np.argmin(p.fixed)]))  # the same for all that are not fixed
+            push = float(np.sqrt((a[np.argmin(p.fixed)] ** 2).sum()))  # the same for all that are not fixed
             near.reach = 1.000001 * SLOW * h * h * push + self.round_off
             rows = near.within(near.reach, p)  # with all that were held: these have not moved away from their walls
             if rows is not None:
