@@ -6,8 +6,8 @@ of mass, rho^2 = u^2 + eps^2, second moments S, trace T, Q = u.S.u
 
     potential = -(M/rho + (3 Q/rho^2 - T)/(2 rho^3)),     a = u (M/rho^3 + (15 Q/(2 rho^2) - 3 T/2)/rho^5) - 3 S u/rho^5,
 
-which is the Taylor expansion of -m/rho to second order, with softening too; or by mass alone, as a particle does. Where the group
-is small as seen from the cell, the cell enters the group's own expansion (`expansion`), which all its targets share.
+which is the Taylor expansion of -m/rho to second order, with softening too; or by mass alone, as a particle does. Where a group
+is small as seen from a cell, the cell enters the group's own expansion (`expansion`), which all its targets share.
 
 Sources act one after the other, in the order of the tree, on all targets of a group; the cells of the expansion in LANES sums.
 So the order of every sum is the tree's: it depends neither on the ranks nor on the vectors of a processor.
@@ -15,7 +15,7 @@ So the order of every sum is the tree's: it depends neither on the ranks nor on 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,11 +36,13 @@ from particles_mpi.kernels.jit import fma, inner, kernel, lean_inner, wide
 from particles_mpi.particles import Array
 
 BLOCK = 8  # the number of targets of a group is rounded up to a multiple of it
-SMALL = 0.45
+# A cell enters a group's expansion if the radius of the group is less than LARGEST of the distance r, and if the first term that
+# the expansion leaves out, M/r^2 (radius/r)^4, is less than (SMALL * opening angle)^4 of the sum of M/r^2 over all cells.
+LARGEST, SMALL = 0.5, 0.1
 POTENTIAL, WORK, RESULT = 3, 4, 5  # columns of a result: acceleration (3), potential, work; and how many these are
 # Work, in units of one particle acting on one target: a far quadrupole for a target, a near particle for a target, a cell of the
 # expansion for a group, and a node that a group visits. Ranks get equal shares of it.
-FAR, NEAR, EXPANDED, VISIT = 1.7, 1.0, 8.0, 6.0
+FAR, NEAR, EXPANDED, VISIT = 1.7, 1.0, 10.0, 12.0
 
 walking = inner(_nrt=False, error_model="numpy")
 
@@ -62,6 +64,25 @@ class Law(NamedTuple):
     angle: float  # opening angle
     softening2: float  # eps^2
     quadrupoles: bool  # do far cells act by their second moments too?
+
+
+class Group(NamedTuple):
+    """Targets that have one list of sources."""
+
+    begin: Any  # the first row of the tree that belongs to it
+    end: Any  # and the first beyond
+    box: Any  # (6,) lowest and highest corner of the box that bounds it
+    middle: Any  # (3,) of the box
+    size2: Any  # the square of the largest distance of a target from the middle
+
+
+class Room(NamedTuple):
+    """Arrays that all groups use, one after the other."""
+
+    at: Any  # three arrays: coordinates of the targets, in whole blocks
+    total: Any  # four arrays: acceleration and potential of each target
+    far: Array  # (CELLS / LANES, FAR_WIDTH, LANES) cells that wait for the expansion
+    sums: Array  # (COEFFICIENTS LANES,) of the expansion
 
 
 @formula
@@ -132,30 +153,21 @@ def walk(tree, groups, offset, law):
         most = max(most, groups[g, END] - groups[g, FIRST] + BLOCK)
     at = np.empty(most), np.empty(most), np.empty(most)
     total = np.empty(most), np.empty(most), np.empty(most), np.empty(most)
-    far, sums = np.empty((CELLS // LANES, FAR_WIDTH, LANES)), np.empty(COEFFICIENTS * LANES)
+    room = Room(at, total, np.empty((CELLS // LANES, FAR_WIDTH, LANES)), np.empty(COEFFICIENTS * LANES))
     for g in range(len(groups)):
-        begin, end = offset + groups[g, FIRST], offset + groups[g, END]
-        box, middle, size2 = take_targets(tree.x, begin, end, at, total)
-        sums[:] = 0.0
-        sources, work = add_sources(tree, law, (begin, end), box, middle, size2, at, total, far, sums)
-        add_lanes(sums)
-        for t in range(end - begin):
-            ax, ay, az, depth = evaluate(
-                sums, (at[0][t] - middle[0], at[1][t] - middle[1], at[2][t] - middle[2]), sums[COEFFICIENTS:]
-            )
-            row = result[groups[g, FIRST] + t]
-            row[0], row[1], row[2] = total[0][t] + ax, total[1][t] + ay, total[2][t] + az
-            row[POTENTIAL], row[WORK] = total[POTENTIAL][t] + depth, work
-        interactions += sources * (end - begin)
+        group = take_targets(tree.x, offset + groups[g, FIRST], offset + groups[g, END], room)
+        limit = (SMALL * law.angle) ** 4 * strength(tree, group)
+        sources, work = add_sources(tree, law, group, limit, room)
+        give_results(group, room, work, result[groups[g, FIRST] : groups[g, END]])
+        interactions += sources * (group.end - group.begin)
     return result, interactions
 
 
 @walking
-def take_targets(x, begin, end, at, total):
-    """Copy the targets x[begin:end] to `at`, the last one repeated to fill a block, with zeros in their sums.
-
-    Returns their bounding box (lowest, highest corner), its middle, and the square of their largest distance from the middle.
-    """
+def take_targets(x, begin, end, room):
+    """The group of targets x[begin:end], copied to the room, with sums of 0; the last one is repeated to fill a block."""
+    at, total, _, sums = room
+    sums[:] = 0.0
     lx, ly, lz = x[begin, 0], x[begin, 1], x[begin, 2]
     hx, hy, hz = lx, ly, lz
     for p in range(begin, end):
@@ -167,7 +179,7 @@ def take_targets(x, begin, end, at, total):
         at[0][t], at[1][t], at[2][t] = x[p, 0], x[p, 1], x[p, 2]
         total[0][t], total[1][t], total[2][t], total[POTENTIAL][t] = 0.0, 0.0, 0.0, 0.0
         size2 = max(size2, (x[p, 0] - mx) ** 2 + (x[p, 1] - my) ** 2 + (x[p, 2] - mz) ** 2)
-    return (lx, ly, lz, hx, hy, hz), (mx, my, mz), size2
+    return Group(begin, end, (lx, ly, lz, hx, hy, hz), (mx, my, mz), size2)
 
 
 @lean_inner
@@ -177,14 +189,40 @@ def blocks_of(begin, end):
 
 
 @walking
-def add_sources(tree, law, group, box, middle, size2, at, total, far, sums):
-    """All sources act on one group, the rows group[0] ... group[1] of the tree: on its targets or on its expansion.
+def give_results(group, room, work, result):
+    """What the targets of a group found and what their expansion gives: acceleration, potential, work (targets, RESULT)."""
+    (_, _, _, (mx, my, mz), _), (at, total, _, sums) = group, room
+    add_lanes(sums)
+    for t in range(len(result)):
+        x, y, z, depth = evaluate(sums, (at[0][t] - mx, at[1][t] - my, at[2][t] - mz), sums[COEFFICIENTS:])
+        result[t, 0], result[t, 1], result[t, 2] = total[0][t] + x, total[1][t] + y, total[2][t] + z
+        result[t, POTENTIAL], result[t, WORK] = total[POTENTIAL][t] + depth, work
+
+
+@walking
+def strength(tree, group):
+    """The sum of M/r^2 over all cells but the group's own, as seen with an opening angle of 1 from its middle."""
+    (skip, first, count, cells, _, _), (begin, end, (lx, ly, lz, hx, hy, hz), (mx, my, mz), size2) = tree, group
+    node, total = 0, 0.0
+    while node < len(skip):
+        cx, cy, cz = cells[node, CENTER], cells[node, CENTER + 1], cells[node, CENTER + 2]
+        far = is_far(lx, ly, lz, hx, hy, hz, cx, cy, cz, cells[node, RADIUS], 1.0)
+        if far or (count[node] and not begin <= first[node] < end):
+            u, v, w = mx - cx, my - cy, mz - cz
+            total += cells[node, MASS] / max(u * u + v * v + w * w, size2)
+        node = skip[node] if far else node + 1
+    return total
+
+
+@walking
+def add_sources(tree, law, group, limit, room):
+    """All sources act on a group: on its targets, or on its expansion if what that leaves out of M/r^2 is below the limit.
 
     Returns how many sources there were, and the work of each target.
     """
     (skip, first, count, cells, x, mass), (angle, softening2, quadrupoles) = tree, law
-    (begin, end), (lx, ly, lz, hx, hy, hz), (mx, my, mz) = group, box, middle
-    blocks, angle2, small2 = blocks_of(begin, end), angle * angle, (SMALL * angle) ** 2
+    (begin, end, (lx, ly, lz, hx, hy, hz), (mx, my, mz), size2), (at, total, far, sums) = group, room
+    blocks, angle2, size4, smallest2 = blocks_of(begin, end), angle * angle, size2 * size2, size2 / LARGEST**2
     expanded, on_targets, near, visits = 0, 0, 0, 0
     node = 0
     while node < len(skip):
@@ -199,7 +237,8 @@ def add_sources(tree, law, group, box, middle, size2, at, total, far, sums):
             node += 1
             continue
         u, v, w = mx - cx, my - cy, mz - cz
-        if size2 < small2 * (u * u + v * v + w * w):
+        d2 = u * u + v * v + w * w
+        if d2 > smallest2 and cells[node, MASS] * size4 <= limit * (d2 * d2 * d2):
             enter_cell(far, expanded % CELLS, u, v, w, cells[node], quadrupoles)
             expanded += 1
             if expanded % CELLS == 0:

@@ -106,10 +106,10 @@ def test_interactions_are_counted(quadrupoles):
     tree = Tree(Communicator.alone(), 3, 1e-3, 0.0, quadrupoles)
     tree.attract(np.arange(600), x, np.ones(600), np.ones(600))
     assert tree.interactions == 600**2
-    x = np.concatenate((x[:200], x[200:320] + 1000.0))  # more than one group
+    x = np.concatenate((x[:150], x[150:250] + 1000.0))  # more than one group
     tree = Tree(Communicator.alone(), 3, 0.5, 0.0, quadrupoles)
-    tree.attract(np.arange(320), x, np.ones(320), np.ones(320))
-    assert tree.interactions == 200 * (200 + 1) + 120 * (120 + 1)
+    tree.attract(np.arange(250), x, np.ones(250), np.ones(250))
+    assert tree.interactions == 150 * (150 + 1) + 100 * (100 + 1)
 
 
 def test_work_of_a_simulation_counts_interactions_of_forces_only():
