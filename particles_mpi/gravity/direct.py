@@ -8,6 +8,7 @@ use vector instructions without changing the order of any sum, and the sum has t
 from __future__ import annotations
 
 from math import sqrt
+from typing import Any
 
 import numpy as np
 
@@ -16,45 +17,56 @@ from particles_mpi.kernels.jit import fma, inner, kernel, wide
 
 TILE = 64  # targets whose coordinates and sums stay in the first-level cache
 
+summing: Any = inner(_nrt=False, error_model="numpy")
+
 
 @formula
-def attract_one(axes, at, t, source, j, mass, softening2, total):
-    """Source j of source (m, d), of this mass, acts on target t: column t of at (d, n); its sum is column t of total (d, n)."""
+def attract_one(axes, at, first, step, source, j, mass, softening2, total):
+    """Source j of source (m, d), of this mass, acts on a target: coordinate k of it is at[first + k step], its sum in total."""
     r2 = softening2
     for k in range(len(axes)):
-        r = source[j, k] - at[k, t]
+        r = source[j, k] - at[first + k * step]
         r2 = fma(r, r, r2)
     strength = pull(mass, r2)
     for k in range(len(axes)):
-        total[k, t] = fma(strength, source[j, k] - at[k, t], total[k, t])
+        total[first + k * step] = fma(strength, source[j, k] - at[first + k * step], total[first + k * step])
 
 
 @kernel(error_model="numpy")
 def attract(axes, x, source, mass, softening2, total):
     """total (n, d) += sum_j m_j r_j/(r_j^2 + softening2)^(3/2), r_j = source_j - x; a source at its target adds nothing."""
-    wide()
     d = len(axes)
-    at, sums = np.empty((d, TILE)), np.empty((d, TILE))
+    at, sums = np.empty(d * TILE), np.empty(d * TILE)
     for first in range(0, len(x), TILE):
         count = min(TILE, len(x) - first)
         for t in range(TILE):
             for k in range(d):  # the rest of the last tile repeats the last target
-                at[k, t] = x[first + min(t, count - 1), k]
-                sums[k, t] = total[first + min(t, count - 1), k]
-        for j in range(len(source)):
-            for t in range(TILE):
-                attract_one(axes, at, t, source, j, mass[j], softening2, sums)
+                at[k * TILE + t] = x[first + min(t, count - 1), k]
+                sums[k * TILE + t] = total[first + min(t, count - 1), k]
+        attract_tile(axes, at, source, mass, softening2, sums)
         for t in range(count):
             for k in range(d):
-                total[first + t, k] = sums[k, t]
+                total[first + t, k] = sums[k * TILE + t]
 
 
-@inner(_nrt=False, error_model="numpy")
+@summing
+def attract_tile(axes, at, source, mass, softening2, sums):
+    """All sources act on TILE targets: at (d TILE,), axis by axis, and likewise their sums."""
+    wide()
+    for j in range(len(source)):
+        for t in range(TILE):
+            attract_one(axes, at, t, TILE, source, j, mass[j], softening2, sums)
+
+
+@summing
 def attract_few(axes, x, begin, end, source, mass, softening2, total):
-    """The same for the targets x (n, d) from row `begin` to `end`, with the same bits; faster where they are few."""
+    """As `attract` for the targets from row `begin` to `end`, with the same bits; faster where they are few.
+
+    x (n d,) and total (n d,) are flat, the coordinates of a row one after the other.
+    """
     for t in range(begin, end):
         for j in range(len(source)):
-            attract_one(axes, x.T, t, source, j, mass[j], softening2, total.T)
+            attract_one(axes, x, t * len(axes), 1, source, j, mass[j], softening2, total)
 
 
 @kernel(error_model="numpy")

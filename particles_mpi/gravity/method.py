@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-PAIR = 0.7  # ns for a pair in the direct sum
+PAIR = 0.6  # ns for a pair in the direct sum
 BUILD, NEAR = 1000.0, 0.45  # ns a particle for keys, cells and their nearest neighbours; and most for each of all particles
 FAR = {"quadrupole": 200.0, "monopole": 160.0}  # ns a particle for all that is not near, at an opening angle of 1
 STEEP = 2.5  # the power of 1/angle by which that grows

@@ -187,7 +187,7 @@ def test_few_targets_have_the_bits_of_many():
 
     @njit
     def add(axes, x, mass, total):
-        attract_few(axes, x, 2, 66, x, mass, 0.1**2, total)
+        attract_few(axes, x.reshape(-1), 2, 66, x, mass, 0.1**2, total.reshape(-1))
 
     add((0,) * 4, x, mass, few)
     assert few[2:66].tobytes() == by_pairs(x, mass, 0.1)[2:66].tobytes() and not few[:2].any() and not few[66:].any()
