@@ -5,7 +5,9 @@ In the order in which to read them:
 - `method`: direct sum or tree, chosen by cost and error
 - `direct`: the sum over all pairs, for each target in the order of ids
 - `octree`: Morton keys, cells, moments, and the opening test `is_far`
-- `walk`: lists of far cells and near particles for a group of targets, and their sum
+- `powers`: r^(-1/2) and r^(-3/2) by products and sums
+- `expansion`: one Taylor expansion for all far cells of a small group of targets
+- `walk`: the far cells and near particles of a group of targets, and their sum
 - `tree`: the evaluation on all ranks, step by step: cuts between ranks, and the nodes that another rank needs
 
 Direct sum: blocks of sources in id order come from every rank in turn (`parallel.exchange.blocks`), and every target adds them up

@@ -7,11 +7,11 @@ particles with angles from 0.3 to 1; the formula follows the larger of the two, 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import log10
 
-PAIR = 1.2  # ns for a pair in the direct sum
-WORK = {"quadrupole": 1.4, "monopole": 1.0}  # ns for one source on the list of one target
-BUILD = 400.0  # ns for each particle: keys, cells, walk
+PAIR = 0.6  # ns for a pair in the direct sum
+BUILD, NEAR = 1000.0, 0.45  # ns a particle for keys, cells and their nearest neighbours; and most for each of all particles
+FAR = {"quadrupole": 200.0, "monopole": 160.0}  # ns a particle for all that is not near, at an opening angle of 1
+STEEP = 2.5  # the power of 1/angle by which that grows
 ERROR, SLOPE = 6e-3, 3.5  # error = ERROR * angle^SLOPE
 SMALLEST = 0.1  # opening angle below which a tree is of no use
 TREES = (1, 2, 3)  # dimensions in which there is a tree
@@ -46,6 +46,5 @@ def choose(method: str, angle: float, accuracy: float, dimension: int, total: in
 
 
 def tree_cost(angle: float, total: int, multipole: str) -> float:
-    """ns a particle: the lists of sources grow as log N, but a list never has more than all particles."""
-    lists = 450.0 + 357.0 * angle**-2.2 * max(log10(max(total, 1)) - 2.8, 0.0)
-    return BUILD + WORK[multipole] * min(lists, 450.0 + total)
+    """ns a particle; it no longer grows where far cells act on whole groups."""
+    return BUILD + min(FAR[multipole] * angle**-STEEP, NEAR * total)

@@ -17,8 +17,8 @@ import numpy as np
 
 from particles_mpi.kernels.jit import inner, kernel, lean_inner
 
-LEAF = 32  # most particles in a cell that is not divided
-GROUP = 128  # most particles in a group: a cell whose particles are targets with one common list of sources
+LEAF = 16  # most particles in a cell that is not divided
+GROUP = 192  # most particles in a group: a cell whose particles are targets with one common list of sources
 DEEPEST = 31  # most levels
 
 # Columns of `cells`, the multipole moments of a node: mass, centre of mass (3), second moments about that centre (xx, xy, xz,

@@ -26,7 +26,7 @@ from particles_mpi.gravity.octree import (
     skips,
     sort_ties,
 )
-from particles_mpi.gravity.walk import RESULT, Law, Nodes, walk
+from particles_mpi.gravity.walk import POTENTIAL, RESULT, Law, Nodes, walk
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows, send_rows
@@ -62,7 +62,9 @@ class Tree:
         if not (extent < np.inf and ends[6] < 1.0):
             return np.full((len(x), RESULT), np.nan)
         side = max(int(np.frexp(extent)[1]), SMALLEST)  # of the cube, as a power of two, so that cells are halved exactly
-        keys = morton(x, lower, 2.0 ** (levels(d) - side), d)
+        unit = max(int(np.frexp(max(extent, self.law.softening2**0.5))[1]), SMALLEST)  # of length, as a power of two
+        x, lower = np.ldexp(x, -unit), np.ldexp(lower, -unit)  # so that high powers of distances are never out of range
+        keys = morton(x, lower, 2.0 ** (levels(d) - side + unit), d)
         order = np.argsort(keys, kind="stable")
         cuts = self.cut(keys[order], work[order])
         counts = np.diff(np.searchsorted(keys[order], cuts), prepend=0, append=len(keys)).astype(np.int32)
@@ -72,7 +74,7 @@ class Tree:
         mine = rows_of(arrived, by_key)
         low, high = [0, *cuts][ranks.rank], [*(cuts - 1), LAST_KEY][ranks.rank]
         theirs, result = np.empty((len(by_key), RESULT)), np.empty((len(x), RESULT))
-        theirs[by_key] = self.attract_sorted(mine["key"], mine["position"], mine["mass"], low, high)
+        theirs[by_key] = self.attract_sorted(mine["key"], mine["position"], mine["mass"], low, high, unit)
         result[order] = send_rows(ranks, {"result": theirs}, np.arange(len(theirs)), arriving)[0]["result"]
         return result
 
@@ -81,8 +83,11 @@ class Tree:
         cuts = equal_shares(self.ranks, keys, work)
         return cut_between_groups(cuts, self.ranks.allreduce_sum(count_in_cells(keys, cuts, self.dimension)), self.dimension)
 
-    def attract_sorted(self, keys: Array, x: Array, mass: Array, low: int, high: int) -> Array:
-        """The result (n, RESULT) for this rank's targets, by key: all with keys from `low` to `high`. Collective."""
+    def attract_sorted(self, keys: Array, x: Array, mass: Array, low: int, high: int, unit: int) -> Array:
+        """The result (n, RESULT) for this rank's targets, by key: all with keys from `low` to `high`. Collective.
+
+        Positions are given in units of 2^unit.
+        """
         ranks, d = self.ranks, self.dimension
         level, count, groups, branches = divide(keys, d, low, high)
         roots = branches[:, 0].copy()
@@ -102,7 +107,10 @@ class Tree:
         bounds[place] = every["bounds"]
         add_shared_moments(source, skip, cells, bounds)
         tree = Nodes(skip, np.cumsum(count) - count, count, cells, rows["position"], rows["mass"])
-        result, self.interactions = walk(tree, groups, offset, self.law)
+        law = self.law._replace(softening2=np.ldexp(self.law.softening2, -2 * unit))
+        result, self.interactions = walk(tree, groups, offset, law)
+        result[:, :POTENTIAL] = np.ldexp(result[:, :POTENTIAL], -2 * unit)
+        result[:, POTENTIAL] = np.ldexp(result[:, POTENTIAL], -unit)
         return result
 
     def exchange(

@@ -1,9 +1,13 @@
 """Plummer's sphere: places, and speeds that keep it as it is. H. Plummer, MNRAS 71, 460 (1911).
 
 Density ~ (1 + r^2/a^2)^(-5/2); drawn as S. Aarseth, M. Henon and R. Wielen do, Astron. Astrophys. 37, 183 (1974). Plain arrays.
+
+Powers are products and roots here: those of numpy have other last bits on processors with longer vectors.
 """
 
 from __future__ import annotations
+
+from math import cbrt
 
 import numpy as np
 
@@ -22,8 +26,9 @@ def plummer_places(random: np.random.Generator, a: float, mass: Array) -> Array:
 
 def plummer_points(random: np.random.Generator, n: int, a: float) -> Array:
     """Places (n, 3) around the centre of the sphere."""
-    inside = MOST * random.random(n)
-    radius = a / np.sqrt(np.maximum(inside, 1e-12) ** (-2.0 / 3.0) - 1.0)
+    inside = np.maximum(MOST * random.random(n), 1e-12)
+    root = np.array([cbrt(mass) for mass in inside.tolist()])
+    radius = a / np.sqrt(1.0 / (root * root) - 1.0)
     return radius[:, None] * directions(random, n, 3)
 
 
@@ -32,7 +37,8 @@ def plummer_speeds(random: np.random.Generator, n: int) -> Array:
     q, rest = np.zeros(n), np.arange(n)
     while len(rest):
         tried, height = random.random(len(rest)), 0.1 * random.random(len(rest))
-        good = height < tried**2 * (1.0 - tried**2) ** 3.5
+        rest_of_one = 1.0 - tried**2
+        good = height < tried**2 * rest_of_one**2 * rest_of_one * np.sqrt(rest_of_one)
         q[rest[good]] = tried[good]
         rest = rest[~good]
     return q[:, None] * directions(random, n, 3)
@@ -41,7 +47,7 @@ def plummer_speeds(random: np.random.Generator, n: int) -> Array:
 def plummer_velocities(ranks: Communicator, speeds: Array, x: Array, a: float, mass: Array, G: float) -> Array:
     """Velocities (n, 3) in equilibrium, without momentum, of this rank's particles at x (n, 3). Collective."""
     total = exact_sums(ranks, [mass])[0]
-    escape = np.sqrt(2.0 * G * total) * ((x**2).sum(axis=1) + a**2) ** -0.25
+    escape = np.sqrt(2.0 * G * total) / np.sqrt(np.sqrt((x**2).sum(axis=1) + a**2))
     return centered(ranks, escape[:, None] * speeds, mass)
 
 

@@ -168,8 +168,7 @@ class ManySteps:
         a = p["total_acceleration"] if own else self.summed.g[None, :] if kicked else np.empty((0, d))
         box = self.context.lower, self.context.upper, self.context.length
         rest = self.rest_of(p)
-        push = float(np.linalg.norm(p[SUM][np.argmin(p.fixed)])) if rest.kept and n else 0.0
-        reach = self.rest.reach(h, push) if rest.kept else 0.0
+        reach = self.rest.reach(p.fixed, p[SUM], h) if rest.kept and n else 0.0
         space = Space(tuple(planes), bool(effects.walls), a, own, *box, np.empty(n), reach, rest)
         return Block(bodies, self.forces_on(p), self.losses_of(p, h), space)
 

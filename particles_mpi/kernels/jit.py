@@ -88,3 +88,31 @@ def _prefetch(typing: Any, array: Any, row: Any) -> Any:
 
 
 prefetch: Any = intrinsic(_prefetch)
+
+
+def _fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
+    """a b + c, rounded once, on every processor: those that have no instruction for it take a hundred times as long."""
+    return a(a, a, a), lambda context, builder, signature, arguments: builder.fma(*arguments)
+
+
+fma: Any = intrinsic(_fma)
+
+
+def _wide(typing: Any) -> Any:
+    """The kernel that calls this may use the longest vectors, and may take it that no two of its arrays have memory in common.
+
+    By itself the compiler uses vectors of half the length where these were faster on older processors, and examines the places
+    of all arrays before it uses any, which takes longer than a short loop.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        set.add(builder.function.attributes, '"prefer-vector-width"="512"')  # llvmlite itself knows no attributes with values
+        for argument in builder.function.args:
+            if isinstance(argument.type, ir.PointerType):
+                argument.add_attribute("noalias")
+        return context.get_dummy_value()
+
+    return types.void(), generate
+
+
+wide: Any = intrinsic(_wide)

@@ -1,11 +1,16 @@
-"""The same bits on any number of ranks: positions, velocities, diagnostics, counts; for every effect."""
+"""The same bits on any number of ranks and on older processors: positions, velocities, diagnostics, counts; for every effect."""
 
 import json
+import os
+import platform
+import subprocess
+import sys
 from functools import cache
 
 import numpy as np
 import pytest
-from conftest import run_ranks
+from conftest import ROOT, run_ranks
+from numpy._core._multiarray_umath import __cpu_dispatch__
 
 pytestmark = pytest.mark.parallel
 
@@ -349,6 +354,35 @@ def results(tmp_path_factory):
 def test_same_bits(results, name, ranks):
     one, many = results(name, 1), results(name, ranks)
     different = [key for key in one if key not in ("traffic", "windows") and one[key].tobytes() != many[key].tobytes()]
+    assert not different
+
+
+PROCESSORS = {  # what numba, numpy, OpenBLAS and the C library are told
+    "of 2013, with AVX2": ("x86-64-v3", "Haswell", {name for name in __cpu_dispatch__ if "512" in name or "V4" in name}, ""),
+    "of 2008, without FMA": ("x86-64-v2", "Nehalem", set(__cpu_dispatch__) - {"SSSE3", "SSE41", "POPCNT", "SSE42"}, "-AVX2,-FMA"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="processors of another architecture")
+@pytest.mark.parametrize("processor", PROCESSORS)
+def test_same_bits_on_an_older_processor(results, processor, tmp_path):
+    """All kernels are compiled for it, with shorter vectors, and libraries take the branches that they have for it."""
+    name, blas, missing, hardware = PROCESSORS[processor]
+    told = {"NUMBA_CPU_NAME": name, "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path), "OPENBLAS_CORETYPE": blas}
+    told |= {
+        "NPY_DISABLE_CPU_FEATURES": " ".join(missing),
+        "GLIBC_TUNABLES": f"glibc.cpu.hwcaps={hardware}",
+        "PYTHONPATH": str(ROOT),
+    }
+    scenes = {name: scene for name, scene in SCENES.items() if not {"windows", "large"} & scene.keys()}  # those need ranks
+    (tmp_path / "scenes.json").write_text(json.dumps(scenes))
+    command = [sys.executable, ROOT / "tests/parallel/final_state.py", tmp_path / "scenes.json", tmp_path]
+    subprocess.run(command, env=os.environ | told, cwd=ROOT, check=True, timeout=550)
+    different = []
+    for scene in scenes:
+        here, there = results(scene, 1), dict(np.load(tmp_path / f"{scene}.1.npz"))
+        different += [(scene, key) for key in here if here[key].tobytes() != there[key].tobytes()]
     assert not different
 
 

@@ -149,14 +149,15 @@ class PersistentContacts:
         """Rows that are supported, or have a slow contact with a wall; where pairs are kept, fixed ones too."""
         state, near = (p.position, p.velocity, a, p.radius), self.near_faces
         if near and len(p):
-            near.reach = self.reach(h, float(np.linalg.norm(a[np.argmin(p.fixed)])))
+            near.reach = self.reach(p.fixed, a, h)
             rows = near.within(near.reach, p)  # with all that were held: these have not moved away from their walls
             if rows is not None:
                 return near_walls_among(rows, *state, p["supported"], h, self.point, self.normal)
         return near_walls(*state, p.fixed, p["supported"], h, *self.faces, self.point, self.normal)
 
-    def reach(self, h: float, push: float) -> float:
-        """How far from walls slow contacts may be; `push`: the acceleration, the same for all rows that are not fixed."""
+    def reach(self, fixed: Array, a: Array, h: float) -> float:
+        """How far from walls slow contacts may be, of rows (at least one) with accelerations a (n, d), the same if not fixed."""
+        push = float(np.sqrt((a[np.argmin(fixed)] ** 2).sum()))
         return 1.000001 * SLOW * h * h * push + self.round_off
 
     def keep_crowds(self, p: Particles, a: Array, h: float) -> None:
