@@ -1,31 +1,31 @@
 """Runs of one scene in mode rewind against the run in exact order of events: collisions missed, and how fast that gets better."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
-from run_files import read_diagnostics, read_run_json
+
+from particles_mpi import Run
 
 SETTLED = 0.2  # of the run, which is left out: the start is not the gas that is measured
 
 
-def mode_of(run: Path) -> str:
+def mode_of(run: Run) -> str:
     """ "event", "rewind", or nothing for a run without collisions."""
-    return str(read_run_json(run).get("scene", {}).get("effects", {}).get("collisions", {}).get("mode", ""))
+    return str(run.about.get("scene", {}).get("effects", {}).get("collisions", {}).get("mode", ""))
 
 
-def measured(run: Path) -> dict[str, Any]:
+def measured(run: Run) -> dict[str, Any]:
     """Step, collisions and missed ones in unit time, their standard error, and seconds of the loop."""
-    rows, about = read_diagnostics(run), read_run_json(run)
+    rows, about = run.columns, run.about
     time = rows["time"]
     kept = time >= time[0] + SETTLED * (time[-1] - time[0])
     kept[1:] &= kept[:-1]  # counts belong to the interval before their row
     length = np.diff(time, prepend=time[0])[kept]
     rates = rows["collisions"][kept] / length
     return {
-        "run": str(run),
+        "run": str(run.folder),
         "step": about["scene"]["time"]["step"],
         "rate": rows["collisions"][kept].sum() / length.sum(),
         "error": rates.std() / np.sqrt(len(rates)),
@@ -34,7 +34,7 @@ def measured(run: Path) -> dict[str, Any]:
     }
 
 
-def report(reference: Path, runs: list[Path]) -> tuple[str, dict[str, Any], list[dict[str, Any]]]:
+def report(reference: Run, runs: list[Run]) -> tuple[str, dict[str, Any], list[dict[str, Any]]]:
     """(table, reference, runs from the longest step to the shortest), with lost = 1 - rate/rate_event, which is that of Z - 1."""
     exact = measured(reference)
     found = sorted((measured(run) for run in runs), key=lambda row: -row["step"])

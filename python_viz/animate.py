@@ -13,7 +13,9 @@ from pathlib import Path
 import matplotlib
 from matplotlib.animation import FFMpegWriter, PillowWriter
 from picture import Picture, add_picture_options
-from run_files import DEFAULT_RUN, Trajectory, new_parser, save_path, stop
+from run_files import DEFAULT_RUN, new_parser, save_path, start, stop
+
+from particles_mpi import Run
 
 
 def main() -> None:
@@ -26,7 +28,7 @@ def main() -> None:
     if options.every < 1 or options.fps <= 0:
         stop("--every and --fps must be positive")
     matplotlib.use("Agg")
-    trajectory = Trajectory(options.run)
+    run = Run(options.run)
     path = save_path(options.save, options.run, "animation" + (".mp4" if FFMpegWriter.isAvailable() else ".gif"))
     writer: PillowWriter | FFMpegWriter
     if path.suffix == ".gif":
@@ -36,12 +38,12 @@ def main() -> None:
     else:
         stop(f"cannot write {path}: " + ("mp4 needs ffmpeg; save a .gif" if path.suffix == ".mp4" else "use .mp4 or .gif"))
 
-    chosen = range(0, len(trajectory), options.every)
-    picture = Picture(options.run, (trajectory[k] for k in chosen), options.color, options.view, dpi)
+    chosen = range(0, len(run), options.every)
+    picture = Picture(run, (run[k] for k in chosen), options.color, options.view, dpi)
     try:
         with writer.saving(picture.figure, path, dpi):
             for done, k in enumerate(chosen, 1):
-                picture.draw(trajectory[k])
+                picture.draw(run[k])
                 writer.grab_frame()
                 if sys.stderr.isatty():
                     print(f"\r{done} of {len(chosen)} frames", end="", file=sys.stderr, flush=True)
@@ -51,4 +53,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    start(main)

@@ -3,7 +3,6 @@
 from argparse import ArgumentParser
 from collections.abc import Callable, Iterable
 from itertools import combinations, product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,8 +10,11 @@ from matplotlib import pyplot as plt
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from numpy.typing import ArrayLike
-from run_files import Frame, read_run_json, spaced, stop, title_of
+from run_files import spaced
 from spheres import paint_spheres
+
+from particles_mpi import Run
+from particles_mpi.results.run import Frame
 
 SMALLEST = 1.0  # pixels: smaller marbles are drawn with this radius, and the caption says so
 HAZE = 0.4  # share of white in the colour of the furthest marbles
@@ -21,8 +23,8 @@ SQUARE = np.array([(0, 0), (0, 1), (1, 1), (1, 0)])
 # what --color offers: the values, their label, the colour map, and the percentile of the values that gets its last colour
 COLORS: dict[str, tuple[Callable[[Frame], np.ndarray], str, str, float]] = {
     "speed": (lambda frame: frame.speed, "speed", "plasma", 99.5),
-    "energy": (lambda frame: 0.5 * frame.fields["mass"] * frame.speed**2, "kinetic energy of a marble", "viridis", 99.5),
-    "mass": (lambda frame: frame.fields["mass"], "mass", "cividis", 100),
+    "energy": (lambda frame: 0.5 * frame.mass * frame.speed**2, "kinetic energy of a marble", "viridis", 99.5),
+    "mass": (lambda frame: frame.mass, "mass", "cividis", 100),
     "id": (lambda frame: frame.id.astype(float), "id", "rainbow", 100),
     "radius": (lambda frame: frame.radius, "radius", "cividis", 100),
 }
@@ -57,9 +59,9 @@ class Camera:
 class Picture:
     """One figure of a run: box, walls, colour bar. `draw(frame)` paints the marbles; view and colours stay the same."""
 
-    def __init__(self, run: Path, frames: Iterable[Frame], color: str, view: tuple[float, float], dpi: int) -> None:
+    def __init__(self, run: Run, frames: Iterable[Frame], color: str, view: tuple[float, float], dpi: int) -> None:
         """`frames` are all that will be drawn: they set the range of the colours, and of space where the scene has no box."""
-        self.title, scene = title_of(run), read_run_json(run).get("scene", {})
+        self.title, scene = run.title, run.about.get("scene", {})
         self.value, self.label, self.colormap, self.top = COLORS[color]
         self.survey(frames)
         box = scene.get("box")
@@ -80,10 +82,7 @@ class Picture:
         ranges = []
         self.lower, self.upper = np.full(3, np.inf), np.full(3, -np.inf)
         for frame in frames:
-            try:
-                values = self.value(frame)
-            except KeyError as name:
-                stop(f"the trajectory has no {name}")
+            values = self.value(frame)
             position = in_space(frame.position)
             good = np.isfinite(position).all(axis=1)
             if good.any():
@@ -201,7 +200,7 @@ class Picture:
             far = np.clip((depth - self.camera.distance + half) / (2 * half), 0, 1)[:, None]
             rgb = rgb + (1 - rgb) * HAZE * far
         self.marbles.set_data(paint_spheres(center[seen], np.maximum(radius, SMALLEST)[seen], depth[seen], frame.radius[seen],
-                                            rgb[seen], frame.fixed[seen], width, height))  # fmt: skip
+                                            rgb[seen], frame.fixed[seen] != 0, width, height))  # fmt: skip
         self.heading.set_text(f"{self.title} · t = {frame.time:.6g} · frame {frame.index}")
         missing, fixed = len(seen) - int(seen.sum()), int(frame.fixed.sum())
         notes = [f"{spaced(len(seen))} marble" + "s" * (len(seen) != 1), "true radii"]

@@ -13,7 +13,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
-from run_files import DEFAULT_RUN, finish, new_parser, parse, read_diagnostics, save_path, spaced, title_of
+from run_files import DEFAULT_RUN, finish, new_parser, parse, save_path, spaced, start, stop
+
+from particles_mpi import Run
 
 BINS = 200  # longer runs have their counts summed to about this many intervals, or the rates would be a black band
 RATES = {"collisions": "#5b3f8c", "wall_hits": "#3a9d6e", "missed": "#e08e1b"}
@@ -78,7 +80,10 @@ def main() -> None:
     parser = new_parser(__doc__)
     parser.add_argument("run", nargs="?", type=Path, default=DEFAULT_RUN, metavar="RUN_DIR", help=f"default: {DEFAULT_RUN}")
     options = parse(parser)
-    rows = read_diagnostics(options.run)
+    run = Run(options.run)
+    rows = run.columns
+    if not len(rows["time"]):
+        stop(f"{run.folder}: no row of diagnostics yet")
     figure, panels = plt.subplots(2, 2, figsize=(12, 7.5), sharex=True, dpi=130, layout="constrained")
     for axes, draw in zip(panels.flat, (plot_energy, plot_momentum, plot_rates, plot_speed), strict=True):
         draw(axes, rows)
@@ -89,9 +94,9 @@ def main() -> None:
             axes.legend(frameon=False)
     for axes in panels[-1]:
         axes.set_xlabel("time")
-    figure.suptitle(f"{title_of(options.run)} · {spaced(rows['particles'][-1])} particles", fontsize=14)
+    figure.suptitle(f"{run.title} · {spaced(rows['particles'][-1])} particles", fontsize=14)
     finish(figure, save_path(options.save, options.run, "diagnostics.png"), options.show)
 
 
 if __name__ == "__main__":
-    main()
+    start(main)

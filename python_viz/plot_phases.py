@@ -19,7 +19,9 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
-from run_files import DEFAULT_RUN, finish, new_parser, parse, read_run_json, save_path, stop, title_of
+from run_files import DEFAULT_RUN, finish, new_parser, parse, save_path, start, stop
+
+from particles_mpi import Run
 
 OUTSIDE = ("setup", "loop")  # timers that are not phases of the loop
 MOST = 8  # phases with a colour of their own in stacked bars
@@ -30,7 +32,7 @@ GREY = "#b6bcc6"
 class Timing:
     """The timers of one run, in seconds: {"min", "mean", "max"} over ranks; `phases` are parts of the loop."""
 
-    run: Path
+    run: Run
     ranks: int
     setup: dict[str, float]
     loop: dict[str, float]
@@ -42,16 +44,14 @@ class Timing:
         return max(0.0, self.loop["mean"] - sum(phase["mean"] for phase in self.phases.values()))
 
 
-def read_timing(run: Path) -> Timing:
-    if not (run / "run.json").is_file():
-        stop(f"no {run / 'run.json'}")
-    info = read_run_json(run)
+def read_timing(run: Run) -> Timing:
+    info = run.about
     try:
         timers = dict(info["timers"])
         setup, loop = (timers.pop(name) for name in OUTSIDE)
         return Timing(run, int(info["ranks"]), setup, loop, timers)
     except KeyError as name:
-        stop(f"no {name} in {run / 'run.json'} (it is written when a run ends)")
+        stop(f"no {name} in {run.folder / 'run.json'} (it is written when a run ends)")
 
 
 def draw_one(timing: Timing) -> Figure:
@@ -76,7 +76,7 @@ def draw_one(timing: Timing) -> Figure:
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(axis="y", length=0)
     ranks = f"{timing.ranks} rank" + "s" * (timing.ranks != 1)
-    axes.set_title(f"{title_of(timing.run)} · {ranks} · loop {timing.loop['mean']:.3g} s", loc="left", fontsize=13)
+    axes.set_title(f"{timing.run.title} · {ranks} · loop {timing.loop['mean']:.3g} s", loc="left", fontsize=13)
     return figure
 
 
@@ -143,7 +143,7 @@ def draw_several(timings: list[Timing], weak: bool) -> Figure:
     draw_scaling(time, efficiency, timings, weak)
     for axes in (stack, time, efficiency):
         axes.spines[["top", "right"]].set_visible(False)
-    figure.suptitle(title_of(timings[0].run), fontsize=14)
+    figure.suptitle(timings[0].run.title, fontsize=14)
     return figure
 
 
@@ -152,7 +152,7 @@ def main() -> None:
     parser.add_argument("runs", nargs="*", type=Path, default=[DEFAULT_RUN], metavar="RUN_DIR", help=f"default: {DEFAULT_RUN}")
     parser.add_argument("--weak", action="store_true", help="the runs have a constant load per rank")
     options = parse(parser)
-    timings = [read_timing(run) for run in options.runs]
+    timings = [read_timing(Run(run)) for run in options.runs]
     if len(timings) == 1:
         if options.weak:
             stop("--weak needs several runs")
@@ -163,4 +163,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    start(main)
