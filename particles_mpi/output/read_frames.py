@@ -65,10 +65,11 @@ class FrameReader:
         return told.st_mtime_ns, told.st_size
 
     def _read(self, read: Callable[[Any], Any]) -> Any:
-        """What `read` finds in the group VTKHDF; while the file is being changed, looks again until nothing changes during a look."""
+        """What `read` finds in the group VTKHDF; where the file changes during a look, it looks again."""
         found, failure = None, ""
         for pause in PAUSES:
-            sleep(pause)
+            if pause:  # also a sleep of no time gives the core away
+                sleep(pause)
             before = self._stamp()
             try:
                 with h5py.File(self.path, "r", locking=False) as file:

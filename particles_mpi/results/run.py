@@ -69,7 +69,7 @@ class Frame:
 
 
 class Run:
-    """The folder of a run: `len(run)` frames at `run.times`; `run[k]` is a `Frame`, k < 0 from the end; `run[a:b]` a list of them.
+    """The folder of a run: `len(run)` frames at `run.times`; `run[k]` is a `Frame` (k < 0 from the end), `run[a:b]` a list.
 
     Nothing is kept open, and each access looks anew: of a run that is going on it sees the frames and rows that are whole.
     Raises SceneError, one line, for what is not there, and IndexError for a frame that is not.

@@ -233,6 +233,7 @@ class Job:
             say(f"ParaView >= 5.13: {f}/trajectory.vtkhdf")
         if "vtk" in self.scene.output.formats:
             say(f"VisIt, older ParaView: {f}/particles.pvd")
+        say(f"view: {'./run.sh' if Path('run.sh').is_file() else 'particles-mpi'} view {f}")
         say(f"plots: python python_viz/plot_frame.py {f}   (and plot_diagnostics.py, plot_phases.py, animate.py)")
 
     def traffic(self) -> dict[str, int]:

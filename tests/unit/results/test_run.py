@@ -53,8 +53,8 @@ def test_every_field_of_every_frame_has_the_bits_of_the_simulation(tmp_path, d):
 
 
 def test_fields_that_only_some_runs_have(tmp_path):
-    sim, folder = drifting(2, tmp_path, effects={"drag": {"rate": 0.5}},
-                           particles=[{"position": [[0.0, 0.0]], "drag": 2.0}, {"position": [[1.0, 0.0]], "fixed": True}])  # fmt: skip
+    particles = [{"position": [[0.0, 0.0]], "drag": 2.0}, {"position": [[1.0, 0.0]], "fixed": True}]
+    sim, folder = drifting(2, tmp_path, effects={"drag": {"rate": 0.5}}, particles=particles)
     sim.run(folder)
     frame = Run(folder)[0]
     assert frame.drag.tolist() == [2.0, 0.5] and frame.fixed.tolist() == [0, 1] and "drag" in frame.fields
@@ -95,10 +95,10 @@ def test_what_is_not_there_is_one_clear_line(tmp_path):
     sim.run(folder)
     run = Run(folder)
     assert len(run.columns["time"]) == 2
-    with pytest.raises(SceneError, match="trajectory.vtkhdf: cannot be read"):
+    with pytest.raises(SceneError, match=r"trajectory\.vtkhdf: cannot be read"):
         len(run)
     (folder / "trajectory.vtkhdf").write_bytes(b"no HDF5 at all")
-    with pytest.raises(SceneError, match="trajectory.vtkhdf: cannot be read"):
+    with pytest.raises(SceneError, match=r"trajectory\.vtkhdf: cannot be read"):
         run[0]
     with pytest.raises(IndexError, match="no frame -5: the run has frames 0 to 3"):
         sim, folder = drifting(2, tmp_path)
