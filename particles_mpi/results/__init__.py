@@ -5,7 +5,8 @@ In the order in which to read them:
 - `run`: `Run(folder)`: frames, diagnostics and scene of a run, also of one that is going on
 - `scenery`: the box and the walls around the particles, as lines and polygons
 - `curves`: what the diagnostics tell, as panels of curves
-- `page`: all of it in one HTML file; `page.html`, `spheres.js` and `page.js` are its text
+- `page`: all of it in one HTML file; `page.html` and the scripts `*.js` are its text
+- `paraview`: the script beside a run's files that shows it in ParaView; `view_paraview.py` is its text
 
 The page draws by WebGL itself, with no library: a sphere is a square whose pixels are shaded, so 32 000 of them are exact and
 fast, and what a page holds is the run. k3d, which was tried, shows one quantity of each particle and no curves, and brings a

@@ -1,7 +1,8 @@
 """A page that shows a run: one HTML file with the frames, the curves and the plan in it, that needs no network.
 
-`page.html` is its frame, `spheres.js` draws spheres by WebGL, `page.js` has the controls and the curves. What they show is put
-together here: a header as JSON, and the columns of each frame as one block of bytes, in base64.
+`page.html` is its frame, `spheres.js` draws spheres by WebGL, `frames.js`, `stage.js`, `charts.js` and `controls.js` are what the
+user sees and does. What they show is put together here: a header as JSON, and of each frame the columns as one block of bytes, in
+base64.
 """
 
 from __future__ import annotations
@@ -81,7 +82,7 @@ def page(run: Any, largest: int = LARGEST) -> str:
     constant = pack(run[choice.frames[0]], [c for c in columns if c.constant], choice.every)
     moving = [c for c in columns if not c.constant]
     blocks = [pack(run[k], moving, choice.every) for k in choice.frames]
-    parts = {name: (HERE / name).read_text(encoding="utf-8") for name in ("spheres.js", "page.js")}
+    parts = {path.name: path.read_text(encoding="utf-8") for path in HERE.glob("*.js")}
     parts["title"] = run.title.replace("&", "&amp;").replace("<", "&lt;")
     parts["header"] = json.dumps(header | {"constant": constant}, allow_nan=False).replace("</", "<\\/")
     parts["frames"] = json.dumps(blocks)
