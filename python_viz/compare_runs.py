@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 from run_files import finish, new_parser, parse, save_path, start, stop
 
 from particles_mpi import Run
-from particles_mpi.results.run import Frame
+from particles_mpi.results.frame import Frame
 
 CURVES = {"position": "#2e86ab", "velocity": "#d1495b"}
 

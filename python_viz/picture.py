@@ -12,7 +12,7 @@ from run_files import spaced
 from spheres import paint_spheres
 
 from particles_mpi import Run
-from particles_mpi.results.run import Frame
+from particles_mpi.results.frame import Frame
 from particles_mpi.results.scenery import in_space, scenery
 
 SMALLEST = 1.0  # pixels: smaller marbles are drawn with this radius, and the caption says so

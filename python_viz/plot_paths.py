@@ -17,7 +17,7 @@ from matplotlib.collections import EllipseCollection
 from run_files import finish, new_parser, parse, save_path, spaced, start
 
 from particles_mpi import Run
-from particles_mpi.results.run import Frame
+from particles_mpi.results.frame import Frame
 
 FEW = 30
 COLUMNS = 3

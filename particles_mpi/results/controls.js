@@ -48,16 +48,20 @@ function view(azimuth, elevation) {
   draw();
 }
 
-function addFrame({block, time, number, columns, curves, constants}) {  // of a run that goes on, in a notebook
-  run.columns = columns;
+function addFrames({frames, ranges, curves}) {  // of a simulation that goes on, in a notebook
+  for (const {block, time, number} of frames) {
+    blocks.push(block);
+    run.times.push(time);
+    run.numbers.push(number);
+  }
+  for (const column of run.columns) if (ranges[column.name]) [column.low, column.high] = ranges[column.name];
   run.curves = curves;
-  blocks.push(block);
-  run.times.push(time);
-  run.numbers.push(number);
-  $("frame").max = run.times.length - 1;
+  const last = run.times.length - 1;
+  $("frame").max = last;
+  for (const element of [$("play"), $("frame"), $("again")]) element.disabled = last < 1;
   tellCurves();
   drawBar();
-  show(run.times.length - 1);
+  if (!state.playing) show(last);
 }
 
 function tellCurves() {
@@ -145,7 +149,7 @@ function listen() {
     event.preventDefault();
   });
   addEventListener("resize", resize);
-  addEventListener("message", event => { if (event.data && event.data.block) addFrame(event.data); });
+  addEventListener("message", event => { if (event.data && event.data.frames) addFrames(event.data); });
 }
 
 function begin() {

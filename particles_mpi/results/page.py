@@ -72,12 +72,17 @@ def write_page(run: Any, path: Path | None = None, largest: int = LARGEST) -> Pa
 
 def page(run: Any, largest: int = LARGEST) -> str:
     """The page of a run as text. `run`: a `Run`, or what has its properties and frames."""
+    return assemble(run, largest)[0]
+
+
+def assemble(run: Any, largest: int, live: bool = False) -> tuple[str, list[Column], int]:
+    """(page, columns, of how many particles one is in it). live: more frames will be sent to it, in which anything may change."""
     counts = [len(frame) for frame in run]
     if not counts:
         raise SceneError(f"{run.folder}: no frame yet")
     widest = len(quantities(run[0]))
     choice = choose(counts, widest, (largest - FOR_THE_REST) / BASE64)
-    columns, lower, upper = survey(run, choice)
+    columns, lower, upper = survey(run, choice, live)
     header = {**described(run, choice), **surroundings(run, lower, upper), "columns": [c._asdict() for c in columns]}
     constant = pack(run[choice.frames[0]], [c for c in columns if c.constant], choice.every)
     moving = [c for c in columns if not c.constant]
@@ -86,7 +91,8 @@ def page(run: Any, largest: int = LARGEST) -> str:
     parts["title"] = run.title.replace("&", "&amp;").replace("<", "&lt;")
     parts["header"] = json.dumps(header | {"constant": constant}, allow_nan=False).replace("</", "<\\/")
     parts["frames"] = json.dumps(blocks)
-    return re.sub(r"/\* (\S+) \*/", lambda found: parts[found[1]], (HERE / "page.html").read_text(encoding="utf-8"))
+    text = re.sub(r"/\* (\S+) \*/", lambda found: parts[found[1]], (HERE / "page.html").read_text(encoding="utf-8"))
+    return text, columns, choice.every
 
 
 def choose(counts: list[int], quantities: int, room: float) -> Choice:
@@ -122,12 +128,15 @@ def quantities(frame: Any) -> dict[str, Array]:
     return found | {"speed": frame.speed}
 
 
-def survey(run: Any, choice: Choice) -> tuple[list[Column], Array, Array]:
-    """(columns, lower, upper): how numbers are stored, their ranges over the frames, and the extent (3,) of the spheres."""
+def survey(run: Any, choice: Choice, live: bool = False) -> tuple[list[Column], Array, Array]:
+    """(columns, lower, upper): how numbers are stored, their ranges over the frames, and the extent (3,) of the spheres.
+
+    live: more frames are to come, in which anything may change.
+    """
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
     ranges: dict[str, list[Array]] = {}
     first = {"id": run[choice.frames[0]].id, **quantities(run[choice.frames[0]])}
-    constant = dict.fromkeys(first, True)
+    constant = dict.fromkeys(first, not live)
     for k in choice.frames:
         frame = run[k]
         position, radius = in_space(frame.position), frame.radius[:, None]

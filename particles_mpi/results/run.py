@@ -12,60 +12,12 @@ import numpy as np
 
 from particles_mpi.errors import SceneError
 from particles_mpi.output.read_frames import FrameReader
+from particles_mpi.results.frame import Frame
 
 if TYPE_CHECKING:  # particles brings numba, which takes longer to import than a frame to read
     from particles_mpi.particles import Array
 
 FILES = ("trajectory.vtkhdf", "diagnostics.csv", "run.json")
-
-
-class Frame:
-    """The N particles at one time, in the order of their ids: `frame.position` (N, d), `frame.velocity`, `frame.mass` (N,).
-
-    index: number of the frame; time; step: of the run; fields: names of all that is stored. A field is read from the file when it
-    is asked for, as `frame.mass` or `frame["mass"]`.
-    """
-
-    def __init__(self, run: Run, index: int):
-        known = run.frames.index()
-        self.index, self.time, self.step = index, float(known.times[index]), int(known.steps[index])
-        self.count = int(known.counts[index])
-        self.fields = ("position", *(n for n in known.fields if n != "position" and not n.endswith("_full")))
-        self._reader, self._d = run.frames, run.dimension
-
-    def __len__(self) -> int:
-        return self.count
-
-    def __getattr__(self, name: str) -> Array:
-        if name.startswith("_"):
-            raise AttributeError(name)
-        stored = self._reader.index().fields
-        if name == "position" and name not in stored:
-            name_in_file = "Points"  # d <= 3
-        else:
-            name_in_file = f"{name}_full" if f"{name}_full" in stored else name
-        if name_in_file in stored or name_in_file == "Points":
-            values = self._reader.column(name_in_file, self.index)
-            values = np.ascontiguousarray(values[:, : self._d]) if values.ndim > 1 else values
-        elif name == "fixed":  # stored only if a particle is
-            values = np.zeros(self.count, np.uint8)
-        else:
-            raise AttributeError(f"frame {self.index} has no field {name!r}; stored are {', '.join(self.fields)}")
-        vars(self)[name] = values
-        return values
-
-    def __getitem__(self, name: str) -> Array:
-        values: Array = getattr(self, name)
-        return values
-
-    @property
-    def speed(self) -> Array:
-        """(N,)"""
-        speed: Array = np.linalg.norm(self.velocity, axis=1)
-        return speed
-
-    def __repr__(self) -> str:
-        return f"Frame({self.index}: t = {self.time:g}, {self.count} particles; {', '.join(self.fields)})"
 
 
 class Run:
@@ -98,11 +50,28 @@ class Run:
     def __getitem__(self, k: int | slice) -> Frame | list[Frame]:
         count = len(self)
         if isinstance(k, slice):
-            return [Frame(self, i) for i in range(*k.indices(count))]
+            return [self[i] for i in range(*k.indices(count))]
         if not -count <= k < count:
             there = f"frames 0 to {count - 1}" if count else "no frame yet"
             raise IndexError(f"{self.folder}: no frame {k}: the run has {there}")
-        return Frame(self, k % count)
+        index, k = self.frames.index(), k % count
+        fields = ("position", *(name for name in index.fields if name != "position" and not name.endswith("_full")))
+        told = float(index.times[k]), int(index.steps[k]), int(index.counts[k])
+        return Frame(k, *told, fields, lambda name: self._column(name, k))
+
+    def _column(self, name: str, k: int) -> Array:
+        """(N,) or (N, d) of a field: files have three axes, and beyond these a second column with all of them."""
+        stored = self.frames.index().fields
+        whole = name if name == "position" else f"{name}_full"
+        shown = "Points" if name == "position" else name
+        values = self.frames.column(whole if whole in stored else shown, k)
+        return np.ascontiguousarray(values[:, : self.dimension]) if values.ndim > 1 else values
+
+    def view(self) -> Any:
+        """The page of `particles-mpi view` in a notebook: the last expression of a cell is shown."""
+        from particles_mpi.results.notebook import Shown
+
+        return Shown(self)
 
     @property
     def about(self) -> dict[str, Any]:

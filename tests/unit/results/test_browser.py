@@ -4,13 +4,14 @@ import io
 
 import numpy as np
 import pytest
-from browser import start_browser
+from browser import shown_simulation, start_browser
 from matplotlib import colormaps, image
 
 from particles_mpi import Run, Scene, Simulation
 from particles_mpi.results.page import DARKEST, write_page
 
 browser = pytest.fixture(scope="module")(start_browser)
+shown = pytest.fixture(shown_simulation)
 
 
 @pytest.fixture
@@ -147,8 +148,8 @@ def test_a_sphere_has_its_true_size_place_and_colour(opened, tmp_path):
 
     fastest, slowest = (np.array(colormaps["viridis"](share)[:3]) for share in (1.0, DARKEST))
     for x, radius, color in ((3, 1.0, fastest), (7, 0.5, slowest)):
-        shown = picture[pixel(x + 0.3 * radius, 3 - 0.3 * radius)]
-        assert np.abs(shown / shown.max() - color / color.max()).max() < 0.12
+        found = picture[pixel(x + 0.3 * radius, 3 - 0.3 * radius)]
+        assert np.abs(found / found.max() - color / color.max()).max() < 0.12
         assert not coloured(picture)[pixel(x + 1.1 * radius, 3)] and coloured(picture)[pixel(x + 0.9 * radius, 3)]
     row, column = pixel(7, 3)
     page.locator("#canvas").click(position={"x": column, "y": row})
@@ -226,3 +227,20 @@ def test_a_run_that_is_going_on(opened, tmp_path):
     assert "going on, at t = 0.4" in notes[0] and notes[-1] == "t = 0.4"
     page = opened(tmp_path / "run")
     assert not page.locator("#notes li").count()
+
+
+def test_a_page_in_a_notebook_gets_new_frames_and_shows_the_last(browser, shown, tmp_path):
+    """As a notebook does it: the page in a frame of its own, and scripts that send it what is new."""
+    (first, _), messages = shown
+    (tmp_path / "notebook.html").write_text(f"<body data-ready='yes'>{first._repr_html_()}</body>")
+    page = browser(tmp_path / "notebook.html")
+    inside = page.frame_locator("iframe")
+    inside.locator("body[data-ready]").wait_for()
+    assert inside.locator("#number").inner_text() == "frame 0 · 2 particles" and inside.locator("#play").is_disabled()
+    for message in filter(None, messages):
+        page.evaluate(message.removeprefix("<script>").removesuffix("</script>"))
+    inside.locator("body[data-frame='4']").wait_for()
+    assert inside.locator("#number").inner_text() == "frame 4 · 3 particles" and not inside.locator("#play").is_disabled()
+    assert inside.locator("#curves figure").count() >= 2
+    inside.locator("#frame").fill("1")
+    assert inside.locator("#number").inner_text() == "frame 1 · 2 particles" and not browser.said
