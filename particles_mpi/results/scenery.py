@@ -39,9 +39,28 @@ def scenery(scene: dict[str, Any], lower: Array, upper: Array) -> Scenery:
         periodic = np.resize(box.get("periodic") or False, 3)
     elif not np.any(upper > lower):  # a single point, or no particle at all
         lower, upper = np.full(3, -1.0), np.ones(3)
-    planes = ((scene.get("effects") or {}).get("walls") or {}).get("planes") or []
-    found = [(section(in_space(p["point"]), in_space(p["normal"]), lower, upper), in_space(p["normal"])) for p in planes]
-    return Scenery(lower, upper, periodic, bool(box), [(polygon, normal) for polygon, normal in found if len(polygon)])
+    given = ((scene.get("effects") or {}).get("walls") or {}).get("planes") or []
+    planes = [(in_space(plane["point"]), in_space(plane["normal"])) for plane in given]
+    walls = []
+    for point, normal in planes:
+        corners = section(point, normal, lower, upper)
+        for other in planes:
+            corners = in_front(corners, *other, CLOSE * float(np.linalg.norm(upper - lower)))
+        if len(corners) > 1:
+            walls.append((corners, normal))
+    return Scenery(lower, upper, periodic, bool(box), walls)
+
+
+def in_front(corners: Array, point: Array, normal: Array, close: float) -> Array:
+    """What of a polygon (m, 3) is on the free side of a plane, or at most `close` behind it."""
+    height = (corners - point) @ normal / np.linalg.norm(normal)
+    kept = []
+    for k in range(len(corners)):  # from the corner before to this one
+        if min(height[k - 1], height[k]) < -close and max(height[k - 1], height[k]) > close:
+            kept.append(corners[k - 1] + (corners[k] - corners[k - 1]) * height[k - 1] / (height[k - 1] - height[k]))
+        if height[k] >= -close:
+            kept.append(corners[k])
+    return np.array(kept).reshape(-1, 3)
 
 
 def section(point: Array, normal: Array, lower: Array, upper: Array) -> Array:

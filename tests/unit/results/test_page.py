@@ -174,3 +174,19 @@ def test_a_plane_in_two_dimensions_is_a_line():
     scene = {"box": {"lower": [0, 0], "upper": [2, 1]}, "effects": {"walls": {"planes": [{"point": [1, 0.5], "normal": [0, 2]}]}}}
     ((corners, _),) = scenery(scene, np.zeros(3), np.ones(3)).walls
     assert sorted(corners.tolist()) == [[0, 0.5, 0], [2, 0.5, 0]]
+
+
+def test_walls_end_where_they_meet():
+    """Two planes at 45 degrees that meet above the floor, and the floor, which is behind them everywhere."""
+    planes = [
+        {"point": [0.5, 0, 0.2], "normal": [1, 0, 1]},
+        {"point": [0.5, 0, 0.2], "normal": [-1, 0, 1]},
+        {"point": [0, 0, 0.1], "normal": [0, 0, 1]},
+    ]
+    around = scenery(
+        {"box": {"lower": [0, 0, 0], "upper": [1, 1, 1]}, "effects": {"walls": {"planes": planes}}}, np.zeros(3), np.ones(3)
+    )
+    assert len(around.walls) == 2
+    for (corners, _), side in zip(around.walls, (0.0, 1.0), strict=True):
+        expected = [[side, 0, 0.7], [side, 1, 0.7], [0.5, 0, 0.2], [0.5, 1, 0.2]]
+        assert sorted(corners.tolist()) == pytest.approx(np.array(sorted(expected)))
