@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
+from run_files import BLUE, GREY, RED
 
 from particles_mpi import Run
 
@@ -61,20 +62,19 @@ def draw(exact: dict[str, Any], found: list[dict[str, Any]], title: str) -> Figu
     sure = lost > 2 * noise
     step, seconds = (np.array([row[name] for row in found]) for name in ("step", "seconds"))
     for axes, x, label in ((panels[0], step, "time step"), (panels[1], seconds, "seconds of the loop")):
-        axes.errorbar(x, lost, noise, fmt="-", color="#d1495b", capsize=3)
-        axes.plot(x[sure], lost[sure], "o", color="#d1495b", label="rewind")
-        axes.plot(x[~sure], lost[~sure], "o", color="#d1495b", mfc="white", label="rewind, below the noise")
+        axes.errorbar(x, lost, noise, fmt="-", color=RED, capsize=3)
+        axes.plot(x[sure], lost[sure], "o", color=RED, label="rewind")
+        axes.plot(x[~sure], lost[~sure], "o", color=RED, mfc="white", label="rewind, below the noise")
         axes.set(xscale="log", yscale="log", xlabel=label)
-        axes.grid(color="#e3e6ea", lw=0.7, which="both")
-        axes.spines[["top", "right"]].set_visible(False)
+        axes.grid(which="both")
     panels[0].set_xticks(step, [f"{s:g}" for s in step])
     panels[0].minorticks_off()
     guide = lost[0] * (step / step[0])
-    panels[0].plot(step, guide, ":", color="#4a5260", label="order 1")
-    panels[0].plot(step, guide**2 / lost[0], "--", color="#4a5260", label="order 2")
+    panels[0].plot(step, guide, ":", color=GREY, label="order 1")
+    panels[0].plot(step, guide**2 / lost[0], "--", color=GREY, label="order 2")
     panels[0].set_ylabel("share of collisions lost (error of Z - 1)")
-    panels[1].axvline(exact["seconds"], color="#2e86ab", label="event")
+    panels[1].axvline(exact["seconds"], color=BLUE, label="event")
     for axes in panels:
-        axes.legend(frameon=False)
+        axes.legend()
     figure.suptitle(title, fontsize=13)
     return figure

@@ -19,12 +19,12 @@ import against_event
 import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
-from run_files import finish, new_parser, parse, save_path, start, stop
+from run_files import BLUE, GREY, RED, finish, new_parser, parse, save_path, start, stop
 
 from particles_mpi import Run
 from particles_mpi.results.frame import Frame
 
-CURVES = {"position": "#2e86ab", "velocity": "#d1495b"}
+CURVES = {"position": BLUE, "velocity": RED}
 
 
 def matching(a: Run, b: Run) -> list[tuple[int, int]]:
@@ -86,16 +86,14 @@ def draw(times: np.ndarray, curves: dict[str, np.ndarray], radius: float, title:
         largest, rms = np.ma.masked_equal(curves[name], 0).T
         if largest.count():
             axes.semilogy(times, largest, "o-", ms=3, color=color, label="largest")
-            axes.semilogy(times, rms, "o-", ms=3, color=color, alpha=0.45, label="rms over particles")
+            axes.semilogy(times, rms, "s--", ms=3, color=color, alpha=0.6, label="rms over particles")
             if name == "position" and radius > 0:
-                axes.axhline(radius, color="#4a5260", ls=":", label="smallest radius")
-            axes.legend(frameon=False)
+                axes.axhline(radius, color=GREY, ls=":", label="smallest radius")
+            axes.legend()
         else:
-            axes.text(0.5, 0.5, "no difference in any frame", ha="center", transform=axes.transAxes, color="#4a5260")
+            axes.text(0.5, 0.5, "no difference in any frame", ha="center", transform=axes.transAxes, color=GREY)
             axes.set_yticks([])
-        axes.set_title(f"difference of {name}", loc="left")
-        axes.grid(color="#e3e6ea", lw=0.7)
-        axes.spines[["top", "right"]].set_visible(False)
+        axes.set_title(f"difference of {name}")
     panels[-1].set(xlabel="time", xlim=(times.min(), times.max() if times.max() > times.min() else times.min() + 1))
     figure.suptitle(title, fontsize=13)
     return figure

@@ -24,7 +24,7 @@ COLORS: dict[str, tuple[Callable[[Frame], np.ndarray], str, str, float]] = {
     "speed": (lambda frame: frame.speed, "speed", "plasma", 99.5),
     "energy": (lambda frame: 0.5 * frame.mass * frame.speed**2, "kinetic energy of a marble", "viridis", 99.5),
     "mass": (lambda frame: frame.mass, "mass", "cividis", 100),
-    "id": (lambda frame: frame.id.astype(float), "id", "rainbow", 100),
+    "id": (lambda frame: frame.id.astype(float), "id", "viridis", 100),
     "radius": (lambda frame: frame.radius, "radius", "cividis", 100),
 }
 
@@ -108,6 +108,7 @@ class Picture:
         self.figure = plt.figure(figsize=(wide + margin + 1.2, high + foot + 0.5), dpi=dpi)
         width, height = self.figure.get_size_inches()
         self.axes = self.figure.add_axes((margin / width, foot / height, wide / width, high / height))
+        self.axes.grid(False)
         self.axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", anchor="C")
         self.axes.apply_aspect()
         place = self.axes.get_position()

@@ -20,11 +20,14 @@ def main() -> None:
     parser = new_parser(__doc__)
     parser.add_argument("run", nargs="?", type=Path, default=DEFAULT_RUN, metavar="RUN_DIR", help=f"default: {DEFAULT_RUN}")
     parser.add_argument("--frame", type=int, default=-1, help="number of the frame; -1 is the last (default)")
+    parser.add_argument(
+        "--dpi", type=int, default=150, help="pixels for an inch: half makes a picture half as large (default: 150)"
+    )
     add_picture_options(parser)
     options = parse(parser)
     run = Run(options.run)
     frame = run[options.frame]
-    picture = Picture(run, [frame], options.color, options.view, dpi=150)
+    picture = Picture(run, [frame], options.color, options.view, options.dpi)
     picture.draw(frame)
     finish(picture.figure, save_path(options.save, options.run, f"frame_{frame.index:06d}.png"), options.show)
 

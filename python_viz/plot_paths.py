@@ -14,14 +14,13 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
-from run_files import finish, new_parser, parse, save_path, spaced, start
+from run_files import PAINTS, finish, new_parser, parse, save_path, spaced, start
 
 from particles_mpi import Run
 from particles_mpi.results.frame import Frame
 
 FEW = 30
 COLUMNS = 3
-COLORS = plt.get_cmap("tab10")
 
 
 def plot_few(axes: Axes, frames: list[Frame]) -> None:
@@ -31,8 +30,8 @@ def plot_few(axes: Axes, frames: list[Frame]) -> None:
     for k, frame in enumerate(frames):
         places[k, np.searchsorted(ids, frame.id)] = frame.position[:, :2]
     for i in range(len(ids)):
-        color = COLORS(i % 10)
-        axes.plot(places[:, i, 0], places[:, i, 1], lw=0.8, color=color)
+        color = PAINTS[i % len(PAINTS)]
+        axes.plot(places[:, i, 0], places[:, i, 1], "-", lw=0.8, color=color)
         axes.plot(*places[-1, i], "o", ms=5, color=color)
 
 
@@ -65,9 +64,12 @@ def plot(axes: Axes, run: Run, span: float) -> None:
         away = np.abs(last.position[:, :2] - middle).max(axis=1) + last.radius
         half = 1.05 * float(np.quantile(away, 1.0 if last.radius.any() else span))
         axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
+    axes.grid(False)
+    axes.spines[:].set_visible(True)
     axes.set_aspect("equal", adjustable="datalim" if not half else "box")
-    axes.set_title(run.title, loc="left", fontsize=10)
+    axes.set_title(run.title, fontsize=10)
     axes.text(0.99, 0.01, f"{spaced(len(last.position))} at t = {last.time:g}", transform=axes.transAxes, ha="right", fontsize=8,
+              bbox={"facecolor": axes.get_facecolor(), "alpha": 0.7, "lw": 0, "pad": 1},
               color="white" if len(last.position) > FEW and not last.radius.any() else "black")  # fmt: skip
     axes.tick_params(labelsize=7)
 

@@ -10,11 +10,29 @@ from pathlib import Path
 from typing import NoReturn
 
 import matplotlib
+from cycler import cycler
 from matplotlib.figure import Figure
 
 from particles_mpi.errors import SceneError
 
 DEFAULT_RUN = Path("out/marbles")
+# Colours that stay apart for colour-blind readers (M. Okabe, K. Ito, 2008), each with a dash of its own.
+PAINTS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+DASHES = ("-", "--", ":", "-.", "-", "--")
+BLUE, RED, GREY = PAINTS[0], PAINTS[1], "#4a5260"
+matplotlib.rcParams.update(
+    {
+        "axes.prop_cycle": cycler(color=PAINTS, linestyle=DASHES),
+        "axes.titlelocation": "left",
+        "axes.axisbelow": True,
+        "axes.grid": True,
+        "grid.color": "#e3e6ea",
+        "grid.linewidth": 0.7,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "legend.frameon": False,
+    }
+)
 
 
 def stop(message: str) -> NoReturn:
