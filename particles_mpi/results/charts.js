@@ -11,8 +11,7 @@ function drawPanel(canvas, {time, lines}) {
   canvas.height = height * ratio;
   pen.scale(ratio, ratio);
   const all = Object.values(lines).flat(), left = 58, right = width - 8, top = 8, bottom = height - 18;
-  let [low, high] = [Math.min(...all), Math.max(...all)];
-  if (high - low < 1e-9 * Math.max(Math.abs(low), Math.abs(high), 1e-300)) [low, high] = [low - (Math.abs(low) || 1) * 0.5, high + (Math.abs(high) || 1) * 0.5];
+  const [low, high] = widened(Math.min(...all), Math.max(...all));
   const x = t => left + (right - left) * (t - time[0]) / (time.at(-1) - time[0] || 1), y = v => bottom - (bottom - top) * (v - low) / (high - low);
   pen.font = "11px system-ui, sans-serif";
   pen.fillStyle = "#5c6673";

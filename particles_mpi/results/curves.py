@@ -30,7 +30,7 @@ def curves(rows: dict[str, Array]) -> list[dict[str, Any]]:
     lasting = np.maximum(np.diff(edges), 1e-300)
     counts = {n: np.add.reduceat(rows[n][: (len(edges) - 1) * group + 1], starts) for n in EVENTS}
     panels.append(_panel("events per unit time", edges[1:], {n: row / lasting for n, row in counts.items() if row.any()}))
-    return [panel for panel in panels if panel["lines"]]
+    return [panel for panel in panels if panel["lines"] and len(panel["time"]) > 1]
 
 
 def _panel(title: str, time: Array, lines: dict[str, Array]) -> dict[str, Any]:

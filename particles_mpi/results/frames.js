@@ -15,7 +15,13 @@ const short = x => !isFinite(x) ? "–" : x === 0 ? "0"
   : Math.abs(x) >= 1e6 || Math.abs(x) < 1e-3 ? x.toExponential(2).replace(/\.?0+e/, "e") : +x.toPrecision(4) + "";
 const spaced = n => n.toString().replace(/\B(?=(\d{3})+$)/g, "\u202f");
 
+function widened(low, high) {  // round-off in a constant is not blown up to the full height
+  const most = Math.max(Math.abs(low), Math.abs(high)) || 1;
+  return high - low > 1e-9 * most ? [low, high] : [low - 0.5 * most, high + 0.5 * most];
+}
+
 function ticks(low, high) {  // round numbers from low to high
+  if (!(high > low)) return [low];
   const rough = (high - low) / 5, power = 10 ** Math.floor(Math.log10(rough)), step = power * [1, 2, 5, 10].find(k => k * power >= rough);
   const found = [];
   for (let n = Math.ceil(low / step - 1e-9); n <= high / step + 1e-9; n++) found.push(+(n * step).toPrecision(12));

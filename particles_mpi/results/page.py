@@ -80,8 +80,7 @@ def assemble(run: Any, largest: int, live: bool = False) -> tuple[str, list[Colu
     counts = [len(frame) for frame in run]
     if not counts:
         raise SceneError(f"{run.folder}: no frame yet")
-    widest = len(quantities(run[0]))
-    choice = choose(counts, widest, (largest - FOR_THE_REST) / BASE64)
+    choice = choose(counts, changing(run) if not live else len(quantities(run[0])) + 1, (largest - FOR_THE_REST) / BASE64)
     columns, lower, upper = survey(run, choice, live)
     header = {**described(run, choice), **surroundings(run, lower, upper), "columns": [c._asdict() for c in columns]}
     constant = pack(run[choice.frames[0]], [c for c in columns if c.constant], choice.every)
@@ -93,6 +92,12 @@ def assemble(run: Any, largest: int, live: bool = False) -> tuple[str, list[Colu
     parts["frames"] = json.dumps(blocks)
     text = re.sub(r"/\* (\S+) \*/", lambda found: parts[found[1]], (HERE / "page.html").read_text(encoding="utf-8"))
     return text, columns, choice.every
+
+
+def changing(run: Any) -> int:
+    """How many numbers of a particle, besides its position, are not the same in the first frame and the last; at least one."""
+    first, last = ({"id": frame.id, **quantities(frame)} for frame in (run[0], run[-1]))
+    return max(1, sum(name not in last or not np.array_equal(values, last[name]) for name, values in first.items()))
 
 
 def choose(counts: list[int], quantities: int, room: float) -> Choice:

@@ -10,7 +10,7 @@ function range() {
     if (!(high > 0)) high = 1;
     low = Math.max(low, high * 1e-6);
   }
-  return [low, high > low ? high : low + (Math.abs(low) || 1)];
+  return state.log && high > low ? [low, high] : widened(low, high);
 }
 
 function share(x, low, high) {  // 0 to 1
@@ -87,9 +87,10 @@ function draw() {
   annotate();
 }
 
-function project(point) {  // place of a point on the canvas, and its distance; null behind the viewer
-  const {view, projection} = camera.matrices(canvas.width / canvas.height), times = (m, [x, y, z, w]) =>
-    [0, 1, 2, 3].map(r => m[r] * x + m[4 + r] * y + m[8 + r] * z + m[12 + r] * w);
+const times = (m, [x, y, z, w]) => [0, 1, 2, 3].map(r => m[r] * x + m[4 + r] * y + m[8 + r] * z + m[12 + r] * w);
+
+// Place of a point on the canvas, and its distance; null behind the viewer.
+function project(point, {view, projection} = camera.matrices(canvas.width / canvas.height)) {
   const eye = times(view, [...point, 1]), [x, y, , w] = times(projection, eye);
   return w <= 0 ? null : [(0.5 + 0.5 * x / w) * canvas.clientWidth, (0.5 - 0.5 * y / w) * canvas.clientHeight, Math.hypot(eye[0], eye[1], eye[2])];
 }
@@ -140,9 +141,10 @@ function pickedNow() {
 
 function pick(x, y) {  // the nearest sphere under a point of the canvas
   const frame = frameAt(state.frame), at = places(frame), radii = numbers(frame, "radius"), unit = camera.pixel(canvas.clientHeight);
+  const matrices = camera.matrices(canvas.width / canvas.height);
   let best = null;
   for (let i = 0; i < frame.count; i++) {
-    const seen = project([at[3 * i], at[3 * i + 1], at[3 * i + 2]]);
+    const seen = project([at[3 * i], at[3 * i + 1], at[3 * i + 2]], matrices);
     const size = seen && Math.max(4, radii[i] * state.grow / (unit * (camera.flat ? 1 : seen[2])));
     if (seen && Math.hypot(seen[0] - x, seen[1] - y) < size && (!best || seen[2] < best[0])) best = [seen[2], frame.raw.id[i]];
   }

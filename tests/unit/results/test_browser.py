@@ -180,6 +180,21 @@ def test_one_frame_and_points_without_radius(opened, tmp_path):
     assert page.locator("#play").is_disabled() and coloured(drawn(page)).sum() > 20
 
 
+@pytest.mark.parametrize("dimension, count", [(1, 5), (5, 40), (2, 0)])
+def test_other_dimensions_and_nobody(opened, tmp_path, dimension, count):
+    """A constant speed, a table of two rows: no range is empty, and what is constant has the middle of the colours."""
+    particles = [{"count": count, "position": "random", "velocity": {"speed": 1.0}, "radius": 0.1}]
+    scene = {
+        "dimension": dimension,
+        "box": {"lower": [0] * dimension, "upper": [3] * dimension},
+        "time": {"step": 0.1, "steps": 5},
+    }
+    page = opened(ran(tmp_path / "run", **scene, particles=particles, effects={"walls": {}}))
+    assert page.locator("#number").inner_text() == f"frame 0 · {count} particles" and page.locator("#curves figure").count() >= 2
+    assert (coloured(drawn(page)).sum() > 100) == (count > 0)
+    assert page.evaluate("range()") == pytest.approx([0.5, 1.5] if count else [0, 1])
+
+
 def test_particles_that_come_and_go_have_trails(opened, tmp_path):
     scene = {
         "dimension": 2,

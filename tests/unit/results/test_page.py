@@ -138,7 +138,7 @@ def test_a_run_without_frames_and_a_folder_that_cannot_be_written(tmp_path):
 
 
 def test_curves_keep_sums_however_long_the_table():
-    for rows in (2, 3, ROWS - 1, ROWS, ROWS + 1, 5 * ROWS + 3):
+    for rows in (3, 4, ROWS - 1, ROWS, ROWS + 1, 5 * ROWS + 3):
         time = np.linspace(0.0, 7.0, rows)
         counts = np.arange(rows) % 5
         counts[0] = 0
