@@ -61,7 +61,8 @@ class FrameReader:
         try:
             told = self.path.stat()
         except OSError as error:
-            raise SceneError(f"{self.path}: cannot be read ({error.strerror})") from None
+            hint = '; a run writes it if output.formats has "hdf5"' if isinstance(error, FileNotFoundError) else ""
+            raise SceneError(f"{self.path}: cannot be read ({error.strerror}{hint})") from None
         return told.st_mtime_ns, told.st_size
 
     def _read(self, read: Callable[[Any], Any]) -> Any:

@@ -27,7 +27,7 @@ def frames():
     hdf, listing = (os.path.join(folder(), name) for name in ("trajectory.vtkhdf", "particles.pvd"))
     version = pv.GetParaViewVersion()
     if os.path.exists(hdf) and ((version.major, version.minor) >= LATEST or not os.path.exists(listing)):
-        return pv.VTKHDFReader(FileName=[hdf])
+        return pv.OpenDataFile(hdf)
     return pv.PVDReader(FileName=listing)
 
 
