@@ -20,20 +20,14 @@ def ran(folder, **scene):
     return folder
 
 
-def pvbatch(folder, *more):
+def pvbatch(folder):
     """The picture that ParaView makes of a run, and what it says."""
     if not (shutil.which("pvbatch") and shutil.which("xvfb-run")):
         pytest.skip("no ParaView: pvbatch and xvfb-run are not installed")
     folder = folder.rename(folder.with_name("moved"))  # the script goes with its run
-    command = [
-        "xvfb-run",
-        "-a",
-        "pvbatch",
-        "--force-offscreen-rendering",
-        folder / "view_paraview.py",
-        folder / "picture.png",
-        *more,
-    ]
+    screen = "-screen 0 1280x1024x24 -noreset"  # one that resets itself refuses the connection that comes meanwhile
+    words = "xvfb-run", "-a", "-s", screen, "pvbatch", "--force-offscreen-rendering"
+    command = [*words, folder / "view_paraview.py", folder / "picture.png"]
     done = subprocess.run(
         list(map(str, command)), env=ELSEWHERE | {"PATH": "/usr/bin:/bin"}, capture_output=True, text=True, timeout=300
     )
