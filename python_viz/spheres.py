@@ -25,7 +25,8 @@ def paint_spheres(
     the radius in the same unit. `outlined` spheres get a dark rim.
     """
     image = np.zeros((height, width, 4), np.float32)
-    nearest, sphere = np.full((height * SAMPLES, width * SAMPLES), np.inf), np.full((height * SAMPLES, width * SAMPLES), -1)
+    samples = height * SAMPLES, width * SAMPLES
+    nearest, sphere = np.full(samples, np.inf, np.float32), np.full(samples, -1, np.int32)
     center, radius = center * SAMPLES, radius * SAMPLES
     _find_nearest(nearest, sphere, center, radius, depth, thickness)
     _shade(image, sphere, center, radius, rgb, outlined)
