@@ -10,6 +10,7 @@ help() {
 ./run.sh test --all      the same and all that takes longer: more ranks, long physics, kills
 ./run.sh lint            ruff (rules and format) and mypy
 ./run.sh setup           only set up
+./run.sh view DIR        writes DIR/view.html, a page that shows the run in that folder, and opens it
 ./run.sh doctor          what is installed, and whether it fits together
 ./run.sh COMMAND [...]   anything else goes to particles-mpi under mpirun, or srun in a job of Slurm: run, check, study, --help
 
@@ -202,6 +203,12 @@ install_mpi4py() {  # the wheel finds most MPIs by itself; where it does not, it
   [[ -n $MPICC ]] && MPICC=$MPICC pip --force-reinstall --no-deps --no-cache-dir --no-binary=mpi4py mpi4py && two_ranks
 }
 
+install_browser() {  # for the tests of the page that shows a run; without one they are skipped
+  command -v chromium chromium-browser google-chrome >/dev/null && return
+  as_root_with_apt && timed 'apt: chromium, which shows pages to the tests' apt_install chromium && return
+  note 'no browser (chromium): the tests of the page that shows a run are skipped'
+}
+
 build_parallel_h5py() {  # into a wheel, kept so that the next clone need not build it
   printf '[build_ext]\nparallel = %d\n' "$(nproc)" >.venv/build.cfg
   DIST_EXTRA_CONFIG=$VENV/build.cfg H5PY_SETUP_REQUIRES=0 HDF5_MPI=ON CC=$MPICC CFLAGS='-O1 -g0' HDF5_DIR=$HDF5 \
@@ -252,7 +259,7 @@ setup() {  # setup [test]: with what the tests need
       build=$!  # goes on beside the next steps: it keeps one core busy for a minute
     fi
     step package "$project" 'pip: particles-mpi and what it needs' pip -e .
-    [[ $extras != test ]] || step tests "$project" 'pip: what the tests need' pip -e '.[test]'
+    [[ $extras != test ]] || { step tests "$project" 'pip: what the tests need' pip -e '.[test]'; install_browser; }
     if [[ -n $build ]]; then
       if timed 'h5py on parallel HDF5 (a build of about a minute, once)' use_parallel_h5py "$build"; then :; else
         parallel_h5py_failed
@@ -287,6 +294,7 @@ main() {
     setup) setup; warm_up ;;
     test) setup test; warm_up; exec $PY -m pytest -n 3 "${@:2}" ;;
     lint) setup test; ruff check . && ruff format --check . && mypy ;;
+    view) setup; exec particles-mpi "$@" ;;  # one process reads files
     doctor) setup; exec particles-mpi doctor ;;  # alone, so that it can try a start on two ranks itself
     '') setup; warm_up; launch $PY -m particles_mpi run particles_mpi/scenes/marbles.toml --output out/marbles --overwrite ;;
     *) setup; warm_up; launch $PY -m particles_mpi "$@" ;;

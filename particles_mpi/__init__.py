@@ -1,16 +1,18 @@
 """Moving, colliding particles in any dimension, on any number of MPI ranks.
 
-from particles_mpi import Scene, Simulation
-Simulation(Scene.load("marbles.toml")).run()
+from particles_mpi import Run, Scene, Simulation
+Simulation(Scene.load("marbles.toml")).run("out/marbles")
+Run("out/marbles")[-1].position
 """
 
 from typing import Any
 
-__all__ = ["Particles", "Scene", "SceneError", "Simulation", "StoppedError"]
+__all__ = ["Particles", "Run", "Scene", "SceneError", "Simulation", "StoppedError"]
 __version__ = "0.1.0"
 
 _HOMES = {
     "Particles": "particles",
+    "Run": "results.run",
     "Scene": "scene.schema",
     "SceneError": "errors",
     "Simulation": "simulation",

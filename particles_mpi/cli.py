@@ -1,6 +1,8 @@
-"""The command line: run, check, doctor. Exit codes: 0 done, 2 bad scene or arguments, 3 stopped by the run, 130 interrupted."""
+"""The command line. Exit codes: 0 done, 2 bad scene or arguments, 3 stopped by the run, 130 interrupted."""
 
+import os
 import sys
+import webbrowser
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated, Any
@@ -199,6 +201,26 @@ def hard_cases(
 
     if not run_catalogue(only, full, output):
         raise StoppedError("hard cases: not all that must hold does")
+
+
+@app.command()
+def view(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a run, which may be going on.")],
+    no_open: Annotated[bool, typer.Option("--no-open", help="Only write the page.")] = False,
+) -> None:
+    """Write DIR/view.html, a page with the run in it that needs no network, and open it where there is a desktop.
+
+    Example:   particles-mpi view out/marbles
+    """
+    from particles_mpi.results.page import write_page
+    from particles_mpi.results.run import Run
+
+    if not IS_ROOT:
+        return
+    path = write_page(Run(folder))
+    print(f"{path} ({path.stat().st_size / 1e6:.1f} MB)")
+    if not no_open and (sys.platform in ("darwin", "win32") or {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys()):
+        webbrowser.open(path.resolve().as_uri())
 
 
 @app.command()

@@ -15,6 +15,7 @@ from particles_mpi.measure.diagnostics import measure, observe
 from particles_mpi.parallel.agreement import raising_together, require_finite, same_on_all
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Particles
+from particles_mpi.results.notebook import LiveView
 from particles_mpi.run.job import Job
 from particles_mpi.scene.schema import Scene
 
@@ -57,7 +58,7 @@ class Simulation(Saved):
     def step_towards(self, last: int) -> None:
         """Advance by one step, or by as many as are computed at once, but not beyond step `last`. Collective."""
         if self.many_steps:
-            self.steps_at_once(last - self.steps_done)
+            self.steps_at_once(min([last, *(view.due(self.steps_done) for view in self.views)]) - self.steps_done)
         else:
             self.step()
 
@@ -75,6 +76,8 @@ class Simulation(Saved):
             raise StateError(f"step {self.steps_done + 1}: {error}") from None
         self.particles.open()
         self.steps_done += done
+        for view in self.views:
+            view.look(self)
 
     def advance(self, h: float, contacts: bool = True, stop: bool = False) -> None:
         """One step of the integrator over h, with kicks and drifts in its order; `stop` ends its drift at a collision."""
@@ -129,11 +132,16 @@ class Simulation(Saved):
         """Step to the end of the scene; with `output` (a folder) write everything the scene asks for. Collective."""
         if output is not None:
             Job(self, Path(output), quiet=quiet, **options).run()
-            return
-        while self.steps_done < self.last_step:
+        while output is None and self.steps_done < self.last_step:
             self.step_towards(self.last_step)
             if self.steps_done % WATCH_EVERY == 0 or self.steps_done == self.last_step:
                 self.watch()
+        for view in self.views:
+            view.finish()
+
+    def view(self, every: int | None = None) -> None:
+        """Show the particles in a notebook, now and every `every` steps (or `output.every` of the scene). Collective."""
+        self.views.append(LiveView(self, every or self.scene.output.every))
 
     def watch(self) -> None:
         """Raises StateError if a particle is lost, astray or not a number. Collective; cheap."""

@@ -1,31 +1,32 @@
 """Runs of one scene in mode rewind against the run in exact order of events: collisions missed, and how fast that gets better."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
-from run_files import read_diagnostics, read_run_json
+from run_files import BLUE, GREY, RED
+
+from particles_mpi import Run
 
 SETTLED = 0.2  # of the run, which is left out: the start is not the gas that is measured
 
 
-def mode_of(run: Path) -> str:
+def mode_of(run: Run) -> str:
     """ "event", "rewind", or nothing for a run without collisions."""
-    return str(read_run_json(run).get("scene", {}).get("effects", {}).get("collisions", {}).get("mode", ""))
+    return str(run.about.get("scene", {}).get("effects", {}).get("collisions", {}).get("mode", ""))
 
 
-def measured(run: Path) -> dict[str, Any]:
+def measured(run: Run) -> dict[str, Any]:
     """Step, collisions and missed ones in unit time, their standard error, and seconds of the loop."""
-    rows, about = read_diagnostics(run), read_run_json(run)
+    rows, about = run.columns, run.about
     time = rows["time"]
     kept = time >= time[0] + SETTLED * (time[-1] - time[0])
     kept[1:] &= kept[:-1]  # counts belong to the interval before their row
     length = np.diff(time, prepend=time[0])[kept]
     rates = rows["collisions"][kept] / length
     return {
-        "run": str(run),
+        "run": str(run.folder),
         "step": about["scene"]["time"]["step"],
         "rate": rows["collisions"][kept].sum() / length.sum(),
         "error": rates.std() / np.sqrt(len(rates)),
@@ -34,7 +35,7 @@ def measured(run: Path) -> dict[str, Any]:
     }
 
 
-def report(reference: Path, runs: list[Path]) -> tuple[str, dict[str, Any], list[dict[str, Any]]]:
+def report(reference: Run, runs: list[Run]) -> tuple[str, dict[str, Any], list[dict[str, Any]]]:
     """(table, reference, runs from the longest step to the shortest), with lost = 1 - rate/rate_event, which is that of Z - 1."""
     exact = measured(reference)
     found = sorted((measured(run) for run in runs), key=lambda row: -row["step"])
@@ -61,20 +62,19 @@ def draw(exact: dict[str, Any], found: list[dict[str, Any]], title: str) -> Figu
     sure = lost > 2 * noise
     step, seconds = (np.array([row[name] for row in found]) for name in ("step", "seconds"))
     for axes, x, label in ((panels[0], step, "time step"), (panels[1], seconds, "seconds of the loop")):
-        axes.errorbar(x, lost, noise, fmt="-", color="#d1495b", capsize=3)
-        axes.plot(x[sure], lost[sure], "o", color="#d1495b", label="rewind")
-        axes.plot(x[~sure], lost[~sure], "o", color="#d1495b", mfc="white", label="rewind, below the noise")
+        axes.errorbar(x, lost, noise, fmt="-", color=RED, capsize=3)
+        axes.plot(x[sure], lost[sure], "o", color=RED, label="rewind")
+        axes.plot(x[~sure], lost[~sure], "o", color=RED, mfc="white", label="rewind, below the noise")
         axes.set(xscale="log", yscale="log", xlabel=label)
-        axes.grid(color="#e3e6ea", lw=0.7, which="both")
-        axes.spines[["top", "right"]].set_visible(False)
+        axes.grid(which="both")
     panels[0].set_xticks(step, [f"{s:g}" for s in step])
     panels[0].minorticks_off()
     guide = lost[0] * (step / step[0])
-    panels[0].plot(step, guide, ":", color="#4a5260", label="order 1")
-    panels[0].plot(step, guide**2 / lost[0], "--", color="#4a5260", label="order 2")
+    panels[0].plot(step, guide, ":", color=GREY, label="order 1")
+    panels[0].plot(step, guide**2 / lost[0], "--", color=GREY, label="order 2")
     panels[0].set_ylabel("share of collisions lost (error of Z - 1)")
-    panels[1].axvline(exact["seconds"], color="#2e86ab", label="event")
+    panels[1].axvline(exact["seconds"], color=BLUE, label="event")
     for axes in panels:
-        axes.legend(frameon=False)
+        axes.legend()
     figure.suptitle(title, fontsize=13)
     return figure

@@ -11,9 +11,24 @@ import sys
 from pathlib import Path
 
 import matplotlib
+import numpy as np
 from matplotlib.animation import FFMpegWriter, PillowWriter
 from picture import Picture, add_picture_options
-from run_files import DEFAULT_RUN, Trajectory, new_parser, save_path, stop
+from PIL import Image
+from run_files import DEFAULT_RUN, new_parser, save_path, start, stop
+
+from particles_mpi import Run
+
+
+class GifWriter(PillowWriter):
+    """Writes all frames with one palette, of the first, the middle and the last: to find one for each takes half of the time."""
+
+    def finish(self) -> None:
+        frames = [frame.convert("RGB") for frame in self._frames]
+        shown = [frames[0], frames[len(frames) // 2], frames[-1]]
+        palette = Image.fromarray(np.vstack([np.asarray(frame) for frame in shown])).quantize()
+        first, *others = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
+        first.save(self.outfile, save_all=True, append_images=others, duration=round(1000 / self.fps), loop=0)
 
 
 def main() -> None:
@@ -26,22 +41,22 @@ def main() -> None:
     if options.every < 1 or options.fps <= 0:
         stop("--every and --fps must be positive")
     matplotlib.use("Agg")
-    trajectory = Trajectory(options.run)
+    run = Run(options.run)
     path = save_path(options.save, options.run, "animation" + (".mp4" if FFMpegWriter.isAvailable() else ".gif"))
     writer: PillowWriter | FFMpegWriter
     if path.suffix == ".gif":
-        dpi, writer = 80, PillowWriter(options.fps)
+        dpi, writer = 80, GifWriter(options.fps)
     elif path.suffix == ".mp4" and FFMpegWriter.isAvailable():
         dpi, writer = 120, FFMpegWriter(options.fps, codec="h264", bitrate=6000)
     else:
         stop(f"cannot write {path}: " + ("mp4 needs ffmpeg; save a .gif" if path.suffix == ".mp4" else "use .mp4 or .gif"))
 
-    chosen = range(0, len(trajectory), options.every)
-    picture = Picture(options.run, (trajectory[k] for k in chosen), options.color, options.view, dpi)
+    chosen = range(0, len(run), options.every)
+    picture = Picture(run, (run[k] for k in chosen), options.color, options.view, dpi)
     try:
         with writer.saving(picture.figure, path, dpi):
             for done, k in enumerate(chosen, 1):
-                picture.draw(trajectory[k])
+                picture.draw(run[k])
                 writer.grab_frame()
                 if sys.stderr.isatty():
                     print(f"\r{done} of {len(chosen)} frames", end="", file=sys.stderr, flush=True)
@@ -51,4 +66,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    start(main)

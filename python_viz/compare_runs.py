@@ -19,12 +19,15 @@ import against_event
 import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
-from run_files import Frame, Trajectory, finish, new_parser, parse, read_run_json, save_path, stop, title_of
+from run_files import BLUE, GREY, RED, finish, new_parser, parse, save_path, start, stop
 
-CURVES = {"position": "#2e86ab", "velocity": "#d1495b"}
+from particles_mpi import Run
+from particles_mpi.results.frame import Frame
+
+CURVES = {"position": BLUE, "velocity": RED}
 
 
-def matching(a: Trajectory, b: Trajectory) -> list[tuple[int, int]]:
+def matching(a: Run, b: Run) -> list[tuple[int, int]]:
     """The pairs of frames at the same time (to 1e-9 of the duration, so that 0.1 + 0.2 meets 0.3)."""
     close = 1e-9 * max(np.ptp(a.times), np.ptp(b.times))
     nearest = [int(np.argmin(np.abs(b.times - time))) for time in a.times]
@@ -43,7 +46,7 @@ def same_bits(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def compare(a: Frame, b: Frame, period: np.ndarray) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Return the ids that differ by field (only fields with some), and the length of the difference by field of CURVES and id."""
     common, rows_a, rows_b = np.intersect1d(a.id, b.id, return_indices=True)
-    all_a, all_b = ({"position": frame.position, **frame.fields} for frame in (a, b))
+    all_a, all_b = ({name: frame[name] for name in frame.fields} for frame in (a, b))
     differ = {"presence": np.setxor1d(a.id, b.id)}
     for name in sorted(all_a.keys() ^ all_b.keys()):
         differ[f"presence of {name}"] = common
@@ -54,18 +57,17 @@ def compare(a: Frame, b: Frame, period: np.ndarray) -> tuple[dict[str, np.ndarra
         if name in CURVES:
             shift = of_a - of_b
             if name == "position":
-                period = np.resize(np.append(period, np.full(shift.shape[1], np.inf)), shift.shape[1])
                 wraps = np.isfinite(period)
                 shift[:, wraps] -= period[wraps] * np.round(shift[:, wraps] / period[wraps])
             lengths[name] = np.linalg.norm(shift, axis=1)
     return {name: ids for name, ids in differ.items() if len(ids)}, lengths
 
 
-def periods(run: Path) -> np.ndarray:
+def periods(run: Run) -> np.ndarray:
     """Length of the box along periodic axes, infinite along the others."""
-    box = read_run_json(run).get("scene", {}).get("box")
+    box = run.about.get("scene", {}).get("box")
     if not box:
-        return np.array([np.inf])
+        return np.full(run.dimension, np.inf)
     return np.where(box.get("periodic") or False, np.subtract(box["upper"], box["lower"]), np.inf)
 
 
@@ -84,16 +86,14 @@ def draw(times: np.ndarray, curves: dict[str, np.ndarray], radius: float, title:
         largest, rms = np.ma.masked_equal(curves[name], 0).T
         if largest.count():
             axes.semilogy(times, largest, "o-", ms=3, color=color, label="largest")
-            axes.semilogy(times, rms, "o-", ms=3, color=color, alpha=0.45, label="rms over particles")
+            axes.semilogy(times, rms, "s--", ms=3, color=color, alpha=0.6, label="rms over particles")
             if name == "position" and radius > 0:
-                axes.axhline(radius, color="#4a5260", ls=":", label="smallest radius")
-            axes.legend(frameon=False)
+                axes.axhline(radius, color=GREY, ls=":", label="smallest radius")
+            axes.legend()
         else:
-            axes.text(0.5, 0.5, "no difference in any frame", ha="center", transform=axes.transAxes, color="#4a5260")
+            axes.text(0.5, 0.5, "no difference in any frame", ha="center", transform=axes.transAxes, color=GREY)
             axes.set_yticks([])
-        axes.set_title(f"difference of {name}", loc="left")
-        axes.grid(color="#e3e6ea", lw=0.7)
-        axes.spines[["top", "right"]].set_visible(False)
+        axes.set_title(f"difference of {name}")
     panels[-1].set(xlabel="time", xlim=(times.min(), times.max() if times.max() > times.min() else times.min() + 1))
     figure.suptitle(title, fontsize=13)
     return figure
@@ -104,17 +104,19 @@ def main() -> None:
     parser.add_argument("run_a", type=Path, metavar="RUN_A")
     parser.add_argument("run_b", type=Path, metavar="RUN_B", nargs="+")
     options = parse(parser)
-    if against_event.mode_of(options.run_a) == "event" and all(against_event.mode_of(b) == "rewind" for b in options.run_b):
-        table, exact, found = against_event.report(options.run_a, options.run_b)
+    a, others = Run(options.run_a), [Run(folder) for folder in options.run_b]
+    if against_event.mode_of(a) == "event" and all(against_event.mode_of(b) == "rewind" for b in others):
+        table, exact, found = against_event.report(a, others)
         print(table)
-        figure = against_event.draw(exact, found, f"{title_of(options.run_a)}: rewind against event")
+        figure = against_event.draw(exact, found, f"{a.title}: rewind against event")
         finish(figure, save_path(options.save, options.run_a, "compare_runs.png"), options.show)
         return
-    if len(options.run_b) > 1:
+    if len(others) > 1:
         stop("several runs are compared with one in mode event only")
-    (run_b,) = options.run_b
-    a, b = Trajectory(options.run_a), Trajectory(run_b)
-    pairs, period = matching(a, b), periods(options.run_a)
+    b = others[0]
+    if not len(a) or not len(b):
+        stop("a run has no frame yet")
+    pairs, period = matching(a, b), periods(a)
     if not pairs:
         stop("the two runs have no frame at the same time")
     first, radius = None, np.inf
@@ -129,7 +131,7 @@ def main() -> None:
             length = lengths.get(name, np.zeros(0))
             curves[name].append((length.max(initial=0), np.sqrt(np.mean(length**2)) if len(length) else 0))
 
-    print(f"{len(pairs)} frames at the same time ({options.run_a}: {len(a)}, {run_b}: {len(b)})")
+    print(f"{len(pairs)} frames at the same time ({options.run_a}: {len(a)}, {b.folder}: {len(b)})")
     same_times = np.array_equal(a.times, b.times)
     if first:
         print(first)
@@ -140,11 +142,11 @@ def main() -> None:
     else:
         print("same bits" if same_times else "same bits in these frames, but the frames or their times are not the same")
     times = a.times[[i for i, _ in pairs]]
-    title = f"{title_of(options.run_a)}: {options.run_a} against {run_b}"
+    title = f"{a.title}: {a.folder} against {b.folder}"
     figure = draw(times, {name: np.array(values) for name, values in curves.items()}, radius, title)
     finish(figure, save_path(options.save, options.run_a, "compare_runs.png"), options.show)
     raise SystemExit(0 if same_times and not first else 1)
 
 
 if __name__ == "__main__":
-    main()
+    start(main)

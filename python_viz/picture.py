@@ -2,17 +2,18 @@
 
 from argparse import ArgumentParser
 from collections.abc import Callable, Iterable
-from itertools import combinations, product
-from pathlib import Path
-from typing import Any
+from itertools import product
 
 import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
-from numpy.typing import ArrayLike
-from run_files import Frame, read_run_json, spaced, stop, title_of
+from run_files import spaced
 from spheres import paint_spheres
+
+from particles_mpi import Run
+from particles_mpi.results.frame import Frame
+from particles_mpi.results.scenery import in_space, scenery
 
 SMALLEST = 1.0  # pixels: smaller marbles are drawn with this radius, and the caption says so
 HAZE = 0.4  # share of white in the colour of the furthest marbles
@@ -21,9 +22,9 @@ SQUARE = np.array([(0, 0), (0, 1), (1, 1), (1, 0)])
 # what --color offers: the values, their label, the colour map, and the percentile of the values that gets its last colour
 COLORS: dict[str, tuple[Callable[[Frame], np.ndarray], str, str, float]] = {
     "speed": (lambda frame: frame.speed, "speed", "plasma", 99.5),
-    "energy": (lambda frame: 0.5 * frame.fields["mass"] * frame.speed**2, "kinetic energy of a marble", "viridis", 99.5),
-    "mass": (lambda frame: frame.fields["mass"], "mass", "cividis", 100),
-    "id": (lambda frame: frame.id.astype(float), "id", "rainbow", 100),
+    "energy": (lambda frame: 0.5 * frame.mass * frame.speed**2, "kinetic energy of a marble", "viridis", 99.5),
+    "mass": (lambda frame: frame.mass, "mass", "cividis", 100),
+    "id": (lambda frame: frame.id.astype(float), "id", "viridis", 100),
     "radius": (lambda frame: frame.radius, "radius", "cividis", 100),
 }
 
@@ -57,22 +58,20 @@ class Camera:
 class Picture:
     """One figure of a run: box, walls, colour bar. `draw(frame)` paints the marbles; view and colours stay the same."""
 
-    def __init__(self, run: Path, frames: Iterable[Frame], color: str, view: tuple[float, float], dpi: int) -> None:
+    def __init__(self, run: Run, frames: Iterable[Frame], color: str, view: tuple[float, float], dpi: int) -> None:
         """`frames` are all that will be drawn: they set the range of the colours, and of space where the scene has no box."""
-        self.title, scene = title_of(run), read_run_json(run).get("scene", {})
+        self.title, scene = run.title, run.about.get("scene", {})
         self.value, self.label, self.colormap, self.top = COLORS[color]
         self.survey(frames)
-        box = scene.get("box")
-        if box:
-            self.lower, self.upper = in_space(box["lower"]), in_space(box["upper"])
+        around = scenery(scene, self.lower, self.upper)
+        self.lower, self.upper = around.lower, around.upper
         if self.planar:
             self.lower[2] = self.upper[2] = 0
         self.camera = Camera(self.lower, self.upper, self.planar, *view)
         self.make_figure(dpi)
-        self.draw_box(box)
-        walls = (scene.get("effects") or {}).get("walls") or {}
-        for plane in walls.get("planes") or ():
-            self.draw_plane(in_space(plane["point"]), in_space(plane["normal"]))
+        self.draw_box(around.real, around.periodic)
+        for corners, normal in around.walls:
+            self.draw_wall(corners, normal)
 
     def survey(self, frames: Iterable[Frame]) -> None:
         """Find the range of values, the extent of space and the largest radius over the frames."""
@@ -80,10 +79,7 @@ class Picture:
         ranges = []
         self.lower, self.upper = np.full(3, np.inf), np.full(3, -np.inf)
         for frame in frames:
-            try:
-                values = self.value(frame)
-            except KeyError as name:
-                stop(f"the trajectory has no {name}")
+            values = self.value(frame)
             position = in_space(frame.position)
             good = np.isfinite(position).all(axis=1)
             if good.any():
@@ -95,8 +91,6 @@ class Picture:
             values = values[np.isfinite(values)]
             if len(values):
                 ranges.append((values.min(), np.percentile(values, self.top, method="higher"), values.max()))
-        if not np.any(self.upper > self.lower):  # a single point, or no particle at all
-            self.lower, self.upper = np.full(3, -1.0), np.ones(3)
         low, high, highest = np.array(ranges or [(0, 1, 1)]).T
         self.colors = ScalarMappable(Normalize(low.min(), high.max()), self.colormap)
         self.extend = "max" if highest.max() > high.max() else "neither"
@@ -114,6 +108,7 @@ class Picture:
         self.figure = plt.figure(figsize=(wide + margin + 1.2, high + foot + 0.5), dpi=dpi)
         width, height = self.figure.get_size_inches()
         self.axes = self.figure.add_axes((margin / width, foot / height, wide / width, high / height))
+        self.axes.grid(False)
         self.axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", anchor="C")
         self.axes.apply_aspect()
         place = self.axes.get_position()
@@ -124,21 +119,21 @@ class Picture:
         self.caption = self.figure.text(middle, 0.15 / height, "", ha="center", fontsize=9, color=LINE)
         self.marbles = self.axes.imshow(np.zeros((1, 1, 4)), extent=(left, right, bottom, top), origin="lower", zorder=3)
 
-    def draw_box(self, box: dict[str, Any] | None) -> None:
+    def draw_box(self, real: bool, periodic: np.ndarray) -> None:
         """Outline of the box (periodic faces dashed, walls behind the marbles filled); dotted, it is only the marbles' extent."""
-        periodic = np.resize(box.get("periodic") or False, 3) if box else np.ones(3, bool)
+        periodic = periodic if real else np.ones(3, bool)
         faces = np.array([self.lower, self.upper])
         front = (self.camera.eye > self.camera.center).astype(int)  # for each axis the side of the box that faces the viewer
-        real = [0, 1] if self.planar else [0, 1, 2]
-        for axis in real:
-            others = [k for k in real if k != axis]
+        axes = [0, 1] if self.planar else [0, 1, 2]
+        for axis in axes:
+            others = [k for k in axes if k != axis]
             for sides in product((0, 1), repeat=len(others)):
                 edge = faces.copy()
                 edge[:, others] = faces[sides, others]
                 near = not self.planar and bool(np.all(sides == front[others]))
-                style = ":" if not box else "--" if periodic[others].all() else "-"
+                style = ":" if not real else "--" if periodic[others].all() else "-"
                 self.axes.plot(*self.project(edge).T, color=LINE, lw=0.8, ls=style, zorder=4 if near else 2)
-        for wall in [2] if self.planar else [axis for axis in real if not periodic[axis]]:
+        for wall in [2] if self.planar else [axis for axis in axes if not periodic[axis]]:
             corners = np.insert(SQUARE, wall, 1 - front[wall], axis=1)
             self.axes.fill(*self.project(faces[corners, range(3)]).T, color=WALLS[wall], zorder=0)
         if self.planar:
@@ -166,21 +161,10 @@ class Picture:
             x, y = start + along * (end - start) + out
             self.axes.text(x, y, text, ha="center", va="center", color=LINE, fontsize=size)
 
-    def draw_plane(self, point: np.ndarray, normal: np.ndarray) -> None:
-        """A wall that is no face of the box: its section with the box, in grey; before the marbles if the viewer is behind it."""
-        corners = np.array(list(product(*zip(self.lower, self.upper, strict=True))))
-        height = (corners - point) @ normal / np.linalg.norm(normal)
-        if np.all(height > -1e-9 * self.camera.distance):  # a face of the box, or outside it
-            return
-        cuts = [a + (b - a) * s / (s - t) for (a, s), (b, t) in combinations(zip(corners, height, strict=True), 2)
-                if np.count_nonzero(a != b) == 1 and s * t <= 0 and s != t]  # fmt: skip
-        if not cuts:
-            return
-        cut = self.project(np.array(cuts))
-        around = cut - cut.mean(axis=0)
-        cut = cut[np.argsort(np.arctan2(around[:, 1], around[:, 0]))]
-        before = (self.camera.eye - point) @ normal < 0 and not self.planar
-        self.axes.fill(*cut.T, facecolor="#9aa3b080", edgecolor=LINE, lw=1.2, zorder=4 if before else 2)
+    def draw_wall(self, corners: np.ndarray, normal: np.ndarray) -> None:
+        """A wall that is no face of the box, in grey; before the marbles if the viewer is behind it."""
+        before = (self.camera.eye - corners[0]) @ normal < 0 and not self.planar
+        self.axes.fill(*self.project(corners).T, facecolor="#9aa3b080", edgecolor=LINE, lw=1.2, zorder=4 if before else 2)
 
     def project(self, points: np.ndarray) -> np.ndarray:
         return self.camera.project(points)[0]
@@ -201,7 +185,7 @@ class Picture:
             far = np.clip((depth - self.camera.distance + half) / (2 * half), 0, 1)[:, None]
             rgb = rgb + (1 - rgb) * HAZE * far
         self.marbles.set_data(paint_spheres(center[seen], np.maximum(radius, SMALLEST)[seen], depth[seen], frame.radius[seen],
-                                            rgb[seen], frame.fixed[seen], width, height))  # fmt: skip
+                                            rgb[seen], frame.fixed[seen] != 0, width, height))  # fmt: skip
         self.heading.set_text(f"{self.title} · t = {frame.time:.6g} · frame {frame.index}")
         missing, fixed = len(seen) - int(seen.sum()), int(frame.fixed.sum())
         notes = [f"{spaced(len(seen))} marble" + "s" * (len(seen) != 1), "true radii"]
@@ -209,9 +193,3 @@ class Picture:
         notes += [f"{fixed} fixed (dark rim)"] if fixed else []
         notes += [f"{missing} not in the picture"] if missing else []
         self.caption.set_text(" · ".join(notes))
-
-
-def in_space(values: ArrayLike) -> np.ndarray:
-    """Vectors of any dimension as (x, y, z): missing coordinates are 0, those past the third are left out."""
-    vectors = np.asarray(values, dtype=float)[..., :3]
-    return np.concatenate([vectors, np.zeros((*vectors.shape[:-1], 3 - vectors.shape[-1]))], axis=-1)

@@ -13,10 +13,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
-from run_files import DEFAULT_RUN, finish, new_parser, parse, read_diagnostics, save_path, spaced, title_of
+from run_files import DASHES, DEFAULT_RUN, finish, new_parser, parse, save_path, spaced, start, stop
+
+from particles_mpi import Run
 
 BINS = 200  # longer runs have their counts summed to about this many intervals, or the rates would be a black band
-RATES = {"collisions": "#5b3f8c", "wall_hits": "#3a9d6e", "missed": "#e08e1b"}
+EVENTS = ("collisions", "wall_hits", "missed")
 
 
 def plot_energy(axes: Axes, rows: dict[str, np.ndarray]) -> None:
@@ -24,24 +26,26 @@ def plot_energy(axes: Axes, rows: dict[str, np.ndarray]) -> None:
 
     A run with a force along a periodic axis has the kinetic energy alone.
     """
-    axes.plot(rows["time"], rows["kinetic"], color="#d1495b", label="kinetic")
+    axes.plot(rows["time"], rows["kinetic"], label="kinetic")
     if not np.isfinite(rows["total_energy"]).all():
-        axes.set_title("kinetic energy   (a force along a periodic axis has no potential)", loc="left")
+        axes.set_title("kinetic energy   (a force along a periodic axis has no potential)")
         return
-    axes.plot(rows["time"], rows["potential"], color="#2e86ab", label="potential")
-    axes.plot(rows["time"], rows["total_energy"], color="#222222", ls="--", label="total")
+    axes.plot(rows["time"], rows["potential"], label="potential")
+    axes.plot(rows["time"], rows["total_energy"], color="#222222", ls=":", label="total")
     total = rows["total_energy"]
     scale = max(np.abs(rows[name]).max() for name in ("kinetic", "potential", "total_energy")) or 1
-    axes.set_title(f"energy   (total changed by {(total[-1] - total[0]) / scale:+.2g} of the largest energy)", loc="left")
+    axes.set_title(f"energy   (total changed by {(total[-1] - total[0]) / scale:+.2g} of the largest energy)")
     at_least(axes, 1e-9 * scale)
 
 
 def plot_momentum(axes: Axes, rows: dict[str, np.ndarray]) -> None:
-    """Every component of the total momentum."""
+    """Every component of the total momentum; round-off is not blown up, for the sum of m|v| is at least 2 K / (largest speed)."""
     names = [name for name in rows if name.startswith("momentum_")]
     for name in names:
         axes.plot(rows["time"], rows[name], label=name.removeprefix("momentum_"))
-    axes.set_title("momentum", loc="left")
+    change = max(float(np.abs(rows[name] - rows[name][0]).max()) for name in names)
+    axes.set_title(f"momentum   (changed by at most {change:.2g})")
+    at_least(axes, 1e-9 * float((2 * rows["kinetic"] / np.maximum(rows["max_speed"], 1e-300)).max()))
 
 
 def plot_rates(axes: Axes, rows: dict[str, np.ndarray]) -> None:
@@ -52,18 +56,21 @@ def plot_rates(axes: Axes, rows: dict[str, np.ndarray]) -> None:
         axes.text(0.5, 0.5, "needs two rows", ha="center", transform=axes.transAxes)
     else:
         starts = np.arange(1, len(edges) * group - group + 1, group)
-        for name, color in RATES.items():
+        for name, dash in zip(EVENTS, DASHES, strict=False):
+            if not rows[name].any():
+                continue
             counts = np.add.reduceat(rows[name][: starts[-1] + group], starts)
             label = f"{name.replace('_', ' ')} ({spaced(rows[name].sum())})"
-            axes.stairs(counts / np.diff(edges), edges, baseline=None, color=color, label=label, lw=1.4)
-    axes.set_title("events per unit time (in all)", loc="left")
+            axes.stairs(counts / np.diff(edges), edges, baseline=None, ls=dash, label=label, lw=1.4)
+    none = [name.replace("_", " ") for name in EVENTS if not rows[name].any()]
+    axes.set_title("events per unit time (in all)" + (f"   no {', no '.join(none)}" if none else ""))
     axes.set_ylim(bottom=0)
 
 
 def plot_speed(axes: Axes, rows: dict[str, np.ndarray]) -> None:
     """The speed of the fastest particle."""
-    axes.plot(rows["time"], rows["max_speed"], color="#d1495b")
-    axes.set_title("speed of the fastest particle", loc="left")
+    axes.plot(rows["time"], rows["max_speed"])
+    axes.set_title("speed of the fastest particle")
     axes.set_ylim(bottom=0)
 
 
@@ -78,20 +85,20 @@ def main() -> None:
     parser = new_parser(__doc__)
     parser.add_argument("run", nargs="?", type=Path, default=DEFAULT_RUN, metavar="RUN_DIR", help=f"default: {DEFAULT_RUN}")
     options = parse(parser)
-    rows = read_diagnostics(options.run)
+    run = Run(options.run)
+    rows = run.columns
+    if not len(rows["time"]):
+        stop(f"{run.folder}: no row of diagnostics yet")
     figure, panels = plt.subplots(2, 2, figsize=(12, 7.5), sharex=True, dpi=130, layout="constrained")
     for axes, draw in zip(panels.flat, (plot_energy, plot_momentum, plot_rates, plot_speed), strict=True):
         draw(axes, rows)
-        axes.grid(color="#e3e6ea", lw=0.7)
-        axes.set_axisbelow(True)
-        axes.spines[["top", "right"]].set_visible(False)
         if axes.get_legend_handles_labels()[0]:
-            axes.legend(frameon=False)
+            axes.legend()
     for axes in panels[-1]:
         axes.set_xlabel("time")
-    figure.suptitle(f"{title_of(options.run)} · {spaced(rows['particles'][-1])} particles", fontsize=14)
+    figure.suptitle(f"{run.title} · {spaced(rows['particles'][-1])} particles", fontsize=14)
     finish(figure, save_path(options.save, options.run, "diagnostics.png"), options.show)
 
 
 if __name__ == "__main__":
-    main()
+    start(main)

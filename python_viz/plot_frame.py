@@ -11,20 +11,26 @@ draws the last frame into out/marbles/plots/frame_000005.png (if 5 is the last)
 from pathlib import Path
 
 from picture import Picture, add_picture_options
-from run_files import DEFAULT_RUN, Trajectory, finish, new_parser, parse, save_path
+from run_files import DEFAULT_RUN, finish, new_parser, parse, save_path, start
+
+from particles_mpi import Run
 
 
 def main() -> None:
     parser = new_parser(__doc__)
     parser.add_argument("run", nargs="?", type=Path, default=DEFAULT_RUN, metavar="RUN_DIR", help=f"default: {DEFAULT_RUN}")
     parser.add_argument("--frame", type=int, default=-1, help="number of the frame; -1 is the last (default)")
+    parser.add_argument(
+        "--dpi", type=int, default=150, help="pixels for an inch: half makes a picture half as large (default: 150)"
+    )
     add_picture_options(parser)
     options = parse(parser)
-    frame = Trajectory(options.run)[options.frame]
-    picture = Picture(options.run, [frame], options.color, options.view, dpi=150)
+    run = Run(options.run)
+    frame = run[options.frame]
+    picture = Picture(run, [frame], options.color, options.view, options.dpi)
     picture.draw(frame)
     finish(picture.figure, save_path(options.save, options.run, f"frame_{frame.index:06d}.png"), options.show)
 
 
 if __name__ == "__main__":
-    main()
+    start(main)

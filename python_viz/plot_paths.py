@@ -14,11 +14,13 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
-from run_files import Frame, Trajectory, finish, new_parser, parse, save_path, spaced, title_of
+from run_files import PAINTS, finish, new_parser, parse, save_path, spaced, start
+
+from particles_mpi import Run
+from particles_mpi.results.frame import Frame
 
 FEW = 30
 COLUMNS = 3
-COLORS = plt.get_cmap("tab10")
 
 
 def plot_few(axes: Axes, frames: list[Frame]) -> None:
@@ -28,14 +30,14 @@ def plot_few(axes: Axes, frames: list[Frame]) -> None:
     for k, frame in enumerate(frames):
         places[k, np.searchsorted(ids, frame.id)] = frame.position[:, :2]
     for i in range(len(ids)):
-        color = COLORS(i % 10)
-        axes.plot(places[:, i, 0], places[:, i, 1], lw=0.8, color=color)
+        color = PAINTS[i % len(PAINTS)]
+        axes.plot(places[:, i, 0], places[:, i, 1], "-", lw=0.8, color=color)
         axes.plot(*places[-1, i], "o", ms=5, color=color)
 
 
 def plot_spheres(axes: Axes, frame: Frame) -> None:
     """Spheres from above, the lower ones first and darker."""
-    order = np.argsort(frame.position[:, -1])
+    order = np.argsort(frame.position[:, -1]) if frame.position.shape[1] > 2 else np.arange(len(frame))
     height = np.linspace(0.25, 0.95, len(order))
     size = 2.0 * frame.radius[order]
     spheres = EllipseCollection(size, size, 0.0, units="xy", offsets=frame.position[order, :2], transOffset=axes.transData)
@@ -49,13 +51,12 @@ def plot_points(axes: Axes, frame: Frame) -> None:
     axes.plot(frame.position[:, 0], frame.position[:, 1], ".", ms=1.5, mew=0, color="#ffe8c0", alpha=0.6)
 
 
-def plot(axes: Axes, run: Path, span: float) -> None:
+def plot(axes: Axes, run: Run, span: float) -> None:
     """One run."""
-    trajectory = Trajectory(run)
-    last = trajectory[-1]
+    last = run[-1]
     half = 0.0
     if len(last.position) <= FEW:
-        plot_few(axes, [trajectory[k] for k in range(len(trajectory))])
+        plot_few(axes, run[:])
         axes.margins(0.08)
     else:
         plot_spheres(axes, last) if last.radius.any() else plot_points(axes, last)
@@ -63,9 +64,12 @@ def plot(axes: Axes, run: Path, span: float) -> None:
         away = np.abs(last.position[:, :2] - middle).max(axis=1) + last.radius
         half = 1.05 * float(np.quantile(away, 1.0 if last.radius.any() else span))
         axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
+    axes.grid(False)
+    axes.spines[:].set_visible(True)
     axes.set_aspect("equal", adjustable="datalim" if not half else "box")
-    axes.set_title(title_of(run), loc="left", fontsize=10)
+    axes.set_title(run.title, fontsize=10)
     axes.text(0.99, 0.01, f"{spaced(len(last.position))} at t = {last.time:g}", transform=axes.transAxes, ha="right", fontsize=8,
+              bbox={"facecolor": axes.get_facecolor(), "alpha": 0.7, "lw": 0, "pad": 1},
               color="white" if len(last.position) > FEW and not last.radius.any() else "black")  # fmt: skip
     axes.tick_params(labelsize=7)
 
@@ -79,11 +83,11 @@ def main() -> None:
     rows = -(-len(options.runs) // columns)
     figure, panels = plt.subplots(rows, columns, figsize=(3.6 * columns, 3.5 * rows), squeeze=False, layout="constrained")
     for axes, run in zip(panels.flat, options.runs, strict=False):
-        plot(axes, run, options.span)
+        plot(axes, Run(run), options.span)
     for axes in panels.flat[len(options.runs) :]:
         axes.remove()
     finish(figure, save_path(options.save, options.runs[0], "paths.png"), options.show)
 
 
 if __name__ == "__main__":
-    main()
+    start(main)

@@ -19,18 +19,20 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
-from run_files import DEFAULT_RUN, finish, new_parser, parse, read_run_json, save_path, stop, title_of
+from run_files import BLUE, DEFAULT_RUN, RED, finish, new_parser, parse, save_path, start, stop
+
+from particles_mpi import Run
 
 OUTSIDE = ("setup", "loop")  # timers that are not phases of the loop
 MOST = 8  # phases with a colour of their own in stacked bars
-GREY = "#b6bcc6"
+LIGHT = "#b6bcc6"
 
 
 @dataclass
 class Timing:
     """The timers of one run, in seconds: {"min", "mean", "max"} over ranks; `phases` are parts of the loop."""
 
-    run: Path
+    run: Run
     ranks: int
     setup: dict[str, float]
     loop: dict[str, float]
@@ -42,16 +44,14 @@ class Timing:
         return max(0.0, self.loop["mean"] - sum(phase["mean"] for phase in self.phases.values()))
 
 
-def read_timing(run: Path) -> Timing:
-    if not (run / "run.json").is_file():
-        stop(f"no {run / 'run.json'}")
-    info = read_run_json(run)
+def read_timing(run: Run) -> Timing:
+    info = run.about
     try:
         timers = dict(info["timers"])
         setup, loop = (timers.pop(name) for name in OUTSIDE)
         return Timing(run, int(info["ranks"]), setup, loop, timers)
     except KeyError as name:
-        stop(f"no {name} in {run / 'run.json'} (it is written when a run ends)")
+        stop(f"no {name} in {run.folder / 'run.json'} (it is written when a run ends)")
 
 
 def draw_one(timing: Timing) -> Figure:
@@ -60,23 +60,23 @@ def draw_one(timing: Timing) -> Figure:
     rest = dict.fromkeys(("min", "mean", "max"), timing.rest)
     outside = [("not in a phase", rest)] * (timing.rest > 1e-3 * timing.loop["mean"]) + [("setup", timing.setup)]
     bars = [*phases, *outside]
-    colors = [plt.cm.viridis(x) for x in np.linspace(0.15, 0.85, len(phases))] + [GREY] * len(outside)
+    colors = [BLUE] * len(phases) + [LIGHT] * len(outside)
     figure, axes = plt.subplots(figsize=(9.5, 1.6 + 0.42 * len(bars)), dpi=130, layout="constrained")
     longest = max(bar["max"] for _, bar in bars)
     for row, ((name, bar), color) in enumerate(zip(bars, colors, strict=True)):
         axes.barh(row, bar["mean"], color=color, height=0.68)
         if bar["max"] > bar["min"]:
-            axes.plot([bar["min"], bar["max"]], [row, row], color="#222222", lw=1.4, marker="|", ms=8)
+            axes.plot([bar["min"], bar["max"]], [row, row], "-", color="#222222", lw=1.4, marker="|", ms=8)
         share = "" if name == "setup" else f"   {bar['mean'] / timing.loop['mean']:.1%}" if timing.loop["mean"] else ""
         axes.text(max(bar["max"], bar["mean"]) + 0.015 * longest, row, f"{bar['mean']:.3g} s{share}", va="center", fontsize=9)
     axes.set_yticks(range(len(bars)), [name for name, _ in bars])
     axes.invert_yaxis()
     axes.set(xlabel="seconds: mean over ranks (bar), fastest to slowest rank (line); share of the loop")
     axes.set_xlim(0, 1.2 * longest or 1)
-    axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(axis="y", length=0)
+    axes.grid(axis="y", visible=False)
     ranks = f"{timing.ranks} rank" + "s" * (timing.ranks != 1)
-    axes.set_title(f"{title_of(timing.run)} · {ranks} · loop {timing.loop['mean']:.3g} s", loc="left", fontsize=13)
+    axes.set_title(f"{timing.run.title} · {ranks} · loop {timing.loop['mean']:.3g} s", fontsize=13)
     return figure
 
 
@@ -90,15 +90,15 @@ def draw_stack(axes: Axes, timings: list[Timing]) -> None:
     bottom = np.zeros(len(timings))
     heights = [np.array([timing.phases.get(name, {"mean": 0})["mean"] for timing in timings]) for name in names]
     others = np.array([timing.loop["mean"] for timing in timings]) - sum(heights)
-    colors = [plt.cm.viridis(x) for x in np.linspace(0.1, 0.9, len(names))] + [GREY]
+    colors = [plt.cm.viridis(x) for x in np.linspace(0.1, 0.9, len(names))] + [LIGHT]
     for name, height, color in zip([*names, "the rest"], [*heights, np.maximum(others, 0)], colors, strict=True):
         axes.bar(range(len(timings)), height, bottom=bottom, color=color, label=name, width=0.7)
         bottom += height
     axes.set_xticks(range(len(timings)), [str(timing.ranks) for timing in timings])
     axes.set(xlabel="ranks", ylabel="seconds in the loop (mean over ranks)")
-    axes.set_title("phases", loc="left")
+    axes.set_title("phases")
     handles, labels = axes.get_legend_handles_labels()
-    axes.legend(handles[::-1], labels[::-1], frameon=False, fontsize=9, loc="upper left", bbox_to_anchor=(1, 1))
+    axes.legend(handles[::-1], labels[::-1], fontsize=9, loc="upper left", bbox_to_anchor=(1, 1))
 
 
 def draw_scaling(time_axes: Axes, efficiency_axes: Axes, timings: list[Timing], weak: bool) -> None:
@@ -107,32 +107,31 @@ def draw_scaling(time_axes: Axes, efficiency_axes: Axes, timings: list[Timing], 
     times = np.array([timing.loop["max"] for timing in timings])
     reference = times[ranks == ranks.min()].min()
     ideal = np.full(len(ranks), reference) if weak else reference * ranks.min() / ranks
-    time_axes.plot(ranks, ideal, "--", color=GREY, label="ideal")
-    time_axes.plot(ranks, times, "o-", color="#2e86ab", label="measured")
+    time_axes.plot(ranks, ideal, "--", color=LIGHT, label="ideal")
+    time_axes.plot(ranks, times, "o-", color=BLUE, label="measured")
     for rank, time in zip(ranks, times, strict=True):
         time_axes.annotate(f"{time:.3g}", (rank, time), xytext=(5, 6), textcoords="offset points", fontsize=9)
     time_axes.set(ylabel="seconds in the loop (slowest rank)")
-    time_axes.set_title("weak scaling" if weak else "strong scaling", loc="left")
+    time_axes.set_title("weak scaling" if weak else "strong scaling")
     if weak:
         time_axes.set_ylim(0, 1.15 * times.max())
     else:
         time_axes.set_yscale("log")
         time_axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         time_axes.yaxis.set_major_formatter("{x:g}")
-    time_axes.legend(frameon=False, loc="lower left")
-    efficiency_axes.axhline(1, ls="--", color=GREY)
-    efficiency_axes.plot(ranks, ideal / times, "o-", color="#d1495b")
+    time_axes.legend(loc="lower left")
+    efficiency_axes.axhline(1, ls="--", color=LIGHT)
+    efficiency_axes.plot(ranks, ideal / times, "o-", color=RED)
     for rank, value in zip(ranks, ideal / times, strict=True):
         efficiency_axes.annotate(f"{value:.0%}", (rank, value), xytext=(5, 6), textcoords="offset points", fontsize=9)
     efficiency_axes.set(ylim=(0, max(1.15, 1.1 * (ideal / times).max())))
-    efficiency_axes.set_title("efficiency = " + ("T1 / Tp" if weak else "T1 / (p Tp)").replace("1", str(ranks.min())), loc="left")
+    efficiency_axes.set_title("efficiency = " + ("T1 / Tp" if weak else "T1 / (p Tp)").replace("1", str(ranks.min())))
     for axes in (time_axes, efficiency_axes):
         axes.set_xscale("log")
         axes.margins(x=0.12)
         axes.set_xticks(np.unique(ranks), [str(rank) for rank in np.unique(ranks)])
         axes.minorticks_off()
         axes.set_xlabel("ranks")
-        axes.grid(color="#e3e6ea", lw=0.7)
 
 
 def draw_several(timings: list[Timing], weak: bool) -> Figure:
@@ -141,9 +140,8 @@ def draw_several(timings: list[Timing], weak: bool) -> Figure:
     figure, (stack, time, efficiency) = plt.subplots(1, 3, figsize=(15, 5), dpi=130, layout="constrained")
     draw_stack(stack, timings)
     draw_scaling(time, efficiency, timings, weak)
-    for axes in (stack, time, efficiency):
-        axes.spines[["top", "right"]].set_visible(False)
-    figure.suptitle(title_of(timings[0].run), fontsize=14)
+    stack.grid(visible=False)
+    figure.suptitle(timings[0].run.title, fontsize=14)
     return figure
 
 
@@ -152,7 +150,7 @@ def main() -> None:
     parser.add_argument("runs", nargs="*", type=Path, default=[DEFAULT_RUN], metavar="RUN_DIR", help=f"default: {DEFAULT_RUN}")
     parser.add_argument("--weak", action="store_true", help="the runs have a constant load per rank")
     options = parse(parser)
-    timings = [read_timing(run) for run in options.runs]
+    timings = [read_timing(Run(run)) for run in options.runs]
     if len(timings) == 1:
         if options.weak:
             stop("--weak needs several runs")
@@ -163,4 +161,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    start(main)

@@ -28,7 +28,14 @@ def pytest_collection_modifyitems(config, items):
 
 
 # Files whose tests share what one process has made; all other tests go to whichever process is free.
-SHARING = {"test_accuracy_study.py", "test_event_loop.py", "test_kernel_sources.py", "test_study_gravity.py", "test_tree.py"}
+SHARING = {
+    "test_browser.py",
+    "test_accuracy_study.py",
+    "test_event_loop.py",
+    "test_kernel_sources.py",
+    "test_study_gravity.py",
+    "test_tree.py",
+}
 
 
 @pytest.hookimpl(optionalhook=True)

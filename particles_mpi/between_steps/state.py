@@ -51,6 +51,7 @@ class State:
         self.moment = 0.0, 0  # (time, steps done) that the clock counts from
         self.reported = [0] * len(COUNTS)
         self.written: dict[str, int] = {}
+        self.views: list[Any] = []  # in a notebook
         self.observed = [0.0, 0.0, 0.0]
         self.additions = 0  # populations added while it ran
         self.rows = rows

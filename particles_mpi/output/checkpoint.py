@@ -34,7 +34,8 @@ from particles_mpi.particles import FIELDS, Array, rows_of, shape
 MARK, FORMAT = "particles_mpi_checkpoint", 5
 TAIL = f"\n{MARK} {{:20d}} {{:20d}} {{:08x}}\n"  # the last line: lengths of the HDF5 file and of the seal, CRC-32 of the seal
 PIECE = 2**17  # rows that have a checksum together
-OURS = ("trajectory.vtkhdf", "particles.pvd", "vtk", "checkpoint.h5", "diagnostics.csv", "run.json", "stopped.h5", "plots")
+STATE = ("trajectory.vtkhdf", "particles.pvd", "vtk", "checkpoint.h5", "diagnostics.csv", "run.json", "stopped.h5")
+OURS = (*STATE, "plots", "view.html", "view_paraview.py")  # what a run leaves, or what is made of it
 INTERVALS = {f"output.{name}" for name in ("every", "formats", "checkpoint_every", "diagnostics_every")}
 FREE = {"title", "time.end", "time.steps"} | INTERVALS  # keys of a scene that may change when a run is continued
 

@@ -22,6 +22,7 @@ from particles_mpi.parallel.agreement import await_all, same_on_all
 from particles_mpi.parallel.communicator import mpi_library
 from particles_mpi.parallel.signals import StopRequest
 from particles_mpi.particles import Array, field
+from particles_mpi.results.paraview import paraview_script
 from particles_mpi.run.console import Screen
 from particles_mpi.run.forecast import Forecast, Forecaster
 from particles_mpi.scene.plan import plan
@@ -93,6 +94,8 @@ class Job:
         self.diagnostics = Diagnostics(self.folder / "diagnostics.csv", ranks, names, step, row)
         for writer in (*self.frames, self.diagnostics):
             writer.open()
+        if output.formats:
+            write_text(self.folder / "view_paraview.py", ranks, paraview_script(self.folder, self.scene.to_dict()))
 
     def _frame(self) -> dict[str, Array]:
         """The fields that a frame shows; `fixed` only where something is."""
@@ -231,10 +234,11 @@ class Job:
         for remark in remarks:
             say(remark)
         write_text(f / "run.json", self.ranks, json.dumps(self.told(timers, traffic, remarks), indent=2) + "\n")
-        if "hdf5" in self.scene.output.formats:
-            say(f"ParaView >= 5.13: {f}/trajectory.vtkhdf")
+        if self.scene.output.formats:
+            say(f"ParaView: paraview {f}/view_paraview.py")
         if "vtk" in self.scene.output.formats:
-            say(f"VisIt, older ParaView: {f}/particles.pvd")
+            say(f"VisIt: {f}/vtk/particles_*.vtu database")
+        say(f"view: {'./run.sh' if Path('run.sh').is_file() else 'particles-mpi'} view {f}")
         say(f"plots: python python_viz/plot_frame.py {f}   (and plot_diagnostics.py, plot_phases.py, animate.py)")
 
     def traffic(self) -> dict[str, int]:

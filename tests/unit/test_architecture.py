@@ -1,6 +1,7 @@
 """The rules of the house that a test can read."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -24,6 +25,7 @@ FLOORS = (
     "integrators",
     "initial",
     "output",
+    "results",
     "measure",
     "between_steps",
     "run",
@@ -33,7 +35,13 @@ FLOORS = (
     "cli",
     "__main__",
 )
-PUBLIC = {"Particles": "particles", "Scene": "scene.schema", "SceneError": "errors", "Simulation": "simulation"}
+PUBLIC = {
+    "Particles": "particles",
+    "Run": "results.run",
+    "Scene": "scene.schema",
+    "SceneError": "errors",
+    "Simulation": "simulation",
+}
 
 
 def modules():
@@ -96,9 +104,26 @@ def test_every_folder_says_what_it_is_for(folder):
     assert text.partition("\n")[0].rstrip().endswith(".")
 
 
-def test_plots_read_files_only():
+def test_plots_know_a_run_by_its_results_only():
+    """They read it as any user does, by `Run`; drawing needs neither MPI nor compiled kernels."""
     scripts = list((PACKAGE.parent / "python_viz").glob("*.py"))
-    assert scripts and not [p for p in scripts if "particles_mpi" in libraries(p)]
+    used = {name for p in scripts for name in re.findall(r"from (particles_mpi\S*) import (.+)", p.read_text())}
+    assert {module for module, _ in used} == {
+        "particles_mpi",
+        *(f"particles_mpi.{m}" for m in ("errors", "results.frame", "results.scenery")),
+    }
+    assert not [p for p in scripts if {"h5py", "mpi4py"} & set(libraries(p))]
+
+
+def test_the_package_and_a_run_are_read_without_what_only_a_simulation_needs():
+    script = """
+import sys
+import particles_mpi
+assert not {"h5py", "numba", "numpy", "pandas", "pydantic"} & sys.modules.keys()
+from particles_mpi import Run
+assert not {"numba", "pandas", "xarray", "pydantic", "matplotlib"} & sys.modules.keys()
+"""
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=100)
 
 
 def test_an_effect_that_is_not_named_is_not_imported():

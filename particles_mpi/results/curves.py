@@ -1,0 +1,44 @@
+"""The curves of a run: what diagnostics.csv tells over time, in a few panels."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from particles_mpi.particles import Array
+
+ROWS = 800  # of a curve: longer tables are thinned, counts summed up
+SHORT = {"total_energy": "total", "max_speed": "fastest particle", "wall_hits": "wall hits"}
+EVENTS = ("collisions", "wall_hits", "missed")
+
+
+def curves(rows: dict[str, Array]) -> list[dict[str, Any]]:
+    """Panels of curves: {"title", "time": (rows,), "lines": {name: (rows,)}}. Counts are per unit time, since the row before."""
+    time = rows.get("time", np.zeros(0))
+    if len(time) < 2:
+        return []
+    group = 1 + len(time) // ROWS
+    edges = time[::group]
+    panels = [
+        _panel("energy", edges, {n: rows[n][::group] for n in ("kinetic", "potential", "total_energy")}),
+        _panel("momentum", edges, {n: row[::group] for n, row in rows.items() if n.startswith("momentum_")}),
+        _panel("speed", edges, {"max_speed": rows["max_speed"][::group]}),
+    ]
+    starts = np.arange(1, (len(edges) - 1) * group + 1, group)
+    lasting = np.maximum(np.diff(edges), 1e-300)
+    counts = {n: np.add.reduceat(rows[n][: (len(edges) - 1) * group + 1], starts) for n in EVENTS}
+    panels.append(_panel("events per unit time", edges[1:], {n: row / lasting for n, row in counts.items() if row.any()}))
+    return [panel for panel in panels if panel["lines"] and len(panel["time"]) > 1]
+
+
+def _panel(title: str, time: Array, lines: dict[str, Array]) -> dict[str, Any]:
+    """Without curves that are not numbers everywhere: a force along a periodic axis has no potential."""
+    shown = {SHORT.get(n, n.removeprefix("momentum_")): _plain(line) for n, line in lines.items() if np.isfinite(line).all()}
+    return {"title": title, "time": _plain(time), "lines": shown}
+
+
+def _plain(values: Array) -> list[float]:
+    """With as many digits as a curve shows."""
+    return [float(f"{value:.6g}") for value in values]

@@ -1,0 +1,80 @@
+"""What stands around the particles of a run: its box, or the extent of its particles, and the walls that are no faces of it."""
+
+from __future__ import annotations
+
+from itertools import combinations, product
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+if TYPE_CHECKING:
+    from particles_mpi.particles import Array
+
+CLOSE = 1e-9  # of the diagonal: a plane that is no further from the faces of the box is one of them, or outside
+
+
+class Scenery(NamedTuple):
+    """lower, upper (3,): corners; periodic (3,); real: has the scene a box?; walls: (polygon (m, 3), normal (3,)) of each."""
+
+    lower: Array
+    upper: Array
+    periodic: Array
+    real: bool
+    walls: list[tuple[Array, Array]]
+
+
+def in_space(values: ArrayLike) -> Array:
+    """Vectors of any dimension as (x, y, z): missing coordinates are 0, those past the third are left out."""
+    vectors = np.asarray(values, dtype=float)[..., :3]
+    return np.concatenate([vectors, np.zeros((*vectors.shape[:-1], 3 - vectors.shape[-1]))], axis=-1)
+
+
+def scenery(scene: dict[str, Any], lower: Array, upper: Array) -> Scenery:
+    """Of a scene as tables; `lower`, `upper` (3,): the extent of the particles, which stands for a box where there is none."""
+    box = scene.get("box")
+    periodic = np.zeros(3, bool)
+    if box:
+        lower, upper = in_space(box["lower"]), in_space(box["upper"])
+        periodic = np.resize(box.get("periodic") or False, 3)
+    elif not np.any(upper > lower):  # a single point, or no particle at all
+        lower, upper = np.full(3, -1.0), np.ones(3)
+    given = ((scene.get("effects") or {}).get("walls") or {}).get("planes") or []
+    planes = [(in_space(plane["point"]), in_space(plane["normal"])) for plane in given]
+    walls = []
+    for point, normal in planes:
+        corners = section(point, normal, lower, upper)
+        for other in planes:
+            corners = in_front(corners, *other, CLOSE * float(np.linalg.norm(upper - lower)))
+        if len(corners) > 1:
+            walls.append((corners, normal))
+    return Scenery(lower, upper, periodic, bool(box), walls)
+
+
+def in_front(corners: Array, point: Array, normal: Array, close: float) -> Array:
+    """What of a polygon (m, 3) is on the free side of a plane, or at most `close` behind it."""
+    height = (corners - point) @ normal / np.linalg.norm(normal)
+    kept = []
+    for k in range(len(corners)):  # from the corner before to this one
+        if min(height[k - 1], height[k]) < -close and max(height[k - 1], height[k]) > close:
+            kept.append(corners[k - 1] + (corners[k] - corners[k - 1]) * height[k - 1] / (height[k - 1] - height[k]))
+        if height[k] >= -close:
+            kept.append(corners[k])
+    return np.array(kept).reshape(-1, 3)
+
+
+def section(point: Array, normal: Array, lower: Array, upper: Array) -> Array:
+    """The corners (m, 3), in order, of the polygon in which a plane cuts a box; none if it only touches the box."""
+    corners = np.array(list(product(*zip(lower, upper, strict=True))))
+    height = (corners - point) @ normal / np.linalg.norm(normal)
+    if np.all(height > -CLOSE * np.linalg.norm(upper - lower)):
+        return np.zeros((0, 3))
+    cuts = [a + (b - a) * s / (s - t) for (a, s), (b, t) in combinations(zip(corners, height, strict=True), 2)
+            if np.count_nonzero(a != b) == 1 and s * t <= 0 and s != t]  # fmt: skip
+    if not cuts:
+        return np.zeros((0, 3))
+    cut = np.unique(np.array(cuts), axis=0)
+    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    around = cut - cut.mean(axis=0)
+    ordered: Array = cut[np.argsort(np.arctan2(around @ first, around @ np.cross(normal, first)))]
+    return ordered

@@ -1,0 +1,45 @@
+"""Every script of python_viz draws a run, and a film has all of its frames."""
+
+import pytest
+from conftest import ROOT, run_ranks
+from PIL import Image
+
+from particles_mpi import Scene, Simulation
+
+pytestmark = pytest.mark.parallel
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run") / "run"
+    walls = {"planes": [{"point": [0, 0, 0.5], "normal": [0, 0.3, 1]}, {"point": [0, 0, 4], "normal": [0, 0, -1]}]}
+    particles = [{"count": 60, "position": "random", "radius": 0.2, "velocity": {"speed": 1.0}}]
+    Simulation(Scene(dimension=3, box={"lower": [0, 0, 0], "upper": [4, 4, 4], "periodic": [True, True, False]},
+                     time={"step": 0.05, "steps": 8}, particles=particles, effects={"collisions": {}, "walls": walls},
+                     output={"every": 2, "diagnostics_every": 1})).run(folder)  # fmt: skip
+    return folder
+
+
+@pytest.mark.parametrize("script", ["plot_frame", "plot_diagnostics", "plot_phases", "plot_paths"])
+def test_a_picture(run, script, tmp_path):
+    done = run_ranks(1, ROOT / f"python_viz/{script}.py", run, "--save", tmp_path / "picture.png")
+    assert done.returncode == 0, done.stderr
+    with Image.open(tmp_path / "picture.png") as picture:
+        assert len(picture.convert("RGB").getcolors(1 << 24)) > 100
+
+
+def test_a_film_has_every_second_frame_and_moves(run, tmp_path):
+    done = run_ranks(1, ROOT / "python_viz/animate.py", run, "--every", 2, "--save", tmp_path / "film.gif")
+    assert done.returncode == 0, done.stderr
+    pictures = set()
+    with Image.open(tmp_path / "film.gif") as film:
+        for k in range(film.n_frames):
+            film.seek(k)
+            pictures.add(film.convert("RGB").tobytes())
+        assert film.n_frames == len(pictures) == 3
+
+
+def test_what_is_wrong_is_one_line(run, tmp_path):
+    for words, told in (([run, "--frame", 9], "no frame 9: the run has frames 0 to 4"), ([tmp_path], "holds no run")):
+        done = run_ranks(1, ROOT / "python_viz/plot_frame.py", *words)
+        assert done.returncode == 2 and told in done.stderr and done.stderr.count("\n") == 1

@@ -1,0 +1,133 @@
+"""Runs read back: what was computed is what is read, whatever the dimension, and clear errors for what is not there."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from particles_mpi import Run, Scene, SceneError, Simulation
+
+GATE = """
+from particles_mpi.particles import Column
+from particles_mpi.scene.effect import EffectOptions, Force, Needs
+class Options(EffectOptions): pass
+class Effect(Force):
+    formula = "dv/dt = q e_x"
+    needs = Needs(columns={"charge": Column()})
+    def __init__(self, options, scene): pass
+    def add(self, p, total): total[:, 0] += p["charge"]
+"""
+
+
+def drifting(d, tmp_path, steps=3, **more):
+    scene = {
+        "dimension": d,
+        "title": "Drift",
+        "time": {"step": 0.25, "steps": steps},
+        "particles": [{"position": [[float(i)] * d for i in range(4)], "velocity": [1.0] * d, "mass": [1.0, 2.0, 3.0, 4.0]}],
+        "output": {"every": 1, "diagnostics_every": 1},
+    }
+    sim = Simulation(Scene(**(scene | more)))
+    return sim, tmp_path / "run"
+
+
+@pytest.mark.parametrize("d", [1, 2, 3, 5])
+def test_every_field_of_every_frame_has_the_bits_of_the_simulation(tmp_path, d):
+    sim, folder = drifting(d, tmp_path)
+    sim.run(folder)
+    twin, _ = drifting(d, tmp_path)
+    run = Run(folder)
+    assert run.times.tolist() == [0.0, 0.25, 0.5, 0.75] and len(run) == 4 and run.ended and run.dimension == d
+    for frame in run:
+        assert (frame.step, frame.time, len(frame)) == (twin.steps_done, twin.time, 4)
+        for name in ("position", "velocity", "mass", "radius", "id"):
+            kept, computed = frame[name], twin.particles[name]
+            assert kept.dtype == computed.dtype and kept.shape == computed.shape and kept.tobytes() == computed.tobytes()
+        assert not frame.fixed.any() and frame.speed == pytest.approx(np.sqrt(d))
+        twin.step()
+    assert [frame.index for frame in run[1:]] == [1, 2, 3] and run[-1].time == 0.75
+    assert run.scene.to_dict() == sim.scene.to_dict() and run.title == "Drift"
+    assert run.diagnostics.columns[:4].tolist() == ["step", "time", "particles", "kinetic"]
+    assert run.diagnostics.particles.tolist() == [4] * 4 and run.columns["step"].dtype == np.int64
+
+
+def test_fields_that_only_some_runs_have(tmp_path):
+    particles = [{"position": [[0.0, 0.0]], "drag": 2.0}, {"position": [[1.0, 0.0]], "fixed": True}]
+    sim, folder = drifting(2, tmp_path, effects={"drag": {"rate": 0.5}}, particles=particles)
+    sim.run(folder)
+    frame = Run(folder)[0]
+    assert frame.drag.tolist() == [2.0, 0.5] and frame.fixed.tolist() == [0, 1] and "drag" in frame.fields
+    with pytest.raises(AttributeError, match=r"frame 0 has no field 'charge'; stored are position, .*velocity"):
+        frame.charge  # noqa: B018
+
+
+def test_a_field_of_the_users(tmp_path):
+    (tmp_path / "gate.py").write_text(GATE)
+    particles = [{"position": [[0.0], [1.0]], "charge": [0.5, -0.5]}]
+    sim, folder = drifting(1, tmp_path, folder=tmp_path, effects={"gate": {"file": "gate.py"}}, particles=particles)
+    sim.run(folder)
+    assert Run(folder)[-1].charge.tolist() == [0.5, -0.5]
+
+
+def test_particles_that_come_and_go(tmp_path):
+    sim, folder = drifting(2, tmp_path, steps=3)
+    sim.run(folder, steps=1)
+    sim.remove([1])
+    sim.add({"position": [[9.0, 9.0]], "mass": 7.0})
+    sim.scene.output.checkpoint_every = 1
+    sim.run(folder, resumed=True)
+    run = Run(folder)
+    assert [frame.id.tolist() for frame in run] == [[0, 1, 2, 3], [0, 1, 2, 3], [0, 2, 3, 4], [0, 2, 3, 4]]
+    data = run.to_xarray("mass", "position")
+    assert data.sizes == {"time": 4, "id": 5, "axis": 2} and data.time.values.tolist() == run.times.tolist()
+    assert data.mass.sel(id=4).fillna(-1).values.tolist() == [-1, -1, 7, 7]
+    assert data.mass.sel(id=1).fillna(-1).values.tolist() == [2, 2, -1, -1]
+    assert data.position.sel(id=0, axis="x").values.tolist() == [0.0, 0.25, 0.5, 0.75]
+
+
+def test_what_is_not_there_is_one_clear_line(tmp_path):
+    with pytest.raises(SceneError, match="no such folder"):
+        Run(tmp_path / "nothing")
+    with pytest.raises(SceneError, match="holds no run"):
+        Run(tmp_path)
+    sim, folder = drifting(2, tmp_path, output={"every": 1, "formats": ["vtk"]})
+    sim.run(folder)
+    run = Run(folder)
+    assert len(run.columns["time"]) == 2
+    with pytest.raises(SceneError, match=r"trajectory\.vtkhdf: cannot be read"):
+        len(run)
+    (folder / "trajectory.vtkhdf").write_bytes(b"no HDF5 at all")
+    with pytest.raises(SceneError, match=r"trajectory\.vtkhdf: cannot be read"):
+        run[0]
+    with pytest.raises(IndexError, match="no frame -5: the run has frames 0 to 3"):
+        sim, folder = drifting(2, tmp_path)
+        sim.run(folder, overwrite=True)
+        Run(folder)[-5]
+
+
+def test_a_row_of_diagnostics_that_is_being_written_is_left_out(tmp_path):
+    sim, folder = drifting(2, tmp_path)
+    sim.run(folder)
+    whole = Run(folder).columns["time"].tolist()
+    with (folder / "diagnostics.csv").open("a") as file:
+        file.write("4,1.0,")
+    assert Run(folder).columns["time"].tolist() == whole
+
+
+def test_without_pandas_a_clear_message(tmp_path):
+    sim, folder = drifting(2, tmp_path)
+    sim.run(folder)
+    script = f"""
+import sys
+sys.modules["pandas"] = None
+from particles_mpi import Run
+run = Run({str(folder)!r})
+try:
+    run.diagnostics
+except ImportError as error:
+    print(error)
+print(run.columns["kinetic"].tolist())
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=100)
+    assert done.stdout.splitlines() == ["pandas is not installed: pip install 'particles-mpi[analysis]'", str([10.0] * 4)]
