@@ -25,6 +25,7 @@ PLACES = 16  # in a new list; a list that gets full moves to one twice as long
 SIZE, SKIN, INVERSE_MASS = 0, 1, 2  # columns of `reference`, after the d coordinates
 NEXT_ROW, PREVIOUS_ROW, CELL = 6, 7, 8  # columns of `links`, after 2 d: behind those float64 numbers
 BEGIN, COUNT, ROOM = 0, 1, 2  # columns of `spans`
+NOWHERE = -1  # in place of a cell
 MARGIN = 1.0 + 1e-9  # on distances between reference positions, far above round-off
 
 
@@ -177,15 +178,41 @@ def find_nearby(axes, lists, i, far):
 
 
 @lean_inner
-def shortage(lists, i, found):
-    """How many places the pool may lack to list the `found` nearby rows with i, and i with each of them; then `enlarge` it."""
+def compare(lists, i, found):
+    """(kept, new): which of the `found` nearby rows are in the list of i, and which are not.
+
+    The first `kept` places of the list hold those that stay, the others those that go; the first `new` of `nearby` are to come.
+    """
+    spans, pool, nearby = lists.spans, lists.pool, lists.nearby
+    begin, end = np.int64(spans[i, BEGIN]), np.int64(spans[i, BEGIN] + spans[i, COUNT])
+    kept, new = begin, np.int64(0)
+    for p in range(found):
+        j = nearby[p]
+        at = end
+        for q in range(kept, end):
+            at = q if pool[q] == j else at
+        if at < end:
+            pool[at], pool[kept] = pool[kept], j
+            kept += 1
+        else:
+            nearby[new] = j
+            new += 1
+            prefetch(spans, j)
+    for p in range(kept, end):
+        prefetch(spans, pool[p])
+    return kept - begin, new
+
+
+@lean_inner
+def shortage(lists, i, kept, new):
+    """How many places the pool may lack to list the `new` nearby rows with i, and i with each of them; then `enlarge` it."""
     spans, nearby = lists.spans, lists.nearby
     need = np.int64(0)
     longer = np.int64(spans[i, ROOM])
-    while longer < found:
+    while longer < kept + new:
         longer *= 2
         need += longer
-    for p in range(found):
+    for p in range(new):
         j = nearby[p]
         if spans[j, COUNT] == spans[j, ROOM]:
             need += 2 * spans[j, ROOM]
@@ -217,24 +244,45 @@ def take_from_list(pool, spans, i, j):
 
 
 @lean_inner
-def insert(axes, lists, i, found):
-    """List row i with the `found` nearby rows, and put it into its cell."""
-    reference, links, spans, pool, used, head = lists.reference, lists.links, lists.spans, lists.pool, lists.used, lists.head
+def relist(axes, lists, i, kept, new):
+    """Row i keeps the first `kept` rows of its list, gets the `new` nearby ones, and stands in their lists; see `compare`."""
+    spans, pool = lists.spans, lists.pool
+    begin, end = np.int64(spans[i, BEGIN]), np.int64(spans[i, BEGIN] + spans[i, COUNT])
+    for p in range(begin + kept, end):
+        take_from_list(pool, spans, np.int64(pool[p]), i)
+    spans[i, COUNT] = kept
+    for p in range(new):
+        j = np.int64(lists.nearby[p])
+        add_to_list(pool, spans, lists.used, i, j)
+        add_to_list(pool, spans, lists.used, j, i)
+    cell = cell_of(axes, lists, i)
+    d = len(axes)
+    if lists.links[i, 2 * d + CELL] != cell:
+        unlink(axes, lists, i)
+        link(axes, lists, i, cell)
+
+
+@lean_inner
+def cell_of(axes, lists, i):
+    """The cell of row i."""
+    reference = lists.reference
     low, per_length, cells, first, _ = lists.grid
     _, _, length = lists.box
-    d = len(axes)
-    for p in range(found):
-        j = np.int64(lists.nearby[p])
-        add_to_list(pool, spans, used, i, j)
-        add_to_list(pool, spans, used, j, i)
     step = lists.level[i]
     c = np.int64(0)
-    for m in range(min(d, GRIDDED)):
+    for m in range(min(len(axes), GRIDDED)):
         at = floor((reference[i, m] - low[m]) * per_length[step, m])
         if length[m] > 0.0:
             at -= floor(at / cells[step, m]) * cells[step, m]
         c = c * cells[step, m] + np.int64(min(max(at, 0.0), cells[step, m] - 1.0))
-    cell = first[step] + c
+    return first[step] + c
+
+
+@lean_inner
+def link(axes, lists, i, cell):
+    """Put row i into a cell."""
+    links, head = lists.links, lists.head
+    d = len(axes)
     j = np.int64(head[cell])
     links[i, 2 * d + NEXT_ROW], links[i, 2 * d + PREVIOUS_ROW], links[i, 2 * d + CELL] = j, -1, cell
     if j >= 0:
@@ -243,24 +291,27 @@ def insert(axes, lists, i, found):
 
 
 @lean_inner
-def remove(axes, lists, i):
-    """Take row i out of its cell and of all lists."""
-    links, spans, pool = lists.links, lists.spans, lists.pool
+def unlink(axes, lists, i):
+    """Take row i out of its cell, if it is in one."""
+    links = lists.links
     d = len(axes)
-    for p in range(spans[i, BEGIN], spans[i, BEGIN] + spans[i, COUNT]):
-        prefetch(spans, pool[p])
-    for p in range(spans[i, BEGIN], spans[i, BEGIN] + spans[i, COUNT]):
-        prefetch(pool, spans[pool[p], BEGIN])
-    for p in range(spans[i, BEGIN], spans[i, BEGIN] + spans[i, COUNT]):
-        take_from_list(pool, spans, pool[p], i)
-    spans[i, COUNT] = 0
-    after, before = links[i, 2 * d + NEXT_ROW], links[i, 2 * d + PREVIOUS_ROW]
+    after, before, cell = np.int64(links[i, 2 * d + NEXT_ROW]), np.int64(links[i, 2 * d + PREVIOUS_ROW]), links[i, 2 * d + CELL]
+    if cell == NOWHERE:
+        return
     if before >= 0:
         links[before, 2 * d + NEXT_ROW] = after
     else:
-        lists.head[links[i, 2 * d + CELL]] = after
+        lists.head[cell] = after
     if after >= 0:
         links[after, 2 * d + PREVIOUS_ROW] = before
+    links[i, 2 * d + CELL] = NOWHERE
+
+
+@lean_inner
+def remove(axes, lists, i):
+    """Take row i out of its cell and of all lists."""
+    relist(axes, lists, i, np.int64(0), np.int64(0))
+    unlink(axes, lists, i)
 
 
 @lean
@@ -275,8 +326,9 @@ def list_rows(axes, lists, x, row):
         for k in range(len(axes)):
             lists.reference[i, k] = x[i, k]
         found = find_nearby(axes, lists, i, np.bool_(True))
-        short = shortage(lists, i, found)
+        kept, new = compare(lists, i, found)
+        short = shortage(lists, i, kept, new)
         if short > 0:
             return i, short
-        insert(axes, lists, i, found)
+        relist(axes, lists, i, kept, new)
     return len(x), 0

@@ -12,8 +12,10 @@ from particles_mpi.kernels.limits import require_countable
 from particles_mpi.neighbours.cells import spacing
 from particles_mpi.neighbours.verlet_kernels import (
     BEGIN,
+    CELL,
     COUNT,
     INVERSE_MASS,
+    NOWHERE,
     PLACES,
     ROOM,
     SIZE,
@@ -82,12 +84,14 @@ class VerletLists:
         skin = reference[:n, d + SKIN] = np.where(w > 0.0, self.skin, 0.0)
         size = reference[:n, d + SIZE] = radius + skin
         reference[:n, d + INVERSE_MASS] = w
+        links = reference.view(np.int32)
+        links[:, 2 * d + CELL] = NOWHERE
         level = np.zeros(rows, np.int8)
         grid, level[:n] = make_grid(x, size, self.box, self.share)
         spans = np.zeros((rows, 4), np.int32)
         spans[:, BEGIN], spans[:, ROOM] = np.arange(rows) * PLACES, PLACES
         self.arrays = Lists(
-            reference, reference.view(np.int32), level, spans, np.empty(pool, np.int32),
+            reference, links, level, spans, np.empty(pool, np.int32),
             np.array([rows * PLACES]), np.full(grid.first[-1], -1, np.int32), np.empty(rows + 2, np.int32), tuple(grid),
             tuple(self.box),
         )  # fmt: skip
@@ -110,6 +114,7 @@ class VerletLists:
         require_countable(int(old.used[0]) + len(old.level) * PLACES, PLACES_IN_LISTS)
         rows, more = len(old.level), doubled(old, "reference", "level", "spans", "nearby")
         self.arrays = more._replace(links=more.reference.view(np.int32))
+        self.arrays.links[rows:, 2 * len(self.box.length) + CELL] = NOWHERE
         added = self.arrays.spans[rows:]
         added[:, BEGIN], added[:, ROOM] = old.used[0] + np.arange(rows) * PLACES, PLACES
         old.used[0] += rows * PLACES

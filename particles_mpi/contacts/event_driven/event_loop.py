@@ -58,9 +58,9 @@ from particles_mpi.neighbours.verlet_kernels import (
     INVERSE_MASS,
     SKIN,
     Lists,
+    compare,
     find_nearby,
-    insert,
-    remove,
+    relist,
     shortage,
 )
 from particles_mpi.particles import Array
@@ -283,11 +283,11 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
                 reference[i, k] = segment[i, k] + segment[i, d + k] * (now - segment[i, 2 * d + START] + lead)
                 flags[MANY_BOXES] |= length[k] > 0.0 and not -0.25 * length[k] < reference[i, k] - low[k] < 1.25 * length[k]
             found = find_nearby(axes, lists, i, flags[MANY_BOXES])
-            short = shortage(lists, i, found)
+            kept, new = compare(lists, i, found)
+            short = shortage(lists, i, kept, new)
             if short > 0:
                 return short
-            remove(axes, lists, i)
-            insert(axes, lists, i, found)
+            relist(axes, lists, i, kept, new)
             counts[EXPIRIES] += 1
             if logging and state[i, OWNERSHIP] >= OWN:
                 note_move(i, log)
