@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.kernels import limits
-from particles_mpi.kernels.geometry import Box, image_shift
+from particles_mpi.kernels.geometry import Box
 from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch
 from particles_mpi.particles import Array
 
@@ -52,6 +52,7 @@ class Lists(NamedTuple):
     nearby: Array  # (n + 2,) int32, scratch: rows that `find_nearby` found
     grid: tuple[Array, ...]  # a `Grid`, as a plain tuple: see `jit.plain`
     box: tuple[Array, ...]  # a `Box`, as a plain tuple
+    boxes_per_length: Array  # (d,) boxes in a unit of length on periodic axes, 0 on others
 
 
 def make_grid(x: Array, size: Array, box: Box, share: float) -> tuple[Grid, Array]:
@@ -115,27 +116,21 @@ def cells_along(y, reach, low, per_length, cells, periodic):
 
 
 @inner(inline="always")
-def may_meet(axes, reference, i, j, length, far):
-    """May rows i and j touch while both are within their skins? Not if both are fixed.
-
-    `far`: reference positions may be several boxes apart.
-    """
+def may_meet(axes, reference, i, j, length, boxes_per_length):
+    """May rows i and j touch while both are within their skins? Not if both are fixed."""
     d = len(axes)
     r2 = 0.0
     for k in range(d):
         r = reference[i, k] - reference[j, k]
-        if far:
-            r -= image_shift(r, length[k])
-        else:
-            r -= length[k] * (np.float64(r > 0.5 * length[k]) - np.float64(r < -0.5 * length[k]))
+        r -= length[k] * np.rint(r * boxes_per_length[k])  # a nearest image, however many boxes away
         r2 += r * r
     reach = (reference[i, d + SIZE] + reference[j, d + SIZE]) * MARGIN
     return (r2 <= reach * reach) & (i != j) & ((reference[i, d + INVERSE_MASS] > 0.0) | (reference[j, d + INVERSE_MASS] > 0.0))
 
 
 @lean_inner
-def find_nearby(axes, lists, i, far):
-    """Write the rows that `may_meet` row i to `lists.nearby`; returns how many. `far` as there."""
+def find_nearby(axes, lists, i):
+    """Write the rows that `may_meet` row i to `lists.nearby`; returns how many."""
     reference, links, head, nearby = lists.reference, lists.links, lists.head, lists.nearby
     _, _, length = lists.box
     low, per_length, cells, first, largest = lists.grid
@@ -173,7 +168,7 @@ def find_nearby(axes, lists, i, far):
         nearby[np.uint64(waiting)] = after
         waiting += after >= 0
         nearby[np.uint64(found)] = j
-        found += may_meet(axes, reference, np.uint64(i), j, length, far)
+        found += may_meet(axes, reference, np.uint64(i), j, length, lists.boxes_per_length)
     return found
 
 
@@ -325,7 +320,7 @@ def list_rows(axes, lists, x, row):
     for i in range(row, len(x)):
         for k in range(len(axes)):
             lists.reference[i, k] = x[i, k]
-        found = find_nearby(axes, lists, i, np.bool_(True))
+        found = find_nearby(axes, lists, i)
         kept, new = compare(lists, i, found)
         short = shortage(lists, i, kept, new)
         if short > 0:

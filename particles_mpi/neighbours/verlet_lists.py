@@ -93,7 +93,7 @@ class VerletLists:
         self.arrays = Lists(
             reference, links, level, spans, np.empty(pool, np.int32),
             np.array([rows * PLACES]), np.full(grid.first[-1], -1, np.int32), np.empty(rows + 2, np.int32), tuple(grid),
-            tuple(self.box),
+            tuple(self.box), np.divide(1.0, self.box.length, out=np.zeros(d), where=self.box.length > 0.0),
         )  # fmt: skip
         row = 0
         while row < n:

@@ -63,7 +63,7 @@ class Engine:
         self.lists = VerletLists(box)
         self.work = Work(
             np.empty(0, np.int32), np.zeros(4, np.int64), np.empty((NAMED, 3)), np.zeros(3, np.int64), np.zeros(1), np.zeros(2),
-            np.zeros(2, np.bool_), np.empty(d), np.empty(d),
+            np.zeros(1, np.bool_), np.empty(d), np.empty(d), np.empty(d),
         )  # fmt: skip
         self.events = 0  # in the last drift
         self.expiries = 0  # of lists since `load`
@@ -124,7 +124,7 @@ class Engine:
         here = np.flatnonzero(self.rows.state[:, OWNERSHIP] != NOT_HERE)
         self.pending = len(here)
         self.work.stale[: self.pending] = here
-        self.work.counts[:], self.work.flags[:], self.work.stopped[0] = 0, False, h
+        self.work.counts[:], self.work.any_squeezed[0], self.work.stopped[0] = 0, False, h
         self.node[:, PARTNER] = NO_EVENT
         self.rows.state[:, EVENT_COUNT] = 0  # compared within a drift only, and there with 32 bits
         buckets = int(min(max(self.events / CONTACTS, len(here)), 4 * len(here))) + 64

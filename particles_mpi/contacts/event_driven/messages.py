@@ -282,7 +282,7 @@ def apply_moves(rows, lists, queue, directory, regions, message, at, skin, stale
                 if fresh:
                     reference[i, d + SKIN] = skin if reference[i, d + INVERSE_MASS] > 0.0 else 0.0
                     reference[i, d + SIZE] = segment[i, 2 * d + RADIUS] + reference[i, d + SKIN]
-                found = find_nearby(length, lists, i, np.bool_(True))
+                found = find_nearby(length, lists, i)
                 kept, new = compare(lists, i, found)
                 short = shortage(lists, i, kept, new)
                 if short > 0:
