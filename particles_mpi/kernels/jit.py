@@ -46,6 +46,7 @@ def inner(function: Any = None, **options: Any) -> Any:
 
 
 lean_inner: Any = inner(_nrt=False)
+screening: Any = inner(_nrt=False, forceinline=True, fastmath={"contract"})  # what it lets pass must be tested exactly
 trailing_zeros: Any = count_trailing_zeros  # of an integer that is not 0
 with_item: Any = tuple_setitem  # (tuple, place, value): sums in a tuple stay in registers, those in an array do not
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from particles_mpi.kernels import limits
 from particles_mpi.kernels.geometry import Box
-from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch
+from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch, screening
 from particles_mpi.particles import Array
 
 GRIDDED = 3  # axes with cells
@@ -115,14 +115,16 @@ def cells_along(y, reach, low, per_length, cells, periodic):
     return np.int64(begin), np.int64(min(max(end, 0.0), cells - 1.0) - begin) + 1
 
 
-@inner(inline="always")
-def may_meet(axes, reference, i, j, length, boxes_per_length):
+@screening
+def may_meet(axes, lists, i, j):
     """May rows i and j touch while both are within their skins? Not if both are fixed."""
+    reference = lists.reference
+    _, _, length = lists.box
     d = len(axes)
     r2 = 0.0
     for k in range(d):
         r = reference[i, k] - reference[j, k]
-        r -= length[k] * np.rint(r * boxes_per_length[k])  # a nearest image, however many boxes away
+        r -= length[k] * np.rint(r * lists.boxes_per_length[k])  # a nearest image, however many boxes away
         r2 += r * r
     reach = (reference[i, d + SIZE] + reference[j, d + SIZE]) * MARGIN
     return (r2 <= reach * reach) & (i != j) & ((reference[i, d + INVERSE_MASS] > 0.0) | (reference[j, d + INVERSE_MASS] > 0.0))
@@ -168,7 +170,7 @@ def find_nearby(axes, lists, i):
         nearby[np.uint64(waiting)] = after
         waiting += after >= 0
         nearby[np.uint64(found)] = j
-        found += may_meet(axes, reference, np.uint64(i), j, length, lists.boxes_per_length)
+        found += may_meet(axes, lists, np.uint64(i), j)
     return found
 
 

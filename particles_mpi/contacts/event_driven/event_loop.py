@@ -45,12 +45,11 @@ from particles_mpi.contacts.event_driven.segments import (
     collide,
     is_nearest_image,
     may_touch,
-    screening,
     move_to,
     touch_time,
 )
 from particles_mpi.contacts.walls import Planes, bounce, may_hit, wall_contact
-from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch, trailing_zeros
+from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch, screening, trailing_zeros
 from particles_mpi.kernels.markers import NEVER
 from particles_mpi.neighbours.verlet_kernels import (
     BEGIN,

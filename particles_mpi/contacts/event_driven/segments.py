@@ -8,18 +8,16 @@ particle's path together: one line of memory is read for it instead of four.
 from __future__ import annotations
 
 from math import sqrt
-from typing import Any
 
 import numpy as np
 
 from particles_mpi.contacts.event_driven.rows import RADIUS, START
 from particles_mpi.contacts.law import exchange, may_come_near
 from particles_mpi.kernels.geometry import image_shift
-from particles_mpi.kernels.jit import inner, lean_inner
+from particles_mpi.kernels.jit import inner, lean_inner, screening
 from particles_mpi.kernels.markers import NEVER
 from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS
 
-screening: Any = inner(_nrt=False, forceinline=True, fastmath={"contract"})  # what it lets pass is computed again, exactly
 
 @screening
 def may_touch(axes, segment, i, j, place, now, until, lists):
