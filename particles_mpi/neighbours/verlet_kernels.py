@@ -149,13 +149,14 @@ def find_nearby(axes, lists, i):
             f1, m1 = cells_along(reference[i, 1], reach, low[1], per_length[step, 1], cells[step, 1], length[1] > 0.0)
         if d > 2:
             f2, m2 = cells_along(reference[i, 2], reach, low[2], per_length[step, 2], cells[step, 2], length[2] > 0.0)
+        n0, n1, n2 = cells[step, 0], cells[step, 1], cells[step, 2]
         for a in range(m0):
-            c0 = f0 + a if f0 + a < cells[step, 0] else f0 + a - cells[step, 0]
+            c0 = f0 + a if f0 + a < n0 else f0 + a - n0
             for b in range(m1):
-                c1 = f1 + b if f1 + b < cells[step, 1] else f1 + b - cells[step, 1]
-                for c in range(m2):
-                    c2 = f2 + c if f2 + c < cells[step, 2] else f2 + c - cells[step, 2]
-                    j = head[np.uint64(first[step] + (c0 * cells[step, 1] + c1) * cells[step, 2] + c2)]
+                c1 = f1 + b if f1 + b < n1 else f1 + b - n1
+                begin = first[step] + (c0 * n1 + c1) * n2
+                for c in range(f2, f2 + m2):
+                    j = head[np.uint64(begin + (c if c < n2 else c - n2))]
                     prefetch(reference, j)  # for -1 it asks in vain
                     nearby[np.uint64(waiting)] = j
                     waiting += j >= 0
