@@ -14,17 +14,17 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.kernels import limits
-from particles_mpi.kernels.geometry import Box
+from particles_mpi.kernels.geometry import Box, some_nearest
 from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch, screening
 from particles_mpi.particles import Array
 
 GRIDDED = 3  # axes with cells
 LEVELS, FACTOR = 5, 3.0  # each level of cells is for sizes up to FACTOR times those of the one before
 WIDTH = 1.4  # of a cell, in sizes of the largest row in it
-PLACES = 16  # in a new list; a list that gets full moves to one twice as long
+BLOCK = 32  # numbers of a row in the pool, two lines of the cache: its span and places for a list; longer ones stand behind
 SIZE, SKIN, INVERSE_MASS = 0, 1, 2  # columns of `reference`, after the d coordinates
 NEXT_ROW, PREVIOUS_ROW, CELL = 6, 7, 8  # columns of `links`, after 2 d: behind those float64 numbers
-BEGIN, COUNT, ROOM = 0, 1, 2  # columns of `spans`
+BEGIN, COUNT, ROOM, PLACES = range(4)  # columns of `spans`; the last one is the first place of the list
 NOWHERE = -1  # in place of a cell
 MARGIN = 1.0 + 1e-9  # on distances between reference positions, far above round-off
 
@@ -45,8 +45,8 @@ class Lists(NamedTuple):
     reference: Array  # (n, width): reference position (d), then SIZE = R + skin, SKIN, INVERSE_MASS
     links: Array  # (n, 2 width) int32, the same memory: NEXT_ROW and PREVIOUS_ROW in the same cell (-1: none), and CELL
     level: Array  # (n,) int8, of each row in the grid
-    spans: Array  # (n, 4) int32: where the list of a row begins in the pool, how many it holds, how many it has room for
-    pool: Array  # int32, the rows in all lists
+    spans: Array  # (n, BLOCK) int32: where the list of a row begins in the pool, how many it holds, how many it has room for
+    pool: Array  # int32: `spans`, with the rows in all lists, and behind it lists that got too long for their blocks
     used: Array  # (1,) places of the pool that are in use
     head: Array  # (cells,) int32, first row in each cell, or -1
     nearby: Array  # (n + 2,) int32, scratch: rows that `find_nearby` found
@@ -123,8 +123,7 @@ def may_meet(axes, lists, i, j):
     d = len(axes)
     r2 = 0.0
     for k in range(d):
-        r = reference[i, k] - reference[j, k]
-        r -= length[k] * np.rint(r * lists.boxes_per_length[k])  # a nearest image, however many boxes away
+        r = some_nearest(reference[i, k] - reference[j, k], length[k], lists.boxes_per_length[k])
         r2 += r * r
     reach = (reference[i, d + SIZE] + reference[j, d + SIZE]) * MARGIN
     return (r2 <= reach * reach) & (i != j) & ((reference[i, d + INVERSE_MASS] > 0.0) | (reference[j, d + INVERSE_MASS] > 0.0))
@@ -182,13 +181,14 @@ def compare(lists, i, found):
     The first `kept` places of the list hold those that stay, the others those that go; the first `new` of `nearby` are to come.
     """
     spans, pool, nearby = lists.spans, lists.pool, lists.nearby
-    begin, end = np.int64(spans[i, BEGIN]), np.int64(spans[i, BEGIN] + spans[i, COUNT])
+    begin = np.int64(spans[i, BEGIN])
+    end = begin + spans[i, COUNT]
     kept, new = begin, np.int64(0)
     for p in range(found):
         j = nearby[p]
-        at = end
-        for q in range(kept, end):
-            at = q if pool[q] == j else at
+        at = kept
+        while at < end and pool[at] != j:
+            at += 1
         if at < end:
             pool[at], pool[kept] = pool[kept], j
             kept += 1
@@ -245,8 +245,8 @@ def take_from_list(pool, spans, i, j):
 def relist(axes, lists, i, kept, new):
     """Row i keeps the first `kept` rows of its list, gets the `new` nearby ones, and stands in their lists; see `compare`."""
     spans, pool = lists.spans, lists.pool
-    begin, end = np.int64(spans[i, BEGIN]), np.int64(spans[i, BEGIN] + spans[i, COUNT])
-    for p in range(begin + kept, end):
+    begin = np.int64(spans[i, BEGIN])
+    for p in range(begin + kept, begin + spans[i, COUNT]):
         take_from_list(pool, spans, np.int64(pool[p]), i)
     spans[i, COUNT] = kept
     for p in range(new):

@@ -97,10 +97,12 @@ def likely_partners(axes, segment, lists, i, first, count, place, now, until):
 
     Nothing is written in this loop, so that the compiler computes several rows at once.
     """
+    pool, per_length = lists.pool, lists.boxes_per_length
+    _, _, length = lists.box
     likely = np.int64(0)
     for p in range(count):
-        j = np.uint64(lists.pool[np.uint64(first + p)])
-        likely |= np.int64(may_touch(axes, segment, np.uint64(i), j, place, now, until, lists)) << np.int64(p)
+        j = np.uint64(pool[np.uint64(first + p)])
+        likely |= np.int64(may_touch(axes, segment, np.uint64(i), j, place, now, until, length, per_length)) << np.int64(p)
     return likely
 
 
@@ -202,7 +204,6 @@ def prefetch_next(rows, lists, queue):
         prefetch(reference, i)
     i = np.int64(first[min(present[0] + SOON, last)])
     if i >= 0:
-        prefetch(pool, spans[i, BEGIN])
         prefetch(node, node[i, NEXT])
         j = np.int64(node[i, PARTNER])
         if j >= 0:
@@ -243,7 +244,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
     (restitution, velocity_factor), contact_duration, crowded, planes, rates = rules
     planes = Planes(*planes)
     h, moment, now, until, ahead = interval
-    stale, counts, any_squeezed, progress, node, times = work.stale, work.counts, work.any_squeezed, work.progress, *queue[:2]
+    stale, counts, progress, node, times = work.stale, work.counts, work.progress, queue.node, queue.times
     d = len(axes)
     logging = log.window[0] > 0
     events = 0
@@ -300,7 +301,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             wall = -1 - j
             lossy = planes.restitution[wall] * planes.velocity_factor[wall] < 1.0
             elastic = lossy and abs(moment + t - reals[i, LAST_CONTACT]) < contact_duration
-            note_contact(axes, rows, i, t, j, moment, QUICK * h, crowded, any_squeezed)
+            note_contact(axes, rows, i, t, j, moment, QUICK * h, crowded, work.any_squeezed)
             move_to(axes, segment, i, t)
             own = state[i, OWNERSHIP] >= OWN
             e, factor = (1.0, 1.0) if elastic else (planes.restitution[wall], planes.velocity_factor[wall])
@@ -319,8 +320,8 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
                 i, j = j, i
             last_contact = max(reals[i, LAST_CONTACT], reals[j, LAST_CONTACT])
             elastic = restitution * velocity_factor < 1.0 and abs(moment + t - last_contact) < contact_duration
-            note_contact(axes, rows, i, t, state[j, ID], moment, QUICK * h, crowded, any_squeezed)
-            note_contact(axes, rows, j, t, state[i, ID], moment, QUICK * h, crowded, any_squeezed)
+            note_contact(axes, rows, i, t, state[j, ID], moment, QUICK * h, crowded, work.any_squeezed)
+            note_contact(axes, rows, j, t, state[i, ID], moment, QUICK * h, crowded, work.any_squeezed)
             own = state[i, OWNERSHIP] >= OWN
             e, factor = (1.0, 1.0) if elastic else (restitution, velocity_factor)
             reals[i, VIRIAL] += collide(axes, segment, reference, i, j, t, e, factor, length, rates, work.r)

@@ -13,26 +13,25 @@ import numpy as np
 
 from particles_mpi.contacts.event_driven.rows import RADIUS, START
 from particles_mpi.contacts.law import exchange, may_come_near
-from particles_mpi.kernels.geometry import image_shift
+from particles_mpi.kernels.geometry import image_shift, some_nearest
 from particles_mpi.kernels.jit import inner, lean_inner, screening
 from particles_mpi.kernels.markers import NEVER
 from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS
 
 
 @screening
-def may_touch(axes, segment, i, j, place, now, until, lists):
+def may_touch(axes, segment, i, j, place, now, until, length, boxes_per_length):
     """False for most: rows that move apart from now on, or are clear of each other until then (by margins above round-off).
 
     `place` (d,): where row i is now.
     """
-    _, _, length = lists.box
     d = len(axes)
     a = 0.0
     b = 0.0
     r2 = 0.0
     for k in range(d):
         r = place[k] - (segment[j, k] + segment[j, d + k] * (now - segment[j, 2 * d + START]))
-        r -= length[k] * np.rint(r * lists.boxes_per_length[k])
+        r = some_nearest(r, length[k], boxes_per_length[k])
         u = segment[i, d + k] - segment[j, d + k]
         a += u * u
         b += r * u
