@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.contacts.event_driven.calendar_queue import (
+    EMPTY,
     LIST_EXPIRY,
     NEXT,
     NO_EVENT,
@@ -16,6 +17,7 @@ from particles_mpi.contacts.event_driven.calendar_queue import (
     TIME,
     UNSORTED,
     Queue,
+    advance,
     cancel,
     comes_before,
     find_first,
@@ -124,6 +126,7 @@ def next_event(axes, rows, lists, planes, work, i, now, h):
             while likely != 0:
                 j = np.int64(pool[first + trailing_zeros(likely)])
                 likely &= likely - 1
+                prefetch(state, j)
                 t = touch_time(axes, segment, np.uint64(i), np.uint64(j), now, best, length, r, work.u)
                 if (
                     t != NEVER
@@ -191,7 +194,7 @@ def note_tc_elastic(work, t, one, other):
 
 @lean_inner
 def prefetch_next(rows, lists, queue):
-    """What the next events will need comes to the cache while this one is worked on: rows, then lists, then neighbours."""
+    """A bucket is over: what the next events need comes to the cache while others are worked on; rows, lists, then neighbours."""
     segment, state, reference, spans, pool = rows.segment, rows.state, lists.reference, lists.spans, lists.pool
     node, first, present = queue.node, queue.first, queue.present
     last = len(first) - 1
@@ -259,11 +262,13 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             if partner != NO_EVENT:
                 push(queue, state, i, t, partner, state[partner, EVENT_COUNT] if partner >= 0 else 0)
             continue
-        prefetch_next(rows, lists, queue)
         i = find_first(queue, state)
+        if i == EMPTY and advance(queue):
+            prefetch_next(rows, lists, queue)
+            continue
         if i == UNSORTED:
             return FULL_BUCKET
-        if i < 0 or times[i, TIME] >= until:
+        if i == EMPTY or times[i, TIME] >= until:
             return 0
         t = times[i, TIME]
         j = np.int64(node[i, PARTNER])
