@@ -2,7 +2,8 @@
 
 `length` is the box length of a periodic axis, and 0 of any other, whose coordinates then stay as they are. A distance has one
 component an axis, and each takes the nearest image by itself. Of the forms below `nearest` is the fast one, for two places in
-the box; `image_shift` and its copy for whole arrays, `image_shifts`, are right for any number of boxes between them.
+the box; `image_shift` and its copy for whole arrays, `image_shifts`, are right for any number of boxes between them, and
+`some_nearest` is too where exactness does not matter.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from particles_mpi.kernels.jit import lean, lean_inner
+from particles_mpi.kernels.jit import lean, lean_inner, screening
 
 
 class Box(NamedTuple):
@@ -38,6 +39,20 @@ def nearest(r, length):
 def image_shift(r, length):
     """What to take from the component r of a distance to get the nearest periodic image, however many boxes away."""
     return length * np.rint(r / length) if abs(r) > 0.5 * length > 0.0 else 0.0
+
+
+@screening
+def some_nearest(r, length, boxes_per_length):
+    """The component r by the nearest periodic image, however many boxes away; at half a box round-off decides which. No branch.
+
+    For tests that only screen, several at once; `boxes_per_length`: the function of this name, of `length`.
+    """
+    return r - length * np.rint(r * boxes_per_length)
+
+
+def boxes_per_length(length: NDArray[Any]) -> NDArray[Any]:
+    """Boxes in a unit of length, 1/length, for box lengths (d,); 0 on axes that are not periodic."""
+    return np.divide(1.0, length, out=np.zeros_like(length), where=length > 0.0)
 
 
 def image_shifts(r: NDArray[Any], length: NDArray[Any] | float) -> NDArray[Any]:

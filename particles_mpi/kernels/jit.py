@@ -22,6 +22,7 @@ from llvmlite import ir
 from numba import njit, types
 from numba.core import cgutils
 from numba.core.registry import CPUDispatcher
+from numba.cpython.unsafe.numbers import trailing_zeros as count_trailing_zeros
 from numba.cpython.unsafe.tuple import tuple_setitem
 from numba.extending import intrinsic
 
@@ -56,6 +57,8 @@ def inner(function: Any = None, **options: Any) -> Any:
 
 
 lean_inner: Any = inner(_nrt=False)
+screening: Any = inner(_nrt=False, forceinline=True, fastmath={"contract"})  # what it lets pass must be tested exactly
+trailing_zeros: Any = count_trailing_zeros  # of an integer that is not 0
 with_item: Any = tuple_setitem  # (tuple, place, value): sums in a tuple stay in registers, those in an array do not
 
 

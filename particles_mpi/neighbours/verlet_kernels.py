@@ -14,17 +14,18 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.kernels import limits
-from particles_mpi.kernels.geometry import Box, image_shift
-from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch
+from particles_mpi.kernels.geometry import Box, some_nearest
+from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch, screening
 from particles_mpi.particles import Array
 
 GRIDDED = 3  # axes with cells
 LEVELS, FACTOR = 5, 3.0  # each level of cells is for sizes up to FACTOR times those of the one before
 WIDTH = 1.4  # of a cell, in sizes of the largest row in it
-PLACES = 16  # in a new list; a list that gets full moves to one twice as long
+BLOCK = 32  # numbers of a row in the pool, two lines of the cache: its span and places for a list; longer ones stand behind
 SIZE, SKIN, INVERSE_MASS = 0, 1, 2  # columns of `reference`, after the d coordinates
 NEXT_ROW, PREVIOUS_ROW, CELL = 6, 7, 8  # columns of `links`, after 2 d: behind those float64 numbers
-BEGIN, COUNT, ROOM = 0, 1, 2  # columns of `spans`
+BEGIN, COUNT, ROOM, PLACES = range(4)  # columns of `spans`; the last one is the first place of the list
+NOWHERE = -1  # in place of a cell
 MARGIN = 1.0 + 1e-9  # on distances between reference positions, far above round-off
 
 
@@ -44,13 +45,14 @@ class Lists(NamedTuple):
     reference: Array  # (n, width): reference position (d), then SIZE = R + skin, SKIN, INVERSE_MASS
     links: Array  # (n, 2 width) int32, the same memory: NEXT_ROW and PREVIOUS_ROW in the same cell (-1: none), and CELL
     level: Array  # (n,) int8, of each row in the grid
-    spans: Array  # (n, 4) int32: where the list of a row begins in the pool, how many it holds, how many it has room for
-    pool: Array  # int32, the rows in all lists
+    spans: Array  # (n, BLOCK) int32: where the list of a row begins in the pool, how many it holds, how many it has room for
+    pool: Array  # int32: `spans`, with the rows in all lists, and behind it lists that got too long for their blocks
     used: Array  # (1,) places of the pool that are in use
     head: Array  # (cells,) int32, first row in each cell, or -1
     nearby: Array  # (n + 2,) int32, scratch: rows that `find_nearby` found
     grid: tuple[Array, ...]  # a `Grid`, as a plain tuple: see `jit.plain`
     box: tuple[Array, ...]  # a `Box`, as a plain tuple
+    boxes_per_length: Array  # (d,) boxes in a unit of length on periodic axes, 0 on others
 
 
 def make_grid(x: Array, size: Array, box: Box, share: float) -> tuple[Grid, Array]:
@@ -113,28 +115,23 @@ def cells_along(y, reach, low, per_length, cells, periodic):
     return np.int64(begin), np.int64(min(max(end, 0.0), cells - 1.0) - begin) + 1
 
 
-@inner(inline="always")
-def may_meet(axes, reference, i, j, length, far):
-    """May rows i and j touch while both are within their skins? Not if both are fixed.
-
-    `far`: reference positions may be several boxes apart.
-    """
+@screening
+def may_meet(axes, lists, i, j):
+    """May rows i and j touch while both are within their skins? Not if both are fixed."""
+    reference = lists.reference
+    _, _, length = lists.box
     d = len(axes)
     r2 = 0.0
     for k in range(d):
-        r = reference[i, k] - reference[j, k]
-        if far:
-            r -= image_shift(r, length[k])
-        else:
-            r -= length[k] * (np.float64(r > 0.5 * length[k]) - np.float64(r < -0.5 * length[k]))
+        r = some_nearest(reference[i, k] - reference[j, k], length[k], lists.boxes_per_length[k])
         r2 += r * r
     reach = (reference[i, d + SIZE] + reference[j, d + SIZE]) * MARGIN
     return (r2 <= reach * reach) & (i != j) & ((reference[i, d + INVERSE_MASS] > 0.0) | (reference[j, d + INVERSE_MASS] > 0.0))
 
 
 @lean_inner
-def find_nearby(axes, lists, i, far):
-    """Write the rows that `may_meet` row i to `lists.nearby`; returns how many. `far` as there."""
+def find_nearby(axes, lists, i):
+    """Write the rows that `may_meet` row i to `lists.nearby`; returns how many."""
     reference, links, head, nearby = lists.reference, lists.links, lists.head, lists.nearby
     _, _, length = lists.box
     low, per_length, cells, first, largest = lists.grid
@@ -151,13 +148,14 @@ def find_nearby(axes, lists, i, far):
             f1, m1 = cells_along(reference[i, 1], reach, low[1], per_length[step, 1], cells[step, 1], length[1] > 0.0)
         if d > 2:
             f2, m2 = cells_along(reference[i, 2], reach, low[2], per_length[step, 2], cells[step, 2], length[2] > 0.0)
+        n0, n1, n2 = cells[step, 0], cells[step, 1], cells[step, 2]
         for a in range(m0):
-            c0 = f0 + a if f0 + a < cells[step, 0] else f0 + a - cells[step, 0]
+            c0 = f0 + a if f0 + a < n0 else f0 + a - n0
             for b in range(m1):
-                c1 = f1 + b if f1 + b < cells[step, 1] else f1 + b - cells[step, 1]
-                for c in range(m2):
-                    c2 = f2 + c if f2 + c < cells[step, 2] else f2 + c - cells[step, 2]
-                    j = head[np.uint64(first[step] + (c0 * cells[step, 1] + c1) * cells[step, 2] + c2)]
+                c1 = f1 + b if f1 + b < n1 else f1 + b - n1
+                begin = first[step] + (c0 * n1 + c1) * n2
+                for c in range(f2, f2 + m2):
+                    j = head[np.uint64(begin + (c if c < n2 else c - n2))]
                     prefetch(reference, j)  # for -1 it asks in vain
                     nearby[np.uint64(waiting)] = j
                     waiting += j >= 0
@@ -172,20 +170,47 @@ def find_nearby(axes, lists, i, far):
         nearby[np.uint64(waiting)] = after
         waiting += after >= 0
         nearby[np.uint64(found)] = j
-        found += may_meet(axes, reference, np.uint64(i), j, length, far)
+        found += may_meet(axes, lists, np.uint64(i), j)
     return found
 
 
 @lean_inner
-def shortage(lists, i, found):
-    """How many places the pool may lack to list the `found` nearby rows with i, and i with each of them; then `enlarge` it."""
+def compare(lists, i, found):
+    """(kept, new): which of the `found` nearby rows are in the list of i, and which are not.
+
+    The first `kept` places of the list hold those that stay, the others those that go; the first `new` of `nearby` are to come.
+    """
+    spans, pool, nearby = lists.spans, lists.pool, lists.nearby
+    begin = np.int64(spans[i, BEGIN])
+    end = begin + spans[i, COUNT]
+    kept, new = begin, np.int64(0)
+    for p in range(found):
+        j = nearby[p]
+        at = kept
+        while at < end and pool[at] != j:
+            at += 1
+        if at < end:
+            pool[at], pool[kept] = pool[kept], j
+            kept += 1
+        else:
+            nearby[new] = j
+            new += 1
+            prefetch(spans, j)
+    for p in range(kept, end):
+        prefetch(spans, pool[p])
+    return kept - begin, new
+
+
+@lean_inner
+def shortage(lists, i, kept, new):
+    """How many places the pool may lack to list the `new` nearby rows with i, and i with each of them; then `enlarge` it."""
     spans, nearby = lists.spans, lists.nearby
     need = np.int64(0)
     longer = np.int64(spans[i, ROOM])
-    while longer < found:
+    while longer < kept + new:
         longer *= 2
         need += longer
-    for p in range(found):
+    for p in range(new):
         j = nearby[p]
         if spans[j, COUNT] == spans[j, ROOM]:
             need += 2 * spans[j, ROOM]
@@ -217,24 +242,45 @@ def take_from_list(pool, spans, i, j):
 
 
 @lean_inner
-def insert(axes, lists, i, found):
-    """List row i with the `found` nearby rows, and put it into its cell."""
-    reference, links, spans, pool, used, head = lists.reference, lists.links, lists.spans, lists.pool, lists.used, lists.head
+def relist(axes, lists, i, kept, new):
+    """Row i keeps the first `kept` rows of its list, gets the `new` nearby ones, and stands in their lists; see `compare`."""
+    spans, pool = lists.spans, lists.pool
+    begin = np.int64(spans[i, BEGIN])
+    for p in range(begin + kept, begin + spans[i, COUNT]):
+        take_from_list(pool, spans, np.int64(pool[p]), i)
+    spans[i, COUNT] = kept
+    for p in range(new):
+        j = np.int64(lists.nearby[p])
+        add_to_list(pool, spans, lists.used, i, j)
+        add_to_list(pool, spans, lists.used, j, i)
+    cell = cell_of(axes, lists, i)
+    d = len(axes)
+    if lists.links[i, 2 * d + CELL] != cell:
+        unlink(axes, lists, i)
+        link(axes, lists, i, cell)
+
+
+@lean_inner
+def cell_of(axes, lists, i):
+    """The cell of row i."""
+    reference = lists.reference
     low, per_length, cells, first, _ = lists.grid
     _, _, length = lists.box
-    d = len(axes)
-    for p in range(found):
-        j = np.int64(lists.nearby[p])
-        add_to_list(pool, spans, used, i, j)
-        add_to_list(pool, spans, used, j, i)
     step = lists.level[i]
     c = np.int64(0)
-    for m in range(min(d, GRIDDED)):
+    for m in range(min(len(axes), GRIDDED)):
         at = floor((reference[i, m] - low[m]) * per_length[step, m])
         if length[m] > 0.0:
             at -= floor(at / cells[step, m]) * cells[step, m]
         c = c * cells[step, m] + np.int64(min(max(at, 0.0), cells[step, m] - 1.0))
-    cell = first[step] + c
+    return first[step] + c
+
+
+@lean_inner
+def link(axes, lists, i, cell):
+    """Put row i into a cell."""
+    links, head = lists.links, lists.head
+    d = len(axes)
     j = np.int64(head[cell])
     links[i, 2 * d + NEXT_ROW], links[i, 2 * d + PREVIOUS_ROW], links[i, 2 * d + CELL] = j, -1, cell
     if j >= 0:
@@ -243,24 +289,27 @@ def insert(axes, lists, i, found):
 
 
 @lean_inner
-def remove(axes, lists, i):
-    """Take row i out of its cell and of all lists."""
-    links, spans, pool = lists.links, lists.spans, lists.pool
+def unlink(axes, lists, i):
+    """Take row i out of its cell, if it is in one."""
+    links = lists.links
     d = len(axes)
-    for p in range(spans[i, BEGIN], spans[i, BEGIN] + spans[i, COUNT]):
-        prefetch(spans, pool[p])
-    for p in range(spans[i, BEGIN], spans[i, BEGIN] + spans[i, COUNT]):
-        prefetch(pool, spans[pool[p], BEGIN])
-    for p in range(spans[i, BEGIN], spans[i, BEGIN] + spans[i, COUNT]):
-        take_from_list(pool, spans, pool[p], i)
-    spans[i, COUNT] = 0
-    after, before = links[i, 2 * d + NEXT_ROW], links[i, 2 * d + PREVIOUS_ROW]
+    after, before, cell = np.int64(links[i, 2 * d + NEXT_ROW]), np.int64(links[i, 2 * d + PREVIOUS_ROW]), links[i, 2 * d + CELL]
+    if cell == NOWHERE:
+        return
     if before >= 0:
         links[before, 2 * d + NEXT_ROW] = after
     else:
-        lists.head[links[i, 2 * d + CELL]] = after
+        lists.head[cell] = after
     if after >= 0:
         links[after, 2 * d + PREVIOUS_ROW] = before
+    links[i, 2 * d + CELL] = NOWHERE
+
+
+@lean_inner
+def remove(axes, lists, i):
+    """Take row i out of its cell and of all lists."""
+    relist(axes, lists, i, np.int64(0), np.int64(0))
+    unlink(axes, lists, i)
 
 
 @lean
@@ -274,9 +323,10 @@ def list_rows(axes, lists, x, row):
     for i in range(row, len(x)):
         for k in range(len(axes)):
             lists.reference[i, k] = x[i, k]
-        found = find_nearby(axes, lists, i, np.bool_(True))
-        short = shortage(lists, i, found)
+        found = find_nearby(axes, lists, i)
+        kept, new = compare(lists, i, found)
+        short = shortage(lists, i, kept, new)
         if short > 0:
             return i, short
-        insert(axes, lists, i, found)
+        relist(axes, lists, i, kept, new)
     return len(x), 0

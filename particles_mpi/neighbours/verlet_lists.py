@@ -7,13 +7,16 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.kernels import limits
-from particles_mpi.kernels.geometry import Box
+from particles_mpi.kernels.geometry import Box, boxes_per_length
 from particles_mpi.kernels.limits import require_countable
 from particles_mpi.neighbours.cells import spacing
 from particles_mpi.neighbours.verlet_kernels import (
     BEGIN,
+    BLOCK,
+    CELL,
     COUNT,
     INVERSE_MASS,
+    NOWHERE,
     PLACES,
     ROOM,
     SIZE,
@@ -75,21 +78,24 @@ class VerletLists:
         """New lists with skins of the present width, and room for `spare` rows more. Arguments as in `tune`."""
         n, d = x.shape
         rows = n + spare
-        pool = rows * (PLACES + PLACES // 2) + 64
-        require_countable(pool, PLACES_IN_LISTS)
+        places = rows * (BLOCK + BLOCK // 8) + 64
+        require_countable(places, PLACES_IN_LISTS)
         self.skin = max(self.width, 64.0 * np.finfo(float).eps * float(np.abs(x).max(initial=0.0)))  # above round-off of x
         reference = aligned(rows, 8 * ((d + 5 + 7) // 8))
         skin = reference[:n, d + SKIN] = np.where(w > 0.0, self.skin, 0.0)
         size = reference[:n, d + SIZE] = radius + skin
         reference[:n, d + INVERSE_MASS] = w
+        links = reference.view(np.int32)
+        links[:, 2 * d + CELL] = NOWHERE
         level = np.zeros(rows, np.int8)
         grid, level[:n] = make_grid(x, size, self.box, self.share)
-        spans = np.zeros((rows, 4), np.int32)
-        spans[:, BEGIN], spans[:, ROOM] = np.arange(rows) * PLACES, PLACES
+        pool = new_pool(places)
+        spans = spans_in(pool, rows)
+        set_empty(spans, 0)
         self.arrays = Lists(
-            reference, reference.view(np.int32), level, spans, np.empty(pool, np.int32),
-            np.array([rows * PLACES]), np.full(grid.first[-1], -1, np.int32), np.empty(rows + 2, np.int32), tuple(grid),
-            tuple(self.box),
+            reference, links, level, spans, pool, np.array([rows * BLOCK]), np.full(grid.first[-1], -1, np.int32),
+            np.empty(rows + 2, np.int32), tuple(grid), tuple(self.box),
+            boxes_per_length(self.box.length),
         )  # fmt: skip
         row = 0
         while row < n:
@@ -102,18 +108,39 @@ class VerletLists:
             pool = self.arrays.pool
             require_countable(len(pool) + short, PLACES_IN_LISTS)
             size = max(min(2 * len(pool), limits.MOST), len(pool) + short)
-            self.arrays = self.arrays._replace(pool=enlarged(pool, np.empty(size, np.int32)))
+            pool = enlarged(pool, new_pool(size))
+            self.arrays = self.arrays._replace(pool=pool, spans=spans_in(pool, len(self.arrays.spans)))
 
     def grow(self) -> None:
         """Room for twice as many rows."""
         old = self.arrays
-        require_countable(int(old.used[0]) + len(old.level) * PLACES, PLACES_IN_LISTS)
-        rows, more = len(old.level), doubled(old, "reference", "level", "spans", "nearby")
-        self.arrays = more._replace(links=more.reference.view(np.int32))
-        added = self.arrays.spans[rows:]
-        added[:, BEGIN], added[:, ROOM] = old.used[0] + np.arange(rows) * PLACES, PLACES
-        old.used[0] += rows * PLACES
-        self.enlarge(rows * PLACES)
+        rows, blocks = len(old.level), old.spans.size
+        require_countable(len(old.pool) + blocks, PLACES_IN_LISTS)
+        pool = new_pool(len(old.pool) + blocks)
+        np.concatenate((old.pool[:blocks], np.empty(blocks, np.int32), old.pool[blocks:]), out=pool)
+        spans = spans_in(pool, 2 * rows)
+        spans[:rows, BEGIN] += blocks * (spans[:rows, BEGIN] >= blocks)  # longer lists stand behind all blocks
+        set_empty(spans, rows)
+        old.used[0] += blocks
+        more = doubled(old, "reference", "level", "nearby")
+        self.arrays = more._replace(links=more.reference.view(np.int32), spans=spans, pool=pool)
+        self.arrays.links[rows:, 2 * len(self.box.length) + CELL] = NOWHERE
+
+
+def new_pool(size: int) -> Array:
+    """Room for so many int32, from the beginning of a line of the cache on."""
+    return aligned((size + 1) // 2, 1).view(np.int32).ravel()[:size]
+
+
+def spans_in(pool: Array, rows: int) -> Array:
+    """The blocks of so many rows, at the beginning of the pool."""
+    return pool[: rows * BLOCK].reshape(rows, BLOCK)
+
+
+def set_empty(spans: Array, first: int) -> None:
+    """Rows from `first` on have an empty list in their block."""
+    spans[first:, BEGIN] = np.arange(first, len(spans)) * BLOCK + PLACES
+    spans[first:, COUNT], spans[first:, ROOM] = 0, BLOCK - PLACES
 
 
 def aligned(rows: int, width: int) -> Array:

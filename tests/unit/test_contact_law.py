@@ -7,6 +7,7 @@ from particles_mpi.contacts import law
 from particles_mpi.contacts.event_driven import segments
 from particles_mpi.contacts.event_driven.rows import RADIUS, START
 from particles_mpi.contacts.velocity_flow import Rates, no_rates
+from particles_mpi.kernels.geometry import boxes_per_length
 from particles_mpi.kernels.markers import NEVER
 from particles_mpi.kernels.motion import Segments, move_to
 from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS
@@ -37,14 +38,14 @@ def is_same(one, other):
 @pytest.mark.parametrize("d", [1, 2, 3, 4])
 def test_the_time_of_a_contact(d):
     touched = 0
-    for (x, v, start, _), radius, _, segment, _, length, _ in pairs(d, 1000):
+    for (x, v, start, _), radius, _, segment, _, length, random in pairs(d, 1000):
         axes, r, u, now = (0,) * d, np.empty(d), np.empty(d), start.max()
         t = law.contact_time.py_func(axes, x, v, start, 0, 1, radius.sum(), 2.0, length)
-        for far in (False, True):
-            assert is_same(t, segments.touch_time(axes, segment, 0, 1, now, 2.0, length, far, r, u))
-        if start[0] == now:
-            assert t == NEVER or segments.may_touch_from_now(axes, segment, 0, 1, now, 2.0, length)
-        assert t == NEVER or segments.may_touch(axes, segment, 0, 1, now, 2.0, length)
+        assert is_same(t, segments.touch_time(axes, segment, 0, 1, now, 2.0, length, r, u))
+        later = min(t, 2.0) if random.random() < 0.1 else random.uniform(now, min(t, 2.0))
+        for moment in (now, later):
+            place = x[0] + v[0] * (moment - start[0])
+            assert t == NEVER or segments.may_touch(axes, segment, 0, 1, place, moment, 2.0, length, boxes_per_length(length))
         touched += t != NEVER
     assert touched > 20
 

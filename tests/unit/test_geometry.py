@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from particles_mpi.kernels.geometry import image_shift, image_shifts, nearest, wrap
+from particles_mpi.kernels.geometry import boxes_per_length, image_shift, image_shifts, nearest, some_nearest, wrap
 
 LENGTHS = 0.0, 1.0, 0.3, 7.1
 
@@ -20,6 +20,10 @@ def test_all_forms_of_the_nearest_image_are_the_same_bits(length):
     else:
         assert not shifts.any()
     assert np.array_equal(near - image_shifts(near, length), [nearest(r, length) for r in near])
+    per_length = boxes_per_length(np.array([length]))[0]
+    screened = np.array([some_nearest(r, length, per_length) for r in far])
+    same_image = np.abs(np.abs(far - shifts) - 0.5 * length) > 1e-12 * np.abs(far)
+    assert np.allclose(screened[same_image], (far - shifts)[same_image], rtol=0.0, atol=1e-12)
 
 
 def test_shifts_of_vectors_leave_open_axes_alone():

@@ -19,7 +19,7 @@ PARTNER, PARTNER_COUNT, NEXT, PREVIOUS, BUCKET = range(5)  # columns of `node`
 NODE, TIME = 8, 3  # width of a node, half a line of the cache; column of `times`
 NO_EVENT = -(2**30)  # values of PARTNER: nothing happens before the end of the drift
 MANY = 64  # events in a bucket: to search it for each of them would take longer than to sort it
-UNSORTED = -2  # what `find_first` returns for a bucket with MANY
+EMPTY, UNSORTED = -1, -2  # what `find_first` returns for a bucket without events, and for one with MANY
 LIST_EXPIRY = NO_EVENT + 1  # it gets to its skin, where its neighbour list expires; -1 - w is wall w, and rows are >= 0
 
 
@@ -119,21 +119,25 @@ def sort_present(queue, state):
 
 @lean_inner
 def find_first(queue, state):
-    """The row with the first event of all, or -1, or UNSORTED: call `sort_present`. Moves the present on to its bucket."""
-    node, first, present = queue.node, queue.first, queue.present
-    while present[0] < len(first):
-        best = np.int64(first[present[0]])
-        if best >= 0:
-            if present[1]:
-                return best
-            i, count = np.int64(node[best, NEXT]), 1
-            while i >= 0 and count < MANY:
-                if earlier(queue, i, best, state):
-                    best = i
-                i, count = np.int64(node[i, NEXT]), count + 1
-            if i < 0:
-                return best
-            return UNSORTED
-        present[0] += 1
-        present[1] = 0
-    return -1
+    """The row with the first event in the present bucket, or EMPTY: then `advance`; or UNSORTED: then `sort_present`."""
+    node, present = queue.node, queue.present
+    best = np.int64(queue.first[present[0]])
+    if best < 0 or present[1]:
+        return best
+    i, count = np.int64(node[best, NEXT]), 1
+    while i >= 0 and count < MANY:
+        if earlier(queue, i, best, state):
+            best = i
+        i, count = np.int64(node[i, NEXT]), count + 1
+    return best if i < 0 else np.int64(UNSORTED)
+
+
+@lean_inner
+def advance(queue):
+    """The next bucket becomes the present one; False if there is none."""
+    present = queue.present
+    if present[0] + 1 == len(queue.first):
+        return False
+    present[0] += 1
+    present[1] = 0
+    return True

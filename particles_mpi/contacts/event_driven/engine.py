@@ -40,8 +40,9 @@ from particles_mpi.neighbours.verlet_lists import VerletLists, aligned, doubled,
 from particles_mpi.parallel.signals import check_signals
 from particles_mpi.particles import Array, Particles
 
-CONTACTS = 1.0  # expected in a bucket of the queue
-AHEAD = 0.8  # of a skin: how far before it a particle's reference position lies, where flights are longer than skins
+CONTACTS = 0.5  # and other events expected in a bucket of the queue: memory is prefetched for one in each
+AHEAD = 0.8  # of a skin: how far before it a particle's reference position lies, where flights are longer than skins;
+TURNING = 0.35  # and how much less where there are many collisions an expiry: fitted to fewest expiries at packing 0.05 to 0.45
 MOST_EXPIRIES = 8  # of the list of a row, on average; then all rows are sorted in space and listed anew
 NEVER_CROWDED = 2**31
 NAMED = 64  # contacts without loss whose time and partners are kept
@@ -63,7 +64,7 @@ class Engine:
         self.lists = VerletLists(box)
         self.work = Work(
             np.empty(0, np.int32), np.zeros(4, np.int64), np.empty((NAMED, 3)), np.zeros(3, np.int64), np.zeros(1), np.zeros(2),
-            np.zeros(2, np.bool_), np.empty(d), np.empty(d),
+            np.zeros(1, np.bool_), np.empty(d), np.empty(d), np.empty(d),
         )  # fmt: skip
         self.events = 0  # in the last drift
         self.expiries = 0  # of lists since `load`
@@ -124,10 +125,10 @@ class Engine:
         here = np.flatnonzero(self.rows.state[:, OWNERSHIP] != NOT_HERE)
         self.pending = len(here)
         self.work.stale[: self.pending] = here
-        self.work.counts[:], self.work.flags[:], self.work.stopped[0] = 0, False, h
+        self.work.counts[:], self.work.any_squeezed[0], self.work.stopped[0] = 0, False, h
         self.node[:, PARTNER] = NO_EVENT
         self.rows.state[:, EVENT_COUNT] = 0  # compared within a drift only, and there with 32 bits
-        buckets = int(min(max(self.events / CONTACTS, len(here)), 4 * len(here))) + 64
+        buckets = int(min(max(self.events / CONTACTS, len(here)), 8 * len(here))) + 64
         first = np.full(buckets, -1, np.int32)
         self.h = h
         self.queue = Queue(self.node, self.node.view(np.float64), first, buckets / h, np.zeros(2, np.int64))
@@ -171,7 +172,7 @@ class Engine:
         counts = self.work.counts
         self.expiries += int(counts[EXPIRIES])
         self.events = int(counts[COLLISIONS] + counts[WALL_HITS] + counts[EXPIRIES])
-        self.ahead = AHEAD / (1.0 + 2.0 * counts[COLLISIONS] / max(counts[EXPIRIES], 1))
+        self.ahead = AHEAD / (1.0 + TURNING * counts[COLLISIONS] / max(counts[EXPIRIES], 1))
         return int(squeezed)
 
     def write_back(self, p: Particles, own_rows: Array) -> None:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.contacts.event_driven.calendar_queue import (
+    EMPTY,
     LIST_EXPIRY,
     NEXT,
     NO_EVENT,
@@ -16,6 +17,7 @@ from particles_mpi.contacts.event_driven.calendar_queue import (
     TIME,
     UNSORTED,
     Queue,
+    advance,
     cancel,
     comes_before,
     find_first,
@@ -45,12 +47,11 @@ from particles_mpi.contacts.event_driven.segments import (
     collide,
     is_nearest_image,
     may_touch,
-    may_touch_from_now,
     move_to,
     touch_time,
 )
 from particles_mpi.contacts.walls import Planes, bounce, may_hit, wall_contact
-from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch
+from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch, screening, trailing_zeros
 from particles_mpi.kernels.markers import NEVER
 from particles_mpi.neighbours.verlet_kernels import (
     BEGIN,
@@ -58,9 +59,9 @@ from particles_mpi.neighbours.verlet_kernels import (
     INVERSE_MASS,
     SKIN,
     Lists,
+    compare,
     find_nearby,
-    insert,
-    remove,
+    relist,
     shortage,
 )
 from particles_mpi.particles import Array
@@ -68,9 +69,9 @@ from particles_mpi.particles import Array
 COLLISIONS, WALL_HITS, TC_ELASTIC, EXPIRIES = range(4)  # what `counts` counts
 ASKED, LOWER, HIGHER = range(3)  # columns of `stop`
 LAST_PROGRESS, EVENTS_SINCE = range(2)  # columns of `progress`
-MANY_BOXES, ANY_SQUEEZED = range(2)  # columns of `flags`
 INTERRUPTED, STANDSTILL, FULL_BUCKET = -1, -2, -3  # what `run` returns
 QUICK = 0.01  # of a drift: a contact so soon after the last one is quick
+BITS = 64  # of a mask
 PIECE = 100_000  # events, about a tenth of a second
 STANDING = 1e-9  # of a drift: time that does not count as passed
 MOST_STANDING, FEW = 2.0 * SQUEEZED / ZERO_TIME_EVENT, 100  # events a row while no time passes: more than SQUEEZED ever allows
@@ -86,50 +87,60 @@ class Work(NamedTuple):
     stop: Array  # (3,) int64: is it ASKED to end after the first collision, then its LOWER and HIGHER id
     stopped: Array  # (1,) time of that collision
     progress: Array  # (2,) LAST_PROGRESS: a time later than that before by more than STANDING; EVENTS_SINCE then
-    flags: Array  # (2,) bool: MANY_BOXES may lie between two rows that touch; ANY_SQUEEZED row
+    any_squeezed: Array  # (1,) bool: is any row squeezed?
+    place: Array  # (d,) scratch
     r: Array  # (d,) scratch
     u: Array  # (d,) scratch
+
+
+@screening
+def likely_partners(axes, segment, lists, i, first, count, place, now, until):
+    """Which of the `count` <= BITS rows in the pool from place `first` on `may_touch` row i: bit p for place first + p.
+
+    Nothing is written in this loop, so that the compiler computes several rows at once.
+    """
+    pool, per_length = lists.pool, lists.boxes_per_length
+    _, _, length = lists.box
+    likely = np.int64(0)
+    for p in range(count):
+        j = np.uint64(pool[np.uint64(first + p)])
+        likely |= np.int64(may_touch(axes, segment, np.uint64(i), j, place, now, until, length, per_length)) << np.int64(p)
+    return likely
 
 
 @inner(inline="always")
 def next_event(axes, rows, lists, planes, work, i, now, h):
     """(time, partner) of the next event of row i on the present segments: its first contact, or LIST_EXPIRY."""
     segment, state, reference, spans, pool = rows.segment, rows.state, lists.reference, lists.spans, lists.pool
-    nearby, flags, r = lists.nearby, work.flags, work.r
+    r = work.r
     _, _, length = lists.box
     d = len(axes)
     best = h
     partner = np.int64(NO_EVENT)
     if state[i, RAPID_EVENTS] < SQUEEZED:
-        likely = 0
-        warm = 0.0  # all at once to the cache: the loops below would ask for one after the other
-        for p in range(np.uint64(spans[i, BEGIN]), np.uint64(spans[i, BEGIN] + spans[i, COUNT])):
-            warm += segment[np.uint64(pool[p]), 0]
-        r[0] = warm
-        if segment[i, 2 * d + START] == now and not flags[MANY_BOXES]:  # most others started before: less to compute
-            for p in range(np.uint64(spans[i, BEGIN]), np.uint64(spans[i, BEGIN] + spans[i, COUNT])):
-                nearby[np.uint64(likely)] = pool[p]
-                likely += may_touch_from_now(axes, segment, np.uint64(i), np.uint64(pool[p]), now, h, length)
-        else:
-            for p in range(np.uint64(spans[i, BEGIN]), np.uint64(spans[i, BEGIN] + spans[i, COUNT])):
-                nearby[np.uint64(likely)] = pool[p]
-                likely += flags[MANY_BOXES] | may_touch(axes, segment, np.uint64(i), np.uint64(pool[p]), now, h, length)
-        for p in range(likely):
-            j = np.int64(nearby[p])
-            t = touch_time(axes, segment, np.uint64(i), np.uint64(j), now, best, length, flags[MANY_BOXES], r, work.u)
-            if (
-                t != NEVER
-                and (t < best or partner == NO_EVENT or comes_before(i, j, i, partner, state))
-                and not (flags[ANY_SQUEEZED] and state[j, RAPID_EVENTS] >= SQUEEZED)
-                and not (
-                    segment[i, 2 * d + START] == segment[j, 2 * d + START]
-                    and state[i, LAST_PARTNER] == state[j, ID]
-                    and state[j, LAST_PARTNER] == state[i, ID]
-                    and is_nearest_image(d, r, length)
-                )
-            ):
-                best = t
-                partner = j
+        for k in range(d):
+            work.place[k] = segment[i, k] + segment[i, d + k] * (now - segment[i, 2 * d + START])
+        end = np.int64(spans[i, BEGIN] + spans[i, COUNT])
+        for first in range(np.int64(spans[i, BEGIN]), end, BITS):
+            likely = likely_partners(axes, segment, lists, i, first, min(end - first, BITS), work.place, now, h)
+            while likely != 0:
+                j = np.int64(pool[first + trailing_zeros(likely)])
+                likely &= likely - 1
+                prefetch(state, j)
+                t = touch_time(axes, segment, np.uint64(i), np.uint64(j), now, best, length, r, work.u)
+                if (
+                    t != NEVER
+                    and (t < best or partner == NO_EVENT or comes_before(i, j, i, partner, state))
+                    and not (work.any_squeezed[0] and state[j, RAPID_EVENTS] >= SQUEEZED)
+                    and not (
+                        segment[i, 2 * d + START] == segment[j, 2 * d + START]
+                        and state[i, LAST_PARTNER] == state[j, ID]
+                        and state[j, LAST_PARTNER] == state[i, ID]
+                        and is_nearest_image(d, r, length)
+                    )
+                ):
+                    best = t
+                    partner = j
         start, radius = segment[i, 2 * d + START], segment[i, 2 * d + RADIUS]
         if len(planes.point) and may_hit(axes, segment, segment, np.int64(d), start, i, radius, h, planes):
             t, wall = wall_contact(axes, segment, segment, np.int64(d), start, i, radius, state[i, LAST_PARTNER], h, planes)
@@ -156,7 +167,7 @@ def next_event(axes, rows, lists, planes, work, i, now, h):
 
 
 @lean_inner
-def note_contact(axes, rows, i, t, partner, moment, quickly, crowded, flags):
+def note_contact(axes, rows, i, t, partner, moment, quickly, crowded, any_squeezed):
     """Row i is about to begin a new segment at time t: change its state. Rows of a crowd wait as squeezed ones do."""
     state, reals = rows.state, rows.reals
     if t != rows.segment[i, 2 * len(axes) + START]:
@@ -166,7 +177,7 @@ def note_contact(axes, rows, i, t, partner, moment, quickly, crowded, flags):
     state[i, RAPID_EVENTS] += abs(moment + t - reals[i, LAST_CONTACT]) <= quickly
     if state[i, RAPID_EVENTS] % ZERO_TIME_EVENT >= crowded and state[i, RAPID_EVENTS] < SQUEEZED:
         state[i, RAPID_EVENTS] += SQUEEZED
-    flags[ANY_SQUEEZED] |= state[i, RAPID_EVENTS] >= SQUEEZED
+    any_squeezed[0] |= state[i, RAPID_EVENTS] >= SQUEEZED
     state[i, LAST_PARTNER] = partner
     state[i, EVENT_COUNT] += 1
     reals[i, LAST_CONTACT] = moment + t
@@ -183,7 +194,7 @@ def note_tc_elastic(work, t, one, other):
 
 @lean_inner
 def prefetch_next(rows, lists, queue):
-    """What the next events will need comes to the cache while this one is worked on: rows, then lists, then neighbours."""
+    """A bucket is over: what the next events need comes to the cache while others are worked on; rows, lists, then neighbours."""
     segment, state, reference, spans, pool = rows.segment, rows.state, lists.reference, lists.spans, lists.pool
     node, first, present = queue.node, queue.first, queue.present
     last = len(first) - 1
@@ -196,7 +207,6 @@ def prefetch_next(rows, lists, queue):
         prefetch(reference, i)
     i = np.int64(first[min(present[0] + SOON, last)])
     if i >= 0:
-        prefetch(pool, spans[i, BEGIN])
         prefetch(node, node[i, NEXT])
         j = np.int64(node[i, PARTNER])
         if j >= 0:
@@ -233,11 +243,11 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
     """
     rows, lists, queue, work, log = Rows(*rows), Lists(*lists), Queue(*queue), Work(*work), Log(*log)
     segment, state, reals, reference = rows.segment, rows.state, rows.reals, lists.reference
-    low, _, length = lists.box
+    _, _, length = lists.box
     (restitution, velocity_factor), contact_duration, crowded, planes, rates = rules
     planes = Planes(*planes)
     h, moment, now, until, ahead = interval
-    stale, counts, flags, progress, node, times = work.stale, work.counts, work.flags, work.progress, queue.node, queue.times
+    stale, counts, progress, node, times = work.stale, work.counts, work.progress, queue.node, queue.times
     d = len(axes)
     logging = log.window[0] > 0
     events = 0
@@ -252,11 +262,13 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             if partner != NO_EVENT:
                 push(queue, state, i, t, partner, state[partner, EVENT_COUNT] if partner >= 0 else 0)
             continue
-        prefetch_next(rows, lists, queue)
         i = find_first(queue, state)
+        if i == EMPTY and advance(queue):
+            prefetch_next(rows, lists, queue)
+            continue
         if i == UNSORTED:
             return FULL_BUCKET
-        if i < 0 or times[i, TIME] >= until:
+        if i == EMPTY or times[i, TIME] >= until:
             return 0
         t = times[i, TIME]
         j = np.int64(node[i, PARTNER])
@@ -281,13 +293,12 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             lead = ahead * reference[i, d + SKIN] / sqrt(speed2) if speed2 > 0.0 else 0.0
             for k in range(d):
                 reference[i, k] = segment[i, k] + segment[i, d + k] * (now - segment[i, 2 * d + START] + lead)
-                flags[MANY_BOXES] |= length[k] > 0.0 and not -0.25 * length[k] < reference[i, k] - low[k] < 1.25 * length[k]
-            found = find_nearby(axes, lists, i, flags[MANY_BOXES])
-            short = shortage(lists, i, found)
+            found = find_nearby(axes, lists, i)
+            kept, new = compare(lists, i, found)
+            short = shortage(lists, i, kept, new)
             if short > 0:
                 return short
-            remove(axes, lists, i)
-            insert(axes, lists, i, found)
+            relist(axes, lists, i, kept, new)
             counts[EXPIRIES] += 1
             if logging and state[i, OWNERSHIP] >= OWN:
                 note_move(i, log)
@@ -295,7 +306,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             wall = -1 - j
             lossy = planes.restitution[wall] * planes.velocity_factor[wall] < 1.0
             elastic = lossy and abs(moment + t - reals[i, LAST_CONTACT]) < contact_duration
-            note_contact(axes, rows, i, t, j, moment, QUICK * h, crowded, flags)
+            note_contact(axes, rows, i, t, j, moment, QUICK * h, crowded, work.any_squeezed)
             move_to(axes, segment, i, t)
             own = state[i, OWNERSHIP] >= OWN
             e, factor = (1.0, 1.0) if elastic else (planes.restitution[wall], planes.velocity_factor[wall])
@@ -314,8 +325,8 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
                 i, j = j, i
             last_contact = max(reals[i, LAST_CONTACT], reals[j, LAST_CONTACT])
             elastic = restitution * velocity_factor < 1.0 and abs(moment + t - last_contact) < contact_duration
-            note_contact(axes, rows, i, t, state[j, ID], moment, QUICK * h, crowded, flags)
-            note_contact(axes, rows, j, t, state[i, ID], moment, QUICK * h, crowded, flags)
+            note_contact(axes, rows, i, t, state[j, ID], moment, QUICK * h, crowded, work.any_squeezed)
+            note_contact(axes, rows, j, t, state[i, ID], moment, QUICK * h, crowded, work.any_squeezed)
             own = state[i, OWNERSHIP] >= OWN
             e, factor = (1.0, 1.0) if elastic else (restitution, velocity_factor)
             reals[i, VIRIAL] += collide(axes, segment, reference, i, j, t, e, factor, length, rates, work.r)

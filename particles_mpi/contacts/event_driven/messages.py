@@ -44,9 +44,10 @@ from particles_mpi.neighbours.verlet_kernels import (
     SIZE,
     SKIN,
     Lists,
+    compare,
     find_nearby,
-    insert,
     level_of,
+    relist,
     remove,
     shortage,
 )
@@ -281,8 +282,9 @@ def apply_moves(rows, lists, queue, directory, regions, message, at, skin, stale
                 if fresh:
                     reference[i, d + SKIN] = skin if reference[i, d + INVERSE_MASS] > 0.0 else 0.0
                     reference[i, d + SIZE] = segment[i, 2 * d + RADIUS] + reference[i, d + SKIN]
-                found = find_nearby(length, lists, i, np.bool_(True))
-                short = shortage(lists, i, found)
+                found = find_nearby(length, lists, i)
+                kept, new = compare(lists, i, found)
+                short = shortage(lists, i, kept, new)
                 if short > 0:
                     for k in range(d + INVERSE_MASS + 1):
                         reference[i, k] = before[k]
@@ -298,9 +300,7 @@ def apply_moves(rows, lists, queue, directory, regions, message, at, skin, stale
                     if len(rows.drag) > 0:
                         rows.drag[i] = numbers[begin + d + extra - 1]
                     lists.level[i] = level_of(reference[i, d + SIZE], lists)
-                else:
-                    remove(length, lists, i)
-                insert(length, lists, i, found)
+                relist(length, lists, i, kept, new)
                 stale[pending[0]] = i
                 pending[0] += 1
             if kind == TRANSFER:

@@ -13,84 +13,50 @@ import numpy as np
 
 from particles_mpi.contacts.event_driven.rows import RADIUS, START
 from particles_mpi.contacts.law import exchange, may_come_near
-from particles_mpi.kernels.geometry import image_shift
-from particles_mpi.kernels.jit import inner, lean_inner
+from particles_mpi.kernels.geometry import image_shift, some_nearest
+from particles_mpi.kernels.jit import inner, lean_inner, screening
 from particles_mpi.kernels.markers import NEVER
 from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS
 
 
-@inner(inline="always")
-def distance_along(segment, d, i, j, k, start, now, length, far):
-    """Component k of x_i - x_j at `start`, for the periodic images of the two that are nearest at time `now`.
+@screening
+def may_touch(axes, segment, i, j, place, now, until, length, boxes_per_length):
+    """False for most: rows that move apart from now on, or are clear of each other until then (by margins above round-off).
 
-    `far`: they may be many boxes apart; else at most one box lies between them. Conditional expressions do not branch.
+    `place` (d,): where row i is now.
     """
-    r = (segment[i, k] + segment[i, d + k] * (start - segment[i, 2 * d + START])) - (
-        segment[j, k] + segment[j, d + k] * (start - segment[j, 2 * d + START])
-    )
-    at = r + (segment[i, d + k] - segment[j, d + k]) * (now - start)
-    if far:
-        return r - image_shift(at, length[k])
-    return r - (length[k] if at > 0.5 * length[k] else (-length[k] if at < -0.5 * length[k] else 0.0))
-
-
-@inner(inline="always")
-def later_start(segment, d, i, j):
-    """When the later of two segments starts."""
-    return segment[i, 2 * d + START] if segment[i, 2 * d + START] >= segment[j, 2 * d + START] else segment[j, 2 * d + START]
-
-
-@inner(inline="always")
-def may_touch(axes, segment, i, j, now, until, length):
-    """False for most: rows that move apart, or are clear of each other until then (by margins above round-off)."""
-    d = len(axes)
-    start = later_start(segment, d, i, j)
-    a = 0.0
-    b = 0.0
-    r2 = 0.0
-    for k in range(d):
-        r = distance_along(segment, d, i, j, k, start, now, length, False)
-        u = segment[i, d + k] - segment[j, d + k]
-        a += u * u
-        b += r * u
-        r2 += r * r
-    diameter = segment[i, 2 * d + RADIUS] + segment[j, 2 * d + RADIUS]
-    return may_come_near(a, b, r2, diameter, until - start)
-
-
-@inner(inline="always")
-def may_touch_from_now(axes, segment, i, j, now, until, length):
-    """`may_touch` for a row i whose segment begins now: there is less to compute."""
     d = len(axes)
     a = 0.0
     b = 0.0
     r2 = 0.0
     for k in range(d):
-        r = segment[i, k] - (segment[j, k] + segment[j, d + k] * (now - segment[j, 2 * d + START]))
-        r -= length[k] * (np.float64(r > 0.5 * length[k]) - np.float64(r < -0.5 * length[k]))
+        r = place[k] - (segment[j, k] + segment[j, d + k] * (now - segment[j, 2 * d + START]))
+        r = some_nearest(r, length[k], boxes_per_length[k])
         u = segment[i, d + k] - segment[j, d + k]
         a += u * u
         b += r * u
         r2 += r * r
-    diameter = segment[i, 2 * d + RADIUS] + segment[j, 2 * d + RADIUS]
-    return may_come_near(a, b, r2, diameter, until - now)
+    return may_come_near(a, b, r2, segment[i, 2 * d + RADIUS] + segment[j, 2 * d + RADIUS], until - now)
 
 
 @inner(inline="always")
-def touch_time(axes, segment, i, j, now, h, length, far, r, u):
+def touch_time(axes, segment, i, j, now, h, length, r, u):
     """Time at which the segments of i and j first touch, up to h, or NEVER: the root of `law.contact_time`.
 
     `now`, at or after both starts, only tells which periodic images are meant; r, u (d,) are scratch, and r is x_i - x_j then.
     """
     d = len(axes)
-    start = later_start(segment, d, i, j)
+    start = max(segment[i, 2 * d + START], segment[j, 2 * d + START])
     a = 0.0
     b = 0.0
     r2 = 0.0
     own = 0.0
     for k in range(d):
-        r[k] = distance_along(segment, d, i, j, k, start, now, length, far)
         u[k] = segment[i, d + k] - segment[j, d + k]
+        r[k] = (segment[i, k] + segment[i, d + k] * (start - segment[i, 2 * d + START])) - (
+            segment[j, k] + segment[j, d + k] * (start - segment[j, 2 * d + START])
+        )
+        r[k] -= image_shift(r[k] + u[k] * (now - start), length[k])
         a += u[k] * u[k]
         b += r[k] * u[k]
         r2 += r[k] * r[k]

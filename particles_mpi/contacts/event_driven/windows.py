@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from particles_mpi.contacts.event_driven.engine import MOST_EXPIRIES, Engine
-from particles_mpi.contacts.event_driven.event_loop import ANY_SQUEEZED, COLLISIONS, WALL_HITS
+from particles_mpi.contacts.event_driven.event_loop import COLLISIONS, WALL_HITS
 from particles_mpi.contacts.event_driven.id_table import rows_of_ids, table_of
 from particles_mpi.contacts.event_driven.messages import (
     HOLDER,
@@ -109,7 +109,7 @@ class Windows:
             self.send_motion()
         with self.timers("search"):
             engine.begin(h)
-            engine.work.flags[ANY_SQUEEZED] = True  # a squeezed ghost may come by message
+            engine.work.any_squeezed[0] = True  # a squeezed ghost may come by message
         begin = end = 0.0
         tries = self.transferred = 0
         while begin < h:

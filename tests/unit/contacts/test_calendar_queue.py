@@ -32,11 +32,12 @@ def queue_of(times, partners, ids):
 
 
 def first_of(queue, state):
-    """As in the event loop: a full bucket is sorted first."""
-    i = calendar_queue.find_first(queue, state)
-    if i == UNSORTED:
-        calendar_queue.sort_present(tuple(queue), state)
-        i = calendar_queue.find_first(queue, state)
+    """As in the event loop: empty buckets are passed over, and a full one is sorted."""
+    while (i := calendar_queue.find_first(queue, state)) < 0:
+        if i == UNSORTED:
+            calendar_queue.sort_present(tuple(queue), state)
+        elif not calendar_queue.advance(queue):
+            break
     return i
 
 

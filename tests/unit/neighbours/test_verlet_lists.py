@@ -1,0 +1,53 @@
+"""Neighbour lists whose rows move one at a time hold, after every move, the pairs that are near, and no others."""
+
+import numpy as np
+import pytest
+
+from particles_mpi.kernels.geometry import Box, image_shifts
+from particles_mpi.neighbours.verlet_kernels import BEGIN, BLOCK, COUNT, PLACES, SIZE, list_rows
+from particles_mpi.neighbours.verlet_lists import VerletLists
+
+
+def listed(lists, n):
+    """The set of rows in the list of each row."""
+    arrays = lists.arrays
+    begins, counts = arrays.spans[:n, BEGIN], arrays.spans[:n, COUNT]
+    rows = [arrays.pool[b : b + c].tolist() for b, c in zip(begins, counts, strict=True)]
+    assert all(len(row) == len(set(row)) for row in rows)
+    return [set(row) for row in rows]
+
+
+def near(lists, n, d, length):
+    """The same by all pairs of reference positions."""
+    reference = lists.arrays.reference[:n]
+    r = reference[:, None, :d] - reference[None, :, :d]
+    r -= image_shifts(r, length)
+    reach = reference[:, None, d + SIZE] + reference[None, :, d + SIZE]
+    return [set(np.flatnonzero(row).tolist()) for row in ((r**2).sum(axis=2) <= reach**2) & ~np.eye(n, dtype=bool)]
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+@pytest.mark.parametrize("periodic", [False, True])
+def test_lists_follow_every_move(d, periodic):
+    random = np.random.default_rng(d)
+    n, side = 150, {1: 60.0, 2: 12.0, 3: 7.0}[d]
+    length = np.full(d, side if periodic else 0.0)
+    radius = np.where(np.arange(n) == 3, 0.3 * side, 0.3)  # one is large: its list does not fit into its block
+    lists = VerletLists(Box(np.zeros(d), np.full(d, side), length))
+    lists.width = 0.2
+    x = random.uniform(0.0, side, (n, d))
+    x[3] = 0.5 * side
+    lists.build(x, radius, np.ones(n))
+    assert lists.arrays.spans[3, COUNT] > BLOCK - PLACES
+    for move in range(60):
+        i = int(random.integers(n)) if move % 10 else 3
+        far = random.integers(-2, 3, d) * length  # in whole boxes, which changes nothing
+        x = lists.arrays.reference[: i + 1, :d].copy()
+        x[i] += random.uniform(-0.5, 0.5, d) + far
+        row = i
+        while row == i:
+            row, short = list_rows((0,) * d, tuple(lists.arrays), x, i)
+            lists.enlarge(short)
+        if move == 30:
+            lists.grow()
+        assert listed(lists, n) == near(lists, n, d, length)
