@@ -72,7 +72,7 @@ def run(scene, ranks):
 
 
 COLLIDING = {"collisions": {"restitution": 1.0}, "walls": {"restitution": 1.0}}
-FALLING = {"uniform_gravity": {"acceleration": [0.0, 0.0, -9.80665]}, "walls": {"restitution": 0.9}}
+FALLING = {"uniform_gravity": {"acceleration": [0.0, 0.0, -9.80665]}}
 
 
 def headline():
@@ -93,7 +93,11 @@ def ranks():
 
 def walls():
     """gravity and walls, no pairs, ns a particle-step on one core"""
-    return {f"N = {n}": lambda n=n: steps_of(gas(n, FALLING, step=0.002), 1, 10, 15_000_000 // n) for n in (32_000, 1_000_000)}
+
+    def once(n, e):
+        return steps_of(gas(n, FALLING | {"walls": {"restitution": e}}, step=0.002), 1, 10, 15_000_000 // n)
+
+    return {f"N = {n}, e = {e}": lambda n=n, e=e: once(n, e) for n in (32_000, 1_000_000) for e in (1.0, 0.9)}
 
 
 def bed(n=10_000, side=3.16):
