@@ -211,6 +211,9 @@ def test_particles_that_come_and_go_have_trails(opened, tmp_path):
     page.keyboard.press("End")
     assert page.locator("#number").inner_text() == "frame 6 · 2 particles"
     with_trails = coloured(drawn(page)).sum()
+    page.locator("#dark").click()
+    assert drawn(page).min(axis=2).max() < 0.99  # what is half transparent is mixed with the ground, not with the page behind it
+    page.locator("#dark").click()
     page.locator("#trails").click()
     assert with_trails > coloured(drawn(page)).sum() + 100
     assert page.evaluate("trailLines().map(([path]) => path.length).sort().join()") == "3,4,7"
