@@ -77,7 +77,7 @@ void main() { color = ink; }`;
 
 class Spheres {
   constructor(canvas) {
-    const gl = this.gl = canvas.getContext("webgl2", {antialias: true, preserveDrawingBuffer: true});
+    const gl = this.gl = canvas.getContext("webgl2", {alpha: false, antialias: true, preserveDrawingBuffer: true});
     if (!gl) throw new Error("this browser shows no WebGL 2, which draws the spheres");
     this.canvas = canvas;
     this.balls = this.program(SPHERE_VERTEX, SPHERE_FRAGMENT);
@@ -193,7 +193,7 @@ class Camera {
   // Sees all of a box of these lengths around the origin; aspect: width of the picture over its height.
   reset([wide, high], aspect) {
     this.target = [0, 0, 0];
-    this.distance = this.flat ? 0.56 * Math.max(high, wide / aspect) : 1.72 * this.size * Math.max(1, 1 / aspect);
+    this.distance = this.flat ? 0.6 * Math.max(high, wide / aspect) : 1.72 * this.size * Math.max(1, 1 / aspect);
     this.azimuth = -Math.PI / 3;
     this.elevation = Math.PI / 9;
   }

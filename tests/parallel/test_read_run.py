@@ -86,3 +86,9 @@ def test_view_writes_one_page_on_any_number_of_ranks(tmp_path):
     assert len(pages) == 1
     done = run_ranks(2, "-m", "particles_mpi", "view", tmp_path, "--no-open", fresh=True)
     assert done.returncode == 2 and done.stderr.splitlines()[-1].endswith(f"{tmp_path}: holds no run")
+
+
+def test_what_a_notebook_gets_has_the_same_bits_on_any_number_of_ranks():
+    done = [run_ranks(ranks, ROOT / "tests" / "parallel" / "view_frames.py") for ranks in (1, 2, 3)]
+    assert all(one.returncode == 0 for one in done), done[-1].stderr
+    assert len({one.stdout for one in done}) == 1 and done[0].stdout.startswith("5 ")

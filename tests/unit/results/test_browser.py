@@ -31,6 +31,13 @@ def opened(browser):
     assert not said
 
 
+LEAST_ALPHA = """() => {
+  const {gl} = spheres, {width, height} = canvas, pixels = new Uint8Array(4 * width * height);
+  gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+  return pixels.reduce((least, value, k) => k % 4 === 3 ? Math.min(least, value) : least, 255);
+}"""
+
+
 def ran(folder, **scene):
     Simulation(Scene(**scene)).run(folder)
     return folder
@@ -211,6 +218,7 @@ def test_particles_that_come_and_go_have_trails(opened, tmp_path):
     page.keyboard.press("End")
     assert page.locator("#number").inner_text() == "frame 6 · 2 particles"
     with_trails = coloured(drawn(page)).sum()
+    assert page.evaluate(LEAST_ALPHA) == 255  # what is half transparent is mixed with the ground, not with the page behind it
     page.locator("#trails").click()
     assert with_trails > coloured(drawn(page)).sum() + 100
     assert page.evaluate("trailLines().map(([path]) => path.length).sort().join()") == "3,4,7"
