@@ -82,7 +82,7 @@ def run(
         return
     notes = [line for line in (note, f"goes on from step {sim.steps_done}" if resume else "") if line]
     how: dict[str, Any] = {"quiet": quiet, "overwrite": overwrite, "steps": steps, "wall_time": limit, "setup_began": STARTED}
-    Job(sim, folder, resumed=resume is not None, notes=notes, **how).run()
+    Job(sim, folder, resumed=resume is not None, notes=notes, scene_file=scene, **how).run()
 
 
 @app.command()

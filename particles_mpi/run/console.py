@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable
 from math import isfinite
+from time import perf_counter
 from typing import Any
 
 from rich.console import Console
@@ -11,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Column, Table
 
 from particles_mpi.run.forecast import Forecast
+from particles_mpi.scene.plan import duration
 
 PHASES = {
     "steps": "many steps in one loop",
@@ -33,9 +35,21 @@ PHASES = {
     "other": "everything else",
 }
 
+LOG_AFTER, LOG_RARER = 10.0, 1.5  # seconds until the first line of progress in a log, and factor to the next
 LEAST = 0.05  # of a step: phases that take less are not named in a forecast
 COMPILING = 20  # seconds to compile the kernels of one dimension that a scene uses
 WIDE = 200  # columns of a table that is not shown on a terminal
+
+
+def state_of(row: dict[str, Any]) -> str:
+    """A row of diagnostics in a few words; N, the energy and what happened so far. "" for none."""
+    if not row:
+        return ""
+    name, column = (
+        ("E", "total_energy") if isfinite(row["total_energy"]) else ("K", "kinetic")
+    )  # no potential along a periodic axis
+    hits, missed = row["collisions_so_far"], row["missed_so_far"]
+    return f"t={row['time']:.4g} N={row['particles']} {name}={row[column]:.5g} hits={hits} missed={missed}"
 
 
 def watched() -> bool:
@@ -118,17 +132,21 @@ class Screen:
             self.say(f"  of a step: {', '.join(f'{PHASES.get(name, name)} {share:.0%}' for share, name in shares)}")
 
     def start(self, done: int, steps: int) -> Callable[[int, dict[str, Any]], None]:
-        """Begin the progress bar; returns a function to be called with (steps done, last row of diagnostics)."""
-        bar = self._progress("steps", steps, done)
+        """Begin to show progress; returns a function to be called with (steps done, last row of diagnostics).
+
+        On a terminal that is one line; elsewhere a line now and then, ever more rarely, so that a log stays short.
+        """
+        bar, began, due = self._progress("steps", steps, done), perf_counter(), LOG_AFTER
 
         def update(step: int, row: dict[str, Any]) -> None:
-            if bar.disable:
-                return
-            speed, state = bar.tasks[0].speed, ""
-            if row:  # a force along a periodic axis has no potential
-                name, column = ("E", "total_energy") if isfinite(row["total_energy"]) else ("kinetic E", "kinetic")
-                state = f"{name} {row[column]:.6g}  collisions {row['collisions_so_far']}"
-            bar.update(bar.tasks[0].id, completed=step, rate=f"{speed:.0f} steps/s" if speed else "", state=state)
+            nonlocal due
+            if not bar.disable:
+                speed = bar.tasks[0].speed
+                bar.update(bar.tasks[0].id, completed=step, rate=f"{speed:.0f} steps/s" if speed else "", state=state_of(row))
+            elif self.loud and (passed := perf_counter() - began) > due and done < step < steps:
+                due = LOG_RARER * passed
+                rate = (step - done) / passed
+                self.say(f"step {step} of {steps}, {rate:.3g} steps/s, {duration((steps - step) / rate)} left: {state_of(row)}")
 
         return update
 
@@ -140,7 +158,7 @@ class Screen:
     def _progress(self, what: str, total: int, done: int) -> Progress:
         """A progress bar, which is shown only on a terminal."""
         rate, state = (TextColumn(f"{{task.fields[{name}]}}") for name in ("rate", "state"))
-        columns = MofNCompleteColumn(), BarColumn(), rate, TimeRemainingColumn(), state
+        columns = MofNCompleteColumn(), BarColumn(bar_width=8), rate, TimeRemainingColumn(compact=True), state
         self.progress = Progress(*columns, console=self.console, disable=not (self.loud and self.console.is_terminal))
         self.progress.add_task(what, total=total, completed=done, rate="", state="")
         self.progress.start()

@@ -30,6 +30,7 @@ from particles_mpi.scene.plan import plan
 MOST_VTK = 1_000_000  # particles of which there are VTK files without being asked for: slower and larger than HDF5
 SHOW_EVERY = 10  # steps between two moves of the progress bar
 SAFETY = 1.5  # times the slowest checkpoint: how long before the limit of its time a run stops
+PROGRAM = "./run.sh" if Path("run.sh").is_file() else "particles-mpi"  # as a user would start it here
 LIBRARIES = ("numpy", "numba", "mpi4py", "h5py", "meshio", "particles-mpi")
 
 
@@ -37,7 +38,7 @@ class Job:
     """Runs a simulation into a folder. Collective throughout.
 
     A `rehearsal` says nothing, and ends as soon as rank 0 has a `forecast` of how long the run would take. `notes` are lines to
-    be shown below the plan.
+    be shown below the plan; `scene_file`: where the scene is from, for the command that goes on with a run that was stopped.
     """
 
     def __init__(
@@ -53,6 +54,7 @@ class Job:
         setup_began: float | None = None,
         rehearsal: bool = False,
         notes: Sequence[str] = (),
+        scene_file: Path | None = None,
     ):
         self.sim, self.folder, self.resumed = sim, folder, resumed
         self.scene, self.ranks = sim.scene, sim.ranks
@@ -61,7 +63,7 @@ class Job:
         options = {"output": str(folder), "steps": self.last, "overwrite": overwrite, "resume": resumed, "wall-time": wall_time}
         same_on_all(self.ranks, {f"--{name}": value for name, value in options.items()})
         self.since = np.array(sim.reported, np.int64)
-        self.rehearsal, self.notes = rehearsal, notes
+        self.rehearsal, self.notes, self.scene_file = rehearsal, notes, scene_file
         self.forecast: Forecast | None = None
         self.screen = Screen(self.ranks.is_root, quiet or rehearsal)
         output = self.scene.output
@@ -159,9 +161,11 @@ class Job:
             self.screen.stop()
             self.request.close()
         if stopped:
-            raise Interrupted(
-                f"stopped at step {sim.steps_done} of {self.last}; continue with --resume {self.folder / 'checkpoint.h5'}"
+            saved = (
+                f"stopped at step {sim.steps_done} of {self.last}, saved; continue with --resume {self.folder / 'checkpoint.h5'}"
             )
+            command = f", as {PROGRAM} run {self.scene_file} --output {self.folder} --resume auto" if self.scene_file else ""
+            raise Interrupted(saved + command)
 
     def foretell(self, forecast: Forecast) -> None:
         """Say how long the run takes, and say it again where it turns out otherwise."""
@@ -189,7 +193,7 @@ class Job:
             self.since = totals
             self.diagnostics.write(row)
             self.written["row"] = sim.steps_done
-        return {**row, "collisions_so_far": int(totals[0])}
+        return {**row, "collisions_so_far": int(totals[0]), "missed_so_far": int(totals[COUNTS.index("missed")])}
 
     def write_frame(self) -> None:
         """One frame in every format."""
@@ -238,7 +242,7 @@ class Job:
             say(f"ParaView: paraview {f}/view_paraview.py")
         if "vtk" in self.scene.output.formats:
             say(f"VisIt: {f}/vtk/particles_*.vtu database")
-        say(f"view: {'./run.sh' if Path('run.sh').is_file() else 'particles-mpi'} view {f}")
+        say(f"view: {PROGRAM} view {f}")
         say(f"plots: python python_viz/plot_frame.py {f}   (and plot_diagnostics.py, plot_phases.py, animate.py)")
 
     def traffic(self) -> dict[str, int]:
