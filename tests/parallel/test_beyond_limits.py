@@ -30,8 +30,8 @@ mode = "{mode}"
         (2, "setup", 29, "rewind", 2, "more than 29 particles on a rank: use more ranks"),
         (2, "setup", 31, "rewind", 3, "spheres, or cells for them, on one rank, more than 31: use more ranks"),
         (2, "steps", 40, "rewind", 3, "particles and ghosts on one rank, more than 40: use more ranks"),
-        (1, "steps", 1500, "event", 3, "1504 places in lists of neighbours on one rank, more than 1500: use more ranks"),
-        (2, "steps", 1500, "event", 3, "1504 places in lists of neighbours on one rank, more than 1500: use more ranks"),
+        (1, "steps", 1500, "event", 3, "2224 places in lists of neighbours on one rank, more than 1500: use more ranks"),
+        (2, "steps", 1500, "event", 3, "2224 places in lists of neighbours on one rank, more than 1500: use more ranks"),
         (2, "steps", 59, "event", 3, "60 rows of all ranks on one rank, more than 59: use more ranks"),
     ],
 )
