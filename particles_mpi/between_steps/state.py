@@ -77,7 +77,7 @@ class State:
         self.active = effects = ActiveEffects(scene)
         effects.bind(self.context)
         walls = effects.walls.planes if effects.walls else no_planes(scene.dimension)
-        self.watchdog = Watchdog(ranks, p.id, self.ids, (walls.point, walls.normal), self.lower, self.length)
+        self.watchdog = Watchdog(ranks, p.id, self.ids, walls, self.lower, self.length)
         self.rest = keeper_of_contacts(effects, self.context, scene.dimension)
         self.drift = Drift(p, self.context, effects, self.rest, self.sum_forces)
         if drift:

@@ -183,10 +183,9 @@ def kick_bodies(axes, bodies, forces, losses, part, h, drift):
 
 
 @lean_inner
-def invalid(bodies, space):
+def invalid(axes, bodies, space):
     """Would the watchdog stop the run here?"""
-    point, normal, _, _, _, _, _ = space.planes
-    numbers, astray, _ = find_invalid(bodies.x, bodies.v, bodies.fixed, point, normal, space.lower, space.length)
+    numbers, astray, _ = find_invalid(axes, bodies.x, bodies.v, bodies.fixed, space.planes, space.lower, space.length)
     return numbers >= 0 or astray >= 0
 
 
@@ -225,7 +224,7 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch):
                 known = not forces.attracts
             if scheme.taylor:
                 kick(bodies.v, rate, kicked)
-        if step >= watch and (step - watch) % WATCH_EVERY == 0 and invalid(bodies, space):
+        if step >= watch and (step - watch) % WATCH_EVERY == 0 and invalid(axes, bodies, space):
             return step, hits, sums, known
     return steps, hits, sums, known
 
@@ -255,6 +254,6 @@ def adaptive_steps(axes, bodies, flat, forces, space, tables, work, begun, need,
         if need == END:
             move(axes, bodies, space, 0.0, 0.0, 0.5 * h)
             done += 1
-            if done == steps or (done >= watch and (done - watch) % WATCH_EVERY == 0 and invalid(bodies, space)):
+            if done == steps or (done >= watch and (done - watch) % WATCH_EVERY == 0 and invalid(axes, bodies, space)):
                 return need, done, sums
     return need, done, sums

@@ -7,24 +7,29 @@ ROUND_OFF = 1e-9  # relative distance beyond a wall that counts as rounding
 
 
 @lean
-def find_invalid(x, v, fixed, point, normal, lower, length):
-    """(first row that is not finite, first row beyond a wall or outside the periodic box, which wall); -1 for none of them."""
+def find_invalid(axes, x, v, fixed, planes, lower, length):
+    """(first row that is not finite, first row beyond a wall or outside the periodic box, which wall); -1 for none of them.
+
+    planes: `contacts.walls.Planes` as a plain tuple; lower, length: of the box.
+    """
+    point, normal, _, _, lowest, highest, oblique = planes
     numbers, astray, at = -1, -1, -1
     for i in range(len(x)):
-        sums, size = 0.0, 0.0
-        for k in range(x.shape[1]):
+        sums, size, between = 0.0, 0.0, not oblique
+        for k in range(len(axes)):
             sums += x[i, k] * 0.0 + v[i, k] * 0.0
             size += abs(x[i, k])
+            between &= (x[i, k] >= lowest[k]) & (x[i, k] <= highest[k])
             beyond = x[i, k] < lower[k] or x[i, k] > lower[k] + length[k]
             if length[k] > 0.0 and beyond and astray < 0:
                 astray = i
         if sums != 0.0 and numbers < 0:
             numbers = i
-        if fixed[i] or astray >= 0:
+        if between or fixed[i] or astray >= 0:
             continue
         for w in range(len(point)):
             distance, scale = 0.0, size
-            for k in range(x.shape[1]):
+            for k in range(len(axes)):
                 distance += (x[i, k] - point[w, k]) * normal[w, k]
                 scale += abs(point[w, k])
             if distance < -ROUND_OFF * scale and astray < 0:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from particles_mpi.contacts.walls import Planes
 from particles_mpi.errors import StateError
 from particles_mpi.kernels.validity import find_invalid
 from particles_mpi.parallel.agreement import require_finite
@@ -15,15 +16,16 @@ NAMED = 10  # ids that a message lists
 class Watchdog:
     """Remembers which particles there are, and knows the walls and the periodic box. Both methods are collective."""
 
-    def __init__(self, ranks: Communicator, ids: Array, span: IdRange, planes: tuple[Array, Array], lower: Array, length: Array):
-        """`ids` (n,): of this rank's particles; `span`: range of all ids; `planes`: point and normal (w, d) of the walls."""
-        self.ranks, self.span, self.planes = ranks, span, planes
+    def __init__(self, ranks: Communicator, ids: Array, span: IdRange, planes: Planes, lower: Array, length: Array):
+        """`ids` (n,): of this rank's particles; `span`: range of all ids; `planes`: the walls."""
+        self.ranks, self.span, self.planes = ranks, span, tuple(planes)
         self.lower, self.length = lower, length
         self.id_checksum = ranks.allreduce_sum(id_checksum(ids))
 
     def look(self, p: Particles, step: int) -> None:
         """Raise a StateError on all ranks, which names ids, step and rank, if something is wrong."""
-        numbers, astray, wall = find_invalid(p.position, p.velocity, p.fixed, *self.planes, self.lower, self.length)
+        axes = (0,) * p.dimension
+        numbers, astray, wall = find_invalid(axes, p.position, p.velocity, p.fixed, self.planes, self.lower, self.length)
         sums = self.ranks.allreduce_sum(np.array([*id_checksum(p.id), numbers >= 0, astray >= 0]))
         checksum, (not_finite, outside) = sums[:3], sums[3:]
         if (checksum != self.id_checksum).any():
