@@ -290,8 +290,8 @@ def to_go_on(folder: Path, ranks: Communicator, scene: dict[str, Any]) -> Path |
     return ranks.bcast(found)
 
 
-def claim(folder: Path, ranks: Communicator, scene: dict[str, Any], resumed: bool, overwrite: bool) -> bool:
-    """Take the folder for a run of this scene; True if a resumed run continues there, where its checkpoint is. Collective.
+def claim(folder: Path, ranks: Communicator, about: dict[str, Any], resumed: bool, overwrite: bool) -> bool:
+    """Take the folder for a run of about["scene"]; True if a resumed run continues there, where its checkpoint is. Collective.
 
     Otherwise files of an earlier run are a SceneError, or are deleted with `overwrite`.
     """
@@ -299,7 +299,7 @@ def claim(folder: Path, ranks: Communicator, scene: dict[str, Any], resumed: boo
     with failing_together(ranks, f"cannot use {folder}"):
         if ranks.is_root:
             held = [name for name in OURS if (folder / name).exists()]
-            continues = resumed and _is_of(folder / "checkpoint.h5", scene)
+            continues = resumed and _is_of(folder / "checkpoint.h5", about["scene"])
             if held and not continues and not overwrite:
                 what = "another run than the one to be resumed" if resumed else "a run"
                 way = "--overwrite to replace it, or another folder" if resumed else "--overwrite or --resume"
@@ -312,7 +312,7 @@ def claim(folder: Path, ranks: Communicator, scene: dict[str, Any], resumed: boo
                 shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
             if not continues:
                 with replacing(told) as part:
-                    part.write_text(json.dumps({"scene": scene}, indent=2) + "\n")
+                    part.write_text(json.dumps(about, indent=2) + "\n")
     return bool(ranks.bcast(continues))
 
 

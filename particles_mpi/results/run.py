@@ -75,7 +75,7 @@ class Run:
 
     @property
     def about(self) -> dict[str, Any]:
-        """The content of run.json: the scene and, once the run has ended, its plan, timers and counts; {} if there is none."""
+        """The content of run.json: scene and plan and, once the run has ended, its timers and counts; {} if there is none."""
         path = self.folder / "run.json"
         try:
             told: dict[str, Any] = json.loads(path.read_text()) if path.is_file() else {}

@@ -73,7 +73,8 @@ class Job:
         self.plan = plan(self.scene, sim.rows, sim.total, self.ranks.size)
         self.plan["fixed"] = int(self.ranks.allreduce_sum(self.plan["fixed"])[0])
         self.request = StopRequest(self.ranks, self.setup_began, wall_time)  # from here on a signal must not leave half a file
-        self.continues = checkpoint.claim(folder, self.ranks, self.scene.to_dict(), resumed, overwrite)
+        about = {"scene": self.scene.to_dict(), "plan": self.plan | {"not_run": [{"effect": n} for n in self.plan["not_run"]]}}
+        self.continues = checkpoint.claim(folder, self.ranks, about, resumed, overwrite)
         self.written = sim.written = sim.written if self.continues else {"row": -1, "frame": -1}
         self._open()
 
