@@ -163,6 +163,7 @@ def abort_all(error: BaseException, whole: bool = False) -> int:
             sleep(PATIENCE)  # the lowest rank ends all when it has printed its message
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # MPICH would add a line of its own
         comm.Abort(code)
+    comm.Barrier()  # the first rank that ends has the others killed: not before the message has been read
     return code
 
 
