@@ -15,6 +15,7 @@ from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.contacts.walls import no_planes
 from particles_mpi.kernels.geometry import Box, wrap
+from particles_mpi.kernels.jit import plain
 from particles_mpi.kernels.motion import free_drift
 from particles_mpi.particles import Array, Particles
 from particles_mpi.scene.active import ActiveEffects
@@ -81,9 +82,9 @@ class Drift:
         from particles_mpi.contacts.time_stepped.operator import Rewind
         from particles_mpi.neighbours.neighbour_list import Neighbourhood
 
-        walls = planes or no_planes(self.rows.dimension)
+        walls = plain(planes) if planes else None
         kicked = bool(self.effects.forces or self.effects.on_velocities or self.events)
-        self.near = Neighbourhood(self.rows, context.ranks, box, (walls.point, walls.normal), kicked, context.timers)
+        self.near = Neighbourhood(self.rows, context.ranks, box, walls, kicked, context.timers)
         self.operator = Rewind(self.near, loss, pairs.options.passes, planes, context.timers, exact)
 
     def advance(self, h: float, time: float, rates: Rates, contacts: bool = True, stop: bool = False) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from particles_mpi.contacts.persistent.detection import near_walls, near_walls_among
+from particles_mpi.contacts.persistent.detection import PRECISE, near_walls, near_walls_among
 from particles_mpi.contacts.persistent.on_walls import settle_on_walls
 from particles_mpi.contacts.persistent.rows import hand_over
 from particles_mpi.contacts.velocity_flow import Rates
@@ -67,8 +67,6 @@ class Rest(NamedTuple):
     point: Array  # of the walls that take energy
     normal: Array
     faces: tuple[Array, Array, bool]
-    length: Array
-    precise: float
     near: Array  # (n,): rows near walls
     pushed: Array  # (n,): rows that contacts push
     given: Array  # (n, d): velocities given to them
@@ -115,11 +113,12 @@ def sum_forces(axes, x, mass, fixed, forces, total):
 
 
 @kernel(_nrt=True)  # also where a @lean kernel calls it
-def keep_on_walls(axes, bodies, rest, h, near):
+def keep_on_walls(axes, bodies, space, h, near):
     """As `PersistentContacts.keep`, of rows of which the first `near` of `rest.near` are near walls; -1 if that is not known.
 
     Returns how many rows contacts push.
     """
+    rest = space.rest
     x, v, a, radius, supported = bodies.x, bodies.v, bodies.total, bodies.radius, rest.supported
     if near >= 0:
         rows = near_walls_among(rest.near[:near], x, v, a, radius, supported, h, rest.point, rest.normal)
@@ -128,7 +127,7 @@ def keep_on_walls(axes, bodies, rest, h, near):
     if len(rows) == 0:
         return 0
     fields, planes = (x, v, radius, bodies.mass, bodies.fixed, supported), (rest.point, rest.normal)
-    settled, held = settle_on_walls(rest.axes, rows, fields, a, h, rest.length, rest.faces, planes, rest.precise)
+    settled, held = settle_on_walls(rest.axes, rows, fields, a, h, space.length, rest.faces, planes, PRECISE)
     changed, by = hand_over(rows, settled, held, v, supported)
     for r in range(len(changed)):
         rest.pushed[r] = changed[r]
@@ -214,7 +213,7 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch):
             else:
                 kick_bodies(axes, bodies, forces, losses, part, kicked, drifted)
                 if space.rest.kept:
-                    pushed = keep_on_walls(axes, bodies, space.rest, h, near)
+                    pushed = keep_on_walls(axes, bodies, space, h, near)
             if drifted != 0.0:
                 if space.own_rates:
                     set_rates(axes, bodies, space, before, pushed, 0.5 * h)

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from particles_mpi.contacts.drift import Drift
-from particles_mpi.contacts.persistent.detection import PRECISE
 from particles_mpi.contacts.walls import no_planes
 from particles_mpi.integrators.collocation import END, STUCK, work_for
 from particles_mpi.integrators.compiled_steps import Bodies, Forces, Losses, Rest, Scheme, Space, adaptive_steps, fixed_steps
@@ -191,14 +190,14 @@ class ManySteps:
         """Contacts with walls that last, if there are any."""
         d, rest = p.dimension, self.rest
         n = len(p) if rest else 0
-        nobody, length = np.empty(n, np.int64), self.context.length
+        nobody = np.empty(n, np.int64)
         supported = p["supported"] if rest else np.empty(0, np.uint8)
         planes = no_planes(d)
         point, normal, faces = planes.point, planes.normal, (planes.lower, planes.upper, planes.oblique)
         if rest:
             point, normal, faces = rest.point, rest.normal, rest.faces
         room = nobody, nobody.copy(), np.empty((n, d)), nobody.copy()
-        return Rest(rest is not None, (0.0,) * d, supported, point, normal, faces, length, PRECISE, *room)
+        return Rest(rest is not None, (0.0,) * d, supported, point, normal, faces, *room)
 
     def losses_of(self, p: Particles, h: float) -> Losses:
         """What happens in the kicks of a step of length h besides forces."""

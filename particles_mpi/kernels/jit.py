@@ -30,10 +30,9 @@ kernel: Any = partial(njit, cache=True, no_cfunc_wrapper=True)
 lean: Any = kernel(_nrt=False)
 
 
+# Numba loads SciPy for this module at each start, which takes 0.1 s; only np.inner asks later whether it was there.
 BLAS = "scipy.linalg.cython_blas"
-if (
-    BLAS not in sys.modules
-):  # Numba loads SciPy for it at each start, which takes 0.1 s; only np.inner of kernels asks for it then
+if BLAS not in sys.modules:
     sys.modules[BLAS] = None  # type: ignore[assignment]
     import_module("numba.np.arraymath")
     del sys.modules[BLAS]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -53,7 +53,7 @@ class Candidates:
         v: Array,
         spheres: Spheres,
         length: Array,
-        planes: tuple[Array, Array],
+        planes: tuple[Any, ...] | None,
         horizon: Horizon,
         region: HaloRegion,
         expected: int,
@@ -124,9 +124,9 @@ class Candidates:
             self.reserve(found + found // 4)
         self.pair_count = found
         self.tests += tests if everything else ALONE * tests
-        if len(self.planes[0]):
+        if self.planes:
             self.wall_count = find_near_walls(
-                rows, self.paths.path, tuple(self.horizon), self.spheres.owned, *self.planes, marked,
+                rows, self.paths.path, tuple(self.horizon), self.spheres.owned, self.planes, marked,
                 self.wall_rows, self.wall_count,
             )  # fmt: skip
         marked[rows] = False
@@ -167,6 +167,5 @@ class Candidates:
 def touching(x: Array, radius: Array, w: Array, ids: Array, length: Array) -> tuple[Array, Array]:
     """(first, second): rows of all pairs of resting spheres that touch, each once, the lower id first, not both with w = 0."""
     n, d = x.shape
-    none = np.empty((0, d))
     spheres = Spheres(radius, w, ids, n)
-    return Candidates(x, np.zeros_like(x), spheres, length, (none, none), AT_REST, everywhere(d), EXPECTED * n).pairs
+    return Candidates(x, np.zeros_like(x), spheres, length, None, AT_REST, everywhere(d), EXPECTED * n).pairs

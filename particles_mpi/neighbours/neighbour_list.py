@@ -40,7 +40,7 @@ class Neighbourhood:
 
     `segments`, `spheres` and the arrays of `fields` hold the owned rows, then ghosts; x, v are those of `segments`, and `rows`
     are both as plain tuples, for kernels. `active`: rows with news in this pass. `candidates`: the pairs among all these that
-    can touch. `planes`: (point, normal) of the walls. `kicked`: do forces or dissipation change velocities? If not, ghosts fly
+    can touch. `planes`: a plain tuple, or None. `kicked`: do forces or dissipation change velocities? If not, ghosts fly
     on by themselves, and only contacts need a message.
     """
 
@@ -51,7 +51,7 @@ class Neighbourhood:
         particles: Particles,
         ranks: Communicator,
         box: Box,
-        planes: tuple[Array, Array],
+        planes: tuple[Any, ...] | None,
         kicked: bool,
         timers: Timers,
     ):

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.kernels.geometry import nearest
-from particles_mpi.kernels.jit import inner, kernel
+from particles_mpi.kernels.jit import kernel
 from particles_mpi.neighbours.rank_boxes import index_of, time_in_box, time_to_box
 from particles_mpi.particles import Array
 
@@ -205,35 +205,19 @@ def renew_paths(rows, segments, owned, paths, region, horizon, length, time, h):
     return needed, end
 
 
-@inner
-def innermost_faces(point, normal):
-    """(lower (d,), upper (d,), are there other planes too?): faces normal to axes, infinitely far where there are none."""
-    d = normal.shape[1]
-    lower, upper, oblique = np.full(d, -inf), np.full(d, inf), False
-    for m in range(len(point)):
-        along = False
-        for k in range(d):
-            if normal[m, k] == 1.0:
-                lower[k], along = max(lower[k], point[m, k]), True
-            elif normal[m, k] == -1.0:
-                upper[k], along = min(upper[k], point[m, k]), True
-        oblique |= not along
-    return lower, upper, oblique
-
-
 @kernel
-def find_near_walls(rows, path, horizon, owned, point, normal, marked, near, count):
+def find_near_walls(rows, path, horizon, owned, planes, marked, near, count):
     """Owned ones of `rows` that may touch a wall before the horizon; behind the first `count` of `near` that are not marked.
 
-    Returns the number then.
+    planes: `contacts.walls.Planes` as a plain tuple. Returns the number then.
     """
+    point, normal, _, _, lower, upper, oblique = planes
     d = normal.shape[1]
     until, tolerance, _, _ = horizon
     kept = 0
     for p in range(count):
         near[kept] = near[p]
         kept += not marked[near[p]]
-    lower, upper, oblique = innermost_faces(point, normal)
     for i in rows:
         if i >= owned:
             continue

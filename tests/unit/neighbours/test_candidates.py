@@ -59,9 +59,8 @@ def test_every_pair_whose_paths_come_near_is_listed_once(seed, d, n, periodic, g
     if periodic and 4.0 * (radius.max() + bound + half) > side:  # what the caller sees to
         assume(4.0 * radius.max() < side)
         end = bound = half = 0.0
-    none = np.empty((0, d))
     horizon = Horizon(end, half, bound, 0.0)
-    c = Candidates(x, v, Spheres(radius, w, ids, owned), length, (none, none), horizon, everywhere(d), 0)
+    c = Candidates(x, v, Spheres(radius, w, ids, owned), length, None, horizon, everywhere(d), 0)
 
     def check(x, v, start):
         near = closest(x, v, start, np.maximum(end, start[:, None]), length) <= (radius[:, None] + radius[None]) * (1.0 - 1e-12)
@@ -106,5 +105,7 @@ def test_only_rows_near_a_wall_are_listed(wall):
     v = np.array([[-1.0, 0.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
     point, normal = np.array([[0.0, 0.0], [10.0, 10.0]]), np.array([[1.0, 0.0], [-1.0, 0.0]])
     spheres, horizon = Spheres(np.full(4, 0.1), np.ones(4), np.arange(4), 4), Horizon(0.5, 0.01, 2.0, 0.0)
-    c = Candidates(x, v, spheres, np.zeros(2), (point[[wall]], normal[[wall]]), horizon, everywhere(2), 0)
+    lower, upper = np.array([[0.0, -np.inf], [-np.inf, -np.inf]]), np.array([[np.inf, np.inf], [10.0, np.inf]])
+    planes = (point[[wall]], normal[[wall]], np.ones(1), np.ones(1), lower[wall], upper[wall], False)
+    c = Candidates(x, v, spheres, np.zeros(2), planes, horizon, everywhere(2), 0)
     assert c.near_wall.tolist() == [[0], [2]][wall]
