@@ -17,12 +17,13 @@ Array = npt.NDArray[Any]
 class Column:
     """A per-particle quantity.
 
-    dtype: of numpy; vector: one component an axis; ghost: partners of a pair must know it; output: written to frames (state
+    dtype: of numpy; vector: one component an axis; rotation: one a plane of two axes, d(d-1)/2; ghost: partners of a pair must know it; output: written to frames (state
     that only a restart needs is not); default: the value where nothing gives one; least: the smallest value allowed.
     """
 
     dtype: str = "float64"
     vector: bool = False
+    rotation: bool = False
     ghost: bool = False
     output: bool = True
     default: float = 0.0
@@ -39,6 +40,8 @@ FIELDS = {
     "fixed": Column("uint8", ghost=True),
     "drag": Column(ghost=True, least=0.0),
     "acceleration": Column(vector=True),
+    "spin": Column(rotation=True, ghost=True),  # angular velocity, of rough spheres
+    "moment_of_inertia": Column(ghost=True, least=0.0),
     # when it last met anyone or a wall, in mode event; -inf: never
     "contacted": Column(ghost=True, output=False, default=-np.inf),
     "virial": Column(output=False),  # -r.dp of its collisions so far, told to the lower id; for the observables
@@ -50,7 +53,16 @@ FIELDS = {
 OWN = tuple(FIELDS)  # those of the program; effects from outside bring more
 USER = Column("", output=False)  # any other name: data of the user's, of any type and shape, that goes where its particle goes
 ALWAYS = ("id", "position", "velocity", "radius", "mass", "fixed")
-MEETING = ("position", "velocity", "radius", "mass", "fixed", "drag")  # fields that decide who meets whom, with what outcome
+MEETING = (
+    "position",
+    "velocity",
+    "radius",
+    "mass",
+    "fixed",
+    "drag",
+    "spin",
+    "moment_of_inertia",
+)  # fields that decide who meets whom, with what outcome
 
 
 class Particles:
@@ -90,14 +102,29 @@ class Particles:
         """New values (n, ...) of some fields. Fixed particles have no velocity: any that is given to them is taken away."""
         for name, value in values.items():
             self.arrays[name][...] = value
-        self.velocity[self.fixed != 0] = 0.0
+        self.hold_fixed()
         self.edition += 1
         self.version += not values.keys().isdisjoint(MEETING)
+
+    def hold_fixed(self) -> None:
+        """Fixed particles neither move nor turn."""
+        for name in ("velocity", "spin"):
+            if name in self.arrays:
+                self.arrays[name][self.fixed != 0] = 0.0
 
     @property
     def inverse_mass(self) -> Array:
         """1/m, and 0 for fixed particles, which nothing moves; shape (n,)."""
         return np.divide(1.0, self.mass, out=np.zeros(len(self)), where=(self.fixed == 0) & (self.mass > 0.0))
+
+    @property
+    def inverse_inertia(self) -> Array:
+        """1/I, and 0 for what nothing turns: fixed particles, and points; no row where spheres are smooth."""
+        moment = self.arrays.get("moment_of_inertia")
+        if moment is None:
+            return np.empty(0)
+        turns = (self.fixed == 0) & (self.mass > 0.0) & (moment > 0.0) & (self.radius > 0.0)
+        return np.divide(1.0, moment, out=np.zeros(len(self)), where=turns)
 
     def __repr__(self) -> str:
         return f"Particles({len(self)} rows in dimension {self.dimension}: {', '.join(self.arrays)})"
@@ -115,9 +142,22 @@ def field(name: str) -> Column:
     return FIELDS.get(name, USER)
 
 
+def components(column: Column, dimension: int) -> int:
+    """Components of a vector or rotation; 0 of a scalar."""
+    if column.rotation:
+        return dimension * (dimension - 1) // 2
+    return dimension if column.vector else 0
+
+
 def shape(name: str, rows: int, dimension: int) -> tuple[int, ...]:
     """Shape of a field's array."""
-    return (rows, dimension) if FIELDS[name].vector else (rows,)
+    width = components(FIELDS[name], dimension)
+    return (rows, width) if width else (rows,)
+
+
+def moment_of_sphere(mass: Array, radius: Array, dimension: int) -> Array:
+    """Moments of inertia (n,) of solid spheres, 2/5 m R^2, and of discs, 1/2 m R^2, in the plane."""
+    return np.asarray((0.5 if dimension == 2 else 0.4) * mass * radius**2)
 
 
 def default_values(name: str, rows: int, dimension: int) -> Array:

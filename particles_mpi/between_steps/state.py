@@ -19,7 +19,7 @@ from particles_mpi.measure.watchdog import Watchdog
 from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import id_range
-from particles_mpi.particles import OWN, Array, Particles, default_values
+from particles_mpi.particles import OWN, Array, Particles, default_values, moment_of_sphere
 from particles_mpi.scene.active import ActiveEffects, fields_of
 from particles_mpi.scene.effect import Context, Force
 from particles_mpi.scene.schema import Scene, periodic_length
@@ -55,7 +55,7 @@ class State:
         self.observed = [0.0, 0.0, 0.0]
         self.additions = 0  # populations added while it ran
         self.rows = rows
-        self.rows.velocity[self.rows.fixed != 0] = 0.0
+        self.rows.hold_fixed()
         self._particles = ParticleView(self.rows, self.check_values)
         self.next_id = max(next_id, int(ranks.allreduce_max(rows.id.max(initial=-1))[0]) + 1)
         d, box = scene.dimension, scene.box
@@ -73,6 +73,8 @@ class State:
         for name in fields_of(scene):
             if name not in p.arrays:
                 p.arrays[name] = default_values(name, len(p), scene.dimension)
+                if name == "moment_of_inertia":
+                    p.arrays[name] = moment_of_sphere(p.mass, p.radius, scene.dimension)
         self.context = Context(ranks, self.ids, self.timers, self.lower, self.upper, self.length)
         self.active = effects = ActiveEffects(scene)
         effects.bind(self.context)

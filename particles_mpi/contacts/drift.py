@@ -37,6 +37,12 @@ def keeper_of_contacts(effects: ActiveEffects, context: Context, dimension: int)
     return PersistentContacts(context.ranks, context.length, pairs, planes, effects.uniform, tolerance, context.timers)
 
 
+def surfaces(effects: ActiveEffects) -> Array:
+    """The table `law` of `contacts.rough.Rough`."""
+    pairs = [effects.pairs.surface if effects.pairs else (0.0, 0.0)]
+    return np.array([*pairs, *(effects.walls.surfaces if effects.walls else [])])
+
+
 class Drift:
     """Moves the rows of this rank.
 
@@ -68,12 +74,13 @@ class Drift:
         """The collision operator that the scene names, and its search for neighbours."""
         context, planes = self.context, self.effects.walls.planes if self.effects.walls else None
         box, loss = Box(context.lower, context.upper, context.length), Loss(pairs.restitution, pairs.keep)
+        law = surfaces(self.effects)
         exact: Any = None
         if pairs.options.mode == "event" or self.effects.keeps_contacts:
             from particles_mpi.contacts.event_driven.operator import Event as EventDriven
 
             duration = pairs.options.contact_duration
-            exact = EventDriven(self.rows, context.ranks, box, loss, duration, planes, context.timers)
+            exact = EventDriven(self.rows, context.ranks, box, loss, law, duration, planes, context.timers)
             if self.rest and self.rest.pairs:
                 exact.hold = lambda h: self.rest.keep_crowds(self.rows, accelerations(), h)
         if pairs.options.mode == "event":
@@ -85,7 +92,7 @@ class Drift:
         walls = plain(planes) if planes else None
         kicked = bool(self.effects.forces or self.effects.on_velocities or self.events)
         self.near = Neighbourhood(self.rows, context.ranks, box, walls, kicked, context.timers)
-        self.operator = Rewind(self.near, loss, pairs.options.passes, planes, context.timers, exact)
+        self.operator = Rewind(self.near, loss, law, pairs.options.passes, planes, context.timers, exact)
 
     def advance(self, h: float, time: float, rates: Rates, contacts: bool = True, stop: bool = False) -> None:
         """Positions over h from `time` on, while velocities change by `rates`. Collective.

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from particles_mpi.contacts.rough import FRICTION, PAIRS, strike_pair
 from particles_mpi.contacts.velocity_flow import change_of, row_of
 from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import inner, lean, lean_inner
@@ -164,16 +165,21 @@ def exchange_at_contact(v, column, r, r2, i, j, w_i, w_j, tau, restitution, velo
 
 
 @lean_inner
-def collide_pair(axes, segments, w, i, j, t, loss, length, rates, r):
-    """Collide rows i and j at time t; w = 1/m (n,), 0 where fixed. In place on the segments; r (d,) is overwritten.
+def collide_pair(axes, segments, spheres, i, j, t, loss, length, rates, rough, r):
+    """Collide rows i and j at time t. In place on the segments, and on spins of rough spheres; r (d,) is overwritten.
 
     Returns the virial -r.dp. `segments.collide` is the same for the rows of mode event.
     """
     x, v, start, _ = segments
+    radius, w, _, _ = spheres
     restitution, velocity_factor = loss
     move_to(axes, x, v, start, i, t)
     move_to(axes, x, v, start, j, t)
     for k in range(len(axes)):
         r[k] = separation(x, v, start, i, j, k, t, length)
-    change = exchange(axes, v, np.int64(0), r, i, j, w[i], w[j], t, restitution, velocity_factor, rates)
+    column = np.int64(0)
+    if rough.law[PAIRS, FRICTION] > 0.0:
+        change = strike_pair(axes, v, column, rough, r, i, j, w[i], w[j], radius[i], radius[j], t, restitution, rates)
+    else:
+        change = exchange(axes, v, column, r, i, j, w[i], w[j], t, restitution, velocity_factor, rates)
     return -change / (w[i] + w[j])

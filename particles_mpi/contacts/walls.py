@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from particles_mpi.contacts.rough import FRICTION, strike_wall
 from particles_mpi.contacts.velocity_flow import change_of, row_of
 from particles_mpi.kernels.jit import lean, lean_inner
 from particles_mpi.kernels.markers import NOBODY
@@ -131,7 +132,17 @@ def bounce_at_contact(v, column, i, w, normal, speed, restitution, velocity_fact
 
 
 @lean_inner
-def bounce_until(axes, x, v, start, last_partner, i, radius, inverse_mass, h, planes, rates):
+def meet_wall(axes, v, column, i, w, radius, inverse_mass, t, loss, normal, rates, rough):
+    """The contact of row i with wall w at time t, smooth or rough; `loss`: (restitution, velocity factor) of this contact."""
+    restitution, velocity_factor = loss
+    if rough.law[1 + w, FRICTION] > 0.0:
+        strike_wall(axes, v, column, rough, i, w, normal, inverse_mass, radius, t, restitution, rates)
+    else:
+        bounce(axes, v, column, i, w, normal, restitution, velocity_factor, inverse_mass, t, rates)
+
+
+@lean_inner
+def bounce_until(axes, x, v, start, last_partner, i, radius, inverse_mass, h, planes, rates, rough):
     """Take row i through all its wall contacts up to time h, at most MOST_BOUNCES; returns their number."""
     _, normal, restitution, velocity_factor, _, _, _ = planes
     for hits in range(MOST_BOUNCES):
@@ -139,7 +150,8 @@ def bounce_until(axes, x, v, start, last_partner, i, radius, inverse_mass, h, pl
         if w < 0:
             return hits
         move_to(axes, x, v, start, i, t)
-        bounce(axes, v, np.int64(0), i, w, normal, restitution[w], velocity_factor[w], inverse_mass, t, rates)
+        loss = restitution[w], velocity_factor[w]
+        meet_wall(axes, v, np.int64(0), i, w, radius, inverse_mass, t, loss, normal, rates, rough)
         last_partner = -1 - w
     start[i] = h  # stays inside, at the last contact
     return MOST_BOUNCES
@@ -160,7 +172,7 @@ class NearFaces:
 
 
 @lean
-def drift_with_walls(axes, x, v, radius, inverse_mass, start, h, planes, rates, reach, near):
+def drift_with_walls(axes, x, v, radius, inverse_mass, start, h, planes, rates, rough, reach, near):
     """x += v h, reflected by walls on the way. In place on x, v (n, d); returns the number of hits, and of rows in `near`.
 
     `inverse_mass` (n,), or no row where nothing depends on it. start (n,): room for the starts of the last segments. To `near`
@@ -175,7 +187,7 @@ def drift_with_walls(axes, x, v, radius, inverse_mass, start, h, planes, rates, 
         start[i] = 0.0
         if may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i], h, planes):
             w = inverse_mass[i] if len(inverse_mass) > 0 else 1.0
-            hits += bounce_until(axes, x, v, start, np.int64(NOBODY), i, radius[i], w, h, planes, rates)
+            hits += bounce_until(axes, x, v, start, np.int64(NOBODY), i, radius[i], w, h, planes, rates, rough)
         for k in range(len(axes)):
             x[i, k] += v[i, k] * (h - start[i])
         if len(near) > 0:

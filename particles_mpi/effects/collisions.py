@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from particles_mpi.contacts.law import loss
+from particles_mpi.contacts.rough import surface, takes_energy
 from particles_mpi.scene.effect import FORWARD, EffectOptions, Losses, Needs, PairContacts
 from particles_mpi.scene.model import NotNegative
 from particles_mpi.scene.schema import Scene
@@ -26,11 +27,12 @@ class Options(Losses, EffectOptions):
 
     def faults(self, scene: Scene) -> list[str]:
         others = {"passes": (10, "rewind"), "contact_duration": (None, "event")}
-        return [
+        wrong = [
             f'{key}: only in mode "{mode}"'
             for key, (default, mode) in others.items()
             if getattr(self, key) != default and self.mode != mode
         ]
+        return wrong + self.rough_faults(scene)
 
 
 class Effect(PairContacts):
@@ -42,4 +44,5 @@ class Effect(PairContacts):
     def __init__(self, options: Options, scene: Scene):
         self.options = options
         self.restitution, self.keep = loss(options.restitution, options.damping)
-        self.lossy = self.restitution < 1.0 or self.keep < 1.0
+        self.surface = surface(options.friction, options.tangential_restitution)
+        self.lossy = self.restitution < 1.0 or self.keep < 1.0 or takes_energy(self.surface)

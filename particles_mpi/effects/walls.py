@@ -5,6 +5,7 @@ from math import inf
 import numpy as np
 
 from particles_mpi.contacts.law import loss
+from particles_mpi.contacts.rough import Rough, surface, takes_energy
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.contacts.walls import NearFaces, Planes, drift_with_walls
 from particles_mpi.particles import Particles
@@ -21,15 +22,16 @@ class Plane(Losses):
 
 
 class Options(Losses, EffectOptions):
-    """`restitution` or `damping`; `planes`, or every non-periodic face of the box."""
+    """`restitution` or `damping`, and friction: for all of `planes` that have none; without these, every non-periodic face of the box."""
 
     planes: list[Plane] | None = None
 
     def faults(self, scene: Scene) -> list[str]:
-        d, faults = scene.dimension, []
+        d, faults = scene.dimension, self.rough_faults(scene)
         for number, plane in enumerate(self.planes or []):
             key = f"planes[{number}]"
             faults += wrong_length(f"{key}.point", plane.point, d) + wrong_length(f"{key}.normal", plane.normal, d)
+            faults += [f"{key}.{fault}" for fault in plane.rough_faults(scene)]
             if not any(plane.normal):
                 faults.append(f"{key}.normal: has no length")
         if self.planes is None and scene.box is None:
@@ -59,18 +61,24 @@ class Effect(WallContacts):
         normal /= np.sqrt((normal**2).sum(axis=1, keepdims=True))
         losses = [options if p.restitution is None and p.damping is None else p for p in planes]
         e, factor = np.array([loss(p.restitution, p.damping) for p in losses], float).reshape(-1, 2).T.copy()
+        rough = [options if p.friction is None and p.tangential_restitution is None else p for p in planes]
+        self.surfaces = [surface(p.friction, p.tangential_restitution) for p in rough]
         lower = np.where(normal == 1.0, point, -inf).max(axis=0, initial=-inf)
         upper = np.where(normal == -1.0, point, inf).min(axis=0, initial=inf)
         oblique = np.abs(normal).max(axis=1, initial=0.0) < 1.0
         self.planes = Planes(point, normal, e, factor, lower, upper, bool(oblique.any()))
-        self.lossy = bool(self.planes.lossy.any())
+        self.taking = self.planes.lossy | np.array([takes_energy(of) for of in self.surfaces], bool)
+        self.lossy = bool(self.taking.any())
+        self.law = np.array([(0.0, 0.0), *self.surfaces])
 
     def drift(self, particles: Particles, h: float, rates: Rates, near: NearFaces | None = None) -> int:
         p, axes = particles, (0,) * particles.dimension
-        w = p.inverse_mass if rates.alpha else np.empty(0)
+        w = p.inverse_mass if rates.alpha or self.law.any() else np.empty(0)
         reach, rows = (near.reach, np.empty(len(p), np.int64)) if near else (0.0, np.empty(0, np.int64))
         fields = p.position, p.velocity, p.radius, w
-        hits, found = drift_with_walls(axes, *fields, np.empty(len(p)), h, tuple(self.planes), rates, reach, rows)
+        d, spin = p.dimension, p.arrays.get("spin", np.empty((0, 1)))
+        rough = Rough(spin, p.inverse_inertia, self.law, np.empty(d), np.empty(d))
+        hits, found = drift_with_walls(axes, *fields, np.empty(len(p)), h, tuple(self.planes), rates, rough, reach, rows)
         if near:
             near.rows, near.known = rows[:found], (reach, p.version, p.edition)
         return hits

@@ -23,7 +23,7 @@ from particles_mpi.initial.faults import Faults
 from particles_mpi.initial.lattices import lattice
 from particles_mpi.initial.plummer import centered, plummer_points
 from particles_mpi.initial.random_addition import JAMMED, RandomAddition
-from particles_mpi.initial.random_numbers import draw, stream_key, uniform
+from particles_mpi.initial.random_numbers import draw, normals, stream_key, uniform
 from particles_mpi.initial.table_file import Table, read_table
 from particles_mpi.initial.velocities import random_velocities
 from particles_mpi.kernels import limits
@@ -31,12 +31,12 @@ from particles_mpi.parallel.agreement import raising_together
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.parallel.exchange import by_destination, send_rows
-from particles_mpi.particles import FIELDS, OWN, Array, Particles, default_values
+from particles_mpi.particles import FIELDS, OWN, Array, Particles, default_values, moment_of_sphere
 from particles_mpi.scene.active import fields_of
 from particles_mpi.scene.model import LARGEST, faults_of
 from particles_mpi.scene.schema import Population, Scene
 
-PER_PARTICLE = ("position", "velocity", "radius", "mass", "fixed", "drag", "acceleration")
+PER_PARTICLE = ("position", "velocity", "radius", "mass", "fixed", "drag", "acceleration", "spin", "moment_of_inertia")
 
 
 def populate(scene: Scene, ranks: Communicator | None = None) -> tuple[Particles, list[str]]:
@@ -180,7 +180,9 @@ class Populator:
     def count_of(self, number: int, population: Population) -> int:
         """Particles of a population: `count`, or the length of its lists, which must agree."""
         given = {name: getattr(population, name) for name in PER_PARTICLE} | (population.model_extra or {})
-        vectors = {"velocity", "acceleration"} | {name for name, column in self.scene.columns.items() if column.vector}
+        vectors = {"velocity", "acceleration", *(["spin"] if self.scene.dimension == 3 else [])} | {
+            name for name, column in self.scene.columns.items() if column.vector
+        }
         lengths = {} if population.count is None else {"count": population.count}
         for name, value in given.items():
             if isinstance(value, dict) and "file" in value:
@@ -218,9 +220,38 @@ class Populator:
                 least = FIELDS[name].least
                 low = f"below {least:g} for" if name in self.scene.columns else "negative for"
                 self.refuse(f"{key}.{name}", rows, arrays[name][rows] < least, low)
+        if "spin" in arrays:
+            self.spins(number, population)
         for name, needed in divided_masses(self.scene, arrays["fixed"][rows]).items():
             massless = needed & (arrays["mass"][rows] == 0.0)
             self.refuse(f"{key}.mass", rows, massless, f"0, but [effects.{name}] divides by it, for")
+
+    def spins(self, number: int, population: Population) -> None:
+        """Moments of inertia, of solid spheres if not given, and spins; what is fixed has none."""
+        key, rows, arrays, d, value = (
+            f"particles[{number}]",
+            self.rows[number],
+            self.arrays,
+            self.scene.dimension,
+            population.spin,
+        )
+        moment = arrays["moment_of_inertia"]
+        moment[rows] = moment_of_sphere(arrays["mass"][rows], arrays["radius"][rows], d)
+        if population.moment_of_inertia is not None:
+            self.fill(number, "moment_of_inertia", population.moment_of_inertia)
+            self.refuse(f"{key}.moment_of_inertia", rows, moment[rows] < 0.0, "negative for")
+        if value is None:
+            return
+        fixed, spin = arrays["fixed"][rows] != 0, arrays["spin"]
+        if isinstance(value, dict):
+            normal = draw(
+                stream_key(self.scene.seed, number, "spin"), *self.numbers(number), partial(normals, width=spin.shape[1])
+            )
+            own, turns = moment[rows], ~fixed & (moment[rows] > 0.0)
+            spin[rows] = normal * np.sqrt(value["temperature"] / np.where(turns, own, np.inf))[:, None]
+            return
+        self.fill(number, "spin", value if d == 3 else [[s] for s in value] if isinstance(value, list) else value)
+        self.refuse(f"{key}.spin", rows, fixed & (spin[rows] != 0.0).any(axis=1), "not zero, but fixed:")
 
     def mine(self, number: int, name: str, value: Any) -> Any:
         """This rank's part of a value of a population: of a list, a file, random numbers in a range; a number is for all."""
@@ -231,7 +262,9 @@ class Populator:
         if isinstance(value, dict):
             key = stream_key(self.scene.seed, number, name)
             return value["min"] + draw(key, first, last, uniform) * (value["max"] - value["min"])
-        if isinstance(value, list) and (not FIELDS[name].vector or isinstance(next(iter(value), None), list)):
+        if isinstance(value, list) and (
+            not (FIELDS[name].vector or FIELDS[name].rotation) or isinstance(next(iter(value), None), list)
+        ):
             return value[first:last]
         return value
 

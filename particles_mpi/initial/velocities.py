@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from particles_mpi.initial.plummer import plummer_speeds, plummer_velocities
-from particles_mpi.initial.random_numbers import directions, draw, stream_key, uniform
+from particles_mpi.initial.random_numbers import directions, draw, normals, stream_key, uniform
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.particles import Array
@@ -29,7 +29,7 @@ def random_velocities(
         speeds = draw(key, *numbers, plummer_speeds)
         return plummer_velocities(ranks, speeds, own["position"], population.position["plummer"], own["mass"], G)
     if "temperature" in value:
-        normal = draw(key, *numbers, lambda random, n: random.standard_normal((n, d)))
+        normal = draw(key, *numbers, partial(normals, width=d))
         return warm(ranks, float(value["temperature"]), normal, own["mass"], own["fixed"] == 0)
     speed = value["speed"]
     if isinstance(speed, dict):

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from particles_mpi.contacts.persistent.detection import PRECISE, near_walls, near_walls_among
 from particles_mpi.contacts.persistent.on_walls import settle_on_walls
 from particles_mpi.contacts.persistent.rows import hand_over
+from particles_mpi.contacts.rough import Rough
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.contacts.walls import drift_with_walls
 from particles_mpi.gravity.direct import attract_few
@@ -84,6 +85,7 @@ class Space(NamedTuple):
     upper: Array
     length: Array
     start: Array  # (n,): room for the times at which segments start
+    smooth: Rough  # for walls, which are not rough here
     reach: float  # rows that may be so near to walls are found, if contacts with walls last
     rest: Rest
 
@@ -160,7 +162,9 @@ def move(axes, bodies, space, strength, h, t_mid):
     if space.bounded:
         rates = Rates(space.rates, bodies.drag, strength, t_mid)
         fields = bodies.x, bodies.v, bodies.radius, bodies.inverse_mass
-        hits, near = drift_with_walls(axes, *fields, space.start, h, space.planes, rates, space.reach, space.rest.near)
+        hits, near = drift_with_walls(
+            axes, *fields, space.start, h, space.planes, rates, space.smooth, space.reach, space.rest.near
+        )
     else:
         free_drift(bodies.x, bodies.v, h)
     wrap(bodies.x, space.lower, space.upper, space.length)

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from particles_mpi.contacts.drift import Drift
+from particles_mpi.contacts.rough import no_spins
 from particles_mpi.contacts.walls import no_planes
 from particles_mpi.integrators.collocation import END, STUCK, work_for
 from particles_mpi.integrators.compiled_steps import Bodies, Forces, Losses, Rest, Scheme, Space, adaptive_steps, fixed_steps
@@ -62,7 +63,7 @@ class ManySteps:
     @staticmethod
     def suit(effects: ActiveEffects, total: int, rest: Any) -> bool:
         """Do these kernels compute all that there is, for so many particles?"""
-        if effects.pairs or effects.flows or effects.events or (rest and not rest.near_faces):
+        if effects.pairs or effects.flows or effects.events or effects.rough or (rest and not rest.near_faces):
             return False
         forces = effects.forces.values()
         together = effects.integrator == "adaptive" or any(force.direct for force in forces)
@@ -168,7 +169,8 @@ class ManySteps:
         box = self.context.lower, self.context.upper, self.context.length
         rest = self.rest_of(p)
         reach = self.rest.reach(p.fixed, p[SUM], h) if rest.kept and n else 0.0
-        space = Space(tuple(planes), bool(effects.walls), a, own, *box, np.empty(n), reach, rest)
+        smooth = no_spins(d, np.zeros((1 + len(planes.point), 2)))
+        space = Space(tuple(planes), bool(effects.walls), a, own, *box, np.empty(n), smooth, reach, rest)
         return Block(bodies, self.forces_on(p), self.losses_of(p, h), space)
 
     def forces_on(self, p: Particles) -> Forces:

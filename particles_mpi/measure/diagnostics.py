@@ -29,7 +29,8 @@ def measure(ranks: Communicator, particles: Particles, potentials: dict[str, Arr
     """Kinetic, potential and total energy, momentum and largest speed of all movable particles. Collective.
 
     `potentials`: the potential energy (n,) of this rank's particles for each force that has one, by name; nan of one of them
-    makes the sums nan. With mutual gravity the columns of `measure_gravity` are added.
+    makes the sums nan. With mutual gravity the columns of `measure_gravity` are added, and where spheres turn those of
+    `measure_spins`; the energy in their spins is part of the total.
     """
     d, movable = particles.dimension, particles.fixed == 0
     square = row_dot(particles.velocity, particles.velocity)
@@ -42,16 +43,37 @@ def measure(ranks: Communicator, particles: Particles, potentials: dict[str, Arr
     row["max_speed"] = float(np.sqrt(ranks.allreduce_max(square.max(initial=0.0))[0]))
     if "mutual_gravity" in potentials:
         row |= measure_gravity(ranks, particles, kinetic, potentials["mutual_gravity"])
+    if "spin" in particles.arrays:
+        row |= measure_spins(ranks, particles)
+        row["total_energy"] += row["rotational"]
     return row
+
+
+def measure_spins(ranks: Communicator, p: Particles) -> dict[str, float]:
+    """Energy of all spins, I s^2/2, and the angular momentum about the origin with them. Collective."""
+    moment = p["moment_of_inertia"] * (p.fixed == 0)
+    orbital, own = angular_momenta(p), (moment[:, None] * p["spin"]).T
+    columns = [0.5 * moment * row_dot(p["spin"], p["spin"]), *(part for pair in zip(orbital, own, strict=True) for part in pair)]
+    rotational, *sums = exact_sums(ranks, columns)
+    return {"rotational": rotational} | dict(zip(angular_names(p.dimension), np.add(sums[::2], sums[1::2]).tolist(), strict=True))
+
+
+def angular_momenta(p: Particles) -> list[Array]:
+    """m x cross v of each particle (n,), for each component; nothing in one dimension and beyond three."""
+    mass, planes = p.mass * (p.fixed == 0), ROTATION_PLANES.get(p.dimension, ())
+    return [mass * (p.position[:, i] * p.velocity[:, j] - p.position[:, j] * p.velocity[:, i]) for i, j in planes]
+
+
+def angular_names(dimension: int) -> list[str]:
+    """Names of its components."""
+    return [f"angular_momentum_{'xyz'[3 - i - j]}" for i, j in ROTATION_PLANES.get(dimension, ())]
 
 
 def measure_gravity(ranks: Communicator, p: Particles, kinetic: float, potential: Array) -> dict[str, float]:
     """Angular momentum about the origin (in two and three dimensions), centre of mass, and 2 K/|W|. Collective."""
     movable = p.fixed == 0
     mass, d = p.mass * movable, p.dimension
-    columns = [potential * movable, mass, *(mass * p.position[:, k] for k in range(d))]
-    for i, j in ROTATION_PLANES.get(d, ()):
-        columns.append(mass * (p.position[:, i] * p.velocity[:, j] - p.position[:, j] * p.velocity[:, i]))
+    columns = [potential * movable, mass, *(mass * p.position[:, k] for k in range(d)), *angular_momenta(p)]
     binding, total, *sums = exact_sums(ranks, columns)
     row = dict(zip(gravity_names(d), [*sums[d:], *(x / total if total else nan for x in sums[:d])], strict=False))
     return row | {"virial_ratio": 2.0 * kinetic / abs(binding) if binding else nan}
@@ -59,8 +81,11 @@ def measure_gravity(ranks: Communicator, p: Particles, kinetic: float, potential
 
 def gravity_names(dimension: int) -> list[str]:
     """The columns of `measure_gravity`, in order."""
-    momenta = [f"angular_momentum_{'xyz'[3 - i - j]}" for i, j in ROTATION_PLANES.get(dimension, ())]
-    return [*momenta, *(name.replace("momentum", "center") for name in momentum_names(dimension)), "virial_ratio"]
+    return [
+        *angular_names(dimension),
+        *(name.replace("momentum", "center") for name in momentum_names(dimension)),
+        "virial_ratio",
+    ]
 
 
 def momentum_names(dimension: int) -> list[str]:
@@ -68,10 +93,11 @@ def momentum_names(dimension: int) -> list[str]:
     return [f"momentum_{'xyz'[k] if dimension <= 3 else k}" for k in range(dimension)]
 
 
-def columns(dimension: int, observables: bool = False, gravity: bool = False) -> list[str]:
+def columns(dimension: int, observables: bool = False, gravity: bool = False, spins: bool = False) -> list[str]:
     """The columns of diagnostics.csv, in order."""
     row = ["step", "time", "particles", "kinetic", "potential", "total_energy", *momentum_names(dimension), "max_speed"]
-    row += [*COUNTS, "imbalance", *(gravity_names(dimension) if gravity else ())]
+    turning = ["rotational", *(angular_names(dimension) if not gravity else ())] if spins else []
+    row += [*COUNTS, "imbalance", *(gravity_names(dimension) if gravity else ()), *turning]
     return [*row, *(OBSERVABLES if observables else ())]
 
 

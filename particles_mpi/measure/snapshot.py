@@ -11,7 +11,7 @@ from particles_mpi.errors import SceneError
 from particles_mpi.output.files import write_text
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows, id_range, in_id_order
-from particles_mpi.particles import FIELDS, Array, Particles, rows_of
+from particles_mpi.particles import FIELDS, Array, Particles, components, rows_of
 
 FORMAT = "particles_mpi state 2"
 METADATA = ("step", "moment", "h", "observed", "totals", "next_id", "additions", "scene")  # what `metadata` tells
@@ -80,8 +80,8 @@ def load_json(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
         arrays = {name: np.array(c["values"], c["dtype"]) for name, c in columns.items()}
         d = state["scene"]["dimension"]
         for name in arrays:
-            if name in FIELDS and FIELDS[name].vector:
-                arrays[name] = arrays[name].reshape(-1, d)
+            if name in FIELDS and (width := components(FIELDS[name], d)):
+                arrays[name] = arrays[name].reshape(-1, width)
     except FileNotFoundError:
         raise SceneError(f"{path}: no such file") from None
     except (ValueError, KeyError, TypeError, AttributeError) as error:

@@ -27,14 +27,15 @@ class Active(NamedTuple):
 
 
 def message_width(dimension: int) -> int:
-    """Numbers in the longest row of a message: place, last partner, start, x, v of a segment; or x, v, acceleration."""
-    return max(3 + 2 * dimension, 3 * dimension)
+    """Numbers in the longest row of a message: place, last partner, start, x, v of a segment; or x, v, acceleration; and spins."""
+    return max(3 + 2 * dimension, 3 * dimension) + dimension * (dimension - 1) // 2
 
 
-def refresh(halo: Halo, x: Array, v: Array, a: Array) -> None:
-    """Ghost rows of x, v and accelerations a (n, d), as their owners have them; a without rows is the same for all."""
-    for first, message in halo.exchange(lambda rows, buffer: pack_state(rows, x, v, a, buffer)):
-        unpack_state(first, message, x, v, a)
+def refresh(halo: Halo, x: Array, v: Array, a: Array, spin: Array) -> None:
+    """Ghost rows of x, v, accelerations a (n, d) and spins, as their owners have them; a without rows is the same for all."""
+    columns = x, v, a, spin
+    for first, message in halo.exchange(lambda rows, buffer: pack_state(rows, columns, buffer)):
+        unpack_state(first, message, columns)
 
 
 def exchange_selections(halo: Halo, selected: Array, first_rows: Array, second_rows: Array, marked: Array) -> None:
@@ -47,12 +48,19 @@ def exchange_selections(halo: Halo, selected: Array, first_rows: Array, second_r
         unpack_selections(first, message.view(np.int64), selected)
 
 
-def exchange_segments(halo: Halo, active: Active, segments: Segments) -> None:
-    """New segments of active owned rows to all who hold them as ghosts; they are active there too if the segment is new."""
+def exchange_segments(halo: Halo, active: Active, segments: Segments, spin: Array) -> None:
+    """New segments of active owned rows, and spins (n, width) if there are any, to all who hold them as ghosts.
+
+    They are active there too if the segment is new.
+    """
     own = active.rows[: active.number[0]]  # at this moment
     all_ = tuple(segments)
-    for first, message in halo.exchange(lambda rows, buffer: pack_segments(rows, own, all_, buffer, buffer.view(np.int64))):
-        unpack_segments(first, message, message.view(np.int64), tuple(active), all_)
+
+    def pack(rows: Array, buffer: Array) -> int:
+        return int(pack_segments(rows, own, all_, spin, buffer, buffer.view(np.int64)))
+
+    for first, message in halo.exchange(pack):
+        unpack_segments(first, message, message.view(np.int64), tuple(active), all_, spin)
 
 
 @kernel
@@ -65,9 +73,10 @@ def any_of(marks, a, b):
 
 
 @kernel
-def pack_state(rows, x, v, a, out):
-    """x and v of rows, and a if it has rows, one after the other."""
-    d = x.shape[1]
+def pack_state(rows, columns, out):
+    """The rows of x, v (n, d), and of accelerations and spins if these have rows, one row after the other."""
+    x, v, a, spin = columns
+    d, s = x.shape[1], spin.shape[1] * (len(spin) > 0)
     size = 0
     for i in rows:
         for k in range(d):
@@ -76,20 +85,27 @@ def pack_state(rows, x, v, a, out):
             if len(a) > 0:
                 out[size + 2 * d + k] = a[i, k]
         size += 3 * d if len(a) > 0 else 2 * d
+        for c in range(s):
+            out[size + c] = spin[i, c]
+        size += s
     return size
 
 
 @kernel
-def unpack_state(first, message, x, v, a):
+def unpack_state(first, message, columns):
     """What pack_state wrote, to the rows from `first` on."""
-    d = x.shape[1]
-    each = 3 * d if len(a) > 0 else 2 * d
+    x, v, a, spin = columns
+    d, s = x.shape[1], spin.shape[1] * (len(spin) > 0)
+    each = (3 * d if len(a) > 0 else 2 * d) + s
     for r in range(len(message) // each):
+        at = each * r
         for k in range(d):
-            x[first + r, k] = message[each * r + k]
-            v[first + r, k] = message[each * r + d + k]
+            x[first + r, k] = message[at + k]
+            v[first + r, k] = message[at + d + k]
             if len(a) > 0:
-                a[first + r, k] = message[each * r + 2 * d + k]
+                a[first + r, k] = message[at + 2 * d + k]
+        for c in range(s):
+            spin[first + r, c] = message[at + each - s + c]
 
 
 @kernel
@@ -117,10 +133,10 @@ def unpack_selections(first, words, selected):
 
 
 @kernel
-def pack_segments(rows, active_rows, segments, out, words):
-    """(place among rows, last partner, start, x, v) of the active rows that are among them."""
+def pack_segments(rows, active_rows, segments, spin, out, words):
+    """(place among rows, last partner, start, x, v, spin if there is one) of the active rows that are among them."""
     x, v, start, last_partner = segments
-    d = x.shape[1]
+    d, s = x.shape[1], spin.shape[1] * (len(spin) > 0)
     size = 0
     for i in active_rows:
         place = index_of(i, rows)
@@ -131,21 +147,23 @@ def pack_segments(rows, active_rows, segments, out, words):
             for k in range(d):
                 out[size + 3 + k] = x[i, k]
                 out[size + 3 + d + k] = v[i, k]
-            size += 3 + 2 * d
+            for c in range(s):
+                out[size + 3 + 2 * d + c] = spin[i, c]
+            size += 3 + 2 * d + s
     return size
 
 
 @kernel
-def unpack_segments(first, message, words, active, segments):
+def unpack_segments(first, message, words, active, segments, spin):
     """What pack_segments wrote; rows whose segment is new become active.
 
     Two who overlap may meet again in no time, after one of them met another: then only the velocity tells the segments apart.
     """
     x, v, start, last_partner = segments
     flag, active_rows, number = active
-    d = x.shape[1]
+    d, s = x.shape[1], spin.shape[1] * (len(spin) > 0)
     count = number[0]
-    for m in range(0, len(message), 3 + 2 * d):
+    for m in range(0, len(message), 3 + 2 * d + s):
         i = first + words[m]
         is_new = last_partner[i] != words[m + 1] or start[i] != message[m + 2]
         for k in range(d):
@@ -159,4 +177,6 @@ def unpack_segments(first, message, words, active, segments):
         for k in range(d):
             x[i, k] = message[m + 3 + k]
             v[i, k] = message[m + 3 + d + k]
+        for c in range(s):
+            spin[i, c] = message[m + 3 + 2 * d + c]
     number[0] = count

@@ -40,7 +40,7 @@ class Neighbourhood:
 
     `segments`, `spheres` and the arrays of `fields` hold the owned rows, then ghosts; x, v are those of `segments`, and `rows`
     are both as plain tuples, for kernels. `active`: rows with news in this pass. `candidates`: the pairs among all these that
-    can touch. `planes`: a plain tuple, or None. `kicked`: do forces or dissipation change velocities? If not, ghosts fly
+    can touch. spin, turn: angular velocities and inverse moments of inertia, no row where spheres are smooth. `planes`: a plain tuple, or None. `kicked`: do forces or dissipation change velocities? If not, ghosts fly
     on by themselves, and only contacts need a message.
     """
 
@@ -88,7 +88,7 @@ class Neighbourhood:
         """
         if self.halo:
             with self.timers("ghosts"):
-                refresh(self.halo, self.x, self.v, self.fields.get("total_acceleration", NONE))
+                refresh(self.halo, self.x, self.v, self.fields.get("total_acceleration", NONE), self.spin)
         if not self.searches:
             return np.inf
         with self.timers("pairs"):
@@ -123,6 +123,7 @@ class Neighbourhood:
         if self.searches:
             self.work = self.tuner.work(len(self.x), self.candidates.tests, self.candidates.asked)
             del self.candidates, self.segments, self.active, self.rows, self.spheres, self.fields, self.x, self.v
+            del self.spin, self.turn
         self.version = -1
 
     def horizon(self, h: float, at_least: float, extent: tuple[Array, Array]) -> Horizon:
@@ -175,7 +176,9 @@ class Neighbourhood:
             self.ghost_rows += len(arrived["id"])
             everyone = self.row_buffers.append_ghosts(arrived)
         self.fields, self.x, self.v = everyone, everyone["position"], everyone["velocity"]
-        self.spheres = Spheres(everyone["radius"], Particles(d, everyone).inverse_mass, everyone["id"], owned)
+        known = Particles(d, everyone)
+        self.spheres = Spheres(everyone["radius"], known.inverse_mass, everyone["id"], owned)
+        self.spin, self.turn = everyone.get("spin", np.empty((0, 1))), known.inverse_inertia
         n = len(self.x)
         self.segments = Segments(self.x, self.v, np.zeros(n), np.full(n, NOBODY))
         self.active = Active(np.zeros(n, np.bool_), np.empty(n, np.int32), np.zeros(1, np.int64))

@@ -156,6 +156,8 @@ def frame_arrays(arrays: dict[str, Array], dimension: int) -> dict[str, Array]:
     for name, values in arrays.items():
         whole, shown = np.ascontiguousarray(values, FIELDS[name].dtype), "Points" if name == "position" else name
         columns[shown] = whole
+        if FIELDS[name].rotation and dimension == 2:  # about the axis z
+            columns[shown] = np.column_stack((np.zeros((len(values), 2)), whole))
         if FIELDS[name].vector and dimension != 3:
             columns[shown] = np.zeros((len(values), 3))
             columns[shown][:, :dimension] = whole[:, :3]

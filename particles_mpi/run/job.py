@@ -93,7 +93,7 @@ class Job:
             from particles_mpi.output.vtk import VtkSeries
 
             self.frames.append(VtkSeries(self.folder, ranks, d, step, frame))
-        names = columns(d, output.observables, "mutual_gravity" in self.scene.effects)
+        names = columns(d, output.observables, "mutual_gravity" in self.scene.effects, "spin" in self.sim.rows.arrays)
         self.diagnostics = Diagnostics(self.folder / "diagnostics.csv", ranks, names, step, row)
         for writer in (*self.frames, self.diagnostics):
             writer.open()

@@ -45,6 +45,12 @@ class ActiveEffects:
         return all(force.g is not None for force in self.forces.values())
 
     @property
+    def rough(self) -> bool:
+        """Are there rough spheres, which turn?"""
+        surfaces = [self.pairs.surface] if self.pairs else []
+        return any(mu > 0.0 for mu, _ in [*surfaces, *(self.walls.surfaces if self.walls else [])])
+
+    @property
     def keeps_contacts(self) -> bool:
         """Are there forces that press particles together or onto walls, and contacts that take energy?"""
         lossy = any(contact.lossy for contact in (self.pairs, self.walls) if contact is not None)
@@ -60,6 +66,8 @@ def fields_of(scene: Scene) -> list[str]:
         "contacted": pairs and (pairs.options.mode == "event" or keeps),
         "virial": scene.output.observables,
         "supported": keeps,
+        "spin": effects.rough,
+        "moment_of_inertia": effects.rough,
         "total_acceleration": (pairs or effects.walls) and (keeps or effects.flows or not effects.uniform),
     }
     needed = {*ALWAYS, *(name for name, condition in conditions.items() if condition)}

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from hashlib import sha256
 from pathlib import Path
 from types import MappingProxyType, ModuleType
-from typing import Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
-from pydantic import ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from particles_mpi.particles import Array, Column, Particles, add_column
-from particles_mpi.scene.model import Fraction, Model
+from particles_mpi.scene.model import Fraction, Model, NotNegative
 
 ANY = ("leapfrog", "order4", "taylor", "adaptive")  # all integrators
 FORWARD = ("leapfrog", "taylor")  # those with one drift a step, forward in time
@@ -48,10 +48,30 @@ class EffectOptions(Model):
 
 
 class Losses(Model):
-    """What contacts take: `restitution` e (momentum is conserved), or `damping` alpha, whole velocity times sqrt(1-alpha)."""
+    """What contacts take: `restitution` e (momentum is conserved), or `damping` alpha, whole velocity times sqrt(1-alpha).
+
+    Spheres are rough with `friction` mu (Coulomb's) or `tangential_restitution` beta_0, the part of the slip of their surfaces that
+    comes back, reversed, where they stick: 0 if not given. Without mu they always stick. See `contacts.rough`.
+    """
 
     damping: Fraction | None = None
     restitution: Fraction | None = None
+    friction: NotNegative | None = None
+    tangential_restitution: Annotated[float, Field(ge=-1.0, le=1.0)] | None = None
+
+    @property
+    def rough(self) -> bool:
+        """Does the table give surfaces that are not smooth?"""
+        return self.friction != 0.0 if self.tangential_restitution is not None else bool(self.friction)
+
+    def rough_faults(self, scene: Any) -> list[str]:
+        """Why rough spheres cannot be here, each beginning with the key."""
+        key = "friction" if self.friction is not None else "tangential_restitution"
+        if not self.rough:
+            return []
+        known = [] if scene.dimension in (2, 3) else [f"{key}: spins are known in 2 and 3 dimensions, not in {scene.dimension}"]
+        damped = [f"{key}: damping takes of the whole velocity; give restitution, to which friction belongs"]
+        return known + (damped if self.damping is not None else [])
 
     @field_validator("restitution")
     @classmethod
@@ -170,11 +190,14 @@ class ConstantFriction(Effect):
 
 
 class WallContacts(Effect):
-    """`planes` that particles bounce off. lossy: does a bounce take energy?"""
+    """`planes` that particles bounce off. lossy: does a bounce take energy? taking (w,): at which of them;
+    surfaces: (mu, beta_0) of each, see `contacts.rough`."""
 
     role = "event"
     planes: Any
     lossy: bool
+    taking: Any
+    surfaces: list[tuple[float, float]]
 
     def drift(self, particles: Particles, h: float, rates: Any, near: Any = None) -> int:
         """Drift over h with walls alone, while velocities change by `rates`; returns the number of wall hits. Purely local.
@@ -185,12 +208,14 @@ class WallContacts(Effect):
 
 
 class PairContacts(Effect):
-    """Spheres that bounce off one another. restitution, keep: see `contacts.law.loss`; lossy: does a contact take energy?"""
+    """Spheres that bounce off one another. restitution, keep: see `contacts.law.loss`; surface: (mu, beta_0), see `contacts.rough`;
+    lossy: does a contact take energy?"""
 
     role = "event"
     options: Any
     restitution: float
     keep: float
+    surface: tuple[float, float]
     lossy: bool
 
 

@@ -137,6 +137,9 @@ Speed = table(Positive, "min", "max", check=AfterValidator(in_order))
 Scalar = one_of("must be a number, {min = a, max = b} or a list of numbers", Number, Range, Numbers)
 Flags = one_of("must be true, false or a list of these", bool, list[bool])
 Vectors = one_of("must be a vector [ax, ay, ...] or a list of these", Numbers, Points)
+Warmth = table(Positive, "temperature")
+Spin = one_of("must be a number, {temperature = T} with T >= 0, or a list of numbers", Number, Numbers, Warmth)
+SpinVector = one_of("must be a vector [sx, sy, sz], a list of these or {temperature = T} with T >= 0", Numbers, Points, Warmth)
 Position = one_of(
     'must be "random", "lattice", a list of points [[x, y, ...], ...], {plummer = scale length > 0} or {file = "start.csv"}',
     *(Literal["random", "lattice"], Points, File, table(Annotated[Number, Field(gt=0)], "plummer")),
@@ -144,5 +147,5 @@ Position = one_of(
 Velocity = one_of(
     "must be [vx, vy, ...], a list of these, {speed = s}, {speed = {min = a, max = b}}, {temperature = T} (all >= 0),"
     ' {file = "start.csv"} or, with position = {plummer = a}, "equilibrium"',
-    *(Literal["equilibrium"], Points, Numbers, File, table(Positive, "temperature"), table(Positive | Speed, "speed")),
+    *(Literal["equilibrium"], Points, Numbers, File, Warmth, table(Positive | Speed, "speed")),
 )

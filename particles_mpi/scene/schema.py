@@ -9,13 +9,15 @@ from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, Validation
 
 from particles_mpi.errors import SceneError
 from particles_mpi.particles import Array
-from particles_mpi.scene.effect import ONE_OF_EACH, effect_names, load_effect
+from particles_mpi.scene.effect import ONE_OF_EACH, Losses, effect_names, load_effect
 from particles_mpi.scene.model import (
     Flags,
     Model,
     NotNegative,
     Position,
     Scalar,
+    Spin,
+    SpinVector,
     Vectors,
     Velocity,
     faults_of,
@@ -68,6 +70,8 @@ class Population(Model):
     fixed: Flags = False
     drag: Scalar = None
     acceleration: Vectors = None
+    spin: Any = None
+    moment_of_inertia: Scalar = None
 
 
 class Output(Model):
@@ -248,10 +252,27 @@ class Scene(Model):
                 faults.append(f"{key}.{name}: {error.errors()[0]['ctx']['error']}")
             else:
                 faults += wrong_length(f"{key}.{name}", value, d) if self.columns[name].vector else []
+        faults += self.spin_faults(key, population)
         for name, effect in (("drag", "drag"), ("acceleration", "user_acceleration")):
             if getattr(population, name) is not None and effect not in self.effects:
                 faults.append(f"{key}.{name}: needs [effects.{effect}]")
         return faults
+
+    def spin_faults(self, key: str, population: Population) -> list[str]:
+        """What is wrong with the spin and the moment of inertia of a population, each beginning with `key`."""
+        d, spin, faults = self.dimension, population.spin, []
+        tables = [options for options in self.effects.values() if isinstance(options, Losses)]
+        rough = any(table.rough for table in [*tables, *(p for t in tables for p in getattr(t, "planes", None) or [])])
+        for name in ("spin", "moment_of_inertia"):
+            if getattr(population, name) is not None and not rough:
+                faults.append(f"{key}.{name}: nothing turns spheres without friction in [effects.collisions] or [effects.walls]")
+        if faults or spin is None:
+            return faults
+        try:
+            TypeAdapter(Spin if d == 2 else SpinVector).validate_python(spin)
+        except ValidationError as error:
+            return [f"{key}.spin: {error.errors()[0]['ctx']['error']}"]
+        return wrong_length(f"{key}.spin", spin, 3) if d == 3 else []
 
 
 def periodic_length(scene: Scene) -> Array:

@@ -45,6 +45,7 @@ AHEAD = 0.8  # of a skin: how far before it a particle's reference position lies
 TURNING = 0.35  # and how much less where there are many collisions an expiry: fitted to fewest expiries at packing 0.05 to 0.45
 MOST_EXPIRIES = 8  # of the list of a row, on average; then all rows are sorted in space and listed anew
 NEVER_CROWDED = 2**31
+NO_SPIN = np.empty((0, 1))
 NAMED = 64  # contacts without loss whose time and partners are kept
 
 
@@ -57,14 +58,15 @@ class Engine:
     rows: Rows
     queue: Queue
 
-    def __init__(self, box: Box, loss: Loss, planes: Planes):
+    def __init__(self, box: Box, loss: Loss, law: Array, planes: Planes):
+        """`law`: see `contacts.rough.Rough`."""
         d = len(box.length)
-        self.loss, self.planes = tuple(loss), tuple(planes)
+        self.loss, self.law, self.planes = tuple(loss), law, tuple(planes)
         self.axes = (0,) * d
         self.lists = VerletLists(box)
         self.work = Work(
             np.empty(0, np.int32), np.zeros(4, np.int64), np.empty((NAMED, 3)), np.zeros(3, np.int64), np.zeros(1), np.zeros(2),
-            np.zeros(1, np.bool_), np.empty(d), np.empty(d), np.empty(d),
+            np.zeros(1, np.bool_), *np.empty((5, d)),
         )  # fmt: skip
         self.events = 0  # in the last drift
         self.expiries = 0  # of lists since `load`
@@ -85,7 +87,9 @@ class Engine:
         names = [name for name in ("total_acceleration", "drag") if name in p.arrays]
         fields = {name: enlarged(p[name], np.zeros((total, *p[name].shape[1:]))) for name in names}
         acceleration, drag = fields.get("total_acceleration", np.empty((0, d))), fields.get("drag", np.empty(0))
-        self.rows = Rows(segment, segment.view(np.int64), state, reals, acceleration, drag)
+        spin = enlarged(p["spin"], np.zeros((total, p["spin"].shape[1]))) if "spin" in p.arrays else NO_SPIN
+        turn = enlarged(p.inverse_inertia, np.zeros(total * (len(spin) > 0)))
+        self.rows = Rows(segment, segment.view(np.int64), state, reals, acceleration, drag, spin, turn)
         segment[:n, :d], segment[:n, 2 * d + RADIUS] = p.position, p.radius
         state[:] = 0
         state[:n, ID], state[:n, OWNERSHIP] = p.id, GHOST
@@ -95,13 +99,13 @@ class Engine:
             reals[:n, VIRIAL] = p.virial
         self.node = np.full((total, NODE), NO_EVENT, np.int32)
         self.work = self.work._replace(stale=np.empty(2 * total + 2, np.int32))
-        self.log = new_log(total, d)
+        self.log = new_log(total, d, spin.shape[1] if len(spin) else 0)
         self.expiries = 0
 
     def grow(self) -> Array:
         """Twice as many rows; returns the new ones, which are free."""
         n = len(self.rows.state)
-        rows = doubled(self.rows, "segment", "state", "acceleration", "drag")
+        rows = doubled(self.rows, "segment", "state", "acceleration", "drag", "spin", "turn")
         self.rows = rows._replace(segment_bits=rows.segment.view(np.int64), reals=rows.state.view(np.float64))
         log = doubled(self.log, "changed", "mark", "saved", "moved", "is_moved", "border")
         self.log = log._replace(saved_bits=log.saved.view(np.int64))
@@ -116,8 +120,9 @@ class Engine:
         virial = p.arrays.get("virial", np.empty(0))
         a = p.arrays.get("total_acceleration", np.empty((0, 0)))
         moved, speed = start_drift(
-            self.axes, tuple(self.rows), p.position, p.velocity, p.radius, p.contacted, virial, a, own_rows
-        )
+            self.axes, tuple(self.rows), p.position, p.velocity, p.radius, p.contacted, virial, a,
+            p.arrays.get("spin", NO_SPIN), own_rows,
+        )  # fmt: skip
         return bool(moved), float(speed)
 
     def begin(self, h: float) -> None:
@@ -139,7 +144,7 @@ class Engine:
         queue.present[:] = min(int(now * queue.per_time), len(queue.first) - 1), 0  # nothing is left from before
         a, drag = self.rows.acceleration, self.rows.drag
         rates = self.rates.of({"drag": drag, "total_acceleration": a} if len(a) else {"drag": drag})
-        rules = self.loss, self.contact_duration, self.crowded, self.planes, rates
+        rules = self.loss, self.law, self.contact_duration, self.crowded, self.planes, rates
         interval = self.h, moment, now, until, self.ahead
         rows, written, log = tuple(self.rows), tuple(work), tuple(self.log)
         work.progress[:] = now, 0.0
@@ -178,5 +183,5 @@ class Engine:
     def write_back(self, p: Particles, own_rows: Array) -> None:
         """Particle r of p as row own_rows[r] is."""
         virial, supported = p.arrays.get("virial", np.empty(0)), p.arrays.get("supported", np.empty(0, np.uint8))
-        rows = tuple(self.rows)
-        write_back(self.axes, rows, p.position, p.velocity, p.contacted, virial, supported, self.crowded, own_rows)
+        fields = p.position, p.velocity, p.contacted, virial, supported, p.arrays.get("spin", NO_SPIN)
+        write_back(self.axes, tuple(self.rows), *fields, self.crowded, own_rows)

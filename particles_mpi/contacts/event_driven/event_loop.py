@@ -50,7 +50,8 @@ from particles_mpi.contacts.event_driven.segments import (
     move_to,
     touch_time,
 )
-from particles_mpi.contacts.walls import Planes, bounce, may_hit, wall_contact
+from particles_mpi.contacts.rough import Rough
+from particles_mpi.contacts.walls import Planes, bounce, may_hit, meet_wall, wall_contact
 from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch, screening, trailing_zeros
 from particles_mpi.kernels.markers import NEVER
 from particles_mpi.neighbours.verlet_kernels import (
@@ -91,6 +92,8 @@ class Work(NamedTuple):
     place: Array  # (d,) scratch
     r: Array  # (d,) scratch
     u: Array  # (d,) scratch
+    normal: Array  # (d,) scratch
+    impulse: Array  # (d,) scratch
 
 
 @screening
@@ -229,8 +232,9 @@ def prefetch_next(rows, lists, queue):
 def run(axes, rows, lists, queue, rules, interval, work, log, pending):
     """All events of an interval, in order. work.stale[:pending] are rows whose next event is not known.
 
-    rules: loss of a pair, contact duration t_c, how many quick contacts make a crowd, `Planes`, `Rates`. interval: length of the
-    drift and when it began, from when until when in it, and how many skins before a particle its new reference position lies.
+    rules: loss of a pair, the law of rough spheres (see `Rough`), contact duration t_c, how many quick contacts make a crowd,
+    `Planes`, `Rates`. interval: length of the drift and when it began, from when until when in it, and how many skins before a
+    particle its new reference position lies.
     Returns 0; or how many places the pool of the lists is short of: then call again with a larger one; or INTERRUPTED after so
     many events that a user may have pressed Ctrl-C: then call again; or FULL_BUCKET: sort it, and call again; or STANDSTILL,
     where events follow one another for ever but time does not pass. With stop[ASKED] the loop ends after the first collision.
@@ -244,8 +248,9 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
     rows, lists, queue, work, log = Rows(*rows), Lists(*lists), Queue(*queue), Work(*work), Log(*log)
     segment, state, reals, reference = rows.segment, rows.state, rows.reals, lists.reference
     _, _, length = lists.box
-    (restitution, velocity_factor), contact_duration, crowded, planes, rates = rules
+    (restitution, velocity_factor), law, contact_duration, crowded, planes, rates = rules
     planes = Planes(*planes)
+    rough = Rough(rows.spin, rows.turn, law, work.normal, work.impulse)
     h, moment, now, until, ahead = interval
     stale, counts, progress, node, times = work.stale, work.counts, work.progress, queue.node, queue.times
     d = len(axes)
@@ -310,7 +315,11 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             move_to(axes, segment, i, t)
             own = state[i, OWNERSHIP] >= OWN
             e, factor = (1.0, 1.0) if elastic else (planes.restitution[wall], planes.velocity_factor[wall])
-            bounce(axes, segment, np.int64(d), i, wall, planes.normal, e, factor, reference[i, d + INVERSE_MASS], t, rates)
+            radius, w, taken = segment[i, 2 * d + RADIUS], reference[i, d + INVERSE_MASS], (e, factor)
+            if elastic:
+                bounce(axes, segment, np.int64(d), i, wall, planes.normal, e, factor, w, t, rates)
+            else:
+                meet_wall(axes, segment, np.int64(d), i, wall, radius, w, t, taken, planes.normal, rates, rough)
             if elastic and own:
                 note_tc_elastic(work, moment + t, state[i, ID], j)
             counts[WALL_HITS] += own
@@ -329,7 +338,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             note_contact(axes, rows, j, t, state[i, ID], moment, QUICK * h, crowded, work.any_squeezed)
             own = state[i, OWNERSHIP] >= OWN
             e, factor = (1.0, 1.0) if elastic else (restitution, velocity_factor)
-            reals[i, VIRIAL] += collide(axes, segment, reference, i, j, t, e, factor, length, rates, work.r)
+            reals[i, VIRIAL] += collide(axes, segment, reference, i, j, t, e, factor, length, rates, rough, elastic, work.r)
             if elastic and own:
                 note_tc_elastic(work, moment + t, state[i, ID], state[j, ID])
             counts[COLLISIONS] += own

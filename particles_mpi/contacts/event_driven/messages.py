@@ -3,8 +3,8 @@
 A message is a series of numbers, each part beginning with its kind and a particle's id:
 
 - UPDATE: the record (see `rows`) of a row that was changed, to all ranks that hold it as a ghost.
-- ADD_GHOST: the record, R, 1/m, reference position, and the acceleration and drag where these differ from row to row, of a row
-  that comes near the receiver's region.
+- ADD_GHOST: the record, R, 1/m, reference position, and the acceleration and drag where these differ from row to row, and
+  1/I where spheres are rough, of a row that comes near the receiver's region.
 - TRANSFER: rank and place of the particle's fields, reference position, and who had it, of a row that the receiver owns
   from now on. Who holds it the receiver finds as the sender did.
 - DROP_GHOST: a row that has gone away from the receiver's region.
@@ -37,6 +37,7 @@ from particles_mpi.contacts.event_driven.rows import (
     load_row,
     record_width,
     save_row,
+    spin_width,
 )
 from particles_mpi.kernels.jit import inner, kernel, lean, lean_inner, prefetch
 from particles_mpi.neighbours.verlet_kernels import (
@@ -75,9 +76,8 @@ def message_of(numbers: Array) -> tuple[Array, Array]:
 
 
 @inner
-def part_width(kind, d, extra):
-    """Numbers in a part of a message; `extra`: see `extra_width`."""
-    record = record_width(d)
+def part_width(kind, d, record, extra):
+    """Numbers in a part of a message, records having so many; `extra`: see `extra_width`."""
     if kind == UPDATE:
         return HEAD + record
     if kind == ADD_GHOST:
@@ -90,7 +90,11 @@ def part_width(kind, d, extra):
 @inner
 def extra_width(rows):
     """Numbers a row of what changes velocities and differs from row to row."""
-    return (rows.acceleration.shape[1] if len(rows.acceleration) > 0 else 0) + (1 if len(rows.drag) > 0 else 0)
+    return (
+        (rows.acceleration.shape[1] if len(rows.acceleration) > 0 else 0)
+        + (1 if len(rows.drag) > 0 else 0)
+        + (1 if len(rows.turn) > 0 else 0)
+    )
 
 
 @lean_inner
@@ -149,6 +153,9 @@ def pack_changes(rows, reference, directory, log, moves, regions, bit, message):
             if len(rows.drag) > 0:
                 out[size] = rows.drag[i]
                 size += 1
+            if len(rows.turn) > 0:
+                out[size] = rows.turn[i]
+                size += 1
         if moves.owner[m] == rank:
             bits[size], bits[size + 1] = TRANSFER, state[i, ID]
             size += HEAD
@@ -168,9 +175,9 @@ def pack_changes(rows, reference, directory, log, moves, regions, bit, message):
 def roll_back(rows, log, stale):
     """All rows as before the window; returns how many (written to `stale`) must find their next events again."""
     rows, log = Rows(*rows), Log(*log)
-    d = dimension(rows)
+    d, record = dimension(rows), record_width(dimension(rows), spin_width(rows))
     for p in range(log.changed_count[0]):
-        load_row(d, rows, np.int64(log.changed[p]), log.saved, log.saved_bits, p * record_width(d))
+        load_row(d, rows, np.int64(log.changed[p]), log.saved, log.saved_bits, p * record)
         stale[p] = log.changed[p]
     return log.changed_count[0]
 
@@ -186,7 +193,8 @@ def verify(rows, directory, log, regions, begin, message):
     numbers, bits = message
     state, table, updated = rows.state, directory.table, directory.updated
     d, extra, window = regions.low.shape[1], extra_width(rows), log.window[0]
-    differing, found = np.empty((len(numbers) // (HEAD + record_width(d)) + log.border_count[0], 2), np.int64), 0
+    record = record_width(d, spin_width(rows))
+    differing, found = np.empty((len(numbers) // (HEAD + record) + log.border_count[0], 2), np.int64), 0
     place = np.empty((1, d))
     wrong = False
     for step in range(2):  # first to the cache
@@ -199,7 +207,7 @@ def verify(rows, directory, log, regions, begin, message):
                     i = row_of(table, bits[at + 1])
                     prefetch(state, i)
                     prefetch(updated, i)
-            at += part_width(bits[at], d, extra)
+            at += part_width(bits[at], d, record, extra)
     at = 0
     while at < len(numbers):
         if bits[at] == UPDATE:
@@ -209,12 +217,12 @@ def verify(rows, directory, log, regions, begin, message):
                 wrong |= can_affect_owned(rows, log, regions, i, begin, place)
                 differing[found, 0], differing[found, 1] = i, at + HEAD
                 found += 1
-        at += part_width(bits[at], d, extra)
+        at += part_width(bits[at], d, record, extra)
     for p in log.border[: log.border_count[0]]:
         i = np.int64(log.changed[p])
         if state[i, OWNERSHIP] == GHOST and updated[i] != window and has_new_segment(d, rows, log, p):
             wrong |= can_affect_owned(rows, log, regions, i, begin, place)
-            differing[found, 0], differing[found, 1] = i, len(numbers) + p * record_width(d)
+            differing[found, 0], differing[found, 1] = i, len(numbers) + p * record
             found += 1
     return wrong, differing[:found]
 
@@ -262,7 +270,7 @@ def apply_moves(rows, lists, queue, directory, regions, message, at, skin, stale
     segment, state, reference = rows.segment, rows.state, lists.reference
     _, _, length = lists.box
     d, extra = dimension(rows), extra_width(rows)
-    record = record_width(d)
+    record = record_width(d, spin_width(rows))
     while at < len(numbers):
         kind, name = bits[at], bits[at + 1]
         if kind in (ADD_GHOST, TRANSFER):
@@ -298,7 +306,9 @@ def apply_moves(rows, lists, queue, directory, regions, message, at, skin, stale
                         for k in range(d):
                             rows.acceleration[i, k] = numbers[begin + d + k]
                     if len(rows.drag) > 0:
-                        rows.drag[i] = numbers[begin + d + extra - 1]
+                        rows.drag[i] = numbers[begin + d + extra - 1 - (1 if len(rows.turn) > 0 else 0)]
+                    if len(rows.turn) > 0:
+                        rows.turn[i] = numbers[begin + d + extra - 1]
                     lists.level[i] = level_of(reference[i, d + SIZE], lists)
                 relist(length, lists, i, kept, new)
                 stale[pending[0]] = i
@@ -321,5 +331,5 @@ def apply_moves(rows, lists, queue, directory, regions, message, at, skin, stale
             drop(table, name)
             free[free_count[0]] = i
             free_count[0] += 1
-        at += part_width(kind, d, extra)
+        at += part_width(kind, d, record, extra)
     return at, 0

@@ -34,7 +34,7 @@ LONGEST_PAUSE = 64  # drifts
 CROWDED = 8  # quick contacts in a drift; then a particle is one of a crowd that collapses
 ROUNDS = 3
 DURATION = 1e-4  # of a step: that of a contact, where a scene gives none
-CHANGING = ("position", "velocity", "contacted", "virial", "supported", "total_acceleration")
+CHANGING = ("position", "velocity", "contacted", "virial", "supported", "total_acceleration", "spin")
 
 
 class Event:
@@ -49,13 +49,14 @@ class Event:
         ranks: Communicator,
         box: Box,
         loss: Loss,
+        law: Array,
         duration: float | None,
         planes: Planes | None,
         timers: Timers,
     ):
         self.ranks, self.given_duration, self.contact_duration = ranks, duration, 0.0
         self.particles, self.box, self.timers = particles, box, timers
-        self.rules = box, loss, planes or no_planes(particles.dimension)
+        self.rules = box, loss, law, planes or no_planes(particles.dimension)
         self.divided = ranks.size > 1 and ranks.allreduce_sum(len(particles))[0] >= LEAST * ranks.size
         self.tc_elastic = 0  # contacts of this rank that took no energy
         self.first_tc_elastic: tuple[float, Array] = np.inf, np.empty((0, 3))  # moment of a step, and (time, id, id or wall)

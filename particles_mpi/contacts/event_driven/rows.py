@@ -1,7 +1,8 @@
 """What a rank knows of particles during a drift: a row each, its own ones and ghosts, which are copies of other ranks' ones.
 
 The log of a window of time tells which rows were changed in it, and what they were before, so that changes can be sent or undone.
-A record of a row is its segment without the radius, and then the first SAVED columns of its state, in the same memory.
+A record of a row is its segment without the radius, then the first SAVED columns of its state, in the same memory, and then its
+spin, if spheres are rough.
 """
 
 from __future__ import annotations
@@ -42,6 +43,8 @@ class Rows(NamedTuple):
     reals: Array  # the same memory as float64
     acceleration: Array  # (n, d), or no row where it is the same for all
     drag: Array  # (n,), or no row where it is the same for all
+    spin: Array  # (n, d(d-1)/2), or no row where spheres are smooth
+    turn: Array  # (n,) inverse moments of inertia, likewise
 
 
 @inner
@@ -51,8 +54,8 @@ def dimension(rows):
 
 
 @lean
-def start_drift(axes, rows, x, v, radius, last_contact, virial, acceleration, own_rows):
-    """Own rows on segments from (x, v) at time 0; particle p is row own_rows[p]. `virial`, `acceleration`: may have no row.
+def start_drift(axes, rows, x, v, radius, last_contact, virial, acceleration, spin, own_rows):
+    """Own rows on segments from (x, v) at time 0; particle p is row own_rows[p]. The last three fields may have no row.
 
     Returns (moved, speed): did anyone change a position or radius since `end_drift`, and the largest speed, inf if
     anything is not finite.
@@ -79,6 +82,8 @@ def start_drift(axes, rows, x, v, radius, last_contact, virial, acceleration, ow
         if len(acceleration) > 0:
             for k in range(d):
                 rows.acceleration[i, k] = acceleration[p, k]
+        for c in range(spin_width(rows)):
+            rows.spin[i, c] = spin[p, c]
     return moved, sqrt(fastest)
 
 
@@ -108,7 +113,7 @@ def end_drift(axes, rows, h, reference, box):
 
 
 @lean
-def write_back(axes, rows, x, v, last_contact, virial, supported, crowded, own_rows):
+def write_back(axes, rows, x, v, last_contact, virial, supported, spin, crowded, own_rows):
     """Particle p as row own_rows[p] is; those with `crowded` quick contacts are marked CROWD in `supported` if that has rows."""
     rows = Rows(*rows)
     segment, state, reals = rows.segment, rows.state, rows.reals
@@ -118,6 +123,8 @@ def write_back(axes, rows, x, v, last_contact, virial, supported, crowded, own_r
         for k in range(d):
             x[p, k] = segment[i, k]
             v[p, k] = segment[i, d + k]
+        for c in range(spin_width(rows)):
+            spin[p, c] = rows.spin[i, c]
         last_contact[p] = reals[i, LAST_CONTACT]
         if len(virial):
             virial[p] = reals[i, VIRIAL]
@@ -126,9 +133,15 @@ def write_back(axes, rows, x, v, last_contact, virial, supported, crowded, own_r
 
 
 @inner(inline="always")
-def record_width(d):
-    """Numbers in a record, in d dimensions."""
-    return 2 * d + START + 1 + SAVED
+def spin_width(rows):
+    """Numbers of a spin, 0 where spheres are smooth."""
+    return rows.spin.shape[1] if len(rows.spin) > 0 else 0
+
+
+@inner(inline="always")
+def record_width(d, spins):
+    """Numbers in a record, in d dimensions; `spins`: see `spin_width`."""
+    return 2 * d + START + 1 + SAVED + spins
 
 
 @inner(inline="always")
@@ -154,9 +167,9 @@ class Log(NamedTuple):
     border: Array  # (n,) int32, places of these in `changed`
 
 
-def new_log(n: int, d: int) -> Log:
-    """For n rows in d dimensions."""
-    saved = np.empty(n * record_width(d))
+def new_log(n: int, d: int, spins: int) -> Log:
+    """For n rows in d dimensions, whose spins have so many components, 0 where spheres are smooth."""
+    saved = np.empty(n * record_width(d, spins))
     one = np.zeros((4, 1), np.int64)
     return Log(
         one[0], one[1], np.empty(n, np.int32), np.zeros((n, 2), np.int64), saved, saved.view(np.int64), np.zeros(1),
@@ -173,7 +186,10 @@ def save_row(d, rows, i, out, out_bits, at):
     at += 2 * d + START + 1
     for k in range(SAVED):
         out_bits[at + k] = state[i, k]
-    return at + SAVED
+    at += SAVED
+    for c in range(spin_width(rows)):
+        out[at + c] = rows.spin[i, c]
+    return at + spin_width(rows)
 
 
 @lean_inner
@@ -185,6 +201,8 @@ def load_row(d, rows, i, record, bits, at):
     at += 2 * d + START + 1
     for k in range(SAVED):
         state[i, k] = bits[at + k]
+    for c in range(spin_width(rows)):
+        rows.spin[i, c] = record[at + SAVED + c]
     state[i, EVENT_COUNT] += 1
 
 
@@ -198,7 +216,7 @@ def save_once(axes, rows, i, log):
         if rows.state[i, OWNERSHIP] != OWN:
             log.border[log.border_count[0]] = count[0]
             log.border_count[0] += 1
-        save_row(np.int64(len(axes)), rows, i, log.saved, log.saved_bits, count[0] * record_width(len(axes)))
+        save_row(np.int64(len(axes)), rows, i, log.saved, log.saved_bits, count[0] * record_width(len(axes), spin_width(rows)))
         count[0] += 1
 
 
@@ -229,4 +247,4 @@ def note_move(i, log):
 @lean_inner
 def has_new_segment(d, rows, log, p):
     """Has the row at place p of the log got a new segment in the window, or only a new reference position?"""
-    return log.saved_bits[p * record_width(d) + hash_place(d)] != rows.state[log.changed[p], TRAJECTORY_HASH]
+    return log.saved_bits[p * record_width(d, spin_width(rows)) + hash_place(d)] != rows.state[log.changed[p], TRAJECTORY_HASH]

@@ -13,6 +13,7 @@ import numpy as np
 
 from particles_mpi.contacts.event_driven.rows import RADIUS, START
 from particles_mpi.contacts.law import exchange, may_come_near
+from particles_mpi.contacts.rough import FRICTION, PAIRS, strike_pair
 from particles_mpi.kernels.geometry import image_shift, some_nearest
 from particles_mpi.kernels.jit import inner, lean_inner, screening
 from particles_mpi.kernels.markers import NEVER
@@ -100,8 +101,10 @@ def move_to(axes, segment, i, t):
 
 
 @lean_inner
-def collide(axes, segment, reference, i, j, t, restitution, velocity_factor, length, rates, r):
+def collide(axes, segment, reference, i, j, t, restitution, velocity_factor, length, rates, rough, smooth, r):
     """The contact of rows i and j at time t: `law.collide_pair` on segments. Returns its virial, -r.dp; r (d,) is scratch.
+
+    `smooth`: this one is, even if spheres are rough.
 
     On a line there is one normal even for points, which have no distance when they touch: there, the impulse is that of r = 1.
     """
@@ -118,4 +121,8 @@ def collide(axes, segment, reference, i, j, t, restitution, velocity_factor, len
         nearing = r[0] * (segment[i, d] - segment[j, d])
         take = exchange(axes, segment, np.int64(d), r, i, j, own, other, t, restitution, velocity_factor, rates)
         return -((1.0 + restitution if len(rates.a) == 0 else take / nearing) * approach) / (own + other)
+    if rough.law[PAIRS, FRICTION] > 0.0 and not smooth:
+        one, two = segment[i, 2 * d + RADIUS], segment[j, 2 * d + RADIUS]
+        change = strike_pair(axes, segment, np.int64(d), rough, r, i, j, own, other, one, two, t, restitution, rates)
+        return -change / (own + other)
     return -exchange(axes, segment, np.int64(d), r, i, j, own, other, t, restitution, velocity_factor, rates) / (own + other)

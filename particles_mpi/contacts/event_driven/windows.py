@@ -233,7 +233,7 @@ class Windows:
         rows, holders, d = self.engine.rows, self.directory.holders, len(self.box.length)
         shared = np.flatnonzero(rows.state[:, OWNERSHIP] == SHARED)
         numbers = [rows.state[shared, ID].view(float), rows.segment[shared, : 2 * d]]
-        numbers += [rows.acceleration[shared]] if len(rows.acceleration) else []
+        numbers += [column[shared] for column in (rows.acceleration, rows.spin) if len(column)]
         table = np.column_stack(numbers)
         outgoing = [table[(holders[shared, k >> 6] >> (k & 63) & 1) == 1].ravel() for k in range(len(self.near))]
         arrived = sendrecv(self.ranks, self.near, outgoing).reshape(-1, table.shape[1])
@@ -241,8 +241,11 @@ class Windows:
         rows.segment[ghosts, : 2 * d], rows.segment[ghosts, 2 * d + START] = arrived[:, 1 : 2 * d + 1], 0.0
         rows.state[ghosts, LAST_PARTNER] = NOBODY
         rows.state[ghosts, RAPID_EVENTS] = rows.state[ghosts, TRAJECTORY_HASH] = 0
-        if len(rows.acceleration):
-            rows.acceleration[ghosts] = arrived[:, 2 * d + 1 :]
+        at = 2 * d + 1
+        for column in (rows.acceleration, rows.spin):
+            if len(column):
+                column[ghosts] = arrived[:, at : at + column.shape[1]]
+                at += column.shape[1]
 
     def one_window(self, begin: float, until: float, length: float, moment: float) -> bool:
         """All contacts from `begin` to `until`, verified; False if they had to be undone. Collective."""
@@ -283,7 +286,7 @@ class Windows:
     def changes_for(self, bit: int, moves: Moves) -> Array:
         """What happened in the window, for the known rank of a bit."""
         engine, log, d = self.engine, self.engine.log, len(self.box.length)
-        widest = record_width(d) + 2 * d + 8
+        widest = record_width(d, d * (d - 1) // 2) + 2 * d + 9
         message = message_of(np.empty((int(log.border_count[0]) + 3 * int(log.moved_count[0])) * widest))
         rows, directory, reference = tuple(engine.rows), tuple(self.directory), engine.lists.arrays.reference
         regions = tuple(self.regions)

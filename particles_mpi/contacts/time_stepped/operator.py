@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from particles_mpi.contacts.law import Loss
+from particles_mpi.contacts.rough import Rough
 from particles_mpi.contacts.time_stepped.contact_search import deepest_overlap, find_contacts, find_wall_hits
 from particles_mpi.contacts.time_stepped.passes import (
     MISSED,
@@ -60,9 +61,13 @@ class Rewind:
     `exact`: the operator that does drifts with more contacts than `passes` put in order, or None if they are just counted.
     """
 
-    def __init__(self, near: Neighbourhood, loss: Loss, passes: int, planes: Planes | None, timers: Timers, exact: Event | None):
+    def __init__(
+        self, near: Neighbourhood, loss: Loss, law: Array, passes: int, planes: Planes | None, timers: Timers,
+        exact: Event | None,
+    ):  # fmt: skip
+        """`law`: see `contacts.rough.Rough`."""
         self.near, self.passes, self.timers, self.exact = near, passes, timers, exact
-        self.loss, self.walls = loss, planes is not None
+        self.loss, self.law, self.walls = tuple(loss), law, planes is not None
         self.planes = plain(planes or no_planes(len(near.axes)))
         self.dense_steps = 0
         self.searches = -1  # the search of `near` that the arrays by row belong to
@@ -103,9 +108,12 @@ class Rewind:
         if self.searches != near.searches:
             self.searches = near.searches
             self.selection = Selection(np.full(n, NOBODY), np.empty((owned, 3)))
-            self.log = UndoLog(np.empty(owned, np.int32), np.empty((owned, d)), np.empty((owned, d)), np.zeros(1, np.int64))
+            spin = np.empty((owned * (len(near.spin) > 0), near.spin.shape[1]))
+            vectors = np.empty((owned, d)), np.empty((owned, d)), spin
+            self.log = UndoLog(np.empty(owned, np.int32), *vectors, np.zeros(1, np.int64))
+            self.rough = Rough(near.spin, near.turn, self.law, np.empty(d), np.empty(d))
         self.rates = rates.of(near.fields)
-        self.rules = self.loss, self.planes, self.rates, near.length
+        self.rules = self.loss, self.planes, self.rates, self.rough, near.length
         self.virial = near.particles.arrays.get("virial", NONE)
         self.virial_before = self.virial.copy()
 
@@ -194,7 +202,7 @@ class Rewind:
         if shared:
             with self.timers("ghosts"):
                 selected[near.spheres.owned :] = NOBODY
-                exchange_segments(near.halo, near.active, near.segments)
+                exchange_segments(near.halo, near.active, near.segments, near.spin)
         with self.timers("pairs"):
             return near.follow(h)
 
@@ -208,7 +216,7 @@ class Rewind:
         count = log.number[0]
         log.rows[count : count + len(rows)] = rows
         log.number[0] += len(rows)
-        return int(finish_walls(near.axes, *near.rows, tuple(hits), h, self.planes, self.rates))
+        return int(finish_walls(near.axes, *near.rows, tuple(hits), h, self.planes, self.rates, self.rough))
 
     def undo(self) -> None:
         """Owned rows go back to where they were before their contacts in this drift."""
@@ -216,6 +224,8 @@ class Rewind:
         count = log.number[0]
         rows = log.rows[:count]
         near.x[rows], near.v[rows] = log.x[:count], log.v[:count]
+        if len(log.spin):
+            near.spin[rows] = log.spin[:count]
         self.virial[:] = self.virial_before
         self.forget_contacts()
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.contacts.law import collide_pair
-from particles_mpi.contacts.walls import bounce, bounce_until
+from particles_mpi.contacts.walls import bounce_until, meet_wall
 from particles_mpi.kernels.jit import kernel, lean, lean_inner
 from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.kernels.motion import move_to
@@ -30,6 +30,7 @@ class UndoLog(NamedTuple):
     rows: Array  # (owned,) int32, of which the first number[0] are filled
     x: Array  # (owned, d)
     v: Array  # (owned, d)
+    spin: Array  # (owned, d(d-1)/2), no row where spheres are smooth
     number: Array
 
 
@@ -64,16 +65,16 @@ def select_contacts(ids, owned, hits, selection):
 
 @kernel
 def apply_contacts(axes, segments, spheres, hits, selected_partner, rules, active, log, counts, virial):
-    """Apply the hits that both partners selected; `rules`: loss of a pair, planes, `Rates`, periodic lengths (d,).
+    """Apply the hits that both partners selected; `rules`: loss of a pair, planes, `Rates`, `Rough`, periodic lengths (d,).
 
     Rows that changed, and rows with a hit that has to wait, are active in the next pass. `log` gets the owned rows of which
     this was the first contact. `counts` (3,) += collisions and wall hits, each collision counted by the owner of the lower
     id; so is its virial -r.dp, where that is wanted: else `virial` (owned,) is empty.
     """
     x, v, start, last_partner = segments
-    _, w, ids, owned = spheres
+    radius, w, ids, owned = spheres
     a, b, time = hits
-    loss, planes, rates, length = rules
+    loss, planes, rates, rough, length = rules
     _, normal, wall_restitution, wall_factor, _, _, _ = planes
     is_active, active_rows, active_number = active
     r = np.empty(len(axes))
@@ -85,19 +86,20 @@ def apply_contacts(axes, segments, spheres, hits, selected_partner, rules, activ
         if j < 0:
             if selected_partner[i] != j:
                 continue
-            note_start(segments, i, owned, log)
+            note_start(segments, rough.spin, i, owned, log)
             move_to(axes, x, v, start, i, time[p])
             wall = -1 - j
-            bounce(axes, v, np.int64(0), i, wall, normal, wall_restitution[wall], wall_factor[wall], w[i], time[p], rates)
+            taken = wall_restitution[wall], wall_factor[wall]
+            meet_wall(axes, v, np.int64(0), i, wall, radius[i], w[i], time[p], taken, normal, rates, rough)
             last_partner[i] = j
             counts[WALL_HITS] += 1
             continue
         found = activate(j, is_active, active_rows, found)
         if selected_partner[i] != ids[j] or selected_partner[j] != ids[i]:
             continue
-        note_start(segments, i, owned, log)
-        note_start(segments, j, owned, log)
-        given = collide_pair(axes, segments, w, i, j, time[p], loss, length, rates, r)
+        note_start(segments, rough.spin, i, owned, log)
+        note_start(segments, rough.spin, j, owned, log)
+        given = collide_pair(axes, segments, spheres, i, j, time[p], loss, length, rates, rough, r)
         last_partner[i] = ids[j]
         last_partner[j] = ids[i]
         if i < owned:
@@ -120,10 +122,10 @@ def activate(i, is_active, active_rows, found):
 
 
 @lean_inner
-def note_start(segments, i, owned, log):
+def note_start(segments, spin, i, owned, log):
     """Before the first contact of an owned row in this drift: log where it started."""
     x, v, _, last_partner = segments
-    rows, log_x, log_v, number = log
+    rows, log_x, log_v, log_spin, number = log
     if i >= owned or last_partner[i] != NOBODY:
         return
     p = number[0]
@@ -131,11 +133,14 @@ def note_start(segments, i, owned, log):
     for k in range(x.shape[1]):
         log_x[p, k] = x[i, k]
         log_v[p, k] = v[i, k]
+    if len(spin) > 0:
+        for c in range(spin.shape[1]):
+            log_spin[p, c] = spin[i, c]
     number[0] = p + 1
 
 
 @lean
-def finish_walls(axes, segments, spheres, hits, h, planes, rates):
+def finish_walls(axes, segments, spheres, hits, h, planes, rates, rough):
     """Take the rows of the wall hits through all their wall contacts, blind to other particles; returns the number."""
     x, v, start, last_partner = segments
     radius, w, _, _ = spheres
@@ -144,5 +149,5 @@ def finish_walls(axes, segments, spheres, hits, h, planes, rates):
     for p in range(len(a)):
         if b[p] < 0:
             i = np.int64(a[p])
-            count += bounce_until(axes, x, v, start, last_partner[i], i, radius[i], w[i], h, planes, rates)
+            count += bounce_until(axes, x, v, start, last_partner[i], i, radius[i], w[i], h, planes, rates, rough)
     return count

@@ -18,7 +18,7 @@ from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.output.files import failing_together, make_folder
 from particles_mpi.parallel.agreement import raising_together
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.particles import FIELDS
+from particles_mpi.particles import FIELDS, components
 from particles_mpi.run.console import Screen
 from particles_mpi.scene.active import fields_of
 from particles_mpi.scene.schema import Scene
@@ -190,7 +190,7 @@ def scale(described: Scene | None, folder: Path, quick: bool, comm: Any = None) 
 def row_bytes(scene: Scene) -> int:
     """Bytes of a ghost, as they are sent."""
     ghosts = (FIELDS[name] for name in fields_of(scene) if FIELDS[name].ghost)
-    return sum(8 * (scene.dimension if column.vector else 1) for column in ghosts)
+    return sum(8 * max(components(column, scene.dimension), 1) for column in ghosts)
 
 
 def law_of(scene: Scene, total: int, divided: bool) -> Law:

@@ -1,0 +1,205 @@
+"""The contact of rough spheres: friction and spin. Scalars and arrays only.
+
+Three parameters say what happens (O. Walton and R. Braun, J. Rheol. 30, 949 (1986); S. Foerster, M. Louge, H. Chang and K. Allia,
+Phys. Fluids 6, 1108 (1994)). With k the unit vector from j to i, a = |x_i - x_j| R/(R_i + R_j) the arm of each, w = 1/m and
+q = 1/I, the surfaces meet with the velocity
+
+    u = v_i - v_j - (a_i s_i + a_j s_j) x k       (s: the spins, angular velocities).
+
+The impulse on i is J = J_n k + J_t: J_n = -(1 + e) u.k / (w_i + w_j) as for smooth spheres, and, with u_t the part of u across k,
+
+    J_t = -(1 + beta_0) u_t / (w_i + w_j + a_i^2 q_i + a_j^2 q_j)     where that is at most mu J_n (the surfaces stick),
+    J_t = -mu J_n u_t/|u_t|                                           otherwise (they slide).
+
+Then v_i += w_i J, v_j -= w_j J, s_i -= a_i q_i k x J and s_j -= a_j q_j k x J, which keeps linear and angular momentum.
+A wall has no w and no q. Spins have d(d-1)/2 components: one in the plane, three in space.
+"""
+
+from __future__ import annotations
+
+from math import inf, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from particles_mpi.contacts.velocity_flow import change_of, row_of
+from particles_mpi.kernels.jit import inner, lean_inner
+from particles_mpi.particles import Array
+
+FRICTION, TANGENTIAL = 0, 1  # columns of `law`
+PAIRS = 0  # row of `law`; that of wall w is 1 + w
+
+
+class Rough(NamedTuple):
+    """What contacts of rough spheres need to know of n particles; in a smooth scene no array has a row but `law` and scratch."""
+
+    spin: Array  # (n, d(d-1)/2) angular velocities
+    turn: Array  # (n,) inverse moments of inertia, 0 for what does not turn
+    law: Array  # (1 + walls, 2): FRICTION mu, 0 where contacts are smooth, and TANGENTIAL restitution beta_0
+    normal: Array  # (d,) scratch
+    impulse: Array  # (d,) scratch
+
+
+def is_rough(friction: float, tangential: float) -> bool:
+    """Do surfaces of such a contact act on one another?"""
+    return friction > 0.0 and tangential > -1.0
+
+
+def surface(friction: float | None, tangential: float | None) -> tuple[float, float]:
+    """(mu, beta_0) of what a scene says: nothing is smooth; beta_0 alone has no limit; friction alone sticks without rebound."""
+    mu = (0.0 if tangential is None else inf) if friction is None else friction
+    beta = 0.0 if tangential is None else tangential
+    return (mu, beta) if is_rough(mu, beta) else (0.0, 0.0)
+
+
+def takes_energy(surface: tuple[float, float]) -> bool:
+    """Does a contact of such surfaces take energy? Not if it sticks for any impulse and gives all of the slip back."""
+    return is_rough(*surface) and surface != (inf, 1.0)
+
+
+def no_spins(dimension: int, law: Array) -> Rough:
+    """Of a smooth scene."""
+    return Rough(np.empty((0, 1)), np.empty(0), law, np.empty(dimension), np.empty(dimension))
+
+
+@inner(inline="always")
+def plane_of(axes, p, q):
+    """(component, sign) of the rotation in the plane of the axes p < q: spin x k has there -sign spin k_q, and sign spin k_p."""
+    return 2 * len(axes) - 3 - p - q, (-1.0 if q - p == 2 else 1.0)
+
+
+@lean_inner
+def strike_pair(axes, v, column, rough, r, i, j, w_i, w_j, radius_i, radius_j, t, restitution, rates):
+    """The law of a contact of the rows i and j, r = x_i - x_j (d,) apart, at time t; in place. As `law.exchange`: returns the
+    change of r.u; v and column as there."""
+    r2 = 0.0
+    for k in range(len(axes)):
+        r2 += r[k] * r[k]
+    distance = sqrt(r2)
+    for k in range(len(axes)):
+        rough.normal[k] = r[k] / distance
+    part = distance / (radius_i + radius_j) if radius_i + radius_j > 0.0 else 0.0
+    bodies = w_i, w_j, part * radius_i, part * radius_j
+    return distance * strike(axes, v, column, rough, np.int64(PAIRS), i, j, bodies, t, restitution, rates)
+
+
+@lean_inner
+def strike_wall(axes, v, column, rough, i, wall, normal, w, radius, t, restitution, rates):
+    """The law of a contact of row i with a wall, at time t; in place. As `walls.bounce`."""
+    for k in range(len(axes)):
+        rough.normal[k] = normal[wall, k]
+    bodies = w, 0.0, radius, 0.0
+    strike(axes, v, column, rough, 1 + wall, i, np.int64(-1), bodies, t, restitution, rates)
+
+
+@lean_inner
+def strike(axes, v, column, rough, which, i, j, bodies, t, restitution, rates):
+    """The contact with the unit vector `rough.normal`, j < 0 being a wall; `bodies`: w and arms of i and j.
+
+    It takes place between the velocities of its own moment (see `velocity_flow`); between those of the segments, where partners
+    are so slow that they would have moved apart at that moment, or would approach after it. Returns the change of u.k.
+    """
+    if len(rates.a) > 0:
+        change = strike_at(axes, v, column, rough, which, i, j, bodies, t - rates.t_mid, restitution, rates)
+        if change != 0.0:
+            return change
+    return strike_at(axes, v, column, rough, which, i, j, bodies, 0.0, restitution, rates)
+
+
+@lean_inner
+def strike_at(axes, v, column, rough, which, i, j, bodies, tau, restitution, rates):
+    """`strike` a time tau after the middle of the step; returns 0, and changes nothing, where there is no contact then."""
+    w_i, w_j, _, _ = bodies
+    impulse, normal, a = rough.impulse, rough.normal, rates.a
+    moved = tau != 0.0
+    at, to = (row_of(i, rates), row_of(j, rates)) if moved else (i, j)
+    decay_i, push_i = change_of(i, speed2(axes, v, column, i), w_i, tau, rates) if moved else (1.0, 0.0)
+    decay_j, push_j = change_of(j, speed2(axes, v, column, j), w_j, tau, rates) if moved and j >= 0 else (1.0, 0.0)
+    approach, offset = 0.0, 0.0
+    for k in range(len(axes)):
+        impulse[k] = decay_i * v[i, column + k] - (decay_j * v[j, column + k] if j >= 0 else 0.0)
+        if moved:
+            pushed = push_i * a[at, k] - (push_j * a[to, k] if j >= 0 else 0.0)
+            impulse[k] += pushed
+            offset += pushed * normal[k]
+        approach += impulse[k] * normal[k]
+    if not approach < 0.0:
+        return 0.0
+    to_impulse(axes, rough, which, i, j, bodies, approach, restitution)
+    if not moved:
+        for k in range(len(axes)):
+            v[i, column + k] += w_i * impulse[k]
+            if j >= 0:
+                v[j, column + k] -= w_j * impulse[k]
+        turn_both(axes, rough, i, j, bodies)
+        return (1.0 + restitution) * approach
+    v2_i, v2_j = 0.0, 0.0
+    for k in range(len(axes)):
+        v2_i += (decay_i * v[i, column + k] + push_i * a[at, k] + w_i * impulse[k]) ** 2
+        if j >= 0:
+            v2_j += (decay_j * v[j, column + k] + push_j * a[to, k] - w_j * impulse[k]) ** 2
+    back_i, pull_i = change_of(i, v2_i, w_i, -tau, rates)
+    back_j, pull_j = change_of(j, v2_j, w_j, -tau, rates) if j >= 0 else (1.0, 0.0)
+    left_i, left_j = back_i * push_i + pull_i, back_j * push_j + pull_j  # 0 without a loss
+    leaving = 0.0
+    for k in range(len(axes)):
+        after = back_i * decay_i * v[i, column + k] + back_i * w_i * impulse[k] + left_i * a[at, k]
+        if j >= 0:
+            after -= back_j * decay_j * v[j, column + k] - back_j * w_j * impulse[k] + left_j * a[to, k]
+        leaving += after * normal[k]
+    if leaving < 0.0 and offset != 0.0:
+        return 0.0
+    for k in range(len(axes)):
+        v[i, column + k] = back_i * decay_i * v[i, column + k] + back_i * w_i * impulse[k] + left_i * a[at, k]
+        if j >= 0:
+            v[j, column + k] = back_j * decay_j * v[j, column + k] - back_j * w_j * impulse[k] + left_j * a[to, k]
+    turn_both(axes, rough, i, j, bodies)
+    return (1.0 + restitution) * approach
+
+
+@lean_inner
+def speed2(axes, v, column, i):
+    """The square of the speed of row i."""
+    total = 0.0
+    for k in range(len(axes)):
+        total += v[i, column + k] * v[i, column + k]
+    return total
+
+
+@lean_inner
+def to_impulse(axes, rough, which, i, j, bodies, approach, restitution):
+    """rough.impulse (d,), which is v_i - v_j, becomes the impulse J on i; `approach`: u.k."""
+    w_i, w_j, arm_i, arm_j = bodies
+    spin, turn, normal, u = rough.spin, rough.turn, rough.normal, rough.impulse
+    mobility = w_i + w_j + (arm_i * arm_i * turn[i] + (arm_j * arm_j * turn[j] if j >= 0 else 0.0))
+    for p in range(len(axes)):
+        for q in range(p + 1, len(axes)):
+            c, sign = plane_of(axes, p, q)
+            rim = sign * (arm_i * spin[i, c] + (arm_j * spin[j, c] if j >= 0 else 0.0))
+            u[p] += rim * normal[q]
+            u[q] -= rim * normal[p]
+    slip2 = 0.0
+    for k in range(len(axes)):
+        u[k] -= approach * normal[k]
+        slip2 += u[k] * u[k]
+    slip = sqrt(slip2)
+    push = -(1.0 + restitution) * approach / (w_i + w_j)
+    grip = (1.0 + rough.law[which, TANGENTIAL]) * slip / mobility
+    most = rough.law[which, FRICTION] * push
+    held = (grip if grip <= most else most) / slip if slip > 0.0 else 0.0
+    for k in range(len(axes)):
+        u[k] = push * normal[k] - held * u[k]
+
+
+@lean_inner
+def turn_both(axes, rough, i, j, bodies):
+    """The spins of i and j after the impulse `rough.impulse`."""
+    _, _, arm_i, arm_j = bodies
+    spin, turn, normal, impulse = rough.spin, rough.turn, rough.normal, rough.impulse
+    for p in range(len(axes)):
+        for q in range(p + 1, len(axes)):
+            c, sign = plane_of(axes, p, q)
+            torque = sign * (normal[p] * impulse[q] - normal[q] * impulse[p])
+            spin[i, c] -= turn[i] * arm_i * torque
+            if j >= 0:
+                spin[j, c] -= turn[j] * arm_j * torque
