@@ -17,8 +17,9 @@ Array = npt.NDArray[Any]
 class Column:
     """A per-particle quantity.
 
-    dtype: of numpy; vector: one component an axis; rotation: one a plane of two axes, d(d-1)/2; ghost: partners of a pair must know it; output: written to frames (state
-    that only a restart needs is not); default: the value where nothing gives one; least: the smallest value allowed.
+    dtype: of numpy; vector: one component an axis; rotation: one a plane of two axes, d(d-1)/2; ghost: partners of a pair must
+    know it; output: written to frames (state that only a restart needs is not); default: the value where nothing gives one;
+    least: the smallest value allowed.
     """
 
     dtype: str = "float64"

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.contacts.law import Loss
+from particles_mpi.contacts.rough import FRICTION
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.contacts.walls import no_planes
 from particles_mpi.kernels.geometry import Box, wrap
@@ -29,12 +30,16 @@ def keeper_of_contacts(effects: ActiveEffects, context: Context, dimension: int)
     """The operator for contacts that last, where forces and losses can make one last; else None."""
     if not effects.keeps_contacts:
         return None
-    from particles_mpi.contacts.persistent.operator import PersistentContacts
+    from particles_mpi.contacts.persistent.operator import PersistentContacts, Surfaces
 
-    pairs = effects.pairs is not None and effects.pairs.lossy
-    planes = effects.walls.planes if effects.walls else no_planes(dimension)
+    pairs, walls = effects.pairs is not None and effects.pairs.lossy, effects.walls
+    planes, taking = (walls.planes, walls.taking) if walls else (no_planes(dimension), np.empty(0, bool))
     tolerance = effects.pairs.options.contact_tolerance if effects.pairs else 0.0
-    return PersistentContacts(context.ranks, context.length, pairs, planes, effects.uniform, tolerance, context.timers)
+    friction, resistance = surfaces(effects)[:, FRICTION], effects.rolling.resistance if effects.rolling else 0.0
+    rough = Surfaces(float(friction[0]), friction[1:], resistance)
+    return PersistentContacts(
+        context.ranks, context.length, pairs, planes, taking, rough, effects.uniform, tolerance, context.timers
+    )
 
 
 def surfaces(effects: ActiveEffects) -> Array:

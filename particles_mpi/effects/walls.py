@@ -22,7 +22,7 @@ class Plane(Losses):
 
 
 class Options(Losses, EffectOptions):
-    """`restitution` or `damping`, and friction: for all of `planes` that have none; without these, every non-periodic face of the box."""
+    """`planes`, or every non-periodic face of the box; `restitution` or `damping`, and friction, of those that give none."""
 
     planes: list[Plane] | None = None
 

@@ -27,7 +27,7 @@ class Active(NamedTuple):
 
 
 def message_width(dimension: int) -> int:
-    """Numbers in the longest row of a message: place, last partner, start, x, v of a segment; or x, v, acceleration; and spins."""
+    """Numbers in the longest row of a message: place, last partner, start, x, v of a segment; or x, v, a; and a spin."""
     return max(3 + 2 * dimension, 3 * dimension) + dimension * (dimension - 1) // 2
 
 

@@ -39,9 +39,10 @@ class Neighbourhood:
     """Ghosts and candidates of this rank: `prepare` renews them where a drift needs it, `follow` after contacts.
 
     `segments`, `spheres` and the arrays of `fields` hold the owned rows, then ghosts; x, v are those of `segments`, and `rows`
-    are both as plain tuples, for kernels. `active`: rows with news in this pass. `candidates`: the pairs among all these that
-    can touch. spin, turn: angular velocities and inverse moments of inertia, no row where spheres are smooth. `planes`: a plain tuple, or None. `kicked`: do forces or dissipation change velocities? If not, ghosts fly
-    on by themselves, and only contacts need a message.
+    are both as plain tuples, for kernels. spin, turn: angular velocities and inverse moments of inertia, no row where spheres are
+    smooth. `active`: rows with news in this pass. `candidates`: the pairs among all these that can touch. `planes`: a plain
+    tuple, or None. `kicked`: do forces or dissipation change velocities? If not, ghosts fly on by themselves, and only contacts
+    need a message.
     """
 
     windows_redone = None  # ranks compute windows of time in mode event only

@@ -19,6 +19,7 @@ class ActiveEffects:
         self.forces, self.flows = self.of_kind(kinds.Force), self.of_kind(kinds.VelocityFlow)
         self.events = self.of_kind(kinds.Event)
         self.damping, self.friction = self.one_of(kinds.Damping), self.one_of(kinds.ConstantFriction)
+        self.rolling = self.one_of(kinds.RollingResistance)
         self.walls, self.pairs = self.one_of(kinds.WallContacts), self.one_of(kinds.PairContacts)
         self.on_velocities = self.names(kinds.Damping, kinds.ConstantFriction, kinds.VelocityFlow)  # those that act in a kick
 

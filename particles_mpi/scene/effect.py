@@ -50,8 +50,8 @@ class EffectOptions(Model):
 class Losses(Model):
     """What contacts take: `restitution` e (momentum is conserved), or `damping` alpha, whole velocity times sqrt(1-alpha).
 
-    Spheres are rough with `friction` mu (Coulomb's) or `tangential_restitution` beta_0, the part of the slip of their surfaces that
-    comes back, reversed, where they stick: 0 if not given. Without mu they always stick. See `contacts.rough`.
+    Spheres are rough with `friction` mu (Coulomb's) or `tangential_restitution` beta_0, the part of the slip of their surfaces
+    that comes back, reversed, where they stick: 0 if not given. Without mu they always stick. See `contacts.rough`.
     """
 
     damping: Fraction | None = None
@@ -208,8 +208,8 @@ class WallContacts(Effect):
 
 
 class PairContacts(Effect):
-    """Spheres that bounce off one another. restitution, keep: see `contacts.law.loss`; surface: (mu, beta_0), see `contacts.rough`;
-    lossy: does a contact take energy?"""
+    """Spheres that bounce off one another. restitution, keep: see `contacts.law.loss`; surface: (mu, beta_0), see
+    `contacts.rough`; lossy: does a contact take energy?"""
 
     role = "event"
     options: Any
@@ -219,7 +219,14 @@ class PairContacts(Effect):
     lossy: bool
 
 
-ONE_OF_EACH = (Damping, ConstantFriction, WallContacts, PairContacts)
+class RollingResistance(Effect):
+    """A couple against the rolling and spinning of contacts that last, of at most `resistance` (a length) times their force."""
+
+    role = "dissipation"
+    resistance: float
+
+
+ONE_OF_EACH = (Damping, ConstantFriction, RollingResistance, WallContacts, PairContacts)
 KINDS = (Force, VelocityFlow, Event, *ONE_OF_EACH)
 
 

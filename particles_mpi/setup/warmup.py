@@ -107,6 +107,15 @@ def rewind(d: int, ranks: Communicator) -> None:
     run(ranks, d, {"collisions": few, "walls": {}, "uniform_gravity": down(d)}, time={"step": 0.03})
 
 
+def rough(d: int, ranks: Communicator) -> None:
+    """Rough spheres, which come to rest; on walls alone too."""
+    surfaces = LOSSY | {"friction": 0.3, "tangential_restitution": 0.5}
+    more = {"uniform_gravity": down(d), "rolling": {"resistance": 0.01}, "walls": surfaces}
+    run(ranks, d, more | {"collisions": surfaces | {"mode": "event"}})
+    run(ranks, d, more | {"collisions": surfaces})
+    run(ranks, d, more)
+
+
 def others(d: int, ranks: Communicator) -> None:
     """Scenes without pairs: walls alone, integrators, the direct sum."""
     run(ranks, d, {"uniform_gravity": down(d), "walls": LOSSY})
@@ -170,6 +179,8 @@ JOBS: tuple[Callable[[Communicator], None], ...] = (
     partial(others, 1),
     partial(rewind, 1),
     *(partial(losses, d) for d in DIMENSIONS),
+    partial(rough, 3),
+    partial(rough, 2),
 )
 
 
@@ -191,6 +202,8 @@ def main() -> None:
         event(d, world)
         rewind(d, world)
         others(d, world)
+    for d in (3, 2):
+        rough(d, world)
     tree(world)
     starts(world)
     if world.is_root:

@@ -6,10 +6,12 @@ import pytest
 from particles_mpi.contacts import law
 from particles_mpi.contacts.event_driven import segments
 from particles_mpi.contacts.event_driven.rows import RADIUS, START
+from particles_mpi.contacts.rough import Rough
 from particles_mpi.contacts.velocity_flow import Rates, no_rates
 from particles_mpi.kernels.geometry import boxes_per_length
 from particles_mpi.kernels.markers import NEVER
 from particles_mpi.kernels.motion import Segments, move_to
+from particles_mpi.neighbours.candidates import Spheres
 from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS
 
 
@@ -50,9 +52,18 @@ def test_the_time_of_a_contact(d):
     assert touched > 20
 
 
+def spinning(d, w, random, surface):
+    """Random spins of two spheres, one of them perhaps without a moment of inertia, with the surface (mu, beta_0)."""
+    turn = np.where(w > 0.0, random.uniform(0.0, 9.0, 2), 0.0)
+    law_of = np.array([surface, surface])
+    return Rough(random.normal(size=(2, d * (d - 1) // 2)), turn, law_of, np.empty(d), np.empty(d))
+
+
+@pytest.mark.parametrize(
+    ("d", "surface"), [(1, (0.0, 0.0)), (2, (0.0, 0.0)), (3, (0.0, 0.0)), (2, (0.3, 0.5)), (3, (0.3, 0.5)), (3, (np.inf, -0.5))]
+)
 @pytest.mark.parametrize("changing", [False, True])
-@pytest.mark.parametrize("d", [1, 2, 3])
-def test_what_a_contact_does(d, changing):
+def test_what_a_contact_does(d, surface, changing):
     """On a line the rows of mode event take r = 1 for the normal, which rounds otherwise: there, equal to round-off."""
     collided = 0
     for parts, radius, w, segment, reference, length, random in pairs(d, 1000):
@@ -63,9 +74,13 @@ def test_what_a_contact_does(d, changing):
             continue
         rates = Rates(random.normal(size=(2, d)), random.uniform(0.0, 0.3, 2), 0.1, 1.0) if changing else no_rates(d)
         loss = law.Loss(random.choice([1.0, 0.5, 0.0]), random.choice([1.0, 0.9]))
-        virial = law.collide_pair(axes, parts, w, 0, 1, t, loss, length, rates, r)
-        other = segments.collide(axes, segment, reference, 0, 1, t, loss.restitution, loss.velocity_factor, length, rates, r)
+        rough = spinning(d, w, random, surface)
+        again = rough._replace(spin=rough.spin.copy())
+        spheres = Spheres(radius, w, np.arange(2), 2)
+        virial = law.collide_pair(axes, parts, spheres, 0, 1, t, loss, length, rates, rough, r)
+        other = segments.collide(axes, segment, reference, 0, 1, t, *loss, length, rates, again, False, r)
         collided += 1
+        assert is_same(rough.spin, again.spin)
         assert is_same(segment[:, :d], x) and is_same(segment[:, 2 * d + START], start)
         if d > 1:
             assert is_same(segment[:, d : 2 * d], v) and is_same(other, virial)

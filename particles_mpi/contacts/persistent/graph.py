@@ -28,29 +28,39 @@ class ContactGraph:
 
     ids: of all particles of the rank; rows (n,): those of them that are here, ascending; these are followed by `size` - n
     ghosts. start (n + 1,) and other (m,): the half-edges of row i are start[i] ... start[i + 1] - 1, and other[e] is the
-    partner's place among rows and ghosts. index: the place of each row of the particles, or -1. id (size,); radius and
-    inverse_mass (size + 1,), the last one being that of a wall.
+    partner's place among rows and ghosts. index: the place of each row of the particles, or -1. id (size,); radius,
+    inverse_mass and, of rough spheres, inverse_inertia (size + 1,), the last one being that of a wall.
     """
 
-    def __init__(self, ranks: Communicator, p: Particles, rows: Array, wide: Array, skin: float, length: Array):
-        """`wide` (len(p),): half of the distance up to which two rows of the same kind are near. Collective."""
+    def __init__(
+        self, ranks: Communicator, p: Particles, rows: Array, wide: Array, skin: float, length: Array, pairs: bool = True
+    ):  # fmt: skip
+        """`wide` (len(p),): half of the distance up to which two rows of the same kind are near; with no `pairs` none is.
+
+        Collective.
+        """
         self.rows, self.skin, self.version, self.length = rows, skin, p.version, length
         self.ids, self.place, self.wide = p.id.copy(), p.position[rows], wide[rows]
         self.index = np.full(len(p), -1, np.int32)
         self.index[rows] = np.arange(len(rows), dtype=np.int32)
         known = {"id": p.id[rows], "position": self.place, "radius": p.radius[rows], "inverse_mass": p.inverse_mass[rows]}
         known["reach"] = self.wide + 0.5 * skin
+        known["inverse_inertia"] = p.inverse_inertia[rows] if "spin" in p.arrays else np.empty((len(rows), 0))
         self.halo: Halo | None = None
         self.messages: dict[int, PersistentMessages] = {}  # by columns of a table
-        if ranks.size > 1:
+        if ranks.size > 1 and pairs:
             still = self.place, np.zeros_like(self.place), CLOSE * known["reach"]
             _, sent, counts, theirs, arriving = fetch_near_rows(ranks, known, still, AT_REST, length)
             known = {name: np.concatenate((column, theirs[name])) for name, column in known.items()}
             self.halo = Halo(ranks, sent, counts, arriving, len(rows), 0)
         self.id, self.size = known["id"], len(known["id"])
         self.radius, self.inverse_mass = np.append(known["radius"], np.inf), np.append(known["inverse_mass"], 0.0)
-        pairs = touching(known["position"], known["reach"], known["inverse_mass"], self.id, length)
-        self.start, self.other = half_edges(len(rows), *pairs, self.id)
+        self.inverse_inertia = np.append(known["inverse_inertia"], 0.0)
+        if not pairs:
+            self.start, self.other = np.zeros(len(rows) + 1, np.int64), np.empty(0, np.int32)
+            return
+        near = touching(known["position"], known["reach"], known["inverse_mass"], self.id, length)
+        self.start, self.other = half_edges(len(rows), *near, self.id)
 
     def holds(self, p: Particles, wide: Array, zone: Array) -> bool:
         """Are all pairs of rows in the zone (2, d) that are near, by `wide`, known to this rank?"""

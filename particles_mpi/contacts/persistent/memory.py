@@ -21,16 +21,22 @@ def names_of(graph: ContactGraph, walls: int) -> tuple[Array, Array]:
 
 def remember(graph: ContactGraph, taken: Array, walls: int) -> Memory:
     """Those of the half-edges that took something."""
-    of = np.flatnonzero(taken)
+    of = np.flatnonzero(along_normals(taken))
     ids, partners = names_of(graph, walls)
     return Memory(ids[of], partners[of], taken[of])
 
 
-def recall(memory: Memory, graph: ContactGraph, walls: int) -> Array:
-    """What each half-edge of the graph took, 0 where nothing is remembered."""
+def recall(memory: Memory, graph: ContactGraph, walls: int, shape: tuple[int, ...]) -> Array:
+    """What each half-edge of the graph took (m, *shape), 0 where nothing is remembered."""
     ids, partners = names_of(graph, walls)
     order = np.argsort(memory.id, kind="stable")
-    return match(ids, partners, memory.id[order], memory.partner[order], memory.taken[order])
+    taken = memory.taken if len(memory.taken) else np.zeros((0, *shape))  # of nothing, there is only one kind
+    return match(ids, partners, memory.id[order], memory.partner[order], taken[order])
+
+
+def along_normals(taken: Array) -> Array:
+    """What was taken along the normals (m,), of the columns that rough spheres have besides."""
+    return taken if taken.ndim == 1 else np.ascontiguousarray(taken[:, 0])
 
 
 def carry_over(old: ContactGraph, took: Array, new: ContactGraph, walls: int) -> Array:
@@ -44,7 +50,7 @@ def copy_taken(old, new, walls):
     """What the new graph's half-edges and walls took. old: (index, start, ids of partners, taken); new: (rows, start, ids)."""
     index, old_start, known, took = old
     rows, start, ids = new
-    taken = np.zeros(len(ids) + walls * len(rows))
+    taken = np.zeros((len(ids) + walls * len(rows), *took.shape[1:]))
     for n in range(len(rows)):
         m = index[rows[n]]
         if m < 0:
@@ -63,7 +69,7 @@ def copy_taken(old, new, walls):
 @kernel
 def match(ids, partners, known_id, known_partner, known_taken):
     """What the contacts (ids, partners) took, 0 for those that are not known; `known_id` ascends."""
-    taken = np.zeros(len(ids))
+    taken = np.zeros((len(ids), *known_taken.shape[1:]))
     first = last = np.int64(0)
     for e in range(len(ids)):
         if e == 0 or ids[e] != ids[e - 1]:

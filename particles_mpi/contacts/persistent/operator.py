@@ -30,12 +30,13 @@ from particles_mpi.contacts.persistent.detection import (
     widths,
 )
 from particles_mpi.contacts.persistent.graph import ContactGraph, Exchange, rows_in
-from particles_mpi.contacts.persistent.memory import carry_over, recall, remember, send_home
+from particles_mpi.contacts.persistent.memory import along_normals, carry_over, recall, remember, send_home
 from particles_mpi.contacts.persistent.on_walls import settle_on_walls
-from particles_mpi.contacts.persistent.problem import TAKEN, Problem, bound_rows, table_of
+from particles_mpi.contacts.persistent.problem import Problem, bound_rows, table_of
+from particles_mpi.contacts.persistent.rough_iterations import bound_rough, rough_table, slide_loads
 from particles_mpi.contacts.persistent.rows import gather, hand_over
 from particles_mpi.contacts.persistent.slow import approach, carried, loads, pressing, slow
-from particles_mpi.contacts.persistent.solver import EFFORT, EXACT, OUTLIER, Solver
+from particles_mpi.contacts.persistent.solver import EFFORT, EXACT, OUTLIER, Solver, taken_columns
 from particles_mpi.contacts.persistent.zone import inside_zone, spread, zone_around
 from particles_mpi.contacts.walls import NearFaces, Planes
 from particles_mpi.contacts.warm_start import NOTHING, Memory
@@ -46,11 +47,13 @@ from particles_mpi.timers import Timers
 
 SKIN = 0.3  # of the smallest radius: so far rows may move, two together, before the graph is made anew
 DILUTE = 1.0  # the same, in a gas: few pairs come near, but rows move far
+STILL = 1e-7  # of what forces do in two steps: slower, rough spheres that are held stand still
 UNKNOWN = 10  # times the effort where nothing is remembered
 
 
 class Local(NamedTuple):
-    """Rows, ghosts and a wall: x, v, push (size + 1, d), radius, w = 1/m or 0, crowd, supported (size + 1,)."""
+    """Rows, ghosts and a wall: x, v, push (size + 1, d), radius, w = 1/m or 0, crowd, supported (size + 1,), and, of rough
+    spheres, spin (size + 1, d(d-1)/2), which has no row in a smooth scene."""
 
     x: Array
     v: Array
@@ -59,6 +62,20 @@ class Local(NamedTuple):
     w: Array
     crowd: Array
     supported: Array
+    spin: Array
+
+
+class Surfaces(NamedTuple):
+    """Friction mu of pairs and of each plane, and the resistance to rolling, a length."""
+
+    pairs: float
+    walls: Array
+    resistance: float
+
+    @property
+    def rough(self) -> bool:
+        """Is there any friction?"""
+        return self.pairs > 0.0 or bool((self.walls > 0.0).any())
 
 
 class Targets(NamedTuple):
@@ -78,26 +95,29 @@ class Found(NamedTuple):
 
 
 class PersistentContacts:
-    """Keeps the slow contacts of particles: with one another if `pairs`, and with those of the planes that take energy.
+    """Keeps the slow contacts of particles: with one another if `pairs`, and with those of the planes that are `taking` energy.
 
     `uniform`: all forces give all particles the same acceleration, so that free ones never press onto
     one another. `tolerance`: by which part of a radius contacts may close in a step.
     """
 
     def __init__(
-        self, ranks: Communicator, length: Array, pairs: bool, planes: Planes, uniform: bool, tolerance: float,
-        timers: Timers,
+        self, ranks: Communicator, length: Array, pairs: bool, planes: Planes, taking: Array, surfaces: Surfaces, uniform: bool,
+        tolerance: float, timers: Timers,
     ):  # fmt: skip
-        self.ranks, self.length = ranks if pairs else Communicator.alone(), length
+        self.together = pairs or surfaces.rough  # are all rows solved for together? Else each by itself
+        self.ranks, self.length = ranks if self.together else Communicator.alone(), length
         self.pairs, self.uniform, self.tolerance, self.timers = pairs, uniform, tolerance, timers
-        self.point, self.normal = planes.point[planes.lossy], planes.normal[planes.lossy]
+        self.point, self.normal = planes.point[taking], planes.normal[taking]
         self.faces = planes.lower, planes.upper, planes.oblique
-        screens = uniform and not pairs and not planes.oblique
+        self.surfaces, d = surfaces._replace(walls=surfaces.walls[taking]), len(length)
+        self.columns = (1 + d + d * (d - 1) // 2,) if surfaces.rough else ()  # of what is taken, by each half-edge
+        screens = uniform and not self.together and not planes.oblique
         self.near_faces = NearFaces() if screens else None  # which a drift with walls tells
         self.round_off = 1e-12 * np.abs(self.point).max(initial=0.0)
         self.memory: Memory = NOTHING  # of contacts that the graph does not hold
         self.graph: ContactGraph | None = None
-        self.taken: Array = np.empty(0)  # by half-edges of the graph
+        self.taken: Array = np.empty((0, *self.columns))  # by half-edges of the graph
         self.axes = (0.0,) * len(length)
         self.solver = Solver(self.ranks, self.axes)
         self.found: Found | None = None
@@ -129,7 +149,7 @@ class PersistentContacts:
             return
         with self.timers("rest"):
             involved = self.involved(p, a, h)
-            if not self.pairs:
+            if not self.together:
                 self.keep_on_walls(p, a, h, involved)
                 return
             remembers = bool(self.taken.any()) if self.graph else len(self.memory.id) > 0
@@ -201,7 +221,7 @@ class PersistentContacts:
             skin = (DILUTE if self.dilute else SKIN) * float(self.ranks.allreduce_min(least)[0])
             skin = skin if skin < np.inf else 0.0
             rows = rows_in(p.position, wide + skin, zone)
-            graph = ContactGraph(self.ranks, p, rows, wide, skin, self.length)
+            graph = ContactGraph(self.ranks, p, rows, wide, skin, self.length, self.pairs)
             self.taken = self.taken_before(p, graph)
             self.graph = graph
             many = len(self.graph.other) - (4 if self.dilute else 1) * len(rows)
@@ -215,7 +235,8 @@ class PersistentContacts:
         if old is not None and not np.array_equal(old.ids, p.id):  # rows have changed their rank, or their order
             old = None
         memory = send_home(self.ranks, NOTHING if old else self.remembered(), p)
-        return carry_over(old, self.taken, graph, len(self.point)) if old else recall(memory, graph, len(self.point))
+        walls = len(self.point)
+        return carry_over(old, self.taken, graph, walls) if old else recall(memory, graph, walls, self.columns)
 
     def local(self, p: Particles, a: Array, h: float, graph: ContactGraph) -> Local:
         """The state of the graph's rows, and of ghosts as their owners have them. Collective."""
@@ -223,8 +244,12 @@ class PersistentContacts:
         x, v, push, supported = np.empty((size, d)), np.empty((size, d)), np.empty((size, d)), np.empty(size)
         gather(graph.rows, p.position, p.velocity, a, p["supported"], SLOW * h, x, v, push, supported)
         graph.exchange(x, v, push, supported)
-        w = graph.inverse_mass
-        return Local(x, v, push, graph.radius, w, supported == CROWD, (supported != 0) & (w > 0.0))
+        w, spin = graph.inverse_mass, np.empty((0, 1))
+        if self.surfaces.rough:
+            spin = np.zeros((size, p["spin"].shape[1]))
+            spin[: len(graph.rows)] = p["spin"][graph.rows]
+            graph.exchange(spin)
+        return Local(x, v, push, graph.radius, w, supported == CROWD, (supported != 0) & (w > 0.0), spin)
 
     def solve(
         self, p: Particles, local: Local, graph: ContactGraph, inside: Array, h: float, took: Array, known: bool,
@@ -244,21 +269,28 @@ class PersistentContacts:
         borne = 2.0 * SLOW * before
         if not known:  # else they bear what they bore
             touch = contacts.gap <= contacts.widest * h
-            problem = self.problem(local, contacts, touch, exactly(contacts), borne, graph.exchange)
-            self.solver.solve(problem, local.w, local.push, graph.id, graph.exchange, effort)
-            borne = problem.table[:, TAKEN].copy()
-        pressed = self.pressed(local, contacts, borne, 2.0 * SLOW * before, graph.exchange)
+            problem = self.problem(local, graph, contacts, touch, exactly(contacts), borne)
+            w, push = self.motion(local, graph, local.push, np.zeros_like(local.spin))
+            self.solver.solve(problem, w, push, graph.id, graph.exchange, effort)
+            borne = self.taken_of(problem)
+        pressed = self.pressed(local, contacts, borne, along_normals(2.0 * SLOW * before), graph.exchange)
+        closing = approach(self.axes, contacts.start, contacts.partner, contacts.normal, local.v)
         chosen, *targets = slow(
-            tuple(contacts), approach(self.axes, contacts.start, contacts.partner, contacts.normal, local.v), before,
-            (local.supported, local.radius), pressed, h, self.tolerance, OUTLIER * (effort < EXACT), PRECISE,
+            tuple(contacts), closing, along_normals(before), (local.supported, local.radius), pressed, h,
+            self.tolerance, OUTLIER * (effort < EXACT), PRECISE,
         )  # fmt: skip
-        taken = np.zeros(len(before)) if again else chosen * (before if known else borne / (2.0 * SLOW))
-        problem = self.problem(local, contacts, chosen, Targets(*targets), taken, graph.exchange)
-        v, good = self.solver.solve(problem, local.w, local.v, graph.id, graph.exchange, effort)
+        taken = np.where(chosen, (before if known else borne / (2.0 * SLOW)).T, 0.0).T * (not again)
+        problem = self.problem(local, graph, contacts, chosen, Targets(*targets), taken)
+        w, v = self.motion(local, graph, local.v, local.spin)
+        v, good = self.solver.solve(problem, w, v, graph.id, graph.exchange, effort)
         self.totals["unconverged"] += self.ranks.is_root and not good
-        taken = problem.table[:, TAKEN].copy()
-        self.give_back(p, graph.rows, v, carried(contacts.start, np.maximum(taken, before) if again else taken))
-        all_taken = np.zeros(len(took))
+        taken = self.taken_of(problem)
+        bears = np.maximum(taken, before) if again else taken
+        held = carried(contacts.start, along_normals(bears))
+        if self.surfaces.rough:
+            v = brought_to_rest(v, held, local, graph.radius)
+        self.give_back(p, graph.rows, v, held)
+        all_taken = np.zeros_like(took)
         all_taken[contacts.slot] = taken
         return all_taken
 
@@ -279,22 +311,46 @@ class PersistentContacts:
         return contacts
 
     def problem(
-        self, local: Local, contacts: Contacts, which: Array, targets: Targets, taken: Array, exchange: Exchange
+        self, local: Local, graph: ContactGraph, contacts: Contacts, which: Array, targets: Targets, taken: Array
     ) -> Problem:  # fmt: skip
         """For the solver: the contacts, of which `which` (m,) may take anything, and what they took. Collective."""
         some, bound = (contacts.start, contacts.partner, contacts.normal), np.zeros_like(local.w)
-        bound_rows(self.axes, contacts.start, contacts.normal, local.w, which, bound)
-        exchange(bound)
-        table = table_of(self.axes, *some, local.w, which, bound, targets.may_close, taken)
+        if not self.surfaces.rough:
+            bound_rows(self.axes, contacts.start, contacts.normal, local.w, which, bound)
+            graph.exchange(bound)
+            table = table_of(self.axes, *some, local.w, which, bound, targets.may_close, taken)
+            return Problem(contacts.start, contacts.partner, table, targets.loose, targets.tight)
+        wall = np.where(contacts.partner == graph.size, (contacts.slot - len(graph.other)) % max(len(self.point), 1), -1)
+        friction = np.append(self.surfaces.walls, self.surfaces.pairs)[wall]
+        surfaces = np.stack((friction, np.full(len(friction), self.surfaces.resistance)))
+        bodies = graph.radius, graph.inverse_inertia, local.w, which
+        bound_rough(self.axes, *some, wall, *bodies, surfaces[1], bound)
+        graph.exchange(bound)
+        smooth = table_of(self.axes, *some, local.w, which, bound, targets.may_close, along_normals(taken))
+        table = rough_table(self.axes, smooth, wall, *some[:2], *bodies, bound, surfaces, np.ascontiguousarray(taken[:, 1:]))
         return Problem(contacts.start, contacts.partner, table, targets.loose, targets.tight)
+
+    def motion(self, local: Local, graph: ContactGraph, v: Array, spin: Array) -> tuple[Array, Array]:
+        """For the solver: 1/m (size + 1,) and v as they are; of rough spheres with 1/I and spins beside them."""
+        if not self.surfaces.rough:
+            return local.w, v
+        return np.column_stack((local.w, graph.inverse_inertia)), np.concatenate((v, spin), axis=1)
+
+    def taken_of(self, problem: Problem) -> Array:
+        """What half-edges have taken: (m,), or (m, columns) of rough spheres."""
+        taken = problem.table[:, taken_columns(len(self.axes), self.surfaces.rough)]
+        return taken if self.surfaces.rough else taken[:, 0].copy()
 
     def pressed(
         self, local: Local, contacts: Contacts, borne: Array, before: Array, exchange: Exchange
     ) -> Array:  # fmt: skip
         """The speed that presses each contact, by pushes of rows and what contacts bear now or bore `before`. Collective."""
         left, stress = np.zeros_like(local.push), np.zeros((*local.push.shape, local.push.shape[1]))
-        some = contacts.start, contacts.partner, contacts.normal
+        some, across = (contacts.start, contacts.partner, contacts.normal), borne[:, 1:] if self.surfaces.rough else None
+        borne = along_normals(borne)
         loads(self.axes, *some, local.w, borne, local.push, left, stress)
+        if across is not None:
+            slide_loads(self.axes, *some[:2], np.ascontiguousarray(across), local.w, left)
         exchange(left, stress)
         return np.asarray(pressing(self.axes, *some, borne, before, left, stress))
 
@@ -310,7 +366,22 @@ class PersistentContacts:
 
     def give_back(self, p: Particles, rows: Array, v: Array, held: Array) -> None:
         """To our particles: velocities v of `rows`, and which of them contacts hold."""
-        self.given = hand_over(rows, v, held, p.velocity, p["supported"])
+        d = p.dimension
+        self.given = hand_over(rows, np.ascontiguousarray(v[:, :d]), held, p.velocity, p["supported"])
+        if v.shape[1] > d:
+            p["spin"][rows] = v[:, d:]
+
+
+def brought_to_rest(v: Array, held: Array, local: Local, radius: Array) -> Array:
+    """Velocities and spins v (n, columns), where those that are `held` and all but at rest stand still.
+
+    Iterations for a pile leave something, which gets less from step to step, of a size that no force explains.
+    """
+    n, d = local.push[: len(v)].shape
+    most = STILL**2 * row_dot(local.push[:n], local.push[:n])
+    rim = radius[:n, None] * v[:, d:]
+    rests = (held != 0) & (row_dot(v[:, :d], v[:, :d]) <= most) & (row_dot(rim, rim) <= most)
+    return np.asarray(np.where(rests[:, None], 0.0, v))
 
 
 def exactly(contacts: Contacts) -> Targets:

@@ -11,7 +11,7 @@ D is diagonal: for each row i the largest eigenvalue of the sum of n n^T over it
 D = w_i b_i + w_j b_j makes D - A positive, so no step is too long. Instead of the impulse p of a contact its *taken* speed
 p (w_i + w_j) is kept, the approach that it takes from its partners. A half-edge is computed by the owner of its row, from
 velocities that ranks exchange in each iteration; all sums are in the order of half-edges (`graph`). So the bits are the same on
-any number of ranks. To take a friction cone, the projection max(., 0) is what has to be replaced.
+any number of ranks. For rough spheres, max(., 0) is followed by a cut of what is taken across the normal: `rough_iterations`.
 
 Large piles are solved to a tolerance only. There p is multiplied by the factor that makes p A p/2 + p (N v + c) least, before the
 iterations and after them: then errors do no work in sum over all contacts.
@@ -24,7 +24,8 @@ from collections.abc import Callable
 import numpy as np
 
 from particles_mpi.contacts.persistent.iterations import FINE, MOST, begin, iterations, whole_numbers, works
-from particles_mpi.contacts.persistent.problem import STEP, TAKEN, Problem
+from particles_mpi.contacts.persistent.problem import NORMAL, STEP, TAKEN, Problem
+from particles_mpi.contacts.persistent.rough_iterations import SLID, rough_begin, rough_iterations, rough_works
 from particles_mpi.contacts.persistent.together import FEW, Together
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
@@ -37,14 +38,28 @@ EXACT = 100  # iterations: where so many are always spent, what is left is round
 EFFORT = 200_000  # half-edges times iterations that are always spent, as long as it is no waste: small piles are exact
 
 
+SMOOTH = begin, iterations, works
+ROUGH = rough_begin, rough_iterations, rough_works
+
+
+def taken_columns(d: int, rough: bool) -> list[int]:
+    """The columns of a table that say what contacts have taken: along the normal, and, if rough, across it and as a couple."""
+    first = NORMAL + d + SLID
+    return [TAKEN, *(range(first, first + d)), *(range(first + 2 * d, first + 2 * d + d * (d - 1) // 2))] if rough else [TAKEN]
+
+
 class Run:
     """The iterations of one solution for velocities v (size + 1, d), which stay as they are; `result` (n, d) has the last ones.
 
-    w (size + 1,): inverse masses; `exchange` refreshes the velocities of ghosts, if there are any.
+    w (size + 1,): inverse masses. Of rough spheres v has spins beside velocities, w the inverse moments of inertia, and the table
+    of the problem more columns; see `rough_iterations`. `exchange` refreshes the velocities of ghosts, if there are any.
     """
 
     def __init__(self, axes: tuple[float, ...], problem: Problem, w: Array, v: Array, exchange: Callable[[Array], None] | None):
         self.axes, self.problem, self.exchange, self.w, self.v0 = axes, tuple(problem), exchange, w, v
+        rough = v.shape[1] > len(axes)
+        self.begin, self.iterations, self.works = ROUGH if rough else SMOOTH
+        self.taken = taken_columns(len(axes), rough)
         self.v, self.other, self.sums = v.copy(), v.copy(), np.empty((len(problem.start) - 1, 2))
         self.restart()
 
@@ -56,14 +71,14 @@ class Run:
     def restart(self) -> None:
         """Begin with what is taken, without momentum."""
         self.theta = FIRST_THETA
-        begin(self.axes, 0, len(self.sums), self.problem[0], self.problem[2], self.v0, self.v)
+        self.begin(self.axes, 0, len(self.sums), self.problem[0], self.problem[2], self.v0, self.v)
         if self.exchange:
             self.exchange(self.v)
 
     def advance(self, count: int, looks: bool = False) -> tuple[float, float, float]:
         """So many iterations, with an exchange of ghosts after each; what the last one saw, if it `looks`."""
         for part in [1] * count if self.exchange else [count]:
-            self.theta, *seen = iterations(
+            self.theta, *seen = self.iterations(
                 self.axes, part, self.problem, self.w, self.v0, self.v, self.other, self.theta, looks, self.sums
             )
             if part % 2:
@@ -82,12 +97,12 @@ class Run:
 
         In sum over all contacts errors do no work then. Collective.
         """
-        largest = ranks.allreduce_max(works(self.axes, self.problem, self.w, self.v0, self.v, self.sums))[0]
+        largest = ranks.allreduce_max(self.works(self.axes, self.problem, self.w, self.v0, self.v, self.sums))[0]
         if largest > 0.0:
             asked, did = ranks.allreduce_sum(np.array(whole_numbers(self.sums, (largest, largest))))
             factor = -asked / did if did > 0 else 1.0
             if least < factor < most:
-                self.problem[2][:, TAKEN] *= factor
+                self.problem[2][:, self.taken] *= factor
                 self.restart()
 
     def until_good(self, ranks: Communicator, count: int, least: int) -> tuple[bool, int]:
@@ -139,7 +154,7 @@ class Solver:
             together = Together(ranks, ids, problem, w, v)
             run = Run(self.axes, together.problem, together.w, together.v, None)
             good, done = run.until_good(Communicator.alone(), count, least)
-            result = together.ours(run.result, v, problem.table)
+            result = together.ours(run.result, v, problem.table, run.taken)
         else:
             run = Run(self.axes, problem, w, v, exchange if ranks.size > 1 else None)
             good, done = run.until_good(ranks, count, least)

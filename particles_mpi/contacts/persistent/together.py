@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.problem import TAKEN, Problem
+from particles_mpi.contacts.persistent.problem import Problem
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.particles import Array, rows_of
@@ -34,15 +34,18 @@ class Together:
         start = np.searchsorted(every["row"], np.append(known, 2**62))
         self.problem = Problem(start, partner.astype(np.int32), every["table"], every["loose"], every["tight"])
         self.v = np.concatenate((rows["v"][order], np.zeros((1, v.shape[1]))))
-        self.w = np.append(rows["w"][order], 0.0)
+        self.w = np.concatenate((rows["w"][order], np.zeros((1, *w.shape[1:]))))
         self.place = np.searchsorted(known, ids[self.mine])
         self.first = start[self.place]
 
-    def ours(self, result: Array, v: Array, table: Array) -> Array:
-        """Of the velocities `result` of all rows those of ours, which were v; to our table what contacts have taken."""
+    def ours(self, result: Array, v: Array, table: Array, taken: list[int]) -> Array:
+        """Of the velocities `result` of all rows those of ours, which were v; to our table what contacts have taken, its
+        columns `taken`."""
         count = self.count[self.mine]
         within = np.arange(len(table)) - np.repeat(np.cumsum(count) - count, count)
-        table[:, TAKEN] = self.problem.table[np.repeat(self.first, count) + within, TAKEN]
+        theirs = np.repeat(self.first, count) + within
+        for column in taken:
+            table[:, column] = self.problem.table[theirs, column]
         ours = v[: len(self.count)].copy()
         ours[self.mine] = result[self.place]
         return ours

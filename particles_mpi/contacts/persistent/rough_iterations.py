@@ -1,0 +1,307 @@
+"""The compiled loops of `solver` for rough spheres: contacts that stick, slide and resist rolling.
+
+The half-edge from row i to its partner j, with the normal n towards i, takes p along n, t across it and a couple c. With arms a
+and spins s of both, surfaces slip with the velocity u = v_i - v_j - (a_i s_i + a_j s_j) x n. Coulomb's law holds in the
+velocities at the end:
+
+    p >= 0, n.u >= -(what it may close), p = 0 where it closes less;   |t| <= mu p, t opposite to u where it slips;
+    |c| <= b p, c opposite to s_i - s_j where it rolls or spins              (b: a length, the resistance to rolling).
+
+In an iteration p follows from the approach as for smooth spheres, then t and c are moved against slip and rolling and cut to the
+length that p allows. What stays as it is under that obeys Coulomb's law itself, without the opening of sliding contacts that a
+convex cone brings with it (M. Anitescu, Math. Program. 105, 113 (2006)); that iterations get there is not proven but seen, and
+what is left is measured. All three are kept as speeds, times w_i + w_j, like `TAKEN`. Velocities and spins of a row stand side by
+side.
+"""
+
+from math import sqrt
+
+import numpy as np
+
+from particles_mpi.contacts.persistent.iterations import momentum
+from particles_mpi.contacts.persistent.problem import AHEAD, MAY_CLOSE, NORMAL, SHARE, STEP, TAKEN
+from particles_mpi.contacts.rough import plane_of
+from particles_mpi.kernels.jit import inner, kernel, with_item
+
+# Columns behind the d components of the normal
+ARM, OTHER_ARM, FRICTION, RESISTANCE, SPIN_SHARE, SLIDE_STEP, ROLL_STEP, SLID = range(8)
+WIDTH = 7  # numbers besides the four vectors SLID, what it was moved on to, and the same of the couple
+
+
+@inner(inline="always")
+def spins_of(axes):
+    """Components of a spin."""
+    return len(axes) * (len(axes) - 1) // 2
+
+
+@inner(inline="always")
+def table_width(axes):
+    """Columns of a table."""
+    return NORMAL + len(axes) + WIDTH + 2 * len(axes) + 2 * spins_of(axes)
+
+
+@kernel
+def rough_table(axes, smooth, other, start, partner, arms, turn, w, which, bound, surfaces, slid):
+    """The table of half-edges from that of smooth spheres (m, 5 + d), whose steps become those of `bound` (see `bound_rough`).
+
+    other (m,): which walls are partners, -1 for rows; arms, turn (size + 1,): radii and 1/I; surfaces (2, m): mu, resistance;
+    slid (m, d + s): what was taken across the normal, and the couple. What is not across the normal any longer is left out.
+    """
+    d, s = len(axes), spins_of(axes)
+    table = np.zeros((len(partner), table_width(axes)))
+    for i in range(len(start) - 1):
+        for e in range(start[i], start[i + 1]):
+            j = partner[e]
+            both, row = w[i] + w[j], table[e]
+            row[: NORMAL + d] = smooth[e]
+            at = NORMAL + d
+            arm, far = arms[i], arms[j] if other[e] < 0 else 0.0
+            row[at + ARM], row[at + OTHER_ARM] = arm, far
+            row[at + FRICTION], row[at + RESISTANCE] = surfaces[0, e], surfaces[1, e]
+            row[at + SPIN_SHARE] = turn[i] / both
+            if not which[e]:
+                continue
+            mobility = both + (arm * arm * turn[i] + far * far * turn[j])
+            row[STEP] = both / (bound[i] + bound[j])
+            row[at + SLIDE_STEP] = both / mobility * row[STEP]
+            turns = turn[i] + turn[j]
+            row[at + ROLL_STEP] = both / turns * row[STEP] if turns > 0.0 and surfaces[1, e] > 0.0 else 0.0
+            along = 0.0
+            for k in range(d):
+                along += slid[e, k] * smooth[e, NORMAL + k]
+            for k in range(d):
+                row[at + SLID + k] = row[at + SLID + d + k] = slid[e, k] - along * smooth[e, NORMAL + k]
+            for c in range(s):
+                row[at + SLID + 2 * d + c] = row[at + SLID + 2 * d + s + c] = slid[e, d + c]
+    return table
+
+
+@kernel
+def bound_rough(axes, start, partner, normal, other, arms, turn, w, which, resistance, bound):
+    """Of each row a bound of the largest eigenvalue of what its contacts do to its velocity and spin: see `problem.bound_rows`.
+
+    Steps across the normal are shorter by the part that translation has in what such an impulse moves, of couples too.
+    """
+    d, s = len(axes), spins_of(axes)
+    size = d + s
+    m, t, lever = np.empty((size, size)), np.empty((size, size)), np.empty((s, d))
+    for i in range(len(start) - 1):
+        m[:] = 0.0
+        for e in range(start[i], start[i + 1]):
+            if not which[e]:
+                continue
+            j = partner[e]
+            arm, far = arms[i], arms[j] if other[e] < 0 else 0.0
+            both, turns = w[i] + w[j], turn[i] + turn[j]
+            part = both / (both + (arm * arm * turn[i] + far * far * turn[j]))
+            lever[:] = 0.0  # what an impulse does to the spin: - arm n x
+            for p in range(d):
+                for q in range(p + 1, d):
+                    c, sign = plane_of(axes, p, q)
+                    lever[c, q] -= sign * arm * normal[e, p]
+                    lever[c, p] += sign * arm * normal[e, q]
+            for k in range(d):
+                for n in range(d):
+                    along = normal[e, k] * normal[e, n]
+                    m[k, n] += w[i] * (along + part * ((1.0 if k == n else 0.0) - along))
+                for c in range(s):  # levers are across the normal already
+                    cross = part * sqrt(w[i] * turn[i]) * lever[c, k]
+                    m[k, d + c] += cross
+                    m[d + c, k] += cross
+            for b in range(s):
+                for c in range(s):
+                    for k in range(d):
+                        m[d + b, d + c] += part * turn[i] * lever[b, k] * lever[c, k]
+                if turns > 0.0 and resistance[e] > 0.0:
+                    m[d + b, d + b] += both * turn[i] / turns
+        trace = 0.0
+        for k in range(size):
+            trace += m[k, k]
+        bound[i] = 0.0
+        if not trace > 0.0:
+            continue
+        m /= trace
+        for _ in range(2):
+            for k in range(size):
+                for n in range(size):
+                    total = 0.0
+                    for q in range(size):
+                        total += m[k, q] * m[n, q]
+                    t[k, n] = total
+            m, t = t, m
+        size2 = 0.0
+        for k in range(size):
+            for n in range(size):
+                size2 += m[k, n] * m[k, n]
+        bound[i] = trace * sqrt(sqrt(sqrt(size2)))
+
+
+@inner
+def give(axes, table, e, given, turned):
+    """Add to what row i is `given` and by how much it is `turned` (tuples) what half-edge e has ahead; returns both."""
+    d, s, at = len(axes), spins_of(axes), NORMAL + len(axes)
+    share, spin_share = table[e, SHARE], table[e, at + SPIN_SHARE]
+    ahead, slid, rolled = share * table[e, AHEAD], at + SLID + d, at + SLID + 2 * d + s
+    for k in range(d):
+        given = with_item(given, k, given[k] + (ahead * table[e, NORMAL + k] + share * table[e, slid + k]))
+    for p in range(d):
+        for q in range(p + 1, d):
+            c, sign = plane_of(axes, p, q)
+            torque = sign * (table[e, NORMAL + p] * table[e, slid + q] - table[e, NORMAL + q] * table[e, slid + p])
+            turned = with_item(turned, c, turned[c] + spin_share * (table[e, rolled + c] - table[e, at + ARM] * torque))
+    return given, turned
+
+
+@kernel
+def rough_begin(axes, first, last, start, table, v0, v):
+    """As `iterations.begin`: velocities and spins v of the rows whose half-edges have taken what they did from v0."""
+    d, s, at = len(axes), spins_of(axes), NORMAL + len(axes) + SLID
+    for i in range(first, last):
+        given, turned = axes, axes
+        for e in range(start[i], start[i + 1]):
+            table[e, AHEAD] = table[e, TAKEN]
+            for k in range(d):
+                table[e, at + d + k] = table[e, at + k]
+            for c in range(s):
+                table[e, at + 2 * d + s + c] = table[e, at + 2 * d + c]
+            given, turned = give(axes, table, e, given, turned)
+        for k in range(d):
+            v[i, k] = v0[i, k] + given[k]
+        for c in range(s):
+            v[i, d + c] = v0[i, d + c] + turned[c]
+
+
+@inner
+def cut(axes, table, e, at, width, step, most, beta, wanted):
+    """What half-edge e takes across its normal, or its couple, from column `at` on: `wanted` (a tuple), not longer than `most`.
+
+    Moves it on by beta times its change. Returns the squares of the error in speed, and error times change.
+    """
+    size2 = 0.0
+    for c in range(width):
+        size2 += wanted[c] * wanted[c]
+    part = 1.0
+    if size2 > most * most:
+        part = most / sqrt(size2)
+    error2, work = 0.0, 0.0
+    for c in range(width):
+        new = part * wanted[c]
+        change = new - table[e, at + c]
+        error = (table[e, at + width + c] - new) / step
+        error2 += error * error
+        work += error * change
+        table[e, at + c] = new
+        table[e, at + width + c] = new + beta * change
+    return error2, work
+
+
+@inner
+def rough_iterate(axes, first, last, problem, w, v0, v, after, beta, looks, sums):
+    """As `iterations.iterate`."""
+    start, partner, table, loose, tight = problem
+    d, s, at = len(axes), spins_of(axes), NORMAL + len(axes)
+    rough, left = 0.0, 0.0
+    for i in range(np.uint64(first), np.uint64(last)):
+        squares, work = 0.0, 0.0
+        given, turned = axes, axes
+        for e in range(np.uint64(start[i]), np.uint64(start[i + np.uint64(1)])):
+            step = table[e, STEP]
+            if step == 0.0:
+                continue
+            j, approach = np.uint64(partner[e]), 0.0
+            slip, spin = axes, axes
+            for k in range(d):
+                u = v[i, np.uint64(k)] - v[j, np.uint64(k)]
+                slip = with_item(slip, k, u)
+                approach += u * table[e, NORMAL + k]
+            arm, far = table[e, at + ARM], table[e, at + OTHER_ARM]
+            for p in range(d):
+                for q in range(p + 1, d):
+                    c, sign = plane_of(axes, p, q)
+                    one, two = v[i, np.uint64(d + c)], v[j, np.uint64(d + c)]
+                    rim = sign * (arm * one + far * two)
+                    slip = with_item(slip, p, slip[p] + rim * table[e, NORMAL + q])
+                    slip = with_item(slip, q, slip[q] - rim * table[e, NORMAL + p])
+                    spin = with_item(spin, c, one - two)
+            ahead = table[e, AHEAD]
+            new = ahead - (table[e, MAY_CLOSE] + approach) * step
+            new = new if new > 0.0 else 0.0
+            change, error = new - table[e, TAKEN], (ahead - new) / step
+            table[e, TAKEN], table[e, AHEAD] = new, new + beta * change
+            error2, worked = error * error, error * change
+            slide_step, roll_step = table[e, at + SLIDE_STEP], table[e, at + ROLL_STEP]
+            for k in range(d):
+                across = slip[k] - approach * table[e, NORMAL + k]
+                slip = with_item(slip, k, table[e, at + SLID + d + k] - across * slide_step)
+            if slide_step > 0.0:
+                most = table[e, at + FRICTION] * new if new > 0.0 else 0.0
+                more, done = cut(axes, table, e, at + SLID, d, slide_step, most, beta, slip)
+                error2, worked = error2 + more, worked + done
+            if roll_step > 0.0:
+                for c in range(s):
+                    spin = with_item(spin, c, table[e, at + SLID + 2 * d + s + c] - spin[c] * roll_step)
+                most = table[e, at + RESISTANCE] * new
+                more, done = cut(axes, table, e, at + SLID + 2 * d, s, roll_step, most, beta, spin)
+                reach = (arm if arm > far else far) ** 2  # an error in spin, as one of the surface
+                error2, worked = error2 + more * reach, worked + done
+            if looks:
+                size = sqrt(error2)
+                part = size * loose[e]
+                squares += part * part
+                rough = part if part > rough else rough
+                part = size * tight[e]
+                left = part if part > left else left
+                work += worked * table[e, SHARE]
+            given, turned = give(axes, table, e, given, turned)
+        for k in range(d):
+            after[i, np.uint64(k)] = v0[i, np.uint64(k)] + given[k]
+        for c in range(s):
+            after[i, np.uint64(d + c)] = v0[i, np.uint64(d + c)] + turned[c]
+        if looks:
+            sums[i, np.uint64(0)], sums[i, np.uint64(1)] = squares, work / w[i, np.uint64(0)] if w[i, np.uint64(0)] > 0.0 else 0.0
+    return rough, left
+
+
+@kernel
+def rough_iterations(axes, count, problem, w, v0, v, other, theta, looks, sums):
+    """As `iterations.iterations`."""
+    rough, left, most = 0.0, 0.0, 0.0
+    for _ in range(count):
+        beta, theta = momentum(theta)
+        rough, left = rough_iterate(axes, 0, len(problem[0]) - 1, problem, w, v0, v, other, beta, looks, sums)
+        v, other = other, v
+    if looks:
+        for i in range(len(sums)):
+            most = max(most, abs(sums[i, 1]))
+    return theta, rough, left, most
+
+
+@kernel
+def rough_works(axes, problem, w, v0, v, sums):
+    """As `iterations.works`; w (size + 1, 2): 1/m and 1/I."""
+    start, table, most = problem[0], problem[2], 0.0
+    d, s = len(axes), spins_of(axes)
+    for i in range(len(sums)):
+        asked, did = 0.0, 0.0
+        for k in range(d + s):
+            inverse = w[i, 0 if k < d else 1]
+            if inverse > 0.0:
+                change = v[i, k] - v0[i, k]
+                asked += change * v0[i, k] / inverse
+                did += change * change / inverse
+        for e in range(start[i], start[i + 1]):
+            if w[i, 0] > 0.0:
+                asked += table[e, TAKEN] * table[e, SHARE] ** 2 * table[e, MAY_CLOSE] / w[i, 0]
+        sums[i, 0], sums[i, 1] = asked, did
+        most = max(most, abs(asked), did)
+    return most
+
+
+@kernel
+def slide_loads(axes, start, partner, slid, w, left):
+    """What contacts took across their normals, slid (m, d or more), to what is `left` (n, d) of the pushes of rows."""
+    for i in range(len(start) - 1):
+        for e in range(start[i], start[i + 1]):
+            share = w[i] / (w[i] + w[partner[e]])
+            for k in range(len(axes)):
+                left[i, k] += share * slid[e, k]

@@ -1,0 +1,31 @@
+"""Resistance to rolling: contacts that last bear a couple against the rolling and spinning of their partners."""
+
+from particles_mpi.scene.effect import EffectOptions, Losses, Needs, RollingResistance
+from particles_mpi.scene.model import NotNegative
+from particles_mpi.scene.schema import Scene
+
+
+class Options(EffectOptions):
+    """`resistance`: the length b in the largest couple b N of a contact with the normal force N; a part of a radius, as a rule.
+
+    Of constant magnitude, whatever the speed, and up to that at rest (Y. C. Zhou, B. D. Wright, R. Y. Yang, B. H. Xu
+    and A. B. Yu, Physica A 269, 536 (1999), their directional constant torque). It needs friction, without which nothing rolls.
+    """
+
+    resistance: NotNegative
+
+    def faults(self, scene: Scene) -> list[str]:
+        tables = [options for options in scene.effects.values() if isinstance(options, Losses)]
+        if any(table.rough for table in [*tables, *(p for t in tables for p in getattr(t, "planes", None) or [])]):
+            return []
+        return ["resistance: nothing rolls without friction in [effects.collisions] or [effects.walls]"]
+
+
+class Effect(RollingResistance):
+    """Acts in the solution for contacts that last; at hits, which are over at once, it has no time to act."""
+
+    formula = "|couple| <= b N, against the rolling of contacts that last"
+    needs = Needs(divides_by_mass=True, integrators=("leapfrog",))
+
+    def __init__(self, options: Options, scene: Scene):
+        self.resistance = options.resistance

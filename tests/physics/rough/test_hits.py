@@ -1,0 +1,123 @@
+"""Hits of rough spheres: the three-parameter law for each angle, what it keeps, and what it takes."""
+
+import numpy as np
+import pytest
+from scenes import simulation
+
+MODES = ("rewind", "event")
+ANGLES = np.radians([0.0, 5.0, 20.0, 35.0, 50.0, 65.0, 80.0, 85.0])
+E, MU, BETA = 0.8, 0.3, 0.4
+
+
+def hit(d, mode, angle, spin, partner, mu=MU, beta=BETA):
+    """(velocity, spin) of a sphere of radius 0.5 and mass 1.5 after it hit a wall, a fixed sphere, or a free one of mass 3.
+
+    It comes along the normal, which is the last axis, tilted by the angle to the first axis.
+    """
+    v = np.zeros(d)
+    v[0], v[-1] = np.sin(angle), -np.cos(angle)
+    start = np.zeros(d)
+    start[-1] = 0.5 + 0.7 * (partner != "wall")
+    turning = spin if d == 2 else [0.0, spin, 0.0]
+    ball = {"position": [(start - 0.005 * v).tolist()], "velocity": [v.tolist()], "radius": 0.5, "mass": 1.5}
+    ball["spin"] = turning if d == 2 else [turning]
+    surfaces = {"restitution": E, "friction": mu, "tangential_restitution": beta}
+    if partner == "wall":
+        plane = {"point": [0.0] * d, "normal": [0.0] * (d - 1) + [1.0]}
+        effects = {"walls": {"planes": [plane]} | surfaces, "collisions": {"mode": mode}}
+        sim = simulation(d, [ball], effects)
+    else:
+        other = {"position": [[0.0] * d], "radius": 0.7, "mass": 3.0, "fixed": partner == "fixed"}
+        sim = simulation(d, [ball, other], {"collisions": {"mode": mode} | surfaces})
+    sim.step()
+    p = sim.rows
+    i = int(np.flatnonzero(p.id == 0)[0])
+    assert sim.totals["collisions"] + sim.totals["wall_hits"] == 1
+    return p.velocity[i], p.spin[i]
+
+
+def expected(d, angle, spin, partner, mu=MU, beta=BETA):
+    """The same by the formulas of Foerster et al., in the plane of the first and the last axis.
+
+    With a positive spin about the axis that turns the last axis towards the first (y in space), or about z in the plane, where it
+    turns the first towards the last.
+    """
+    q = 1.0 / (0.5 if d == 2 else 0.4) / (1.5 * 0.5**2)
+    w, arm_term = 1.0 / 1.5, 0.5**2 * q
+    w_j, far_term = (1.0 / 3.0, 0.7**2 / (0.5 if d == 2 else 0.4) / (3.0 * 0.7**2)) if partner == "free" else (0.0, 0.0)
+    sense = 1.0 if d == 2 else -1.0  # of the spin, where it moves the lowest point of the sphere to the first axis
+    slip = np.sin(angle) + sense * 0.5 * spin
+    push = (1.0 + E) * np.cos(angle) / (w + w_j)
+    grip = min((1.0 + beta) * abs(slip) / (w + w_j + arm_term + far_term), mu * push)
+    across = -np.sign(slip) * grip
+    velocity = np.zeros(d)
+    velocity[0], velocity[-1] = np.sin(angle) + w * across, -np.cos(angle) + w * push
+    turned = spin + sense * 0.5 * q * across
+    return velocity, np.array([turned]) if d == 2 else np.array([0.0, turned, 0.0])
+
+
+@pytest.mark.parametrize("partner", ["wall", "fixed", "free"])
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("d", [2, 3])
+def test_the_law_for_every_angle(d, mode, partner):
+    for angle in ANGLES:
+        for spin in (0.0, 3.0, -3.0):
+            got, want = hit(d, mode, angle, spin, partner), expected(d, angle, spin, partner)
+            assert np.abs(got[0] - want[0]).max() <= 1e-12 and np.abs(got[1] - want[1]).max() <= 1e-12, (angle, spin)
+
+
+def pairs_that_meet(d, random, count):
+    """Populations of two spheres on their way to an oblique hit, spinning."""
+    for _ in range(count):
+        x, v = random.normal(size=d) + np.zeros((2, d)), 0.1 * random.normal(size=(2, d))
+        x[0, 0] -= 1.5
+        x[0, 1] += random.uniform(0.0, 1.05)
+        v[0, 0] += random.uniform(2.0, 4.0)
+        spin = 3.0 * random.normal(size=(2, d * (d - 1) // 2))
+        sizes = {"radius": [0.5, 0.6], "mass": random.uniform(0.01, 3.0, 2).tolist()}
+        yield {"position": x.tolist(), "velocity": v.tolist(), "spin": spin.tolist() if d == 3 else spin[:, 0].tolist(), **sizes}
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("d", [2, 3])
+def test_momenta_are_kept_and_energy_never_rises(d, mode):
+    random = np.random.default_rng(d)
+    for number, population in enumerate(pairs_that_meet(d, random, 12)):
+        surfaces = {"friction": [0.1, 0.5, 1e6][number % 3], "tangential_restitution": [0.5, -0.5, 1.0, 0.0][number % 4]}
+        sim = simulation(d, [population], {"collisions": {"mode": mode, "restitution": 0.9} | surfaces}, step=1.0)
+        before = sim.measure()
+        sim.step()
+        after = sim.measure()
+        assert sim.totals["collisions"] == 1
+        size = max(1.0, *(abs(before[name]) for name in before if "momentum" in name))
+        assert max(abs(after[name] - before[name]) for name in before if "momentum" in name) <= 1e-14 * size
+        assert after["total_energy"] <= before["total_energy"] * (1.0 + 1e-15)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_super_ball_between_two_planes_keeps_its_energy(mode):
+    ball = {"position": [[0.0, 0.0, 0.8]], "velocity": [[1.0, 0.3, -2.0]], "spin": [[4.0, -3.0, 1.0]], "radius": 0.5}
+    planes = [{"point": [0, 0, 0], "normal": [0, 0, 1]}, {"point": [0, 0, 1.5], "normal": [0, 0, -1]}]
+    effects = {"walls": {"planes": planes, "tangential_restitution": 1.0}, "collisions": {"mode": mode}}
+    sim = simulation(3, [ball], effects, step=0.05)
+    before = sim.measure()["total_energy"]
+    for _ in range(400):
+        sim.step()
+    assert sim.totals["wall_hits"] > 70
+    assert abs(sim.measure()["total_energy"] / before - 1.0) <= 1e-13
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_without_friction_nothing_turns_and_mu_0_is_smooth(mode):
+    """Where it is named as 0, spins stay what they are, and all else has the bits of the scene that does not name it."""
+    gas = [{"count": 60, "position": "random", "radius": 0.2, "velocity": {"temperature": 1.0}}]
+    more = {"box": {"lower": [0] * 3, "upper": [3] * 3}}
+    smooth = simulation(3, gas, {"collisions": {"mode": mode, "restitution": 0.9}, "walls": {}}, **more)
+    rough = {"collisions": {"mode": mode, "restitution": 0.9, "friction": 0.0}, "walls": {"friction": 0.0}}
+    zero = simulation(3, gas, rough, **more)
+    for _ in range(100):
+        smooth.step()
+        zero.step()
+    assert smooth.totals["collisions"] > 20
+    assert "spin" not in smooth.rows.arrays and "spin" not in zero.rows.arrays
+    assert smooth.rows.position.tobytes() == zero.rows.position.tobytes()
