@@ -22,6 +22,9 @@ G = {"uniform_gravity": {"acceleration": [0.5, -3.0]}}
 LOSSY = {"collisions": {"restitution": 0.6}, "walls": {"restitution": 0.6}}
 
 
+ROUGH, ROLLING = {"friction": 0.4, "tangential_restitution": 0.3}, {"resistance": 0.005}
+
+
 def scene(effects, **more):
     tables = {"dimension": 2, "seed": 3, "box": BOX, "time": {"step": 0.02, "steps": 1000}, "particles": [{**DISCS, **CHANGING}]}
     return tables | {"effects": effects} | more
@@ -47,6 +50,8 @@ SCENES = {
     "tree": scene({"mutual_gravity": {"G": 1.0, "method": "tree"}, "walls": {"restitution": 0.5}} | G),
     "walls alone": scene({"walls": {"restitution": 0.5}} | G),
     "no contacts": scene({"user_acceleration": {}, "drag": {"rate": 0.1}, "friction": {"strength": 0.05}} | G),
+    "rough heap": scene({"collisions": LOSSY["collisions"] | ROUGH, "walls": LOSSY["walls"] | ROUGH, "rolling": ROLLING} | G),
+    "rough walls alone": scene({"walls": LOSSY["walls"] | ROUGH} | G),
     "order4": scene(ATTRACTED | {"user_acceleration": {}}, time=with_time(integrator="order4")),
     "adaptive": scene(ATTRACTED | {"user_acceleration": {}}, time=with_time(integrator="adaptive", tolerance=1e-5)),
     "taylor": scene(ELASTIC | G | {"drag": {"rate": 0.1}}, time=with_time(integrator="taylor")),
@@ -79,6 +84,15 @@ def change(sim, kind, seed):
         if kind not in p.arrays:
             return False
         p[kind][some] = 0.5 if kind == "drag" else mine[some] - 0.5
+    elif kind == "spin":
+        if kind not in p.arrays:
+            return False
+        p.spin[some] = 9.0 * (mine[some, :1] - 0.5)
+        p.moment_of_inertia[~some] *= 1.5
+    elif kind == "friction":
+        if "walls" not in effects:
+            return False
+        effects["walls"].friction = float(random.choice([0.0, 0.2]))
     elif kind == "time":
         sim.time = 12.5
     elif kind == "h":
@@ -105,8 +119,8 @@ def change(sim, kind, seed):
 
 
 KINDS = (
-    "position", "reversed", "swapped", "velocity", "radius", "mass", "fixed", "loose", "drag", "acceleration", "time", "h", "g",
-    "G", "restitution", "off", "on", "add", "remove",
+    "position", "reversed", "swapped", "velocity", "radius", "mass", "fixed", "loose", "drag", "acceleration", "spin", "friction",
+    "time", "h", "g", "G", "restitution", "off", "on", "add", "remove",
 )  # fmt: skip
 
 

@@ -21,8 +21,8 @@ RANKS = (1, 2, pytest.param(3, marks=pytest.mark.slow))
 TOGETHER = (  # what is changed at once, so that all of it is tried in every scene within seconds
     ("reversed", "radius"),
     ("fixed", "velocity", "position"),
-    ("loose", "mass", "swapped"),
-    ("drag", "acceleration", "g", "G"),
+    ("loose", "mass", "swapped", "spin"),
+    ("friction", "drag", "acceleration", "g", "G"),
     ("off", "on", "restitution", "time"),
     ("remove", "add", "h", "off"),
 )

@@ -247,6 +247,53 @@ SCENES = {
         ],
         effects={"mutual_gravity": {}, "collisions": {"damping": 0.1}, "walls": {"damping": 0.1}, "drag": {}},
     ),
+    "rough gas, fixed, walls": dict(
+        dimension=3,
+        box=BOX3 | {"periodic": [True, False, False]},
+        time={"step": 0.01, "steps": 60},
+        particles=[
+            {"position": [[1, 1, 1], [3, 3, 3]], "radius": 0.5, "fixed": True},
+            {"count": 200, "position": "random", **MIXED, "spin": {"temperature": 0.5}},
+        ],
+        effects={
+            "uniform_gravity": GRAVITY,
+            "drag": {"rate": 0.1},
+            "collisions": {"restitution": 0.9, "friction": 0.3, "tangential_restitution": 0.5},
+            "walls": {"tangential_restitution": 0.8},
+        },
+    ),
+    "rough discs that come to rest": dict(
+        dimension=2,
+        box={"lower": [0, 0], "upper": [4, 20]},
+        time={"step": 0.01, "steps": 150},
+        particles=[{"count": 40, "position": "random", "radius": {"min": 0.2, "max": 0.4}, "mass": {"min": 0.1, "max": 5.0}}],
+        effects={
+            "uniform_gravity": {"acceleration": [0.5, -9.81]},
+            "collisions": {"restitution": 0.3, "friction": 0.4},
+            "walls": {"restitution": 0.3, "friction": 0.5},
+            "rolling": {"resistance": 0.01},
+        },
+    ),
+    "rough balls on an incline": dict(
+        dimension=3,
+        time={"step": 0.01, "steps": 100},
+        particles=[{"position": [[0.3 * i, 0.3 * j, 0.1 + 0.01 * j] for i in range(5) for j in range(5)], "radius": 0.1}],
+        effects={
+            "uniform_gravity": {"acceleration": [3.0, 1.0, -9.0]},
+            "walls": {"planes": [{"point": [0, 0, 0], "normal": [0, 0, 1]}], "restitution": 0.4, "friction": 0.1},
+        },
+    ),
+    "a rough heap": dict(
+        dimension=3,
+        box={"lower": [0, 0, 0], "upper": [0.6, 0.6, 1.6]},
+        time={"step": 0.005, "steps": 200},
+        particles=[{"count": 120, "position": "random", "radius": {"min": 0.045, "max": 0.05}}],
+        effects={
+            "uniform_gravity": GRAVITY,
+            "collisions": {"restitution": 0.5, "friction": 0.3},
+            "walls": {"restitution": 0.5, "friction": 0.3},
+        },
+    ),
     "no particles": dict(
         dimension=2, box={"lower": [0, 0], "upper": [4, 4]}, time={"step": 0.05, "steps": 3},
         particles=[{"count": 0, "position": "random", "radius": 0.1}], effects={"collisions": {}, "walls": {}},
@@ -263,11 +310,14 @@ EVENTS = (
     "masses that attract, with damping and drag",
     "oblique planes, open space",
     "rack of touching discs",
+    "rough gas, fixed, walls",
+    "rough discs that come to rest",
+    "a rough heap",
 )
 for name in EVENTS:
     given = SCENES[name]["effects"]["collisions"]
-    loss = {"damping": given["damping"]} if "damping" in given else {"restitution": given.get("restitution", 0.9)}
-    collisions = {"mode": "event", **loss}
+    given = {key: value for key, value in given.items() if key != "passes"}
+    collisions = ({} if "damping" in given else {"restitution": 0.9}) | given | {"mode": "event"}
     SCENES[f"{name}: in order of time"] = SCENES[name] | {"effects": SCENES[name]["effects"] | {"collisions": collisions}}
 
 
@@ -312,6 +362,7 @@ SCENES |= {f"{name}: in windows": SCENES[name] | {"windows": True, "few": 0} for
 HEAP = "a heap that collapses in crowds"
 SCENES |= {
     f"{HEAP}, solved as a large one": SCENES[HEAP] | {"large": True},
+    "a rough heap, solved as a large one": SCENES["a rough heap"] | {"large": True},
     f"{HEAP}, solved as a large one, in windows": SCENES[f"{HEAP}: in order of time"]
     | {"large": True, "windows": True, "few": 0},
 }

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.contacts.event_driven.rows import PLACE, RADIUS, START, WINDOW, Log, record_width
+from particles_mpi.contacts.event_driven.rows import PLACE, RADIUS, START, WINDOW, Log, record_width, spin_width
 from particles_mpi.kernels.jit import inner, kernel, lean_inner, prefetch
 from particles_mpi.neighbours.verlet_kernels import SIZE
 from particles_mpi.parallel.decomposition import owners
@@ -104,7 +104,7 @@ def can_affect_owned(rows, log, regions, i, begin, place):
     changed = log.mark[i, WINDOW] == log.window[0]
     for k in range(d):
         if changed:
-            at = log.mark[i, PLACE] * record_width(d)
+            at = log.mark[i, PLACE] * record_width(d, spin_width(rows))
             place[0, k] = saved[at + k] + saved[at + d + k] * (begin - saved[at + 2 * d + START])
         else:
             place[0, k] = segment[i, k] + segment[i, d + k] * (begin - segment[i, 2 * d + START])
