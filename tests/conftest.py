@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))  # for the modules that tests share
-from ranks import IMPATIENT, MPI_ENVIRONMENT, ROOT, end_standing_ranks, environment, run_ranks
+from ranks import IMPATIENT, MPI_ENVIRONMENT, ROOT, end_standing_ranks, environment, run_ranks, take_turns_often
 
 from particles_mpi.setup.kernel_sources import PACKAGE, Sources
 
@@ -59,11 +59,10 @@ def on_a_worker(config):
 
 
 def pytest_runtest_setup(item):
-    """All else is less urgent than tests/parallel: ranks that wait for one another give their cores away.
-
-    What gets one keeps it for some milliseconds, a thousand times as long as an exchange takes, unless it is less urgent.
-    """
-    if on_a_worker(item.config) and not item.nodeid.startswith("tests/parallel/") and os.getpriority(os.PRIO_PROCESS, 0) == 0:
+    """Ranks take turns often, and all else is less urgent than tests/parallel: what waits for messages must not wait for it."""
+    if item.nodeid.startswith("tests/parallel/"):
+        take_turns_often()
+    elif on_a_worker(item.config) and os.getpriority(os.PRIO_PROCESS, 0) == 0:
         os.nice(19)
 
 
