@@ -40,14 +40,17 @@ SHARING = {
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """Which tests xdist gives to one process: tests/parallel, whose ranks stay and want the cores, and each of SHARING."""
+    """Which tests xdist gives to one process: tests/parallel, whose ranks stay and want the cores, and each of SHARING.
+
+    All kernels are compiled for an older processor on one core, for a minute or more, beside the rest of tests/parallel.
+    """
     from xdist.scheduler import LoadScopeScheduling
 
     class Scheduling(LoadScopeScheduling):
         def _split_scope(self, nodeid):
             path = nodeid.partition("::")[0]
             if path.startswith("tests/parallel/"):
-                return "tests/parallel"
+                return "older processors" if "older_processor" in nodeid else "tests/parallel"
             return path if Path(path).name in SHARING else nodeid
 
     return Scheduling(config, log)
