@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))  # for the modules that tests share
-from ranks import IMPATIENT, MPI_ENVIRONMENT, ROOT, end_standing_ranks, environment, run_ranks
+from ranks import IMPATIENT, MPI_ENVIRONMENT, ROOT, end_standing_ranks, environment, run_ranks, take_turns_often
 
 from particles_mpi.setup.kernel_sources import PACKAGE, Sources
 
@@ -40,14 +40,17 @@ SHARING = {
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """Which tests xdist gives to one process: tests/parallel, whose ranks stay and want the cores, and each of SHARING."""
+    """Which tests xdist gives to one process: tests/parallel, whose ranks stay and want the cores, and each of SHARING.
+
+    All kernels are compiled for an older processor on one core, for a minute or more, beside the rest of tests/parallel.
+    """
     from xdist.scheduler import LoadScopeScheduling
 
     class Scheduling(LoadScopeScheduling):
         def _split_scope(self, nodeid):
             path = nodeid.partition("::")[0]
             if path.startswith("tests/parallel/"):
-                return "tests/parallel"
+                return "older processors" if "older_processor" in nodeid else "tests/parallel"
             return path if Path(path).name in SHARING else nodeid
 
     return Scheduling(config, log)
@@ -59,11 +62,10 @@ def on_a_worker(config):
 
 
 def pytest_runtest_setup(item):
-    """All else is less urgent than tests/parallel: ranks that wait for one another give their cores away.
-
-    What gets one keeps it for some milliseconds, a thousand times as long as an exchange takes, unless it is less urgent.
-    """
-    if on_a_worker(item.config) and not item.nodeid.startswith("tests/parallel/") and os.getpriority(os.PRIO_PROCESS, 0) == 0:
+    """Ranks take turns often, and all else is less urgent than tests/parallel: what waits for messages must not wait for it."""
+    if item.nodeid.startswith("tests/parallel/"):
+        take_turns_often()
+    elif on_a_worker(item.config) and os.getpriority(os.PRIO_PROCESS, 0) == 0:
         os.nice(19)
 
 

@@ -366,7 +366,7 @@ SCENES |= {
     f"{HEAP}, solved as a large one, in windows": SCENES[f"{HEAP}: in order of time"]
     | {"large": True, "windows": True, "few": 0},
 }
-MANY = (4, 7, 8)
+MANY = 8  # ranks, only with --all: eighths of space that have corners in common; 3 are halves that differ by a rank
 LONG = 100  # steps: longer scenes run on two ranks, on more with --all
 LONG_SCENES = {name for name in SCENES if SCENES[name]["time"]["steps"] > LONG}
 
@@ -374,7 +374,7 @@ LONG_SCENES = {name for name in SCENES if SCENES[name]["time"]["steps"] > LONG}
 def cases(ranks, names):
     """Parameters (name, ranks) of tests of these scenes; what takes long is marked so."""
     return [
-        pytest.param(name, r, marks=[pytest.mark.slow] if r in MANY or (r > 2 and name in LONG_SCENES) else [])
+        pytest.param(name, r, marks=[pytest.mark.slow] if r == MANY or (r > 2 and name in LONG_SCENES) else [])
         for r in ranks
         for name in names
     ]
@@ -382,26 +382,29 @@ def cases(ranks, names):
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
-    """results(name, ranks): the arrays of a scene on a number of ranks. The first call runs all long or short ones."""
+    """results(name, ranks): the arrays of a scene on a number of ranks. The first call runs all scenes of its group."""
     folder = tmp_path_factory.mktemp("bits")
-    for long in (False, True):
-        scenes = {name: scene for name, scene in SCENES.items() if (name in LONG_SCENES) == long}
-        (folder / f"scenes.{long}.json").write_text(json.dumps(scenes))
+
+    def group(name):
+        return "long" if name in LONG_SCENES else "large" if name == LARGE else "short"
+
+    for one in ("short", "long", "large"):
+        (folder / one).write_text(json.dumps({name: scene for name, scene in SCENES.items() if group(name) == one}))
 
     @cache
-    def run(long, ranks):
-        done = run_ranks(ranks, "tests/parallel/final_state.py", folder / f"scenes.{long}.json", folder, timeout=300)
+    def run(one, ranks):
+        done = run_ranks(ranks, "tests/parallel/final_state.py", folder / one, folder, timeout=300)
         assert done.returncode == 0, done.stderr[-2000:]
 
     @cache
     def load(name, ranks):
-        run(name in LONG_SCENES, ranks)
+        run(group(name), ranks)
         return dict(np.load(folder / f"{name}.{ranks}.npz"))
 
     return load
 
 
-@pytest.mark.parametrize(("name", "ranks"), cases((2, 3, *MANY), SCENES))
+@pytest.mark.parametrize(("name", "ranks"), cases((2, 3, MANY), SCENES))
 def test_same_bits(results, name, ranks):
     one, many = results(name, 1), results(name, ranks)
     different = [key for key in one if key not in ("traffic", "windows") and one[key].tobytes() != many[key].tobytes()]
@@ -437,7 +440,7 @@ def test_same_bits_on_an_older_processor(results, processor, tmp_path):
     assert not different
 
 
-@pytest.mark.parametrize(("name", "ranks"), cases((2, 3, 4), WINDOWS))
+@pytest.mark.parametrize(("name", "ranks"), cases((2, 3, MANY), WINDOWS))
 def test_windows_were_verified(results, name, ranks):
     """Forced to, ranks divide even small scenes; where contacts follow one another in no time they give up, and say so."""
     windows, redone = results(f"{name}: in windows", ranks)["windows"]
@@ -462,7 +465,7 @@ def test_space_is_divided_where_that_pays(results, ranks, divided):
     assert redone <= 0.1 * windows
 
 
-@pytest.mark.parametrize(("name", "ranks"), cases((2, 3, 4), SCENES))
+@pytest.mark.parametrize(("name", "ranks"), cases((2, 3, MANY), SCENES))
 def test_only_pairs_are_worth_a_message(results, name, ranks):
     """Scenes with collisions really are decomposed; without pairs no ghost, no migration, no message."""
     traffic, particles = results(name, ranks)["traffic"], len(results(name, ranks)["id"])

@@ -108,11 +108,3 @@ def test_rewind_against_the_step(lab, moment, passes, least):
     errors = fluid.errors(0.30, lab.simulate(scene))
     assert errors["Z - 1"] < 1.0 - least + 2.0 * errors["noise"]
     assert errors["collision rate"] < 1.0 - least + 2.0 * errors["noise"]
-
-
-@pytest.mark.slow
-def test_absent_effects(lab):
-    """On one rank; tests/parallel/test_study_accuracy.py looks at the same on one and two."""
-    (one,) = experiments("H", lab)
-    for row in one.rows:
-        assert row.errors == {"calls": 0.0, "messages": 0.0, "bits": 0.0}, row.setting.curve

@@ -10,6 +10,7 @@ import pytest
 from particles_mpi.setup.kernel_sources import PACKAGE, STATE, Sources
 
 CELL_ALONG = "particles_mpi.neighbours.cells.cell_along"
+OTHER_CELL = ("neighbours/cells.py", "(y - origin) * per, 0.0), cells - 1.0)", "(y - origin) * per, 1.0), cells - 1.0)")
 
 
 @pytest.fixture(scope="module")
@@ -23,14 +24,16 @@ def whole(tmp_path_factory):
 
 @pytest.fixture
 def edit(whole):
-    """edit(file, old, new) changes a line of the copy; returns the stale kernels. Taken back afterwards."""
+    """edit((file, old, new), ...) changes lines of the copy; returns the stale kernels. Taken back afterwards."""
     before = {}
 
-    def change(file, old, new):
-        path = whole / file
-        before.setdefault(path, path.read_text())
-        assert before[path].count(old) == 1
-        path.write_text(before[path].replace(old, new))
+    def change(*lines):
+        for file, old, new in lines:
+            path = whole / file
+            text = path.read_text()
+            before.setdefault(path, text)
+            assert text.count(old) == 1
+            path.write_text(text.replace(old, new))
         return Sources(whole).stale()
 
     yield change
@@ -51,28 +54,26 @@ def test_all_kernels_are_known(whole):
     assert not [name for name in kernels if name.endswith(("Simulation", "main"))]
 
 
-@pytest.mark.parametrize(
-    ("file", "old", "new"),
-    [
+def test_words_compile_nothing(edit):
+    """Comments, docstrings, and a constant that no kernel takes; all at once, since every edit costs a look at all sources."""
+    stale = edit(
         ("study/timing.py", "from __future__", "# a comment\nfrom __future__"),
         ("study/experiment.py", "ROUND_OFF = 1e-13", "ROUND_OFF = 1e-12"),
         ("neighbours/cells.py", "The cell of coordinate y on one axis;", "Of coordinate y on one axis, the cell;"),
         ("neighbours/cells.py", "    return int(min(max((y", "    # an interval of cells\n    return int(min(max((y"),
-    ],
-)
-def test_words_compile_nothing(edit, file, old, new):
-    assert edit(file, old, new) == []
+    )
+    assert stale == []
 
 
 def test_a_changed_kernel_takes_its_callers_along(edit):
-    stale = edit("neighbours/cells.py", "(y - origin) * per, 0.0), cells - 1.0)", "(y - origin) * per, 1.0), cells - 1.0)")
+    stale = edit(OTHER_CELL)
     callers = {"neighbours.cells.cell_at", "neighbours.cells.sort_rows", "neighbours.pair_search.find_partners"}
     assert {CELL_ALONG} | {f"particles_mpi.{name}" for name in callers} <= set(stale)
     assert not [name for name in stale if ".gravity." in name or ".contacts." in name]
 
 
 def test_a_changed_constant_makes_stale_what_takes_it(edit):
-    stale = edit("gravity/octree.py", "LEAF = 16", "LEAF = 15")
+    stale = edit(("gravity/octree.py", "LEAF = 16", "LEAF = 15"))
     assert stale == ["particles_mpi.gravity.octree.divide"]
 
 
@@ -86,7 +87,7 @@ def test_what_is_stale_is_forgotten(whole, edit):
         file.touch()
     assert subprocess.run(script, timeout=60).returncode == 0
     assert all(file.exists() for file in files)
-    edit("neighbours/cells.py", "(y - origin) * per, 0.0), cells - 1.0)", "(y - origin) * per, 1.0), cells - 1.0)")
+    edit(OTHER_CELL)
     assert subprocess.run(script, timeout=60).returncode == 1
     assert [file.exists() for file in files] == [False, False, True]
     (whole / STATE).write_text("half a file")
