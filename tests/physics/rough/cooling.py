@@ -1,9 +1,9 @@
-"""How a gas of rough hard spheres cools: translational and rotational temperature, for constant e and beta and no limit of friction.
+"""How a gas of rough hard spheres cools: translational and rotational temperature, constant e and beta, no limit of friction.
 
-M. Huthmann and A. Zippelius, Phys. Rev. E 56, R6275 (1997); S. Luding, M. Huthmann, S. McNamara and A. Zippelius, Phys. Rev. E 58,
-3416 (1998). The gas stays uniform, and both velocities are taken to be Maxwellian and independent of one another. The coefficients
-are derived here, not copied. Equal spheres of mass m, radius R and moment of inertia I = q m R^2 meet with the normal k, the
-velocity w = v_1 - v_2 and the slip u = w_t - s of their surfaces, s = R (spin_1 + spin_2) x k. After the contact
+M. Huthmann and A. Zippelius, Phys. Rev. E 56, R6275 (1997); S. Luding, M. Huthmann, S. McNamara and A. Zippelius,
+Phys. Rev. E 58, 3416 (1998). The gas stays uniform, and both velocities are taken to be Maxwellian and independent of one
+another. The coefficients are derived here. Equal spheres of mass m, radius R and moment of inertia I = q m R^2 meet with the
+normal k, the velocity w = v_1 - v_2 and the slip u = w_t - s of their surfaces, s = R (spin_1 + spin_2) x k. After the contact
 
     w_n' = -e w_n,   w_t' = w_t - 2 eta u,   s' = s + (2 eta/q) u,   eta = q (1 + beta) / (2 (1 + q)),   so that u' = -beta u.
 
@@ -18,8 +18,8 @@ D = d(d-1)/2, this is
     dT_tr/dn = (4/d) (-A T_tr + B T_rot),    dT_rot/dn = (4/D) (B T_tr - C T_rot),
     A = (1 - e^2)/4 + (d-1)/2 eta (1 - eta),    B = (d-1)/2 eta^2/q,    C = (d-1)/2 (eta/q) (1 - eta/q),
 
-and dn/dt is the Enskog collision rate. In 3 dimensions A, B, C are those of Huthmann and Zippelius; their beta and r are this beta
-and e: beta = -1 is smooth, beta = 1 perfectly rough, the tangential restitution beta_0 of Walton and Braun.
+and dn/dt is the Enskog collision rate. beta is the tangential restitution beta_0 of Walton and Braun: -1 is smooth, 1 perfectly
+rough.
 """
 
 from typing import NamedTuple
@@ -86,7 +86,7 @@ def contact_value(gas: Gas) -> float:
 
 
 def collision_rate(gas: Gas, temperature: float) -> float:
-    """Collisions of a particle in a unit of time, after Enskog: 4 sqrt(pi) n g sqrt(T) for spheres, 2 sqrt(pi) n g sqrt(T) for discs."""
+    """Collisions of a particle in a unit of time, after Enskog: 4 sqrt(pi T) n g for spheres, 2 sqrt(pi T) n g for discs."""
     volume, factor = (np.pi / 6.0, 4.0) if gas.dimension == 3 else (np.pi / 4.0, 2.0)
     return float(factor * np.sqrt(np.pi * temperature) * gas.packing / volume * contact_value(gas))
 

@@ -14,6 +14,8 @@ HALF_LENGTH = COLUMNS[0] * SPACING / 2.0
 WIDTH = COLUMNS[1] * SPACING  # the period along y
 FLOOR = -8.0  # height of the plane that takes what falls off the strip; the strip's centres are at about 0
 DENSITY = 6.0 / np.pi  # mass 1 at diameter 1
+RESTITUTION = 0.5
+UNTIL = 80.0  # when next to nothing moves any more
 
 
 class Start(NamedTuple):
@@ -84,3 +86,30 @@ def slope(position: np.ndarray, radius: np.ndarray, middle: tuple[float, float] 
     volume = np.maximum(height - 0.5, 0.0).mean() * 2.0 * HALF_LENGTH
     free = int(on_strip.sum()) - COLUMNS[0] * COLUMNS[1]
     return Slope(*np.degrees(np.arctan((gradient, volume / HALF_LENGTH**2))).tolist(), free)
+
+
+def scene(seed: int, friction: float, mode: str = "event", step: float = 0.01, until: float = UNTIL) -> dict:
+    """The tables of the scene for the program: the same spheres, laws and times as in reference/heap.lammps."""
+    spheres = start(seed)
+    law = {"restitution": RESTITUTION, "friction": friction}
+
+    def population(chosen: np.ndarray, fixed: bool) -> dict:
+        radius = spheres.radius[chosen]
+        return {
+            "position": spheres.position[chosen].tolist(),
+            "radius": radius.tolist(),
+            "mass": (DENSITY * np.pi / 6.0 * (2.0 * radius) ** 3).tolist(),
+            "fixed": fixed,
+        }
+
+    return {
+        "dimension": 3,
+        "box": {"lower": [-HALF_LENGTH, 0.0, FLOOR], "upper": [HALF_LENGTH, WIDTH, 20.0], "periodic": [False, True, False]},
+        "time": {"step": step, "end": until},
+        "particles": [population(spheres.fixed, True), population(~spheres.fixed, False)],
+        "effects": {
+            "uniform_gravity": {"acceleration": [0.0, 0.0, -1.0]},
+            "collisions": {"mode": mode, **law},
+            "walls": {**law, "planes": [{"point": [0.0, 0.0, FLOOR], "normal": [0.0, 0.0, 1.0]}]},
+        },
+    }
