@@ -264,7 +264,7 @@ class PersistentContacts:
         count = int(self.ranks.allreduce_sum(len(before))[0])
         if not count:
             p["supported"][graph.rows] = 0
-            return np.zeros(len(took))
+            return np.zeros_like(took)
         effort = self.effort // count * (1 if known else UNKNOWN)
         borne = 2.0 * SLOW * before
         if not known:  # else they bear what they bore
