@@ -88,7 +88,7 @@ def slope(position: np.ndarray, radius: np.ndarray, middle: tuple[float, float] 
     return Slope(*np.degrees(np.arctan((gradient, volume / HALF_LENGTH**2))).tolist(), free)
 
 
-def scene(seed: int, friction: float, mode: str = "event", step: float = 0.01, until: float = UNTIL) -> dict:
+def scene(seed: int, friction: float, mode: str = "event", step: float = 0.02, until: float = UNTIL) -> dict:
     """The tables of the scene for the program: the same spheres, laws and times as in reference/heap.lammps."""
     spheres = start(seed)
     law = {"restitution": RESTITUTION, "friction": friction}
