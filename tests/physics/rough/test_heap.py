@@ -47,7 +47,7 @@ def test_slope_of_a_wedge(degrees):
 
 def test_reference_rises_with_friction():
     """Each step of mu is worth more than the scatter of the seeds."""
-    angles = {mu: REFERENCE[(REFERENCE["mu"] == mu)]["angle"] for mu in (0.1, 0.3, 0.5)}
+    angles = {mu: REFERENCE[REFERENCE["mu"] == mu]["angle"] for mu in (0.1, 0.3, 0.5)}
     assert angles[0.1].max() < angles[0.3].min() and angles[0.3].max() < angles[0.5].min()
 
 
@@ -63,7 +63,7 @@ def test_angle_of_repose(mu):
     ours = slope(sim.particles.position[rows], sim.particles.radius[rows])
     on_strip = (sim.particles.position[:, 2] > -1.0) & (np.abs(sim.particles.position[:, 0]) < HALF_LENGTH)
     assert np.sqrt((sim.particles.velocity[on_strip] ** 2).sum(axis=1).mean()) < 0.1
-    theirs = REFERENCE[(REFERENCE["mu"] == mu)]
+    theirs = REFERENCE[REFERENCE["mu"] == mu]
     for name, least in (("angle", 2.0), ("by_volume", 1.5)):
         error = theirs[name].std(ddof=1) * np.sqrt(1.0 + 1.0 / len(theirs))
         assert getattr(ours, name) == pytest.approx(theirs[name].mean(), abs=max(least, 3.0 * error)), name
