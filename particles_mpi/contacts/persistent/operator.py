@@ -48,6 +48,7 @@ from particles_mpi.timers import Timers
 SKIN = 0.3  # of the smallest radius: so far rows may move, two together, before the graph is made anew
 DILUTE = 1.0  # the same, in a gas: few pairs come near, but rows move far
 STILL = 1e-7  # of what forces do in two steps: slower, rough spheres that are held stand still
+STEADY = 45  # iterations that rough spheres always get: with fewer a pile creeps by what is left of errors, and never rests
 UNKNOWN = 10  # times the effort where nothing is remembered
 
 
@@ -265,7 +266,7 @@ class PersistentContacts:
         if not count:
             p["supported"][graph.rows] = 0
             return np.zeros_like(took)
-        effort = self.effort // count * (1 if known else UNKNOWN)
+        effort = max(self.effort // count * (1 if known else UNKNOWN), STEADY * self.surfaces.rough)
         borne = 2.0 * SLOW * before
         if not known:  # else they bear what they bore
             touch = contacts.gap <= contacts.widest * h

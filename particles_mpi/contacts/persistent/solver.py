@@ -13,6 +13,8 @@ p (w_i + w_j) is kept, the approach that it takes from its partners. A half-edge
 velocities that ranks exchange in each iteration; all sums are in the order of half-edges (`graph`). So the bits are the same on
 any number of ranks. For rough spheres, max(., 0) is followed by a cut of what is taken across the normal: `rough_iterations`.
 
+With friction the problem is no minimum, and work past one says nothing: there, momentum is given up where errors grow.
+
 Large piles are solved to a tolerance only. There p is multiplied by the factor that makes p A p/2 + p (N v + c) least, before the
 iterations and after them: then errors do no work in sum over all contacts.
 """
@@ -59,7 +61,7 @@ class Run:
         self.axes, self.problem, self.exchange, self.w, self.v0 = axes, tuple(problem), exchange, w, v
         rough = v.shape[1] > len(axes)
         self.begin, self.iterations, self.works = ROUGH if rough else SMOOTH
-        self.taken = taken_columns(len(axes), rough)
+        self.rough, self.taken = rough, taken_columns(len(axes), rough)
         self.v, self.other, self.sums = v.copy(), v.copy(), np.empty((len(problem.start) - 1, 2))
         self.restart()
 
@@ -111,7 +113,7 @@ class Run:
         `count`: half-edges of all ranks that may take something. Returns whether errors are allowed, and the iterations done.
         Collective.
         """
-        done, exact = 1, least >= EXACT
+        done, exact, before = 1, least >= EXACT, np.inf
         if not exact:
             self.balance(ranks, 1.0 - NEAR, 1.0 + NEAR)
         while True:
@@ -121,8 +123,9 @@ class Run:
             good = rough <= OUTLIER and squares <= count * FINE
             if left <= 1.0 or (good and done >= least) or done >= MOST:
                 break
-            if work > 0.0:
+            if squares > before if self.rough else work > 0.0:
                 self.restart()
+            before = squares
             self.advance(CHECK - 1)
             done += CHECK
         self.finish()
