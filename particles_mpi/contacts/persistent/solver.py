@@ -13,8 +13,8 @@ p (w_i + w_j) is kept, the approach that it takes from its partners. A half-edge
 velocities that ranks exchange in each iteration; all sums are in the order of half-edges (`graph`). So the bits are the same on
 any number of ranks. To take a friction cone, the projection max(., 0) is what has to be replaced.
 
-Large piles are solved to a tolerance only. There p is multiplied by the factor that makes p A p/2 + p (N v + c) least, before the
-iterations and after them: then errors do no work in sum over all contacts.
+Large piles are solved to a tolerance only. There p is multiplied by the factor that makes p A p/2 + p (N v + max(c, 0)) least,
+before the iterations and after them: then neither errors nor what is pushed apart (c < 0) do work in sum over all contacts.
 """
 
 from __future__ import annotations
@@ -78,9 +78,10 @@ class Run:
         self.advance(1)
 
     def balance(self, ranks: Communicator, least: float, most: float) -> None:
-        """All that is taken times the factor that makes p A p/2 + p (N v + c) least, if it is from `least` to `most`.
+        """All that is taken times the factor that makes p A p/2 + p (N v + max(c, 0)) least, if it is from `least` to `most`.
 
-        In sum over all contacts errors do no work then. Collective.
+        In sum over all contacts errors do no work then. Nor does the return of contacts to their margin, which lifts what
+        lies on them (c < 0): the work of all on what moves, p N (v + W N p), is then -p max(c, 0) at most. Collective.
         """
         largest = ranks.allreduce_max(works(self.axes, self.problem, self.w, self.v0, self.v, self.sums))[0]
         if largest > 0.0:
