@@ -71,14 +71,20 @@ def raising_together(ranks: Communicator) -> Iterator[None]:
 
 def await_all(ranks: Communicator, error: Exception | None, patience: float = PATIENCE) -> None:
     """Wait for all ranks; a rank with an error waits for `patience` seconds only, then it ends all ranks. Collective."""
-    request, end = ranks.comm.Ibarrier(), perf_counter() + patience
     if error is None:
-        request.Wait()
-        return
+        ranks.comm.Ibarrier().Wait()
+    elif not all_come(ranks.comm, patience):
+        abort_all(error)
+
+
+def all_come(comm: MPI.Comm, patience: float) -> bool:
+    """Do all ranks come to a non-blocking barrier, as this one, within `patience` seconds? It sleeps while it waits."""
+    request, end = comm.Ibarrier(), perf_counter() + patience
     while not request.Test():
         if perf_counter() > end:
-            abort_all(error)
+            return False
         sleep(NAP)
+    return True
 
 
 def raise_first(ranks: Communicator, error: Exception | None, root_reads: bool = False) -> None:
@@ -158,12 +164,14 @@ def abort_all(error: BaseException, whole: bool = False) -> int:
         sys.stderr.write("".join(f"{before}{line}\n" for line in notice.text.splitlines()))
         sys.stderr.flush()
         wait_until_read(2, PATIENCE)
-    if comm.Get_size() > 1 and not (complete and all(other.shared for other in found.values())):
+    # The first rank that ends has the others killed: not before the message has been read, which may take PATIENCE. A rank that
+    # fails here never comes; then the others, which would wait for it in MPI_Finalize for ever, are ended too.
+    shared = complete and all(other.shared for other in found.values())
+    if comm.Get_size() > 1 and not (shared and all_come(comm, 3.0 * PATIENCE)):
         if comm.Get_rank() != lowest:
             sleep(PATIENCE)  # the lowest rank ends all when it has printed its message
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # MPICH would add a line of its own
         comm.Abort(code)
-    comm.Barrier()  # the first rank that ends has the others killed: not before the message has been read
     return code
 
 

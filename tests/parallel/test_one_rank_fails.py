@@ -173,6 +173,15 @@ def test_a_script_that_nobody_catches_errors_in(tmp_path):
     assert done.stderr.endswith("ZeroDivisionError: division by zero\n")
 
 
+def test_a_rank_that_cannot_tell_why_it_ends_is_not_waited_for(tmp_path):
+    """It leaves where the others expect it; these would wait for it, and it for them in MPI_Finalize."""
+    script = tmp_path / "silent.py"
+    lines = ["import sys", "from particles_mpi import Scene, Simulation", "from mpi4py import MPI", "MPI.COMM_WORLD.Barrier()"]
+    script.write_text("\n".join([*lines, "if MPI.COMM_WORLD.rank == 0:", "    sys.stderr = None", "Scene.load('none.toml')"]))
+    done = run_ranks(2, script, timeout=100, fresh=True)
+    assert done.returncode == 2
+
+
 RULE = "-" * 74 + "\n"
 EXITED = (
     f"{RULE}Primary job  terminated normally, but 1 process returned\na non-zero exit code. Per user-direction, the job has been"
