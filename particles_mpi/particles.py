@@ -17,7 +17,8 @@ Array = npt.NDArray[Any]
 class Column:
     """A per-particle quantity.
 
-    dtype: of numpy; vector: one component an axis; rotation: one a plane of two axes, d(d-1)/2; ghost: partners of a pair must
+    dtype: of numpy; vector: one component an axis; rotation: one a plane of two axes, d(d-1)/2; orientation: an
+    angle in the plane, a quaternion in space; ghost: partners of a pair must
     know it; output: written to frames (state that only a restart needs is not); default: the value where nothing gives one;
     least: the smallest value allowed.
     """
@@ -25,6 +26,7 @@ class Column:
     dtype: str = "float64"
     vector: bool = False
     rotation: bool = False
+    orientation: bool = False
     ghost: bool = False
     output: bool = True
     default: float = 0.0
@@ -43,6 +45,7 @@ FIELDS = {
     "acceleration": Column(vector=True),
     "spin": Column(rotation=True, ghost=True),  # angular velocity, of rough spheres
     "moment_of_inertia": Column(ghost=True, least=0.0),
+    "orientation": Column(orientation=True),  # from that at the start
     # when it last met anyone or a wall, in mode event; -inf: never
     "contacted": Column(ghost=True, output=False, default=-np.inf),
     "virial": Column(output=False),  # -r.dp of its collisions so far, told to the lower id; for the observables
@@ -144,7 +147,9 @@ def field(name: str) -> Column:
 
 
 def components(column: Column, dimension: int) -> int:
-    """Components of a vector or rotation; 0 of a scalar."""
+    """Components of a column, 0 of a scalar."""
+    if column.orientation:
+        return 4 if dimension == 3 else 1
     if column.rotation:
         return dimension * (dimension - 1) // 2
     return dimension if column.vector else 0
@@ -163,7 +168,10 @@ def moment_of_sphere(mass: Array, radius: Array, dimension: int) -> Array:
 
 def default_values(name: str, rows: int, dimension: int) -> Array:
     """What a field holds where nothing gives it a value."""
-    return np.full(shape(name, rows, dimension), FIELDS[name].default, FIELDS[name].dtype)
+    values = np.full(shape(name, rows, dimension), FIELDS[name].default, FIELDS[name].dtype)
+    if FIELDS[name].orientation and dimension == 3:
+        values[:, 0] = 1.0
+    return values
 
 
 def rows_of(arrays: dict[str, Array], rows: Array) -> dict[str, Array]:

@@ -1,6 +1,6 @@
 """Resistance to rolling: contacts that last bear a couple against the rolling and spinning of their partners."""
 
-from particles_mpi.scene.effect import EffectOptions, Losses, Needs, RollingResistance
+from particles_mpi.scene.effect import EffectOptions, Needs, RollingResistance
 from particles_mpi.scene.model import NotNegative
 from particles_mpi.scene.schema import Scene
 
@@ -15,8 +15,7 @@ class Options(EffectOptions):
     resistance: NotNegative
 
     def faults(self, scene: Scene) -> list[str]:
-        tables = [options for options in scene.effects.values() if isinstance(options, Losses)]
-        if any(table.rough for table in [*tables, *(p for t in tables for p in getattr(t, "planes", None) or [])]):
+        if scene.rough:
             return []
         return ["resistance: nothing rolls without friction in [effects.collisions] or [effects.walls]"]
 

@@ -69,6 +69,7 @@ def fields_of(scene: Scene) -> list[str]:
         "supported": keeps,
         "spin": effects.rough,
         "moment_of_inertia": effects.rough,
+        "orientation": effects.rough and scene.output.orientation,
         "total_acceleration": (pairs or effects.walls) and (keeps or effects.flows or not effects.uniform),
     }
     needed = {*ALWAYS, *(name for name, condition in conditions.items() if condition)}

@@ -64,6 +64,11 @@ class Losses(Model):
         """Does the table give surfaces that are not smooth?"""
         return self.friction != 0.0 if self.tangential_restitution is not None else bool(self.friction)
 
+    def described(self, scene: Any, total: int) -> str:
+        """The surfaces, for the plan."""
+        mu = "without a limit" if self.friction is None else f"{self.friction:g}"
+        return f"rough: friction {mu}, tangential restitution {self.tangential_restitution or 0.0:g}" if self.rough else ""
+
     def rough_faults(self, scene: Any) -> list[str]:
         """Why rough spheres cannot be here, each beginning with the key."""
         key = "friction" if self.friction is not None else "tangential_restitution"

@@ -82,6 +82,7 @@ class Output(Model):
     checkpoint_every: Annotated[int, Field(ge=1)] = 1000
     diagnostics_every: Annotated[int, Field(ge=1)] = 10
     observables: bool = False
+    orientation: bool = False
 
     def running(self) -> Self:
         return self.model_copy()
@@ -203,6 +204,8 @@ class Scene(Model):
             self.output.formats.remove("vtk")
         for number, population in enumerate(self.particles):
             faults += self.population_faults(f"particles[{number}]", population)
+        if self.output.orientation and not self.rough:
+            faults.append("output.orientation: nothing turns spheres without friction in [effects.collisions] or [effects.walls]")
         if faults:
             raise ValueError("\n".join(faults))
         return self
@@ -221,6 +224,12 @@ class Scene(Model):
                     faults.append(f"effects.{name}: would be ignored beside {names[kind]}, an effect of the same kind")
             faults += [f"effects.{name}.{fault}" for fault in options.faults(self)]
         return faults
+
+    @property
+    def rough(self) -> bool:
+        """Is there an effect with which spheres are rough?"""
+        tables = [options for options in self.effects.values() if isinstance(options, Losses)]
+        return any(table.rough for table in [*tables, *(p for t in tables for p in getattr(t, "planes", None) or [])])
 
     @property
     def columns(self) -> dict[str, Any]:
@@ -261,10 +270,8 @@ class Scene(Model):
     def spin_faults(self, key: str, population: Population) -> list[str]:
         """What is wrong with the spin and the moment of inertia of a population, each beginning with `key`."""
         d, spin, faults = self.dimension, population.spin, []
-        tables = [options for options in self.effects.values() if isinstance(options, Losses)]
-        rough = any(table.rough for table in [*tables, *(p for t in tables for p in getattr(t, "planes", None) or [])])
         for name in ("spin", "moment_of_inertia"):
-            if getattr(population, name) is not None and not rough:
+            if getattr(population, name) is not None and not self.rough:
                 faults.append(f"{key}.{name}: nothing turns spheres without friction in [effects.collisions] or [effects.walls]")
         if faults or spin is None:
             return faults

@@ -112,7 +112,7 @@ def rough(d: int, ranks: Communicator) -> None:
     surfaces = LOSSY | {"friction": 0.3, "tangential_restitution": 0.5}
     more = {"uniform_gravity": down(d), "rolling": {"resistance": 0.01}, "walls": surfaces}
     run(ranks, d, more | {"collisions": surfaces | {"mode": "event"}})
-    run(ranks, d, more | {"collisions": surfaces})
+    run(ranks, d, more | {"collisions": surfaces}, output={"orientation": True})
     run(ranks, d, more)
 
 

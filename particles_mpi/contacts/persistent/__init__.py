@@ -8,7 +8,7 @@ zone        where contacts are sought; crowds
 rows        rows of the particles, copied and given back
 problem     these as a table, one row for each of the two sides of a contact
 solver      velocities at which none of these closes, solved by all ranks together
-iterations  its compiled loops
+iterations  its compiled loops; rough_iterations: those of rough spheres
 together    few contacts, which every rank solves for by itself
 on_walls    the same for rows that touch nothing but walls, in one kernel
 memory      what contacts took last, which goes with the rows

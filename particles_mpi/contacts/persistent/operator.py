@@ -47,7 +47,7 @@ from particles_mpi.timers import Timers
 
 SKIN = 0.3  # of the smallest radius: so far rows may move, two together, before the graph is made anew
 DILUTE = 1.0  # the same, in a gas: few pairs come near, but rows move far
-STILL = 1e-7  # of what forces do in two steps: slower, rough spheres that are held stand still
+STILL = 1e-6  # of what forces do in two steps: slower, rough spheres that are held stand still; so do balls on slopes of 6e-6
 STEADY = 45  # iterations that rough spheres always get: with fewer a pile creeps by what is left of errors, and never rests
 UNKNOWN = 10  # times the effort where nothing is remembered
 

@@ -13,7 +13,7 @@ def simulation(d, particles, effects, step=0.01, **more):
     return Simulation(Scene(dimension=d, time={"step": step, "steps": 0}, particles=particles, effects=effects, **more))
 
 
-def slope(d, tangent, friction, step=0.001, mode=None, effects=None, floor=None, **sphere):
+def slope(d, tangent, friction, step=0.001, mode=None, effects=None, floor=None, output=None, **sphere):
     """A sphere of radius 0.5 and mass 2 on an incline, whose normal is the last axis; gravity points to the first one too."""
     angle, plane = atan(tangent), {"point": [0.0] * d, "normal": [0.0] * (d - 1) + [1.0]}
     down = [G * sin(angle)] + [0.0] * (d - 2) + [-G * cos(angle)]
@@ -22,4 +22,4 @@ def slope(d, tangent, friction, step=0.001, mode=None, effects=None, floor=None,
     if mode:
         acting["collisions"] = {"mode": mode, "restitution": 0.5, "friction": friction}
     ball = {"position": [[0.0] * (d - 1) + [0.5]], "radius": 0.5, "mass": 2.0} | sphere
-    return simulation(d, [ball], acting, step)
+    return simulation(d, [ball], acting, step, output=output or {})
