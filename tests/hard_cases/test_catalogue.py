@@ -10,6 +10,8 @@ HEAVY = {
     "resting columns": (),
     "beds of 200": (("event", 2),),
     "bed of 10 000": (),  # half a minute each
+    "a pyramid of three discs": (("event", 3),),
+    "a ball that spins in a groove": (("rewind", 2),),
     "1e5 bounces of an elastic ball": (("rewind", 2),),
     "1e5 bounces under gravity": ((None, 2),),
     "1e6 Kepler orbits": (),

@@ -6,7 +6,7 @@ import pytest
 from conftest import run_ranks
 
 pytestmark = pytest.mark.parallel
-SPREAD = "on borders|crossing many|one rank's corner|three particles|overlap at|squeezed"
+SPREAD = "on borders|crossing many|one rank's corner|three particles|overlap at|squeezed|rough hits|between a floor"
 
 
 @pytest.mark.parametrize("ranks", [2, pytest.param(5, marks=pytest.mark.slow)])

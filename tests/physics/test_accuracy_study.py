@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from particles_mpi.study.accuracy import fluid, losses, orbits
+from particles_mpi.study.accuracy import fluid, losses, orbits, rough
 from particles_mpi.study.accuracy.command import experiments
 from particles_mpi.study.experiment import Benchmark, slope
 
@@ -108,3 +108,11 @@ def test_rewind_against_the_step(lab, moment, passes, least):
     errors = fluid.errors(0.30, lab.simulate(scene))
     assert errors["Z - 1"] < 1.0 - least + 2.0 * errors["noise"]
     assert errors["collision rate"] < 1.0 - least + 2.0 * errors["noise"]
+
+
+def test_a_ball_that_slides_and_rolls(lab):
+    """Second order in place, over all phases of the step in which it begins to roll; the speed is right at any step."""
+    found = rough.rolling(lab)
+    for curve in found.curves:
+        assert slope(found.curve(curve), "place") == pytest.approx(2.0, abs=0.1)
+    assert max(row.errors["speed"] for row in found.rows) < 1e-13

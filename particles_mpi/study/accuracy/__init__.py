@@ -9,5 +9,6 @@ losses          G: drag, friction, bounces
 bouncing        the exact paths of bouncing balls, for G
 effects         H: what each effect costs, and that an absent one costs nothing
 resting         I: contacts that last, by the tolerance of their solution
+rough           J: a ball that slides and rolls, by the step; how far a bed of rough spheres creeps on a slope
 scene_accuracy  the settings and the effects of a scene of the user's
 """

@@ -11,7 +11,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.run.console import Screen
 from particles_mpi.scene.schema import Scene
 from particles_mpi.study import report
-from particles_mpi.study.accuracy import effects, fluid, losses, orbits, resting, scene_accuracy, softening, tree
+from particles_mpi.study.accuracy import effects, fluid, losses, orbits, resting, rough, scene_accuracy, softening, tree
 from particles_mpi.study.experiment import Benchmark, Experiment
 
 NOTES = ["E, float32 against float64: nothing here is offered in float32, so there is nothing to compare."]
@@ -24,6 +24,7 @@ CHAPTERS: dict[str, tuple[Callable[[Benchmark], list[Experiment]], bool]] = {  #
     "G": (losses.measure, True),
     "H": (effects.measure, False),
     "I": (resting.measure, False),
+    "J": (rough.measure, False),
 }
 
 

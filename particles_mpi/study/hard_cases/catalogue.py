@@ -19,7 +19,7 @@ from particles_mpi.particles import Particles
 from particles_mpi.run.console import Screen
 from particles_mpi.study.experiment import everyone
 
-CHAPTERS = ("contacts", "crowds", "resting", "orbits", "extremes")
+CHAPTERS = ("contacts", "crowds", "resting", "rough", "orbits", "extremes")
 MODES = ("rewind", "event")
 Effects = dict[str, dict[str, Any]]  # options by name
 
