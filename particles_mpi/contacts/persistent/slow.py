@@ -15,7 +15,7 @@ from particles_mpi.kernels.jit import kernel
 MARGIN = 1e-3  # of the widest slow gap: closer nothing gets, so that round-off makes no contact
 RETURN = 0.2  # of what contacts are off their margin is mended in a step
 PUSH = 0.01  # of what forces do in a step: so fast contacts that are nearer than their margin are moved apart
-SLIGHT = 0.01  # of the widest slow gap: what bears less is solved as if it bore that, for errors below are round-off of its partners
+SLIGHT = 0.01  # of the widest slow gap: who bears less is solved as if it bore that; errors below are round-off of others
 
 
 @kernel
