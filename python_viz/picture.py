@@ -26,7 +26,15 @@ COLORS: dict[str, tuple[Callable[[Frame], np.ndarray], str, str, float]] = {
     "mass": (lambda frame: frame.mass, "mass", "cividis", 100),
     "id": (lambda frame: frame.id.astype(float), "id", "viridis", 100),
     "radius": (lambda frame: frame.radius, "radius", "cividis", 100),
+    "spin": (lambda frame: spin(frame), "spin", "plasma", 99.5),
 }
+
+
+def spin(frame: Frame) -> np.ndarray:
+    """Magnitude (N,) of the angular velocities."""
+    if "spin" not in frame.fields:
+        raise IndexError(f"frame {frame.index} has no spins: its spheres are smooth")
+    return np.linalg.norm(frame.spin, axis=1)
 
 
 def add_picture_options(parser: ArgumentParser) -> None:

@@ -216,10 +216,13 @@ class Checkpoint:
 
     def _check_shapes(self) -> None:
         """Every field has a row for each particle."""
+        rough = (1 + self.dimension + self.dimension * (self.dimension - 1) // 2,)
         for place, (found, dtype) in self.shapes.items():
             group, name = place.split("/")
             known = group == "particles" and name in FIELDS
-            wrong = found[:1] != (self.total,) if group == "particles" else len(found) != 1
+            across = found[1:] if name == "taken" else ()  # of rough contacts: see `solver.taken_columns`
+            wrong = found[:1] != (self.total,) if group == "particles" else across not in ((), rough)
+            wrong |= group == "contacts" and len(found) != 1 + len(across)
             if wrong or (known and (found != shape(name, self.total, self.dimension) or dtype != FIELDS[name].dtype)):
                 raise SceneError(f"{self.path}: {place} is not a field of {self.total} particles in dimension {self.dimension}")
 

@@ -58,6 +58,7 @@ def scenes():
     row = [[0.5 + 0.21 * k, 0.5] for k in range(8)]
     base = {"dimension": 2, "seed": 3, "box": box, "time": {"step": 0.01, "steps": 24}, "output": output}
     still = {"position": [[1.0, 0.1 + 0.2 * k] for k in range(8)], "radius": 0.1, "velocity": [0, -0.01]}
+    surface = {"restitution": 0.5, "friction": 0.4}
     cloud = {"count": 20, "position": {"plummer": 1.0}, "velocity": "equilibrium", "mass": 0.02}
     open_ = {k: v for k, v in base.items() if k != "box"} | {"dimension": 3, "particles": [cloud]}
     return {
@@ -80,6 +81,11 @@ def scenes():
             **base,
             "particles": [still],
             "effects": {"collisions": {"restitution": 0.5}, "walls": {"restitution": 0.5}, "uniform_gravity": down},
+        },
+        "rough": {  # spins, and contacts that last
+            **base,
+            "particles": [{**still, "spin": 2.0}, {**gas, "spin": {"temperature": 0.01}}],
+            "effects": {"collisions": surface, "walls": surface, "uniform_gravity": down, "rolling": {"resistance": 0.01}},
         },
         "periodic": {**base, "box": {**box, "periodic": True}, "particles": [gas], "effects": {"collisions": {"damping": 0.1}}},
         "taylor": {**base, "time": {"step": 0.01, "steps": 24, "integrator": "taylor"}, "particles": [pushed], "effects": full},

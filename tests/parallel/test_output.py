@@ -62,6 +62,9 @@ def columns_of(data) -> dict[str, np.ndarray]:
 def check_frame(columns: dict[str, np.ndarray], step: int, total: int, dimension: int) -> None:
     wanted = expected(step, total, dimension)
     assert set(columns) == set(wanted)
+    if dimension in (2, 3):
+        assert columns["spin"].shape == (total, 3) and (dimension == 3 or not columns["spin"][:, :2].any())
+        assert np.array_equal(columns["spin"][:, 2], frame_of(step, total, dimension)["spin"][:, -1], equal_nan=True)
     for name, values in wanted.items():
         got = columns[name]
         if total:  # vtk gives ids as (n,), in its own name of the same integer type

@@ -15,6 +15,7 @@ from particles_mpi.kernels.jit import kernel
 MARGIN = 1e-3  # of the widest slow gap: closer nothing gets, so that round-off makes no contact
 RETURN = 0.2  # of what contacts are off their margin is mended in a step
 PUSH = 0.01  # of what forces do in a step: so fast contacts that are nearer than their margin are moved apart
+SLIGHT = 0.01  # of the widest slow gap: who bears less is solved as if it bore that; errors below are round-off of others
 
 
 @kernel
@@ -93,7 +94,7 @@ def slow(contacts, closing, took, of_rows, pressed, h, tolerance, margin, precis
                 else:
                     room = max(room, 0.0)
                 chosen[e], may_close[e] = True, room / h
-                tight[e] = 1.0 / (precise * (most if crowd[e] else speed))
+                tight[e] = 1.0 / (precise * (most if crowd[e] else max(speed, SLIGHT * widest[e])))
                 loose[e] = min(h / allowed, tight[e]) if allowed > 0.0 else tight[e]
     return chosen, may_close, loose, tight
 

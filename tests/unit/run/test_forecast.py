@@ -96,12 +96,15 @@ def test_what_turns_out_otherwise_is_told_anew(monkeypatch):
     assert whole / TRUST <= last.seconds <= whole * TRUST and len(found) < 10
 
 
+FALLING = ("marbles", "bounce", "rubble_pile", "silo", "hourglass", "break_shot")
+
+
 def test_scenes_that_may_take_longer_say_why():
     """Of those that come with the program: where forces meet contacts, or steps are cut by bodies that come close."""
     reasons = {path.stem: outlook(Scene.load(path)) for path in (ROOT / "particles_mpi" / "scenes").glob("*.toml")}
-    assert {name for name, seen in reasons.items() if seen.reason} == {"marbles", "bounce", "rubble_pile", "silo", "pythagorean"}
+    assert {name for name, seen in reasons.items() if seen.reason} == {*FALLING, "pythagorean"}
     assert all((seen.most > TRUST) == bool(seen.reason) for seen in reasons.values())
-    assert all("contacts" in reasons[name].reason for name in ("marbles", "bounce", "rubble_pile", "silo"))
+    assert all("contacts" in reasons[name].reason for name in FALLING)
 
 
 SCENE = """

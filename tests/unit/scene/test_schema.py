@@ -73,6 +73,15 @@ def test_scene_survives_its_own_tables(path):
         ({"effects": {"collisions": {"passes": 0}}}, ["effects.collisions.passes"]),
         ({"effects": {"uniform_gravity": {"acceleration": [1]}}}, ["effects.uniform_gravity.acceleration"]),
         ({"effects": {"friction": {}}}, ["effects.friction.strength: missing"]),
+        ({"effects": {"collisions": {"friction": -1}}}, ["effects.collisions.friction", "greater than or equal to 0 (got -1)"]),
+        ({"effects": {"collisions": {"frction": 0.5}}}, ["effects.collisions.frction", "did you mean 'friction'"]),
+        ({"effects": {"collisions": {"tangential_restitution": 2}}}, ["collisions.tangential_restitution", "equal to 1 (got 2)"]),
+        ({"effects": {"collisions": {"friction": 0.5, "damping": 0.1}}}, ["effects.collisions.friction", "give restitution"]),
+        ({"effects": {"walls": {"planes": [{"point": [0, 0], "normal": [0, 1], "friction": -1}]}}}, ["walls.planes[0].friction"]),
+        ({"effects": {"rolling": {"resistance": 0.01}}}, ["effects.rolling.resistance", "without friction"]),
+        ({"effects": {"collisions": {"friction": 0.5}, "rolling": {}}}, ["effects.rolling.resistance: missing"]),
+        ({"particles": [{"position": [[0.5, 0.5]], "spin": 1.0}]}, ["particles[0].spin", "without friction"]),
+        ({"particles": [{"position": [[0.5, 0.5]], "moment_of_inertia": 1.0}]}, ["particles[0].moment_of_inertia", "friction"]),
         ({"particles": [{"position": "random"}]}, ["particles[0].count"]),
         ({"particles": [{"position": "somewhere", "count": 1}]}, ["particles[0].position"]),
         ({"particles": [{"position": [[0.5]]}]}, ["particles[0].position[0]"]),
@@ -90,6 +99,29 @@ def test_scene_survives_its_own_tables(path):
 def test_a_fault_names_its_key(changes, words):
     told = faults(tables(**changes))
     assert all(word in told for word in words), told
+
+
+@pytest.mark.parametrize("dimension", [1, 4])
+def test_friction_is_for_two_and_three_dimensions(dimension):
+    box = {"lower": [0] * dimension, "upper": [1] * dimension}
+    told = faults(tables(dimension=dimension, box=box, effects={"collisions": {"friction": 0.5}}))
+    assert told == f"effects.collisions.friction: spins are known in 2 and 3 dimensions, not in {dimension}"
+
+
+@pytest.mark.parametrize(
+    ("dimension", "given", "words"),
+    [
+        (2, [1.0, 2.0, 3.0], "3 entries, but position has 1"),
+        (3, 1.0, "must be a vector [sx, sy, sz]"),
+        (3, [1.0, 2.0], "2 components in dimension 3"),
+        (3, {"temperature": -1.0}, "with T >= 0"),
+    ],
+)
+def test_spins_have_one_component_in_the_plane_and_three_in_space(dimension, given, words):
+    box = {"lower": [0] * dimension, "upper": [1] * dimension}
+    turning = [{"position": [[0.5] * dimension], "radius": 0.1, "spin": given}]
+    told = faults(tables(dimension=dimension, box=box, particles=turning, effects={"collisions": {"friction": 0.5}}))
+    assert told.startswith("particles[0].spin: ") and words in told and "\n" not in told
 
 
 def test_faults_name_the_file(tmp_path):
