@@ -44,7 +44,7 @@ def settle_on_walls(axes, rows, fields, a, h, length, faces, planes, precise):
     loads(axes, start, partner, normal, w, borne, push, left, stress)
     pressed = pressing(axes, start, partner, normal, borne, nothing, left, stress)
     closing = approach(axes, start, partner, normal, v)
-    chosen, may_close, loose, tight = slow(contacts, closing, nothing, (held, radius), pressed, h, 0.0, 0.0, precise)
+    chosen, may_close, loose, tight = slow(contacts, closing, nothing, (held, radius), pressed, h, 0.0, 0.0, precise, 0.0)
     bound[:] = 0.0
     bound_rows(axes, start, normal, w, chosen, bound)
     table = table_of(axes, start, partner, normal, w, chosen, bound, may_close, nothing)

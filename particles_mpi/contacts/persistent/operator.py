@@ -35,7 +35,7 @@ from particles_mpi.contacts.persistent.on_walls import settle_on_walls
 from particles_mpi.contacts.persistent.problem import Problem, bound_rows, table_of
 from particles_mpi.contacts.persistent.rough_iterations import bound_rough, rough_table, slide_loads
 from particles_mpi.contacts.persistent.rows import gather, hand_over
-from particles_mpi.contacts.persistent.slow import approach, carried, loads, pressing, slow
+from particles_mpi.contacts.persistent.slow import SLIGHT, approach, carried, loads, pressing, slow
 from particles_mpi.contacts.persistent.solver import EFFORT, EXACT, OUTLIER, Solver, taken_columns
 from particles_mpi.contacts.persistent.zone import inside_zone, spread, zone_around
 from particles_mpi.contacts.walls import NearFaces, Planes
@@ -278,7 +278,7 @@ class PersistentContacts:
         closing = approach(self.axes, contacts.start, contacts.partner, contacts.normal, local.v)
         chosen, *targets = slow(
             tuple(contacts), closing, along_normals(before), (local.supported, local.radius), pressed, h,
-            self.tolerance, OUTLIER * (effort < EXACT), PRECISE,
+            self.tolerance, OUTLIER * (effort < EXACT), PRECISE, SLIGHT * self.surfaces.rough,
         )  # fmt: skip
         taken = np.where(chosen, (before if known else borne / (2.0 * SLOW)).T, 0.0).T * (not again)
         problem = self.problem(local, graph, contacts, chosen, Targets(*targets), taken)

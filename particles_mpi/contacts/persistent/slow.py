@@ -15,7 +15,7 @@ from particles_mpi.kernels.jit import kernel
 MARGIN = 1e-3  # of the widest slow gap: closer nothing gets, so that round-off makes no contact
 RETURN = 0.2  # of what contacts are off their margin is mended in a step
 PUSH = 0.01  # of what forces do in a step: so fast contacts that are nearer than their margin are moved apart
-SLIGHT = 0.01  # of the widest slow gap: who bears less is solved as if it bore that; errors below are round-off of others
+SLIGHT = 0.01  # of the widest slow gap: rough contacts that bear less are solved as if they bore that; errors below are round-off
 
 
 @kernel
@@ -67,12 +67,13 @@ def pressing(axes, start, partner, normal, borne, before, left, stress):
 
 
 @kernel
-def slow(contacts, closing, took, of_rows, pressed, h, tolerance, margin, precise):
+def slow(contacts, closing, took, of_rows, pressed, h, tolerance, margin, precise, slight):
     """Which contacts are slow, and what is asked of them (`may_close`, `loose`, `tight`), 0 for the others.
 
     `of_rows`: who is held already, and radii. A contact that `took` something is held too. Errors are allowed up to `tolerance`
-    radii of the smaller sphere in a step, or `precise` times the speed below which a contact is slow; contacts keep a gap of
-    `margin` tolerances, to which they return in some steps, or errors of one step would be the work of the next one.
+    radii of the smaller sphere in a step, or `precise` times the speed below which a contact is slow, or times `slight` of the
+    widest push where that is more; contacts keep a gap of `margin` tolerances, to which they return in some steps, or errors of
+    one step would be the work of the next one.
     """
     start, partner, _, _, gap, widest, crowd = contacts
     supported, radius = of_rows
@@ -94,7 +95,7 @@ def slow(contacts, closing, took, of_rows, pressed, h, tolerance, margin, precis
                 else:
                     room = max(room, 0.0)
                 chosen[e], may_close[e] = True, room / h
-                tight[e] = 1.0 / (precise * (most if crowd[e] else max(speed, SLIGHT * widest[e])))
+                tight[e] = 1.0 / (precise * (most if crowd[e] else max(speed, slight * widest[e])))
                 loose[e] = min(h / allowed, tight[e]) if allowed > 0.0 else tight[e]
     return chosen, may_close, loose, tight
 

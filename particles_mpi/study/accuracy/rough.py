@@ -83,15 +83,15 @@ def creeping(benchmark: Benchmark) -> list[Experiment]:
     n, watched = (QUICK_N, QUICK_WATCHED) if benchmark.quick else (N, WATCHED)
 
     @cache
-    def settled() -> dict[str, Any]:
+    def settled(step: float) -> dict[str, Any]:
         start = {"count": n, "position": "random", "radius": {"min": 0.9 * R, "max": R}}
-        sim = benchmark.simulate(bed(start, n, STEP, TOLERANCE, FALL))
+        sim = benchmark.simulate(bed(start, n, step, TOLERANCE, FALL))
         sim.run()
         p = everyone(sim)
         return {"position": p.position.tolist(), "radius": p.radius.tolist()}
 
     def begin(step: float, tolerance: float) -> Simulation:
-        return benchmark.simulate(bed(settled(), n, step, tolerance, watched))
+        return benchmark.simulate(bed(settled(step), n, step, tolerance, watched))
 
     def errors(sim: Simulation) -> Errors:
         before, box = everyone(sim), sim.scene.box
@@ -110,7 +110,7 @@ def creeping(benchmark: Benchmark) -> list[Experiment]:
         for step, tolerance in settings:
             value = step if parameter == "step" else tolerance
             tried.append(Setting("event", value, partial(begin, step, tolerance), round(watched / step), errors))
-        title = f"A bed of {n} rough spheres that has settled on a slope, {watched:g} s more, by {parameter}"
+        title = f"A bed of {n} rough spheres that has settled on a slope with that step, {watched:g} s more, by {parameter}"
         found = benchmark.measure(key, title, tried, CREEP, "rest", parameter)
         creep, longer = [row.errors["creep"] for row in found.rows], found.rows[-1].seconds.median / found.rows[0].seconds.median
         found.answers = [
