@@ -33,9 +33,8 @@ def message_width(dimension: int) -> int:
 
 def refresh(halo: Halo, x: Array, v: Array, a: Array, spin: Array) -> None:
     """Ghost rows of x, v, accelerations a (n, d) and spins, as their owners have them; a without rows is the same for all."""
-    columns = x, v, a, spin
-    for first, message in halo.exchange(lambda rows, buffer: pack_state(rows, columns, buffer)):
-        unpack_state(first, message, columns)
+    for first, message in halo.exchange(lambda rows, buffer: pack_state(rows, x, v, a, spin, buffer)):
+        unpack_state(first, message, x, v, a, spin)
 
 
 def exchange_selections(halo: Halo, selected: Array, first_rows: Array, second_rows: Array, marked: Array) -> None:
@@ -73,9 +72,8 @@ def any_of(marks, a, b):
 
 
 @kernel
-def pack_state(rows, columns, out):
+def pack_state(rows, x, v, a, spin, out):
     """The rows of x, v (n, d), and of accelerations and spins if these have rows, one row after the other."""
-    x, v, a, spin = columns
     d, s = x.shape[1], spin.shape[1] * (len(spin) > 0)
     size = 0
     for i in rows:
@@ -92,9 +90,8 @@ def pack_state(rows, columns, out):
 
 
 @kernel
-def unpack_state(first, message, columns):
+def unpack_state(first, message, x, v, a, spin):
     """What pack_state wrote, to the rows from `first` on."""
-    x, v, a, spin = columns
     d, s = x.shape[1], spin.shape[1] * (len(spin) > 0)
     each = (3 * d if len(a) > 0 else 2 * d) + s
     for r in range(len(message) // each):

@@ -56,7 +56,7 @@ MUTATIONS = (
     Mutation(
         "ghosts are not refreshed",
         "neighbours/halo.py",
-        "        unpack_state(first, message, columns)\n\n\ndef",
+        "        unpack_state(first, message, x, v, a, spin)\n\n\ndef",
         "        pass\n\n\ndef",
         ("tests/parallel/test_same_bits.py", "-k", "marbles-2"),
     ),

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.contacts.law import collide_pair
+from particles_mpi.contacts.rough import Rough
 from particles_mpi.contacts.walls import bounce_until, meet_wall
 from particles_mpi.kernels.jit import kernel, lean, lean_inner
 from particles_mpi.kernels.markers import NOBODY
@@ -75,6 +76,7 @@ def apply_contacts(axes, segments, spheres, hits, selected_partner, rules, activ
     radius, w, ids, owned = spheres
     a, b, time = hits
     loss, planes, rates, rough, length = rules
+    rough = Rough(*rough)
     _, normal, wall_restitution, wall_factor, _, _, _ = planes
     is_active, active_rows, active_number = active
     r = np.empty(len(axes))
@@ -143,6 +145,7 @@ def note_start(segments, spin, i, owned, log):
 def finish_walls(axes, segments, spheres, hits, h, planes, rates, rough):
     """Take the rows of the wall hits through all their wall contacts, blind to other particles; returns the number."""
     x, v, start, last_partner = segments
+    rough = Rough(*rough)
     radius, w, _, _ = spheres
     a, b, _ = hits
     count = 0
