@@ -95,7 +95,7 @@ def iterations(axes, count, problem, w, v0, v, other, theta, looks, sums):
 
 @kernel
 def works(axes, problem, w, v0, v, sums):
-    """To sums[i] of each row, which its contacts took from v0 to v: p (N v0 + max(c, 0)), and p A p. Returns the largest."""
+    """To sums[i] of each row, which its contacts took from v0 to v: p (N v0 + c), and p A p. Returns the largest."""
     start, table, most = problem[0], problem[2], 0.0
     for i in range(len(sums)):
         asked, did = 0.0, 0.0
@@ -104,7 +104,7 @@ def works(axes, problem, w, v0, v, sums):
             asked += change * v0[i, k]
             did += change * change
         for e in range(start[i], start[i + 1]):
-            asked += table[e, TAKEN] * table[e, SHARE] ** 2 * max(table[e, MAY_CLOSE], 0.0)
+            asked += table[e, TAKEN] * table[e, SHARE] ** 2 * table[e, MAY_CLOSE]
         sums[i, 0], sums[i, 1] = (asked / w[i], did / w[i]) if w[i] > 0.0 else (0.0, 0.0)
         most = max(most, abs(sums[i, 0]), sums[i, 1])
     return most

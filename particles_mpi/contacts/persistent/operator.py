@@ -280,6 +280,8 @@ class PersistentContacts:
             tuple(contacts), closing, along_normals(before), (local.supported, local.radius), pressed, h,
             self.tolerance, OUTLIER * (effort < EXACT), PRECISE, SLIGHT * self.surfaces.rough,
         )  # fmt: skip
+        if again:  # who returns to a margin has that speed already: a second time it would lift what lies on it
+            np.maximum(targets[0], 0.0, out=targets[0])
         taken = np.where(chosen, (before if known else borne / (2.0 * SLOW)).T, 0.0).T * (not again)
         problem = self.problem(local, graph, contacts, chosen, Targets(*targets), taken)
         w, v = self.motion(local, graph, local.v, local.spin)

@@ -291,7 +291,7 @@ def rough_works(axes, problem, w, v0, v, sums):
                 did += change * change / inverse
         for e in range(start[i], start[i + 1]):
             if w[i, 0] > 0.0:
-                asked += table[e, TAKEN] * table[e, SHARE] ** 2 * max(table[e, MAY_CLOSE], 0.0) / w[i, 0]
+                asked += table[e, TAKEN] * table[e, SHARE] ** 2 * table[e, MAY_CLOSE] / w[i, 0]
         sums[i, 0], sums[i, 1] = asked, did
         most = max(most, abs(asked), did)
     return most
