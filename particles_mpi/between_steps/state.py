@@ -110,7 +110,7 @@ class State:
             self.particles.collect()
         except StateError as error:
             raise StateError(f"step {self.steps_done + 1}: {error}") from None
-        if self.rest and self.rest.together and self.ranks.allreduce_max(float(self.rows.edition != self.taken))[0]:
+        if self.rest and self.rest.pairs and self.ranks.allreduce_max(float(self.rows.edition != self.taken))[0]:
             self.forget_contacts()
         self.taken = self.rows.edition
 

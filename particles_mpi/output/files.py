@@ -158,6 +158,8 @@ def frame_arrays(arrays: dict[str, Array], dimension: int) -> dict[str, Array]:
         columns[shown] = whole
         if FIELDS[name].rotation and dimension == 2:  # about the axis z
             columns[shown] = np.column_stack((np.zeros((len(values), 2)), whole))
+        if FIELDS[name].orientation and whole.shape[1] == 1:
+            columns[shown] = whole[:, 0]
         if FIELDS[name].vector and dimension != 3:
             columns[shown] = np.zeros((len(values), 3))
             columns[shown][:, :dimension] = whole[:, :3]

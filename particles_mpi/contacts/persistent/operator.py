@@ -106,14 +106,13 @@ class PersistentContacts:
         self, ranks: Communicator, length: Array, pairs: bool, planes: Planes, taking: Array, surfaces: Surfaces, uniform: bool,
         tolerance: float, timers: Timers,
     ):  # fmt: skip
-        self.together = pairs or surfaces.rough  # are all rows solved for together? Else each by itself
-        self.ranks, self.length = ranks if self.together else Communicator.alone(), length
+        self.ranks, self.length = ranks if pairs else Communicator.alone(), length
         self.pairs, self.uniform, self.tolerance, self.timers = pairs, uniform, tolerance, timers
         self.point, self.normal = planes.point[taking], planes.normal[taking]
         self.faces = planes.lower, planes.upper, planes.oblique
         self.surfaces, d = surfaces._replace(walls=surfaces.walls[taking]), len(length)
         self.columns = (1 + d + d * (d - 1) // 2,) if surfaces.rough else ()  # of what is taken, by each half-edge
-        screens = uniform and not self.together and not planes.oblique
+        screens = uniform and not pairs and not planes.oblique
         self.near_faces = NearFaces() if screens else None  # which a drift with walls tells
         self.round_off = 1e-12 * np.abs(self.point).max(initial=0.0)
         self.memory: Memory = NOTHING  # of contacts that the graph does not hold
@@ -150,7 +149,7 @@ class PersistentContacts:
             return
         with self.timers("rest"):
             involved = self.involved(p, a, h)
-            if not self.together:
+            if not self.pairs and not self.surfaces.rough:
                 self.keep_on_walls(p, a, h, involved)
                 return
             remembers = bool(self.taken.any()) if self.graph else len(self.memory.id) > 0
@@ -164,7 +163,9 @@ class PersistentContacts:
             graph = self.near(p, wide, zone)
             local = self.local(p, a, h, graph)
             inside = inside_zone(local.x, local.push, local.radius, h, zone)
-            self.taken[:] = self.solve(p, local, graph, inside, h, self.taken, bool(known))
+            took = self.solve(p, local, graph, inside, h, self.taken, bool(known))
+            if self.pairs:  # rows on walls are solved for to the end, and need no memory
+                self.taken[:] = took
 
     def involved(self, p: Particles, a: Array, h: float) -> Array:
         """Rows that are supported, or have a slow contact with a wall; where pairs are kept, fixed ones too."""
@@ -266,13 +267,13 @@ class PersistentContacts:
         if not count:
             p["supported"][graph.rows] = 0
             return np.zeros_like(took)
-        effort = max(self.effort // count * (1 if known else UNKNOWN), STEADY * self.surfaces.rough)
+        effort = max(self.effort // count * (1 if known else UNKNOWN), STEADY * self.surfaces.rough) if self.pairs else EXACT
         borne = 2.0 * SLOW * before
         if not known:  # else they bear what they bore
             touch = contacts.gap <= contacts.widest * h
             problem = self.problem(local, graph, contacts, touch, exactly(contacts), borne)
             w, push = self.motion(local, graph, local.push, np.zeros_like(local.spin))
-            self.solver.solve(problem, w, push, graph.id, graph.exchange, effort)
+            self.solver.solve(problem, w, push, graph.id, graph.exchange, effort, self.pairs)
             borne = self.taken_of(problem)
         pressed = self.pressed(local, contacts, borne, along_normals(2.0 * SLOW * before), graph.exchange)
         closing = approach(self.axes, contacts.start, contacts.partner, contacts.normal, local.v)
@@ -285,7 +286,7 @@ class PersistentContacts:
         taken = np.where(chosen, (before if known else borne / (2.0 * SLOW)).T, 0.0).T * (not again)
         problem = self.problem(local, graph, contacts, chosen, Targets(*targets), taken)
         w, v = self.motion(local, graph, local.v, local.spin)
-        v, good = self.solver.solve(problem, w, v, graph.id, graph.exchange, effort)
+        v, good = self.solver.solve(problem, w, v, graph.id, graph.exchange, effort, self.pairs)
         self.totals["unconverged"] += self.ranks.is_root and not good
         taken = self.taken_of(problem)
         bears = np.maximum(taken, before) if again else taken

@@ -14,11 +14,11 @@ what is left is measured. All three are kept as speeds, times w_i + w_j, like `T
 side.
 """
 
-from math import sqrt
+from math import inf, sqrt
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.iterations import momentum
+from particles_mpi.contacts.persistent.iterations import MOST, momentum
 from particles_mpi.contacts.persistent.problem import AHEAD, MAY_CLOSE, NORMAL, SHARE, STEP, TAKEN
 from particles_mpi.contacts.rough import plane_of
 from particles_mpi.kernels.jit import inner, kernel, with_item
@@ -274,6 +274,29 @@ def rough_iterations(axes, count, problem, w, v0, v, other, theta, looks, sums):
         for i in range(len(sums)):
             most = max(most, abs(sums[i, 1]))
     return theta, rough, left, most
+
+
+@kernel
+def rough_solve_each(axes, problem, w, v):
+    """As `iterations.solve_each`: velocities and spins v of rows that touch walls alone, in place, each by itself."""
+    start, table = problem[0], problem[2]
+    n = len(start) - 1
+    v0, other, sums = v.copy(), v.copy(), np.empty((n, 2))
+    rough_begin(axes, 0, n, start, table, v0, v)
+    for i in range(n):
+        theta, swapped, before = 1.0, False, inf
+        for _ in range(MOST):
+            here, there = (other, v) if swapped else (v, other)
+            beta, theta = momentum(theta)
+            _, left = rough_iterate(axes, i, i + 1, problem, w, v0, here, there, beta, True, sums)
+            swapped = not swapped
+            if left <= 1.0:
+                break
+            if sums[i, 0] > before:
+                theta = 1.0
+                rough_begin(axes, i, i + 1, start, table, v0, there)
+            before = sums[i, 0]
+    rough_begin(axes, 0, n, start, table, v0, v)
 
 
 @kernel

@@ -27,7 +27,7 @@ import numpy as np
 
 from particles_mpi.contacts.persistent.iterations import FINE, MOST, begin, iterations, whole_numbers, works
 from particles_mpi.contacts.persistent.problem import NORMAL, STEP, TAKEN, Problem
-from particles_mpi.contacts.persistent.rough_iterations import SLID, rough_begin, rough_iterations, rough_works
+from particles_mpi.contacts.persistent.rough_iterations import SLID, rough_begin, rough_iterations, rough_solve_each, rough_works
 from particles_mpi.contacts.persistent.together import FEW, Together
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
@@ -144,14 +144,18 @@ class Solver:
         self.iterations = 0
 
     def solve(
-        self, problem: Problem, w: Array, v: Array, ids: Array, exchange: Callable[[Array], None], least: int
+        self, problem: Problem, w: Array, v: Array, ids: Array, exchange: Callable[[Array], None], least: int, pairs: bool
     ) -> tuple[Array, bool]:  # fmt: skip
         """Velocities (n, d) at which no contact closes faster than it may, and whether errors are allowed; to the table, what
-        contacts have taken.
+        contacts have taken. Without `pairs` each row of rough spheres is solved for by itself.
 
         w (size + 1,): inverse masses; v (size + 1, d) and ids of rows and ghosts. For `least`, see `Run.until_good`. Collective.
         """
         ranks = self.ranks
+        if not pairs:
+            result = v.copy()
+            rough_solve_each(self.axes, tuple(problem), w, result)
+            return result[: len(problem.start) - 1], True
         count, every = ranks.allreduce_sum(np.array([(problem.table[:, STEP] > 0.0).sum(), len(problem.partner)])).tolist()
         if not count:
             return v[: len(problem.start) - 1], True
