@@ -144,7 +144,8 @@ class Solver:
         self.iterations = 0
 
     def solve(
-        self, problem: Problem, w: Array, v: Array, ids: Array, exchange: Callable[[Array], None], least: int, pairs: bool
+        self, problem: Problem, w: Array, v: Array, ids: Array, exchange: Callable[[Array], None], least: int,
+        pairs: bool = True,
     ) -> tuple[Array, bool]:  # fmt: skip
         """Velocities (n, d) at which no contact closes faster than it may, and whether errors are allowed; to the table, what
         contacts have taken. Without `pairs` each row of rough spheres is solved for by itself.
