@@ -17,10 +17,9 @@ Array = npt.NDArray[Any]
 class Column:
     """A per-particle quantity.
 
-    dtype: of numpy; vector: one component an axis; rotation: one a plane of two axes, d(d-1)/2; orientation: an
-    angle in the plane, a quaternion in space; ghost: partners of a pair must
-    know it; output: written to frames (state that only a restart needs is not); default: the value where nothing gives one;
-    least: the smallest value allowed.
+    dtype: of numpy; vector: one component an axis; rotation: one a plane of two axes, d(d-1)/2; orientation: an angle in the
+    plane, a quaternion in space; ghost: partners of a pair must know it; output: written to frames (state that only a restart
+    needs is not); default: the value where nothing gives one; least: the smallest value allowed.
     """
 
     dtype: str = "float64"
@@ -57,16 +56,8 @@ FIELDS = {
 OWN = tuple(FIELDS)  # those of the program; effects from outside bring more
 USER = Column("", output=False)  # any other name: data of the user's, of any type and shape, that goes where its particle goes
 ALWAYS = ("id", "position", "velocity", "radius", "mass", "fixed")
-MEETING = (
-    "position",
-    "velocity",
-    "radius",
-    "mass",
-    "fixed",
-    "drag",
-    "spin",
-    "moment_of_inertia",
-)  # fields that decide who meets whom, with what outcome
+# Fields that decide who meets whom, with what outcome
+MEETING = ("position", "velocity", "radius", "mass", "fixed", "drag", "spin", "moment_of_inertia")
 
 
 class Particles:

@@ -228,13 +228,8 @@ class Populator:
 
     def spins(self, number: int, population: Population) -> None:
         """Moments of inertia, of solid spheres if not given, and spins; what is fixed has none."""
-        key, rows, arrays, d, value = (
-            f"particles[{number}]",
-            self.rows[number],
-            self.arrays,
-            self.scene.dimension,
-            population.spin,
-        )
+        key, rows, arrays = f"particles[{number}]", self.rows[number], self.arrays
+        d, value = self.scene.dimension, population.spin
         moment = arrays["moment_of_inertia"]
         moment[rows] = moment_of_sphere(arrays["mass"][rows], arrays["radius"][rows], d)
         if population.moment_of_inertia is not None:

@@ -262,18 +262,6 @@ SCENES = {
             "walls": {"tangential_restitution": 0.8},
         },
     ),
-    "rough discs that come to rest": dict(
-        dimension=2,
-        box={"lower": [0, 0], "upper": [4, 20]},
-        time={"step": 0.01, "steps": 150},
-        particles=[{"count": 40, "position": "random", "radius": {"min": 0.2, "max": 0.4}, "mass": {"min": 0.1, "max": 5.0}}],
-        effects={
-            "uniform_gravity": {"acceleration": [0.5, -9.81]},
-            "collisions": {"restitution": 0.3, "friction": 0.4},
-            "walls": {"restitution": 0.3, "friction": 0.5},
-            "rolling": {"resistance": 0.01},
-        },
-    ),
     "rough balls on an incline": dict(
         dimension=3,
         time={"step": 0.01, "steps": 100},
@@ -283,22 +271,20 @@ SCENES = {
             "walls": {"planes": [{"point": [0, 0, 0], "normal": [0, 0, 1]}], "restitution": 0.4, "friction": 0.1},
         },
     ),
-    "a rough heap": dict(
-        dimension=3,
-        box={"lower": [0, 0, 0], "upper": [0.6, 0.6, 1.6]},
-        time={"step": 0.005, "steps": 200},
-        particles=[{"count": 120, "position": "random", "radius": {"min": 0.045, "max": 0.05}}],
-        effects={
-            "uniform_gravity": GRAVITY,
-            "collisions": {"restitution": 0.5, "friction": 0.3},
-            "walls": {"restitution": 0.5, "friction": 0.3},
-        },
-    ),
     "no particles": dict(
         dimension=2, box={"lower": [0, 0], "upper": [4, 4]}, time={"step": 0.05, "steps": 3},
         particles=[{"count": 0, "position": "random", "radius": 0.1}], effects={"collisions": {}, "walls": {}},
     ),
 }  # fmt: skip
+HEAP, DISCS = "a heap that collapses in crowds", "discs that come to rest"
+for smooth, rough, surfaces in (
+    (DISCS, f"rough {DISCS}", {"collisions": 0.4, "walls": 0.5}),
+    (HEAP, "a rough heap", {"collisions": 0.3, "walls": 0.3}),
+):
+    effects = SCENES[smooth]["effects"]
+    with_friction = {name: effects[name] | {"friction": mu} for name, mu in surfaces.items()}
+    more = {"rolling": {"resistance": 0.01}} if smooth == DISCS else {}
+    SCENES[rough] = SCENES[smooth] | {"effects": effects | with_friction | more}
 EVENTS = (
     "balls that collide on a floor, and lean on a wall in the end",
     "discs that come to rest",
@@ -359,7 +345,6 @@ SCENES[LARGE] = dict(
 SCENES["cluster, in blocks"] = SCENES["cluster, fixed and without mass"] | {"few": 0}
 WINDOWS = [name for name in SCENES if SCENES[name]["effects"].get("collisions", {}).get("mode") == "event" and name != LARGE]
 SCENES |= {f"{name}: in windows": SCENES[name] | {"windows": True, "few": 0} for name in WINDOWS}
-HEAP = "a heap that collapses in crowds"
 SCENES |= {
     f"{HEAP}, solved as a large one": SCENES[HEAP] | {"large": True},
     "a rough heap, solved as a large one": SCENES["a rough heap"] | {"large": True},

@@ -245,12 +245,11 @@ class PersistentContacts:
         size, d = graph.size + 1, p.dimension
         x, v, push, supported = np.empty((size, d)), np.empty((size, d)), np.empty((size, d)), np.empty(size)
         gather(graph.rows, p.position, p.velocity, a, p["supported"], SLOW * h, x, v, push, supported)
-        graph.exchange(x, v, push, supported)
         w, spin = graph.inverse_mass, np.empty((0, 1))
         if self.surfaces.rough:
             spin = np.zeros((size, p["spin"].shape[1]))
             spin[: len(graph.rows)] = p["spin"][graph.rows]
-            graph.exchange(spin)
+        graph.exchange(x, v, push, supported, *([spin] if self.surfaces.rough else []))
         return Local(x, v, push, graph.radius, w, supported == CROWD, (supported != 0) & (w > 0.0), spin)
 
     def solve(
