@@ -40,21 +40,9 @@ class Rough(NamedTuple):
     impulse: Array  # (d,) scratch
 
 
-def is_rough(friction: float, tangential: float) -> bool:
-    """Do surfaces of such a contact act on one another?"""
-    return friction > 0.0 and tangential > -1.0
-
-
-def surface(friction: float | None, tangential: float | None) -> tuple[float, float]:
-    """(mu, beta_0) of what a scene says: nothing is smooth; beta_0 alone has no limit; friction alone sticks without rebound."""
-    mu = (0.0 if tangential is None else inf) if friction is None else friction
-    beta = 0.0 if tangential is None else tangential
-    return (mu, beta) if is_rough(mu, beta) else (0.0, 0.0)
-
-
 def takes_energy(surface: tuple[float, float]) -> bool:
     """Does a contact of such surfaces take energy? Not if it sticks for any impulse and gives all of the slip back."""
-    return is_rough(*surface) and surface != (inf, 1.0)
+    return surface[0] > 0.0 and surface != (inf, 1.0)
 
 
 def no_spins(dimension: int, law: Array) -> Rough:

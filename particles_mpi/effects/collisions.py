@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from particles_mpi.contacts.law import loss
-from particles_mpi.contacts.rough import surface, takes_energy
+from particles_mpi.contacts.rough import takes_energy
 from particles_mpi.scene.effect import FORWARD, EffectOptions, Losses, Needs, PairContacts
 from particles_mpi.scene.model import NotNegative
 from particles_mpi.scene.schema import Scene
@@ -44,5 +44,5 @@ class Effect(PairContacts):
     def __init__(self, options: Options, scene: Scene):
         self.options = options
         self.restitution, self.keep = loss(options.restitution, options.damping)
-        self.surface = surface(options.friction, options.tangential_restitution)
+        self.surface = options.surface
         self.lossy = self.restitution < 1.0 or self.keep < 1.0 or takes_energy(self.surface)

@@ -1,6 +1,6 @@
 """Resistance to rolling: contacts that last bear a couple against the rolling and spinning of their partners."""
 
-from particles_mpi.scene.effect import EffectOptions, Needs, RollingResistance
+from particles_mpi.scene.effect import EffectOptions, Force, Needs, RollingResistance
 from particles_mpi.scene.model import NotNegative
 from particles_mpi.scene.schema import Scene
 
@@ -15,9 +15,11 @@ class Options(EffectOptions):
     resistance: NotNegative
 
     def faults(self, scene: Scene) -> list[str]:
-        if scene.rough:
-            return []
-        return ["resistance: nothing rolls without friction in [effects.collisions] or [effects.walls]"]
+        if not scene.rough:
+            return ["resistance: nothing rolls without friction in [effects.collisions] or [effects.walls]"]
+        if not any(issubclass(options.effect_class(), Force) for options in scene.effects.values()):
+            return ["resistance: acts in contacts that last, of which there are none without a force"]
+        return []
 
 
 class Effect(RollingResistance):

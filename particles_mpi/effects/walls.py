@@ -5,7 +5,7 @@ from math import inf
 import numpy as np
 
 from particles_mpi.contacts.law import loss
-from particles_mpi.contacts.rough import Rough, surface, takes_energy
+from particles_mpi.contacts.rough import Rough, takes_energy
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.contacts.walls import NearFaces, Planes, drift_with_walls
 from particles_mpi.particles import Particles
@@ -22,7 +22,8 @@ class Plane(Losses):
 
 
 class Options(Losses, EffectOptions):
-    """`planes`, or every non-periodic face of the box; `restitution` or `damping`, and friction, of those that give none."""
+    """`planes`, or every non-periodic face of the box; `restitution` or `damping`, `friction` and `tangential_restitution`, each
+    of those planes that do not give it."""
 
     planes: list[Plane] | None = None
 
@@ -31,12 +32,16 @@ class Options(Losses, EffectOptions):
         for number, plane in enumerate(self.planes or []):
             key = f"planes[{number}]"
             faults += wrong_length(f"{key}.point", plane.point, d) + wrong_length(f"{key}.normal", plane.normal, d)
-            faults += [f"{key}.{fault}" for fault in plane.rough_faults(scene)]
             if not any(plane.normal):
                 faults.append(f"{key}.normal: has no length")
         if self.planes is None and scene.box is None:
             faults.append("planes: needed where there is no [box]")
         return faults
+
+    def parts(self) -> dict[str, Losses]:
+        if self.planes is None:
+            return {"": self}
+        return {f"planes[{number}].": plane.within(self) for number, plane in enumerate(self.planes)}
 
 
 class Effect(WallContacts):
@@ -59,10 +64,9 @@ class Effect(WallContacts):
         point = np.array([p.point for p in planes], float).reshape(-1, d)
         normal = np.array([p.normal for p in planes], float).reshape(-1, d)
         normal /= np.sqrt((normal**2).sum(axis=1, keepdims=True))
-        losses = [options if p.restitution is None and p.damping is None else p for p in planes]
-        e, factor = np.array([loss(p.restitution, p.damping) for p in losses], float).reshape(-1, 2).T.copy()
-        rough = [options if p.friction is None and p.tangential_restitution is None else p for p in planes]
-        self.surfaces = [surface(p.friction, p.tangential_restitution) for p in rough]
+        losses = [plane.within(options) for plane in planes]
+        e, factor = np.array([loss(of.restitution, of.damping) for of in losses], float).reshape(-1, 2).T.copy()
+        self.surfaces = [of.surface for of in losses]
         lower = np.where(normal == 1.0, point, -inf).max(axis=0, initial=-inf)
         upper = np.where(normal == -1.0, point, inf).min(axis=0, initial=inf)
         oblique = np.abs(normal).max(axis=1, initial=0.0) < 1.0

@@ -5,6 +5,7 @@ import pkgutil
 import sys
 from collections.abc import Mapping
 from hashlib import sha256
+from math import inf
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import Annotated, Any, ClassVar, NamedTuple
@@ -60,23 +61,49 @@ class Losses(Model):
     tangential_restitution: Annotated[float, Field(ge=-1.0, le=1.0)] | None = None
 
     @property
+    def surface(self) -> tuple[float, float]:
+        """(mu, beta_0) of contacts, see `contacts.rough`: (0, 0) if they are smooth, an infinite mu if they always stick."""
+        beta = 0.0 if self.tangential_restitution is None else self.tangential_restitution
+        mu = (0.0 if self.tangential_restitution is None else inf) if self.friction is None else self.friction
+        return (mu, beta) if mu > 0.0 and beta > -1.0 else (0.0, 0.0)
+
+    @property
     def rough(self) -> bool:
-        """Does the table give surfaces that are not smooth?"""
-        return self.friction != 0.0 if self.tangential_restitution is not None else bool(self.friction)
+        """Do surfaces act on one another in a contact?"""
+        return self.surface[0] > 0.0
+
+    def parts(self) -> dict[str, "Losses"]:
+        """What contacts take, by the key in the table that says so, "" for the table itself."""
+        return {"": self}
+
+    def within(self, table: "Losses") -> "Losses":
+        """These, and those of a `table` where they say nothing."""
+        normal = table if self.restitution is None and self.damping is None else self
+        across = table if self.tangential_restitution is None else self
+        return Losses(
+            damping=normal.damping,
+            restitution=normal.restitution,
+            friction=table.friction if self.friction is None else self.friction,
+            tangential_restitution=across.tangential_restitution,
+        )
 
     def described(self, scene: Any, total: int) -> str:
         """The surfaces, for the plan."""
-        mu = "without a limit" if self.friction is None else f"{self.friction:g}"
-        return f"rough: friction {mu}, tangential restitution {self.tangential_restitution or 0.0:g}" if self.rough else ""
+        surfaces = {losses.surface for losses in self.parts().values() if losses.rough}
+        limits = {mu: "without a limit" if mu == inf else f"{mu:g}" for mu, _ in surfaces}
+        texts = [f"friction {limits[mu]}, tangential restitution {beta:g}" for mu, beta in sorted(surfaces)]
+        return "rough: " + "; ".join(texts) if texts else ""
 
     def rough_faults(self, scene: Any) -> list[str]:
         """Why rough spheres cannot be here, each beginning with the key."""
-        key = "friction" if self.friction is not None else "tangential_restitution"
-        if not self.rough:
-            return []
-        known = [] if scene.dimension in (2, 3) else [f"{key}: spins are known in 2 and 3 dimensions, not in {scene.dimension}"]
-        damped = [f"{key}: damping takes of the whole velocity; give restitution, to which friction belongs"]
-        return known + (damped if self.damping is not None else [])
+        faults = []
+        for part, losses in self.parts().items():
+            key = part + ("friction" if losses.friction is not None else "tangential_restitution")
+            if losses.rough and scene.dimension not in (2, 3):
+                faults.append(f"{key}: spins are known in 2 and 3 dimensions, not in {scene.dimension}")
+            if losses.rough and losses.damping is not None:
+                faults.append(f"{key}: damping takes of the whole velocity; give restitution, to which friction belongs")
+        return faults
 
     @field_validator("restitution")
     @classmethod

@@ -229,7 +229,7 @@ class Scene(Model):
     def rough(self) -> bool:
         """Is there an effect with which spheres are rough?"""
         tables = [options for options in self.effects.values() if isinstance(options, Losses)]
-        return any(table.rough for table in [*tables, *(p for t in tables for p in getattr(t, "planes", None) or [])])
+        return any(losses.rough for table in tables for losses in table.parts().values())
 
     @property
     def columns(self) -> dict[str, Any]:
