@@ -31,7 +31,8 @@ def keeper_of_contacts(effects: ActiveEffects, context: Context, dimension: int)
     """The operator for contacts that last, where forces and losses can make one last; else None."""
     if not effects.keeps_contacts:
         return None
-    from particles_mpi.contacts.persistent.operator import PersistentContacts, Surfaces
+    from particles_mpi.contacts.persistent.operator import PersistentContacts
+    from particles_mpi.contacts.persistent.surfaces import Surfaces
 
     pairs, walls = effects.pairs is not None and effects.pairs.lossy, effects.walls
     planes, taking = (walls.planes, walls.taking) if walls else (no_planes(dimension), np.empty(0, bool))

@@ -7,6 +7,7 @@ slow        which contacts are slow, and so kept
 zone        where contacts are sought; crowds
 rows        rows of the particles, copied and given back
 problem     these as a table, one row for each of the two sides of a contact
+surfaces    what such a table says of smooth and of rough spheres
 solver      velocities at which none of these closes, solved by all ranks together
 iterations  its compiled loops; rough_iterations: those of rough spheres
 together    few contacts, which every rank solves for by itself

@@ -32,11 +32,11 @@ from particles_mpi.contacts.persistent.detection import (
 from particles_mpi.contacts.persistent.graph import ContactGraph, Exchange, rows_in
 from particles_mpi.contacts.persistent.memory import along_normals, carry_over, recall, remember, send_home
 from particles_mpi.contacts.persistent.on_walls import settle_on_walls
-from particles_mpi.contacts.persistent.problem import Problem, bound_rows, table_of
-from particles_mpi.contacts.persistent.rough_iterations import bound_rough, rough_table, slide_loads
-from particles_mpi.contacts.persistent.rows import gather, hand_over
-from particles_mpi.contacts.persistent.slow import SLIGHT, approach, carried, loads, pressing, slow
-from particles_mpi.contacts.persistent.solver import EFFORT, EXACT, OUTLIER, Solver, taken_columns
+from particles_mpi.contacts.persistent.problem import Targets
+from particles_mpi.contacts.persistent.rows import Local, gather, hand_over
+from particles_mpi.contacts.persistent.slow import approach, carried, loads, pressing, slow
+from particles_mpi.contacts.persistent.solver import EFFORT, EXACT, OUTLIER, Solver
+from particles_mpi.contacts.persistent.surfaces import RoughContacts, SmoothContacts, Surfaces
 from particles_mpi.contacts.persistent.zone import inside_zone, spread, zone_around
 from particles_mpi.contacts.walls import NearFaces, Planes
 from particles_mpi.contacts.warm_start import NOTHING, Memory
@@ -47,44 +47,7 @@ from particles_mpi.timers import Timers
 
 SKIN = 0.3  # of the smallest radius: so far rows may move, two together, before the graph is made anew
 DILUTE = 1.0  # the same, in a gas: few pairs come near, but rows move far
-STILL = 1e-6  # of what forces do in two steps: slower, rough spheres that are held stand still; so do balls on slopes of 6e-6
-STEADY = 45  # iterations that rough spheres always get: with fewer a pile creeps by what is left of errors, and never rests
 UNKNOWN = 10  # times the effort where nothing is remembered
-
-
-class Local(NamedTuple):
-    """Rows, ghosts and a wall: x, v, push (size + 1, d), radius, w = 1/m or 0, crowd, supported (size + 1,), and, of rough
-    spheres, spin (size + 1, d(d-1)/2), which has no row in a smooth scene."""
-
-    x: Array
-    v: Array
-    push: Array
-    radius: Array
-    w: Array
-    crowd: Array
-    supported: Array
-    spin: Array
-
-
-class Surfaces(NamedTuple):
-    """Friction mu of pairs and of each plane, and the resistance to rolling, a length."""
-
-    pairs: float
-    walls: Array
-    resistance: float
-
-    @property
-    def rough(self) -> bool:
-        """Is there any friction?"""
-        return self.pairs > 0.0 or bool((self.walls > 0.0).any())
-
-
-class Targets(NamedTuple):
-    """What is asked of each half-edge, (m,): it may close at `may_close`; `loose`, `tight`: see `Problem`."""
-
-    may_close: Array
-    loose: Array
-    tight: Array
 
 
 class Found(NamedTuple):
@@ -110,15 +73,15 @@ class PersistentContacts:
         self.pairs, self.uniform, self.tolerance, self.timers = pairs, uniform, tolerance, timers
         self.point, self.normal = planes.point[taking], planes.normal[taking]
         self.faces = planes.lower, planes.upper, planes.oblique
-        self.surfaces, d = surfaces._replace(walls=surfaces.walls[taking]), len(length)
-        self.columns = (1 + d + d * (d - 1) // 2,) if surfaces.rough else ()  # of what is taken, by each half-edge
+        self.axes = (0.0,) * len(length)
+        surfaces = surfaces._replace(walls=surfaces.walls[taking])
+        self.law = RoughContacts(self.axes, surfaces) if surfaces.rough else SmoothContacts(self.axes)
         screens = uniform and not pairs and not planes.oblique
         self.near_faces = NearFaces() if screens else None  # which a drift with walls tells
         self.round_off = 1e-12 * np.abs(self.point).max(initial=0.0)
         self.memory: Memory = NOTHING  # of contacts that the graph does not hold
         self.graph: ContactGraph | None = None
-        self.taken: Array = np.empty((0, *self.columns))  # by half-edges of the graph
-        self.axes = (0.0,) * len(length)
+        self.taken: Array = np.empty((0, *self.law.columns))  # by half-edges of the graph
         self.solver = Solver(self.ranks, self.axes)
         self.found: Found | None = None
         self.given: tuple[Array, Array] = np.empty(0, np.int64), np.empty(0)  # our rows, velocities given to them
@@ -149,7 +112,7 @@ class PersistentContacts:
             return
         with self.timers("rest"):
             involved = self.involved(p, a, h)
-            if not self.pairs and not self.surfaces.rough:
+            if not self.pairs:
                 self.keep_on_walls(p, a, h, involved)
                 return
             remembers = bool(self.taken.any()) if self.graph else len(self.memory.id) > 0
@@ -163,9 +126,7 @@ class PersistentContacts:
             graph = self.near(p, wide, zone)
             local = self.local(p, a, h, graph)
             inside = inside_zone(local.x, local.push, local.radius, h, zone)
-            took = self.solve(p, local, graph, inside, h, self.taken, bool(known))
-            if self.pairs:  # rows on walls are solved for to the end, and need no memory
-                self.taken[:] = took
+            self.taken[:] = self.solve(p, local, graph, inside, h, self.taken, bool(known))
 
     def involved(self, p: Particles, a: Array, h: float) -> Array:
         """Rows that are supported, or have a slow contact with a wall; where pairs are kept, fixed ones too."""
@@ -223,7 +184,7 @@ class PersistentContacts:
             skin = (DILUTE if self.dilute else SKIN) * float(self.ranks.allreduce_min(least)[0])
             skin = skin if skin < np.inf else 0.0
             rows = rows_in(p.position, wide + skin, zone)
-            graph = ContactGraph(self.ranks, p, rows, wide, skin, self.length, self.pairs)
+            graph = ContactGraph(self.ranks, p, rows, wide, skin, self.length)
             self.taken = self.taken_before(p, graph)
             self.graph = graph
             many = len(self.graph.other) - (4 if self.dilute else 1) * len(rows)
@@ -238,18 +199,15 @@ class PersistentContacts:
             old = None
         memory = send_home(self.ranks, NOTHING if old else self.remembered(), p)
         walls = len(self.point)
-        return carry_over(old, self.taken, graph, walls) if old else recall(memory, graph, walls, self.columns)
+        return carry_over(old, self.taken, graph, walls) if old else recall(memory, graph, walls, self.law.columns)
 
     def local(self, p: Particles, a: Array, h: float, graph: ContactGraph) -> Local:
         """The state of the graph's rows, and of ghosts as their owners have them. Collective."""
         size, d = graph.size + 1, p.dimension
         x, v, push, supported = np.empty((size, d)), np.empty((size, d)), np.empty((size, d)), np.empty(size)
         gather(graph.rows, p.position, p.velocity, a, p["supported"], SLOW * h, x, v, push, supported)
-        w, spin = graph.inverse_mass, np.empty((0, 1))
-        if self.surfaces.rough:
-            spin = np.zeros((size, p["spin"].shape[1]))
-            spin[: len(graph.rows)] = p["spin"][graph.rows]
-        graph.exchange(x, v, push, supported, *([spin] if self.surfaces.rough else []))
+        w, spin = graph.inverse_mass, self.law.spins(p, graph)
+        graph.exchange(x, v, push, supported, *([spin] if self.law.rough else []))
         return Local(x, v, push, graph.radius, w, supported == CROWD, (supported != 0) & (w > 0.0), spin)
 
     def solve(
@@ -266,33 +224,31 @@ class PersistentContacts:
         if not count:
             p["supported"][graph.rows] = 0
             return np.zeros_like(took)
-        effort = max(self.effort // count * (1 if known else UNKNOWN), STEADY * self.surfaces.rough) if self.pairs else EXACT
+        effort = max(self.effort // count * (1 if known else UNKNOWN), self.law.least) if self.pairs else EXACT
         borne = 2.0 * SLOW * before
         if not known:  # else they bear what they bore
             touch = contacts.gap <= contacts.widest * h
-            problem = self.problem(local, graph, contacts, touch, exactly(contacts), borne)
-            w, push = self.motion(local, graph, local.push, np.zeros_like(local.spin))
+            problem = self.law.problem(local, graph, contacts, touch, exactly(contacts), borne)
+            w, push = self.law.motion(local, graph, local.push, np.zeros_like(local.spin))
             self.solver.solve(problem, w, push, graph.id, graph.exchange, effort, self.pairs)
-            borne = self.taken_of(problem)
+            borne = self.law.taken(problem)
         pressed = self.pressed(local, contacts, borne, along_normals(2.0 * SLOW * before), graph.exchange)
         closing = approach(self.axes, contacts.start, contacts.partner, contacts.normal, local.v)
         chosen, *targets = slow(
             tuple(contacts), closing, along_normals(before), (local.supported, local.radius), pressed, h,
-            self.tolerance, OUTLIER * (effort < EXACT), PRECISE, SLIGHT * self.surfaces.rough,
+            self.tolerance, OUTLIER * (effort < EXACT), PRECISE, self.law.slight,
         )  # fmt: skip
         if again:  # who returns to a margin has that speed already: a second time it would lift what lies on it
             np.maximum(targets[0], 0.0, out=targets[0])
         taken = np.where(chosen, (before if known else borne / (2.0 * SLOW)).T, 0.0).T * (not again)
-        problem = self.problem(local, graph, contacts, chosen, Targets(*targets), taken)
-        w, v = self.motion(local, graph, local.v, local.spin)
+        problem = self.law.problem(local, graph, contacts, chosen, Targets(*targets), taken)
+        w, v = self.law.motion(local, graph, local.v, local.spin)
         v, good = self.solver.solve(problem, w, v, graph.id, graph.exchange, effort, self.pairs)
         self.totals["unconverged"] += self.ranks.is_root and not good
-        taken = self.taken_of(problem)
+        taken = self.law.taken(problem)
         bears = np.maximum(taken, before) if again else taken
         held = carried(contacts.start, along_normals(bears))
-        if self.surfaces.rough:
-            v = brought_to_rest(v, held, local, graph.radius)
-        self.give_back(p, graph.rows, v, held)
+        self.give_back(p, graph.rows, self.law.at_rest(v, held, local, graph.radius), held)
         all_taken = np.zeros_like(took)
         all_taken[contacts.slot] = taken
         return all_taken
@@ -313,55 +269,27 @@ class PersistentContacts:
         self.found = None if crowd else Found(graph, for_these, contacts)
         return contacts
 
-    def problem(
-        self, local: Local, graph: ContactGraph, contacts: Contacts, which: Array, targets: Targets, taken: Array
-    ) -> Problem:  # fmt: skip
-        """For the solver: the contacts, of which `which` (m,) may take anything, and what they took. Collective."""
-        some, bound = (contacts.start, contacts.partner, contacts.normal), np.zeros_like(local.w)
-        if not self.surfaces.rough:
-            bound_rows(self.axes, contacts.start, contacts.normal, local.w, which, bound)
-            graph.exchange(bound)
-            table = table_of(self.axes, *some, local.w, which, bound, targets.may_close, taken)
-            return Problem(contacts.start, contacts.partner, table, targets.loose, targets.tight)
-        wall = np.where(contacts.partner == graph.size, (contacts.slot - len(graph.other)) % max(len(self.point), 1), -1)
-        friction = np.append(self.surfaces.walls, self.surfaces.pairs)[wall]
-        surfaces = np.stack((friction, np.full(len(friction), self.surfaces.resistance)))
-        bodies = graph.radius, graph.inverse_inertia, local.w, which
-        bound_rough(self.axes, *some, wall, *bodies, surfaces[1], bound)
-        graph.exchange(bound)
-        smooth = table_of(self.axes, *some, local.w, which, bound, targets.may_close, along_normals(taken))
-        table = rough_table(self.axes, smooth, wall, *some[:2], *bodies, bound, surfaces, np.ascontiguousarray(taken[:, 1:]))
-        return Problem(contacts.start, contacts.partner, table, targets.loose, targets.tight)
-
-    def motion(self, local: Local, graph: ContactGraph, v: Array, spin: Array) -> tuple[Array, Array]:
-        """For the solver: 1/m (size + 1,) and v as they are; of rough spheres with 1/I and spins beside them."""
-        if not self.surfaces.rough:
-            return local.w, v
-        return np.column_stack((local.w, graph.inverse_inertia)), np.concatenate((v, spin), axis=1)
-
-    def taken_of(self, problem: Problem) -> Array:
-        """What half-edges have taken: (m,), or (m, columns) of rough spheres."""
-        taken = problem.table[:, taken_columns(len(self.axes), self.surfaces.rough)]
-        return taken if self.surfaces.rough else taken[:, 0].copy()
-
     def pressed(
         self, local: Local, contacts: Contacts, borne: Array, before: Array, exchange: Exchange
     ) -> Array:  # fmt: skip
         """The speed that presses each contact, by pushes of rows and what contacts bear now or bore `before`. Collective."""
         left, stress = np.zeros_like(local.push), np.zeros((*local.push.shape, local.push.shape[1]))
-        some, across = (contacts.start, contacts.partner, contacts.normal), borne[:, 1:] if self.surfaces.rough else None
-        borne = along_normals(borne)
-        loads(self.axes, *some, local.w, borne, local.push, left, stress)
-        if across is not None:
-            slide_loads(self.axes, *some[:2], np.ascontiguousarray(across), local.w, left)
+        some, along = (contacts.start, contacts.partner, contacts.normal), along_normals(borne)
+        loads(self.axes, *some, local.w, along, local.push, left, stress)
+        self.law.press(contacts, local.w, borne, left)
         exchange(left, stress)
-        return np.asarray(pressing(self.axes, *some, borne, before, left, stress))
+        return np.asarray(pressing(self.axes, *some, along, before, left, stress))
 
     def keep_on_walls(self, p: Particles, a: Array, h: float, rows: Array) -> None:
-        """As `keep`, of rows that nothing but walls can hold: each by itself."""
-        fields = p.position, p.velocity, p.radius, p.mass, p.fixed, p["supported"]
+        """As `keep`, of rows that nothing but walls can hold: each by itself, to the end, so that nothing need be remembered."""
         if not len(rows):
             return
+        if self.law.rough:
+            graph = ContactGraph(self.ranks, p, rows, np.zeros(len(p)), 0.0, self.length, pairs=False)
+            local, inside = self.local(p, a, h, graph), np.ones(graph.size + 1, np.bool_)
+            self.solve(p, local, graph, inside, h, np.zeros((len(rows) * len(self.point), *self.law.columns)), False)
+            return
+        fields = p.position, p.velocity, p.radius, p.mass, p.fixed, p["supported"]
         v, held = settle_on_walls(
             self.axes, rows, fields, a, h, self.length, self.faces, (self.point, self.normal), PRECISE
         )  # fmt: skip
@@ -373,18 +301,6 @@ class PersistentContacts:
         self.given = hand_over(rows, np.ascontiguousarray(v[:, :d]), held, p.velocity, p["supported"])
         if v.shape[1] > d:
             p["spin"][rows] = v[:, d:]
-
-
-def brought_to_rest(v: Array, held: Array, local: Local, radius: Array) -> Array:
-    """Velocities and spins v (n, columns), where those that are `held` and all but at rest stand still.
-
-    Iterations for a pile leave something, which gets less from step to step, of a size that no force explains.
-    """
-    n, d = local.push[: len(v)].shape
-    most = STILL**2 * row_dot(local.push[:n], local.push[:n])
-    rim = radius[:n, None] * v[:, d:]
-    rests = (held != 0) & (row_dot(v[:, :d], v[:, :d]) <= most) & (row_dot(rim, rim) <= most)
-    return np.asarray(np.where(rests[:, None], 0.0, v))
 
 
 def exactly(contacts: Contacts) -> Targets:

@@ -35,6 +35,14 @@ class Problem(NamedTuple):
     tight: Array
 
 
+class Targets(NamedTuple):
+    """What is asked of each half-edge, (m,): it may close at `may_close`; `loose`, `tight`: see `Problem`."""
+
+    may_close: Array
+    loose: Array
+    tight: Array
+
+
 @kernel
 def bound_rows(axes, start, normal, w, which, bound):
     """Of each row w b, where b bounds the largest eigenvalue of S = sum of n n^T: tr S |(S/tr S)^4|^(1/4)."""

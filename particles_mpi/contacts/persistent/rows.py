@@ -1,9 +1,28 @@
 """The rows that contacts are sought for, copied from the particles and given back to them."""
 
+from __future__ import annotations
+
+from typing import NamedTuple
+
 import numpy as np
 
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.kernels.markers import PRESSED
+from particles_mpi.particles import Array
+
+
+class Local(NamedTuple):
+    """Rows, ghosts and a wall: x, v, push (size + 1, d), radius, w = 1/m or 0, crowd, supported (size + 1,), and, of rough
+    spheres, spin (size + 1, d(d-1)/2), which has no row in a smooth scene."""
+
+    x: Array
+    v: Array
+    push: Array
+    radius: Array
+    w: Array
+    crowd: Array
+    supported: Array
+    spin: Array
 
 
 @kernel

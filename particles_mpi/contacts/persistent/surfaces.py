@@ -1,0 +1,136 @@
+"""What contacts of smooth and of rough spheres take, as the solver needs it: the two kinds answer the same calls of `operator`.
+
+Smooth ones take speed along their normal, a number each. Rough ones also take speed across it, and a couple: a row of numbers
+each; velocities and spins, and 1/m and 1/I, stand side by side.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from particles_mpi.contacts.persistent.detection import Contacts
+from particles_mpi.contacts.persistent.graph import ContactGraph
+from particles_mpi.contacts.persistent.memory import along_normals
+from particles_mpi.contacts.persistent.problem import Problem, Targets, bound_rows, table_of
+from particles_mpi.contacts.persistent.rough_iterations import bound_rough, rough_table, slide_loads
+from particles_mpi.contacts.persistent.rows import Local
+from particles_mpi.contacts.persistent.slow import SLIGHT
+from particles_mpi.contacts.persistent.solver import taken_columns
+from particles_mpi.particles import Array, Particles, row_dot
+
+STEADY = 45  # iterations that rough spheres always get: with fewer a pile creeps by what is left of errors, and never rests
+STILL = 1e-6  # of what forces do in two steps: slower, rough spheres that are held stand still; so do balls on slopes of 6e-6
+
+
+class Surfaces(NamedTuple):
+    """Friction mu of pairs and of each plane, and the resistance to rolling, a length."""
+
+    pairs: float
+    walls: Array
+    resistance: float
+
+    @property
+    def rough(self) -> bool:
+        """Is there any friction?"""
+        return self.pairs > 0.0 or bool((self.walls > 0.0).any())
+
+
+class SmoothContacts:
+    """Contacts without friction."""
+
+    rough = False
+    least = 0  # iterations that a solution always gets
+    slight = 0.0  # see `slow.SLIGHT`
+    columns: tuple[int, ...] = ()  # of what is taken, by each half-edge
+
+    def __init__(self, axes: tuple[float, ...]):
+        self.axes = axes
+
+    def spins(self, p: Particles, graph: ContactGraph) -> Array:
+        """Spins of rows and ghosts, without those of ghosts."""
+        return np.empty((0, 1))
+
+    def problem(
+        self, local: Local, graph: ContactGraph, contacts: Contacts, which: Array, targets: Targets, taken: Array
+    ) -> Problem:  # fmt: skip
+        """For the solver: the contacts, of which `which` (m,) may take anything, and what they took. Collective."""
+        bound = np.zeros_like(local.w)
+        bound_rows(self.axes, contacts.start, contacts.normal, local.w, which, bound)
+        graph.exchange(bound)
+        table = self.smooth_table(local, contacts, which, bound, targets, taken)
+        return Problem(contacts.start, contacts.partner, table, targets.loose, targets.tight)
+
+    def smooth_table(
+        self, local: Local, contacts: Contacts, which: Array, bound: Array, targets: Targets, taken: Array
+    ) -> Array:  # fmt: skip
+        """The table of what is taken along normals; `bound` (size + 1,): see `problem.bound_rows`."""
+        some = contacts.start, contacts.partner, contacts.normal
+        return np.asarray(table_of(self.axes, *some, local.w, which, bound, targets.may_close, along_normals(taken)))
+
+    def motion(self, local: Local, graph: ContactGraph, v: Array, spin: Array) -> tuple[Array, Array]:
+        """For the solver: inverse masses, and velocities v (size + 1, d) with spins."""
+        return local.w, v
+
+    def taken(self, problem: Problem) -> Array:
+        """What half-edges have taken: (m, *columns)."""
+        return problem.table[:, taken_columns(len(self.axes), False)[0]].copy()
+
+    def press(self, contacts: Contacts, w: Array, borne: Array, left: Array) -> None:
+        """Add what contacts bear across their normals to what is `left` (n, d) of the pushes of rows."""
+
+    def at_rest(self, v: Array, held: Array, local: Local, radius: Array) -> Array:
+        """Velocities and spins v (n, columns), where those that are `held` and all but at rest stand still."""
+        return v
+
+
+class RoughContacts(SmoothContacts):
+    """Contacts with friction, and with resistance to rolling. walls: how many walls there are."""
+
+    rough = True
+    least = STEADY
+    slight = SLIGHT
+
+    def __init__(self, axes: tuple[float, ...], surfaces: Surfaces):
+        super().__init__(axes)
+        self.surfaces, d = surfaces, len(axes)
+        self.columns = (1 + d + d * (d - 1) // 2,)
+
+    def spins(self, p: Particles, graph: ContactGraph) -> Array:
+        spin = np.zeros((graph.size + 1, p["spin"].shape[1]))
+        spin[: len(graph.rows)] = p["spin"][graph.rows]
+        return spin
+
+    def problem(
+        self, local: Local, graph: ContactGraph, contacts: Contacts, which: Array, targets: Targets, taken: Array
+    ) -> Problem:  # fmt: skip
+        some, bound = (contacts.start, contacts.partner), np.zeros_like(local.w)
+        walls = max(len(self.surfaces.walls), 1)
+        wall = np.where(contacts.partner == graph.size, (contacts.slot - len(graph.other)) % walls, -1)
+        friction = np.append(self.surfaces.walls, self.surfaces.pairs)[wall]
+        law = np.stack((friction, np.full(len(friction), self.surfaces.resistance)))
+        bodies = graph.radius, graph.inverse_inertia, local.w, which
+        bound_rough(self.axes, *some, contacts.normal, wall, *bodies, law[1], bound)
+        graph.exchange(bound)
+        smooth = self.smooth_table(local, contacts, which, bound, targets, taken)
+        across = np.ascontiguousarray(taken[:, 1:])
+        table = rough_table(self.axes, smooth, wall, *some, *bodies, bound, law, across)
+        return Problem(*some, table, targets.loose, targets.tight)
+
+    def motion(self, local: Local, graph: ContactGraph, v: Array, spin: Array) -> tuple[Array, Array]:
+        return np.column_stack((local.w, graph.inverse_inertia)), np.concatenate((v, spin), axis=1)
+
+    def taken(self, problem: Problem) -> Array:
+        return problem.table[:, taken_columns(len(self.axes), True)]
+
+    def press(self, contacts: Contacts, w: Array, borne: Array, left: Array) -> None:
+        slide_loads(self.axes, contacts.start, contacts.partner, np.ascontiguousarray(borne[:, 1:]), w, left)
+
+    def at_rest(self, v: Array, held: Array, local: Local, radius: Array) -> Array:
+        """Iterations for a pile leave something, which gets less from step to step, of a size that no force explains."""
+        n, d = local.push[: len(v)].shape
+        most = STILL**2 * row_dot(local.push[:n], local.push[:n])
+        rim = radius[:n, None] * v[:, d:]
+        rests = (held != 0) & (row_dot(v[:, :d], v[:, :d]) <= most) & (row_dot(rim, rim) <= most)
+        return np.asarray(np.where(rests[:, None], 0.0, v))
