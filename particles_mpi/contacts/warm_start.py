@@ -10,11 +10,17 @@ from particles_mpi.particles import Array
 
 
 class Memory(NamedTuple):
-    """Contacts that took something, once for each of their rows: id (m,) of the row; partner (m,), wall or walls + id; taken."""
+    """Contacts that took something, once for each of their rows: id (m,) of the row; partner (m,), wall or walls + id; taken (m,)
+    or, of rough spheres, (m, columns), also where there are none: ranks send them to one another."""
 
     id: Array
     partner: Array
     taken: Array
 
 
-NOTHING = Memory(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))
+def nothing(columns: tuple[int, ...] = ()) -> Memory:
+    """No contacts; `columns`: the shape of what one takes."""
+    return Memory(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, *columns)))
+
+
+NOTHING = nothing()

@@ -352,14 +352,15 @@ SCENES |= {
     | {"large": True, "windows": True, "few": 0},
 }
 MANY = (4, 7, 8)  # ranks, only with --all
-LONG = 100  # steps: longer scenes run on two ranks, on more with --all
+LONG = 100  # steps: longer scenes run on two ranks, on more with --all; but for rough ones, whose contacts go with them
 LONG_SCENES = {name for name in SCENES if SCENES[name]["time"]["steps"] > LONG}
+ROUGH = {name for name in LONG_SCENES if "friction" in SCENES[name]["effects"].get("collisions", {})}
 
 
 def cases(ranks, names):
     """Parameters (name, ranks) of tests of these scenes; what takes long is marked so."""
     return [
-        pytest.param(name, r, marks=[pytest.mark.slow] if r in MANY or (r > 2 and name in LONG_SCENES) else [])
+        pytest.param(name, r, marks=[pytest.mark.slow] if r in MANY or (r > 2 and name in LONG_SCENES - ROUGH) else [])
         for r in ranks
         for name in names
     ]
@@ -371,9 +372,9 @@ def results(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bits")
 
     def group(name):
-        return "long" if name in LONG_SCENES else "large" if name == LARGE else "short"
+        return "rough" if name in ROUGH else "long" if name in LONG_SCENES else "large" if name == LARGE else "short"
 
-    for one in ("short", "long", "large"):
+    for one in ("short", "long", "rough", "large"):
         (folder / one).write_text(json.dumps({name: scene for name, scene in SCENES.items() if group(name) == one}))
 
     @cache

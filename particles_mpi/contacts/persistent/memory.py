@@ -26,12 +26,11 @@ def remember(graph: ContactGraph, taken: Array, walls: int) -> Memory:
     return Memory(ids[of], partners[of], taken[of])
 
 
-def recall(memory: Memory, graph: ContactGraph, walls: int, shape: tuple[int, ...]) -> Array:
-    """What each half-edge of the graph took (m, *shape), 0 where nothing is remembered."""
+def recall(memory: Memory, graph: ContactGraph, walls: int) -> Array:
+    """What each half-edge of the graph took, 0 where nothing is remembered."""
     ids, partners = names_of(graph, walls)
     order = np.argsort(memory.id, kind="stable")
-    taken = memory.taken if len(memory.taken) else np.zeros((0, *shape))  # of nothing, there is only one kind
-    return match(ids, partners, memory.id[order], memory.partner[order], taken[order])
+    return np.asarray(match(ids, partners, memory.id[order], memory.partner[order], memory.taken[order]))
 
 
 def along_normals(taken: Array) -> Array:

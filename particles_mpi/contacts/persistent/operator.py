@@ -39,7 +39,7 @@ from particles_mpi.contacts.persistent.solver import EFFORT, EXACT, OUTLIER, Sol
 from particles_mpi.contacts.persistent.surfaces import RoughContacts, SmoothContacts, Surfaces
 from particles_mpi.contacts.persistent.zone import inside_zone, spread, zone_around
 from particles_mpi.contacts.walls import NearFaces, Planes
-from particles_mpi.contacts.warm_start import NOTHING, Memory
+from particles_mpi.contacts.warm_start import Memory, nothing
 from particles_mpi.kernels.markers import CROWD
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles, row_dot
@@ -79,7 +79,8 @@ class PersistentContacts:
         screens = uniform and not pairs and not planes.oblique
         self.near_faces = NearFaces() if screens else None  # which a drift with walls tells
         self.round_off = 1e-12 * np.abs(self.point).max(initial=0.0)
-        self.memory: Memory = NOTHING  # of contacts that the graph does not hold
+        self.nothing = nothing(self.law.columns)
+        self.memory = self.nothing  # of contacts that the graph does not hold
         self.graph: ContactGraph | None = None
         self.taken: Array = np.empty((0, *self.law.columns))  # by half-edges of the graph
         self.solver = Solver(self.ranks, self.axes)
@@ -93,7 +94,7 @@ class PersistentContacts:
 
     def forget(self) -> None:
         """Nothing is known of what contacts took."""
-        self.memory, self.graph = NOTHING, None
+        self.memory, self.graph = self.nothing, None
 
     def remembered(self) -> Memory:
         """What our rows' contacts took in the last solution."""
@@ -103,7 +104,7 @@ class PersistentContacts:
 
     def restore(self, memory: Memory) -> None:
         """Begin with what contacts of our rows took."""
-        self.memory, self.graph = memory, None
+        self.memory, self.graph = (memory if len(memory.id) else self.nothing), None
 
     def keep(self, p: Particles, a: Array, h: float) -> None:
         """After a kick by accelerations a (n, d) in a step of h: velocities that keep slow contacts. Collective with pairs."""
@@ -197,9 +198,9 @@ class PersistentContacts:
         old = self.graph
         if old is not None and not np.array_equal(old.ids, p.id):  # rows have changed their rank, or their order
             old = None
-        memory = send_home(self.ranks, NOTHING if old else self.remembered(), p)
+        memory = send_home(self.ranks, self.nothing if old else self.remembered(), p)
         walls = len(self.point)
-        return carry_over(old, self.taken, graph, walls) if old else recall(memory, graph, walls, self.law.columns)
+        return carry_over(old, self.taken, graph, walls) if old else recall(memory, graph, walls)
 
     def local(self, p: Particles, a: Array, h: float, graph: ContactGraph) -> Local:
         """The state of the graph's rows, and of ghosts as their owners have them. Collective."""
