@@ -343,6 +343,20 @@ SCENES[LARGE] = dict(
     effects={"collisions": {"mode": "event"}},
 )
 SCENES["cluster, in blocks"] = SCENES["cluster, fixed and without mass"] | {"few": 0}
+GRAINS = [[0.15 + 0.2 * i, 0.15 + 0.2 * j, 0.1 + 0.2 * k] for i in range(4) for j in range(4) for k in range(3)]
+SCENES["rough columns that stand still, and are hit"] = dict(
+    dimension=3,
+    box={"lower": [0, 0, 0], "upper": [0.9, 0.9, 3.0]},
+    time={"step": 0.01, "steps": 95},
+    particles=[{"position": GRAINS, "radius": 0.1}, {"position": [[0.5, 0.4, 2.85]], "radius": 0.1}],
+    effects={
+        "uniform_gravity": GRAVITY,
+        "collisions": {"restitution": 0.5, "friction": 0.4},
+        "walls": {"restitution": 0.5, "friction": 0.4},
+        "rolling": {"resistance": 0.002},
+    },
+    large=True,
+)
 WINDOWS = [name for name in SCENES if SCENES[name]["effects"].get("collisions", {}).get("mode") == "event" and name != LARGE]
 SCENES |= {f"{name}: in windows": SCENES[name] | {"windows": True, "few": 0} for name in WINDOWS}
 SCENES |= {
@@ -352,9 +366,9 @@ SCENES |= {
     | {"large": True, "windows": True, "few": 0},
 }
 MANY = (4, 7, 8)  # ranks, only with --all
-LONG = 100  # steps: longer scenes run on two ranks, on more with --all; but for rough ones, whose contacts go with them
+LONG = 100  # steps: longer scenes run on two ranks, on more with --all; but for rough discs, whose contacts go with them
 LONG_SCENES = {name for name in SCENES if SCENES[name]["time"]["steps"] > LONG}
-ROUGH = {name for name in LONG_SCENES if "friction" in SCENES[name]["effects"].get("collisions", {})}
+ROUGH = {name for name in LONG_SCENES if f"rough {DISCS}" in name}
 
 
 def cases(ranks, names):

@@ -36,7 +36,7 @@ from particles_mpi.contacts.persistent.problem import Targets
 from particles_mpi.contacts.persistent.rows import Local, gather, hand_over
 from particles_mpi.contacts.persistent.slow import approach, carried, loads, pressing, slow
 from particles_mpi.contacts.persistent.solver import EFFORT, EXACT, OUTLIER, Solver
-from particles_mpi.contacts.persistent.surfaces import RoughContacts, SmoothContacts, Surfaces
+from particles_mpi.contacts.persistent.surfaces import Pile, RoughContacts, SmoothContacts, Surfaces
 from particles_mpi.contacts.persistent.zone import inside_zone, spread, zone_around
 from particles_mpi.contacts.walls import NearFaces, Planes
 from particles_mpi.contacts.warm_start import Memory, nothing
@@ -244,12 +244,18 @@ class PersistentContacts:
         taken = np.where(chosen, (before if known else borne / (2.0 * SLOW)).T, 0.0).T * (not again)
         problem = self.law.problem(local, graph, contacts, chosen, Targets(*targets), taken)
         w, v = self.law.motion(local, graph, local.v, local.spin)
-        v, good = self.solver.solve(problem, w, v, graph.id, graph.exchange, effort, self.pairs)
+        pile = Pile(contacts, local, self.tolerance / h if effort < EXACT else 0.0)
+
+        def asleep(v: Array) -> bool:
+            return self.law.asleep(self.ranks, pile, along_normals(self.law.taken(problem)), v)
+
+        look = asleep if self.law.rough and not again else None
+        v, good, sleeps = self.solver.solve(problem, w, v, graph.id, graph.exchange, effort, self.pairs, look)
         self.totals["unconverged"] += self.ranks.is_root and not good
-        taken = self.law.taken(problem)
-        bears = np.maximum(taken, before) if again else taken
-        held = carried(contacts.start, along_normals(bears))
-        self.give_back(p, graph.rows, self.law.at_rest(v, held, local, graph.radius), held)
+        taken = taken if sleeps else self.law.taken(problem)  # who is asleep bears what they bore
+        bears = along_normals(np.maximum(taken, before) if again else taken)
+        held = carried(contacts.start, bears)
+        self.give_back(p, graph.rows, self.law.at_rest(self.ranks, pile, bears, held, v), held)
         all_taken = np.zeros_like(took)
         all_taken[contacts.slot] = taken
         return all_taken

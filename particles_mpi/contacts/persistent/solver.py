@@ -36,6 +36,9 @@ CHECK = 5  # iterations between two looks at what is left
 FIRST_THETA = 0.25  # where the sequence of momenta begins: not at 1, for solutions begin near the last one
 OUTLIER = 20.0  # times the root mean square that is allowed may the largest error be
 NEAR = 0.2  # to 1 must a factor be that is right for all contacts: else what was taken last was another thing
+QUIET = 1e-3  # of the errors that are allowed in piles of rough spheres: where nothing in them is faster, all of it stands still
+CALM = 1e-3  # of these errors, root mean square: below, more iterations show what else has to fall
+MORE = 150  # iterations, there
 EXACT = 100  # iterations: where so many are always spent, what is left is round-off
 EFFORT = 200_000  # half-edges times iterations that are always spent, as long as it is no waste: small piles are exact
 
@@ -107,32 +110,41 @@ class Run:
                 self.problem[2][:, self.taken] *= factor
                 self.restart()
 
-    def until_good(self, ranks: Communicator, count: int, least: int) -> tuple[bool, int]:
+    def until_good(
+        self, ranks: Communicator, count: int, least: int, asleep: Callable[[Array], bool] | None = None
+    ) -> tuple[bool, int]:  # fmt: skip
         """Iterate until errors are allowed and `least` iterations are done, or nothing but round-off is left, or MOST are done.
 
-        `count`: half-edges of all ranks that may take something. Returns whether errors are allowed, and the iterations done.
-        Collective.
+        `count`: half-edges of all ranks that may take something; `asleep`: if given, asked whether a pile that begins with
+        hardly an error moves at all; if not, it is left like that. Returns whether errors are allowed, and the iterations done, 0
+        for a pile that is asleep. Collective.
         """
         done, exact, before = 1, least >= EXACT, np.inf
-        if not exact:
+        if not exact and not self.rough:
             self.balance(ranks, 1.0 - NEAR, 1.0 + NEAR)
         while True:
             worst = self.advance(1, looks=True)
             rough, left, most = ranks.allreduce_max(np.array(worst))
             squares, work = ranks.allreduce_sum(np.array(whole_numbers(self.sums, (1.0, most if most > 0.0 else 1.0))))
-            good = rough <= OUTLIER and squares <= count * FINE
-            if left <= 1.0 or (good and done >= least) or done >= MOST:
+            good, calm = rough <= OUTLIER and squares <= count * FINE, self.rough and squares <= count * FINE * CALM**2
+            enough = done >= (max(MORE, least) if calm else least)
+            if left <= 1.0 or (good and enough) or done >= MOST:
                 break
-            if squares > before if self.rough else work > 0.0:
+            if asleep and done == 1 and good:
+                self.finish()
+                if asleep(self.result):
+                    return True, 0
+                self.restart()
+            elif self.rough and done == 1 and not (exact or calm):
+                self.balance(ranks, 1.0 - NEAR, 1.0 + NEAR)
+            elif squares > before if self.rough else work > 0.0:
                 self.restart()
             before = squares
             self.advance(CHECK - 1)
             done += CHECK
         self.finish()
-        if not exact:
-            self.balance(
-                ranks, 0.5, 1.0 if self.rough else 2.0
-            )  # errors of one sign, however small, would lift a bed, or let it sink
+        if not exact and not calm:  # errors of one sign, however small, would lift a bed, or let it sink
+            self.balance(ranks, 0.5, 1.0 if self.rough else 2.0)
         return bool(good or left <= 1.0), done + 1
 
 
@@ -145,29 +157,34 @@ class Solver:
 
     def solve(
         self, problem: Problem, w: Array, v: Array, ids: Array, exchange: Callable[[Array], None], least: int,
-        pairs: bool = True,
-    ) -> tuple[Array, bool]:  # fmt: skip
-        """Velocities (n, d) at which no contact closes faster than it may, and whether errors are allowed; to the table, what
-        contacts have taken. Without `pairs` each row of rough spheres is solved for by itself.
+        pairs: bool = True, asleep: Callable[[Array], bool] | None = None,
+    ) -> tuple[Array, bool, bool]:  # fmt: skip
+        """Velocities (n, d) at which no contact closes faster than it may, whether errors are allowed, and whether all is asleep;
+        to the table, what contacts have taken. Without `pairs` each row of rough spheres is solved for by itself.
 
-        w (size + 1,): inverse masses; v (size + 1, d) and ids of rows and ghosts. For `least`, see `Run.until_good`. Collective.
+        w (size + 1,): inverse masses; v (size + 1, d) and ids of rows and ghosts. For `least` and `asleep`, see `Run.until_good`.
+        Collective.
         """
         ranks = self.ranks
         if not pairs:
             result = v.copy()
             rough_solve_each(self.axes, tuple(problem), w, result)
-            return result[: len(problem.start) - 1], True
+            return result[: len(problem.start) - 1], True, False
         count, every = ranks.allreduce_sum(np.array([(problem.table[:, STEP] > 0.0).sum(), len(problem.partner)])).tolist()
         if not count:
-            return v[: len(problem.start) - 1], True
+            return v[: len(problem.start) - 1], True, False
         if ranks.size > 1 and every <= FEW:
             together = Together(ranks, ids, problem, w, v)
             run = Run(self.axes, together.problem, together.w, together.v, None)
-            good, done = run.until_good(Communicator.alone(), count, least)
+
+            def ours_asleep(result: Array) -> bool:
+                return asleep is not None and asleep(together.ours(result, v, problem.table, run.taken))
+
+            good, done = run.until_good(Communicator.alone(), count, least, asleep and ours_asleep)
             result = together.ours(run.result, v, problem.table, run.taken)
         else:
             run = Run(self.axes, problem, w, v, exchange if ranks.size > 1 else None)
-            good, done = run.until_good(ranks, count, least)
+            good, done = run.until_good(ranks, count, least, asleep)
             result = run.result
         self.iterations += done
-        return result, good
+        return result, good, done == 0

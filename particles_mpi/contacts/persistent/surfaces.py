@@ -16,8 +16,9 @@ from particles_mpi.contacts.persistent.memory import along_normals
 from particles_mpi.contacts.persistent.problem import Problem, Targets, bound_rows, table_of
 from particles_mpi.contacts.persistent.rough_iterations import bound_rough, rough_table, slide_loads
 from particles_mpi.contacts.persistent.rows import Local
-from particles_mpi.contacts.persistent.slow import SLIGHT
-from particles_mpi.contacts.persistent.solver import taken_columns
+from particles_mpi.contacts.persistent.slow import SLIGHT, carried
+from particles_mpi.contacts.persistent.solver import QUIET, taken_columns
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles, row_dot
 
 STEADY = 45  # iterations that rough spheres always get: with fewer a pile creeps by what is left of errors, and never rests
@@ -35,6 +36,27 @@ class Surfaces(NamedTuple):
     def rough(self) -> bool:
         """Is there any friction?"""
         return self.pairs > 0.0 or bool((self.walls > 0.0).any())
+
+
+class Pile(NamedTuple):
+    """Rows and their contacts; allowed: by how many radii a second these may close, 0 where they are solved to round-off."""
+
+    contacts: Contacts
+    local: Local
+    allowed: float
+
+    def quick(self, v: Array) -> Array:
+        """Which rows (n,) with velocities and spins v (n, columns) are faster than what errors leave."""
+        n, d = self.local.push[: len(v)].shape
+        push, radius = self.local.push[:n], self.local.radius[:n]
+        most = np.maximum(STILL**2 * row_dot(push, push), (QUIET * self.allowed * radius) ** 2)
+        rim = radius[:, None] * v[:, d:]
+        return np.asarray((row_dot(v[:, :d], v[:, :d]) > most) | (row_dot(rim, rim) > most))
+
+    def piled(self, bears: Array) -> Array:
+        """Which rows (n,) bear other rows, where half-edges bear `bears` (m,)."""
+        walls = self.contacts.partner == len(self.local.w) - 1
+        return np.asarray(carried(self.contacts.start, np.where(walls, 0.0, bears)) != 0)
 
 
 class SmoothContacts:
@@ -80,8 +102,12 @@ class SmoothContacts:
     def press(self, contacts: Contacts, w: Array, borne: Array, left: Array) -> None:
         """Add what contacts bear across their normals to what is `left` (n, d) of the pushes of rows."""
 
-    def at_rest(self, v: Array, held: Array, local: Local, radius: Array) -> Array:
-        """Velocities and spins v (n, columns), where those that are `held` and all but at rest stand still."""
+    def asleep(self, ranks: Communicator, pile: Pile, bears: Array, v: Array) -> bool:
+        """Do all who bear one another move by no more than what errors leave? Collective."""
+        return False
+
+    def at_rest(self, ranks: Communicator, pile: Pile, bears: Array, held: Array, v: Array) -> Array:
+        """Velocities and spins v (n, columns), where those that are `held` and all but at rest stand still. Collective."""
         return v
 
 
@@ -127,10 +153,15 @@ class RoughContacts(SmoothContacts):
     def press(self, contacts: Contacts, w: Array, borne: Array, left: Array) -> None:
         slide_loads(self.axes, contacts.start, contacts.partner, np.ascontiguousarray(borne[:, 1:]), w, left)
 
-    def at_rest(self, v: Array, held: Array, local: Local, radius: Array) -> Array:
-        """Iterations for a pile leave something, which gets less from step to step, of a size that no force explains."""
-        n, d = local.push[: len(v)].shape
-        most = STILL**2 * row_dot(local.push[:n], local.push[:n])
-        rim = radius[:n, None] * v[:, d:]
-        rests = (held != 0) & (row_dot(v[:, :d], v[:, :d]) <= most) & (row_dot(rim, rim) <= most)
+    def asleep(self, ranks: Communicator, pile: Pile, bears: Array, v: Array) -> bool:
+        quick, piled = pile.quick(v), pile.piled(bears)
+        return not ranks.allreduce_max(float((quick & piled).any()))[0]
+
+    def at_rest(self, ranks: Communicator, pile: Pile, bears: Array, held: Array, v: Array) -> Array:
+        """Iterations for a pile leave something, which gets less from step to step, of a size that no force explains.
+
+        Those in piles, who bear others, stand still all at once: one by one, each would be a small blow to its neighbours.
+        """
+        alone = ~pile.piled(bears) | self.asleep(ranks, pile, bears, v)
+        rests = (held != 0) & ~pile.quick(v) & alone
         return np.asarray(np.where(rests[:, None], 0.0, v))
