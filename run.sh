@@ -233,6 +233,7 @@ warm_up() {  # compile the kernels now, so that the first run, or four test rank
   [[ -f particles_mpi/setup/warmup.py ]] || return 0
   key=$(find particles_mpi -name '*.py' -print0 | sort -z | xargs -0 cat | digest)
   was_done kernels "$key" && return
+  $PY -m compileall -q particles_mpi || true  # also where Python is told to write no bytecode: 0.1 s less for each start
   if $PY -P particles_mpi/setup/kernel_sources.py || mpirun -n 2 $PY -m particles_mpi.setup.warmup; then printf '%s' "$key" >"$DONE/kernels"
   else note 'kernels could not be compiled ahead: the first run does it'; fi
 }

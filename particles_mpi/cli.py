@@ -2,7 +2,6 @@
 
 import os
 import sys
-import webbrowser
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated, Any
@@ -212,6 +211,8 @@ def view(
 
     Example:   particles-mpi view out/marbles
     """
+    import webbrowser
+
     from particles_mpi.results.page import write_page
     from particles_mpi.results.run import Run
 

@@ -103,7 +103,7 @@ class SmoothContacts:
         """Add what contacts bear across their normals to what is `left` (n, d) of the pushes of rows."""
 
     def asleep(self, ranks: Communicator, pile: Pile, bears: Array, v: Array) -> bool:
-        """Do all who bear one another move by no more than what errors leave? Collective."""
+        """Do all who bear anything move by no more than what errors leave? Collective."""
         return False
 
     def at_rest(self, ranks: Communicator, pile: Pile, bears: Array, held: Array, v: Array) -> Array:
@@ -154,14 +154,15 @@ class RoughContacts(SmoothContacts):
         slide_loads(self.axes, contacts.start, contacts.partner, np.ascontiguousarray(borne[:, 1:]), w, left)
 
     def asleep(self, ranks: Communicator, pile: Pile, bears: Array, v: Array) -> bool:
-        quick, piled = pile.quick(v), pile.piled(bears)
-        return not ranks.allreduce_max(float((quick & piled).any()))[0]
+        held = carried(pile.contacts.start, bears) != 0
+        return not ranks.allreduce_max(float((pile.quick(v) & held).any()))[0]
 
     def at_rest(self, ranks: Communicator, pile: Pile, bears: Array, held: Array, v: Array) -> Array:
         """Iterations for a pile leave something, which gets less from step to step, of a size that no force explains.
 
         Those in piles, who bear others, stand still all at once: one by one, each would be a small blow to its neighbours.
         """
-        alone = ~pile.piled(bears) | self.asleep(ranks, pile, bears, v)
-        rests = (held != 0) & ~pile.quick(v) & alone
+        quick, piled = pile.quick(v), pile.piled(bears)
+        awake = ranks.allreduce_max(float((quick & piled).any()))[0] > 0.0
+        rests = (held != 0) & ~quick & ~(piled & awake)
         return np.asarray(np.where(rests[:, None], 0.0, v))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scenes import G, simulation, slope
 
+FLOOR = {"point": [0.0] * 3, "normal": [0.0, 0.0, 1.0]}
 MODES = (None, "rewind", "event")  # None: walls alone
 
 
@@ -50,6 +51,18 @@ def test_a_sliding_ball_starts_to_roll(d):
         errors.append(abs(p.position[0, 0] / exact - 1.0))
     assert errors[1] <= 1e-5 and errors[2] < errors[0]
     assert abs(0.4 / 1.4 - 2.0 / 7.0) < 1e-15  # in space: (speed - final)/(mu g) = 2 v/(7 mu g)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_balls_side_by_side_start_to_roll(mode):
+    """Each as if it were alone: they have contacts with the floor only, and none of them is asleep."""
+    speeds = np.linspace(0.8, 1.2, 60)
+    balls = {"position": [[0.0, 1.5 * k, 0.5] for k in range(60)], "velocity": [[v, 0.0, 0.0] for v in speeds], "radius": 0.5}
+    law = {"restitution": 0.5, "friction": 0.2}
+    effects = {"uniform_gravity": {"acceleration": [0.0, 0.0, -G]}, "walls": law | {"planes": [FLOOR]}}
+    effects |= {"collisions": law | {"mode": mode}} if mode else {}
+    p = run(simulation(3, [balls], effects, step=0.005), 0.6)
+    np.testing.assert_allclose(p.velocity[np.argsort(p.id), 0], speeds / 1.4, rtol=1e-10)
 
 
 def test_with_back_spin_it_returns():
