@@ -7,7 +7,7 @@ ranks, and the total is rounded once.
 
 from __future__ import annotations
 
-from math import inf, nan
+from math import fsum, inf, isfinite, nan
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
 
 AT_ONCE = 2**29
+FEW = 256  # values
 MASK = 0xFFFFFFFF
 DIGITS = 68  # of 32 bits each, from 2^-1074 to beyond 2^1024; the last one counts values that are not finite
 
@@ -53,6 +54,24 @@ def accumulate(values, digits):
 
 def exact_sums(ranks: Communicator, columns: list[Array]) -> list[float]:
     """The sums of the columns (n,) over all ranks, correctly rounded; nan if a value is not finite. Collective: one reduction."""
+    if ranks.size == 1 and all(len(column) <= FEW for column in columns):
+        return [sum_of_few(column) for column in columns]
+    return sums_of_many(ranks, columns)
+
+
+def sum_of_few(column: Array) -> float:
+    """As `sums_of_many` on one rank; a tenth of the time for few values."""
+    try:
+        total = fsum(column.tolist())
+    except OverflowError:  # of a partial sum: the whole may be finite
+        return sums_of_many(Communicator.alone(), [column])[0]
+    except ValueError:  # infinities of both signs
+        return nan
+    return total + 0.0 if isfinite(total) else nan  # of negative zeros the sum is 0, as it is of digits
+
+
+def sums_of_many(ranks: Communicator, columns: list[Array]) -> list[float]:
+    """`exact_sums` by digits."""
     digits = np.zeros((len(columns), DIGITS), np.int64)
     for row, column in zip(digits, columns, strict=True):
         for begin in range(0, len(column), AT_ONCE):

@@ -4,6 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.contacts.event_driven.rows import EVENT_COUNT
@@ -86,6 +88,15 @@ def test_a_particle_may_have_any_number_of_contacts():
     sim.near.whole.engine.rows.state[:, EVENT_COUNT] = 2**31 - 1
     sim.step()
     assert np.array_equal(in_id_order(sim), in_id_order(expected))
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(), max_size=30))
+def test_sums_of_few_have_the_bits_of_sums_by_digits(values):
+    """Also where values, or sums of some of them, are infinite, are no numbers, or are negative zeros."""
+    column = np.array(values, float)
+    few, digits = (np.array(of) for of in (exact_sum.sum_of_few(column), exact_sum.sums_of_many(Communicator.alone(), [column])))
+    assert few.tobytes() == digits.tobytes() or (np.isnan(few) and np.isnan(digits).all())
 
 
 def test_digits_of_sums_stay_small(monkeypatch):

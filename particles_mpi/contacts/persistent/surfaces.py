@@ -71,7 +71,7 @@ class SmoothContacts:
         self.axes = axes
 
     def spins(self, p: Particles, graph: ContactGraph) -> Array:
-        """Spins of rows and ghosts, without those of ghosts."""
+        """Spins (size + 1, d(d-1)/2) of rows, with room for those of ghosts; of smooth spheres there are none."""
         return np.empty((0, 1))
 
     def problem(
@@ -112,7 +112,7 @@ class SmoothContacts:
 
 
 class RoughContacts(SmoothContacts):
-    """Contacts with friction, and with resistance to rolling. walls: how many walls there are."""
+    """Contacts with friction, and with resistance to rolling."""
 
     rough = True
     least = STEADY
