@@ -68,8 +68,11 @@ class Continuing:
             if self.ranks.is_root:
                 self.prepare()
 
+    def show(self) -> None:
+        """Let readers see all that was written."""
+
     def close(self) -> None:
-        """Close the file, if one is open. All that was written is safe without it."""
+        """Close the file, if one is open. All that was shown is safe without it."""
         if self.file is not None:
             self.file.close()
             self.file = None

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import h5py
@@ -27,6 +28,7 @@ KINDS = ("Vertices", "Lines", "Polygons", "Strips")  # of cells: particles are v
 PARTS = ("NumberOfPoints", *(f"{kind}/{what}" for kind in KINDS for what in ("NumberOfCells", "NumberOfConnectivityIds")))
 CELLS = ("Connectivity", "Offsets")  # the point of each cell, and where each cell begins
 STEPS_CHUNK = 1024  # frames
+LATE = 0.5  # seconds after the last one, frames are shown to readers at the latest with the next one
 BLOCK = 2**20  # rows of the topology that are written at once
 # Datasets with a row for each frame: (shape of a row, dtype, fill value). `Step` is an addition, which VTK ignores.
 STEPS: dict[str, tuple[tuple[int, ...], str, int]] = {
@@ -69,6 +71,7 @@ class Trajectory(Continuing):
         self.failed = self.continued = False
         super().__init__(path, ranks, resume_step, last)
         self.frames, self.points, self.parts = ranks.bcast((self.frames, self.points, self.parts))
+        self.step, self.shown, self.shown_at = 0, self.frames, -np.inf  # of the last frame; how many readers see, and since when
         self.collective = h5py.h5p.create(h5py.h5p.DATASET_XFER)
         if self.parallel:
             self.collective.set_dxpl_mpio(h5py.h5fd.MPIO_COLLECTIVE)
@@ -97,27 +100,41 @@ class Trajectory(Continuing):
             self.parts.append(ids.total)
         actions += [partial(self._append, self.places[name], first, rows) for name, rows in frame.items()]
         actions.append(partial(self._append_step, step, time))
-        # the count is raised after all that it counts has left this process: the file of a killed run is readable
-        actions += [self._flush, self._raise_count, self._flush]
-        if self.parallel:  # after each the ranks ask one another whether it went well
-            for action in actions:
-                self._attempt(step, action)
-        else:
-            self._attempt(step, lambda: [action() for action in actions])
-        self.frames += 1
-        self.points += ids.total
+        self._do(step, actions)
+        self.step, self.frames, self.points = step, self.frames + 1, self.points + ids.total
+        if not self.parallel or self.ranks.bcast(perf_counter() - self.shown_at > LATE):
+            self.show()
+
+    def show(self) -> None:
+        """Let readers see all frames that were written.
+
+        The count is raised after all that it counts has left this process: the file of a killed run is readable. MPI waits for
+        the disk whenever it is told that data should leave the process, hence frames that follow fast are shown together.
+        """
+        if self.shown < self.frames:
+            self._do(self.step, [self._flush, self._raise_count, self._flush])
+            self.shown, self.shown_at = self.frames, perf_counter()
 
     def close(self) -> None:
         """Close the file; after a failure it stays open until the process ends."""
         if not self.failed:
+            self.show()
             super().close()
+
+    def _do(self, step: int, actions: list[Callable[[], None]]) -> None:
+        """With parallel HDF5 the ranks ask one another after each action whether it went well."""
+        if self.parallel:
+            for action in actions:
+                self._attempt(step, action)
+        else:
+            self._attempt(step, lambda: [action() for action in actions])
 
     def _flush(self) -> None:
         self.file.flush()
 
     def _raise_count(self) -> None:
-        """One more frame is whole."""
-        self.count.write(np.array(self.frames + 1, np.int64))
+        """So many frames are whole."""
+        self.count.write(np.array(self.frames, np.int64))
 
     def _attempt(self, step: int, action: Callable[[], Any]) -> None:
         try:

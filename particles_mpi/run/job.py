@@ -208,6 +208,9 @@ class Job:
     def save(self) -> None:
         """The exact state; replaces the checkpoint before."""
         sim, began = self.sim, perf_counter()
+        with sim.timers("output"):
+            for writer in self.frames:
+                writer.show()  # a run that goes on from here counts on all frames up to here
         with sim.timers("checkpoint"):
             metadata = sim.metadata()
             told = {name: metadata[name] for name in METADATA} | {"reported": self.since.tolist(), "written": self.written}
@@ -219,8 +222,9 @@ class Job:
 
     def close(self) -> None:
         """Close every file."""
-        for writer in (*self.frames, self.diagnostics):
-            writer.close()
+        with self.sim.timers("output"):
+            for writer in (*self.frames, self.diagnostics):
+                writer.close()
 
     def finish(self, setup: float, loop: float, steps: int) -> None:
         """The phase table, run.json, and where to look next."""

@@ -94,6 +94,7 @@ def main() -> None:
                     print(f"vtu {1e3 * (time.perf_counter() - started):.0f} ms")
             started = time.perf_counter()
             facts = {"step": step, "time": step / 3, "scene": "scene π " * 20000, "counts": "{}"}
+            trajectory.show()  # as a job does
             checkpoint.save(options.folder / "checkpoint.h5", ranks, rows, ids, d, facts)
             if options.time and ranks.is_root:
                 print(f"checkpoint {1e3 * (time.perf_counter() - started):.0f} ms")
