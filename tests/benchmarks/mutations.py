@@ -100,8 +100,8 @@ MUTATIONS = (
     Mutation(
         "normals of oblique planes point the other way",
         "effects/walls.py",
-        "        losses = [options if",
-        "        normal[np.abs(normal).max(axis=1, initial=0.0) < 1.0] *= -1.0\n        losses = [options if",
+        "        losses = [plane.within",
+        "        normal[np.abs(normal).max(axis=1, initial=0.0) < 1.0] *= -1.0\n        losses = [plane.within",
         ("tests/physics/test_order_of_bounces.py", "tests/unit/initial"),
     ),
     Mutation(

@@ -237,7 +237,7 @@ def test_projection(drawn):
     table = table_of(axes, start, partner, normals, w, all_of_them, bound, may, np.zeros(len(may)))
     problem = Problem(start, partner, table, np.full(len(may), 1e9), np.full(len(may), 1e11))
     solver = Solver(Communicator.alone(), axes)
-    v, converged = solver.solve(problem, w, np.vstack((v, np.zeros(3))), np.arange(n), lambda _: None, EXACT)
+    v, converged, _ = solver.solve(problem, w, np.vstack((v, np.zeros(3))), np.arange(n), lambda _: None, EXACT)
     v, taken = np.vstack((v, np.zeros(3))), table[:, TAKEN]
     both = np.full((2, len(a)), np.nan)
     both.reshape(-1)[order] = taken

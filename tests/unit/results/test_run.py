@@ -14,9 +14,9 @@ from particles_mpi.scene.effect import EffectOptions, Force, Needs
 class Options(EffectOptions): pass
 class Effect(Force):
     formula = "dv/dt = q e_x"
-    needs = Needs(columns={"charge": Column()})
+    needs = Needs(columns={"tint": Column()})
     def __init__(self, options, scene): pass
-    def add(self, p, total): total[:, 0] += p["charge"]
+    def add(self, p, total): total[:, 0] += p["tint"]
 """
 
 
@@ -58,16 +58,16 @@ def test_fields_that_only_some_runs_have(tmp_path):
     sim.run(folder)
     frame = Run(folder)[0]
     assert frame.drag.tolist() == [2.0, 0.5] and frame.fixed.tolist() == [0, 1] and "drag" in frame.fields
-    with pytest.raises(AttributeError, match=r"frame 0 has no field 'charge'; stored are position, .*velocity"):
-        frame.charge  # noqa: B018
+    with pytest.raises(AttributeError, match=r"frame 0 has no field 'tint'; stored are position, .*velocity"):
+        frame.tint  # noqa: B018
 
 
 def test_a_field_of_the_users(tmp_path):
     (tmp_path / "gate.py").write_text(GATE)
-    particles = [{"position": [[0.0], [1.0]], "charge": [0.5, -0.5]}]
+    particles = [{"position": [[0.0], [1.0]], "tint": [0.5, -0.5]}]
     sim, folder = drifting(1, tmp_path, folder=tmp_path, effects={"gate": {"file": "gate.py"}}, particles=particles)
     sim.run(folder)
-    assert Run(folder)[-1].charge.tolist() == [0.5, -0.5]
+    assert Run(folder)[-1].tint.tolist() == [0.5, -0.5]
 
 
 def test_particles_that_come_and_go(tmp_path):
