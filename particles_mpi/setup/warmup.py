@@ -108,12 +108,16 @@ def rewind(d: int, ranks: Communicator) -> None:
 
 
 def rough(d: int, ranks: Communicator) -> None:
-    """Rough spheres, which come to rest; on walls alone too."""
+    """Rough spheres, which come to rest; on walls alone too; and a column of them that is solved as a large pile."""
     surfaces = LOSSY | {"friction": 0.3, "tangential_restitution": 0.5}
     more = {"uniform_gravity": down(d), "rolling": {"resistance": 0.01}, "walls": surfaces}
     run(ranks, d, more | {"collisions": surfaces | {"mode": "event"}})
     run(ranks, d, more | {"collisions": surfaces}, output={"orientation": True})
     run(ranks, d, more)
+    column = [{"position": [[2.0] * (d - 1) + [0.2 + 0.4 * k] for k in range(3)], "radius": 0.2}]
+    sim = Simulation(scene(d, more | {"collisions": surfaces}, particles=column), ranks.comm)
+    sim.rest.effort = 0
+    sim.step()
 
 
 def others(d: int, ranks: Communicator) -> None:
