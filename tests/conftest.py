@@ -36,13 +36,15 @@ SHARING = {
     "test_study_gravity.py",
     "test_tree.py",
 }
+BESIDE = "older_processor", "test_study_", "test_pictures", "test_scripts", "test_silo"  # of tests/parallel
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
     """Which tests xdist gives to one process: tests/parallel, whose ranks stay and want the cores, and each of SHARING.
 
-    All kernels are compiled for an older processor on one core, for a minute or more, beside the rest of tests/parallel.
+    Beside the rest of tests/parallel, which takes longest of all, studies and pictures go to another process, and so does what
+    compiles all kernels for an older processor on one core, for a minute or more.
     """
     from xdist.scheduler import LoadScopeScheduling
 
@@ -50,7 +52,8 @@ def pytest_xdist_make_scheduler(config, log):
         def _split_scope(self, nodeid):
             path = nodeid.partition("::")[0]
             if path.startswith("tests/parallel/"):
-                return "older processors" if "older_processor" in nodeid else "tests/parallel"
+                beside = [word for word in BESIDE if word in nodeid]
+                return beside[0] if beside else "tests/parallel"
             return path if Path(path).name in SHARING else nodeid
 
     return Scheduling(config, log)
