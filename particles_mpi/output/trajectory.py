@@ -28,7 +28,7 @@ KINDS = ("Vertices", "Lines", "Polygons", "Strips")  # of cells: particles are v
 PARTS = ("NumberOfPoints", *(f"{kind}/{what}" for kind in KINDS for what in ("NumberOfCells", "NumberOfConnectivityIds")))
 CELLS = ("Connectivity", "Offsets")  # the point of each cell, and where each cell begins
 STEPS_CHUNK = 1024  # frames
-LATE = 0.5  # seconds after the last one, frames are shown to readers at the latest with the next one
+LATE = 0.5  # seconds: with several ranks, frames that follow one another faster are shown to readers together
 BLOCK = 2**20  # rows of the topology that are written at once
 # Datasets with a row for each frame: (shape of a row, dtype, fill value). `Step` is an addition, which VTK ignores.
 STEPS: dict[str, tuple[tuple[int, ...], str, int]] = {
@@ -71,7 +71,7 @@ class Trajectory(Continuing):
         self.failed = self.continued = False
         super().__init__(path, ranks, resume_step, last)
         self.frames, self.points, self.parts = ranks.bcast((self.frames, self.points, self.parts))
-        self.step, self.shown, self.shown_at = 0, self.frames, -np.inf  # of the last frame; how many readers see, and since when
+        self.step, self.shown, self.shown_at = 0, self.frames, -np.inf  # of the last frame; frames that readers see; when shown
         self.collective = h5py.h5p.create(h5py.h5p.DATASET_XFER)
         if self.parallel:
             self.collective.set_dxpl_mpio(h5py.h5fd.MPIO_COLLECTIVE)
@@ -133,7 +133,7 @@ class Trajectory(Continuing):
         self.file.flush()
 
     def _raise_count(self) -> None:
-        """So many frames are whole."""
+        """Tell readers how many frames are whole."""
         self.count.write(np.array(self.frames, np.int64))
 
     def _attempt(self, step: int, action: Callable[[], Any]) -> None:

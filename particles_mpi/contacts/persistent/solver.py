@@ -16,7 +16,8 @@ any number of ranks. For rough spheres, max(., 0) is followed by a cut of what i
 With friction the problem is no minimum, and work past one says nothing: there, momentum is given up where errors grow.
 
 Large piles are solved to a tolerance only. There p is multiplied by the factor that makes p A p/2 + p (N v + c) least, before the
-iterations and after them: then errors do no work in sum over all contacts.
+iterations and after them: then errors do no work in sum over all contacts. Rough piles whose errors are far below that (CALM)
+are not multiplied: the factor itself is rounded, and would be what moves them.
 """
 
 from __future__ import annotations
@@ -116,8 +117,8 @@ class Run:
         """Iterate until errors are allowed and `least` iterations are done, or nothing but round-off is left, or MOST are done.
 
         `count`: half-edges of all ranks that may take something; `asleep`: if given, asked whether a pile that begins with
-        hardly an error moves at all; if not, it is left like that. Returns whether errors are allowed, and the iterations done, 0
-        for a pile that is asleep. Collective.
+        errors that are allowed moves at all; if not, it is left like that. Returns whether errors are allowed, and the
+        iterations done, 0 for a pile that is asleep. Collective.
         """
         done, exact, before = 1, least >= EXACT, np.inf
         if not exact and not self.rough:
