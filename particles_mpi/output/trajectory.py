@@ -80,14 +80,17 @@ class Trajectory(Continuing):
         """Make the file, or cut it, and open it on all ranks that write."""
         super().open()  # by one process: cheaper, and nothing collective can go wrong
         with failing_together(self.ranks, f"cannot open {self.path}"):
-            if self.parallel:
-                self.file = h5py.File(self.path, "r+", driver="mpio", comm=self.ranks.comm)
-            elif self.ranks.is_root:
-                self.file = h5py.File(self.path, "r+", locking=False)  # no lock: viewers may look at a running job
+            self._open()
+
+    def _open(self) -> None:
+        """Open the file, which is there, on all ranks that write."""
+        if self.parallel:
+            self.file = h5py.File(self.path, "r+", driver="mpio", comm=self.ranks.comm)
+        elif self.ranks.is_root:
+            self.file = h5py.File(self.path, "r+", locking=False)  # no lock: viewers may look at a running job
         if self.file is not None:
             names = (*self.columns, *STEPS, *PARTS, *(f"Vertices/{what}" for what in CELLS))
             self.datasets = {name: self.file[f"VTKHDF/{name}"] for name in names}
-            self.count = h5py.h5a.open(self.file["VTKHDF/Steps"].id, b"NSteps")
 
     def write(self, step: int, time: float, arrays: dict[str, Array], ids: IdRange) -> None:
         """Append a frame. `arrays`: this rank's owned rows in any order, at least the fields given at the start."""
@@ -108,11 +111,15 @@ class Trajectory(Continuing):
     def show(self) -> None:
         """Let readers see all frames that were written.
 
-        The count is raised after all that it counts has left this process: the file of a killed run is readable. MPI waits for
-        the disk whenever it is told that data should leave the process, hence frames that follow fast are shown together.
+        The count is raised after all that it counts has left this process: the file of a killed run is readable. Parallel
+        HDF5 waits for the disk in each flush, and not when it closes the file: several ranks close it and open it again, and
+        frames that follow fast are shown together.
         """
         if self.shown < self.frames:
-            self._do(self.step, [self._flush, self._raise_count, self._flush])
+            self._do(
+                self.step,
+                [self._close, self._raise_count, self._open] if self.parallel else [self._flush, self._raise_count, self._flush],
+            )
             self.shown, self.shown_at = self.frames, perf_counter()
 
     def close(self) -> None:
@@ -132,9 +139,17 @@ class Trajectory(Continuing):
     def _flush(self) -> None:
         self.file.flush()
 
+    def _close(self) -> None:
+        self.datasets = {}
+        self.file.close()
+
     def _raise_count(self) -> None:
         """Tell readers how many frames are whole."""
-        self.count.write(np.array(self.frames, np.int64))
+        if not self.parallel:
+            self.file["VTKHDF/Steps"].attrs.modify("NSteps", np.int64(self.frames))
+        elif self.ranks.is_root:
+            with h5py.File(self.path, "r+", locking=False) as file:
+                file["VTKHDF/Steps"].attrs.modify("NSteps", np.int64(self.frames))
 
     def _attempt(self, step: int, action: Callable[[], Any]) -> None:
         try:
