@@ -10,6 +10,7 @@ import ctypes
 import os
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -112,14 +113,13 @@ class Trajectory(Continuing):
         """Let readers see all frames that were written.
 
         The count is raised after all that it counts has left this process: the file of a killed run is readable. Parallel
-        HDF5 waits for the disk in each flush, and not when it closes the file: several ranks close it and open it again, and
-        frames that follow fast are shown together.
+        HDF5 waits for the disk in each flush, but not when it closes a file: so it is closed and opened again.
         """
         if self.shown < self.frames:
-            self._do(
-                self.step,
-                [self._close, self._raise_count, self._open] if self.parallel else [self._flush, self._raise_count, self._flush],
+            leave = (
+                [self._close, self._raise_count, self._open] if self.parallel else [self._flush, self._raise_count, self._flush]
             )
+            self._do(self.step, leave)
             self.shown, self.shown_at = self.frames, perf_counter()
 
     def close(self) -> None:
@@ -144,12 +144,11 @@ class Trajectory(Continuing):
         self.file.close()
 
     def _raise_count(self) -> None:
-        """Tell readers how many frames are whole."""
-        if not self.parallel:
-            self.file["VTKHDF/Steps"].attrs.modify("NSteps", np.int64(self.frames))
-        elif self.ranks.is_root:
-            with h5py.File(self.path, "r+", locking=False) as file:
-                file["VTKHDF/Steps"].attrs.modify("NSteps", np.int64(self.frames))
+        """Tell readers how many frames are whole; in parallel, rank 0 does while the file is closed."""
+        if self.ranks.is_root:
+            with h5py.File(self.path, "r+", locking=False) if self.parallel else nullcontext(self.file) as file:
+                count = h5py.h5a.open(file["VTKHDF/Steps"].id, b"NSteps")
+                count.write(np.array(self.frames, np.int64))
 
     def _attempt(self, step: int, action: Callable[[], Any]) -> None:
         try:
@@ -157,7 +156,7 @@ class Trajectory(Continuing):
                 if self.parallel:
                     with mpi_io_errors():
                         action()
-                elif self.file is not None:
+                elif self.ranks.is_root:
                     action()
         except StoppedError:  # HDF5 crashes when it closes a file that it cannot flush, also at the end of the process
             self.failed = True
