@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.contacts.event_driven.rows import PLACE, RADIUS, START, WINDOW, Log, record_width, spin_width
+from particles_mpi.contacts.event_driven.rows import RADIUS, START, Log, record_width, spin_width
 from particles_mpi.kernels.jit import inner, kernel, lean_inner, prefetch
 from particles_mpi.neighbours.verlet_kernels import SIZE
 from particles_mpi.parallel.decomposition import owners
@@ -101,10 +101,10 @@ def can_affect_owned(rows, log, regions, i, begin, place):
     """May row i, wherever it went in the window that began at `begin`, have touched an own row? `place` (1, d) is scratch."""
     segment, saved = rows.segment, log.saved
     d = regions.low.shape[1]
-    changed = log.mark[i, WINDOW] == log.window[0]
+    changed = log.mark[i] >= log.before[0]
     for k in range(d):
         if changed:
-            at = log.mark[i, PLACE] * record_width(d, spin_width(rows))
+            at = (log.mark[i] - log.before[0]) * record_width(d, spin_width(rows))
             place[0, k] = saved[at + k] + saved[at + d + k] * (begin - saved[at + 2 * d + START])
         else:
             place[0, k] = segment[i, k] + segment[i, d + k] * (begin - segment[i, 2 * d + START])

@@ -23,7 +23,6 @@ SAVED = 5  # the first of these are in a record
 NOT_HERE, GHOST, OWN, SHARED = range(4)  # OWNERSHIP: a free row, another rank's particle, an own one, an own one others know
 ZERO_TIME_EVENT = 2**32  # RAPID_EVENTS counts contacts in a row without time passing in units of this; below it, quick ones
 SQUEEZED = 1000 * ZERO_TIME_EVENT  # from here on a particle is squeezed: it has no more contacts in this drift
-WINDOW, PLACE = 0, 1  # columns of `mark`
 ODD = -7046029254386353131  # an odd number with many bits, to multiply with
 
 
@@ -156,7 +155,8 @@ class Log(NamedTuple):
     window: Array  # (1,) number of the window, 0 while no log is needed
     changed_count: Array  # (1,) rows that were changed in the window
     changed: Array  # (n,) int32, these, in the order of their first changes
-    mark: Array  # (n, 2): the last WINDOW in which a row was changed, and its PLACE in `changed`
+    before: Array  # (1,) 1 + how many changes of rows there were in all windows before this one
+    mark: Array  # (n,) `before` + its place in `changed`, of a row that was changed in this window; else less than `before`
     saved: Array  # (n * record_width,) records of these rows, as they were before
     saved_bits: Array  # the same memory as int64
     fastest2: Array  # (1,) the largest square of a speed that a contact gave
@@ -172,8 +172,8 @@ def new_log(n: int, d: int, spins: int) -> Log:
     saved = np.empty(n * record_width(d, spins))
     one = np.zeros((4, 1), np.int64)
     return Log(
-        one[0], one[1], np.empty(n, np.int32), np.zeros((n, 2), np.int64), saved, saved.view(np.int64), np.zeros(1),
-        one[2], np.empty(n, np.int32), np.zeros(n, np.bool_), one[3], np.empty(n, np.int32),
+        one[0], one[1], np.empty(n, np.int32), np.ones(1, np.int64), np.zeros(n, np.int64), saved, saved.view(np.int64),
+        np.zeros(1), one[2], np.empty(n, np.int32), np.zeros(n, np.bool_), one[3], np.empty(n, np.int32),
     )  # fmt: skip
 
 
@@ -210,8 +210,8 @@ def load_row(d, rows, i, record, bits, at):
 def save_once(axes, rows, i, log):
     """Row i is about to change: save it, once in a window."""
     mark, count = log.mark, log.changed_count
-    if mark[i, WINDOW] != log.window[0]:
-        mark[i, WINDOW], mark[i, PLACE] = log.window[0], count[0]
+    if mark[i] < log.before[0]:
+        mark[i] = log.before[0] + count[0]
         log.changed[count[0]] = i
         if rows.state[i, OWNERSHIP] != OWN:
             log.border[log.border_count[0]] = count[0]

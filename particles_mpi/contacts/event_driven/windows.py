@@ -252,6 +252,7 @@ class Windows:
         engine, log, ranks = self.engine, self.engine.log, self.ranks
         self.count += 1
         log.window[0] = self.count
+        log.before[0] += log.changed_count[0]
         log.changed_count[0], log.border_count[0], log.fastest2[0] = 0, 0, 0.0
         before = engine.work.counts.copy()
         with self.timers("collide"):

@@ -9,7 +9,7 @@ rows        rows of the particles, copied and given back
 problem     these as a table, one row for each of the two sides of a contact
 surfaces    what such a table says of smooth and of rough spheres
 solver      velocities at which none of these closes, solved by all ranks together
-iterations  its compiled loops; rough_iterations: those of rough spheres
+iterations  its compiled loops; smooth_iterations, rough_iterations: what they do with the rows of smooth and of rough spheres
 together    few contacts, which every rank solves for by itself
 on_walls    the same for rows that touch nothing but walls, in one kernel
 memory      what contacts took last, which goes with the rows

@@ -1,4 +1,4 @@
-"""The compiled loops of `solver` for rough spheres: contacts that stick, slide and resist rolling.
+"""What `iterations` do with the rows of rough spheres: contacts that stick, slide and resist rolling.
 
 The half-edge from row i to its partner j, with the normal n towards i, takes p along n, t across it and a couple c. With arms a
 and spins s of both, surfaces slip with the velocity u = v_i - v_j - (a_i s_i + a_j s_j) x n. Coulomb's law holds in the
@@ -14,11 +14,10 @@ what is left is measured. All three are kept as speeds, times w_i + w_j, like `T
 side.
 """
 
-from math import inf, sqrt
+from math import sqrt
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.iterations import MOST, momentum
 from particles_mpi.contacts.persistent.problem import AHEAD, MAY_CLOSE, NORMAL, SHARE, STEP, TAKEN
 from particles_mpi.contacts.rough import plane_of
 from particles_mpi.kernels.jit import inner, kernel, with_item
@@ -152,9 +151,9 @@ def give(axes, table, e, given, turned):
     return given, turned
 
 
-@kernel
+@inner
 def rough_begin(axes, first, last, start, table, v0, v):
-    """As `iterations.begin`: velocities and spins v of the rows whose half-edges have taken what they did from v0."""
+    """See `iterations.begin`: velocities and spins v of the rows."""
     d, s, at = len(axes), spins_of(axes), NORMAL + len(axes) + SLID
     for i in range(first, last):
         given, turned = axes, axes
@@ -197,7 +196,7 @@ def cut(axes, table, e, at, width, step, most, beta, wanted):
 
 @inner
 def rough_iterate(axes, first, last, problem, w, v0, v, after, beta, looks, sums):
-    """As `iterations.iterate`."""
+    """See `iterations.iterate`."""
     start, partner, table, loose, tight = problem
     d, s, at = len(axes), spins_of(axes), NORMAL + len(axes)
     rough, left = 0.0, 0.0
@@ -262,46 +261,9 @@ def rough_iterate(axes, first, last, problem, w, v0, v, after, beta, looks, sums
     return rough, left
 
 
-@kernel
-def rough_iterations(axes, count, problem, w, v0, v, other, theta, looks, sums):
-    """As `iterations.iterations`."""
-    rough, left, most = 0.0, 0.0, 0.0
-    for _ in range(count):
-        beta, theta = momentum(theta)
-        rough, left = rough_iterate(axes, 0, len(problem[0]) - 1, problem, w, v0, v, other, beta, looks, sums)
-        v, other = other, v
-    if looks:
-        for i in range(len(sums)):
-            most = max(most, abs(sums[i, 1]))
-    return theta, rough, left, most
-
-
-@kernel
-def rough_solve_each(axes, problem, w, v):
-    """As `iterations.solve_each`: velocities and spins v of rows that touch walls alone, in place, each by itself."""
-    start, table = problem[0], problem[2]
-    n = len(start) - 1
-    v0, other, sums = v.copy(), v.copy(), np.empty((n, 2))
-    rough_begin(axes, 0, n, start, table, v0, v)
-    for i in range(n):
-        theta, swapped, before = 1.0, False, inf
-        for _ in range(MOST):
-            here, there = (other, v) if swapped else (v, other)
-            beta, theta = momentum(theta)
-            _, left = rough_iterate(axes, i, i + 1, problem, w, v0, here, there, beta, True, sums)
-            swapped = not swapped
-            if left <= 1.0:
-                break
-            if sums[i, 0] > before:
-                theta = 1.0
-                rough_begin(axes, i, i + 1, start, table, v0, there)
-            before = sums[i, 0]
-    rough_begin(axes, 0, n, start, table, v0, v)
-
-
-@kernel
+@inner
 def rough_works(axes, problem, w, v0, v, sums):
-    """As `iterations.works`; w (size + 1, 2): 1/m and 1/I."""
+    """See `iterations.works`."""
     start, table, most = problem[0], problem[2], 0.0
     d, s = len(axes), spins_of(axes)
     for i in range(len(sums)):

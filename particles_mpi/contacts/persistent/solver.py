@@ -26,9 +26,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.iterations import FINE, MOST, begin, iterations, whole_numbers, works
+from particles_mpi.contacts.persistent.iterations import FINE, MOST, begin, iterations, solve_each, whole_numbers, works
 from particles_mpi.contacts.persistent.problem import NORMAL, STEP, TAKEN, Problem
-from particles_mpi.contacts.persistent.rough_iterations import SLID, rough_begin, rough_iterations, rough_solve_each, rough_works
+from particles_mpi.contacts.persistent.rough_iterations import SLID
 from particles_mpi.contacts.persistent.together import FEW, Together
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
@@ -42,10 +42,6 @@ CALM = 1e-3  # of these errors, root mean square: below, more iterations show wh
 MORE = 150  # iterations, there
 EXACT = 100  # iterations: where so many are always spent, what is left is round-off
 EFFORT = 200_000  # half-edges times iterations that are always spent, as long as it is no waste: small piles are exact
-
-
-SMOOTH = begin, iterations, works
-ROUGH = rough_begin, rough_iterations, rough_works
 
 
 def taken_columns(d: int, rough: bool) -> list[int]:
@@ -63,9 +59,8 @@ class Run:
 
     def __init__(self, axes: tuple[float, ...], problem: Problem, w: Array, v: Array, exchange: Callable[[Array], None] | None):
         self.axes, self.problem, self.exchange, self.w, self.v0 = axes, tuple(problem), exchange, w, v
-        rough = v.shape[1] > len(axes)
-        self.begin, self.iterations, self.works = ROUGH if rough else SMOOTH
-        self.rough, self.taken = rough, taken_columns(len(axes), rough)
+        self.rough = w.ndim > 1
+        self.taken = taken_columns(len(axes), self.rough)
         self.v, self.other, self.sums = v.copy(), v.copy(), np.empty((len(problem.start) - 1, 2))
         self.restart()
 
@@ -77,14 +72,14 @@ class Run:
     def restart(self) -> None:
         """Begin with what is taken, without momentum."""
         self.theta = FIRST_THETA
-        self.begin(self.axes, 0, len(self.sums), self.problem[0], self.problem[2], self.v0, self.v)
+        begin(self.axes, 0, len(self.sums), self.problem, self.w, self.v0, self.v)
         if self.exchange:
             self.exchange(self.v)
 
     def advance(self, count: int, looks: bool = False) -> tuple[float, float, float]:
         """So many iterations, with an exchange of ghosts after each; what the last one saw, if it `looks`."""
         for part in [1] * count if self.exchange else [count]:
-            self.theta, *seen = self.iterations(
+            self.theta, *seen = iterations(
                 self.axes, part, self.problem, self.w, self.v0, self.v, self.other, self.theta, looks, self.sums
             )
             if part % 2:
@@ -103,7 +98,7 @@ class Run:
 
         In sum over all contacts errors do no work then. Collective.
         """
-        largest = ranks.allreduce_max(self.works(self.axes, self.problem, self.w, self.v0, self.v, self.sums))[0]
+        largest = ranks.allreduce_max(works(self.axes, self.problem, self.w, self.v0, self.v, self.sums))[0]
         if largest > 0.0:
             asked, did = ranks.allreduce_sum(np.array(whole_numbers(self.sums, (largest, largest))))
             factor = -asked / did if did > 0 else 1.0
@@ -169,7 +164,7 @@ class Solver:
         ranks = self.ranks
         if not pairs:
             result = v.copy()
-            rough_solve_each(self.axes, tuple(problem), w, result)
+            solve_each(self.axes, tuple(problem), w, result)
             return result[: len(problem.start) - 1], True, False
         count, every = ranks.allreduce_sum(np.array([(problem.table[:, STEP] > 0.0).sum(), len(problem.partner)])).tolist()
         if not count:
