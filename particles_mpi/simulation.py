@@ -51,7 +51,9 @@ class Simulation(Saved):
 
     def steps(self, number: int) -> None:
         """Advance by a number of steps: where `ManySteps` computes them, far faster than one by one. Collective."""
-        last = self.steps_done + number
+        if not isinstance(number, (int, np.integer)) or number < 0:
+            raise ValueError(f"steps: {number!r} is not a number of steps")
+        last = self.steps_done + int(number)
         while self.steps_done < last:
             self.step_towards(last)
 

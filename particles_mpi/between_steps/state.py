@@ -183,6 +183,7 @@ class State:
         options = changed_options(self.scene, name, key, value)
         same_on_all(self.ranks, {"effects": {name: options.model_dump(mode="json")}})
         self.take_changes()
+        options.effect_class().option_changed(self.rows, self.scene.effects[name], options)
         self.scene = self.scene.model_copy(update={"effects": {**self.scene.effects, name: options.running()}})
         if issubclass(options.effect_class(), Force) and options.active and key != "active":  # nothing else depends on it
             force = self.scene.effects[name].build(self.scene)

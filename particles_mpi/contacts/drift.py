@@ -36,11 +36,14 @@ def keeper_of_contacts(effects: ActiveEffects, context: Context, dimension: int)
 
     pairs, walls = effects.pairs is not None and effects.pairs.lossy, effects.walls
     planes, taking = (walls.planes, walls.taking) if walls else (no_planes(dimension), np.empty(0, bool))
-    tolerance = effects.pairs.options.contact_tolerance if effects.pairs else 0.0
+    tolerance, points = 0.0, False
+    if effects.pairs:
+        options = effects.pairs.options
+        tolerance, points = options.contact_tolerance, dimension == 1 and options.mode == "event"
     friction, resistance = surfaces(effects)[:, FRICTION], effects.rolling.resistance if effects.rolling else 0.0
     rough = Surfaces(float(friction[0]), friction[1:], resistance)
     return PersistentContacts(
-        context.ranks, context.length, pairs, planes, taking, rough, effects.uniform, tolerance, context.timers
+        context.ranks, context.length, pairs, planes, taking, rough, effects.uniform, tolerance, context.timers, points
     )
 
 

@@ -10,7 +10,7 @@ from particles_mpi.scene.model import NotNegative
 
 
 class Options(EffectOptions):
-    """`rate`: k (1/time) of the populations that give no `drag` of their own."""
+    """`rate`: k (1/time) of the populations that give no `drag` of their own. Changed between steps, it is of all that had it."""
 
     rate: NotNegative = 0.0
 
@@ -20,6 +20,11 @@ class Effect(Damping):
 
     formula = "dv/dt = -k v"
     needs = Needs(columns={"drag": FIELDS["drag"]}, integrators=FORWARD)
+
+    @staticmethod
+    def option_changed(particles: Particles, before: Options, after: Options) -> None:
+        """Particles with the rate that all had by default get the new one."""
+        particles["drag"][particles["drag"] == before.rate] = after.rate
 
     def factors(self, particles: Particles, h: float) -> tuple[Array, Array]:
         """One `math.exp` a distinct rate: a vectorised exp may round differently at the end of an array, that is by rank."""

@@ -32,7 +32,7 @@ def check_start(
     new = particles.select(np.arange(before, len(particles))) if before else particles
     check_places(new, room, faults)
     check_crossings(scene, new, faults)
-    warnings, more = endless_falls(scene, particles, ranks), []
+    warnings, more = endless_falls(scene, particles, ranks) + ([] if before else rounded_end(scene)), []
     if "collisions" in scene.effects and not faults.found and ranks.allreduce_sum(len(new))[0]:
         collisions = scene.effects["collisions"]
         more = check_step(scene, new, collisions.mode == "event", faults)
@@ -40,6 +40,14 @@ def check_start(
             judged = np.ones(len(particles), bool) if judged is None else judged
             more += check_overlaps(particles, room, collisions.allow_overlap, before, judged, faults)
     return more + warnings + coincident(scene, particles, ranks)
+
+
+def rounded_end(scene: Scene) -> list[str]:
+    """A warning where no whole number of steps ends at `time.end`."""
+    step, end, steps = scene.time.step, scene.time.end, scene.steps
+    if end is None or abs(steps * step - end) <= 1e-6 * step:
+        return []
+    return [f"time.end: {end:g} is no whole number of steps of {step:g}: the run ends at t = {steps * step:g}, after {steps}"]
 
 
 def endless_falls(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]:

@@ -186,7 +186,7 @@ class ManySteps:
             if not force.direct:
                 force.add(p, others[-1] if attracted else first)
             attracted |= force.direct is not None
-        return Forces(first, True, self.direct.G, self.direct.softening2, np.array(others).reshape(-1, n, d), True)
+        return Forces(first, True, self.direct.G, self.direct.softening2, np.array(others).reshape(len(others), n, d), True)
 
     def rest_of(self, p: Particles) -> Rest:
         """Contacts with walls that last, if there are any."""

@@ -65,9 +65,10 @@ def bulk(x: Array, low: Array, high: Array) -> tuple[Array, Array]:
 
 
 def spacing(low: Array, high: Array, n: int) -> float:
-    """Mean distance of n rows in the gridded part of the box [low, high]; 0 if it has no volume."""
-    extent = np.maximum(high - low, 1e-300)[:GRIDDED]
-    return float(np.exp(np.log(extent).mean()) / max(n, 1) ** (1.0 / len(extent)))
+    """Mean distance of n rows in the gridded part of the box [low, high], or on the plane or line that it is; 0 of a point."""
+    extent = np.maximum(high - low, 0.0)[:GRIDDED]
+    extent = extent[extent > 1e-9 * extent.max()]
+    return float(np.exp(np.log(extent).mean()) / max(n, 1) ** (1.0 / len(extent))) if len(extent) else 0.0
 
 
 @kernel

@@ -30,6 +30,7 @@ from particles_mpi.particles import Array
 WANTED = {1: 3.0, 2: 7.0, 3: 12.0}  # neighbours in a list: fewer, and lists expire too often; more, and looks take longer
 MANY = 20.0  # in more dimensions
 PLACES_IN_LISTS = "places in lists of neighbours"
+SHORTER = 0.99  # times as long must lists get by a narrower skin
 LOOSE = 1.3  # times more or fewer neighbours than wanted are accepted
 
 
@@ -53,13 +54,18 @@ class VerletLists:
         widest = self.widest_skin(float(radius.max(initial=0.0) + movable))
         if not self.width:
             low, high = (x.min(axis=0), x.max(axis=0)) if n else (np.zeros(d), np.ones(d))
-            self.width = max(0.5 * spacing(low, high, n), 0.05 * float(radius.mean()) if n else 0.0)
+            self.width = max(0.5 * spacing(low, high, n), 0.05 * float(radius.mean()) if n else 0.0) or 1.0  # any, of one point
         wanted = WANTED.get(d, MANY)
+        wider, longest = 0.0, np.inf  # the width before, if it was wider, and the mean length of lists with it
         for _ in range(6):
             self.width = min(self.width, widest)
             self.build(x, radius, w)
             mean = self.arrays.spans[:, COUNT].mean() if n else wanted
             if wanted / LOOSE < mean < wanted * LOOSE or n < 3:
+                break
+            if self.width < wider and mean > SHORTER * longest:  # as near as these are, a narrow skin only expires more often
+                self.width = wider
+                self.build(x, radius, w)
                 break
             diameter = 2.0 * float(radius.mean())
             longer = (max(mean, 0.2) / wanted) ** (-1.0 / d)
@@ -67,7 +73,7 @@ class VerletLists:
             width = min(max(width, 0.4 * self.width), 2.5 * self.width, widest)
             if abs(width - self.width) < 0.05 * self.width:
                 break
-            self.width = width
+            wider, longest, self.width = self.width, mean, width
 
     def widest_skin(self, diameter: float) -> float:
         """Two rows in each other's list must have one nearest image only, wherever within their skins they are."""

@@ -151,6 +151,10 @@ class Effect:
         for name, column in cls.needs.columns.items():
             add_column(name, column)
 
+    @staticmethod
+    def option_changed(particles: Particles, before: Any, after: Any) -> None:
+        """The options `before` became those `after` between two steps: change the columns that follow them."""
+
     def bind(self, context: Context) -> None:
         """Called before the first step and whenever the number of particles has changed. Collective."""
 

@@ -56,6 +56,9 @@ KEYS = {
     ("effects", "walls"): LOSSES,
     ("effects", "walls", "planes", 0): LOSSES | {"point": [[0.0, 0.05]], "normal": [[0.1, 1.0]]},
     ("effects", "rolling"): {"resistance": [0.05]},
+    ("effects", "drag"): {"rate": [0.4]},
+    ("effects", "friction"): {"strength": [0.4]},
+    ("effects", "uniform_gravity"): {"acceleration": [[0.5, -15.0]]},
     ("effects",): {"rolling": [{"resistance": 0.03}], "friction": [{"strength": 0.3}], "drag": [{"rate": 0.3}]} | G | ATTRACTED,
     ("effects", "mutual_gravity"): {
         "G": [2.0], "softening": [0.2], "method": ["direct", "tree"], "opening_angle": [0.9], "multipole": ["monopole"],
@@ -93,9 +96,12 @@ def tables(effects):
     }  # fmt: skip
 
 
-def final(given):
+def final(given, changed=None):
+    """The final state; `changed`: (effect, option, value) that is changed after five steps."""
     sim = Simulation(Scene.from_dict(given))
-    for _ in range(60):
+    for step in range(60):
+        if changed and step == 5:
+            setattr(sim.effects[changed[0]], *changed[1:])
         sim.step()
     return {name: array.tobytes() for name, array in sim.particles.arrays.items()}
 
@@ -134,5 +140,23 @@ def test_every_key_changes_the_run_or_is_refused(name):
             continue
         same = all(after[field] == before[field] for field in before.keys() & after.keys())
         if same and not any(may_be_alike(EFFECTS[name], key, value).values()):
+            ignored.append((place, key, value))
+    assert not ignored
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_every_option_changed_between_steps_changes_the_run_or_is_refused(name):
+    given = tables(EFFECTS[name])
+    before, ignored = final(given), []
+    for place, key, value in changes(given):
+        if len(place) != 2 or place[0] != "effects":
+            continue
+        try:
+            after = final(given, (place[1], key, value))
+        except SceneError as error:
+            if key not in str(error):
+                ignored.append((place, key, value, f"refused without its name: {error}"))
+            continue
+        if after == before and not any(may_be_alike(EFFECTS[name], key, value).values()):
             ignored.append((place, key, value))
     assert not ignored

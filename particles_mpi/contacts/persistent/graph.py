@@ -33,9 +33,12 @@ class ContactGraph:
     """
 
     def __init__(
-        self, ranks: Communicator, p: Particles, rows: Array, wide: Array, skin: float, length: Array, pairs: bool = True
+        self, ranks: Communicator, p: Particles, rows: Array, wide: Array, skin: float, length: Array, pairs: bool = True,
+        points: bool = False,
     ):  # fmt: skip
         """`wide` (len(p),): half of the distance up to which two rows of the same kind are near; with no `pairs` none is.
+
+        Unless `points` touch one another, no two of them are near.
 
         Collective.
         """
@@ -60,7 +63,8 @@ class ContactGraph:
             self.start, self.other = np.zeros(len(rows) + 1, np.int64), np.empty(0, np.int32)
             return
         near = touching(known["position"], known["reach"], known["inverse_mass"], self.id, length)
-        self.start, self.other = half_edges(len(rows), *near, self.id)
+        touch = np.ones(len(near[0]), bool) if points else (self.radius[near[0]] > 0.0) | (self.radius[near[1]] > 0.0)
+        self.start, self.other = half_edges(len(rows), near[0][touch], near[1][touch], self.id)
 
     def holds(self, p: Particles, wide: Array, zone: Array) -> bool:
         """Are all pairs of rows in the zone (2, d) that are near, by `wide`, known to this rank?"""

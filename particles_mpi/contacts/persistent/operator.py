@@ -62,15 +62,16 @@ class PersistentContacts:
     """Keeps the slow contacts of particles: with one another if `pairs`, and with those of the planes that are `taking` energy.
 
     `uniform`: all forces give all particles the same acceleration, so that free ones never press onto
-    one another. `tolerance`: by which part of a radius contacts may close in a step.
+    one another. `tolerance`: by which part of a radius contacts may close in a step. `points`: do points touch one another?
     """
 
     def __init__(
         self, ranks: Communicator, length: Array, pairs: bool, planes: Planes, taking: Array, surfaces: Surfaces, uniform: bool,
-        tolerance: float, timers: Timers,
+        tolerance: float, timers: Timers, points: bool = False,
     ):  # fmt: skip
         self.ranks, self.length = ranks if pairs else Communicator.alone(), length
         self.pairs, self.uniform, self.tolerance, self.timers = pairs, uniform, tolerance, timers
+        self.points = points
         self.point, self.normal = planes.point[taking], planes.normal[taking]
         self.faces = planes.lower, planes.upper, planes.oblique
         self.axes = (0.0,) * len(length)
@@ -150,7 +151,7 @@ class PersistentContacts:
             touch = np.empty(len(p))
             widths(p.radius, a, h, touch)
             wide = np.maximum(touch, p.radius + h * np.sqrt(row_dot(p.velocity, p.velocity)))
-            graph = ContactGraph(self.ranks, p, np.arange(len(p)), wide, 0.0, self.length)
+            graph = ContactGraph(self.ranks, p, np.arange(len(p)), wide, 0.0, self.length, points=self.points)
             local = self.local(p, a, h, graph)
             ghost_touch = np.zeros(graph.size + 1)
             ghost_touch[: len(p)] = touch
@@ -185,7 +186,7 @@ class PersistentContacts:
             skin = (DILUTE if self.dilute else SKIN) * float(self.ranks.allreduce_min(least)[0])
             skin = skin if skin < np.inf else 0.0
             rows = rows_in(p.position, wide + skin, zone)
-            graph = ContactGraph(self.ranks, p, rows, wide, skin, self.length)
+            graph = ContactGraph(self.ranks, p, rows, wide, skin, self.length, points=self.points)
             self.taken = self.taken_before(p, graph)
             self.graph = graph
             many = len(self.graph.other) - (4 if self.dilute else 1) * len(rows)

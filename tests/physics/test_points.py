@@ -1,0 +1,96 @@
+"""Particles without a radius: they pass one another, wherever they lie, and a simulation may have none at all."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from particles_mpi import Scene, Simulation
+
+MODES = ["rewind", "event"]
+SIDE = 4.0
+PLACES = {  # which axes the points are spread over
+    "at one place": 0,
+    "on a line": 1,
+    "in a plane": 2,
+}
+
+
+@pytest.mark.timeout(60)  # lists of neighbours with no width expired without end
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("walls", [False, True])
+@pytest.mark.parametrize("count", [1, 2, 50])
+@pytest.mark.parametrize(("d", "spread"), [(d, spread) for d, spread in product([1, 2, 3], PLACES) if PLACES[spread] < d])
+def test_points_of_no_volume_fly_straight(d, spread, count, walls, mode):
+    random = np.random.default_rng(4)
+    x, v = np.full((count, d), 2.0), random.uniform(-1.0, 1.0, (count, d))
+    axes = PLACES[spread]
+    x[:, :axes] = random.uniform(1.5, 2.5, (count, axes))
+    if d == 1 and mode == "event":  # there they would meet
+        v = np.sort(v, axis=0) if axes else np.ones_like(v)
+        x = np.sort(x, axis=0)
+    more = {"box": {"lower": [0.0] * d, "upper": [SIDE] * d}} if walls else {}
+    effects = {"collisions": {"mode": mode}} | ({"walls": {}} if walls else {})
+    points = {"position": x.tolist(), "velocity": v.tolist()}
+    sim = Simulation(Scene(dimension=d, time={"step": 0.05, "steps": 10}, particles=[points], effects=effects, **more))
+    sim.steps(10)
+    ids = sim.particles.id
+    assert np.abs(sim.particles.position - (x + 0.5 * v)[ids]).max() < 1e-14
+    assert (sim.particles.velocity == v[ids]).all() and sim.totals["collisions"] == 0
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("d", [1, 2, 3])
+@pytest.mark.parametrize("force", ["user_acceleration", "mutual_gravity"])
+def test_losses_of_contacts_do_not_concern_points(force, d, mode):
+    """As without collisions, to the bit: what forces press together are spheres, not points."""
+    if d == 1 and mode == "event":
+        pytest.skip("points meet on a line")
+    start = [[0.0] * d, [0.01] + [1e-6] * (d - 1), [0.3] + [0.02] * (d - 1)]
+    pulled = {"acceleration": [[1.0] + [0.0] * (d - 1), [-1.0] + [0.0] * (d - 1), [0.0] * d]}
+    effects = {force: {} if force == "user_acceleration" else {"G": 1.0, "softening": 0.05}}
+    ends = []
+    for more in ({}, {"collisions": {"mode": mode, "restitution": 0.5}}):
+        points = {"position": start, "mass": 1.0} | (pulled if force == "user_acceleration" else {})
+        sim = Simulation(Scene(dimension=d, time={"step": 0.02, "steps": 50}, effects=effects | more, particles=[points]))
+        sim.steps(50)
+        order = np.argsort(sim.particles.id)
+        ends.append((sim.particles.position[order].tobytes(), sim.particles.velocity[order].tobytes()))
+    assert ends[0] == ends[1]
+
+
+@pytest.mark.parametrize("integrator", ["leapfrog", "order4", "adaptive", "taylor"])
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {"mutual_gravity": {}},
+        {"mutual_gravity": {"method": "tree"}},
+        {"uniform_gravity": {"acceleration": [0.0, -1.0]}, "user_acceleration": {}, "mutual_gravity": {}},
+        {"collisions": {"restitution": 0.5}, "walls": {"restitution": 0.5}, "uniform_gravity": {"acceleration": [0.0, -1.0]}},
+        {"drag": {"rate": 1.0}, "friction": {"strength": 1.0}},
+    ],
+)
+def test_nobody_is_simulated(effects, integrator):
+    if integrator != "leapfrog" and {"drag", "collisions"} & effects.keys():
+        pytest.skip("refused")
+    box = {"lower": [0.0] * 2, "upper": [1.0] * 2}
+    sim = Simulation(
+        Scene(dimension=2, box=box, time={"step": 0.1, "steps": 5, "integrator": integrator}, effects=effects, particles=[])
+    )
+    sim.steps(5)
+    assert sim.steps_done == 5 and sim.total == 0
+
+
+@pytest.mark.parametrize(
+    ("step", "end", "told"), [(0.3, 1.0, "t = 0.9, after 3"), (3.0, 1.0, "t = 0, after 0"), (0.1, 1.0, None)]
+)
+def test_an_end_between_two_steps_is_named(step, end, told):
+    sim = Simulation(Scene(dimension=1, time={"step": step, "end": end}, particles=[{"position": [[0.0]]}]))
+    assert [told in line for line in sim.warnings] == ([True] if told else [])
+
+
+@pytest.mark.parametrize("number", [2.5, -3, "2"])
+def test_a_number_of_steps_is_a_number(number):
+    sim = Simulation(Scene(dimension=1, time={"step": 0.1, "steps": 9}, particles=[{"position": [[0.0]]}]))
+    with pytest.raises(ValueError, match="is not a number of steps"):
+        sim.steps(number)
