@@ -10,7 +10,6 @@ import ctypes
 import os
 import sys
 from collections.abc import Callable
-from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -89,6 +88,7 @@ class Trajectory(Continuing):
             self.file = h5py.File(self.path, "r+", driver="mpio", comm=self.ranks.comm)
         elif self.ranks.is_root:
             self.file = h5py.File(self.path, "r+", locking=False)  # no lock: viewers may look at a running job
+            self.count = h5py.h5a.open(self.file["VTKHDF/Steps"].id, b"NSteps")
         if self.file is not None:
             names = (*self.columns, *STEPS, *PARTS, *(f"Vertices/{what}" for what in CELLS))
             self.datasets = {name: self.file[f"VTKHDF/{name}"] for name in names}
@@ -145,10 +145,13 @@ class Trajectory(Continuing):
 
     def _raise_count(self) -> None:
         """Tell readers how many frames are whole; in parallel, rank 0 does while the file is closed."""
-        if self.ranks.is_root:
-            with h5py.File(self.path, "r+", locking=False) if self.parallel else nullcontext(self.file) as file:
-                count = h5py.h5a.open(file["VTKHDF/Steps"].id, b"NSteps")
-                count.write(np.array(self.frames, np.int64))
+        if not self.ranks.is_root:
+            return
+        if not self.parallel:
+            self.count.write(np.array(self.frames, np.int64))
+            return
+        with h5py.File(self.path, "r+", locking=False) as file:
+            file["VTKHDF/Steps"].attrs.modify("NSteps", np.int64(self.frames))
 
     def _attempt(self, step: int, action: Callable[[], Any]) -> None:
         try:
