@@ -1,7 +1,5 @@
 """The three ways in which a run ends early, and their exit codes; how particles are named in a fault."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

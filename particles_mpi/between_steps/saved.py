@@ -1,7 +1,5 @@
 """A simulation as a whole: copied, compared, printed, saved and read back, with the same bits from there on."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any, Self

@@ -1,7 +1,5 @@
 """The state of a simulation: its particles, its clock, its counts, and the scene that it goes by; all of it may be changed."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

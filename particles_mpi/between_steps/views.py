@@ -4,8 +4,6 @@ A user gets copies of the arrays of `Particles`. What is written into a copy is 
 next step, and taken over if a bit differs; a scene whose particles nobody looks at pays nothing.
 """
 
-from __future__ import annotations
-
 import weakref
 import zlib
 from collections.abc import Callable

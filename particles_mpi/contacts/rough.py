@@ -15,8 +15,6 @@ Then v_i += w_i J, v_j -= w_j J, s_i -= a_i q_i k x J and s_j -= a_j q_j k x J, 
 A wall has no w and no q. Spins have d(d-1)/2 components: one in the plane, three in space.
 """
 
-from __future__ import annotations
-
 from math import inf, sqrt
 from typing import NamedTuple
 

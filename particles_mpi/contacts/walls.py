@@ -3,8 +3,6 @@
 The velocity of row i stands in `v[i, column:]`, because rows of mode event hold place, velocity and more in one array.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What lasting contacts took in the last solution: plain columns, for those who save them without loading the solver."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

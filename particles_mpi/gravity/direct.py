@@ -5,8 +5,6 @@ sources are divided into blocks. The innermost loop runs over the targets of a t
 use vector instructions without changing the order of any sum, and the sum has the same bits with vectors of any length.
 """
 
-from __future__ import annotations
-
 from math import sqrt
 from typing import Any
 

@@ -12,8 +12,6 @@ Derivatives of all orders follow from the radial ones, g_0 = 1/rho, g_k = -(2 k 
 D_x = g_1 x, D_xy = g_2 x y, D_xx = g_2 x^2 + g_1, and so on.
 """
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np
@@ -25,7 +23,7 @@ from particles_mpi.kernels.jit import fma, inner, lean_inner, wide
 ORDER = 4
 CELLS = 256  # of a list that are added up at a time: they stay in the first-level cache
 LANES = 16  # cells that are added up side by side: the order of the sum depends on it, not on the vectors of a processor
-FAR_MASS, FAR_SECOND, FAR_WIDTH = 3, 4, 10  # rows of a list of far cells: r (3), mass, S/2 (xx, 2 xy, 2 xz, yy, 2 yz, zz)
+FAR_MASS, FAR_WIDTH = 3, 10  # rows of a list of far cells: r (3), mass, S/2 (xx, 2 xy, 2 xz, yy, 2 yz, zz)
 
 POWERS = sorted((n for n in product(range(ORDER + 1), repeat=3) if sum(n) <= ORDER), key=lambda n: (sum(n), [-k for k in n]))
 COEFFICIENTS = len(POWERS)

@@ -4,8 +4,6 @@ The error is the median relative error of the acceleration, measured for Plummer
 particles with angles from 0.3 to 1; the formula follows the larger of the two, within a factor of two up to an angle of 0.7.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 PAIR = 0.6  # ns for a pair in the direct sum

@@ -9,8 +9,6 @@ J. Barnes and P. Hut, Nature 324, 446 (1986); keys: M. Warren and J. Salmon, Sup
 Vectors have three components here in every dimension; the additional ones are 0, which changes no bit of any sum.
 """
 
-from __future__ import annotations
-
 from math import sqrt
 
 import numpy as np

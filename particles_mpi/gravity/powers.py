@@ -5,8 +5,6 @@ h = 1 - r y^2, enters by the series of (1 - h)^(-1/2) or (1 - h)^(-3/2), whose n
 First guess: C. Lomont, Fast Inverse Square Root, Purdue University (2003).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

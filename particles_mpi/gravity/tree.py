@@ -9,8 +9,6 @@ enough. Together they are its locally essential tree (M. Warren and J. Salmon, S
 keys it is the one tree of all particles, without the insides of cells that nobody on this rank opens.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from particles_mpi.gravity.octree import (

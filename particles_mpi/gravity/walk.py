@@ -13,8 +13,6 @@ Sources act one after the other, in the order of the tree, on all targets of a g
 So the order of every sum is the tree's: it depends neither on the ranks nor on the vectors of a processor.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

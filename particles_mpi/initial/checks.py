@@ -1,7 +1,5 @@
 """What can only be judged with the particles at hand: walls, overlaps, the length of a step. All of it is collective."""
 
-from __future__ import annotations
-
 from math import floor, inf, log10
 
 import numpy as np

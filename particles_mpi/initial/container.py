@@ -1,7 +1,5 @@
 """The space in which particles are placed at the start."""
 
-from __future__ import annotations
-
 from math import exp, inf, lgamma, log, pi
 from typing import NamedTuple
 

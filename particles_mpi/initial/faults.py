@@ -1,7 +1,5 @@
 """What is wrong with a start, collected over the ranks: each fault a line, the same on all of them."""
 
-from __future__ import annotations
-
 from itertools import chain
 
 from particles_mpi.errors import SHOWN, SceneError, listed

@@ -1,7 +1,5 @@
 """Positions for `position = "lattice"`: centres by a formula of the number of the sphere, so that any part can be made alone."""
 
-from __future__ import annotations
-
 from itertools import product
 from math import exp, floor, inf, log, prod
 

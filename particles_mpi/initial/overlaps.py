@@ -1,7 +1,5 @@
 """Spheres that overlap at the start: found, and pushed apart where the scene allows them."""
 
-from __future__ import annotations
-
 from itertools import chain
 
 import numpy as np

@@ -5,8 +5,6 @@ Density ~ (1 + r^2/a^2)^(-5/2); drawn as S. Aarseth, M. Henon and R. Wielen do, 
 Powers are products and roots here: those of numpy have other last bits on processors with longer vectors.
 """
 
-from __future__ import annotations
-
 from math import cbrt
 
 import numpy as np

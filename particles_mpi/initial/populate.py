@@ -4,8 +4,6 @@ Random numbers are keyed by (seed, population, quantity, number of the particle)
 leaves its velocities, and all other populations, as they were.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from functools import partial

@@ -5,8 +5,6 @@ yet are thrown at once, and of those that overlap one another the larger one sta
 same as one after the other in that order. Each rank judges those that fall into its part of space, and knows who is near it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from particles_mpi.initial.container import Container
@@ -18,7 +16,7 @@ from particles_mpi.neighbours.rank_boxes import rows_near_box
 from particles_mpi.neighbours.trajectories import AT_REST
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.decomposition import bisect, to_owners
-from particles_mpi.parallel.exchange import Halo, PersistentMessages, allgather_rows, by_destination, holders, send_rows
+from particles_mpi.parallel.exchange import Halo, allgather_rows, by_destination, holders, send_rows
 from particles_mpi.particles import Array, rows_of
 
 MOST_TRIES = 100_000  # failures in a row before spheres are given up: at packing 0.30 in 3D about 1 try in 1000 succeeds
@@ -57,10 +55,10 @@ class RandomAddition:
         """Rows to the ranks in whose parts of space they are."""
         return rows if self.ranks.size == 1 else to_owners(self.ranks, rows, self.parts)
 
-    def append(self, rows: dict[str, Array]) -> tuple[int, int, PersistentMessages | None]:
+    def append(self, rows: dict[str, Array]) -> tuple[int, int, Halo | None]:
         """Rows of this rank's part, and those of others that are near it, into the grid.
 
-        Returns (first row, how many are of this rank, messages that tell others what became of them).
+        Returns (first row, how many are of this rank, and where the others are of which it has copies).
         """
         mine = rows_of(rows, self.grid.order(rows["position"], rows["radius"]))
         x, radius = mine["position"], mine["radius"]
@@ -70,7 +68,7 @@ class RandomAddition:
         _, near, counts = build(self.boxes, self.ranks.rank, (x, np.zeros_like(x), radius), AT_REST, self.room.length)
         ghosts, arriving = send_rows(self.ranks, mine, near, counts)
         self.grid.append(ghosts["position"], ghosts["radius"], ghosts["id"])
-        return first, own - first, PersistentMessages(Halo(self.ranks, near, counts, arriving, own - first, 1), 1)
+        return first, own - first, Halo(self.ranks, near, counts, arriving, own - first, 0)
 
     def place(self, key: int, number: Array, radius: Array) -> tuple[Array, int]:
         """(positions (n, d) of the spheres with these numbers, ascending, and radii (n,); how many on all ranks have none).
@@ -143,15 +141,15 @@ class RandomAddition:
         if not self.room.solid:
             self.found.append(rows)
             return astray
-        first, own, messages = self.append(self.to_their_parts(rows))
+        first, own, halo = self.append(self.to_their_parts(rows))
         status, left = np.zeros(self.grid.n - first, np.int8), np.arange(first, first + own)
         while True:
             left = self.grid.decide(left, first, status, MARGIN)
-            if messages is None:
+            if halo is None:
                 break
-            told = status[:, None].astype(float)
-            messages.exchange(told)
-            status[:] = told[:, 0]
+            told = status.astype(float)
+            halo.refresh(told)
+            status[:] = told
             if not self.ranks.allreduce_sum(len(left))[0]:
                 break
         free = status == FREE

@@ -5,8 +5,6 @@ Most quantities take few numbers a particle, and come from numpy's generators, o
 looks for a free place may need any number of points: those come from a hash of (particle, try, axis).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from zlib import crc32
 

@@ -4,8 +4,6 @@ Each class of radius has a grid of its own, so that a few large spheres among ma
 spheres of its part of space; the cells are those of the whole box, folded into as many lists as it has room for.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Columns of numbers in a CSV file, of which each rank reads a part: from about its share of the bytes, whole lines."""
 
-from __future__ import annotations
-
 import warnings
 from io import BytesIO
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Velocities that are drawn: by speed, by temperature, and in the equilibrium of a Plummer sphere."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

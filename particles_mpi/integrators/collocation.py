@@ -15,8 +15,6 @@ along (Kahan's sum). Nothing but the state is kept from one step of the scene to
 come from all ranks (`gauss_radau`), or from within one compiled loop (`compiled_steps`), and everything else is the same.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

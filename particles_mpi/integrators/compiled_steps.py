@@ -3,8 +3,6 @@
 The kernels of a step are those that `Composition`, `Taylor` and `Adaptive` call, in the same order.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 from particles_mpi.contacts.persistent.detection import PRECISE, near_walls, near_walls_among

@@ -1,7 +1,5 @@
 """The integrator `adaptive`: close encounters to round-off, by steps as long as the forces of the moment allow."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -6,8 +6,6 @@ in the cache, with the same bits as `Composition`, `Taylor` and `Adaptive` give 
 same order. On several ranks each rank computes all of a few particles that attract one another, which costs less than a message.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

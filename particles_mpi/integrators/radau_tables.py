@@ -1,7 +1,5 @@
 """The eight Gauss-Radau nodes of a step, and integrals of the polynomials through them: for `collocation`."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A number that tells whether an array was changed."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from particles_mpi.kernels.jit import kernel

@@ -6,8 +6,6 @@ the box; `image_shift` and its copy for whole arrays, `image_shifts`, are right 
 `some_nearest` is too where exactness does not matter.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

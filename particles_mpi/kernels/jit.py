@@ -11,8 +11,6 @@ length is the dimension, makes one for each dimension: only kernels that take mu
 an argument makes another one, and so does a variable that starts as a literal: `count = np.int64(0)` if it is handed on.
 """
 
-from __future__ import annotations
-
 import sys
 from functools import partial
 from importlib import import_module

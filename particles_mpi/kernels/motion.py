@@ -1,7 +1,5 @@
 """Kicks, and motion on straight lines: the kernels that every step is made of. Arrays only."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """The candidates of one search: pairs, and particles near walls, that can touch until a horizon. See `trajectories`."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

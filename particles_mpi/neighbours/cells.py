@@ -4,8 +4,6 @@ In fewer dimensions the first axes have one cell. Places outside belong to the o
 outliers out, a few of which would else make all cells coarse.
 """
 
-from __future__ import annotations
-
 from math import inf
 from typing import NamedTuple
 

@@ -1,10 +1,8 @@
-"""What ranks tell one another of the particles that others hold as ghosts: states, selected partners in a pass, new segments.
+"""What ranks tell one another of the particles that others hold as ghosts: selected partners in a pass, new segments.
 
 After a pass a message holds only the rows to which something happened. `Halo.exchange` sends what `pack_...` wrote into a buffer
 of numbers, and `unpack_...` reads it; `words` is such a buffer seen as int64.
 """
-
-from __future__ import annotations
 
 from typing import NamedTuple
 
@@ -27,14 +25,8 @@ class Active(NamedTuple):
 
 
 def message_width(dimension: int) -> int:
-    """Numbers in the longest row of a message: place, last partner, start, x, v of a segment; or x, v, a; and a spin."""
-    return max(3 + 2 * dimension, 3 * dimension) + dimension * (dimension - 1) // 2
-
-
-def refresh(halo: Halo, x: Array, v: Array, a: Array, spin: Array) -> None:
-    """Ghost rows of x, v, accelerations a (n, d) and spins, as their owners have them; a without rows is the same for all."""
-    for first, message in halo.exchange(lambda rows, buffer: pack_state(rows, x, v, a, spin, buffer)):
-        unpack_state(first, message, x, v, a, spin)
+    """Numbers in the longest row of a message: place, last partner, start, x, v of a segment, and a spin."""
+    return 3 + 2 * dimension + dimension * (dimension - 1) // 2
 
 
 def exchange_selections(halo: Halo, selected: Array, first_rows: Array, second_rows: Array, marked: Array) -> None:
@@ -69,40 +61,6 @@ def any_of(marks, a, b):
     for p in range(len(a)):
         found |= marks[a[p]] or (b[p] >= 0 and marks[b[p]])
     return found
-
-
-@kernel
-def pack_state(rows, x, v, a, spin, out):
-    """The rows of x, v (n, d), and of accelerations and spins if these have rows, one row after the other."""
-    d, s = x.shape[1], spin.shape[1] * (len(spin) > 0)
-    size = 0
-    for i in rows:
-        for k in range(d):
-            out[size + k] = x[i, k]
-            out[size + d + k] = v[i, k]
-            if len(a) > 0:
-                out[size + 2 * d + k] = a[i, k]
-        size += 3 * d if len(a) > 0 else 2 * d
-        for c in range(s):
-            out[size + c] = spin[i, c]
-        size += s
-    return size
-
-
-@kernel
-def unpack_state(first, message, x, v, a, spin):
-    """What pack_state wrote, to the rows from `first` on."""
-    d, s = x.shape[1], spin.shape[1] * (len(spin) > 0)
-    each = (3 * d if len(a) > 0 else 2 * d) + s
-    for r in range(len(message) // each):
-        at = each * r
-        for k in range(d):
-            x[first + r, k] = message[at + k]
-            v[first + r, k] = message[at + d + k]
-            if len(a) > 0:
-                a[first + r, k] = message[at + 2 * d + k]
-        for c in range(s):
-            spin[first + r, c] = message[at + each - s + c]
 
 
 @kernel

@@ -7,8 +7,6 @@ there: so no row can meet one that its rank does not know. A row that would brea
 those that are turned there.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

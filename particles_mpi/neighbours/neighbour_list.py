@@ -4,8 +4,6 @@ Owned rows come first in every array, ghosts behind them. The particles' own pos
 rows, so that forces and drift work in place on what the pair search reads.
 """
 
-from __future__ import annotations
-
 from math import floor
 from typing import Any
 
@@ -17,7 +15,7 @@ from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.kernels.motion import Segments, end_segments
 from particles_mpi.neighbours.candidates import Candidates, Hits
 from particles_mpi.neighbours.cells import GRIDDED, bounds, order_in_space, spacing
-from particles_mpi.neighbours.halo import Active, any_of, message_width, refresh
+from particles_mpi.neighbours.halo import Active, any_of, message_width
 from particles_mpi.neighbours.halo_region import HaloRegion, everywhere, fetch_near_rows
 from particles_mpi.neighbours.rebuild_interval import RebuildTuner
 from particles_mpi.neighbours.trajectories import Horizon, Spheres, fastest
@@ -31,7 +29,6 @@ from particles_mpi.timers import Timers
 
 SORT_EVERY = 2  # searches; between two sorts in space the rows keep their order, which changes slowly
 SLACK = 0.2  # how far rows may get over the border of their rank's box, in paths of the fastest one
-NONE = np.empty((0, 0))
 TOO_MANY = 0.1  # of the rows left their paths at once: a search of all is cheaper than one for each
 
 
@@ -89,7 +86,8 @@ class Neighbourhood:
         """
         if self.halo:
             with self.timers("ghosts"):
-                refresh(self.halo, self.x, self.v, self.fields.get("total_acceleration", NONE), self.spin)
+                more = [self.fields[name] for name in ("total_acceleration", "spin") if name in self.fields]
+                self.halo.refresh(self.x, self.v, *more)
         if not self.searches:
             return np.inf
         with self.timers("pairs"):

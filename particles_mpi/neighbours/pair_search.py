@@ -1,7 +1,5 @@
 """Which pairs can meet: those whose paths come near each other before the horizon. See `trajectories` and `search_index`."""
 
-from __future__ import annotations
-
 from math import inf, sqrt
 
 import numpy as np

@@ -3,8 +3,6 @@
 A box is (2, d), its lower and upper corner. Rows that start now are at x + v t; a row of `path` is as in `trajectories.Paths`.
 """
 
-from __future__ import annotations
-
 from math import inf
 
 import numpy as np

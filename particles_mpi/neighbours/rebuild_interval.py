@@ -1,7 +1,5 @@
 """How many steps the candidates of a search shall last: hill climbing on counted work, the same on every rank."""
 
-from __future__ import annotations
-
 MOST_STEPS = 400
 STRIDE = 0.15  # of the steps, from one try to the next
 WORSE = 1.003  # times the cost before: above it the cost has risen

@@ -4,8 +4,6 @@ Most rows need not look as far as the few fast ones get: SLOW ones are held in s
 in coarser cells of linked lists, and a few OVERSIZE ones one by one.
 """
 
-from __future__ import annotations
-
 from math import inf
 from typing import NamedTuple
 

@@ -9,8 +9,6 @@ A path is found in cells by its midpoint and by a radius around that: see `Paths
 which do not; how often it does costs time, and never changes a result. Times count from the last search for all candidates.
 """
 
-from __future__ import annotations
-
 from math import inf, sqrt
 from typing import NamedTuple
 

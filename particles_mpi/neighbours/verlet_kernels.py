@@ -6,8 +6,6 @@ coordinates, are no further apart than R_i + R_j + skin_i + skin_j. They are fou
 level are about as wide as the sizes R + skin in it, so that a few large spheres do not make the search of all small ones coarse.
 """
 
-from __future__ import annotations
-
 from math import floor
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The neighbour lists of a rank's particles as one object; see `verlet_kernels` for the idea."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -5,8 +5,6 @@ In the time loop the other ranks may wait in a collective call that the failing 
 caught goes to `abort_all`, which prints the message of the lowest failing rank and ends all ranks.
 """
 
-from __future__ import annotations
-
 import fcntl
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """The rows of a rank in arrays with spare space for rows that arrive and for ghosts; and the rows of all ranks on every rank."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -4,8 +4,6 @@ A point on a cut belongs to the upper side. The outermost domains extend to infi
 owner, with or without a box. It is cut anew as soon as the time lost to imbalance exceeds what a cut costs.
 """
 
-from __future__ import annotations
-
 from math import inf
 from time import perf_counter
 from typing import NamedTuple

@@ -5,8 +5,6 @@ one overflows. Then carries go to the next digit, so that those of 2^30 ranks ca
 ranks, and the total is rounded once.
 """
 
-from __future__ import annotations
-
 from math import fsum, inf, isfinite, nan
 
 import numpy as np

@@ -209,8 +209,8 @@ def rows_in_order(ids: Array) -> Array:
 class Halo:
     """The ghosts of a rank until the next search for neighbours: which rows are sent to which rank, and where theirs arrive.
 
-    Ghost rows stand behind the `owned` ones, sorted by owner. An exchange is one non-blocking message to each rank that holds
-    ghosts of this one, with up to `width` numbers for a row.
+    Ghost rows stand behind the `owned` ones, sorted by owner. `refresh` sends all rows, and `exchange` some, of up to `width`
+    numbers each, in one non-blocking message to each rank that holds ghosts of this one.
     """
 
     def __init__(self, ranks: Communicator, rows: Array, counts: Array, arriving: Array, owned: int, width: int):
@@ -218,15 +218,17 @@ class Halo:
         self.ranks, self.owned = ranks, owned
         self.rows = rows.astype(np.int32)
         self.outgoing, self.incoming = parts(counts), parts(arriving)
-        self.width = -1
-        self.reserve(width)
+        self.send_buffers = [np.empty((end - begin) * width) for _, begin, end in self.outgoing]
+        self.receive_buffers = [np.empty((end - begin) * width) for _, begin, end in self.incoming]
+        self.messages: dict[tuple[int, ...], PersistentMessages] = {}  # by widths of tables
 
-    def reserve(self, width: int) -> None:
-        """Room for messages with up to `width` numbers for a row."""
-        if width > self.width:
-            self.width = width
-            self.send_buffers = [np.empty((end - begin) * width) for _, begin, end in self.outgoing]
-            self.receive_buffers = [np.empty((end - begin) * width) for _, begin, end in self.incoming]
+    def refresh(self, *columns: Array) -> None:
+        """Ghost rows of float64 columns (rows, ...) as their owners have them, in place. Collective."""
+        tables = [column.reshape(len(column), prod(column.shape[1:])) for column in columns]
+        widths = tuple(table.shape[1] for table in tables)
+        if widths not in self.messages:
+            self.messages[widths] = PersistentMessages(self, widths)
+        self.messages[widths].exchange(*tables)
 
     def exchange(self, pack: Callable[[Array, Array], int]) -> list[tuple[int, Array]]:
         """Refresh the ghosts by what `pack(rows, buffer)` writes, returning its length: (first row, message)s. Collective."""
@@ -245,31 +247,38 @@ class Halo:
 
 
 class PersistentMessages:
-    """The messages of a halo for tables of `width` columns together that are refreshed many times: MPI prepares them once."""
+    """The messages of a halo for tables of these `widths` together that are refreshed many times: MPI prepares them once.
 
-    def __init__(self, halo: Halo, width: int):
-        comm, self.ranks, self.rows = halo.ranks.comm, halo.ranks, halo.rows
-        self.sent = np.empty((len(halo.rows), width))
-        self.received = np.empty((sum(last - first for _, first, last in halo.incoming), width))
-        self.ghosts = slice(halo.owned, halo.owned + len(self.received))
-        self.requests = [comm.Recv_init(piece, source=p, tag=TAG) for p, piece in in_pieces(self.received, halo.incoming)]
+    In a message each table has its rows together, so that they are copied straight from where they are, and to it.
+    """
+
+    def __init__(self, halo: Halo, widths: tuple[int, ...]):
+        comm, self.ranks, rows = halo.ranks.comm, halo.ranks, halo.rows.astype(np.intp)
+        self.requests: list[MPI.Prequest] = []
+        self.taken: list[tuple[int, Array, Array]] = []  # number of the table, its rows, and their place in a message
+        self.given: list[tuple[int, slice, Array]] = []
+        for p, begin, end in halo.incoming:
+            message = np.empty((end - begin) * sum(widths))
+            self.requests += [comm.Recv_init(piece, source=p, tag=TAG) for piece in in_pieces(message)]
+            ghosts = slice(halo.owned + begin, halo.owned + end)
+            self.given += [(table, ghosts, place) for table, place in enumerate(tables_in(message, end - begin, widths))]
         self.receives = len(self.requests)
-        self.requests += [comm.Send_init(piece, dest=p, tag=TAG) for p, piece in in_pieces(self.sent, halo.outgoing)]
+        for p, begin, end in halo.outgoing:
+            message = np.empty((end - begin) * sum(widths))
+            self.requests += [comm.Send_init(piece, dest=p, tag=TAG) for piece in in_pieces(message)]
+            self.taken += [(table, rows[begin:end], place) for table, place in enumerate(tables_in(message, end - begin, widths))]
+        self.bytes = WORD * len(rows) * sum(widths)
 
     def exchange(self, *tables: Array) -> None:
-        """Ghost rows of the tables (rows, columns) as their owners have them, in place. Collective."""
-        if len(tables) == 1:
-            tables[0].take(self.rows, axis=0, out=self.sent, mode="clip")
-        else:
-            np.concatenate([table[self.rows] for table in tables], axis=1, out=self.sent)
+        """Ghost rows of the tables (rows, width) as their owners have them, in place. Collective."""
+        for table, rows, place in self.taken:
+            tables[table].take(rows, axis=0, out=place, mode="clip")
         self.ranks.messages += len(self.requests) - self.receives
-        self.ranks.bytes["rows"] += self.sent.nbytes
+        self.ranks.bytes["rows"] += self.bytes
         MPI.Prequest.Startall(self.requests)
         MPI.Request.Waitall(self.requests)
-        at = 0
-        for table in tables:
-            table[self.ghosts] = self.received[:, at : at + table.shape[1]]
-            at += table.shape[1]
+        for table, ghosts, place in self.given:
+            tables[table][ghosts] = place
 
     def __del__(self) -> None:
         """MPI forgets the messages."""
@@ -278,12 +287,15 @@ class PersistentMessages:
                 request.Free()
 
 
-def in_pieces(table: Array, rows: list[tuple[int, int, int]]) -> Iterator[tuple[int, list[Any]]]:
-    """(rank, what MPI takes as a message) for the rows of a table (n, width) that `parts` gives to each rank."""
-    most = max(MOST_WORDS // table.shape[1], 1)
-    for p, begin, end in rows:
-        for at in range(begin, end, most):
-            yield p, [table[at : min(at + most, end)], MPI.DOUBLE]
+def in_pieces(message: Array) -> list[Any]:
+    """What MPI takes as messages for the words of a long one."""
+    return [[message[at : at + MOST_WORDS], MPI.DOUBLE] for at in range(0, len(message), MOST_WORDS)]
+
+
+def tables_in(message: Array, rows: int, widths: tuple[int, ...]) -> list[Array]:
+    """The tables (rows, width) that stand one after the other in a message."""
+    ends = np.cumsum(widths) * rows
+    return [part.reshape(rows, width) for part, width in zip(np.split(message, ends[:-1]), widths, strict=True)]
 
 
 def blocks(ranks: Communicator, columns: dict[str, Array], ids: IdRange) -> Iterator[dict[str, Array]]:

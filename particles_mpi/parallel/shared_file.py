@@ -1,7 +1,5 @@
 """A file into which all ranks write, each at places of its own: MPI-IO, or the plain file of a single rank."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, cast
 

@@ -55,9 +55,9 @@ MUTATIONS = (
     ),
     Mutation(
         "ghosts are not refreshed",
-        "neighbours/halo.py",
-        "        unpack_state(first, message, x, v, a, spin)\n\n\ndef",
-        "        pass\n\n\ndef",
+        "parallel/exchange.py",
+        "            tables[table][ghosts] = place\n",
+        "            pass\n",
         ("tests/parallel/test_same_bits.py", "-k", "marbles-2"),
     ),
     Mutation(

@@ -7,7 +7,6 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import (
     Halo,
     IdRange,
-    PersistentMessages,
     allgather_rows,
     blocks,
     by_destination,
@@ -45,7 +44,7 @@ def all_messages(most):
 
         found += [np.append(message, first) for first, message in halo.exchange(pack)]
         table = np.concatenate((columns["x"], np.zeros((ghosts, 3))))
-        PersistentMessages(halo, 3).exchange(table)
+        halo.refresh(table)
         found.append(table)
     wide = {name: columns[name] for name in ("id", "x")}
     exchange.FEW = 0

@@ -5,8 +5,6 @@ time, pair before wall, lower id, higher id or wall. If it has many (spheres tha
 time) it is sorted first, and stays so.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

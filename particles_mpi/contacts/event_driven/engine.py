@@ -1,7 +1,5 @@
 """The rows, neighbour lists and event queue of a rank, and one drift of them: what the kernels of `event_loop` work on."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from particles_mpi.contacts.event_driven.calendar_queue import LIST_EXPIRY, NO_EVENT, NODE, PARTNER, Queue, sort_present

@@ -1,7 +1,5 @@
 """The compiled loop of mode `event`: all contacts of a rank's rows, one after the other in exact order of time."""
 
-from __future__ import annotations
-
 from math import sqrt
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ An id has a place of its own, and stands in it or in one of the next ones (linea
 Programming 3, 6.4). At least half of the places are free, so that every search ends.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from particles_mpi.kernels.jit import kernel, lean_inner

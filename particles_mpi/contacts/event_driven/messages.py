@@ -10,8 +10,6 @@ A message is a series of numbers, each part beginning with its kind and a partic
 - DROP_GHOST: a row that has gone away from the receiver's region.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

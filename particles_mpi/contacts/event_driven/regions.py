@@ -1,7 +1,5 @@
 """The regions of space that ranks own: which ranks must know a row, and which ghosts can affect own rows."""
 
-from __future__ import annotations
-
 from math import floor
 from typing import NamedTuple
 

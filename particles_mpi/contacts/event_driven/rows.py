@@ -5,8 +5,6 @@ A record of a row is its segment without the radius, then the first SAVED column
 spin, if spheres are rough.
 """
 
-from __future__ import annotations
-
 from math import sqrt
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ particle's path together: one line of memory is read for it instead of four.
 `tests/unit/test_contact_law.py` holds them to the same bits.
 """
 
-from __future__ import annotations
-
 from math import sqrt
 
 import numpy as np

@@ -9,8 +9,6 @@ run (README, by induction over the contacts in order of time); ghosts that went 
 no trace in the bits.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from particles_mpi.contacts.event_driven.engine import MOST_EXPIRIES, Engine

@@ -5,8 +5,6 @@ which are computed each by the owner of its row, with the same bits. Half-edges 
 ids, so that sums over them have the same bits on any number of ranks.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -17,7 +15,7 @@ from particles_mpi.neighbours.candidates import touching
 from particles_mpi.neighbours.halo_region import fetch_near_rows
 from particles_mpi.neighbours.trajectories import AT_REST
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exchange import Halo, PersistentMessages
+from particles_mpi.parallel.exchange import Halo
 from particles_mpi.particles import Array, Particles
 
 CLOSE = 1.0 + 1e-9  # times the widths, so that ranks agree on who is near the border, whatever the round-off
@@ -50,7 +48,6 @@ class ContactGraph:
         known["reach"] = self.wide + 0.5 * skin
         known["inverse_inertia"] = p.inverse_inertia[rows] if "spin" in p.arrays else np.empty((len(rows), 0))
         self.halo: Halo | None = None
-        self.messages: dict[int, PersistentMessages] = {}  # by columns of a table
         if ranks.size > 1 and pairs:
             still = self.place, np.zeros_like(self.place), CLOSE * known["reach"]
             _, sent, counts, theirs, arriving = fetch_near_rows(ranks, known, still, AT_REST, length)
@@ -74,13 +71,8 @@ class ContactGraph:
 
     def exchange(self, *columns: Array) -> None:
         """Ghost rows of each column (size or more, ...) as their owners have them. In place. Collective."""
-        if self.halo is None:
-            return
-        tables = [column.reshape(len(column), -1) for column in columns]
-        width = sum(table.shape[1] for table in tables)
-        if width not in self.messages:
-            self.messages[width] = PersistentMessages(self.halo, width)
-        self.messages[width].exchange(*tables)
+        if self.halo:
+            self.halo.refresh(*columns)
 
 
 Exchange = Callable[..., None]

@@ -1,7 +1,5 @@
 """What contacts took in the last solution, so that the next one begins there. It outlasts the graph, and goes where rows go."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from particles_mpi.contacts.persistent.graph import ContactGraph

@@ -14,8 +14,6 @@ Involved are few, as a rule: those that were supported before, those near walls,
 press free ones onto one another, all that touch. Each rank solves for its own rows, and gets those next to them as ghosts.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -89,7 +87,6 @@ class PersistentContacts:
         self.given: tuple[Array, Array] = np.empty(0, np.int64), np.empty(0)  # our rows, velocities given to them
         self.awake = True  # else particles pass through one another and through walls
         self.totals = {"unconverged": 0}  # of this rank, which are counted for all by rank 0
-        self.graphs_made = 0
         self.effort = EFFORT  # see there; with 0 any pile is solved as a large one
         self.dilute = False  # has the graph few half-edges?
 
@@ -191,7 +188,6 @@ class PersistentContacts:
             self.graph = graph
             many = len(self.graph.other) - (4 if self.dilute else 1) * len(rows)
             self.dilute = bool(self.ranks.allreduce_sum(many)[0] < 0)
-            self.graphs_made += 1
         return self.graph
 
     def taken_before(self, p: Particles, graph: ContactGraph) -> Array:

@@ -1,7 +1,5 @@
 """What `solver` is given: the contacts of a rank's rows, one row of a table for each half-edge."""
 
-from __future__ import annotations
-
 from math import sqrt
 from typing import NamedTuple
 

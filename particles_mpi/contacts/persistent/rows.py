@@ -1,7 +1,5 @@
 """The rows that contacts are sought for, copied from the particles and given back to them."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -20,8 +20,6 @@ iterations and after them: then errors do no work in sum over all contacts. Roug
 are not multiplied: the factor itself is rounded, and would be what moves them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -4,8 +4,6 @@ Smooth ones take speed along their normal, a number each. Rough ones also take s
 each; velocities and spins, and 1/m and 1/I, stand side by side.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Few contacts are solved for by each rank: exchanges between ranks would take longer than the iterations."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from particles_mpi.contacts.persistent.problem import Problem

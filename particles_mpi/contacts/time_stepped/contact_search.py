@@ -3,8 +3,6 @@
 All times count from the beginning of the drift, over a time h.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from particles_mpi.contacts.law import contact_time, may_come_near, separation

@@ -1,7 +1,5 @@
 """The compiled loops of the operator `rewind` that select, of the contacts found, those that come first, and apply them."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -149,29 +149,12 @@ def count_scene(scene: Scene, world: Communicator, counts: list[int], screen: Sc
     return [[found[setting] for setting in curve] for curve in curves], divided
 
 
-class Regular:
-    """Instead of a `RebuildTuner`: candidates always last INTERVAL steps."""
-
-    steps = INTERVAL
-
-    def step(self, pairs: int) -> None:
-        """Nothing is learned."""
-
-    def work(self, rows: int, tests: int, asked: int) -> float:
-        """Nothing is compared."""
-        return 0.0
-
-    def next(self, work: float, crossing: float) -> int:
-        """Steps that the next candidates shall last."""
-        return INTERVAL
-
-
 def run_counted(scene: Scene, ranks: Communicator) -> tuple[tuple[int, bool], dict[str, float], float]:
     """((number of particles, do ranks divide space), counts of a step on this rank, its seconds if it is alone). Collective."""
     tracemalloc.start()
     sim = Simulation(scene, comm=ranks.comm)
     if hasattr(sim.near, "tuner"):
-        sim.near.tuner = Regular()
+        sim.near.tuner.next = lambda work, crossing: INTERVAL  # candidates always last so long
     memory_start = tracemalloc.get_traced_memory()[1]
     to_search(sim, 1)
     tracemalloc.reset_peak()
