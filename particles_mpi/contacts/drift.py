@@ -70,9 +70,9 @@ class Drift:
         self.pair_names, self.wall_names = effects.names(PairContacts), effects.names(WallContacts)
         self.damping, self.strength = effects.names(Damping), effects.friction.strength if effects.friction else 0.0
         self.middle = 0.0
-        self.total: Array | None = None  # the accelerations that `rates` wrote last,
-        self.known = -1, -1  # to particles of this version and edition,
-        self.pushed: Array = np.empty(0, np.int64)  # and the rows that contacts push besides
+        self.total: Array | None = None  # accelerations that `rates` wrote last
+        self.known = -1, -1  # version and edition of the particles then
+        self.pushed: Array = np.empty(0, np.int64)  # rows to which lasting contacts added more
         self.past_work: dict[str, int] = {}  # of operators that are no longer there
         self.past_remarks: list[str] = []
         self.near: Any = None

@@ -27,7 +27,7 @@ class Rates(NamedTuple):
     """dv/dt = a - k v - alpha v/(m |v|)."""
 
     a: Array  # (n, d) at the start of the step; one row if it is the same for all, no row if nothing changes velocities
-    k: Array  # (n,) rate of drag, no row without drag; any row before `of`
+    k: Array  # (n,) rates of drag, filled in by `of`; no row without drag
     alpha: float  # strength of friction, or 0
     t_mid: float  # the middle of the step, as a time from the start of the drift
 

@@ -28,7 +28,7 @@ class Faults:
         self.found.append(fault)
 
     def name(self, before: str, ids: Array, after: str = "") -> bool:
-        """One of particles that some ranks found, if there is any: "before particles 0, 1 and 7 after". Collective."""
+        """Add a fault that names particles, if any rank gives some: "before particles 0, 1 and 7 after". Collective."""
         who = listed_ids(self.ranks, ids)
         if who:
             self.found.append(f"{before}{who}{after}")

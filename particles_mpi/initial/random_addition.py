@@ -83,7 +83,7 @@ class RandomAddition:
             total = int(self.ranks.allreduce_sum(len(rows))[0])
             if total and not missing:
                 places, missing = self.place_class(number[rows], radius[rows], total)
-                x = scattered(x, rows, places)
+                x = with_rows(x, rows, places)
             elif total:
                 missing += total
         return x, missing
@@ -121,7 +121,7 @@ class RandomAddition:
             found, _ = send_rows(self.ranks, found, *by_destination(owner, self.ranks.size))
         order = np.argsort(found["id"])
         rows = np.searchsorted(number, found["id"][order]) if len(order) < len(number) else np.arange(len(number))
-        return scattered(np.zeros((len(number), self.dimension)), rows, found["position"][order])
+        return with_rows(np.zeros((len(number), self.dimension)), rows, found["position"][order])
 
     def throw_all(self, rows: dict[str, Array], throw: int, left: int) -> dict[str, Array]:
         """Throw each of the `left` spheres of all ranks once, no more than TOGETHER at a time; returns those without a place."""
@@ -182,8 +182,8 @@ class RandomAddition:
         return rows_of(rows, np.setdiff1d(np.arange(n), placed % n))
 
 
-def scattered(x: Array, rows: Array, values: Array) -> Array:
-    """x (n, d) with other values in some rows, ascending; without a copy if these are all."""
+def with_rows(x: Array, rows: Array, values: Array) -> Array:
+    """x (n, d) with `values` in `rows` (ascending); `values` itself if these are all rows."""
     if len(rows) == len(x):
         return values
     x[rows] = values

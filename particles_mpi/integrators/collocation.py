@@ -31,9 +31,16 @@ ROUNDED = float(np.finfo(float).eps)  # round-off of a sum of forces, relative t
 CAUTION = 10.0  # times the change that the next iteration is expected to make
 NOISY = 8.0  # times the round-off: changes from one iteration to the next that are nothing else
 STALLED, DIVERGED = 1e-10, 1e-8  # of the largest acceleration: changes that need not shrink any more, and that must
-SAFE, SHRINK, GROW = 0.25, 0.1, 4.0  # a step is taken if the next may be at least SAFE as long; bounds on the change
+SAFE, SHRINK, GROW = (
+    0.25,
+    0.1,
+    4.0,
+)  # a substep is taken if the next may be SAFE times as long or more; that is SHRINK to GROW times as long
 SHORTEST = 1e-11  # of a step of the scene: where masses meet head on there is no end to it
-BLIND, MOST_BLIND = 4.0, 100  # times the largest tolerance: round-off that hides the motion; tries in a row before that is an end
+BLIND, MOST_BLIND = (
+    4.0,
+    100,
+)  # times the largest tolerance: more round-off hides the motion; after so many such tries in a row it is an error
 FAR = 1.5  # times the last step: for longer ones its polynomial is no guess
 ROOT_ROUNDS = 60
 
@@ -171,7 +178,7 @@ def next_try(work, x):
     progress, x0, _, _, _, _ = work
     s = progress[0]
     left = s["step"] - s["done"]
-    s["length"] = left if s["length"] >= left else min(s["length"], 0.5 * left)  # no crumb at the end
+    s["length"] = left if s["length"] >= left else min(s["length"], 0.5 * left)  # no tiny last substep
     copy(x, x0)
     s["stage"] = AT_START
 

@@ -20,8 +20,8 @@ class Regions(NamedTuple):
     box: tuple[Array, ...]  # a `Box`, as a plain tuple
     rank: int  # this one
     known: Array  # the ranks that may have to know rows of this one, and itself as the last: bit k of a mask is rank known[k]
-    reach: float  # between a region and the surface of a ghost that own rows may meet in a window
-    depth: float  # between a region and the skin of a row that its rank must know: `reach`, and some ghosts more
+    reach: float  # own rows touch, in a window, only ghosts whose surface is within this of the region
+    depth: float  # a rank must know each row whose skin is within this of its region: `reach`, and some ghosts more
 
 
 class Moves(NamedTuple):

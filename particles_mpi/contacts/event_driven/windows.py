@@ -53,10 +53,10 @@ from particles_mpi.particles import Array, Particles, field
 from particles_mpi.timers import Timers
 
 DISPLACEMENT_BOUND = 0.125  # of a skin: how far a row may get in a window
-DEPTH = 1.6  # mean diameters of ghosts beyond those that own particles can touch: what went wrong has to come through them
-LEAST_DEPTH, MOST_DEPTH = 1.2, 4.0  # it is fitted, so that windows need not be shorter on more ranks:
-DEEPER, MOST_REDONE = 0.4, 0.02  # by so much at a time where a larger part of the windows is redone,
-SHALLOWER, ENOUGH = 0.1, 100  # and back where none of so many is
+DEPTH = 1.6  # mean diameters: thickness of the ghosts beyond those that own particles can touch, through which errors must come
+LEAST_DEPTH, MOST_DEPTH = 1.2, 4.0  # bounds of that depth, which is fitted: then windows need not be shorter on more ranks
+DEEPER, MOST_REDONE = 0.4, 0.02  # added if more than this part of the windows was redone
+SHALLOWER, ENOUGH = 0.1, 100  # taken off after so many windows of which none was
 CROWDED = 0.75  # of all particles on one rank, ghosts included: then each may as well compute everything
 FASTER, SLOWER = 1.015, 0.6  # what success and failure do to the length of a window: in balance about 3 % fail
 FIRST, GROWING = 0.25, 1.2  # of the longest window: the first one; and how it grows until one fails

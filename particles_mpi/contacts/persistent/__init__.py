@@ -5,8 +5,8 @@ graph       who is near whom, among the rows of a rank and their ghosts
 detection   which of these may have contacts that last
 slow        which contacts are slow, and so kept
 zone        where contacts are sought; crowds
-rows        rows of the particles, copied and given back
-problem     these as a table, one row for each of the two sides of a contact
+rows        state of the rows, copied from the particles and written back
+problem     the contacts as a table, one row for each half-edge
 surfaces    what such a table says of smooth and of rough spheres
 solver      velocities at which none of these closes, solved by all ranks together
 iterations  its compiled loops; smooth_iterations, rough_iterations: what they do with the rows of smooth and of rough spheres

@@ -1,7 +1,7 @@
 """Who is near enough for a contact that may last: rows near walls, and all half-edges that may be slow. See `operator`.
 
-`push` (d,) of a row is the speed that forces give it in a step, times SLOW. With HELD times that it may move in a step, and
-still have slow contacts: so wide it is.
+`push` (d,) of a row: SLOW times the change of velocity by forces in a step. A row counts as wider by the way that it goes in a
+step at HELD times that speed: contacts within that may be slow.
 """
 
 from math import inf, sqrt

@@ -236,7 +236,7 @@ class PersistentContacts:
             tuple(contacts), closing, along_normals(before), (local.supported, local.radius), pressed, h,
             self.tolerance, OUTLIER * (effort < EXACT), PRECISE, self.law.slight,
         )  # fmt: skip
-        if again:  # who returns to a margin has that speed already: a second time it would lift what lies on it
+        if again:  # the way back to a margin is in these velocities already; given twice it would lift spheres
             np.maximum(targets[0], 0.0, out=targets[0])
         taken = np.where(chosen, (before if known else borne / (2.0 * SLOW)).T, 0.0).T * (not again)
         problem = self.law.problem(local, graph, contacts, chosen, Targets(*targets), taken)

@@ -43,7 +43,7 @@ class Targets(NamedTuple):
 
 @kernel
 def bound_rows(axes, start, normal, w, which, bound):
-    """Of each row w b, where b bounds the largest eigenvalue of S = sum of n n^T: tr S |(S/tr S)^4|^(1/4)."""
+    """To bound (n,): w b of each row; b = tr S |(S/tr S)^4|^(1/4) is not below the largest eigenvalue of S = sum of n n^T."""
     s, t = np.empty((len(axes), len(axes))), np.empty((len(axes), len(axes)))
     for i in range(len(start) - 1):
         trace = 0.0

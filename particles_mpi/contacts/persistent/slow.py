@@ -1,10 +1,9 @@
 """Which contacts last: what presses each of them, and below which speed it is slow. See `operator`. Plain arrays.
 
-What *presses* a contact is a speed, as a push is, and belongs to the direction of its normal n: forces and all other contacts
-together, if they press it; and the part of what contacts of its partners bear that lies along n. That of a partner is n S n with
-its stress S, the sum of borne n' n' over its contacts n'. A contact is slow below the speed that presses it, or HELD times that
-between those who are held. So a ball that rolls along a floor meets another one, or a wall, at any speed: the floor does not bear
-along that normal.
+What *presses* a contact is a speed along its normal n: what forces and other contacts give its two partners along n, or, if
+that is more, what the stress S of the partners bears along n, n S n (S: the sum of borne n' n' over their contacts). A contact is
+slow below that speed, or below HELD times it where one partner is held already. A ball that rolls on a floor so meets another
+one, or a wall, at any speed: the floor bears nothing along that normal.
 """
 
 import numpy as np

@@ -34,11 +34,11 @@ from particles_mpi.particles import Array
 CHECK = 5  # iterations between two looks at what is left
 FIRST_THETA = 0.25  # where the sequence of momenta begins: not at 1, for solutions begin near the last one
 OUTLIER = 20.0  # times the root mean square that is allowed may the largest error be
-NEAR = 0.2  # to 1 must a factor be that is right for all contacts: else what was taken last was another thing
-QUIET = 1e-3  # of the errors that are allowed in piles of rough spheres: where nothing in them is faster, all of it stands still
-CALM = 1e-3  # of these errors, root mean square: below, more iterations show what else has to fall
-MORE = 150  # iterations, there
-EXACT = 100  # iterations: where so many are always spent, what is left is round-off
+NEAR = 0.2  # `balance` before the iterations is done only if its factor is within this of 1: else contacts have changed
+QUIET = 1e-3  # of the allowed errors: a rough pile in which nothing is faster is asleep
+CALM = 1e-3  # of the allowed errors, root mean square: below it at least MORE iterations are done
+MORE = 150  # and show what else has to fall
+EXACT = 100  # iterations: a solution that always gets so many ends at round-off
 EFFORT = 200_000  # half-edges times iterations that are always spent, as long as it is no waste: small piles are exact
 
 

@@ -20,7 +20,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles, row_dot
 
 STEADY = 45  # iterations that rough spheres always get: with fewer a pile creeps by what is left of errors, and never rests
-STILL = 1e-6  # of what forces do in two steps: slower, rough spheres that are held stand still; so do balls on slopes of 6e-6
+STILL = 1e-6  # of the speed that forces give in two steps: slower rough spheres that are held stand still
 
 
 class Surfaces(NamedTuple):

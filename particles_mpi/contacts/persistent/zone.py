@@ -44,7 +44,7 @@ def zone_around(x, wide, rows):
 
 @kernel
 def spread(start, other, x, wide, length, crowd):
-    """Who touches one of a crowd, widths taken together, belongs to it: marks rows; returns whether any was new. In place."""
+    """Mark every row that touches a marked one, widths included, until no more are found; returns whether any was new."""
     new = False
     more = True
     while more:

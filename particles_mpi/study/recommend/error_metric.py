@@ -91,7 +91,7 @@ class ErrorMetric:
             self.limits["energy"] = ROUND_OFF * 10.0
 
     def share(self, error: str) -> float:
-        """Of a tolerance for the whole run, for the part: places go astray evenly at best, rates and energies do not grow."""
+        """Part of the whole run's tolerance left for the measured part: errors of places grow evenly at best, others do not."""
         return self.part if error == "state" else 1.0
 
     def choose(self, tolerance: float, error: str) -> str:

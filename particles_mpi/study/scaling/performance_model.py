@@ -151,7 +151,7 @@ class Model:
         return {"messages to neighbours": self.messages * neighbours} | collective
 
     def stages(self, ranks: int) -> float:
-        """All of them."""
+        """Number of these messages."""
         return sum(self.stages_for(ranks).values())
 
     def parts(self, particles: float, ranks: int) -> dict[str, float]:

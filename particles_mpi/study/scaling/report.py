@@ -33,7 +33,7 @@ class Curve:
     points: list[Point]
 
     def particles(self, ranks: int) -> int:
-        """In all."""
+        """Particles of all ranks."""
         return self.points[0].particles * (ranks if self.weak else 1)
 
 
