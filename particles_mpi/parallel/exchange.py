@@ -56,7 +56,7 @@ def send_rows(ranks: Communicator, arrays: dict[str, Array], rows: Array, counts
     MPI.Request.Waitall(requests)
     if len(arrays) == 1 and row_size % WORD == 0:  # the messages are the column
         ((name, column),) = arrays.items()
-        return {name: incoming.view(column.dtype).reshape(-1, *column.shape[1:])}, arriving
+        return {name: incoming.view(column.dtype).reshape(int(arriving.sum()), *column.shape[1:])}, arriving
     arrived = {name: np.empty((int(arriving.sum()), *column.shape[1:]), column.dtype) for name, column in arrays.items()}
     for p, begin, end in parts(arriving):
         for name, part in columns_of(places[p], end - begin, arrays):
