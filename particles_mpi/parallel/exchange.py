@@ -306,11 +306,11 @@ def blocks(ranks: Communicator, columns: dict[str, Array], ids: IdRange) -> Iter
     """
     if ranks.size == 1 or ids.total <= FEW:
         rows = columns if ranks.size == 1 else allgather_rows(ranks, columns)
-        yield rows if (rows["id"][1:] > rows["id"][:-1]).all() else rows_of(rows, np.argsort(rows["id"]))
+        yield rows if (rows["id"][1:] > rows["id"][:-1]).all() else rows_of(rows, rows_in_order(rows["id"]))
         return
     # all columns in one message: this is done in each step
     mine, _ = send_rows(ranks, columns, *by_range(columns["id"], ids, ranks.size, ranks.size))
-    mine = rows_of(mine, np.argsort(mine["id"]))
+    mine = rows_of(mine, rows_in_order(mine["id"]))
     ranks.all_to_alls += 1
     ranks.rows += ids.total - len(mine["id"])
     counts = ranks.allgather_array(np.array(len(mine["id"])))

@@ -107,7 +107,7 @@ MUTATIONS = (
     Mutation(
         "sums go in the order of rows instead of that of ids",
         "parallel/exchange.py",
-        'yield rows if (rows["id"][1:] > rows["id"][:-1]).all() else rows_of(rows, np.argsort(rows["id"]))',
+        'yield rows if (rows["id"][1:] > rows["id"][:-1]).all() else rows_of(rows, rows_in_order(rows["id"]))',
         "yield rows",
         ("tests/parallel/test_nothing_lost.py", "-k", "every_effect"),
     ),

@@ -333,6 +333,17 @@ SCENES |= {
         effects={"collisions": {"mode": "event"}},
     ),
 }
+PLANE = [[0.35 * i + 0.05 * (j % 3), 0.4 * j, 2.0] for i in range(6) for j in range(6)]
+SCENES["points that attract one another, and spheres, with losses"] = dict(
+    dimension=3,
+    G=1.0,
+    time={"step": 0.02, "steps": 30},
+    particles=[
+        {"position": PLANE, "mass": 0.1},
+        {"position": [[0.9, 0.9, 3.0], [1.1, 0.9, 3.0]], "velocity": [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], "radius": 0.05},
+    ],
+    effects={"mutual_gravity": {"softening": 0.05}, "collisions": {"restitution": 0.5}},
+)
 LARGE = "fluid large enough to divide"
 SCENES[LARGE] = dict(
     dimension=3,

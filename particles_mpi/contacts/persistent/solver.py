@@ -37,7 +37,7 @@ OUTLIER = 20.0  # times the root mean square that is allowed may the largest err
 NEAR = 0.2  # `balance` before the iterations is done only if its factor is within this of 1: else contacts have changed
 QUIET = 1e-3  # of the allowed errors: a rough pile in which nothing is faster is asleep
 CALM = 1e-3  # of the allowed errors, root mean square: below it at least MORE iterations are done
-MORE = 150  # and show what else has to fall
+MORE = 150  # iterations in such a pile: fewer do not show what else has to fall
 EXACT = 100  # iterations: a solution that always gets so many ends at round-off
 EFFORT = 200_000  # half-edges times iterations that are always spent, as long as it is no waste: small piles are exact
 

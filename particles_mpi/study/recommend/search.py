@@ -16,7 +16,7 @@ from particles_mpi.study.timing import Seconds
 BUDGET = 60.0  # seconds of measuring, about: a third each for the reference, the search, and times
 MARGIN = 0.85  # of the tolerance: what a refined step aims at
 TRIES = 3  # of refinement
-CLOSE = 2.0  # settings slower than this times the quickest are not timed again, by turns
+CLOSE = 2.0  # times the seconds of the quickest: settings within this are timed again, by turns
 DEARER = 2.0  # times the seconds of the best: where a method is given up
 MOST_REFUSALS = 5  # of settings of a method, one after the other
 LITTLE = 0.2  # seconds that are no reason to give anything up
