@@ -9,6 +9,7 @@ import fcntl
 import hashlib
 import json
 import os
+import signal
 import stat
 import sys
 import termios
@@ -28,6 +29,7 @@ from particles_mpi.parallel.communicator import NAP, Communicator
 from particles_mpi.particles import Array, Particles
 
 PATIENCE = 1.0  # seconds in which other ranks may fail as this one did, before all are ended
+ABORT_SECONDS = 10  # in which MPI_Abort must have ended this process
 SETUP_PATIENCE = 3.0  # seconds in which the other ranks must end a phase of the set-up in which this one failed
 TAG = 1664  # of the messages between ranks that fail; messages with rows have tag 0
 FRAMES = 5  # innermost calls that the message of an unexpected error names
@@ -155,20 +157,23 @@ def abort_all(error: BaseException, whole: bool = False) -> int:
     found = {0: notice} if comm.Get_size() == 1 else _notices(comm, notice)
     lowest, complete = min(found), len(found) == comm.Get_size()
     code = found[lowest].code
-    sys.stdout.flush()
+    with suppress(Exception):  # where nobody can be told (no stderr, a closed pipe), the ranks are ended all the same
+        sys.stdout.flush()
     if comm.Get_rank() == lowest:
         alone = not (complete and all(other.text[:LENGTH] == notice.text[:LENGTH] for other in found.values()))
         before = "" if notice.trace else f"particles-mpi: rank {lowest}: " if alone else "particles-mpi: "
-        sys.stderr.write("".join(f"{before}{line}\n" for line in notice.text.splitlines()))
-        sys.stderr.flush()
+        with suppress(Exception):
+            sys.stderr.write("".join(f"{before}{line}\n" for line in notice.text.splitlines()))
+            sys.stderr.flush()
         wait_until_read(2, PATIENCE)
     # The first rank that ends has the others killed: not before the message has been read, which may take PATIENCE. A rank that
-    # fails here never comes; then the others, which would wait for it in MPI_Finalize for ever, are ended too.
+    # is ended meanwhile never comes; then the others, which would wait for it in MPI_Finalize for ever, are ended too.
     shared = complete and all(other.shared for other in found.values())
     if comm.Get_size() > 1 and not (shared and all_come(comm, 3.0 * PATIENCE)):
         if comm.Get_rank() != lowest:
             sleep(PATIENCE)  # the lowest rank ends all when it has printed its message
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # MPICH would add a line of its own
+        signal.alarm(ABORT_SECONDS)  # MPI_Abort waits for the launcher; if that never answers, this process ends by itself
         comm.Abort(code)
     return code
 

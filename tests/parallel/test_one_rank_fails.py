@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -173,13 +174,44 @@ def test_a_script_that_nobody_catches_errors_in(tmp_path):
     assert done.stderr.endswith("ZeroDivisionError: division by zero\n")
 
 
-def test_a_rank_that_cannot_tell_why_it_ends_is_not_waited_for(tmp_path):
-    """It leaves where the others expect it; these would wait for it, and it for them in MPI_Finalize."""
+@pytest.mark.parametrize(("on_rank_0", "says"), [("sys.stderr = None", ""), ("sys.excepthook = lambda *error: None", "rank 1: ")])
+def test_a_rank_that_cannot_tell_why_it_ends_is_not_waited_for(tmp_path, on_rank_0, says):
+    """One that leaves without a word is where the others do not expect it: these would wait for it, and it for them."""
     script = tmp_path / "silent.py"
     lines = ["import sys", "from particles_mpi import Scene, Simulation", "from mpi4py import MPI", "MPI.COMM_WORLD.Barrier()"]
-    script.write_text("\n".join([*lines, "if MPI.COMM_WORLD.rank == 0:", "    sys.stderr = None", "Scene.load('none.toml')"]))
+    script.write_text("\n".join([*lines, "if MPI.COMM_WORLD.rank == 0:", f"    {on_rank_0}", "Scene.load('none.toml')"]))
     done = run_ranks(2, script, timeout=100, fresh=True)
     assert done.returncode == 2
+    assert done.stderr == (says and f"particles-mpi: {says}none.toml: cannot be read (No such file or directory)\n")
+
+
+MUTE = """
+import time
+from types import SimpleNamespace
+from mpi4py import MPI
+from particles_mpi.parallel import agreement
+
+class Mute:
+    def __getattr__(self, name):
+        return getattr(MPI.COMM_WORLD, name)
+    def Abort(self, code):
+        time.sleep(60)
+
+agreement.ABORT_SECONDS = 1
+agreement.MPI = SimpleNamespace(COMM_WORLD=Mute(), Status=MPI.Status)
+if MPI.COMM_WORLD.rank:
+    1 / 0
+MPI.COMM_WORLD.Barrier()
+"""
+
+
+def test_a_launcher_that_never_answers_is_not_waited_for(tmp_path):
+    script = tmp_path / "mute.py"
+    script.write_text(MUTE)
+    begin = time.monotonic()
+    done = run_ranks(2, script, timeout=100, fresh=True)
+    assert done.returncode == 128 + signal.SIGALRM and "ZeroDivisionError" in done.stderr
+    assert time.monotonic() - begin < 2 * WITHIN
 
 
 RULE = "-" * 74 + "\n"
