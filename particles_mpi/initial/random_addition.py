@@ -16,7 +16,8 @@ from particles_mpi.neighbours.rank_boxes import rows_near_box
 from particles_mpi.neighbours.trajectories import AT_REST
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.decomposition import bisect, to_owners
-from particles_mpi.parallel.exchange import Halo, allgather_rows, by_destination, holders, send_rows
+from particles_mpi.parallel.exchange import allgather_rows, by_destination, holders, send_rows
+from particles_mpi.parallel.halo import Halo
 from particles_mpi.particles import Array, rows_of
 
 MOST_TRIES = 100_000  # failures in a row before spheres are given up: at packing 0.30 in 3D about 1 try in 1000 succeeds

@@ -8,7 +8,7 @@ Mode `rewind` (`contacts/time_stepped`) searches by candidates. The files, in th
     pair_search       which paths come near one another
     candidates        one search: all pairs and all particles near walls, and how those are replaced whose paths changed
     halo_region       the ghosts that a rank needs for that, and until when its particles meet no unknown one
-    halo              what ranks tell one another of ghosts between two searches
+    pass_messages     what ranks tell one another of ghosts in a pass over contacts
     rebuild_interval  for how many steps a search shall hold, so that the whole costs least
     neighbour_list    `Neighbourhood`: all of it for one rank, step by step
 

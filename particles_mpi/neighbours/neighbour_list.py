@@ -15,15 +15,15 @@ from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.kernels.motion import Segments, end_segments
 from particles_mpi.neighbours.candidates import Candidates, Hits
 from particles_mpi.neighbours.cells import GRIDDED, bounds, order_in_space, spacing
-from particles_mpi.neighbours.halo import Active, any_of, message_width
 from particles_mpi.neighbours.halo_region import HaloRegion, everywhere, fetch_near_rows
+from particles_mpi.neighbours.pass_messages import Active, any_of, message_width
 from particles_mpi.neighbours.rebuild_interval import RebuildTuner
 from particles_mpi.neighbours.trajectories import Horizon, Spheres, fastest
 from particles_mpi.parallel.agreement import require_finite
 from particles_mpi.parallel.buffers import RowBuffers
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.decomposition import LoadBalance
-from particles_mpi.parallel.exchange import Halo
+from particles_mpi.parallel.halo import Halo
 from particles_mpi.particles import Array, Particles, field
 from particles_mpi.timers import Timers
 

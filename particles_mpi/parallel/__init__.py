@@ -3,7 +3,8 @@
 In the order in which to read them:
 
 - `communicator`: the ranks of a run, and the collective calls that the program needs
-- `exchange`: rows to any rank, all rows to all ranks at once or in blocks, rows in id order, and the ghosts of a rank
+- `exchange`: rows to any rank, all rows to all ranks at once or in blocks, rows in id order
+- `halo`: the ghosts of a rank, and how they are refreshed
 - `decomposition`: space is cut into one domain for each rank, and when it is cut anew
 - `buffers`: the arrays of a rank, with space for particles that arrive and for ghosts; or all particles on every rank
 - `exact_sum`: sums that do not depend on the order of their terms, hence not on the ranks

@@ -1,10 +1,8 @@
-"""Rows between ranks: to any rank, to all ranks, in id order, and ghosts that are refreshed as they change."""
+"""Rows between ranks: to any rank, to all ranks, in id order, and in blocks."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from math import prod
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from mpi4py import MPI
@@ -74,8 +72,12 @@ def send(ranks: Communicator, to: int, message: Array, size: int) -> list[MPI.Re
 
 def receive(ranks: Communicator, sender: int, place: Array) -> list[MPI.Request]:
     """Begin to receive a message of up to as many words as there are in `place`, in the pieces of `send`."""
-    pieces = (place[at : at + MOST_WORDS] for at in range(0, len(place), MOST_WORDS))
-    return [ranks.comm.Irecv([piece, MPI.DOUBLE], source=sender, tag=TAG) for piece in pieces]
+    return [ranks.comm.Irecv([piece, MPI.DOUBLE], source=sender, tag=TAG) for piece in in_pieces(place)]
+
+
+def in_pieces(message: Array) -> list[Array]:
+    """The parts of a message that MPI can count: it is sent as so many messages."""
+    return [message[at : at + MOST_WORDS] for at in range(0, len(message), MOST_WORDS)]
 
 
 def allgather_rows(ranks: Communicator, arrays: dict[str, Array]) -> dict[str, Array]:
@@ -95,8 +97,8 @@ def allgather_rows(ranks: Communicator, arrays: dict[str, Array]) -> dict[str, A
     else:
         incoming[starts(words)[ranks.rank] :][: len(outgoing)] = outgoing
         for p, first, last in parts(words):
-            for at in range(first, last, MOST_WORDS):
-                ranks.comm.Bcast(incoming[at : min(at + MOST_WORDS, last)], root=p)
+            for piece in in_pieces(incoming[first:last]):
+                ranks.comm.Bcast(piece, root=p)
     ranks.messages += ranks.size - 1
     ranks.bytes["gathers"] += outgoing.nbytes * (ranks.size - 1)
     ranks.rows += int(counts.sum()) - n
@@ -206,98 +208,6 @@ def rows_in_order(ids: Array) -> Array:
     return np.argsort(ids, kind="stable")
 
 
-class Halo:
-    """The ghosts of a rank until the next search for neighbours: which rows are sent to which rank, and where theirs arrive.
-
-    Ghost rows stand behind the `owned` ones, sorted by owner. `refresh` sends all rows, and `exchange` some, of up to `width`
-    numbers each, in one non-blocking message to each rank that holds ghosts of this one.
-    """
-
-    def __init__(self, ranks: Communicator, rows: Array, counts: Array, arriving: Array, owned: int, width: int):
-        """`rows`, `counts`: as for `send_rows`; `arriving` (ranks,): how many ghosts come from each rank."""
-        self.ranks, self.owned = ranks, owned
-        self.rows = rows.astype(np.int32)
-        self.outgoing, self.incoming = parts(counts), parts(arriving)
-        self.send_buffers = [np.empty((end - begin) * width) for _, begin, end in self.outgoing]
-        self.receive_buffers = [np.empty((end - begin) * width) for _, begin, end in self.incoming]
-        self.messages: dict[tuple[int, ...], PersistentMessages] = {}  # by widths of tables
-
-    def refresh(self, *columns: Array) -> None:
-        """Ghost rows of float64 columns (rows, ...) as their owners have them, in place. Collective."""
-        tables = [column.reshape(len(column), prod(column.shape[1:])) for column in columns]
-        widths = tuple(table.shape[1] for table in tables)
-        if widths not in self.messages:
-            self.messages[widths] = PersistentMessages(self, widths)
-        self.messages[widths].exchange(*tables)
-
-    def exchange(self, pack: Callable[[Array, Array], int]) -> list[tuple[int, Array]]:
-        """Refresh the ghosts by what `pack(rows, buffer)` writes, returning its length: (first row, message)s. Collective."""
-        ranks, requests = self.ranks, []
-        for (p, _, _), buffer in zip(self.incoming, self.receive_buffers, strict=True):
-            requests += receive(ranks, p, buffer)
-        for (p, begin, end), buffer in zip(self.outgoing, self.send_buffers, strict=True):
-            requests += send(ranks, p, buffer, pack(self.rows[begin:end], buffer))
-        statuses = [MPI.Status() for _ in requests]
-        MPI.Request.Waitall(requests, statuses)
-        sizes, arrived = (status.Get_count(MPI.DOUBLE) for status in statuses), []
-        for (_, begin, _), buffer in zip(self.incoming, self.receive_buffers, strict=True):
-            size = sum(next(sizes) for _ in range(0, len(buffer), MOST_WORDS))
-            arrived.append((self.owned + begin, buffer[:size]))
-        return arrived
-
-
-class PersistentMessages:
-    """The messages of a halo for tables of these `widths` together that are refreshed many times: MPI prepares them once.
-
-    In a message each table has its rows together, so that they are copied straight from where they are, and to it.
-    """
-
-    def __init__(self, halo: Halo, widths: tuple[int, ...]):
-        comm, self.ranks, rows = halo.ranks.comm, halo.ranks, halo.rows.astype(np.intp)
-        self.requests: list[MPI.Prequest] = []
-        self.taken: list[tuple[int, Array, Array]] = []  # number of the table, its rows, and their place in a message
-        self.given: list[tuple[int, slice, Array]] = []
-        for p, begin, end in halo.incoming:
-            message = np.empty((end - begin) * sum(widths))
-            self.requests += [comm.Recv_init(piece, source=p, tag=TAG) for piece in in_pieces(message)]
-            ghosts = slice(halo.owned + begin, halo.owned + end)
-            self.given += [(table, ghosts, place) for table, place in enumerate(tables_in(message, end - begin, widths))]
-        self.receives = len(self.requests)
-        for p, begin, end in halo.outgoing:
-            message = np.empty((end - begin) * sum(widths))
-            self.requests += [comm.Send_init(piece, dest=p, tag=TAG) for piece in in_pieces(message)]
-            self.taken += [(table, rows[begin:end], place) for table, place in enumerate(tables_in(message, end - begin, widths))]
-        self.bytes = WORD * len(rows) * sum(widths)
-
-    def exchange(self, *tables: Array) -> None:
-        """Ghost rows of the tables (rows, width) as their owners have them, in place. Collective."""
-        for table, rows, place in self.taken:
-            tables[table].take(rows, axis=0, out=place, mode="clip")
-        self.ranks.messages += len(self.requests) - self.receives
-        self.ranks.bytes["rows"] += self.bytes
-        MPI.Prequest.Startall(self.requests)
-        MPI.Request.Waitall(self.requests)
-        for table, ghosts, place in self.given:
-            tables[table][ghosts] = place
-
-    def __del__(self) -> None:
-        """MPI forgets the messages."""
-        if not MPI.Is_finalized():
-            for request in self.requests:
-                request.Free()
-
-
-def in_pieces(message: Array) -> list[Any]:
-    """What MPI takes as messages for the words of a long one."""
-    return [[message[at : at + MOST_WORDS], MPI.DOUBLE] for at in range(0, len(message), MOST_WORDS)]
-
-
-def tables_in(message: Array, rows: int, widths: tuple[int, ...]) -> list[Array]:
-    """The tables (rows, width) that stand one after the other in a message."""
-    ends = np.cumsum(widths) * rows
-    return [part.reshape(rows, width) for part, width in zip(np.split(message, ends[:-1]), widths, strict=True)]
-
-
 def blocks(ranks: Communicator, columns: dict[str, Array], ids: IdRange) -> Iterator[dict[str, Array]]:
     """The rows of all ranks in id order, as one block for each rank; `columns` (with "id") are float64 or int64. Collective.
 
@@ -325,8 +235,7 @@ def blocks(ranks: Communicator, columns: dict[str, Array], ids: IdRange) -> Iter
             ranks.bytes["gathers"] += buffer.nbytes * (ranks.size - 1)
             for name, column in block.items():
                 column[:] = mine[name]
-        pieces = range(0, len(buffer), MOST_WORDS)
-        return block, [ranks.comm.Ibcast(buffer[at : at + MOST_WORDS], root=rank) for at in pieces]
+        return block, [ranks.comm.Ibcast(piece, root=rank) for piece in in_pieces(buffer)]
 
     coming = start(0)
     for rank in range(ranks.size):

@@ -55,7 +55,7 @@ MUTATIONS = (
     ),
     Mutation(
         "ghosts are not refreshed",
-        "parallel/exchange.py",
+        "parallel/halo.py",
         "            tables[table][ghosts] = place\n",
         "            pass\n",
         ("tests/parallel/test_same_bits.py", "-k", "marbles-2"),

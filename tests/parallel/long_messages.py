@@ -4,15 +4,8 @@ import numpy as np
 
 from particles_mpi.parallel import exchange
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exchange import (
-    Halo,
-    IdRange,
-    allgather_rows,
-    blocks,
-    by_destination,
-    send_rows,
-    sendrecv,
-)
+from particles_mpi.parallel.exchange import IdRange, allgather_rows, blocks, by_destination, send_rows, sendrecv
+from particles_mpi.parallel.halo import Halo
 
 FULL, FEW = exchange.MOST_WORDS, exchange.FEW
 ranks = Communicator()

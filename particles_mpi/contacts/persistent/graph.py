@@ -15,7 +15,7 @@ from particles_mpi.neighbours.candidates import touching
 from particles_mpi.neighbours.halo_region import fetch_near_rows
 from particles_mpi.neighbours.trajectories import AT_REST
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exchange import Halo
+from particles_mpi.parallel.halo import Halo
 from particles_mpi.particles import Array, Particles
 
 CLOSE = 1.0 + 1e-9  # times the widths, so that ranks agree on who is near the border, whatever the round-off

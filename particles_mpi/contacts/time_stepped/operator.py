@@ -30,8 +30,8 @@ from particles_mpi.contacts.walls import Planes, no_planes
 from particles_mpi.kernels.jit import plain
 from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.neighbours.candidates import Hits
-from particles_mpi.neighbours.halo import exchange_segments, exchange_selections
 from particles_mpi.neighbours.neighbour_list import Neighbourhood
+from particles_mpi.neighbours.pass_messages import exchange_segments, exchange_selections
 from particles_mpi.particles import Array
 from particles_mpi.timers import Timers
 

@@ -12,7 +12,7 @@ from particles_mpi.kernels.jit import kernel
 from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.kernels.motion import Segments
 from particles_mpi.neighbours.rank_boxes import index_of
-from particles_mpi.parallel.exchange import Halo
+from particles_mpi.parallel.halo import Halo
 from particles_mpi.particles import Array
 
 
