@@ -78,8 +78,7 @@ def dense_fluid(run: CaseRun) -> Finding:
     spheres = {"count": 500, "position": "lattice", "velocity": {"temperature": 1.0}, "radius": 0.5}
     box, output = run.cube(float(side)) | {"periodic": True}, {"observables": True}
     sim = run.simulate([spheres], 0.002, 400, {"collisions": run.in_passes(20)}, box=box, output=output, seed=4)
-    for _ in range(100):
-        sim.step()
+    sim.steps(100)
     sim.measure()
     sim.run()
     row, p = sim.measure(), everyone(sim)

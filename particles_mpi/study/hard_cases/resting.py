@@ -56,11 +56,9 @@ def columns(run: CaseRun) -> Finding:
     for n, e in product((10, 50), RESTITUTIONS):
         column = {"position": [run.upright(0.05 + 0.102 * k, rest=0.5) for k in range(n)], "radius": 0.05}
         sim = under_gravity(run, e, 0.005, run.upright(0.12 * n + 1.0, rest=1.0), column)
-        for _ in range(600):
-            sim.step()
+        sim.steps(600)
         before = everyone(sim).position
-        for _ in range(100):
-            sim.step()
+        sim.steps(100)
         kinetic = max(kinetic, sim.measure()["kinetic"])
         deepest = max(deepest, deepest_overlap(sim))
         moved = max(moved, float(np.abs(everyone(sim).position - before).max()))

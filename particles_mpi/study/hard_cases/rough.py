@@ -104,8 +104,7 @@ def mass_ratios(run: CaseRun) -> Finding:
         pair.append({"position": [run.point()], "mass": float(mass), **sizes})
         sim = run.simulate(pair, 0.02, effects={"collisions": {"restitution": 0.8, "friction": 0.4}})
         first = sim.measure()
-        for _ in range(20):
-            sim.step()
+        sim.steps(20)
         last = sim.measure()
         size = max(3.0, 5.0 * solid(run) * 0.25 * mass)  # the largest part that a momentum is the sum of
         lost = max(lost, *(abs(last[name] - first[name]) / size for name in first if "momentum" in name))
@@ -174,12 +173,10 @@ def between_floor_and_sphere(run: CaseRun) -> Finding:
         del effects["uniform_gravity"]
         ball = {"position": [place], "radius": 0.5}
         sim = run.simulate([ball | {"acceleration": run.point(10.0)}, fixed], 0.002, 50, effects)
-        for _ in range(50):
-            sim.step()
+        sim.steps(50)
         moved = max(moved, float(np.abs(everyone(sim).position[0] - place).max()))
         sim.particles.acceleration[sim.particles.id == 0] = run.point(-10.0)
-        for _ in range(50):
-            sim.step()
+        sim.steps(50)
         off = max(off, float(np.abs(everyone(sim).velocity[0] - run.point(-1.0)).max()))
         sim = run.simulate([ball | {"velocity": run.point(10.0)}, fixed], 0.002, 50, effects)
         rise = max(rise, watch(sim, 0.1))
