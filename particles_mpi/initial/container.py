@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.contacts.walls import no_planes
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.particles import Array
 from particles_mpi.scene.active import ActiveEffects
 from particles_mpi.scene.schema import Scene, periodic_length
@@ -32,12 +34,7 @@ def room_of(scene: Scene) -> Container:
     return Container(lower, upper, periodic_length(scene), walls.point, walls.normal, solid, bounded)
 
 
-def packing(volumes: float, room: Container) -> float:
-    """The total volume of spheres, divided by that of the box; `volumes`: the sum of (radius / `size(room)`)^d."""
-    d = len(room.lower)
-    return volumes * exp(0.5 * d * log(pi) - lgamma(0.5 * d + 1.0))
-
-
-def size(room: Container) -> float:
-    """The edge of a cube with the volume of the box."""
-    return float(np.exp(np.log(room.upper - room.lower).mean()))
+def packing_fraction(ranks: Communicator, radius: Array, room: Container) -> float:
+    """The volume of the spheres of all ranks with these radii (n,), divided by that of the box. Collective."""
+    d, edge = len(room.lower), float(np.exp(np.log(room.upper - room.lower).mean()))  # edge: of a cube with its volume
+    return exact_sums(ranks, [(radius / edge) ** d])[0] * exp(0.5 * d * log(pi) - lgamma(0.5 * d + 1.0))

@@ -6,8 +6,6 @@ leaves its velocities, and all other populations, as they were.
 
 import os
 from collections.abc import Mapping
-from functools import partial
-from itertools import pairwise
 from math import inf
 from typing import Any
 
@@ -15,21 +13,17 @@ import numpy as np
 from pydantic import ValidationError
 
 from particles_mpi.errors import SceneError
-from particles_mpi.initial.checks import check_start, divided_masses
-from particles_mpi.initial.container import Container, packing, room_of, size
+from particles_mpi.initial.attributes import fill_attributes, fill_velocities
+from particles_mpi.initial.blocks import Block, Columns
+from particles_mpi.initial.checks import check_start
+from particles_mpi.initial.container import room_of
 from particles_mpi.initial.faults import Faults
-from particles_mpi.initial.lattices import lattice
-from particles_mpi.initial.plummer import centered, plummer_points
-from particles_mpi.initial.random_addition import JAMMED, RandomAddition
-from particles_mpi.initial.random_numbers import draw, normals, stream_key, uniform
+from particles_mpi.initial.places import fill_places
 from particles_mpi.initial.table_file import Table, read_table
-from particles_mpi.initial.velocities import random_velocities
 from particles_mpi.kernels import limits
 from particles_mpi.parallel.agreement import raising_together
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exact_sum import exact_sums
-from particles_mpi.parallel.exchange import by_destination, send_rows
-from particles_mpi.particles import FIELDS, OWN, Array, Particles, default_values, moment_of_sphere
+from particles_mpi.particles import OWN, Array, Particles, default_values
 from particles_mpi.scene.active import fields_of
 from particles_mpi.scene.model import LARGEST, faults_of
 from particles_mpi.scene.schema import Population, Scene
@@ -67,12 +61,12 @@ def add_population(
     with np.errstate(over="ignore", under="ignore"):
         populator = Populator(scene, {number: population}, ranks, there, next_id)
         particles, warnings = populator.populate()
-    first, total = populator.first, int(populator.ends[-1])
     for name, value in own.items():
         try:
-            particles[name][len(there) :] = np.broadcast_to(value, (total, *particles[name].shape[1:]))[first : populator.last]
+            values = np.broadcast_to(value, (populator.total, *particles[name].shape[1:]))
+            particles[name][len(there) :] = values[populator.first : populator.last]
         except ValueError:
-            raise SceneError(f"{key}.{name}: not a value for each of {total} particles") from None
+            raise SceneError(f"{key}.{name}: not a value for each of {populator.total} particles") from None
     return particles, warnings
 
 
@@ -96,39 +90,46 @@ class Populator:
         next_id: int = 0,
     ):
         self.scene, self.populations, self.ranks, self.there, self.next_id = scene, populations, ranks, there, next_id
+        self.before = 0 if there is None else len(there)
         self.faults = Faults(ranks)
-        self.files: dict[tuple[int, str], Table] = {}
 
     def populate(self) -> tuple[Particles, list[str]]:
+        """(the particles that are there and behind them this rank's part of the new ones; warnings). Collective."""
         self.check_box()
-        counts = [self.count_of(number, p) for number, p in self.populations.items()]
+        files: list[dict[str, Table]] = [{} for _ in self.populations]
+        counts = [self.count_of(number, p, read) for (number, p), read in zip(self.populations.items(), files, strict=True)]
         self.faults.stop()
         self.check_memory(counts)
-        self.counts, self.ends = dict(zip(self.populations, counts)), np.cumsum([0, *counts])
-        self.first, self.last = self.ranks.share(int(self.ends[-1]))
-        self.before = 0 if self.there is None else len(self.there)
+        self.total = sum(counts)
+        self.first, self.last = self.ranks.share(self.total)
         with raising_together(self.ranks):
-            self.arrays = self.columns()
-        self.rows = {}  # of this rank, for each population
-        for number, (begin, end) in zip(self.populations, pairwise(self.ends.tolist())):
-            low, high = (min(max(edge, self.first), self.last) - self.first + self.before for edge in (begin, end))
-            self.rows[number] = slice(low, high)
-        self.begins = dict(zip(self.populations, self.ends.tolist()))
-        for number, population in self.populations.items():
-            self.scalars(number, population)
+            columns = Columns(self.scene, self.ranks, self.faults, self.columns(), self.total)
+        blocks = self.blocks(counts, files)
+        for block in blocks:
+            fill_attributes(columns, block)
         self.faults.stop()
         room = room_of(self.scene)
-        self.positions(room)
-        for number, population in self.populations.items():
-            self.velocities(number, population)
+        fill_places(columns, blocks, room)
+        for block in blocks:
+            fill_velocities(columns, block)
         self.faults.stop()
-        particles = Particles(self.scene.dimension, self.arrays)
+        particles = Particles(self.scene.dimension, columns.arrays)
         judged = np.ones(len(particles), bool)  # by whether they overlap: those with random places overlap nobody
-        for number in self.scattered():
-            judged[self.rows[number]] = False
+        for block in blocks:
+            judged[block.rows] = block.population.position != "random"
         warnings = check_start(self.scene, particles, room, self.faults, self.before, judged)
         self.faults.stop()
         return particles, warnings
+
+    def blocks(self, counts: list[int], files: list[dict[str, Table]]) -> list[Block]:
+        """This rank's part of each population."""
+        blocks, begin = [], 0
+        for (number, population), count, read in zip(self.populations.items(), counts, files, strict=True):
+            low, high = (min(max(edge, self.first), self.last) for edge in (begin, begin + count))
+            rows = slice(self.before + low - self.first, self.before + high - self.first)
+            blocks.append(Block(number, population, count, begin, (low - begin, high - begin), rows, read))
+            begin += count
+        return blocks
 
     def columns(self) -> dict[str, Array]:
         """All fields, with what they hold where nothing gives a value."""
@@ -140,10 +141,6 @@ class Populator:
             arrays[name][: self.before] = column
         arrays["id"][self.before :] = self.next_id + np.arange(self.first, self.last)
         return arrays
-
-    def scattered(self) -> list[int]:
-        """The populations with random places."""
-        return [number for number, population in self.populations.items() if population.position == "random"]
 
     def check_box(self) -> None:
         """Numbers that are too large to count with."""
@@ -169,14 +166,8 @@ class Populator:
                 + (f"; more than {limits.MOST} particles on a rank: use more ranks" if total / ranks > limits.MOST else "")
             )
 
-    def numbers(self, number: int) -> tuple[int, int]:
-        """(first, last + 1) of this rank's particles of a population, counted from its first one."""
-        begin, rows = self.begins[number], self.rows[number]
-        first = rows.start - self.before + self.first - begin
-        return first, first + rows.stop - rows.start
-
-    def count_of(self, number: int, population: Population) -> int:
-        """Particles of a population: `count`, or the length of its lists, which must agree."""
+    def count_of(self, number: int, population: Population, files: dict[str, Table]) -> int:
+        """Particles of a population: `count`, or the length of its lists and `files`, which it reads, and which must agree."""
         given = {name: getattr(population, name) for name in PER_PARTICLE} | (population.model_extra or {})
         vectors = {"velocity", "acceleration", *(["spin"] if self.scene.dimension == 3 else [])} | {
             name for name, column in self.scene.columns.items() if column.vector
@@ -188,7 +179,7 @@ class Populator:
                 if isinstance(table, str):
                     self.faults.add(f"particles[{number}].{name}: {table}")
                     return 0
-                self.files[number, name] = table
+                files[name] = table
                 lengths[name] = table.total
             elif isinstance(value, list) and (name not in vectors or (value and isinstance(value[0], list))):
                 lengths[name] = len(value)
@@ -201,167 +192,3 @@ class Populator:
             if length != count:
                 self.faults.add(f"particles[{number}].{name}: {length} entries, but {told}")
         return count
-
-    def scalars(self, number: int, population: Population) -> None:
-        """radius, mass, fixed, and the fields of effects."""
-        key, rows, arrays = f"particles[{number}]", self.rows[number], self.arrays
-        arrays["fixed"][rows] = self.mine(number, "fixed", population.fixed)
-        given = {"radius": population.radius, "mass": 1.0 if population.mass is None else population.mass}
-        if "drag" in arrays:
-            given["drag"] = self.scene.effects["drag"].rate if population.drag is None else population.drag
-        if "acceleration" in arrays:
-            given["acceleration"] = population.acceleration
-        given |= {name: (population.model_extra or {}).get(name) for name in self.scene.columns}  # of effects from outside
-        for name, value in given.items():
-            if value is not None:
-                self.fill(number, name, value)
-                least = FIELDS[name].least
-                low = f"below {least:g} for" if name in self.scene.columns else "negative for"
-                self.refuse(f"{key}.{name}", rows, arrays[name][rows] < least, low)
-        if "spin" in arrays:
-            self.spins(number, population)
-        for name, needed in divided_masses(self.scene, arrays["fixed"][rows]).items():
-            massless = needed & (arrays["mass"][rows] == 0.0)
-            self.refuse(f"{key}.mass", rows, massless, f"0, but [effects.{name}] divides by it, for")
-
-    def spins(self, number: int, population: Population) -> None:
-        """Moments of inertia, of solid spheres if not given, and spins; what is fixed has none."""
-        key, rows, arrays = f"particles[{number}]", self.rows[number], self.arrays
-        d, value = self.scene.dimension, population.spin
-        moment = arrays["moment_of_inertia"]
-        moment[rows] = moment_of_sphere(arrays["mass"][rows], arrays["radius"][rows], d)
-        if population.moment_of_inertia is not None:
-            self.fill(number, "moment_of_inertia", population.moment_of_inertia)
-            self.refuse(f"{key}.moment_of_inertia", rows, moment[rows] < 0.0, "negative for")
-        if value is None:
-            return
-        fixed, spin = arrays["fixed"][rows] != 0, arrays["spin"]
-        if isinstance(value, dict):
-            normal = draw(
-                stream_key(self.scene.seed, number, "spin"), *self.numbers(number), partial(normals, width=spin.shape[1])
-            )
-            own, turns = moment[rows], ~fixed & (moment[rows] > 0.0)
-            spin[rows] = normal * np.sqrt(value["temperature"] / np.where(turns, own, np.inf))[:, None]
-            return
-        self.fill(number, "spin", value if d == 3 else [[s] for s in value] if isinstance(value, list) else value)
-        self.refuse(f"{key}.spin", rows, fixed & (spin[rows] != 0.0).any(axis=1), "not zero, but fixed:")
-
-    def mine(self, number: int, name: str, value: Any) -> Any:
-        """This rank's part of a value of a population: of a list, a file, random numbers in a range; a number is for all."""
-        first, last = self.numbers(number)
-        if isinstance(value, dict) and "file" in value:
-            table = self.files[number, name]
-            return self.own_rows(table.values, self.begins[number] + table.first)
-        if isinstance(value, dict):
-            key = stream_key(self.scene.seed, number, name)
-            return value["min"] + draw(key, first, last, uniform) * (value["max"] - value["min"])
-        if isinstance(value, list) and (
-            not (FIELDS[name].vector or FIELDS[name].rotation) or isinstance(next(iter(value), None), list)
-        ):
-            return value[first:last]
-        return value
-
-    def own_rows(self, values: Array, first: int) -> Array:
-        """Of rows that the ranks hold in order, this rank's beginning with number `first`, those of the numbers it builds."""
-        owner = self.ranks.sharer(int(self.ends[-1]), np.arange(first, first + len(values)))
-        return send_rows(self.ranks, {"values": values}, *by_destination(owner, self.ranks.size))[0]["values"]
-
-    def fill(self, number: int, name: str, value: Any) -> None:
-        """A field of a population from a number, a list, a file or a range."""
-        rows, array = self.rows[number], self.arrays[name]
-        mine = self.mine(number, name, value)
-        try:
-            if rows.stop > rows.start:
-                array[rows] = np.asarray(mine, float)
-        except OverflowError:
-            array[rows] = LARGEST * 2.0
-        self.refuse(f"particles[{number}].{name}", rows, np.abs(array[rows]) > LARGEST, f"beyond {LARGEST:g} for")
-        if name == "mass":  # 1/m must be a number too
-            light = (array[rows] > 0.0) & (array[rows] < 1.0 / LARGEST)
-            self.refuse(f"particles[{number}].mass", rows, light, f"below {1.0 / LARGEST:g} for")
-
-    def refuse(self, key: str, rows: slice, bad: Array, why: str) -> None:
-        """A fault that names the particles of `rows` that are `bad` (n,) or (n, d). Collective."""
-        which = np.flatnonzero(bad.any(axis=1) if bad.ndim == 2 else bad)
-        self.faults.name(f"{key}: {why} ", self.arrays["id"][rows][which])
-
-    def positions(self, room: Container) -> None:
-        """Lists and files first, then lattices, then random places around them, the largest spheres first."""
-        x, radius = self.arrays["position"], self.arrays["radius"]
-        largest = {k: float(self.ranks.allreduce_max(radius[rows].max(initial=0.0))[0]) for k, rows in self.rows.items()}
-        for number, population in self.populations.items():
-            rows, given, (first, last) = self.rows[number], population.position, self.numbers(number)
-            if given == "lattice":
-                places = lattice(self.counts[number], largest[number], room, first, last)
-                if places is None:
-                    fraction = self.packing(radius[rows], room)
-                    why = f"{self.counts[number]} spheres do not fit (packing fraction {fraction:.3g})"
-                    self.faults.add(f"particles[{number}].position: lattice: {why}")
-                else:
-                    x[rows] = places
-            elif isinstance(given, dict) and "plummer" in given:
-                key = stream_key(self.scene.seed, number, "position")
-                points = draw(key, first, last, partial(plummer_points, a=given["plummer"]))
-                x[rows] = centered(self.ranks, points, self.arrays["mass"][rows])
-            elif given != "random":
-                self.fill(number, "position", given)
-        self.faults.stop()
-        if scattered := self.scattered():
-            known = np.ones(len(x), bool)
-            for number in scattered:
-                known[self.rows[number]] = False
-            addition = RandomAddition(self.ranks, room, x[known], radius[known], [radius[~known]])
-            for number in sorted(scattered, key=lambda k: -largest[k]):
-                if fault := self.scatter(room, number, addition, largest[number]):
-                    self.faults.add(f"particles[{number}].position: random: {fault}")
-                    return
-
-    def packing(self, radius: Array, room: Container) -> float:
-        """The packing fraction of spheres of all ranks. Collective."""
-        return packing(exact_sums(self.ranks, [(radius / size(room)) ** self.scene.dimension])[0], room)
-
-    def scatter(self, room: Container, number: int, addition: RandomAddition, largest: float) -> str:
-        """Random places for a population; returns why there are none, or "" . Collective."""
-        rows, advice = self.rows[number], "use lattice, or fewer or smaller spheres"
-        own = self.arrays["radius"][rows]
-        smallest = float(self.ranks.allreduce_min(own.min(initial=inf))[0])
-        wide = np.flatnonzero((room.length == 0.0) & (2.0 * largest > room.upper - room.lower))
-        if room.bounded and len(wide):
-            return f"spheres of radius {largest:g} do not fit into the box on axis {wide[0]}"
-        most, fraction = JAMMED.get(self.scene.dimension, inf), self.packing(own, room)
-        count = self.counts[number]
-        if room.solid and count > 1000 and smallest == largest and fraction > most:
-            said = f"{count} spheres have packing fraction {fraction:.3g}, above the {most} at which"
-            return f"{said} random places run out; {advice}"
-        key = int(np.random.Philox(key=stream_key(self.scene.seed, number, "position")).random_raw())
-        self.arrays["position"][rows], missing = addition.place(key, np.arange(*self.numbers(number)), own)
-        if not missing:
-            return ""
-        fraction = self.packing(self.arrays["radius"], room)
-        said = f"only {count - missing} of {count} spheres fit after {addition.tries} tries (packing fraction {fraction:.3g})"
-        return f"{said}; {advice}"
-
-    def velocities(self, number: int, population: Population) -> None:
-        """Explicit, or drawn; fixed particles have none."""
-        rows, value, key = self.rows[number], population.velocity, f"particles[{number}].velocity"
-        fixed = self.arrays["fixed"][rows] != 0
-        if value is None:
-            return
-        if isinstance(value, list) or "file" in value:
-            self.fill(number, "velocity", value)
-            self.refuse(key, rows, fixed & (self.arrays["velocity"][rows] != 0.0).any(axis=1), "not zero, but fixed:")
-            return
-        movable = int(self.ranks.allreduce_sum(np.count_nonzero(~fixed))[0])
-        if value != "equilibrium" and not movable and value not in ({"speed": 0}, {"temperature": 0}):
-            self.refuse(key, rows, fixed, "given, but fixed:")
-            return
-        if isinstance(value, dict) and "temperature" in value:
-            massless = ~fixed & (self.arrays["mass"][rows] == 0.0)
-            self.refuse(key, rows, massless, "a temperature needs a mass:")
-            if self.faults.found:
-                return
-        own = {name: self.arrays[name][rows] for name in ("position", "mass", "fixed")}
-        v = random_velocities(self.ranks, self.scene, number, population, own, self.numbers(number))
-        v[fixed] = 0.0
-        self.arrays["velocity"][rows] = v
-        self.refuse(key, rows, ~(np.abs(v) <= LARGEST), f"beyond {LARGEST:g} for")

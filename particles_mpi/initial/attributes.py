@@ -1,0 +1,82 @@
+"""What particles have beside their places: radius, mass, spin, what effects ask for, and velocities."""
+
+from functools import partial
+
+import numpy as np
+
+from particles_mpi.initial.blocks import Block, Columns
+from particles_mpi.initial.checks import divided_masses
+from particles_mpi.initial.random_numbers import draw, normals, stream_key
+from particles_mpi.initial.velocities import random_velocities
+from particles_mpi.particles import FIELDS, moment_of_sphere
+from particles_mpi.scene.model import LARGEST
+
+
+def fill_attributes(columns: Columns, block: Block) -> None:
+    """radius, mass, fixed, spin, and the fields of effects. Collective."""
+    scene, population, rows, arrays = columns.scene, block.population, block.rows, columns.arrays
+    arrays["fixed"][rows] = columns.of(block, "fixed", population.fixed)
+    given = {"radius": population.radius, "mass": 1.0 if population.mass is None else population.mass}
+    if "drag" in arrays:
+        given["drag"] = scene.effects["drag"].rate if population.drag is None else population.drag
+    if "acceleration" in arrays:
+        given["acceleration"] = population.acceleration
+    given |= {name: (population.model_extra or {}).get(name) for name in scene.columns}  # of effects from outside
+    for name, value in given.items():
+        if value is not None:
+            columns.fill(block, name, value)
+            least = FIELDS[name].least
+            low = f"below {least:g} for" if name in scene.columns else "negative for"
+            columns.refuse(block, name, arrays[name][rows] < least, low)
+    if "spin" in arrays:
+        fill_spins(columns, block)
+    for name, needed in divided_masses(scene, arrays["fixed"][rows]).items():
+        massless = needed & (arrays["mass"][rows] == 0.0)
+        columns.refuse(block, "mass", massless, f"0, but [effects.{name}] divides by it, for")
+
+
+def fill_spins(columns: Columns, block: Block) -> None:
+    """Moments of inertia, of solid spheres if not given, and spins; what is fixed has none. Collective."""
+    population, d = block.population, columns.scene.dimension
+    fixed, mass, radius, moment, spin = (
+        columns.arrays[name][block.rows] for name in ("fixed", "mass", "radius", "moment_of_inertia", "spin")
+    )
+    moment[:] = moment_of_sphere(mass, radius, d)
+    if population.moment_of_inertia is not None:
+        columns.fill(block, "moment_of_inertia", population.moment_of_inertia)
+        columns.refuse(block, "moment_of_inertia", moment < 0.0, "negative for")
+    value = population.spin
+    if value is None:
+        return
+    if isinstance(value, dict):
+        key = stream_key(columns.scene.seed, block.number, "spin")
+        normal = draw(key, *block.numbers, partial(normals, width=spin.shape[1]))
+        turns = (fixed == 0) & (moment > 0.0)
+        spin[:] = normal * np.sqrt(value["temperature"] / np.where(turns, moment, np.inf))[:, None]
+        return
+    columns.fill(block, "spin", value if d == 3 else [[s] for s in value] if isinstance(value, list) else value)
+    columns.refuse(block, "spin", (fixed != 0) & (spin != 0.0).any(axis=1), "not zero, but fixed:")
+
+
+def fill_velocities(columns: Columns, block: Block) -> None:
+    """Given, or drawn; what is fixed has none. Collective."""
+    value, ranks, arrays = block.population.velocity, columns.ranks, columns.arrays
+    own = {name: arrays[name][block.rows] for name in ("position", "mass", "fixed")}
+    velocity, fixed = arrays["velocity"][block.rows], own["fixed"] != 0
+    if value is None:
+        return
+    if isinstance(value, list) or "file" in value:
+        columns.fill(block, "velocity", value)
+        columns.refuse(block, "velocity", fixed & (velocity != 0.0).any(axis=1), "not zero, but fixed:")
+        return
+    movable = int(ranks.allreduce_sum(np.count_nonzero(~fixed))[0])
+    if value != "equilibrium" and not movable and value not in ({"speed": 0}, {"temperature": 0}):
+        columns.refuse(block, "velocity", fixed, "given, but fixed:")
+        return
+    if isinstance(value, dict) and "temperature" in value:
+        columns.refuse(block, "velocity", ~fixed & (own["mass"] == 0.0), "a temperature needs a mass:")
+        if columns.faults.found:
+            return
+    velocity[:] = random_velocities(ranks, columns.scene, block.number, block.population, own, block.numbers)
+    velocity[fixed] = 0.0
+    columns.refuse(block, "velocity", ~(np.abs(velocity) <= LARGEST), f"beyond {LARGEST:g} for")

@@ -1,0 +1,78 @@
+"""What is built: the columns of this rank, and its part of each population in them."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from particles_mpi.initial.faults import Faults
+from particles_mpi.initial.random_numbers import draw, stream_key, uniform
+from particles_mpi.initial.table_file import Table
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exchange import by_destination, send_rows
+from particles_mpi.particles import FIELDS, Array
+from particles_mpi.scene.model import LARGEST
+from particles_mpi.scene.schema import Population, Scene
+
+Numbers = tuple[int, int]  # (first, last + 1) of a rank's particles of a population, counted from its first one
+
+
+class Block(NamedTuple):
+    """This rank's part of a population, which stands in these `rows` of the columns."""
+
+    number: int  # of the population, in messages and in random numbers
+    population: Population
+    total: int  # particles of the population, on all ranks
+    begin: int  # particles of the populations built before it
+    numbers: Numbers
+    rows: slice
+    files: dict[str, Table]  # by the key whose values they hold
+
+    @property
+    def key(self) -> str:
+        """What messages call it."""
+        return f"particles[{self.number}]"
+
+
+class Columns:
+    """The columns that are built (`arrays`, which may begin with rows that are there already), and how they are filled."""
+
+    def __init__(self, scene: Scene, ranks: Communicator, faults: Faults, arrays: dict[str, Array], total: int):
+        """`total`: particles that are built, on all ranks."""
+        self.scene, self.ranks, self.faults, self.arrays, self.total = scene, ranks, faults, arrays, total
+
+    def of(self, block: Block, name: str, value: Any) -> Any:
+        """This rank's part of a value of a population: of a list, a file, random numbers in a range; a number is for all."""
+        first, last = block.numbers
+        if isinstance(value, dict) and "file" in value:
+            table = block.files[name]
+            return self.own_rows(table.values, block.begin + table.first)
+        if isinstance(value, dict):
+            key = stream_key(self.scene.seed, block.number, name)
+            return value["min"] + draw(key, first, last, uniform) * (value["max"] - value["min"])
+        if isinstance(value, list) and (
+            not (FIELDS[name].vector or FIELDS[name].rotation) or isinstance(next(iter(value), None), list)
+        ):
+            return value[first:last]
+        return value
+
+    def own_rows(self, values: Array, first: int) -> Array:
+        """Of rows that the ranks hold in order, this rank's beginning with number `first`, those of the numbers it builds."""
+        owner = self.ranks.sharer(self.total, np.arange(first, first + len(values)))
+        return send_rows(self.ranks, {"values": values}, *by_destination(owner, self.ranks.size))[0]["values"]
+
+    def fill(self, block: Block, name: str, value: Any) -> None:
+        """A field of a population from a number, a list, a file or a range. Collective."""
+        mine, own = self.of(block, name, value), self.arrays[name][block.rows]
+        try:
+            if len(own):
+                own[:] = np.asarray(mine, float)
+        except OverflowError:
+            own[:] = LARGEST * 2.0
+        self.refuse(block, name, np.abs(own) > LARGEST, f"beyond {LARGEST:g} for")
+        if name == "mass":  # 1/m must be a number too
+            self.refuse(block, name, (own > 0.0) & (own < 1.0 / LARGEST), f"below {1.0 / LARGEST:g} for")
+
+    def refuse(self, block: Block, name: str, bad: Array, why: str) -> None:
+        """A fault of a key of the population, which names the particles that are `bad` (n,) or (n, d). Collective."""
+        which = np.flatnonzero(bad.any(axis=1) if bad.ndim == 2 else bad)
+        self.faults.name(f"{block.key}.{name}: {why} ", self.arrays["id"][block.rows][which])

@@ -1,0 +1,66 @@
+"""Where particles are at the start: given, on a lattice, in a Plummer sphere, or at random."""
+
+from functools import partial
+from math import inf
+
+import numpy as np
+
+from particles_mpi.initial.blocks import Block, Columns
+from particles_mpi.initial.container import Container, packing_fraction
+from particles_mpi.initial.lattices import lattice
+from particles_mpi.initial.plummer import centered, plummer_points
+from particles_mpi.initial.random_addition import JAMMED, RandomAddition
+from particles_mpi.initial.random_numbers import draw, stream_key
+
+
+def fill_places(columns: Columns, blocks: list[Block], room: Container) -> None:
+    """Lists and files first, then lattices, then random places around them, the largest spheres first. Collective."""
+    x, radius, ranks = columns.arrays["position"], columns.arrays["radius"], columns.ranks
+    largest = {block.number: float(ranks.allreduce_max(radius[block.rows].max(initial=0.0))[0]) for block in blocks}
+    for block in blocks:
+        given = block.population.position
+        if given == "lattice":
+            places = lattice(block.total, largest[block.number], room, *block.numbers)
+            if places is None:
+                fraction = packing_fraction(ranks, radius[block.rows], room)
+                why = f"{block.total} spheres do not fit (packing fraction {fraction:.3g})"
+                columns.faults.add(f"{block.key}.position: lattice: {why}")
+            else:
+                x[block.rows] = places
+        elif isinstance(given, dict) and "plummer" in given:
+            key = stream_key(columns.scene.seed, block.number, "position")
+            points = draw(key, *block.numbers, partial(plummer_points, a=given["plummer"]))
+            x[block.rows] = centered(ranks, points, columns.arrays["mass"][block.rows])
+        elif given != "random":
+            columns.fill(block, "position", given)
+    columns.faults.stop()
+    if scattered := [block for block in blocks if block.population.position == "random"]:
+        known = np.ones(len(x), bool)
+        for block in scattered:
+            known[block.rows] = False
+        addition = RandomAddition(ranks, room, x[known], radius[known], [radius[~known]])
+        for block in sorted(scattered, key=lambda block: -largest[block.number]):
+            if fault := scatter(columns, block, room, addition, largest[block.number]):
+                columns.faults.add(f"{block.key}.position: random: {fault}")
+                return
+
+
+def scatter(columns: Columns, block: Block, room: Container, addition: RandomAddition, largest: float) -> str:
+    """Random places for a population; returns why there are none, or "" . Collective."""
+    advice, ranks, dimension = "use lattice, or fewer or smaller spheres", columns.ranks, columns.scene.dimension
+    own, count = columns.arrays["radius"][block.rows], block.total
+    smallest = float(ranks.allreduce_min(own.min(initial=inf))[0])
+    wide = np.flatnonzero((room.length == 0.0) & (2.0 * largest > room.upper - room.lower))
+    if room.bounded and len(wide):
+        return f"spheres of radius {largest:g} do not fit into the box on axis {wide[0]}"
+    most, fraction = JAMMED.get(dimension, inf), packing_fraction(ranks, own, room)
+    if room.solid and count > 1000 and smallest == largest and fraction > most:
+        said = f"{count} spheres have packing fraction {fraction:.3g}, above the {most} at which"
+        return f"{said} random places run out; {advice}"
+    key = int(np.random.Philox(key=stream_key(columns.scene.seed, block.number, "position")).random_raw())
+    columns.arrays["position"][block.rows], missing = addition.place(key, np.arange(*block.numbers), own)
+    if not missing:
+        return ""
+    fraction = packing_fraction(ranks, columns.arrays["radius"], room)
+    said = f"only {count - missing} of {count} spheres fit after {addition.tries} tries (packing fraction {fraction:.3g})"
+    return f"{said}; {advice}"
