@@ -54,7 +54,7 @@ def run(
 
     Example:   mpirun -n 2 particles-mpi run my.toml --output out/my --steps 100
     """
-    from particles_mpi.output.checkpoint import changed, to_go_on
+    from particles_mpi.output.run_folder import changed, to_go_on
     from particles_mpi.run.job import Job
     from particles_mpi.simulation import Simulation
 

@@ -6,7 +6,8 @@ In the order in which to read them:
 - `trajectory`: all frames in one HDF5 file, which ParaView opens
 - `vtk`: the same frames as one VTK file each, or as several pieces where they are large
 - `diagnostics_csv`: a row of sums every few steps
-- `checkpoint`: the exact state in one file, from which a run continues with the same bits; may a run use its output folder?
+- `checkpoint`: the exact state in one file, from which a run continues with the same bits
+- `run_folder`: may a run write into its folder, and does it go on from the checkpoint there?
 
 How a frame gets to disk. `run.job` gives each writer this rank's rows. `parallel.exchange.in_id_order` sorts the rows of all
 ranks by id: each rank gets a range of ids where HDF5 is parallel and every rank writes, otherwise rank 0 gets all; of a VTK

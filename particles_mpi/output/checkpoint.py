@@ -1,4 +1,4 @@
-"""The exact state of a run in one HDF5 file, which is replaced as a whole, and the folder in which a run goes on from it.
+"""The exact state of a run in one HDF5 file, which is replaced as a whole.
 
 - /particles/<field>: (N,) or (N, d), in id order, every bit as it was (NaN, -0.0 and subnormals too)
 - /contacts/id, partner, taken: (M,), in the order of ids, what lasting contacts took: see `contacts/warm_start`
@@ -12,9 +12,7 @@ and checks the pieces with them only.
 
 import json
 import os
-import shutil
 import zlib
-from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -25,7 +23,6 @@ import numpy as np
 from particles_mpi.contacts.warm_start import NOTHING, Memory
 from particles_mpi.errors import SceneError
 from particles_mpi.output.files import failing_together, mpi_io_errors, part_of, replacing, sync_folder
-from particles_mpi.parallel.agreement import differences
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, allgather_rows, in_id_order
 from particles_mpi.parallel.shared_file import SharedFile
@@ -34,10 +31,6 @@ from particles_mpi.particles import FIELDS, Array, rows_of, shape
 MARK, FORMAT = "particles_mpi_checkpoint", 5
 TAIL = f"\n{MARK} {{:20d}} {{:20d}} {{:08x}}\n"  # the last line: lengths of the HDF5 file and of the seal, CRC-32 of the seal
 PIECE = 2**17  # rows that have a checksum together
-STATE = ("trajectory.vtkhdf", "particles.pvd", "vtk", "checkpoint.h5", "diagnostics.csv", "run.json", "stopped.h5")
-OURS = (*STATE, "plots", "view.html", "view_paraview.py")  # what a run leaves, or what is made of it
-INTERVALS = {f"output.{name}" for name in ("every", "formats", "checkpoint_every", "diagnostics_every")}
-FREE = {"title", "time.end", "time.steps"} | INTERVALS  # keys of a scene that may change when a run is continued
 
 
 def save(
@@ -265,63 +258,3 @@ def load(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
     """(all particles in id order, attributes): for those who look at a checkpoint. As `Checkpoint`."""
     file = Checkpoint(path)
     return file.rows(0, file.total), file.attributes
-
-
-def changed(one: dict[str, Any], two: dict[str, Any]) -> Iterator[str]:
-    """The keys in which two scenes, as tables, differ so that they are different runs: all but those in FREE."""
-    return (key for key, _, _ in differences(one, two) if key not in FREE)
-
-
-def to_go_on(folder: Path, ranks: Communicator, scene: dict[str, Any]) -> Path | None:
-    """The checkpoint in the folder of a run; None if it has none, and the run begins. Rank 0 looks. Collective.
-
-    What is there without a checkpoint must be the beginning of a run of this scene. Otherwise raises a SceneError on all ranks.
-    """
-    path = folder / "checkpoint.h5"
-    found = None
-    with failing_together(ranks, f"cannot read {folder}"):
-        if ranks.is_root:
-            held = [name for name in OURS if (folder / name).exists()]
-            found = path if path.name in held else None
-            if held and not found:
-                told = folder / "run.json"
-                if told.name not in held:
-                    raise SceneError(f"--resume auto: {folder} holds {', '.join(held)} of an unknown run; use --overwrite")
-                keys = list(changed(json.loads(told.read_text())["scene"], scene))
-                if keys:
-                    raise SceneError([f"{key}: not as in {told}, the run that the folder holds; use --overwrite" for key in keys])
-    return ranks.bcast(found)
-
-
-def claim(folder: Path, ranks: Communicator, about: dict[str, Any], resumed: bool, overwrite: bool) -> bool:
-    """Take the folder for a run of about["scene"]; True if a resumed run continues there, where its checkpoint is. Collective.
-
-    Otherwise files of an earlier run are a SceneError, or are deleted with `overwrite`.
-    """
-    continues = False
-    with failing_together(ranks, f"cannot use {folder}"):
-        if ranks.is_root:
-            held = [name for name in OURS if (folder / name).exists()]
-            continues = resumed and _is_of(folder / "checkpoint.h5", about["scene"])
-            if held and not continues and not overwrite:
-                what = "another run than the one to be resumed" if resumed else "a run"
-                way = "--overwrite to replace it, or another folder" if resumed else "--overwrite or --resume"
-                raise SceneError(f"--output: {folder} already holds {what} ({', '.join(held)}); use {way}")
-    with failing_together(ranks, f"cannot write into {folder}"):  # only now, when no rank has found a fault
-        if ranks.is_root:
-            folder.mkdir(parents=True, exist_ok=True)
-            told = folder / "run.json"  # from the beginning it tells whose folder this is
-            for path in (folder / name for name in OURS if not continues and name != told.name):
-                shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
-            if not continues:
-                with replacing(told) as part:
-                    part.write_text(json.dumps(about, indent=2) + "\n")
-    return bool(ranks.bcast(continues))
-
-
-def _is_of(path: Path, scene: dict[str, Any]) -> bool:
-    """Is the file a checkpoint of this run?"""
-    try:
-        return not any(changed(json.loads(Checkpoint(path).attributes["scene"]), scene))
-    except (SceneError, KeyError, ValueError):
-        return False

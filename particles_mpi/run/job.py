@@ -15,7 +15,7 @@ from particles_mpi.errors import Interrupted, SceneError, StateError, StoppedErr
 from particles_mpi.kernels.validity import WATCH_EVERY
 from particles_mpi.measure.diagnostics import columns
 from particles_mpi.measure.snapshot import METADATA
-from particles_mpi.output import checkpoint
+from particles_mpi.output import checkpoint, run_folder
 from particles_mpi.output.diagnostics_csv import Diagnostics
 from particles_mpi.output.files import write_text
 from particles_mpi.parallel.agreement import await_all, same_on_all
@@ -74,7 +74,7 @@ class Job:
         self.plan["fixed"] = int(self.ranks.allreduce_sum(self.plan["fixed"])[0])
         self.request = StopRequest(self.ranks, self.setup_began, wall_time)  # from here on a signal must not leave half a file
         about = {"scene": self.scene.to_dict(), "plan": self.plan | {"not_run": [{"effect": n} for n in self.plan["not_run"]]}}
-        self.continues = checkpoint.claim(folder, self.ranks, about, resumed, overwrite)
+        self.continues = run_folder.claim(folder, self.ranks, about, resumed, overwrite)
         self.written = sim.written = sim.written if self.continues else {"row": -1, "frame": -1}
         self._open()
 

@@ -1,0 +1,78 @@
+"""The folder of a run: may a run write into it, and from which checkpoint in it does it go on?"""
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from particles_mpi.errors import SceneError
+from particles_mpi.output.checkpoint import Checkpoint
+from particles_mpi.output.files import failing_together, replacing
+from particles_mpi.parallel.agreement import differences
+from particles_mpi.parallel.communicator import Communicator
+
+STATE = ("trajectory.vtkhdf", "particles.pvd", "vtk", "checkpoint.h5", "diagnostics.csv", "run.json", "stopped.h5")
+OURS = (*STATE, "plots", "view.html", "view_paraview.py")  # what a run leaves, or what is made of it
+INTERVALS = {f"output.{name}" for name in ("every", "formats", "checkpoint_every", "diagnostics_every")}
+FREE = {"title", "time.end", "time.steps"} | INTERVALS  # keys of a scene that may change when a run is continued
+
+
+def changed(one: dict[str, Any], two: dict[str, Any]) -> Iterator[str]:
+    """The keys in which two scenes, as tables, differ so that they are different runs: all but those in FREE."""
+    return (key for key, _, _ in differences(one, two) if key not in FREE)
+
+
+def to_go_on(folder: Path, ranks: Communicator, scene: dict[str, Any]) -> Path | None:
+    """The checkpoint in the folder of a run; None if it has none, and the run begins. Rank 0 looks. Collective.
+
+    What is there without a checkpoint must be the beginning of a run of this scene. Otherwise raises a SceneError on all ranks.
+    """
+    path = folder / "checkpoint.h5"
+    found = None
+    with failing_together(ranks, f"cannot read {folder}"):
+        if ranks.is_root:
+            held = [name for name in OURS if (folder / name).exists()]
+            found = path if path.name in held else None
+            if held and not found:
+                told = folder / "run.json"
+                if told.name not in held:
+                    raise SceneError(f"--resume auto: {folder} holds {', '.join(held)} of an unknown run; use --overwrite")
+                keys = list(changed(json.loads(told.read_text())["scene"], scene))
+                if keys:
+                    raise SceneError([f"{key}: not as in {told}, the run that the folder holds; use --overwrite" for key in keys])
+    return ranks.bcast(found)
+
+
+def claim(folder: Path, ranks: Communicator, about: dict[str, Any], resumed: bool, overwrite: bool) -> bool:
+    """Take the folder for a run of about["scene"]; True if a resumed run continues there, where its checkpoint is. Collective.
+
+    Otherwise files of an earlier run are a SceneError, or are deleted with `overwrite`.
+    """
+    continues = False
+    with failing_together(ranks, f"cannot use {folder}"):
+        if ranks.is_root:
+            held = [name for name in OURS if (folder / name).exists()]
+            continues = resumed and _is_of(folder / "checkpoint.h5", about["scene"])
+            if held and not continues and not overwrite:
+                what = "another run than the one to be resumed" if resumed else "a run"
+                way = "--overwrite to replace it, or another folder" if resumed else "--overwrite or --resume"
+                raise SceneError(f"--output: {folder} already holds {what} ({', '.join(held)}); use {way}")
+    with failing_together(ranks, f"cannot write into {folder}"):  # only now, when no rank has found a fault
+        if ranks.is_root:
+            folder.mkdir(parents=True, exist_ok=True)
+            told = folder / "run.json"  # from the beginning it tells whose folder this is
+            for path in (folder / name for name in OURS if not continues and name != told.name):
+                shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+            if not continues:
+                with replacing(told) as part:
+                    part.write_text(json.dumps(about, indent=2) + "\n")
+    return bool(ranks.bcast(continues))
+
+
+def _is_of(path: Path, scene: dict[str, Any]) -> bool:
+    """Is the file a checkpoint of this run?"""
+    try:
+        return not any(changed(json.loads(Checkpoint(path).attributes["scene"]), scene))
+    except (SceneError, KeyError, ValueError):
+        return False
