@@ -37,14 +37,22 @@ SHARING = {
     "test_tree.py",
 }
 BESIDE = "older_processor", "test_study_", "test_pictures", "test_scripts", "test_silo"  # of tests/parallel
+STARTING = {  # of tests/parallel, those that start mpirun again and again, and mostly wait
+    "test_beyond_limits.py",
+    "test_cluster.py",
+    "test_command.py",
+    "test_nothing_lost.py",
+    "test_one_rank_fails.py",
+    "test_output.py",
+}
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
     """Which tests xdist gives to one process: tests/parallel, whose ranks stay and want the cores, and each of SHARING.
 
-    Beside the rest of tests/parallel, which takes longest of all, studies and pictures go to another process, and so does what
-    compiles all kernels for an older processor on one core, for a minute or more.
+    Beside the rest of tests/parallel, which takes longest of all, other processes get the tests of STARTING, studies and
+    pictures, and what compiles all kernels for an older processor on one core, for a minute or more.
     """
     from xdist.scheduler import LoadScopeScheduling
 
@@ -53,7 +61,7 @@ def pytest_xdist_make_scheduler(config, log):
             path = nodeid.partition("::")[0]
             if path.startswith("tests/parallel/"):
                 beside = [word for word in BESIDE if word in nodeid]
-                return beside[0] if beside else "tests/parallel"
+                return beside[0] if beside else "starting" if Path(path).name in STARTING else "tests/parallel"
             return path if Path(path).name in SHARING else nodeid
 
     return Scheduling(config, log)

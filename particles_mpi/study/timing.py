@@ -81,6 +81,8 @@ def time_in_turns(
 ) -> None:
     """Take `samples` samples of each timer by turns, after one that is not counted; calls `progress` after each. Collective."""
     collecting = gc.isenabled()
+    gc.collect()
+    gc.freeze()  # what is there need not be looked at again in each turn
     try:
         for turn in range(samples + 1):
             gc.collect()
@@ -92,5 +94,6 @@ def time_in_turns(
                 progress()
             gc.enable()
     finally:
+        gc.unfreeze()
         if collecting:
             gc.enable()

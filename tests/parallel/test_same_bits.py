@@ -277,14 +277,15 @@ SCENES = {
     ),
 }  # fmt: skip
 HEAP, DISCS = "a heap that collapses in crowds", "discs that come to rest"
-for smooth, rough, surfaces in (
-    (DISCS, f"rough {DISCS}", {"collisions": 0.4, "walls": 0.5}),
-    (HEAP, "a rough heap", {"collisions": 0.3, "walls": 0.3}),
+for smooth, rough, surfaces, steps, top in (  # friction takes longer than all else: they fall less deep
+    (DISCS, f"rough {DISCS}", {"collisions": 0.4, "walls": 0.5}, 95, [4, 10]),
+    (HEAP, "a rough heap", {"collisions": 0.3, "walls": 0.3}, 130, [0.6, 0.6, 1.6]),
 ):
     effects = SCENES[smooth]["effects"]
     with_friction = {name: effects[name] | {"friction": mu} for name, mu in surfaces.items()}
     more = {"rolling": {"resistance": 0.01}} if smooth == DISCS else {}
-    SCENES[rough] = SCENES[smooth] | {"effects": effects | with_friction | more}
+    box, time = {"lower": [0] * len(top), "upper": top}, SCENES[smooth]["time"] | {"steps": steps}
+    SCENES[rough] = SCENES[smooth] | {"box": box, "time": time, "effects": effects | with_friction | more}
 EVENTS = (
     "balls that collide on a floor, and lean on a wall in the end",
     "discs that come to rest",
@@ -377,15 +378,14 @@ SCENES |= {
     | {"large": True, "windows": True, "few": 0},
 }
 MANY = (4, 7, 8)  # ranks, only with --all
-LONG = 100  # steps: longer scenes run on two ranks, on more with --all; but for rough discs, whose contacts go with them
+LONG = 100  # steps: longer scenes run on two ranks, on more with --all
 LONG_SCENES = {name for name in SCENES if SCENES[name]["time"]["steps"] > LONG}
-ROUGH = {name for name in LONG_SCENES if f"rough {DISCS}" in name}
 
 
 def cases(ranks, names):
     """Parameters (name, ranks) of tests of these scenes; what takes long is marked so."""
     return [
-        pytest.param(name, r, marks=[pytest.mark.slow] if r in MANY or (r > 2 and name in LONG_SCENES - ROUGH) else [])
+        pytest.param(name, r, marks=[pytest.mark.slow] if r in MANY or (r > 2 and name in LONG_SCENES) else [])
         for r in ranks
         for name in names
     ]
@@ -397,9 +397,9 @@ def results(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bits")
 
     def group(name):
-        return "rough" if name in ROUGH else "long" if name in LONG_SCENES else "large" if name == LARGE else "short"
+        return "long" if name in LONG_SCENES else "large" if name == LARGE else "short"
 
-    for one in ("short", "long", "rough", "large"):
+    for one in ("short", "long", "large"):
         (folder / one).write_text(json.dumps({name: scene for name, scene in SCENES.items() if group(name) == one}))
 
     @cache

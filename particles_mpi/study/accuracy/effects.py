@@ -14,7 +14,7 @@ from particles_mpi.study.timing import StepTimer, time_in_turns
 
 N, QUICK_N, STEP, LONG = 100_000, 20_000, 1e-3, 1000
 FEW, STEPS = 300, 40  # particles and steps for the comparison of bits
-PAIRS, BRIEF = 41, 0.02  # samples by turns and seconds of one, to see a per cent
+PAIRS, QUICK_PAIRS, BRIEF = 41, 11, 0.02  # samples by turns and seconds of one, to see a per cent, or a few
 REFERENCE = "itself: the same scene without the effect, the same step without what is about other effects"
 ON: dict[str, dict[str, Any]] = {  # each alone, or with what it needs
     "uniform_gravity": {"acceleration": [0.0, 0.0, -9.81]},
@@ -114,7 +114,7 @@ def absence(benchmark: Benchmark, n: int) -> tuple[float, float, float]:
 
     whole = StepTimer(benchmark.ranks, one_by_one, LONG)
     less = StepTimer(benchmark.ranks, lambda: Stripped(start.copy()), LONG)  # type: ignore[arg-type, return-value]
-    time_in_turns([whole, less], PAIRS, BRIEF)
+    time_in_turns([whole, less], QUICK_PAIRS if benchmark.quick else PAIRS, BRIEF)
     low, middle, high = np.percentile([1.0 - b / a for a, b in zip(whole.samples, less.samples, strict=True)], (25, 50, 75))
     return float(low), float(middle), float(high)
 
