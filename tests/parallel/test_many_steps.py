@@ -67,7 +67,7 @@ def scenes():
     return found
 
 
-@pytest.mark.parametrize("ranks", [1, 2, 3])
+@pytest.mark.parametrize("ranks", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
 def test_same_bits_and_counts_as_single_steps(ranks, tmp_path):
     every = scenes()
     file = tmp_path / "scenes.json"
