@@ -110,8 +110,10 @@ def of_contacts(start: Start, rate: float) -> list[str]:
 def of_steps(start: Start, step: float) -> list[str]:
     """Error of places and of the energy over as much of the run as there is time for, and its order."""
     scene = start.scene
+    if scene.steps < LOOKS:
+        return [f"predicted error: not measured, the run has fewer than {LOOKS} steps"]
     steps = LOOKS * max(1, int(ERRORS / (7.0 * LOOKS * 2.0 * step)))  # 1 + 2 + 4 runs; looks cost as much as steps
-    steps = min(steps, LOOKS * max(1, scene.steps // LOOKS))
+    steps = min(steps, LOOKS * (scene.steps // LOOKS))
     if 14.0 * steps * step > MOST:
         return ["predicted error: not measured, a step takes too long; study recommend tells"]
     records = [follow(start, start.simulate(finer(scene, steps, k))) for k in range(3)]

@@ -1,0 +1,26 @@
+"""What `check` predicts is about the run, and not about what would come after it."""
+
+import re
+
+import pytest
+
+from particles_mpi import Scene
+from particles_mpi.study.experiment import Benchmark
+from particles_mpi.study.recommend.predict import predict
+from particles_mpi.study.recommend.runs import Start
+
+ORBIT = {
+    "dimension": 2,
+    "particles": [{"position": [[1.0, 0.0]], "velocity": [0.0, 1.0], "mass": 0.0}, {"position": [[0.0, 0.0]], "fixed": True}],
+    "effects": {"mutual_gravity": {"G": 1.0}},
+}
+
+
+@pytest.mark.parametrize("steps", [1, 3, 4, 7, 1000])
+def test_errors_are_those_of_a_time_within_the_run(steps):
+    scene = Scene.from_dict(ORBIT | {"time": {"step": 0.01, "steps": steps}})
+    (line,) = predict(Start(Benchmark(), scene)).errors
+    if steps < 4:
+        assert line == "predicted error: not measured, the run has fewer than 4 steps"
+    else:
+        assert 0.0 < float(re.search(r"at t = ([\d.]+)", line).group(1)) <= 0.01 * steps * (1.0 + 1e-12)
