@@ -93,6 +93,23 @@ def random_sign(number, attempt):
     return np.float64(np.int64(k >> np.uint64(11))) * 2.0**-52 - 1.0
 
 
+@lean
+def shake(x, d, attempt):
+    """Move each coordinate of x (n d,) by up to SHAKEN units in its last place, and bodies at the same place alike.
+
+    By what depends on the place, the axis and the attempt. If it were on the id, bodies at the same place, between which no force
+    acts, would be torn apart, and their force, huge all of a sudden, be taken for round-off.
+    """
+    for first in range(0, len(x), d):
+        place = np.uint64(0)
+        for k in range(d):
+            mixed = (place ^ (place >> np.uint64(32))) * np.uint64(0x9E3779B97F4A7C15)
+            place = mixed + np.float64(x[first + k]).view(np.uint64)
+        for k in range(d):
+            sign = random_sign(np.int64(place + np.uint64(k)), attempt)
+            x[first + k] += SHAKEN * unit_in_the_last_place(x[first + k]) * sign
+
+
 @lean_inner
 def unit_in_the_last_place(x):
     """The distance from |x| to the next larger float64."""
@@ -234,20 +251,18 @@ def begin(x, step, work):
 
 
 @lean
-def go_on(x, v, ids, force, work, tables):
+def go_on(x, v, d, force, work, tables):
     """Go on with a step as far as it is known what it needs; returns what that is, which must be there at the next call.
 
     FORCES: `force`, the accelerations at x. MAXIMA: those of all ranks in the place of this rank's. END: the step is done.
     STUCK: the next substep would be too short, or round-off hides the motion. x, v, force: vectors of all rows, flat (n d,).
+    d: the dimension.
     """
     progress, _, _, at, _, _ = work
     s = progress[0]
-    d = len(x) // max(len(ids), 1)
     if s["stage"] == AT_START:
         copy(force, at[0])
-        for m in range(len(x)):
-            number = ids[m // d] * d + m % d
-            x[m] += SHAKEN * unit_in_the_last_place(x[m]) * random_sign(number, s["tries"])
+        shake(x, d, s["tries"])
         s["stage"] = SHAKEN_PLACES
         return FORCES
     if s["stage"] == SHAKEN_PLACES:

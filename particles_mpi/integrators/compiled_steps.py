@@ -24,7 +24,6 @@ from particles_mpi.particles import Array
 class Bodies(NamedTuple):
     """Rows of particles; vectors are (n, d). Where they attract one another all of them, in the order of their ids."""
 
-    id: Array
     x: Array
     v: Array
     mass: Array
@@ -249,7 +248,7 @@ def adaptive_steps(axes, bodies, flat, forces, space, tables, work, begun, need,
         if need == FORCES:
             sum_forces(axes, bodies.x, bodies.mass, bodies.fixed, forces, bodies.total)
             sums += 1
-        need = go_on(x, v, bodies.id, total, work, tables)
+        need = go_on(x, v, len(axes), total, work, tables)
         if need == STUCK:
             return need, done, sums
         if need == END:

@@ -37,7 +37,7 @@ class Adaptive:
                     self.reduce(work)
                 else:
                     force = self.accelerations(particles).reshape(-1)
-                need = go_on(x, v, particles.id, force, work, self.tables)
+                need = go_on(x, v, particles.dimension, force, work, self.tables)
         self.substeps += int(work.progress["substeps"][0])
         with self.timers("drift"):
             drift(0.0)  # whatever belongs to the end of a drift
@@ -58,10 +58,13 @@ class Adaptive:
     def stuck(self, particles: Particles, work: Work) -> StateError:
         """The error of a step that cannot go on. Collective."""
         done, length = float(work.progress["done"][0]), float(work.progress["length"][0])
-        return StateError(
-            f"time.integrator: {done:.6g} into it, steps get shorter than {length:.2g}: "
-            f"{self.who_meets(particles, self.accelerations(particles))}; softening helps"
-        )
+        x = particles.position
+        now = x.copy()
+        x += length * particles.velocity  # no force acts between bodies at the same place before they part
+        a = self.accelerations(particles)
+        x[:] = now
+        who = self.who_meets(particles, a)
+        return StateError(f"time.integrator: {done:.6g} into it, steps get shorter than {length:.2g}: {who}; softening helps")
 
     def who_meets(self, particles: Particles, a: Array) -> str:
         """The particle of the largest acceleration and the one that is nearest to it, on all ranks. Collective."""

@@ -114,7 +114,7 @@ class ManySteps:
         """Steps of `Adaptive`: (how many, sums of forces). StateError if the first one gets stuck."""
         (bodies, forces, _, space), rule = self.blocks[0], self.rule
         work, begun = work_for(bodies.x.size), np.zeros((2, bodies.x.size))
-        n = len(bodies.id)
+        n = len(bodies.x)
         most = max(1, int(LONGEST / (BESIDES + 10.0 * ROW * n + PAIR * n * n)))
         flat = tuple(vectors.reshape(-1) for vectors in (bodies.x, bodies.v, bodies.total))
         need, done, sums = END, 0, 0
@@ -160,7 +160,7 @@ class ManySteps:
         drag = p["drag"] if effects.damping else np.empty(0)
         w = p.inverse_mass if effects.friction else np.empty(0)
         rate = p["rate"] if self.scheme.taylor else np.empty((0, d))
-        bodies = Bodies(p.id, p.position, p.velocity, p.mass, p.radius, w, drag, p.fixed, p[SUM], rate)
+        bodies = Bodies(p.position, p.velocity, p.mass, p.radius, w, drag, p.fixed, p[SUM], rate)
         planes, kicked = effects.walls.planes if effects.walls else no_planes(d), bool(forces or effects.on_velocities)
         own = kicked and "total_acceleration" in p.arrays
         a = p["total_acceleration"] if own else self.summed.g[None, :] if kicked else np.empty((0, d))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from particles_mpi import Scene, SceneError, Simulation, StoppedError
-from particles_mpi.integrators.collocation import add, random_sign
+from particles_mpi.integrators.collocation import SHAKEN, add, random_sign, shake
 from particles_mpi.particles import Particles
 from particles_mpi.scene.schema import TOLERANCES
 from particles_mpi.study.accuracy.orbits import PYTHAGOREAN as BODIES
@@ -135,9 +135,38 @@ def test_a_sum_with_what_it_lost():
     assert total[0] - 1e16 + lost[0] == pytest.approx(300.0, abs=1e-9)
 
 
-def test_signs_belong_to_ids():
-    """In [-1, 1), evenly, another set at each try: numbers in a row are the axes of an id, and the next id after them."""
+def test_signs_of_numbers_in_a_row():
+    """In [-1, 1), evenly, another set at each try, and no two numbers near one another have much in common."""
     signs, others = (np.array([random_sign(number, attempt) for number in range(30_000)]) for attempt in (7, 8))
     assert signs.min() >= -1.0 and signs.max() < 1.0 and np.abs(signs.reshape(-1, 3).mean(axis=0)).max() < 0.03
-    for partner in (others, np.roll(signs, 1), np.roll(signs, 3)):  # partners of a binary often have ids in a row
+    for partner in (others, np.roll(signs, 1), np.roll(signs, 3)):
         assert abs(np.corrcoef(signs, partner)[0, 1]) < 0.05
+
+
+@pytest.mark.parametrize("spacing", [1.0, 0.1, 2.0**-40])  # the numbers of a lattice end with many zero bits
+def test_each_place_is_shaken_by_itself(spacing):
+    """By up to SHAKEN units in the last place, evenly and without relation between axes, neighbours and attempts."""
+    lattice = 1.0 + spacing * np.indices((20, 20, 20)).reshape(3, -1).T
+    shifts = []
+    for attempt in (0, 1):
+        x = lattice.copy()
+        shake(x.reshape(-1), 3, attempt)
+        shifts.append((x - lattice) / np.spacing(lattice) / SHAKEN)
+    columns = np.column_stack([*shifts, np.roll(shifts[0], 1, axis=0), np.roll(shifts[0], 20, axis=0)])
+    assert np.abs(columns).max() <= 1.0 and np.abs(columns.mean(axis=0)).max() < 0.03
+    assert np.abs(np.corrcoef(columns.T) - np.eye(12)).max() < 0.06
+
+
+@pytest.mark.parametrize("place", [0.0, 17.3, 1e3 / 3.0])
+def test_two_at_the_same_place_stay_one(place):
+    """No force acts between them, so they move as one body of both masses; if they do not start alike, they are what is named."""
+    x = [[place] * 3, [place + 1.0, place, place], [place] * 3]
+    v = [[0.0] * 3, [0.0, 1.0, 0.0], [0.0] * 3]
+    sim, one = bodies(x, v, [0.5, 0.5, 1.5], 0.1, 10), bodies(x[:2], v[:2], [2.0, 0.5], 0.1, 10)
+    sim.run()
+    one.run()
+    assert sim.particles.position[0].tobytes() == sim.particles.position[2].tobytes()
+    assert np.abs(sim.particles.position[:2] - one.particles.position).max() < 1e-13 * max(1.0, place)
+    v[2] = [0.0, 0.0, 0.5]
+    with pytest.raises(StoppedError, match="masses 0 and 2 meet, 0 apart"):
+        bodies(x, v, [0.5, 0.5, 1.5], 0.1, 10).run()
