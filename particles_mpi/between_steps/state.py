@@ -7,12 +7,12 @@ import numpy as np
 
 from particles_mpi.between_steps.views import ParticleView, RunningEffect, changed_options
 from particles_mpi.contacts.drift import COUNTS, Drift, keeper_of_contacts
-from particles_mpi.contacts.walls import no_planes
 from particles_mpi.errors import StateError, listed
 from particles_mpi.initial.checks import value_limits
 from particles_mpi.initial.populate import add_population, plain_table
 from particles_mpi.integrators.kicks_and_drifts import Accelerations, Kick, integrator_of
 from particles_mpi.integrators.many_steps import ManySteps
+from particles_mpi.kernels.planes import no_planes
 from particles_mpi.measure.watchdog import Watchdog
 from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.parallel.communicator import Communicator

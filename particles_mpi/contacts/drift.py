@@ -14,10 +14,10 @@ import numpy as np
 from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.rough import FRICTION
 from particles_mpi.contacts.velocity_flow import Rates
-from particles_mpi.contacts.walls import no_planes
 from particles_mpi.kernels.geometry import Box, wrap
 from particles_mpi.kernels.jit import plain
 from particles_mpi.kernels.motion import free_drift
+from particles_mpi.kernels.planes import no_planes
 from particles_mpi.kernels.turning import turn
 from particles_mpi.particles import Array, Particles
 from particles_mpi.scene.active import ActiveEffects
@@ -99,10 +99,10 @@ class Drift:
         from particles_mpi.contacts.time_stepped.operator import Rewind
         from particles_mpi.neighbours.neighbour_list import Neighbourhood
 
-        walls = plain(planes) if planes else None
+        walls = plain(planes or no_planes(self.rows.dimension))
         kicked = bool(self.effects.forces or self.effects.on_velocities or self.events)
         self.near = Neighbourhood(self.rows, context.ranks, box, walls, kicked, context.timers)
-        self.operator = Rewind(self.near, loss, law, pairs.options.passes, planes, context.timers, exact)
+        self.operator = Rewind(self.near, loss, law, pairs.options.passes, context.timers, exact)
 
     def advance(self, h: float, time: float, rates: Rates, contacts: bool = True, stop: bool = False) -> None:
         """Positions over h from `time` on, while velocities change by `rates`. Collective.

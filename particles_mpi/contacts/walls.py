@@ -3,8 +3,6 @@
 The velocity of row i stands in `v[i, column:]`, because rows of mode event hold place, velocity and more in one array.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from particles_mpi.contacts.rough import FRICTION, strike_wall
@@ -15,29 +13,6 @@ from particles_mpi.kernels.motion import move_to
 from particles_mpi.particles import Array, Particles
 
 MOST_BOUNCES = 1000  # of one particle in one step; past it (a wedge without end) it waits where it is for the next step
-
-
-class Planes(NamedTuple):
-    """Walls as arrays. A particle whose drift ends between the faces met none of those: most need not know more."""
-
-    point: Array  # (w, d)
-    normal: Array  # (w, d)
-    restitution: Array  # (w,) as in `law.Loss`
-    velocity_factor: Array  # (w,)
-    lower: Array  # (d,) innermost faces normal to an axis, -inf and inf where there are none
-    upper: Array
-    oblique: bool  # are there other planes too?
-
-    @property
-    def lossy(self) -> Array:
-        """Which of them take energy, (w,)."""
-        return (self.restitution < 1.0) | (self.velocity_factor < 1.0)
-
-
-def no_planes(dimension: int) -> Planes:
-    """No walls at all, for kernels that always take some."""
-    none, open_ = np.empty(0), np.full(dimension, np.inf)
-    return Planes(np.empty((0, dimension)), np.empty((0, dimension)), none, none, -open_, open_, False)
 
 
 @lean_inner

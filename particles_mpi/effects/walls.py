@@ -7,7 +7,8 @@ import numpy as np
 from particles_mpi.contacts.law import loss
 from particles_mpi.contacts.rough import Rough, takes_energy
 from particles_mpi.contacts.velocity_flow import Rates
-from particles_mpi.contacts.walls import NearFaces, Planes, drift_with_walls
+from particles_mpi.contacts.walls import NearFaces, drift_with_walls
+from particles_mpi.kernels.planes import Planes
 from particles_mpi.particles import Particles
 from particles_mpi.scene.effect import FORWARD, EffectOptions, Losses, Needs, WallContacts
 from particles_mpi.scene.model import wrong_length

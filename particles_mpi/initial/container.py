@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.contacts.walls import no_planes
+from particles_mpi.kernels.planes import no_planes
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.particles import Array

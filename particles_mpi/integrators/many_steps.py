@@ -12,11 +12,11 @@ import numpy as np
 
 from particles_mpi.contacts.drift import Drift
 from particles_mpi.contacts.rough import no_spins
-from particles_mpi.contacts.walls import no_planes
 from particles_mpi.integrators.collocation import END, STUCK, work_for
 from particles_mpi.integrators.compiled_steps import Bodies, Forces, Losses, Rest, Scheme, Space, adaptive_steps, fixed_steps
 from particles_mpi.integrators.gauss_radau import Adaptive
 from particles_mpi.integrators.kicks_and_drifts import Accelerations, Composition, Taylor
+from particles_mpi.kernels.planes import no_planes
 from particles_mpi.kernels.validity import WATCH_EVERY
 from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.parallel.signals import check_signals

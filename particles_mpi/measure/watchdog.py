@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from particles_mpi.contacts.walls import Planes
 from particles_mpi.errors import StateError
+from particles_mpi.kernels.planes import Planes
 from particles_mpi.kernels.validity import find_invalid
 from particles_mpi.parallel.agreement import require_finite
 from particles_mpi.parallel.communicator import Communicator

@@ -6,6 +6,7 @@ Mode `rewind` (`contacts/time_stepped`) searches by candidates. The files, in th
     cells             linked cells: a grid, rows sorted by cell, and lists of rows a cell
     search_index      how rows are held in cells, and put elsewhere when their paths change
     pair_search       which paths come near one another
+    replacement       the compiled call that finds the candidates of all rows, or replaces those of a few
     candidates        one search: all pairs and all particles near walls, and how those are replaced whose paths changed
     halo_region       the ghosts that a rank needs for that, and until when its particles meet no unknown one
     pass_messages     what ranks tell one another of ghosts in a pass over contacts

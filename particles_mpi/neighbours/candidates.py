@@ -6,21 +6,13 @@ import numpy as np
 
 from particles_mpi.kernels.jit import plain
 from particles_mpi.kernels.motion import Segments
+from particles_mpi.kernels.planes import no_planes
 from particles_mpi.neighbours.cells import FINE, LinkedCells, grid, sort_rows, spacing
 from particles_mpi.neighbours.halo_region import HaloRegion, everywhere
-from particles_mpi.neighbours.pair_search import AT_ONCE, drop_pairs, find_partners
-from particles_mpi.neighbours.search_index import SLOW, SearchIndex, SortedCells, fill_cells, levels, move_rows
-from particles_mpi.neighbours.trajectories import (
-    AT_REST,
-    Horizon,
-    Paths,
-    Spheres,
-    find_near_walls,
-    renew_paths,
-    rows_leaving,
-    rows_turned,
-    start_paths,
-)
+from particles_mpi.neighbours.pair_search import AT_ONCE
+from particles_mpi.neighbours.replacement import ALL, Holding, replace_candidates
+from particles_mpi.neighbours.search_index import SLOW, SearchIndex, SortedCells, fill_cells, levels
+from particles_mpi.neighbours.trajectories import AT_REST, Horizon, Paths, Spheres, rows_leaving, start_paths
 from particles_mpi.particles import Array
 
 SLOWEST = 2.2  # times the mean bounding radius: rows beyond it are FAST, one in a hundred of a gas
@@ -41,8 +33,8 @@ class Hits(NamedTuple):
 class Candidates:
     """`pairs` are the candidate pairs as rows (first, second), `near_wall` the rows near walls, `hits` room for contacts of both.
 
-    x, v (n, d) may change in place: `leaving` finds rows that forces bend away from their paths, `turned` those that contacts
-    turned, and `follow` gives them new ones. The first `expected` pairs have room from the start.
+    x, v (n, d) may change in place: `leaving` finds rows that forces bend away from their paths, and `follow` gives new ones to
+    those and to rows that contacts turned. The first `expected` pairs have room from the start.
     """
 
     def __init__(
@@ -51,7 +43,7 @@ class Candidates:
         v: Array,
         spheres: Spheres,
         length: Array,
-        planes: tuple[Any, ...] | None,
+        planes: tuple[Any, ...],
         horizon: Horizon,
         region: HaloRegion,
         expected: int,
@@ -61,8 +53,7 @@ class Candidates:
         self.axes = (0,) * x.shape[1]
         self.time = 0.0  # since the search
         n = len(x)
-        self.marked, self.around = np.zeros(n, np.bool_), np.empty(n + AT_ONCE, np.int32)  # scratch of kernels
-        self.chosen = np.empty(n, np.int32)
+        self.marked, self.chosen = np.zeros(n, np.bool_), np.empty(n, np.int32)  # scratch
         self.pair_count = self.wall_count = self.tests = self.asked = 0
         self.first, self.second = np.empty(0, np.int32), np.empty(0, np.int32)
         self.reserve(expected + expected // 4 + 256)
@@ -104,30 +95,15 @@ class Candidates:
         coarse = grid(midpoint, (low, high), max(2.0 * apart, 2.0 * mean), 1)
         place, entry, head, after, before, cell_of = fill_cells(self.paths, order, coarse)
         cells = SortedCells(order, start, place, entry, fine), LinkedCells(head, after, before, cell_of, coarse)
-        self.index = plain(SearchIndex(*cells, oversize, np.array([count]), reaches, limit, low, high, *own_box))
-        self.path_arrays = tuple(self.paths)
-        self.ask(np.arange(n, dtype=np.int32), everything=True)
-
-    def ask(self, rows: Array, everything: bool) -> None:
-        """Replace the candidates of `rows`."""
-        marked = self.marked
-        self.pair_count = drop_pairs(rows, marked, self.first, self.second, self.pair_count)
-        while True:
-            found, tests = find_partners(
-                self.axes, rows, everything, self.path_arrays, tuple(self.horizon), self.length, self.index,
-                tuple(self.spheres), (marked, self.around), self.first, self.second, self.pair_count,
-            )  # fmt: skip
-            if found <= len(self.first):
-                break
-            self.reserve(found + found // 4)
-        self.pair_count = found
-        self.tests += tests if everything else ALONE * tests
-        if self.planes:
-            self.wall_count = find_near_walls(
-                rows, self.paths.path, tuple(self.horizon), self.spheres.owned, self.planes, marked,
-                self.wall_rows, self.wall_count,
-            )  # fmt: skip
-        marked[rows] = False
+        index = SearchIndex(*cells, oversize, np.array([count]), reaches, limit, low, high, *own_box)
+        self.holding = tuple(
+            Holding(
+                tuple(self.paths), plain(index), tuple(self.spheres), self.planes, self.region, self.length,
+                self.marked, np.empty(n + AT_ONCE, np.int32), self.wall_rows,
+            )
+        )  # fmt: skip
+        segments = self.x, self.v, np.empty(0), np.empty(0, np.int64)
+        self.replace(np.arange(n, dtype=np.int32), ALL, segments, 0.0)
 
     def leaving(self, h: float) -> Array:
         """Rows that a drift over h from now takes away from their paths."""
@@ -136,34 +112,36 @@ class Candidates:
         )
         return self.chosen[:found]
 
-    def turned(self, rows: Array, start: Array) -> Array:
-        """Those of `rows` whose segments, begun at `start` (n,), leave their paths before the horizon; reorders `rows`."""
-        found = rows_turned(self.x, self.v, start, self.paths.path, rows, self.time, tuple(self.horizon), self.length)
-        return rows[:found]
+    def follow(self, rows: Array, why: int, segments: Segments, h: float) -> float:
+        """New paths and candidates for `rows` that are LEAVING their paths or were TURNED, on their segments in the drift over h.
 
-    def follow(self, rows: Array, segments: Segments, h: float) -> float:
-        """New paths and candidates for `rows`, on their segments in the drift over h.
-
-        Returns 0, or how far a row gets in this drift if bound or region forbid it: then all must be searched anew.
+        Of rows that were turned only those which leave their paths get new ones. Returns 0, or how far a row gets in this drift
+        if bound or region forbid it: then all must be searched anew.
         """
-        if not len(rows):
-            return 0.0
-        owned = self.spheres.owned
-        needed, until = renew_paths(
-            rows, tuple(segments), owned, self.path_arrays, self.region, tuple(self.horizon), self.length, self.time, h
-        )
-        if until != self.horizon.valid_until:
-            self.horizon = self.horizon._replace(valid_until=until)
-        if needed:
-            return float(needed)
-        move_rows(rows, self.path_arrays, owned, self.index)
-        self.asked += len(rows)
-        self.ask(rows, everything=False)
-        return 0.0
+        return self.replace(rows, why, tuple(segments), h) if len(rows) else 0.0
+
+    def replace(self, rows: Array, why: int, segments: tuple[Array, ...], h: float) -> float:
+        """As `replace_candidates`, with room for as many pairs as it finds; returns how far a row gets, or 0 if it may."""
+        done = -1
+        while True:
+            needed, until, self.pair_count, self.wall_count, tests, count, done = replace_candidates(
+                self.axes, rows, done, why, segments, (self.time, h), tuple(self.horizon), self.holding,
+                self.first, self.second, self.pair_count, self.wall_count,
+            )  # fmt: skip
+            self.tests += tests if why == ALL else ALONE * tests
+            if until != self.horizon.valid_until:
+                self.horizon = self.horizon._replace(valid_until=until)
+            if needed or done == count:
+                break
+            rows = rows[:count]
+            self.reserve(len(self.first) + len(self.first) // 2 + 256)
+        if why != ALL and not needed:
+            self.asked += count
+        return float(needed)
 
 
 def touching(x: Array, radius: Array, w: Array, ids: Array, length: Array) -> tuple[Array, Array]:
     """(first, second): rows of all pairs of resting spheres that touch, each once, the lower id first, not both with w = 0."""
     n, d = x.shape
     spheres = Spheres(radius, w, ids, n)
-    return Candidates(x, np.zeros_like(x), spheres, length, None, AT_REST, everywhere(d), EXPECTED * n).pairs
+    return Candidates(x, np.zeros_like(x), spheres, length, tuple(no_planes(d)), AT_REST, everywhere(d), EXPECTED * n).pairs

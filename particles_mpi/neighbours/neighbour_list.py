@@ -18,6 +18,7 @@ from particles_mpi.neighbours.cells import GRIDDED, bounds, order_in_space, spac
 from particles_mpi.neighbours.halo_region import HaloRegion, everywhere, fetch_near_rows
 from particles_mpi.neighbours.pass_messages import Active, any_of, message_width
 from particles_mpi.neighbours.rebuild_interval import RebuildTuner
+from particles_mpi.neighbours.replacement import LEAVING, TURNED
 from particles_mpi.neighbours.trajectories import Horizon, Spheres, fastest
 from particles_mpi.parallel.agreement import require_finite
 from particles_mpi.parallel.buffers import RowBuffers
@@ -37,8 +38,8 @@ class Neighbourhood:
 
     `segments`, `spheres` and the arrays of `fields` hold the owned rows, then ghosts; x, v are those of `segments`, and `rows`
     are both as plain tuples, for kernels. spin, turn: angular velocities and inverse moments of inertia, no row where spheres are
-    smooth. `active`: rows with news in this pass. `candidates`: the pairs among all these that can touch. `planes`: a plain
-    tuple, or None. `kicked`: do forces or dissipation change velocities? If not, ghosts fly on by themselves, and only contacts
+    smooth. `active`: rows with news in this pass. `candidates`: the pairs among all these that can touch. `planes`: as a plain
+    tuple. `kicked`: do forces or dissipation change velocities? If not, ghosts fly on by themselves, and only contacts
     need a message.
     """
 
@@ -49,7 +50,7 @@ class Neighbourhood:
         particles: Particles,
         ranks: Communicator,
         box: Box,
-        planes: tuple[Any, ...] | None,
+        planes: tuple[Any, ...],
         kicked: bool,
         timers: Timers,
     ):
@@ -94,7 +95,7 @@ class Neighbourhood:
             leaving = self.candidates.leaving(h)
             if len(leaving) > TOO_MANY * len(self.x) + 10:
                 return np.inf
-            return self.candidates.follow(leaving, self.segments, h)
+            return self.candidates.follow(leaving, LEAVING, self.segments, h)
 
     def search(self, h: float, at_least: float) -> None:
         """Migrate, fetch ghosts, find candidates to last some steps of h; `at_least`: how far rows must get. Collective."""
@@ -195,7 +196,7 @@ class Neighbourhood:
         Returns 0, or how far a row gets if that is further than the candidates may reach.
         """
         rows = self.active.rows[: self.active.number[0]].copy()
-        return self.candidates.follow(self.candidates.turned(rows, self.segments.start), self.segments, h)
+        return self.candidates.follow(rows, TURNED, self.segments, h)
 
     def deactivate(self) -> None:
         """No row is active."""

@@ -5,14 +5,14 @@ from math import inf, sqrt
 import numpy as np
 
 from particles_mpi.kernels.geometry import nearest
-from particles_mpi.kernels.jit import inner, kernel
+from particles_mpi.kernels.jit import inner
 from particles_mpi.neighbours.cells import GRIDDED, cell_along
 from particles_mpi.neighbours.search_index import FAST, OVERSIZE, SLOW
 
 AT_ONCE = 8
 
 
-@kernel
+@inner
 def drop_pairs(rows, marked, first, second, count):
     """Forget the pairs of `rows` among the first `count`; marks the rows, returns how many pairs stay."""
     for i in rows:
@@ -109,15 +109,16 @@ def may_meet(axes, y, path, i, j, window, tolerance, length):
     return (size > 0.0) & (r2 + t * (2.0 * ru + t * u2) <= cut * cut + 1e-12 * r2)
 
 
-@kernel(error_model="numpy")
-def find_partners(axes, rows, everything, paths, horizon, length, index, spheres, scratch, first, second, found):
-    """Candidate pairs of `rows` (all of them marked) with all rows, each once, behind the first `found` pairs.
+@inner(error_model="numpy")
+def find_partners(axes, rows, begin, everything, paths, horizon, length, index, spheres, scratch, first, second, found):
+    """Candidate pairs of `rows` (all of them marked), from rows[begin] on, with all rows, each once, behind the first `found`.
 
-    Returns (number of pairs then: more than len(first): enlarge, call again; number of tests). Kept are pairs with an owned
-    partner and a movable one, the lower id first. Of two marked rows the one with the larger bounding radius finds the other:
-    with `everything` marked no search need look further than the row's own radius, and SLOW rows need not look for FAST ones.
-    `scratch`: which rows are marked, and room for n + AT_ONCE rows. Nearly every test is a coin toss: nothing branches on it;
-    each place is written, and the next one over it if it does not count.
+    Returns (number of pairs then; number of tests; how many of `rows` are done: if there is no room for the pairs of the next
+    one, enlarge and call again from there). Kept are pairs with an owned partner and a movable one, the lower id first. Of two
+    marked rows the one with the larger bounding radius finds the other: with `everything` marked no search need look further
+    than the row's own radius, and SLOW rows need not look for FAST ones. `scratch`: which rows are marked, and room for
+    n + AT_ONCE rows. Nearly every test is a coin toss: nothing branches on it; each place is written, and the next one over it
+    if it does not count.
     """
     path, midpoint, bounding_radius, level, _ = paths
     end, tolerance, _, _ = horizon
@@ -132,7 +133,9 @@ def find_partners(axes, rows, everything, paths, horizon, length, index, spheres
     by, images = np.zeros((3, 3)), np.ones(3, np.int64)
     y, middle, extent = np.empty(d), np.empty(d), np.empty(g)
     tests = 0
-    for i in rows:
+    for m in range(begin, len(rows)):
+        i = np.int64(rows[m])
+        pairs_before, tests_before = found, tests
         window = end - path[i, 2 * d]
         base = path[i, 2 * d + 1] + tolerance
         limit = bounding_radius[i] if everything else inf
@@ -205,7 +208,9 @@ def find_partners(axes, rows, everything, paths, horizon, length, index, spheres
                             if found < len(first):
                                 first[found], second[found] = (i, other) if ids[i] < ids[other] else (other, i)
                             found += 1
-    return found, tests
+        if found > len(first):
+            return pairs_before, tests_before, m
+    return found, tests, len(rows)
 
 
 @inner

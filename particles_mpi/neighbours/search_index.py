@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.kernels.jit import kernel, lean
+from particles_mpi.kernels.jit import kernel, lean_inner
 from particles_mpi.neighbours.cells import Grid, LinkedCells, cell_at, link, unlink
 from particles_mpi.particles import Array
 
@@ -98,7 +98,7 @@ def fill_cells(paths, order, grid):
     return place, entry, head, after, before, cell_of
 
 
-@lean
+@lean_inner
 def move_rows(rows, paths, owned, index):
     """Rows with new paths change places: into the lists of the FAST rows, or to the OVERSIZE ones."""
     _, midpoint, bounding_radius, level, _ = paths

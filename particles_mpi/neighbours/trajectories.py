@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.kernels.geometry import nearest
-from particles_mpi.kernels.jit import kernel
+from particles_mpi.kernels.jit import inner, kernel
 from particles_mpi.neighbours.rank_boxes import index_of, time_in_box, time_to_box
 from particles_mpi.particles import Array
 
@@ -130,7 +130,7 @@ def rows_leaving(axes, x, v, path, time, h, tolerance, length, rows):
     return found
 
 
-@kernel
+@inner
 def rows_turned(x, v, start, path, rows, time, horizon, length):
     """Those of `rows` whose present segment, begun at time + start_i, leaves the path before the horizon.
 
@@ -154,7 +154,7 @@ def rows_turned(x, v, start, path, rows, time, horizon, length):
     return found
 
 
-@kernel(error_model="numpy")
+@inner(error_model="numpy")
 def renew_paths(rows, segments, owned, paths, region, horizon, length, time, h):
     """New paths for `rows` along their present segments, in the drift over h from `time`; in place on `paths`.
 
@@ -203,11 +203,11 @@ def renew_paths(rows, segments, owned, paths, region, horizon, length, time, h):
     return needed, end
 
 
-@kernel
+@inner
 def find_near_walls(rows, path, horizon, owned, planes, marked, near, count):
     """Owned ones of `rows` that may touch a wall before the horizon; behind the first `count` of `near` that are not marked.
 
-    planes: `contacts.walls.Planes` as a plain tuple. Returns the number then.
+    planes: `Planes` as a plain tuple. Returns the number then.
     """
     point, normal, _, _, lower, upper, oblique = planes
     d = normal.shape[1]

@@ -49,9 +49,10 @@ from particles_mpi.contacts.event_driven.segments import (
     touch_time,
 )
 from particles_mpi.contacts.rough import Rough
-from particles_mpi.contacts.walls import Planes, bounce, may_hit, meet_wall, wall_contact
+from particles_mpi.contacts.walls import bounce, may_hit, meet_wall, wall_contact
 from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch, screening, trailing_zeros
 from particles_mpi.kernels.markers import NEVER
+from particles_mpi.kernels.planes import Planes
 from particles_mpi.neighbours.verlet_kernels import (
     BEGIN,
     COUNT,

@@ -17,9 +17,9 @@ from particles_mpi.contacts.event_driven.event_loop import COLLISIONS, TC_ELASTI
 from particles_mpi.contacts.event_driven.windows import Windows
 from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.velocity_flow import Rates
-from particles_mpi.contacts.walls import Planes, no_planes
 from particles_mpi.kernels.geometry import Box
 from particles_mpi.kernels.markers import CROWD
+from particles_mpi.kernels.planes import Planes, no_planes
 from particles_mpi.neighbours.cells import bounds, order_in_space
 from particles_mpi.neighbours.trajectories import fastest
 from particles_mpi.parallel.agreement import require_finite

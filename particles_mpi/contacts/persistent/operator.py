@@ -36,9 +36,10 @@ from particles_mpi.contacts.persistent.slow import approach, carried, loads, pre
 from particles_mpi.contacts.persistent.solver import EFFORT, EXACT, OUTLIER, Solver
 from particles_mpi.contacts.persistent.surfaces import Pile, RoughContacts, SmoothContacts, Surfaces
 from particles_mpi.contacts.persistent.zone import inside_zone, spread, zone_around
-from particles_mpi.contacts.walls import NearFaces, Planes
+from particles_mpi.contacts.walls import NearFaces
 from particles_mpi.contacts.warm_start import Memory, nothing
 from particles_mpi.kernels.markers import CROWD
+from particles_mpi.kernels.planes import Planes
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles, row_dot
 from particles_mpi.timers import Timers

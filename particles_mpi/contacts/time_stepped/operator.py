@@ -26,8 +26,6 @@ from particles_mpi.contacts.time_stepped.passes import (
     select_contacts,
 )
 from particles_mpi.contacts.velocity_flow import Rates
-from particles_mpi.contacts.walls import Planes, no_planes
-from particles_mpi.kernels.jit import plain
 from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.neighbours.candidates import Hits
 from particles_mpi.neighbours.neighbour_list import Neighbourhood
@@ -61,14 +59,11 @@ class Rewind:
     `exact`: the operator that does drifts with more contacts than `passes` put in order, or None if they are just counted.
     """
 
-    def __init__(
-        self, near: Neighbourhood, loss: Loss, law: Array, passes: int, planes: Planes | None, timers: Timers,
-        exact: Event | None,
-    ):  # fmt: skip
+    def __init__(self, near: Neighbourhood, loss: Loss, law: Array, passes: int, timers: Timers, exact: Event | None):
         """`law`: see `contacts.rough.Rough`."""
         self.near, self.passes, self.timers, self.exact = near, passes, timers, exact
-        self.loss, self.law, self.walls = tuple(loss), law, planes is not None
-        self.planes = plain(planes or no_planes(len(near.axes)))
+        self.loss, self.law, self.planes = tuple(loss), law, near.planes
+        self.walls = len(self.planes[0]) > 0
         self.dense_steps = 0
         self.searches = -1  # the search of `near` that the arrays by row belong to
 

@@ -6,8 +6,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from particles_mpi.kernels.motion import Segments
+from particles_mpi.kernels.planes import no_planes
 from particles_mpi.neighbours.candidates import Candidates, touching
 from particles_mpi.neighbours.halo_region import everywhere
+from particles_mpi.neighbours.replacement import LEAVING, TURNED
 from particles_mpi.neighbours.trajectories import Horizon, Spheres
 
 
@@ -41,8 +43,9 @@ def at_start(c):
     periodic=st.booleans(),
     giant=st.booleans(),
     fast=st.booleans(),
+    why=st.sampled_from([LEAVING, TURNED]),
 )
-def test_every_pair_whose_paths_come_near_is_listed_once(seed, d, n, periodic, giant, fast):
+def test_every_pair_whose_paths_come_near_is_listed_once(seed, d, n, periodic, giant, fast, why):
     random = np.random.default_rng(seed)
     side, end, half = 10.0 * (n / 60) ** (1 / d), 0.5, 0.02
     x, v = random.random((n, d)) * side, random.normal(size=(n, d))
@@ -60,7 +63,7 @@ def test_every_pair_whose_paths_come_near_is_listed_once(seed, d, n, periodic, g
         assume(4.0 * radius.max() < side)
         end = bound = half = 0.0
     horizon = Horizon(end, half, bound, 0.0)
-    c = Candidates(x, v, Spheres(radius, w, ids, owned), length, None, horizon, everywhere(d), 0)
+    c = Candidates(x, v, Spheres(radius, w, ids, owned), length, tuple(no_planes(d)), horizon, everywhere(d), 0)
 
     def check(x, v, start):
         near = closest(x, v, start, np.maximum(end, start[:, None]), length) <= (radius[:, None] + radius[None]) * (1.0 - 1e-12)
@@ -81,9 +84,36 @@ def test_every_pair_whose_paths_come_near_is_listed_once(seed, d, n, periodic, g
     c.x[:] = x + now * v
     c.v[turning] = random.permutation(c.v[turning])
     c.time = now
-    if c.follow(turning, at_start(c), 0.01) == 0.0:
+    c.first, c.second = c.first[: c.pair_count], c.second[: c.pair_count]  # no room left
+    if c.follow(turning, why, at_start(c), 0.01) == 0.0:
         end = c.horizon.valid_until
         check(c.x, c.v, np.full(n, now))
+
+
+def test_a_search_that_needs_more_room_goes_on_where_it_stopped():
+    """The same pairs in the same order, and as many tests, whatever room there is at the start."""
+    random = np.random.default_rng(5)
+    x, v, n = random.random((900, 3)), random.normal(size=(900, 3)), 900
+    spheres = Spheres(np.full(n, 0.05), np.ones(n), np.arange(n), n)
+    horizon = Horizon(0.05, 0.01, np.inf, 0.0)
+    small, large = (
+        Candidates(x, v, spheres, np.zeros(3), tuple(no_planes(3)), horizon, everywhere(3), room) for room in (0, 100_000)
+    )
+    assert large.pair_count > 3000 and small.tests == large.tests
+    assert np.array_equal(small.pairs, large.pairs)
+
+
+@pytest.mark.parametrize("why", [LEAVING, TURNED])
+def test_no_room_for_the_first_pair(why):
+    """A row that is turned towards another, when there is room for no pair at all: its way begins once, and the pair is found."""
+    x, v, horizon = np.array([[0.0, 0.0], [1.0, 0.0]]), np.zeros((2, 2)), Horizon(1.0, 0.01, np.inf, 0.0)
+    spheres = Spheres(np.full(2, 0.1), np.ones(2), np.arange(2), 2)
+    c = Candidates(x, v, spheres, np.zeros(2), tuple(no_planes(2)), horizon, everywhere(2), 0)
+    assert c.pair_count == 0
+    c.first, c.second = c.first[:0], c.second[:0]
+    c.v[0] = 2.0, 0.0
+    assert c.follow(np.array([0], np.int32), why, at_start(c), 0.01) == 0.0
+    assert listed(c) == {(0, 1)} and not c.marked.any()
 
 
 def test_touching_spheres_against_all_pairs():

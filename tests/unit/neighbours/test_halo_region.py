@@ -5,9 +5,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_candidates import at_start, closest, listed
 
+from particles_mpi.kernels.planes import no_planes
 from particles_mpi.neighbours.candidates import Candidates
 from particles_mpi.neighbours.halo_region import build
 from particles_mpi.neighbours.rank_boxes import swept_box
+from particles_mpi.neighbours.replacement import LEAVING
 from particles_mpi.neighbours.trajectories import Horizon, Spheres
 
 
@@ -46,9 +48,9 @@ def test_turned_rows_meet_only_rows_that_their_rank_holds(seed, d, ranks, n, per
             known.append(mine[q][rows[begin : begin + counts[p]]])
         all_ = np.concatenate(known)
         spheres = Spheres(radius[all_], w[all_], ids[all_], len(mine[p]))
-        c = Candidates(x[all_], v[all_], spheres, length, None, horizon, fences[p][0], 0)
+        c = Candidates(x[all_], v[all_], spheres, length, tuple(no_planes(d)), horizon, fences[p][0], 0)
         c.x[:], c.v[:], c.time = then[all_], after[all_], now
-        if c.follow(np.flatnonzero(turning[all_]).astype(np.int32), at_start(c), h):
+        if c.follow(np.flatnonzero(turning[all_]).astype(np.int32), LEAVING, at_start(c), h):
             return  # someone gets over a fence in this very step: all would search anew
         searched.append(c)
         held.append(all_)
@@ -70,7 +72,7 @@ def test_a_turned_row_does_not_leave_the_space_that_its_rank_knows():
     boxes[1, 0, 0] = -0.05  # some other row of the rank of B reaches there
     fence, rows, _ = build(boxes, 0, (x[a], v[a], radius[a]), horizon, length)
     assert rows.tolist() == [0]
-    c = Candidates(x[a], v[a], Spheres(radius[a], w[a], ids[a], 1), length, None, horizon, fence, 0)
+    c = Candidates(x[a], v[a], Spheres(radius[a], w[a], ids[a], 1), length, tuple(no_planes(2)), horizon, fence, 0)
     c.v[0] = 8.0, 0.0
-    assert c.follow(np.array([0], np.int32), at_start(c), 1e-3) == 0.0
+    assert c.follow(np.array([0], np.int32), LEAVING, at_start(c), 1e-3) == 0.0
     assert 0.1 / 8.0 * 0.9 < c.horizon.valid_until <= 0.1 / 8.0
