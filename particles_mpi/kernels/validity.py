@@ -10,7 +10,7 @@ ROUND_OFF = 1e-9  # relative distance beyond a wall that counts as rounding
 def find_invalid(axes, x, v, fixed, planes, lower, length):
     """(first row that is not finite, first row beyond a wall or outside the periodic box, which wall); -1 for none of them.
 
-    planes: `contacts.walls.Planes` as a plain tuple; lower, length: of the box.
+    planes: `Planes` as a plain tuple; lower, length: of the box.
     """
     point, normal, _, _, lowest, highest, oblique = planes
     numbers, astray, at = -1, -1, -1
