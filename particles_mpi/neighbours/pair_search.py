@@ -110,23 +110,22 @@ def may_meet(axes, y, path, i, j, window, tolerance, length):
 
 
 @inner(error_model="numpy")
-def find_partners(axes, rows, begin, everything, paths, horizon, length, index, spheres, scratch, first, second, found):
+def find_partners(axes, rows, begin, everything, horizon, holding, first, second, found):
     """Candidate pairs of `rows` (all of them marked), from rows[begin] on, with all rows, each once, behind the first `found`.
 
     Returns (number of pairs then; number of tests; how many of `rows` are done: if there is no room for the pairs of the next
     one, enlarge and call again from there). Kept are pairs with an owned partner and a movable one, the lower id first. Of two
     marked rows the one with the larger bounding radius finds the other: with `everything` marked no search need look further
-    than the row's own radius, and SLOW rows need not look for FAST ones. `scratch`: which rows are marked, and room for
-    n + AT_ONCE rows. Nearly every test is a coin toss: nothing branches on it; each place is written, and the next one over it
-    if it does not count.
+    than the row's own radius, and SLOW rows need not look for FAST ones. `holding`: `Holding` as a plain tuple.
+    Nearly every test is a coin toss: nothing branches on it; each place is written, and the next over it if it does not count.
     """
+    paths, index, spheres, _, _, length, marked, around, _ = holding
     path, midpoint, bounding_radius, level, _ = paths
     end, tolerance, _, _ = horizon
     sorted_, linked, oversize, number, largest, _, lowest, highest, own_low, own_high = index
     order, start, place, entry, (origin, per, cells) = sorted_
     head, after, _, _, (linked_origin, linked_per, linked_cells) = linked
     _, w, ids, owned = spheres
-    marked, around = scratch
     d = len(axes)
     g = min(d, 3)
     low, high = np.zeros(3, np.int64), np.zeros(3, np.int64)

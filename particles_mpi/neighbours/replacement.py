@@ -1,49 +1,28 @@
 """One compiled call that replaces candidates: those of all rows, or of the few that left their paths."""
 
-from typing import Any, NamedTuple
-
 import numpy as np
 
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.neighbours.pair_search import drop_pairs, find_partners
 from particles_mpi.neighbours.search_index import move_rows
 from particles_mpi.neighbours.trajectories import find_near_walls, renew_paths, rows_turned
-from particles_mpi.particles import Array
 
 ALL, LEAVING, TURNED = 0, 1, 2  # why candidates are replaced
 
 
-class Holding(NamedTuple):
-    """What the candidates of one search stand on; plain tuples, whose arrays change in place.
-
-    paths: `Paths`; cells: `SearchIndex`; spheres: `Spheres`; planes: `Planes`; region: `HaloRegion`; length (d,) of the periodic
-    axes; marked (n,) bool, around (n + AT_ONCE,): scratch; wall_rows (owned,): room for the rows near walls.
-    """
-
-    paths: tuple[Any, ...]
-    cells: tuple[Any, ...]
-    spheres: tuple[Any, ...]
-    planes: tuple[Any, ...]
-    region: tuple[Any, ...]
-    length: Array
-    marked: Array
-    around: Array
-    wall_rows: Array
-
-
 @kernel(error_model="numpy")
-def replace_candidates(axes, rows, begin, why, segments, moment, horizon, holding, first, second, pairs, walls):
+def replace_candidates(axes, rows, begin, why, segments, drift, horizon, holding, first, second, pairs, walls):
     """Replace the candidates of `rows`: drop theirs among the first `pairs` pairs and `walls` rows near walls, and find others.
 
-    why: ALL rows have got paths; the segments of these rows, in the drift over h from `time` (moment = (time, h)), were TURNED
+    why: ALL rows have got paths; the segments of these rows, in the drift over h from `time` (drift = (time, h)), were TURNED
     by contacts, or are LEAVING their paths by forces. Of rows that were turned those that leave their paths come first in
-    `rows` then. begin: -1, or how many rows were done when there was no more room for pairs.
+    `rows` then. holding: `Holding` as a plain tuple. begin: -1, or how many rows were done when there was no more room for pairs.
 
     Returns (0, or how far a row gets if that is further than candidates may reach: nothing is found then; until when candidates
     are valid; pairs; rows near walls; tests; rows that left their paths; how many of them are done).
     """
-    paths, cells, spheres, planes, region, length, marked, around, wall_rows = holding
-    until, (time, h), owned = horizon[0], moment, spheres[3]
+    paths, cells, spheres, planes, region, length, marked, _, wall_rows = holding
+    until, (time, h), owned = horizon[0], drift, spheres[3]
     count = np.int64(len(rows))
     if why == TURNED and begin < 0:
         count = rows_turned(segments[0], segments[1], segments[2], paths[0], rows, time, horizon, length)
@@ -57,10 +36,7 @@ def replace_candidates(axes, rows, begin, why, segments, moment, horizon, holdin
             move_rows(asking, paths, owned, cells)
         pairs = drop_pairs(asking, marked, first, second, pairs)
     valid = (until, horizon[1], horizon[2], horizon[3])
-    scratch = marked, around
-    pairs, tests, done = find_partners(
-        axes, asking, begin, why == ALL, paths, valid, length, cells, spheres, scratch, first, second, pairs
-    )
+    pairs, tests, done = find_partners(axes, asking, begin, why == ALL, valid, holding, first, second, pairs)
     if done == count:
         if len(planes[0]) > 0:
             walls = find_near_walls(asking, paths[0], valid, owned, planes, marked, wall_rows, walls)

@@ -5,7 +5,7 @@ in coarser cells of linked lists, and a few OVERSIZE ones one by one.
 """
 
 from math import inf
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -46,6 +46,24 @@ class SearchIndex(NamedTuple):
     high: Array
     own_low: Array
     own_high: Array
+
+
+class Holding(NamedTuple):
+    """What the candidates of one search stand on; plain tuples, whose arrays change in place.
+
+    paths: `Paths`; cells: `SearchIndex`; spheres: `Spheres`; planes: `Planes`; region: `HaloRegion`; length (d,) of the periodic
+    axes; marked (n,) bool, around (n + AT_ONCE,): scratch; wall_rows (owned,): room for the rows near walls.
+    """
+
+    paths: tuple[Any, ...]
+    cells: tuple[Any, ...]
+    spheres: tuple[Any, ...]
+    planes: tuple[Any, ...]
+    region: tuple[Any, ...]
+    length: Array
+    marked: Array
+    around: Array
+    wall_rows: Array
 
 
 @kernel
