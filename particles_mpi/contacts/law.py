@@ -179,7 +179,8 @@ def collide_pair(axes, segments, spheres, i, j, t, loss, length, rates, rough, r
         r[k] = separation(x, v, start, i, j, k, t, length)
     column = np.int64(0)
     if rough.law[PAIRS, FRICTION] > 0.0:
-        change = strike_pair(axes, v, column, rough, r, i, j, w[i], w[j], radius[i], radius[j], t, restitution, rates)
+        both = w[i], w[j], radius[i], radius[j]
+        change = strike_pair(axes, v, column, rough, r, i, j, both, t, restitution, rates)
     else:
         change = exchange(axes, v, column, r, i, j, w[i], w[j], t, restitution, velocity_factor, rates)
     return -change / (w[i] + w[j])

@@ -55,9 +55,10 @@ def plane_of(axes, p, q):
 
 
 @lean_inner
-def strike_pair(axes, v, column, rough, r, i, j, w_i, w_j, radius_i, radius_j, t, restitution, rates):
+def strike_pair(axes, v, column, rough, r, i, j, spheres, t, restitution, rates):
     """The law of a contact of the rows i and j, r = x_i - x_j (d,) apart, at time t; in place. As `law.exchange`: returns the
-    change of r.u; v and column as there."""
+    change of r.u; v and column as there. `spheres`: inverse masses and radii of i and j."""
+    w_i, w_j, radius_i, radius_j = spheres
     r2 = 0.0
     for k in range(len(axes)):
         r2 += r[k] * r[k]

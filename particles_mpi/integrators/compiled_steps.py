@@ -95,6 +95,14 @@ class Scheme(NamedTuple):
     taylor: bool
 
 
+class Until(NamedTuple):
+    """Where a call of `adaptive_steps` ends."""
+
+    steps: int  # so many steps are done
+    watch: int  # the first step after which the watchdog looks
+    sums: int  # about so many sums of forces
+
+
 @lean_inner
 def sum_forces(axes, x, mass, fixed, forces, total):
     """total (n, d) = all forces at x, in the order of `Accelerations.sum`."""
@@ -230,14 +238,15 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch):
 
 
 @lean
-def adaptive_steps(axes, bodies, flat, forces, space, tables, work, begun, need, done, steps, h, watch, most):
-    """Go on to `steps` steps as of `Adaptive`, of which so many are `done`, for at most about `most` sums of forces.
+def adaptive_steps(axes, bodies, flat, forces, space, tables, work, begun, need, done, h, until):
+    """Go on with steps as of `Adaptive`, of which so many are `done`, to where `until` says.
 
     need: END at first, and between two steps; else as `go_on` returned it. flat: x, v and total of the bodies as vectors (n d,).
     begun (2, n d): x and v at the start of the present step. Returns (need, steps done, sums of forces); need is END, with fewer
     steps than asked for, where the watchdog would stop the run.
     """
     x, v, total = flat
+    steps, watch, most = until
     sums = 0
     while sums < most:
         if need == END:

@@ -13,7 +13,17 @@ import numpy as np
 from particles_mpi.contacts.drift import Drift
 from particles_mpi.contacts.rough import no_spins
 from particles_mpi.integrators.collocation import END, STUCK, work_for
-from particles_mpi.integrators.compiled_steps import Bodies, Forces, Losses, Rest, Scheme, Space, adaptive_steps, fixed_steps
+from particles_mpi.integrators.compiled_steps import (
+    Bodies,
+    Forces,
+    Losses,
+    Rest,
+    Scheme,
+    Space,
+    Until,
+    adaptive_steps,
+    fixed_steps,
+)
 from particles_mpi.integrators.gauss_radau import Adaptive
 from particles_mpi.integrators.kicks_and_drifts import Accelerations, Composition, Taylor
 from particles_mpi.kernels.planes import no_planes
@@ -120,7 +130,7 @@ class ManySteps:
         need, done, sums = END, 0, 0
         while need not in (END, STUCK) or sums == 0:
             bundles = bodies, flat, forces, space, rule.tables, work, begun
-            need, done, more = adaptive_steps(self.axes, *bundles, need, done, steps, h, watch, most)
+            need, done, more = adaptive_steps(self.axes, *bundles, need, done, h, Until(steps, watch, most))
             sums += more
             steps = done + 1  # no more than the step that has begun
             check_signals()

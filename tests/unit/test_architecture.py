@@ -97,6 +97,19 @@ def test_no_files_import_one_another_in_a_circle():
     assert not left
 
 
+def test_no_function_has_more_than_a_dozen_parameters():
+    """What belongs together is handed over in one bundle with names; `self` and `cls` are not counted."""
+    counted = {}
+    for path in (path for folder in ("particles_mpi", "python_viz", "tests") for path in (PACKAGE.parent / folder).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef):
+                of = node.args
+                names = [a.arg for a in (*of.posonlyargs, *of.args, *of.kwonlyargs, of.vararg, of.kwarg) if a]
+                counted[f"{path}:{node.lineno} {node.name}"] = len(names) - (names[:1] in (["self"], ["cls"]))
+    assert len(counted) > 1000
+    assert not {name: count for name, count in counted.items() if count > 12}
+
+
 @pytest.mark.parametrize("folder", sorted({path.parent for path in modules().values()} - {PACKAGE}), ids=lambda f: f.name)
 def test_every_folder_says_what_it_is_for(folder):
     """In the docstring of its `__init__`: one plain sentence at least."""

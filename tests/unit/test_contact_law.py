@@ -78,7 +78,7 @@ def test_what_a_contact_does(d, surface, changing):
         again = rough._replace(spin=rough.spin.copy())
         spheres = Spheres(radius, w, np.arange(2), 2)
         virial = law.collide_pair(axes, parts, spheres, 0, 1, t, loss, length, rates, rough, r)
-        other = segments.collide(axes, segment, reference, 0, 1, t, *loss, length, rates, again, False, r)
+        other = segments.collide(axes, segment, reference, 0, 1, t, loss, length, rates, again, False, r)
         collided += 1
         assert is_same(rough.spin, again.spin)
         assert is_same(segment[:, :d], x) and is_same(segment[:, 2 * d + START], start)

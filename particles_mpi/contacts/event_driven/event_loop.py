@@ -336,8 +336,8 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             note_contact(axes, rows, i, t, state[j, ID], moment, QUICK * h, crowded, work.any_squeezed)
             note_contact(axes, rows, j, t, state[i, ID], moment, QUICK * h, crowded, work.any_squeezed)
             own = state[i, OWNERSHIP] >= OWN
-            e, factor = (1.0, 1.0) if elastic else (restitution, velocity_factor)
-            reals[i, VIRIAL] += collide(axes, segment, reference, i, j, t, e, factor, length, rates, rough, elastic, work.r)
+            loss = (1.0, 1.0) if elastic else (restitution, velocity_factor)
+            reals[i, VIRIAL] += collide(axes, segment, reference, i, j, t, loss, length, rates, rough, elastic, work.r)
             if elastic and own:
                 note_tc_elastic(work, moment + t, state[i, ID], state[j, ID])
             counts[COLLISIONS] += own

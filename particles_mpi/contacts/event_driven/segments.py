@@ -99,7 +99,7 @@ def move_to(axes, segment, i, t):
 
 
 @lean_inner
-def collide(axes, segment, reference, i, j, t, restitution, velocity_factor, length, rates, rough, smooth, r):
+def collide(axes, segment, reference, i, j, t, loss, length, rates, rough, smooth, r):
     """The contact of rows i and j at time t: `law.collide_pair` on segments. Returns its virial, -r.dp; r (d,) is scratch.
 
     `smooth`: this one is, even if spheres are rough.
@@ -107,6 +107,7 @@ def collide(axes, segment, reference, i, j, t, restitution, velocity_factor, len
     On a line there is one normal even for points, which have no distance when they touch: there, the impulse is that of r = 1.
     """
     d = len(axes)
+    restitution, velocity_factor = loss
     own, other = reference[i, d + INVERSE_MASS], reference[j, d + INVERSE_MASS]
     move_to(axes, segment, i, t)
     move_to(axes, segment, j, t)
@@ -120,7 +121,7 @@ def collide(axes, segment, reference, i, j, t, restitution, velocity_factor, len
         take = exchange(axes, segment, np.int64(d), r, i, j, own, other, t, restitution, velocity_factor, rates)
         return -((1.0 + restitution if len(rates.a) == 0 else take / nearing) * approach) / (own + other)
     if rough.law[PAIRS, FRICTION] > 0.0 and not smooth:
-        one, two = segment[i, 2 * d + RADIUS], segment[j, 2 * d + RADIUS]
-        change = strike_pair(axes, segment, np.int64(d), rough, r, i, j, own, other, one, two, t, restitution, rates)
+        both = own, other, segment[i, 2 * d + RADIUS], segment[j, 2 * d + RADIUS]
+        change = strike_pair(axes, segment, np.int64(d), rough, r, i, j, both, t, restitution, rates)
         return -change / (own + other)
     return -exchange(axes, segment, np.int64(d), r, i, j, own, other, t, restitution, velocity_factor, rates) / (own + other)
