@@ -128,9 +128,10 @@ def may_meet(axes, lists, i, j):
 
 
 @lean_inner
-def find_nearby(axes, lists, i):
-    """Write the rows that `may_meet` row i to `lists.nearby`; returns how many."""
-    reference, links, head, nearby = lists.reference, lists.links, lists.head, lists.nearby
+def first_in_cells(axes, lists, place, i, size):
+    """Write the first row of each cell in which rows no further than `size` + R + skin from place[i] can be to `lists.nearby`;
+    returns how many."""
+    reference, head, nearby = lists.reference, lists.head, lists.nearby
     _, _, length = lists.box
     low, per_length, cells, first, largest = lists.grid
     d = len(axes)
@@ -140,12 +141,12 @@ def find_nearby(axes, lists, i):
     for step in range(len(largest)):
         if largest[step] < 0.0:
             continue
-        reach = (reference[i, d + SIZE] + largest[step]) * MARGIN
-        f0, m0 = cells_along(reference[i, 0], reach, low[0], per_length[step, 0], cells[step, 0], length[0] > 0.0)
+        reach = (size + largest[step]) * MARGIN
+        f0, m0 = cells_along(place[i, 0], reach, low[0], per_length[step, 0], cells[step, 0], length[0] > 0.0)
         if d > 1:
-            f1, m1 = cells_along(reference[i, 1], reach, low[1], per_length[step, 1], cells[step, 1], length[1] > 0.0)
+            f1, m1 = cells_along(place[i, 1], reach, low[1], per_length[step, 1], cells[step, 1], length[1] > 0.0)
         if d > 2:
-            f2, m2 = cells_along(reference[i, 2], reach, low[2], per_length[step, 2], cells[step, 2], length[2] > 0.0)
+            f2, m2 = cells_along(place[i, 2], reach, low[2], per_length[step, 2], cells[step, 2], length[2] > 0.0)
         n0, n1, n2 = cells[step, 0], cells[step, 1], cells[step, 2]
         for a in range(m0):
             c0 = f0 + a if f0 + a < n0 else f0 + a - n0
@@ -157,6 +158,15 @@ def find_nearby(axes, lists, i):
                     prefetch(reference, j)  # for -1 it asks in vain
                     nearby[np.uint64(waiting)] = j
                     waiting += j >= 0
+    return waiting
+
+
+@lean_inner
+def find_nearby(axes, lists, i):
+    """Write the rows that `may_meet` row i to `lists.nearby`; returns how many."""
+    reference, links, nearby = lists.reference, lists.links, lists.nearby
+    d = len(axes)
+    waiting = first_in_cells(axes, lists, reference, i, reference[i, d + SIZE])
     # Each is taken from the front, the next one in its cell is put behind: without a branch the memory answers many at once.
     found = 0
     p = 0

@@ -181,19 +181,19 @@ def roll_back(rows, log, stale):
 
 
 @kernel
-def verify(rows, directory, log, regions, begin, message):
+def verify(rows, lists, directory, log, regions, begin, message):
     """(must the window that began at `begin` be rolled back, which ghosts differ from their owners' rows).
 
     It must if such a ghost could have touched an own row. `message`: all that arrived; a ghost of which no UPDATE tells did not
     change at its owner. Of each ghost that differs: the row, and where its right record begins in the message, or else the log.
     """
-    rows, directory, log, regions = Rows(*rows), Directory(*directory), Log(*log), Regions(*regions)
+    rows, lists, directory, log, regions = Rows(*rows), Lists(*lists), Directory(*directory), Log(*log), Regions(*regions)
     numbers, bits = message
     state, table, updated = rows.state, directory.table, directory.updated
     d, extra, window = regions.low.shape[1], extra_width(rows), log.window[0]
     record = record_width(d, spin_width(rows))
     differing, found = np.empty((len(numbers) // (HEAD + record) + log.border_count[0], 2), np.int64), 0
-    place = np.empty((1, d))
+    place = np.empty((2, d))
     wrong = False
     for step in range(2):  # first to the cache
         at = 0
@@ -212,14 +212,14 @@ def verify(rows, directory, log, regions, begin, message):
             i = row_of(table, bits[at + 1])
             updated[i] = window
             if bits[at + HEAD + hash_place(d)] != state[i, TRAJECTORY_HASH]:
-                wrong |= can_affect_owned(rows, log, regions, i, begin, place)
+                wrong = wrong or can_affect_owned(rows, lists, log, regions, i, begin, place)
                 differing[found, 0], differing[found, 1] = i, at + HEAD
                 found += 1
         at += part_width(bits[at], d, record, extra)
     for p in log.border[: log.border_count[0]]:
         i = np.int64(log.changed[p])
         if state[i, OWNERSHIP] == GHOST and updated[i] != window and has_new_segment(d, rows, log, p):
-            wrong |= can_affect_owned(rows, log, regions, i, begin, place)
+            wrong = wrong or can_affect_owned(rows, lists, log, regions, i, begin, place)
             differing[found, 0], differing[found, 1] = i, len(numbers) + p * record
             found += 1
     return wrong, differing[:found]

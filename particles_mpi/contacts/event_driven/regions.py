@@ -5,9 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.contacts.event_driven.rows import RADIUS, START, Log, record_width, spin_width
+from particles_mpi.contacts.event_driven.rows import OWN, OWNERSHIP, RADIUS, START, Log, record_width, spin_width
+from particles_mpi.kernels.geometry import some_nearest
 from particles_mpi.kernels.jit import inner, kernel, lean_inner, prefetch
-from particles_mpi.neighbours.verlet_kernels import SIZE
+from particles_mpi.neighbours.verlet_kernels import MARGIN, NEXT_ROW, SIZE, first_in_cells
 from particles_mpi.parallel.decomposition import owners
 from particles_mpi.particles import Array
 
@@ -21,6 +22,7 @@ class Regions(NamedTuple):
     rank: int  # this one
     known: Array  # the ranks that may have to know rows of this one, and itself as the last: bit k of a mask is rank known[k]
     reach: float  # own rows touch, in a window, only ghosts whose surface is within this of the region
+    bound: float  # how far a row gets in a window, at most
     depth: float  # a rank must know each row whose skin is within this of its region: `reach`, and some ghosts more
 
 
@@ -95,16 +97,50 @@ def plan_moves(reference, log, regions, tree, moves):
 
 
 @lean_inner
-def can_affect_owned(rows, log, regions, i, begin, place):
-    """May row i, wherever it went in the window that began at `begin`, have touched an own row? `place` (1, d) is scratch."""
+def place_at_begin(rows, log, i, begin, place, p):
+    """place[p] (d,): where row i was when the window began."""
     segment, saved = rows.segment, log.saved
-    d = regions.low.shape[1]
+    d = place.shape[1]
     changed = log.mark[i] >= log.before[0]
+    at = (log.mark[i] - log.before[0]) * record_width(d, spin_width(rows))
     for k in range(d):
         if changed:
-            at = (log.mark[i] - log.before[0]) * record_width(d, spin_width(rows))
-            place[0, k] = saved[at + k] + saved[at + d + k] * (begin - saved[at + 2 * d + START])
+            place[p, k] = saved[at + k] + saved[at + d + k] * (begin - saved[at + 2 * d + START])
         else:
-            place[0, k] = segment[i, k] + segment[i, d + k] * (begin - segment[i, 2 * d + START])
-    within = regions.reach + segment[i, 2 * d + RADIUS]
-    return distance2(regions, regions.rank, place, np.int64(0)) <= within * within
+            place[p, k] = segment[i, k] + segment[i, d + k] * (begin - segment[i, 2 * d + START])
+
+
+@lean_inner
+def can_affect_owned(rows, lists, log, regions, i, begin, place):
+    """May row i, wherever it went in the window that began at `begin`, have touched an own row? `place` (2, d) is scratch.
+
+    It may if one was so near to it then that both can have come together. Most rows are too far from the region for any.
+    """
+    segment, links, nearby = rows.segment, lists.links, lists.nearby
+    _, _, length = lists.box
+    d = regions.low.shape[1]
+    radius = segment[i, 2 * d + RADIUS]
+    place_at_begin(rows, log, i, begin, place, 0)
+    within = regions.reach + radius
+    if distance2(regions, regions.rank, place, np.int64(0)) > within * within:
+        return False
+    # An own row was within its skin of its reference position, or has got a new one within its skin of where it came to.
+    waiting = first_in_cells(length, lists, place, np.int64(0), radius + 3.0 * regions.bound)
+    p = 0
+    while p < waiting:
+        j = np.int64(nearby[p])
+        p += 1
+        if links[j, 2 * d + NEXT_ROW] >= 0:
+            nearby[waiting] = links[j, 2 * d + NEXT_ROW]
+            waiting += 1
+        if rows.state[j, OWNERSHIP] < OWN:
+            continue
+        place_at_begin(rows, log, j, begin, place, 1)
+        r2 = 0.0
+        for k in range(d):
+            r = some_nearest(place[0, k] - place[1, k], length[k], lists.boxes_per_length[k])
+            r2 += r * r
+        within = (radius + segment[j, 2 * d + RADIUS] + 2.0 * regions.bound) * MARGIN
+        if r2 <= within * within:
+            return True
+    return False

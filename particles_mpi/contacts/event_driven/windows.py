@@ -3,10 +3,10 @@
 Space is divided into regions. A rank owns the particles whose reference positions are in its region, has those near it as
 ghosts, and computes all contacts among these rows in the window as if there were no others. That is right for its own particles
 unless one of them touched, or should have touched, a ghost that went wrong here for lack of what is beyond the ghosts. So after
-a window owners send what happened to their rows. If a ghost that can have touched an own particle has another trajectory hash
-at its owner, all ranks undo the window and compute half of it. If there is none, the union of what the owners found is the exact
-run (README, by induction over the contacts in order of time); ghosts that went wrong further out are corrected. Windows leave
-no trace in the bits.
+a window owners send what happened to their rows. If a ghost that was so near to an own particle that they can have touched has
+another trajectory hash at its owner, all ranks undo the window and compute half of it. If there is none, the union of what the
+owners found is the exact run (README, by induction over the contacts in order of time); ghosts that went wrong further out are
+corrected. Windows leave no trace in the bits.
 """
 
 import numpy as np
@@ -52,10 +52,10 @@ from particles_mpi.parallel.exchange import by_destination, send_rows, sendrecv
 from particles_mpi.particles import Array, Particles, field
 from particles_mpi.timers import Timers
 
-DISPLACEMENT_BOUND = 0.125  # of a skin: how far a row may get in a window
-DEPTH = 1.6  # mean diameters: thickness of the ghosts beyond those that own particles can touch, through which errors must come
-LEAST_DEPTH, MOST_DEPTH = 1.2, 4.0  # bounds of that depth, which is fitted: then windows need not be shorter on more ranks
-DEEPER, MOST_REDONE = 0.4, 0.02  # added if more than this part of the windows was redone
+DISPLACEMENT_BOUND = 0.25  # of a skin: how far a row may get in a window
+DEPTH = 1.4  # mean diameters: thickness of the ghosts beyond those that own particles can touch, through which errors must come
+LEAST_DEPTH, MOST_DEPTH = 1.0, 4.0  # bounds of that depth, which is fitted: then windows need not be shorter on more ranks
+DEEPER, MOST_REDONE = 0.2, 0.02  # added if more than this part of the windows was redone
 SHALLOWER, ENOUGH = 0.1, 100  # taken off after so many windows of which none was
 CROWDED = 0.75  # of all particles on one rank, ghosts included: then each may as well compute everything
 FASTER, SLOWER = 1.015, 0.6  # what success and failure do to the length of a window: in balance about 3 % fail
@@ -224,7 +224,7 @@ class Windows:
             apart = np.minimum(apart, np.maximum(np.maximum(low[me] + shift - high, low - high[me] - shift), 0.0))
         within = depth + largest + self.skin + 2.0 * self.skin + self.displacement_bound
         self.near = [int(rank) for rank in np.flatnonzero((apart**2).sum(axis=1) <= within**2) if rank != me]
-        self.regions = Regions(low, high, tuple(self.box), me, np.array([*self.near, me]), reach, depth)
+        self.regions = Regions(low, high, tuple(self.box), me, np.array([*self.near, me]), reach, self.displacement_bound, depth)
 
     def send_motion(self) -> None:
         """Ghosts start on the segments that their owners' rows start on. Collective."""
@@ -259,7 +259,7 @@ class Windows:
             moves = self.plan_moves()
             message = message_of(sendrecv(ranks, self.near, [self.changes_for(k, moves) for k in range(len(self.near))]))
             rows, directory, regions = tuple(engine.rows), tuple(self.directory), tuple(self.regions)
-            wrong, differing = verify(rows, directory, tuple(log), regions, begin, message)
+            wrong, differing = verify(rows, tuple(engine.lists.arrays), directory, tuple(log), regions, begin, message)
         with self.timers("agree"):
             transferred = self.transferred + int((moves.owner != ranks.rank).sum())
             wrong, fastest2, transferred = ranks.allreduce_max(np.array([wrong, log.fastest2[0], transferred], float))
