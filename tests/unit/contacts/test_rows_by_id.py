@@ -48,7 +48,7 @@ def test_more_known_ranks_than_bits_in_a_word():
     me = 40
     known = np.array([*(rank for rank in range(ranks) if rank != me), me])
     box = tuple(Box(np.array([0.0]), np.array([100.0]), np.array([0.0])))
-    regions = tuple(Regions(low, low + 1.0, box, me, known, 1.0, depth))
+    regions = tuple(Regions(low, low + 1.0, box, me, known, 1.0, 0.1, depth))
     reference = np.zeros((3, d + SIZE + 1))
     reference[:, 0] = [10.5, 64.5, 99.5]
     holders = np.zeros((3, ranks // 64 + 1), np.int64)
