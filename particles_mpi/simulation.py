@@ -82,8 +82,8 @@ class Simulation(Saved):
     def advance(self, h: float, contacts: bool = True, stop: bool = False) -> None:
         """One step of the integrator over h, with kicks and drifts in its order; `stop` ends its drift at a collision."""
         self.drift.middle = 0.5 * h
-        if self.rest:
-            self.rest.awake = contacts
+        if self.persistent:
+            self.persistent.awake = contacts
 
         def drift(part: float) -> None:
             rates = self.drift.rates(self.g, self.accelerations.total, self.kick.rate(self.rows))

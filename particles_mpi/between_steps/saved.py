@@ -30,7 +30,7 @@ class Saved(State):
 
     def lasting_contacts(self) -> Memory:
         """What the lasting contacts of this rank's particles took."""
-        return self.rest.remembered() if self.rest else NOTHING
+        return self.persistent.remembered() if self.persistent else NOTHING
 
     @classmethod
     def restored(cls, scene: Scene, ranks: Communicator, rows: Particles, metadata: dict[str, Any], contacts: Memory) -> Self:
@@ -40,8 +40,8 @@ class Saved(State):
         sim.steps_done, sim._h, sim.additions = metadata["step"], metadata["h"], metadata["additions"]
         sim.moment = metadata["moment"][0], metadata["moment"][1]
         sim.observed = list(metadata["observed"])
-        if sim.rest:
-            sim.rest.restore(contacts)
+        if sim.persistent:
+            sim.persistent.restore(contacts)
         if ranks.is_root:  # counts are sums over ranks: one rank carries those from before
             sim.totals.update(zip(COUNTS, metadata["totals"], strict=True))
         return sim

@@ -35,7 +35,7 @@ class State:
     that all particles have in common; near: whoever knows the neighbours, and contacts: the operator for pairs, or None.
     """
 
-    rest: Any = None
+    persistent: Any = None
     drift: Any = None
     accelerations: Any = None
 
@@ -78,8 +78,8 @@ class State:
         effects.bind(self.context)
         walls = effects.walls.planes if effects.walls else no_planes(scene.dimension)
         self.watchdog = Watchdog(ranks, p.id, self.ids, walls, self.lower, self.length)
-        self.rest = keeper_of_contacts(effects, self.context, scene.dimension)
-        self.drift = Drift(p, self.context, effects, self.rest, self.sum_forces)
+        self.persistent = keeper_of_contacts(effects, self.context, scene.dimension)
+        self.drift = Drift(p, self.context, effects, self.persistent, self.sum_forces)
         if drift:
             self.drift.continue_counts(drift)
         self.totals, self.calls = self.drift.totals, self.drift.calls
@@ -88,15 +88,15 @@ class State:
         self.accelerations = Accelerations(effects.forces, ranks, scene.dimension, self.calls, done)
         self.forces, self.g = self.accelerations.forces, self.accelerations.g
         self.kick = Kick(effects, self.sum_forces, self.timers)
-        self.integrator = integrator_of(scene, ranks, self.kick, self.rest)
+        self.integrator = integrator_of(scene, ranks, self.kick, self.persistent)
         self.look_for_many_steps()
         self.taken = p.edition
         self.particles.open()
 
     def look_for_many_steps(self) -> None:
         """Can many steps be computed at once, with these effects?"""
-        parts = self.rows, self.context, self.active, self.accelerations, self.drift, self.integrator, self.rest
-        self.many_steps = ManySteps(*parts) if ManySteps.suit(self.active, self.total, self.rest) else None
+        parts = self.rows, self.context, self.active, self.accelerations, self.drift, self.integrator, self.persistent
+        self.many_steps = ManySteps(*parts) if ManySteps.suit(self.active, self.total, self.persistent) else None
 
     def sum_forces(self) -> Array | None:
         """Accelerations (n, d) of this rank's particles at the present positions, or None without forces. Collective."""
@@ -108,14 +108,14 @@ class State:
             self.particles.collect()
         except StateError as error:
             raise StateError(f"step {self.steps_done + 1}: {error}") from None
-        if self.rest and self.rest.pairs and self.ranks.allreduce_max(float(self.rows.edition != self.taken))[0]:
+        if self.persistent and self.persistent.pairs and self.ranks.allreduce_max(float(self.rows.edition != self.taken))[0]:
             self.forget_contacts()
         self.taken = self.rows.edition
 
     def forget_contacts(self) -> None:
         """What contacts carried belongs to a state that is no more. Collective."""
-        if self.rest:
-            self.rest.forget()
+        if self.persistent:
+            self.persistent.forget()
         self.taken = self.rows.edition  # changes up to here are known everywhere
 
     def check_values(self, values: dict[str, Array]) -> None:

@@ -56,16 +56,18 @@ def surfaces(effects: ActiveEffects) -> Array:
 class Drift:
     """Moves the rows of this rank.
 
-    rest: keeps contacts that last, or None; near: whoever knows the neighbours, or None; operator: whoever does the contacts
-    of pairs, or None. accelerations: called for the accelerations (n, d) of this moment. totals: counts of what happened, by
+    persistent: keeps contacts that last; near: knows the neighbours; operator: does the contacts of pairs; each of them may be
+    None. accelerations: called for the accelerations (n, d) of this moment. totals: counts of what happened, by
     the names of COUNTS; calls: how often each effect was asked. middle: half of the step, as a time from its start.
     """
 
-    def __init__(self, rows: Particles, context: Context, effects: ActiveEffects, rest: Any, accelerations: Callable[[], Any]):
-        self.rows, self.context, self.effects, self.rest = rows, context, effects, rest
+    def __init__(
+        self, rows: Particles, context: Context, effects: ActiveEffects, persistent: Any, accelerations: Callable[[], Any]
+    ):
+        self.rows, self.context, self.effects, self.persistent = rows, context, effects, persistent
         self.totals, self.calls = dict.fromkeys(COUNTS, 0), Counter[str]()
-        if rest:
-            rest.totals = self.totals
+        if persistent:
+            persistent.totals = self.totals
         self.events = effects.events
         self.pair_names, self.wall_names = effects.names(PairContacts), effects.names(WallContacts)
         self.damping, self.strength = effects.names(Damping), effects.friction.strength if effects.friction else 0.0
@@ -91,8 +93,8 @@ class Drift:
 
             duration = pairs.options.contact_duration
             exact = EventDriven(self.rows, context.ranks, box, loss, law, duration, planes, context.timers)
-            if self.rest and self.rest.pairs:
-                exact.hold = lambda h: self.rest.keep_crowds(self.rows, accelerations(), h)
+            if self.persistent and self.persistent.pairs:
+                exact.hold = lambda h: self.persistent.keep_crowds(self.rows, accelerations(), h)
         if pairs.options.mode == "event":
             self.near = self.operator = exact
             return
@@ -111,7 +113,7 @@ class Drift:
         """
         p, context = self.rows, self.context
         wrapped = False
-        near = self.rest.near_faces if self.rest else None
+        near = self.persistent.near_faces if self.persistent else None
         if near:
             near.known = None
         turned = p.arrays.get("orientation")
@@ -169,8 +171,8 @@ class Drift:
                 if by_flows is not None:
                     field += by_flows
             self.total, self.known, self.pushed = total if by_flows is None else None, known, np.empty(0, np.int64)
-        if self.rest:  # contacts that last push too: what lies on something does not fall
-            self.pushed, given = self.rest.given
+        if self.persistent:  # contacts that last push too: what lies on something does not fall
+            self.pushed, given = self.persistent.given
             field[self.pushed] += given.reshape(len(given), p.dimension) / self.middle
         kicked = self.effects.forces or self.effects.on_velocities
         return Rates(g[None, :] if kicked else none, np.zeros(len(self.damping)), self.strength, self.middle)
@@ -178,8 +180,8 @@ class Drift:
     def continue_counts(self, before: Drift) -> None:
         """Count on from where the drift stood that this one replaces. Collective."""
         self.totals, self.calls = before.totals, before.calls
-        if self.rest:
-            self.rest.totals = self.totals
+        if self.persistent:
+            self.persistent.totals = self.totals
         self.past_work, self.past_remarks = before.work(), before.remarks()
 
     def remarks(self) -> list[str]:

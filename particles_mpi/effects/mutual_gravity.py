@@ -37,7 +37,7 @@ class Options(EffectOptions):
 
     def faults(self, scene: Scene) -> list[str]:
         d, auto = scene.dimension, self.method == "auto"
-        told = {
+        faults = {
             f'method: there is no tree in dimension {d}; use "direct"': self.method == "tree" and d not in TREES,
             'opening_angle: method "auto" chooses it; give accuracy': self.opening_angle is not None and auto,
             'accuracy: only with method "auto"': self.accuracy is not None and not auto,
@@ -46,7 +46,7 @@ class Options(EffectOptions):
                 scene.periodic
             ),
         }
-        return [fault for fault, wrong in told.items() if wrong]
+        return [fault for fault, wrong in faults.items() if wrong]
 
     def described(self, scene: Scene, total: int) -> str:
         return self.choice(scene, total).words

@@ -148,9 +148,9 @@ class RandomAddition:
             left = self.grid.decide(left, first, status, MARGIN)
             if halo is None:
                 break
-            told = status.astype(float)
-            halo.refresh(told)
-            status[:] = told
+            of_all = status.astype(float)
+            halo.refresh(of_all)
+            status[:] = of_all
             if not self.ranks.allreduce_sum(len(left))[0]:
                 break
         free = status == FREE

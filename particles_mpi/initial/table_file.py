@@ -33,8 +33,8 @@ def read_table(ranks: Communicator, path: Path, columns: int) -> Table | str:
         seen = crc32(block), crc32(lines_of(path, (ranks.rank + 1) % ranks.size, ranks.size))
     except OSError as error:
         fault = f"{path} cannot be read ({error.strerror})"
-    if told := first_of(ranks, fault):
-        return told
+    if first := first_of(ranks, fault):
+        return first
     crcs = ranks.allgather(seen)
     for rank in range(1, ranks.size):
         if crcs[rank - 1][1] != crcs[rank][0]:
@@ -51,8 +51,8 @@ def read_table(ranks: Communicator, path: Path, columns: int) -> Table | str:
         bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
         if len(bad):
             fault = f"{path}: {listed((bad + line + header).tolist(), 'line')} not finite"
-    if told := first_of(ranks, fault, name_rank=False):
-        return told
+    if first := first_of(ranks, fault, name_rank=False):
+        return first
     counts = ranks.allgather(len(values))
     return Table(values, sum(counts[: ranks.rank]), sum(counts)) if sum(counts) else f"{path} holds no rows"
 

@@ -56,7 +56,7 @@ class Losses(NamedTuple):
     coasts: bool  # does nothing but friction act?
 
 
-class Rest(NamedTuple):
+class OnWalls(NamedTuple):
     """Contacts with walls that last, as of `PersistentContacts`; and room for what they give to rows."""
 
     kept: bool  # are there any?
@@ -84,7 +84,7 @@ class Space(NamedTuple):
     start: Array  # (n,): room for the times at which segments start
     smooth: Rough  # for walls, which are not rough here
     reach: float  # rows that may be so near to walls are found, if contacts with walls last
-    rest: Rest
+    on_walls: OnWalls
 
 
 class Scheme(NamedTuple):
@@ -121,54 +121,54 @@ def sum_forces(axes, x, mass, fixed, forces, total):
 
 @kernel(_nrt=True)  # also where a @lean kernel calls it
 def keep_on_walls(axes, bodies, space, h, near):
-    """As `PersistentContacts.keep`, of rows of which the first `near` of `rest.near` are near walls; -1 if that is not known.
+    """As `PersistentContacts.keep`, of rows of which the first `near` of `on_walls.near` are near walls; -1 if that is not known.
 
     Returns how many rows contacts push.
     """
-    rest = space.rest
-    x, v, a, radius, supported = bodies.x, bodies.v, bodies.total, bodies.radius, rest.supported
+    on_walls = space.on_walls
+    x, v, a, radius, supported = bodies.x, bodies.v, bodies.total, bodies.radius, on_walls.supported
     if near >= 0:
-        rows = near_walls_among(rest.near[:near], x, v, a, radius, supported, h, rest.point, rest.normal)
+        rows = near_walls_among(on_walls.near[:near], x, v, a, radius, supported, h, on_walls.point, on_walls.normal)
     else:
-        rows = near_walls(x, v, a, radius, bodies.fixed, supported, h, *rest.faces, rest.point, rest.normal)
+        rows = near_walls(x, v, a, radius, bodies.fixed, supported, h, *on_walls.faces, on_walls.point, on_walls.normal)
     if len(rows) == 0:
         return 0
-    fields, planes = (x, v, radius, bodies.mass, bodies.fixed, supported), (rest.point, rest.normal)
-    settled, held = settle_on_walls(rest.axes, rows, fields, a, h, space.length, rest.faces, planes, PRECISE)
+    fields, planes = (x, v, radius, bodies.mass, bodies.fixed, supported), (on_walls.point, on_walls.normal)
+    settled, held = settle_on_walls(on_walls.axes, rows, fields, a, h, space.length, on_walls.faces, planes, PRECISE)
     changed, by = hand_over(rows, settled, held, v, supported)
     for r in range(len(changed)):
-        rest.pushed[r] = changed[r]
+        on_walls.pushed[r] = changed[r]
         for k in range(len(axes)):
-            rest.given[r, k] = by[r, k]
+            on_walls.given[r, k] = by[r, k]
     return len(changed)
 
 
 @lean_inner
 def set_rates(axes, bodies, space, before, pushed, t_mid):
-    """As `Drift.rates`: accelerations of rows, and what contacts give to the first `pushed` of `rest.pushed` besides.
+    """As `Drift.rates`: accelerations of rows, and what contacts give to the first `pushed` of `on_walls.pushed` besides.
 
-    before: how many rows of `rest.had` have more than that from the last drift; -1 if not even accelerations are there.
+    before: how many rows of `on_walls.had` have more than that from the last drift; -1 if not even accelerations are there.
     """
-    rates, rest, total = space.rates, space.rest, bodies.total
+    rates, on_walls, total = space.rates, space.on_walls, bodies.total
     for i in range(len(total) if before < 0 else before):
-        row = i if before < 0 else rest.had[i]
+        row = i if before < 0 else on_walls.had[i]
         for k in range(len(axes)):
             rates[row, k] = total[row, k]
     for r in range(pushed):
-        rest.had[r] = rest.pushed[r]
+        on_walls.had[r] = on_walls.pushed[r]
         for k in range(len(axes)):
-            rates[rest.pushed[r], k] += rest.given[r, k] / t_mid
+            rates[on_walls.pushed[r], k] += on_walls.given[r, k] / t_mid
 
 
 @lean_inner
 def move(axes, bodies, space, strength, h, t_mid):
-    """The drift of `Drift.advance`, without pairs; returns the number of wall hits, and of rows in `rest.near`."""
+    """The drift of `Drift.advance`, without pairs; returns the number of wall hits, and of rows in `on_walls.near`."""
     hits, near = 0, 0
     if space.bounded:
         rates = Rates(space.rates, bodies.drag, strength, t_mid)
         fields = bodies.x, bodies.v, bodies.radius, bodies.inverse_mass
         hits, near = drift_with_walls(
-            axes, *fields, space.start, h, space.planes, rates, space.smooth, space.reach, space.rest.near
+            axes, *fields, space.start, h, space.planes, rates, space.smooth, space.reach, space.on_walls.near
         )
     else:
         free_drift(bodies.x, bodies.v, h)
@@ -221,7 +221,7 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch):
                 kick(bodies.v, rate, kicked)
             else:
                 kick_bodies(axes, bodies, forces, losses, part, kicked, drifted)
-                if space.rest.kept:
+                if space.on_walls.kept:
                     pushed = keep_on_walls(axes, bodies, space, h, near)
             if drifted != 0.0:
                 if space.own_rates:

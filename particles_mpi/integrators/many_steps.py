@@ -17,7 +17,7 @@ from particles_mpi.integrators.compiled_steps import (
     Bodies,
     Forces,
     Losses,
-    Rest,
+    OnWalls,
     Scheme,
     Space,
     Until,
@@ -54,11 +54,12 @@ class ManySteps:
     """Computes steps of the rows of this rank, or of at most `FEW` particles of all ranks."""
 
     def __init__(
-        self, rows: Particles, context: Context, effects: ActiveEffects, summed: Accelerations, drift: Drift, rule: Any, rest: Any
+        self, rows: Particles, context: Context, effects: ActiveEffects, summed: Accelerations, drift: Drift, rule: Any,
+        persistent: Any,
     ):  # fmt: skip
-        """`summed`: the sum of all forces; `drift`, `rule` (an integrator), `rest`: what computes a single step otherwise."""
+        """`summed`: the sum of all forces; drift, rule (an integrator) and persistent: what computes a single step otherwise."""
         self.rows, self.context, self.effects = rows, context, effects
-        self.summed, self.drift, self.rule, self.rest = summed, drift, rule, rest
+        self.summed, self.drift, self.rule, self.persistent = summed, drift, rule, persistent
         self.known: tuple[int, int, float] | None = None
         self.blocks: list[Block] = []
         self.direct = next((force.direct for force in summed.forces.values() if force.direct), None)
@@ -69,14 +70,14 @@ class ManySteps:
         self.scheme = Scheme(kicks.copy(), drifts.copy(), isinstance(rule, Taylor))
 
     @staticmethod
-    def suit(effects: ActiveEffects, total: int, rest: Any) -> bool:
+    def suit(effects: ActiveEffects, total: int, persistent: Any) -> bool:
         """Do these kernels compute all that there is, for so many particles?"""
-        if effects.pairs or effects.flows or effects.events or effects.rough or (rest and not rest.near_faces):
+        if effects.pairs or effects.flows or effects.events or effects.rough or (persistent and not persistent.near_faces):
             return False
         forces = effects.forces.values()
         together = effects.integrator == "adaptive" or any(force.direct for force in forces)
         known = all(force.direct or not force.place_dependent for force in forces)
-        return known and not (together and (rest or total > FEW))
+        return known and not (together and (persistent or total > FEW))
 
     def advance(self, h: float, steps_done: int, most: int) -> int:
         """Up to `most` steps of length h, the first one after `steps_done`; returns how many. Collective."""
@@ -101,8 +102,8 @@ class ManySteps:
             drift.calls.update(dict.fromkeys(drift.wall_names, done))
             drift.totals["wall_hits"] += hits if self.own or self.context.ranks.is_root else 0
         drift.total = None
-        if self.rest:
-            self.rest.near_faces.known = None
+        if self.persistent:
+            self.persistent.near_faces.known = None
         drift.calls.update(dict.fromkeys(self.effects.on_velocities, 2 * done))
         return done
 
@@ -175,10 +176,10 @@ class ManySteps:
         own = kicked and "total_acceleration" in p.arrays
         a = p["total_acceleration"] if own else self.summed.g[None, :] if kicked else np.empty((0, d))
         box = self.context.lower, self.context.upper, self.context.length
-        rest = self.rest_of(p)
-        reach = self.rest.reach(p.fixed, p[SUM], h) if rest.kept and n else 0.0
+        on_walls = self.on_walls_of(p)
+        reach = self.persistent.reach(p.fixed, p[SUM], h) if on_walls.kept and n else 0.0
         smooth = no_spins(d, np.zeros((1 + len(planes.point), 2)))
-        space = Space(tuple(planes), bool(effects.walls), a, own, *box, np.empty(n), smooth, reach, rest)
+        space = Space(tuple(planes), bool(effects.walls), a, own, *box, np.empty(n), smooth, reach, on_walls)
         return Block(bodies, self.forces_on(p), self.losses_of(p, h), space)
 
     def forces_on(self, p: Particles) -> Forces:
@@ -196,18 +197,18 @@ class ManySteps:
             attracted |= force.direct is not None
         return Forces(first, True, self.direct.G, self.direct.softening2, np.array(others).reshape(len(others), n, d), True)
 
-    def rest_of(self, p: Particles) -> Rest:
+    def on_walls_of(self, p: Particles) -> OnWalls:
         """Contacts with walls that last, if there are any."""
-        d, rest = p.dimension, self.rest
-        n = len(p) if rest else 0
+        d, persistent = p.dimension, self.persistent
+        n = len(p) if persistent else 0
         nobody = np.empty(n, np.int64)
-        supported = p["supported"] if rest else np.empty(0, np.uint8)
+        supported = p["supported"] if persistent else np.empty(0, np.uint8)
         planes = no_planes(d)
         point, normal, faces = planes.point, planes.normal, (planes.lower, planes.upper, planes.oblique)
-        if rest:
-            point, normal, faces = rest.point, rest.normal, rest.faces
+        if persistent:
+            point, normal, faces = persistent.point, persistent.normal, persistent.faces
         room = nobody, nobody.copy(), np.empty((n, d)), nobody.copy()
-        return Rest(rest is not None, (0.0,) * d, supported, point, normal, faces, *room)
+        return OnWalls(persistent is not None, (0.0,) * d, supported, point, normal, faces, *room)
 
     def losses_of(self, p: Particles, h: float) -> Losses:
         """What happens in the kicks of a step of length h besides forces."""

@@ -55,8 +55,8 @@ def save_json(path: Path, ranks: Communicator, rows: Particles, metadata: dict[s
     ids = id_range(ranks, rows.id)
     if ids.total > MANY and ranks.is_root:
         needed = ids.total * JSON_BYTES / 1e9
-        told = f"to_json: {ids.total} particles as text take about {needed:.0f} GB of rank 0; a checkpoint takes none"
-        warnings.warn(told, stacklevel=3)
+        cost = f"to_json: {ids.total} particles as text take about {needed:.0f} GB of rank 0; a checkpoint takes none"
+        warnings.warn(cost, stacklevel=3)
     arrays = in_id_order(ranks, rows.arrays, ids, 1)
     columns = {name: {"dtype": str(column.dtype), "values": _plain(column)} for name, column in arrays.items()}
     text = json.dumps({"format": FORMAT, **metadata, "particles": columns}, indent=indent, allow_nan=False) + "\n"

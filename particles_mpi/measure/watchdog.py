@@ -51,13 +51,13 @@ class Watchdog:
         twice = span.first + np.flatnonzero(times > 1)
         held = [f"{i} on ranks {', '.join(str(r) for r, of in enumerate(everyone) if i in of)}" for i in twice[:NAMED]]
         missing = span.total - len(np.unique(ids))
-        told = []
+        faults = []
         if missing > 0 and span.total == span.end - span.first:
-            told.append(f"particles {first_ids(span.first + np.flatnonzero(times == 0))} are lost")
+            faults.append(f"particles {first_ids(span.first + np.flatnonzero(times == 0))} are lost")
         elif missing > 0:  # some were removed, and nobody has kept which
-            told.append(f"{missing} particles are lost")
-        told += [f"there more than once: {'; '.join(held)}"] if len(twice) else []
-        return "; ".join(told) or "other particles are there than before"
+            faults.append(f"{missing} particles are lost")
+        faults += [f"there more than once: {'; '.join(held)}"] if len(twice) else []
+        return "; ".join(faults) or "other particles are there than before"
 
 
 def first_ids(ids: Array) -> str:

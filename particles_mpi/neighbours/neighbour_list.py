@@ -38,7 +38,7 @@ class Neighbourhood:
 
     `segments`, `spheres` and the arrays of `fields` hold the owned rows, then ghosts; x, v are those of `segments`, and `rows`
     are both as plain tuples, for kernels. spin, turn: angular velocities and inverse moments of inertia, no row where spheres are
-    smooth. `active`: rows with news in this pass. `candidates`: the pairs among all these that can touch. `planes`: as a plain
+    smooth. `active`: rows that changed in this pass. `candidates`: the pairs among all these that can touch. `planes`: as a plain
     tuple. `kicked`: do forces or dissipation change velocities? If not, ghosts fly on by themselves, and only contacts
     need a message.
     """

@@ -67,12 +67,12 @@ def any_of(marks, a, b):
 def pack_selections(rows, selected, first_rows, second_rows, owned, marked, words):
     """(place among rows, selected partner) of the owned rows of the hits that are among them."""
     size = 0
-    for told in (True, False):  # each row once, and all unmarked again
+    for packing in (True, False):  # each row once, and all unmarked again
         for p in range(len(first_rows)):
             for i in (first_rows[p], second_rows[p]):
-                if 0 <= i < owned and marked[i] != told:
-                    marked[i] = told
-                    place = index_of(i, rows) if told and selected[i] != NOBODY else -1
+                if 0 <= i < owned and marked[i] != packing:
+                    marked[i] = packing
+                    place = index_of(i, rows) if packing and selected[i] != NOBODY else -1
                     if place >= 0:
                         words[size] = place
                         words[size + 1] = selected[i]

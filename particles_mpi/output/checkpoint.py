@@ -125,8 +125,8 @@ def _replace(path: Path, sizes: dict[str, list[int]], crcs: dict[str, list[list[
     """Seal the file that all have written, and give it its name."""
     with replacing(path) as part:
         length = part.stat().st_size
-        told = {"columns": sizes, "pieces": crcs}
-        seal = json.dumps(told | {"rest": _crc_between(part, length, told)}).encode()
+        contents = {"columns": sizes, "pieces": crcs}
+        seal = json.dumps(contents | {"rest": _crc_between(part, length, contents)}).encode()
         with open(part, "ab") as written:
             written.write(seal + TAIL.format(length, len(seal), zlib.crc32(seal)).encode())
             written.flush()
@@ -191,8 +191,8 @@ class Checkpoint:
             file.seek(max(size - tail, 0))
             last = file.read()
             words = last.decode(errors="replace").split()
-            told = len(words) == 4 and words[0] == MARK and words[1].isdigit() and words[2].isdigit()
-            if not told or int(words[1]) + int(words[2]) + tail != size:
+            sealed = len(words) == 4 and words[0] == MARK and words[1].isdigit() and words[2].isdigit()
+            if not sealed or int(words[1]) + int(words[2]) + tail != size:
                 raise SceneError(f"{self.path}: not a checkpoint of this version of particles_mpi, or cut short")
             length = int(words[1])
             file.seek(length)

@@ -59,11 +59,11 @@ class FrameReader:
 
     def _stamp(self) -> tuple[int, int]:
         try:
-            told = self.path.stat()
+            status = self.path.stat()
         except OSError as error:
             hint = '; a run writes it if output.formats has "hdf5"' if isinstance(error, FileNotFoundError) else ""
             raise SceneError(f"{self.path}: cannot be read ({error.strerror}{hint})") from None
-        return told.st_mtime_ns, told.st_size
+        return status.st_mtime_ns, status.st_size
 
     def _read(self, read: Callable[[Any], Any]) -> Any:
         """What `read` finds in the group VTKHDF; where the file changes during a look, it looks again."""

@@ -35,12 +35,12 @@ def to_go_on(folder: Path, ranks: Communicator, scene: dict[str, Any]) -> Path |
             held = [name for name in OURS if (folder / name).exists()]
             found = path if path.name in held else None
             if held and not found:
-                told = folder / "run.json"
-                if told.name not in held:
+                record = folder / "run.json"
+                if record.name not in held:
                     raise SceneError(f"--resume auto: {folder} holds {', '.join(held)} of an unknown run; use --overwrite")
-                keys = list(changed(json.loads(told.read_text())["scene"], scene))
+                keys = list(changed(json.loads(record.read_text())["scene"], scene))
                 if keys:
-                    raise SceneError([f"{key}: not as in {told}, the run that the folder holds; use --overwrite" for key in keys])
+                    raise SceneError([f"{key}: not as in {record}, the run that it holds; use --overwrite" for key in keys])
     return ranks.bcast(found)
 
 
@@ -61,11 +61,11 @@ def claim(folder: Path, ranks: Communicator, about: dict[str, Any], resumed: boo
     with failing_together(ranks, f"cannot write into {folder}"):  # only now, when no rank has found a fault
         if ranks.is_root:
             folder.mkdir(parents=True, exist_ok=True)
-            told = folder / "run.json"  # from the beginning it tells whose folder this is
-            for path in (folder / name for name in OURS if not continues and name != told.name):
+            record = folder / "run.json"  # from the beginning it tells whose folder this is
+            for path in (folder / name for name in OURS if not continues and name != record.name):
                 shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
             if not continues:
-                with replacing(told) as part:
+                with replacing(record) as part:
                     part.write_text(json.dumps(about, indent=2) + "\n")
     return bool(ranks.bcast(continues))
 

@@ -132,12 +132,12 @@ def _write_vtu(path: Path, columns: dict[str, Array]) -> None:
 
 def _write_pvtu(path: Path, pieces: list[str], columns: dict[str, Array]) -> None:
     """Write the file that names the pieces of a frame, which all have these columns."""
-    told = {}
+    lines = {}
     for name, column in columns.items():
         kind, width = f"{KINDS[column.dtype.kind]}{8 * column.dtype.itemsize}", column.shape[1:] or (1,)
-        told[name] = f'      <PDataArray type="{kind}" Name="{name}" NumberOfComponents="{width[0]}"/>'
-    points = ["    <PPoints>", told.pop("Points"), "    </PPoints>"]
-    data = ["    <PPointData>", *told.values(), "    </PPointData>"]
+        lines[name] = f'      <PDataArray type="{kind}" Name="{name}" NumberOfComponents="{width[0]}"/>'
+    points = ["    <PPoints>", lines.pop("Points"), "    </PPoints>"]
+    data = ["    <PPointData>", *lines.values(), "    </PPointData>"]
     sources = [f'    <Piece Source="{piece}"/>' for piece in pieces]
     grid = ['  <PUnstructuredGrid GhostLevel="0">', *points, *data, *sources, "  </PUnstructuredGrid>"]
     _write_xml(path, "PUnstructuredGrid", grid)

@@ -110,12 +110,12 @@ def main() -> None:
                 os._exit(0)
         os._exit(0)
     os.waitpid(child, 0)
-    told = os.dup(2)
+    stderr = os.dup(2)
     os.dup2(end, 2)
     try:
         os.execv(sys.argv[1], sys.argv[1:])
     except OSError as error:
-        os.dup2(told, 2)
+        os.dup2(stderr, 2)
         sys.exit(f"{sys.argv[1]}: {error.strerror}")
 
 

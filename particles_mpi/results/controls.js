@@ -82,7 +82,7 @@ function tellCurves() {
 }
 
 function tell() {
-  $("told").textContent = run.told.join(" · ");
+  $("facts").textContent = run.facts.join(" · ");
   $("notes").replaceChildren(...run.notes.map(note => make("li", note)));
   const rows = run.effects.map(([name, law, calls]) => {
     const row = make("tr", "");

@@ -206,16 +206,16 @@ def described(run: Any, choice: Choice) -> dict[str, Any]:
         notes.insert(0, f"The run was going on, at t = {frames[-1].time:.6g}, when this page was made; make it again to see more")
     if run.dimension > 3:
         notes.append(f"the first three of {run.dimension} axes are shown")
-    told = [f"{max(len(frame) for frame in frames):_} particles".replace("_", "\u202f"), f"dimension {run.dimension}"]
+    facts = [f"{max(len(frame) for frame in frames):_} particles".replace("_", "\u202f"), f"dimension {run.dimension}"]
     if "time" in scene:
-        told += [f"step {scene['time']['step']:g}", scene["time"].get("integrator", "leapfrog")]
+        facts += [f"step {scene['time']['step']:g}", scene["time"].get("integrator", "leapfrog")]
     if "ranks" in about:
-        told.append(f"{about['ranks']} rank" + "s" * (about["ranks"] != 1))
+        facts.append(f"{about['ranks']} rank" + "s" * (about["ranks"] != 1))
     running = plan.get("effects") or [{"effect": name, "law": "", "calls": ""} for name in scene.get("effects", {})]
     maps = {name: (colormaps[name](np.linspace(DARKEST, 1, 256))[:, :3] * 255).round().astype(np.uint8) for name in MAPS}
     return {
         "title": run.title,
-        "told": told,
+        "facts": facts,
         "notes": notes,
         "times": [frame.time for frame in frames],
         "numbers": choice.frames,

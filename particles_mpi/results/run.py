@@ -56,8 +56,8 @@ class Run:
             raise IndexError(f"{self.folder}: no frame {k}: the run has {there}")
         index, k = self.frames.index(), k % count
         fields = ("position", *(name for name in index.fields if name != "position" and not name.endswith("_full")))
-        told = float(index.times[k]), int(index.steps[k]), int(index.counts[k])
-        return Frame(k, *told, fields, lambda name: self._column(name, k))
+        place = float(index.times[k]), int(index.steps[k]), int(index.counts[k])
+        return Frame(k, *place, fields, lambda name: self._column(name, k))
 
     def _column(self, name: str, k: int) -> Array:
         """(N,) or (N, d) of a field: files have three axes, and beyond these a second column with all of them."""
@@ -78,10 +78,10 @@ class Run:
         """The content of run.json: scene and plan and, once the run has ended, its timers and counts; {} if there is none."""
         path = self.folder / "run.json"
         try:
-            told: dict[str, Any] = json.loads(path.read_text()) if path.is_file() else {}
+            about: dict[str, Any] = json.loads(path.read_text()) if path.is_file() else {}
         except (OSError, ValueError) as error:
             raise SceneError(f"{path}: cannot be read: {error}") from None
-        return told
+        return about
 
     @property
     def ended(self) -> bool:

@@ -67,11 +67,11 @@ def tell_of_compiling(dimension: int) -> None:
     from numba.core import event
 
     class Teller(event.Listener):
-        told = False
+        warned = False
 
         def on_start(self, _: Any) -> None:
-            if not self.told:
-                self.told = True
+            if not self.warned:
+                self.warned = True
                 print(f"dimension {dimension}: kernels are compiled now, about {COMPILING} s, once", flush=True)
 
         def on_end(self, _: Any) -> None:

@@ -57,10 +57,10 @@ class Forecast(NamedTuple):
 
     def __str__(self) -> str:
         """One line for the user."""
-        told = f"about {duration(self.seconds)}" if not self.reason else f"{duration(self.least)} to {duration(self.most)}"
+        takes = f"about {duration(self.seconds)}" if not self.reason else f"{duration(self.least)} to {duration(self.most)}"
         written = f"; {duration(self.writing)} in all for output" if self.writing > 0.0 else ""
         return (
-            f"{told} on {self.ranks} rank{'s' if self.ranks > 1 else ''}{f': {self.reason}' if self.reason else ''}"
+            f"{takes} on {self.ranks} rank{'s' if self.ranks > 1 else ''}{f': {self.reason}' if self.reason else ''}"
             f" ({self.step * 1e3:.3g} ms a step, measured over {self.timed} step{'s' if self.timed > 1 else ''}{written})"
         )
 

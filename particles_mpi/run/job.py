@@ -213,8 +213,8 @@ class Job:
                 writer.show()  # a run that goes on from here counts on all frames up to here
         with sim.timers("checkpoint"):
             metadata = sim.metadata()
-            told = {name: metadata[name] for name in METADATA} | {"reported": self.since.tolist(), "written": self.written}
-            state = {name: json.dumps(value) for name, value in told.items()} | {"step": metadata["step"], "time": sim.time}
+            kept = {name: metadata[name] for name in METADATA} | {"reported": self.since.tolist(), "written": self.written}
+            state = {name: json.dumps(value) for name, value in kept.items()} | {"step": metadata["step"], "time": sim.time}
             contacts = sim.lasting_contacts()
             path, d = self.folder / "checkpoint.h5", self.scene.dimension
             checkpoint.save(path, self.ranks, sim.rows.arrays, sim.ids, d, state, contacts)
@@ -242,7 +242,7 @@ class Job:
             say(f"{windows} windows of time verified by the ranks, {redone} redone ({100 * redone / windows:.1f} %)")
         for remark in remarks:
             say(remark)
-        write_text(f / "run.json", self.ranks, json.dumps(self.told(timers, traffic, remarks), indent=2) + "\n")
+        write_text(f / "run.json", self.ranks, json.dumps(self.about_end(timers, traffic, remarks), indent=2) + "\n")
         if self.scene.output.formats:
             say(f"ParaView: paraview {f}/view_paraview.py")
         if "vtk" in self.scene.output.formats:
@@ -260,7 +260,7 @@ class Job:
             result |= {name: here[name] for name in ("windows", "windows_redone")}
         return result | {"reductions": self.ranks.reductions, "pair_searches": here["pair_searches"]}
 
-    def told(self, timers: dict[str, Any], counts: dict[str, int], remarks: list[str]) -> dict[str, Any]:
+    def about_end(self, timers: dict[str, Any], counts: dict[str, int], remarks: list[str]) -> dict[str, Any]:
         """What run.json says."""
         calls = self.sim.calls
         effects = [row | {"calls": calls.get(row["effect"], 0)} for row in self.plan["effects"]]

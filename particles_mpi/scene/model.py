@@ -110,8 +110,8 @@ def table(value: Any, *keys: str, check: Any = None) -> Any:
     return Annotated[dict[Literal[keys], value], Len(len(keys), len(keys)), check]  # type: ignore[valid-type]
 
 
-def one_of(told: str, *kinds: Any) -> Any:
-    """What is of one of these kinds, and stays as it was given; `told`: what anything else is told."""
+def one_of(fault: str, *kinds: Any) -> Any:
+    """What is of one of these kinds, and stays as it was given; `fault`: the message about anything else."""
     any_of: Any = Union[kinds]  # noqa: UP007
     adapter: TypeAdapter[Any] = TypeAdapter(any_of, config=ConfigDict(strict=True))
 
@@ -120,7 +120,7 @@ def one_of(told: str, *kinds: Any) -> Any:
             adapter.validate_python(value)
         except ValidationError as error:
             reasons = [str(item["ctx"]["error"]) for item in error.errors() if item["type"] == "value_error"]
-            raise ValueError(reasons[0] if reasons else told) from None
+            raise ValueError(reasons[0] if reasons else fault) from None
         return value
 
     return Annotated[Any, BeforeValidator(check)]

@@ -48,9 +48,9 @@ def run(ranks: Communicator, d: int, effects: dict[str, Any], **more: Any) -> No
         sim.many_steps = None
         sim.step()
     sim.measure()
-    if sim.rest and sim.rest.pairs:
-        sim.rest.effort = 0  # as in a large pile
-        sim.rest.keep_crowds(sim.rows, sim.sum_forces(), sim.h)
+    if sim.persistent and sim.persistent.pairs:
+        sim.persistent.effort = 0  # as in a large pile
+        sim.persistent.keep_crowds(sim.rows, sim.sum_forces(), sim.h)
 
 
 def down(d: int) -> dict[str, Any]:
@@ -116,7 +116,7 @@ def rough(d: int, ranks: Communicator) -> None:
     run(ranks, d, more)
     column = [{"position": [[2.0] * (d - 1) + [0.2 + 0.4 * k] for k in range(3)], "radius": 0.2}]
     sim = Simulation(scene(d, more | {"collisions": surfaces}, particles=column), ranks.comm)
-    sim.rest.effort = 0
+    sim.persistent.effort = 0
     sim.step()
 
 

@@ -164,8 +164,8 @@ def test_only_those_that_are_near_are_looked_at():
             effects={"user_acceleration": {}, "collisions": {"restitution": 0.5}},
         )
     )
-    sim.rest.keep(sim.rows, sim.sum_forces(), sim.h)
-    graph, p = sim.rest.graph, sim.rows
+    sim.persistent.keep(sim.rows, sim.sum_forces(), sim.h)
+    graph, p = sim.persistent.graph, sim.rows
     apart = p.position[:, None] - p.position[None]
     apart -= np.round(apart)
     distance = np.sqrt((apart**2).sum(axis=2)) + 9.0 * np.eye(len(p))
