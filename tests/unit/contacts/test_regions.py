@@ -1,0 +1,89 @@
+"""Which ghosts can have touched an own row: as all pairs say."""
+
+import numpy as np
+import pytest
+from numba import njit
+
+from particles_mpi.contacts.event_driven.engine import Engine
+from particles_mpi.contacts.event_driven.regions import Regions, can_affect_owned
+from particles_mpi.contacts.event_driven.rows import OWNERSHIP, SHARED, START, Log, Rows, save_once
+from particles_mpi.contacts.law import Loss
+from particles_mpi.kernels.geometry import Box, image_shifts
+from particles_mpi.kernels.planes import no_planes
+from particles_mpi.neighbours.verlet_kernels import Lists, list_rows
+from particles_mpi.particles import Particles, default_values
+
+
+@njit
+def affect(rows, lists, log, regions, ghosts, begin, place, found):
+    rows, lists, log, regions = Rows(*rows), Lists(*lists), Log(*log), Regions(*regions)
+    for p in range(len(ghosts)):
+        found[p] = can_affect_owned(rows, lists, log, regions, ghosts[p], begin, place)
+
+
+@njit
+def save(axes, rows, log, some):
+    rows, log = Rows(*rows), Log(*log)
+    for i in some:
+        save_once(axes, rows, i, log)
+
+
+def some_rows(d, periodic, seed):
+    """(the answer of the kernel, that of all pairs) for each ghost of a rank that owns half of a box."""
+    random = np.random.default_rng(seed)
+    n, side, skin, bound, begin = 400, {1: 200.0, 2: 20.0, 3: 9.0}[d], 0.2, 0.05, 0.3
+    box = Box(np.zeros(d), np.full(d, side), np.full(d, side * periodic))
+    names = "id", "position", "velocity", "mass", "radius", "fixed", "contacted"
+    p = Particles(d, {name: default_values(name, n, d) for name in names})
+    p.id[:] = np.arange(n)
+    p.position[:] = random.uniform(0.0, side, (n, d))
+    p.velocity[:] = random.uniform(-0.2, 0.2, (n, d))
+    p.radius[:] = random.uniform(0.05, 0.3, n)
+    p.mass[:] = 1.0
+    half = 0.5 * side
+    low, high = np.zeros((2, d)), np.full((2, d), side)
+    high[0, 0] = low[1, 0] = half
+    own = p.position[:, 0] < half
+    order = np.argsort(~own, kind="stable")
+    p = Particles(d, {name: column[order] for name, column in p.arrays.items()})
+    engine = Engine(box, Loss(1.0, 1.0), np.zeros((1, 2)), no_planes(d))
+    engine.lists.width = skin
+    engine.lists.build(p.position, p.radius, p.inverse_mass, 0)
+    engine.load(p, int(own.sum()))
+    rows, log, state = engine.rows, engine.log, engine.rows.state
+    rows.segment[:, :d] += random.uniform(-0.5, 0.5, (n, d)) * (skin / d)
+    rows.segment[:, d : 2 * d], rows.segment[:, 2 * d + START] = p.velocity, 0.0
+    state[: own.sum(), OWNERSHIP] = SHARED
+    places = rows.segment[:, :d] + rows.segment[:, d : 2 * d] * begin
+    some = random.permutation(n)[: n // 3]  # have changed since
+    save((0,) * d, tuple(rows), tuple(log), some)
+    rows.segment[some, :d] += random.uniform(-10.0, 10.0, (len(some), d))
+    rows.segment[some, 2 * d + START] = 0.9
+    for i in some[:40].tolist():  # have got new reference positions, as far away as they can be
+        x = engine.lists.arrays.reference[: i + 1, :d].copy()
+        x[i] = places[i] + (skin + bound) * random.choice([-1.0, 1.0], d) / np.sqrt(d)
+        row = i
+        while row == i:
+            row, short = list_rows((0,) * d, tuple(engine.lists.arrays), x, i)
+            engine.lists.enlarge(short)
+    reach = skin + 2.0 * bound + float(p.radius.max())
+    regions = Regions(low, high, tuple(box), 0, np.array([1, 0]), reach, bound, reach + 1.0)
+    ghosts = np.arange(int(own.sum()), n)
+    found = np.zeros(len(ghosts), np.bool_)
+    affect(tuple(rows), tuple(engine.lists.arrays), tuple(log), tuple(regions), ghosts, begin, np.empty((2, d)), found)
+    r = places[ghosts, None] - places[None, : ghosts[0]]
+    r -= image_shifts(r, box.length)
+    expected = (np.sqrt((r**2).sum(axis=2)) <= p.radius[ghosts, None] + p.radius[None, : ghosts[0]] + 2.0 * bound).any(axis=1)
+    return found, expected
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_ghosts_that_can_have_touched_an_own_row(d, periodic):
+    """Wherever rows are within their skins, and whatever became of them in the window: it is where they began that counts."""
+    touching = 0
+    for seed in range(20):
+        found, expected = some_rows(d, periodic, seed)
+        assert (found == expected).all()
+        touching += expected.sum()
+    assert touching > 10
