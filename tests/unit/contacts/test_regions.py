@@ -31,14 +31,14 @@ def save(axes, rows, log, some):
 def some_rows(d, periodic, seed):
     """(the answer of the kernel, that of all pairs) for each ghost of a rank that owns half of a box."""
     random = np.random.default_rng(seed)
-    n, side, skin, bound, begin = 400, {1: 200.0, 2: 20.0, 3: 9.0}[d], 0.2, 0.05, 0.3
+    n, side, skin, bound, begin = 400, {1: 200.0, 2: 20.0, 3: 9.0}[d], 0.2, 0.2, 0.3
     box = Box(np.zeros(d), np.full(d, side), np.full(d, side * periodic))
     names = "id", "position", "velocity", "mass", "radius", "fixed", "contacted"
     p = Particles(d, {name: default_values(name, n, d) for name in names})
     p.id[:] = np.arange(n)
     p.position[:] = random.uniform(0.0, side, (n, d))
     p.velocity[:] = random.uniform(-0.2, 0.2, (n, d))
-    p.radius[:] = random.uniform(0.05, 0.3, n)
+    p.radius[:] = random.uniform(0.05, 0.1, n)
     p.mass[:] = 1.0
     half = 0.5 * side
     low, high = np.zeros((2, d)), np.full((2, d), side)
