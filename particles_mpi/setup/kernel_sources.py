@@ -5,15 +5,20 @@
 Numba compiles a kernel again when the file that defines it has changed, but not when another file has changed whose functions or
 constants it uses. Therefore a digest of each kernel is kept: of all definitions in the package that it uses, directly or through
 others, as syntax trees without docstrings. This module imports nothing of the package, so that it runs quickly.
+
+What numba keeps of a kernel names the classes of its arguments, also those that the kernel itself does not know, because a caller
+in another file has handed them on. Numba fails if such a class is not there any more, so kernels that name one are deleted too.
 """
 
 import ast
 import json
+import pickle
 import sys
 from collections import defaultdict
 from collections.abc import Iterable
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 PACKAGE = Path(__file__).parents[1]
 STATE = "__pycache__/kernels.json"  # the digests at the time when all kernels were compiled
@@ -104,17 +109,55 @@ class Sources:
         return self.compiled() == self.state()
 
     def forget_stale(self) -> None:
-        """Delete what was compiled of stale kernels."""
+        """Delete what was compiled of stale kernels, and of those whose arguments are of classes that are gone."""
         for name in self.stale():
             module, _, function = name.rpartition(".")
             path = self.package.joinpath(*module.split(".")[1:])
             for old in (path.parent / "__pycache__").glob(f"{path.name}.{function}-*.nb[ic]"):
                 old.unlink(missing_ok=True)
+        for index in self.package.rglob("__pycache__/*.nbi"):
+            if not classes_in(index, self.package.name) <= self.defined.keys():
+                for old in index.parent.glob(f"{index.stem}.*nb[ic]"):
+                    old.unlink(missing_ok=True)
 
     def note(self) -> None:
         """Save the state: all kernels have been compiled."""
         (self.package / STATE).parent.mkdir(exist_ok=True)
         (self.package / STATE).write_text(json.dumps(self.state(), indent=1))
+
+
+class Anything:
+    """Stands for every class and function that a pickle names."""
+
+    def __init__(self, *_: Any, **__: Any) -> None:
+        pass
+
+    def __setstate__(self, _: Any) -> None:
+        pass
+
+
+class ClassReader(pickle.Unpickler):
+    """Reads a pickle without importing anything; `named` are the (module, name) of what it would have imported."""
+
+    def __init__(self, file: Any) -> None:
+        super().__init__(file)
+        self.named: set[Place] = set()
+
+    def find_class(self, module: str, name: str) -> Any:
+        self.named.add((module, name))
+        return Anything
+
+
+def classes_in(index: Path, package: str) -> set[Place]:
+    """The classes of the package that numba's index file of a kernel names; something unknown if it cannot be read."""
+    try:
+        with open(index, "rb") as file:
+            pickle.load(file)  # the version of numba
+            reader = ClassReader(file)
+            reader.load()
+    except Exception:  # damaged files raise anything
+        return {(package, str(index))}
+    return {(module, name) for module, name in reader.named if module.split(".")[0] == package}
 
 
 def without_docstrings(tree: ast.stmt) -> ast.stmt:

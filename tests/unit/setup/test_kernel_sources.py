@@ -1,12 +1,18 @@
 """What set-up compiles again after an edit: the kernels whose code has changed, or that of what they call, and no others."""
 
 import os
+import pickle
 import shutil
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+from numba import typeof
+from numba.core.serialize import dumps
 
+from particles_mpi.contacts.law import Loss
+from particles_mpi.kernels.geometry import Box
 from particles_mpi.setup.kernel_sources import PACKAGE, STATE, Sources
 
 CELL_ALONG = "particles_mpi.neighbours.cells.cell_along"
@@ -92,6 +98,22 @@ def test_what_is_stale_is_forgotten(whole, edit):
     assert [file.exists() for file in files] == [False, False, True]
     (whole / STATE).write_text("half a file")
     assert subprocess.run(script, timeout=60).returncode == 1
+
+
+def test_kernels_with_arguments_of_a_class_that_is_gone_are_forgotten(whole, edit):
+    """Numba fails when it reads what it kept of them, even where the kernel itself has not changed."""
+    Sources(whole).note()
+    cache = whole / "kernels" / "__pycache__"
+    cache.mkdir(exist_ok=True)
+    for name, bundle in (("kick", Loss(1.0, 1.0)), ("wrap", Box(np.zeros(2), np.ones(2), np.ones(2)))):
+        kept = (0.0, 1), {((typeof(bundle),), "cpu"): "1.nbc"}
+        (cache / f"motion.{name}-1.py311.nbi").write_bytes(pickle.dumps("0.68") + dumps(kept))
+        (cache / f"motion.{name}-1.py311.1.nbc").touch()
+    Sources(whole).forget_stale()
+    assert len(list(cache.iterdir())) == 4
+    edit(("contacts/law.py", "class Loss(", "class Taken("))
+    Sources(whole).forget_stale()
+    assert sorted(path.name for path in cache.iterdir()) == ["motion.wrap-1.py311.1.nbc", "motion.wrap-1.py311.nbi"]
 
 
 def test_no_folder_for_kernels_is_one_line():
