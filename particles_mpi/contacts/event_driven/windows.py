@@ -99,7 +99,7 @@ class Windows:
             speed = self.prepare(moment)
         if self.crowded and not self.always:
             return None
-        self.longest = 0.9 * self.displacement_bound / speed if speed > 0.0 else np.inf
+        self.longest = 0.9 * self.regions.bound / speed if speed > 0.0 else np.inf
         if h / self.longest > (max(self.events / WORTH, CHEAP) if self.events else UNTRIED) and not self.always:
             return None
         self.window = min(self.window or FIRST * self.longest, self.longest)
@@ -180,7 +180,6 @@ class Windows:
         lists.tune(p.position, p.radius, p.inverse_mass)
         self.skin, largest = (float(value) for value in ranks.allreduce_max(np.array([lists.skin, p.radius.max(initial=0.0)])))
         mean = float(ranks.allreduce_sum(p.radius.sum())[0]) / max(self.total, 1)
-        self.displacement_bound = DISPLACEMENT_BOUND * self.skin
         lists.width = self.skin
         self.divide(largest, mean)
         known = len(self.regions.known)
@@ -217,14 +216,15 @@ class Windows:
         me, domain, length = self.ranks.rank, self.balance.decomposition, self.box.length
         low = np.where(length > 0.0, np.maximum(domain.lower, self.box.lower), domain.lower)
         high = np.where(length > 0.0, np.minimum(domain.upper, self.box.upper), domain.upper)
-        reach = (self.skin + 2.0 * self.displacement_bound + largest) * MARGIN
+        bound = DISPLACEMENT_BOUND * self.skin
+        reach = (self.skin + 2.0 * bound + largest) * MARGIN
         depth = (reach + 2.0 * max(self.depth * mean, largest)) * MARGIN
         apart = np.full(low.shape, np.inf)  # from the region of this rank to the nearest image of each
         for shift in (0.0, length, -length):
             apart = np.minimum(apart, np.maximum(np.maximum(low[me] + shift - high, low - high[me] - shift), 0.0))
-        within = depth + largest + self.skin + 2.0 * self.skin + self.displacement_bound
+        within = depth + largest + self.skin + 2.0 * self.skin + bound
         self.near = [int(rank) for rank in np.flatnonzero((apart**2).sum(axis=1) <= within**2) if rank != me]
-        self.regions = Regions(low, high, tuple(self.box), me, np.array([*self.near, me]), reach, self.displacement_bound, depth)
+        self.regions = Regions(low, high, tuple(self.box), me, np.array([*self.near, me]), reach, bound, depth)
 
     def send_motion(self) -> None:
         """Ghosts start on the segments that their owners' rows start on. Collective."""
@@ -264,12 +264,12 @@ class Windows:
             transferred = self.transferred + int((moves.owner != ranks.rank).sum())
             wrong, fastest2, transferred = ranks.allreduce_max(np.array([wrong, log.fastest2[0], transferred], float))
         with self.timers("ghosts"):
-            if wrong or np.sqrt(fastest2) * length > self.displacement_bound:
+            if wrong or np.sqrt(fastest2) * length > self.regions.bound:
                 self.undo(before)
                 return False
             self.transferred = int(transferred)
             if fastest2 > 0.0:
-                self.longest = min(self.longest, 0.9 * self.displacement_bound / np.sqrt(fastest2))
+                self.longest = min(self.longest, 0.9 * self.regions.bound / np.sqrt(fastest2))
             self.accept(message, differing, moves)
         return True
 
