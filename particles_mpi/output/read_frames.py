@@ -22,6 +22,9 @@ if TYPE_CHECKING:  # particles brings numba, which takes longer to import than a
 PAUSES = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)  # seconds between looks at a file that is being changed
 
 
+SHOW: dict[Path, Callable[[], None]] = {}  # of each file that this process alone writes: writes the frames that wait
+
+
 class Index(NamedTuple):
     """Of the S frames that are whole, (S,) each: times, steps, counts of particles, first rows; and the names of the fields."""
 
@@ -41,6 +44,8 @@ class FrameReader:
 
     def index(self) -> Index:
         """What there is now; read again only if the file has changed."""
+        if show := SHOW.get(self.path.resolve()):
+            show()
         stamp = self._stamp()
         if self.known[0] != stamp or self.known[1] is None:
             self.known = stamp, self._read(_index)

@@ -13,13 +13,14 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
 
 from particles_mpi.errors import StoppedError
 from particles_mpi.output.files import Continuing, check_last, failing_together, frame_arrays, mpi_io_errors, replacing
+from particles_mpi.output.read_frames import SHOW
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
 from particles_mpi.particles import Array, default_values, field
@@ -28,7 +29,8 @@ KINDS = ("Vertices", "Lines", "Polygons", "Strips")  # of cells: particles are v
 PARTS = ("NumberOfPoints", *(f"{kind}/{what}" for kind in KINDS for what in ("NumberOfCells", "NumberOfConnectivityIds")))
 CELLS = ("Connectivity", "Offsets")  # the point of each cell, and where each cell begins
 STEPS_CHUNK = 1024  # frames
-LATE = 0.5  # seconds: with several ranks, frames that follow one another faster are shown to readers together
+LATE = 0.5  # seconds: frames that follow one another faster are shown to readers together
+TOGETHER = 2**20  # bytes: smaller frames wait for those that follow in that time, and are written by one call with them
 BLOCK = 2**20  # rows of the topology that are written at once
 # Datasets with a row for each frame: (shape of a row, dtype, fill value). `Step` is an addition, which VTK ignores.
 STEPS: dict[str, tuple[tuple[int, ...], str, int]] = {
@@ -40,6 +42,14 @@ STEPS: dict[str, tuple[tuple[int, ...], str, int]] = {
     "Steps/CellOffsets": ((4,), "int64", 0),
     "Steps/ConnectivityIdOffsets": ((4,), "int64", 0),
 }
+
+
+class Frame(NamedTuple):
+    """What a frame shows of this rank's range of ids, by place in the file."""
+
+    step: int
+    time: float
+    columns: dict[str, Array]
 
 
 class Trajectory(Continuing):
@@ -65,13 +75,16 @@ class Trajectory(Continuing):
         frame = frame_arrays({name: default_values(name, 0, dimension) for name in self.fields}, dimension)
         self.places = {name: name if name == "Points" else f"PointData/{name}" for name in frame}
         self.columns = {self.places[name]: (rows.shape[1:], rows.dtype) for name, rows in frame.items()}
+        self.row_bytes = sum(rows.dtype.itemsize * int(np.prod(rows.shape[1:])) for rows in frame.values())
         self.parallel = ranks.size > 1 and bool(h5py.get_config().mpi)
         self.datasets: dict[str, Any] = {}
         self.frames, self.parts, self.points = 0, [total], 0  # so far; N of each part; rows of all frames
         self.failed = self.continued = False
         super().__init__(path, ranks, resume_step, last)
         self.frames, self.points, self.parts = ranks.bcast((self.frames, self.points, self.parts))
-        self.step, self.shown, self.shown_at = 0, self.frames, -np.inf  # of the last frame; frames that readers see; when shown
+        self.shown, self.shown_at = self.frames, -np.inf  # frames that readers see, and since when
+        self.waiting: list[Frame] = []  # not yet written, of particles with the ids `ids`
+        self.ids = IdRange(0, 0, 0)
         self.collective = h5py.h5p.create(h5py.h5p.DATASET_XFER)
         if self.parallel:
             self.collective.set_dxpl_mpio(h5py.h5fd.MPIO_COLLECTIVE)
@@ -92,29 +105,49 @@ class Trajectory(Continuing):
         if self.file is not None:
             names = (*self.columns, *STEPS, *PARTS, *(f"Vertices/{what}" for what in CELLS))
             self.datasets = {name: self.file[f"VTKHDF/{name}"] for name in names}
+        if self.ranks.size == 1:
+            SHOW[self.path.resolve()] = self.show
 
     def write(self, step: int, time: float, arrays: dict[str, Array], ids: IdRange) -> None:
         """Append a frame. `arrays`: this rank's owned rows in any order, at least the fields given at the start."""
         rows = in_id_order(self.ranks, {n: arrays[n] for n in self.fields}, ids, self.ranks.size if self.parallel else 1)
-        frame = frame_arrays(rows, self.dimension)
-        first = self.points + int(self.ranks.allgather_array(np.array(len(rows["id"])))[: self.ranks.rank].sum())
-        actions: list[Callable[[], None]] = []
-        if ids.total != self.parts[-1]:
-            actions.append(partial(self._append_part, ids.total))
-            self.parts.append(ids.total)
-        actions += [partial(self._append, self.places[name], first, rows) for name, rows in frame.items()]
-        actions.append(partial(self._append_step, step, time))
-        self._do(step, actions)
-        self.step, self.frames, self.points = step, self.frames + 1, self.points + ids.total
-        if not self.parallel or self.ranks.bcast(perf_counter() - self.shown_at > LATE):
+        if self.waiting and ids != self.ids:
+            self._write_waiting()
+        self.ids = ids
+        late = self.ranks.bcast(perf_counter() - self.shown_at > LATE)
+        columns = {self.places[name]: column for name, column in frame_arrays(rows, self.dimension).items()}
+        if not late:  # the run goes on and changes its arrays
+            columns = {place: column.copy() for place, column in columns.items()}
+        self.waiting.append(Frame(step, time, columns))
+        if late:
             self.show()
+        elif len(self.waiting) * ids.total * self.row_bytes > TOGETHER:
+            self._write_waiting()
+
+    def _write_waiting(self) -> None:
+        """Write all frames that wait."""
+        frames, total = self.waiting, self.ids.total
+        if not frames:
+            return
+        self.waiting = []
+        counts = self.ranks.allgather_array(np.array(len(next(iter(frames[0].columns.values())))))
+        first = self.points + int(counts[: self.ranks.rank].sum())
+        actions: list[Callable[[], None]] = []
+        if total != self.parts[-1]:
+            actions.append(partial(self._append_part, total))
+            self.parts.append(total)
+        actions += [partial(self._append, place, first, [f.columns[place] for f in frames]) for place in self.columns]
+        actions.append(partial(self._append_steps, frames))
+        self._do(frames[-1].step, actions)
+        self.step, self.frames, self.points = frames[-1].step, self.frames + len(frames), self.points + len(frames) * total
 
     def show(self) -> None:
-        """Let readers see all frames that were written.
+        """Write what waits, and let readers see all frames.
 
         The count is raised after all that it counts has left this process: the file of a killed run is readable. Parallel
         HDF5 waits for the disk in each flush, but not when it closes a file: so it is closed and opened again.
         """
+        self._write_waiting()
         if self.shown < self.frames:
             leave = (
                 [self._close, self._raise_count, self._open] if self.parallel else [self._flush, self._raise_count, self._flush]
@@ -124,6 +157,7 @@ class Trajectory(Continuing):
 
     def close(self) -> None:
         """Close the file; after a failure it stays open until the process ends."""
+        SHOW.pop(self.path.resolve(), None)
         if not self.failed:
             self.show()
             super().close()
@@ -169,16 +203,23 @@ class Trajectory(Continuing):
                 atexit.register(_leave)
             raise
 
-    def _append(self, place: str, first: int, values: Array) -> None:
-        """Write this rank's rows of a column, from row `first` on. Ranks without rows take part too: the call is collective."""
+    def _append(self, place: str, first: int, frames: list[Array]) -> None:
+        """Write this rank's rows of a column of several frames of equal size, from row `first` of the file on.
+
+        Ranks without rows take part too: the call is collective.
+        """
+        total, rows = self.parts[-1], len(frames[0])
         dataset = self.datasets[place].id  # of HDF5 itself: a frame of a few bodies is nothing but calls
-        dataset.set_extent((self.points + self.parts[-1], *values.shape[1:]))
-        if self.parts[-1] == 0:
+        width = frames[0].shape[1:]
+        dataset.set_extent((self.points + len(frames) * total, *width))
+        if total == 0:
             return
+        values = frames[0] if len(frames) == 1 else np.concatenate(frames)
         space = dataset.get_space()
         memory = h5py.h5s.create_simple(values.shape)
-        if len(values):
-            space.select_hyperslab((first,) + (0,) * (values.ndim - 1), values.shape)
+        if rows:
+            whole = (0,) * len(width), (1,) * len(width)
+            space.select_hyperslab((first, *whole[0]), (len(frames), *whole[1]), (total, *whole[1]), (rows, *width))
         else:
             space.select_none()
             memory.select_none()
@@ -203,17 +244,23 @@ class Trajectory(Continuing):
                 if self.ranks.is_root:
                     _count_up(self.datasets[f"Vertices/{what}"], before, rows)
 
-    def _append_step(self, step: int, time: float) -> None:
-        """The row of this frame in every dataset of Steps; None: the fill value."""
-        row = {"Values": time, "Step": step, "PointOffsets": self.points, "PartOffsets": len(self.parts) - 1}
-        memory = h5py.h5s.create_simple((1,))
+    def _append_steps(self, frames: list[Frame]) -> None:
+        """The rows of these frames in every dataset of Steps; those that are not named here have their fill value."""
+        number = len(frames)
+        rows = {
+            "Steps/Values": [frame.time for frame in frames],
+            "Steps/Step": [frame.step for frame in frames],
+            "Steps/PointOffsets": [self.points + i * self.parts[-1] for i in range(number)],
+            "Steps/PartOffsets": [len(self.parts) - 1] * number,
+        }
+        memory = h5py.h5s.create_simple((number,))
         for place, (width, kind, _) in STEPS.items():
             dataset = self.datasets[place].id
-            dataset.set_extent((self.frames + 1, *width))
-            if self.ranks.is_root and (value := row.get(place.removeprefix("Steps/"))) is not None:
+            dataset.set_extent((self.frames + number, *width))
+            if self.ranks.is_root and place in rows:
                 space = dataset.get_space()
-                space.select_hyperslab((self.frames,), (1,))
-                dataset.write(memory, space, np.array([value], kind))
+                space.select_hyperslab((self.frames,), (number,))
+                dataset.write(memory, space, np.array(rows[place], kind))
 
     def prepare(self) -> None:
         """Make the file, or remove the frames that are not kept."""
