@@ -25,67 +25,57 @@ OBSERVABLES = ("temperature", "moment_ratio", "packing", "collision_rate", "free
 ROTATION_PLANES = {2: ((0, 1),), 3: ((1, 2), (2, 0), (0, 1))}  # of the components of the angular momentum, by dimension
 
 
-def measure(ranks: Communicator, particles: Particles, potentials: dict[str, Array]) -> dict[str, float]:
+def measure(ranks: Communicator, p: Particles, potentials: dict[str, Array]) -> dict[str, float]:
     """Kinetic, potential and total energy, momentum and largest speed of all movable particles. Collective.
 
     `potentials`: the potential energy (n,) of this rank's particles for each force that has one, by name; nan of one of them
-    makes the sums nan. With mutual gravity the columns of `measure_gravity` are added, and where spheres turn those of
-    `measure_spins`; the energy in their spins is part of the total.
+    makes the sums nan. With mutual gravity: angular momentum about the origin (in two and three dimensions), center of mass, and
+    virial ratio 2 K/|W|. Where spheres turn: the energy of spins, which is part of the total, and angular momentum with spins.
     """
-    d, movable = particles.dimension, particles.fixed == 0
-    square = row_dot(particles.velocity, particles.velocity)
-    momentum = particles.mass[:, None] * particles.velocity * movable[:, None]
-    columns = [0.5 * particles.mass * square * movable, *(momentum[:, k] for k in range(d))]
-    kinetic, *sums = exact_sums(ranks, columns + [np.where(movable, u, 0.0) for u in potentials.values()])
-    potential = float(sum(sums[d:]))
+    d, movable, gravity, turning = p.dimension, p.fixed == 0, "mutual_gravity" in potentials, "spin" in p.arrays
+    mass, square = p.mass * movable, row_dot(p.velocity, p.velocity)
+    terms = {"kinetic": 0.5 * mass * square} | dict(zip(momentum_names(d), mass * p.velocity.T, strict=True))
+    terms |= {f"potential of {name}": np.where(movable, energy, 0.0) for name, energy in potentials.items()}
+    if gravity or turning:
+        terms |= angular_momenta(p, mass)
+    if gravity:
+        terms |= {"mass": mass} | dict(zip(center_names(d), mass * p.position.T, strict=True))
+    if turning:
+        terms |= spins(p)
+    sums = dict(zip(terms, exact_sums(ranks, list(terms.values())), strict=True))  # by one reduction
+
+    kinetic, potential = sums["kinetic"], float(sum(sums[f"potential of {name}"] for name in potentials))
     row = {"kinetic": kinetic, "potential": potential, "total_energy": kinetic + potential}
-    row |= dict(zip(momentum_names(d), sums))
+    row |= {name: sums[name] for name in momentum_names(d)}
     row["max_speed"] = float(np.sqrt(ranks.allreduce_max(square.max(initial=0.0))[0]))
-    if "mutual_gravity" in potentials:
-        row |= measure_gravity(ranks, particles, kinetic, potentials["mutual_gravity"])
-    if "spin" in particles.arrays:
-        row |= measure_spins(ranks, particles)
+    row |= {name: sums[name] for name in angular_names(d) if gravity or turning}
+    if gravity:
+        binding, total = sums["potential of mutual_gravity"], sums["mass"]
+        row |= {name: sums[name] / total if total else nan for name in center_names(d)}
+        row["virial_ratio"] = 2.0 * kinetic / abs(binding) if binding else nan
+    if turning:
+        row["rotational"] = sums["rotational"]
         row["total_energy"] += row["rotational"]
+        row |= {name: sums[name] + sums[f"spins' {name}"] for name in angular_names(d)}
     return row
 
 
-def measure_spins(ranks: Communicator, p: Particles) -> dict[str, float]:
-    """Energy of all spins, I s^2/2, and the angular momentum about the origin with them. Collective."""
+def spins(p: Particles) -> dict[str, Array]:
+    """Energy of the spin of each particle (n,), I s^2/2, and its angular momentum I s by component."""
     moment = p["moment_of_inertia"] * (p.fixed == 0)
-    orbital, own = angular_momenta(p), (moment[:, None] * p["spin"]).T
-    columns = [0.5 * moment * row_dot(p["spin"], p["spin"]), *(part for pair in zip(orbital, own, strict=True) for part in pair)]
-    rotational, *sums = exact_sums(ranks, columns)
-    return {"rotational": rotational} | dict(zip(angular_names(p.dimension), np.add(sums[::2], sums[1::2]).tolist(), strict=True))
+    own = {f"spins' {name}": part for name, part in zip(angular_names(p.dimension), moment * p["spin"].T, strict=True)}
+    return {"rotational": 0.5 * moment * row_dot(p["spin"], p["spin"])} | own
 
 
-def angular_momenta(p: Particles) -> list[Array]:
-    """m x cross v of each particle (n,), for each component; nothing in one dimension and beyond three."""
-    mass, planes = p.mass * (p.fixed == 0), ROTATION_PLANES.get(p.dimension, ())
-    return [mass * (p.position[:, i] * p.velocity[:, j] - p.position[:, j] * p.velocity[:, i]) for i, j in planes]
+def angular_momenta(p: Particles, mass: Array) -> dict[str, Array]:
+    """m x cross v of each particle (n,), by component; nothing in one dimension and beyond three."""
+    x, v, planes = p.position.T, p.velocity.T, ROTATION_PLANES.get(p.dimension, ())
+    return dict(zip(angular_names(p.dimension), [mass * (x[i] * v[j] - x[j] * v[i]) for i, j in planes], strict=True))
 
 
 def angular_names(dimension: int) -> list[str]:
-    """Names of its components."""
+    """Names of the components of the angular momentum."""
     return [f"angular_momentum_{'xyz'[3 - i - j]}" for i, j in ROTATION_PLANES.get(dimension, ())]
-
-
-def measure_gravity(ranks: Communicator, p: Particles, kinetic: float, potential: Array) -> dict[str, float]:
-    """Angular momentum about the origin (in two and three dimensions), centre of mass, and 2 K/|W|. Collective."""
-    movable = p.fixed == 0
-    mass, d = p.mass * movable, p.dimension
-    columns = [potential * movable, mass, *(mass * p.position[:, k] for k in range(d)), *angular_momenta(p)]
-    binding, total, *sums = exact_sums(ranks, columns)
-    row = dict(zip(gravity_names(d), [*sums[d:], *(x / total if total else nan for x in sums[:d])], strict=False))
-    return row | {"virial_ratio": 2.0 * kinetic / abs(binding) if binding else nan}
-
-
-def gravity_names(dimension: int) -> list[str]:
-    """The columns of `measure_gravity`, in order."""
-    return [
-        *angular_names(dimension),
-        *(name.replace("momentum", "center") for name in momentum_names(dimension)),
-        "virial_ratio",
-    ]
 
 
 def momentum_names(dimension: int) -> list[str]:
@@ -93,11 +83,17 @@ def momentum_names(dimension: int) -> list[str]:
     return [f"momentum_{'xyz'[k] if dimension <= 3 else k}" for k in range(dimension)]
 
 
+def center_names(dimension: int) -> list[str]:
+    """center_x, ...: the same of the center of mass."""
+    return [name.replace("momentum", "center") for name in momentum_names(dimension)]
+
+
 def columns(dimension: int, observables: bool = False, gravity: bool = False, spins: bool = False) -> list[str]:
     """The columns of diagnostics.csv, in order."""
     row = ["step", "time", "particles", "kinetic", "potential", "total_energy", *momentum_names(dimension), "max_speed"]
+    about_gravity = [*angular_names(dimension), *center_names(dimension), "virial_ratio"] if gravity else []
     turning = ["rotational", *(angular_names(dimension) if not gravity else ())] if spins else []
-    row += [*COUNTS, "imbalance", *(gravity_names(dimension) if gravity else ()), *turning]
+    row += [*COUNTS, "imbalance", *about_gravity, *turning]
     return [*row, *(OBSERVABLES if observables else ())]
 
 
