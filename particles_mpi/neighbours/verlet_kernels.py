@@ -65,7 +65,7 @@ def make_grid(x: Array, size: Array, box: Box, share: float) -> tuple[Grid, Arra
         high = np.where(periodic, high, np.minimum(high, x[:, :g].max(axis=0)))
     moving = size[size > 0.0]
     typical = float(np.median(moving)) * 1.5 if len(moving) else 1.0
-    steps = np.ceil(np.log(np.maximum(size, 1e-300) / typical) / np.log(FACTOR))
+    steps = np.ceil(np.log(np.maximum(size / typical, 1e-300)) / np.log(FACTOR))
     level = np.clip(steps, 0, LEVELS - 1).astype(np.int8)
     per_length, cells = np.zeros((LEVELS, GRIDDED)), np.ones((LEVELS, GRIDDED), np.int64)
     largest, first = np.full(LEVELS, -1.0), np.zeros(LEVELS + 1, np.int64)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from particles_mpi.kernels.geometry import Box, image_shifts
-from particles_mpi.neighbours.verlet_kernels import BEGIN, BLOCK, COUNT, PLACES, SIZE, list_rows
+from particles_mpi.neighbours.verlet_kernels import BEGIN, BLOCK, COUNT, PLACES, SIZE, list_rows, make_grid
 from particles_mpi.neighbours.verlet_lists import VerletLists
 
 
@@ -51,3 +51,11 @@ def test_lists_follow_every_move(d, periodic):
         if move == 30:
             lists.grow()
         assert listed(lists, n) == near(lists, n, d, length)
+
+
+@pytest.mark.parametrize("sizes", [[0.0, 20.0, 1e30], [0.0, 1e-300, 1e300], [0.0, 0.0, 0.0]])
+def test_sizes_of_any_magnitude_have_a_level(sizes):
+    """No warning (it is an error here), and no smaller sphere is in a level of larger ones than a larger sphere."""
+    box = Box(np.zeros(2), np.zeros(2), np.zeros(2))
+    _, level = make_grid(np.random.default_rng(1).random((3, 2)), np.array(sizes), box, 1.0)
+    assert (np.diff(level) >= 0).all()
