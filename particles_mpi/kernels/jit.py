@@ -90,6 +90,49 @@ def _prefetch(typing: Any, array: Any, row: Any) -> Any:
 prefetch: Any = intrinsic(_prefetch)
 
 
+def _spheres_within(typing: Any, axes: Any, middle: Any, own: Any, limit: Any, spheres: Any, first: Any) -> Any:
+    """Which of eight spheres are within reach of one: bit p for sphere first + p, as int64.
+
+    middle (g,) and own: place and radius of the one. spheres (g + 1, n): coordinates and radii, all float32. g: the number of
+    axes, at most 3. Spheres with radii above limit are out of reach. Vectors of eight on every processor: the same bits.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        float32, number = ir.FloatType(), ir.IntType(64)
+        eight = ir.VectorType(float32, 8)
+        one, all_ = (context.make_array(signature.args[k])(context, builder, arguments[k]) for k in (1, 4))
+        lanes = ir.Constant(ir.VectorType(ir.IntType(32), 8), [0] * 8)
+
+        def repeated(value: Any) -> Any:
+            """A number in all lanes."""
+            empty = ir.Constant(eight, ir.Undefined)
+            return builder.shuffle_vector(builder.insert_element(empty, value, ir.Constant(ir.IntType(32), 0)), empty, lanes)
+
+        def row(k: int) -> Any:
+            """Eight numbers of row k of `spheres`."""
+            place = [ir.Constant(number, k), arguments[5]]
+            address = cgutils.get_item_pointer(context, builder, signature.args[4], all_, place, wraparound=False)
+            return builder.load(builder.bitcast(address, eight.as_pointer()), align=4)
+
+        g = min(len(signature.args[0]), 3)
+        square = None
+        for k in range(g):
+            place = [ir.Constant(number, k)]
+            address = cgutils.get_item_pointer(context, builder, signature.args[1], one, place, wraparound=False)
+            r = builder.fsub(repeated(builder.load(address)), row(k))
+            square = builder.fmul(r, r) if square is None else builder.fadd(square, builder.fmul(r, r))
+        radii = row(g)
+        reach = builder.fadd(repeated(arguments[2]), radii)
+        within = builder.fcmp_ordered("<=", square, builder.fmul(reach, reach))
+        small = builder.fcmp_ordered("<=", radii, repeated(arguments[3]))
+        return builder.zext(builder.bitcast(builder.and_(within, small), ir.IntType(8)), number)
+
+    return types.int64(axes, middle, own, limit, spheres, first), generate
+
+
+spheres_within: Any = intrinsic(_spheres_within)
+
+
 def _fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
     """a b + c, rounded once, on every processor: those that have no instruction for it take a hundred times as long."""
     return a(a, a, a), lambda context, builder, signature, arguments: builder.fma(*arguments)

@@ -9,7 +9,6 @@ from particles_mpi.kernels.motion import Segments
 from particles_mpi.kernels.planes import no_planes
 from particles_mpi.neighbours.cells import FINE, LinkedCells, grid, sort_rows, spacing
 from particles_mpi.neighbours.halo_region import HaloRegion, everywhere
-from particles_mpi.neighbours.pair_search import AT_ONCE
 from particles_mpi.neighbours.replacement import ALL, replace_candidates
 from particles_mpi.neighbours.search_index import SLOW, Holding, SearchIndex, SortedCells, fill_cells, levels
 from particles_mpi.neighbours.trajectories import AT_REST, Horizon, Paths, Spheres, rows_leaving, start_paths
@@ -93,13 +92,13 @@ class Candidates:
         fine = grid(midpoint, (low, high), max(0.9 * apart, 0.6 * mean), FINE)
         order, start = sort_rows(midpoint, level, SLOW, fine)
         coarse = grid(midpoint, (low, high), max(2.0 * apart, 2.0 * mean), 1)
-        place, entry, head, after, before, cell_of = fill_cells(self.paths, order, coarse)
-        cells = SortedCells(order, start, place, entry, fine), LinkedCells(head, after, before, cell_of, coarse)
+        place, entry, scale, head, after, before, cell_of = fill_cells(self.paths, order, fine.origin, coarse)
+        cells = SortedCells(order, start, place, entry, scale, fine), LinkedCells(head, after, before, cell_of, coarse)
         index = SearchIndex(*cells, oversize, np.array([count]), reaches, limit, low, high, *own_box)
         self.holding = tuple(
             Holding(
                 tuple(self.paths), plain(index), tuple(self.spheres), self.planes, self.region, self.length,
-                self.marked, np.empty(n + AT_ONCE, np.int32), self.wall_rows,
+                self.marked, np.empty(n, np.int32), self.wall_rows,
             )
         )  # fmt: skip
         segments = self.x, self.v, np.empty(0), np.empty(0, np.int64)

@@ -5,11 +5,11 @@ from math import inf, sqrt
 import numpy as np
 
 from particles_mpi.kernels.geometry import nearest
-from particles_mpi.kernels.jit import inner
+from particles_mpi.kernels.jit import inner, spheres_within, trailing_zeros
 from particles_mpi.neighbours.cells import GRIDDED, cell_along
-from particles_mpi.neighbours.search_index import FAST, OVERSIZE, SLOW
+from particles_mpi.neighbours.search_index import AT_ONCE, FAST, OVERSIZE, SLOW
 
-AT_ONCE = 8
+ROUNDED = 1e-6  # of the sum of the numbers that are compared: more than what float32 loses
 
 
 @inner
@@ -49,22 +49,50 @@ def cover(d, middle, extent, margin, origin, per, cells, low, high):
 
 
 @inner
-def list_sorted(low, high, cells, start, around):
-    """Places in the sorted cells in the ranges low..high; into `around`, returns how many.
+def list_sorted(axes, low, high, sphere, cells, sorted_, firsts, around):
+    """Rows in the sorted cells in the ranges low..high that may be partners of a sphere, into `around`: (how many, tests).
 
-    Runs are short: AT_ONCE places are written whatever their length, without a loop whose end the processor must guess.
+    sphere: middle (g,), radius and largest radius of a partner, float32 in the units of `SortedCells.entry`, and its own row.
+    firsts: scratch, (8,).
+    Runs are short: AT_ONCE places are tested whatever their length, and the bits of as many runs are read together, so that the
+    processor need not guess where each ends.
     """
-    listed = 0
+    middle, own, limit, i = sphere
+    order, start, _, entry, _, _ = sorted_
+    listed = tests = 0
+    bits = np.int64(0)
+    slot = np.int64(0)
     for c0 in range(low[0], high[0] + 1):
         for c1 in range(low[1], high[1] + 1):
             c = (c0 * cells[1] + c1) * cells[2]
-            begin = start[np.uint64(c + low[2])]
-            end = start[np.uint64(c + high[2] + 1)]
-            for p in range(AT_ONCE):
-                around[np.uint64(listed + p)] = begin + p
-            for p in range(AT_ONCE, end - begin):
-                around[np.uint64(listed + p)] = begin + p
-            listed += end - begin
+            first = np.int64(start[np.uint64(c + low[2])])
+            end = np.int64(start[np.uint64(c + high[2] + 1)])
+            tests += int(end - first)
+            while True:
+                left = end - first
+                taken = (np.int64(1) << (left if left < AT_ONCE else np.int64(AT_ONCE))) - np.int64(1)
+                bits |= (spheres_within(axes, middle, own, limit, entry, first) & taken) << (AT_ONCE * slot)
+                firsts[slot] = first
+                slot += 1
+                first += AT_ONCE
+                if slot == len(firsts):
+                    listed = list_bits(bits, firsts, order, i, around, listed)
+                    bits = np.int64(0)
+                    slot = np.int64(0)
+                if first >= end:
+                    break
+    return list_bits(bits, firsts, order, i, around, listed), tests
+
+
+@inner
+def list_bits(bits, firsts, order, i, around, listed):
+    """The rows whose bits are set, AT_ONCE of them from each of the places `firsts` on; behind the first `listed` of `around`."""
+    while bits != 0:
+        bit = trailing_zeros(bits)
+        bits &= bits - 1
+        j = order[np.uint64(firsts[bit // AT_ONCE] + bit % AT_ONCE)]
+        around[listed] = j
+        listed += j != i
     return listed
 
 
@@ -117,13 +145,13 @@ def find_partners(axes, rows, begin, everything, horizon, holding, first, second
     one, enlarge and call again from there). Kept are pairs with an owned partner and a movable one, the lower id first. Of two
     marked rows the one with the larger bounding radius finds the other: with `everything` marked no search need look further
     than the row's own radius, and SLOW rows need not look for FAST ones. `holding`: `Holding` as a plain tuple.
-    Nearly every test is a coin toss: nothing branches on it; each place is written, and the next over it if it does not count.
+    Nearly every test is a coin toss: spheres are tested eight at once in float32, with a margin for what that loses.
     """
     paths, index, spheres, _, _, length, marked, around, _ = holding
     path, midpoint, bounding_radius, level, _ = paths
     end, tolerance, _, _ = horizon
     sorted_, linked, oversize, number, largest, _, lowest, highest, own_low, own_high = index
-    order, start, place, entry, (origin, per, cells) = sorted_
+    _, _, _, _, scale, (origin, per, cells) = sorted_
     head, after, _, _, (linked_origin, linked_per, linked_cells) = linked
     _, w, ids, owned = spheres
     d = len(axes)
@@ -131,6 +159,7 @@ def find_partners(axes, rows, begin, everything, horizon, holding, first, second
     low, high = np.zeros(3, np.int64), np.zeros(3, np.int64)
     by, images = np.zeros((3, 3)), np.ones(3, np.int64)
     y, middle, extent = np.empty(d), np.empty(d), np.empty(g)
+    middle32, firsts = np.empty(g, np.float32), np.empty(8, np.int64)
     tests = 0
     for m in range(begin, len(rows)):
         i = np.int64(rows[m])
@@ -176,18 +205,15 @@ def find_partners(axes, rows, begin, everything, horizon, holding, first, second
                     if outside and apart > far:  # a ghost, nowhere near an owned row
                         continue
                     cover(d, middle, extent, to_slow, origin, per, cells, low, high)
-                    listed = list_sorted(low, high, cells, start, around)
-                    tests += listed
-                    near = np.int64(0)
-                    self = np.uint64(place[i]) if level[i] == SLOW else np.uint64(len(path))
-                    for p in range(listed):
-                        e = np.uint64(around[np.uint64(p)])
-                        r2 = 0.0
-                        for k in range(g):
-                            r2 += (middle[k] - entry[e, k]) ** 2
-                        others = entry[e, g]
-                        around[np.uint64(near)] = order[e]
-                        near += (r2 <= (own + others) ** 2) & (others <= limit) & (e != self)
+                    at_most = 1.0 + (own + largest[SLOW]) * scale
+                    for k in range(g):
+                        r = (middle[k] - origin[k + 3 - g]) * scale
+                        middle32[k] = r
+                        at_most += abs(r)
+                    slip = ROUNDED * at_most
+                    sphere = middle32, np.float32(own * scale + slip), np.float32(limit * scale + slip), i
+                    near, tested = list_sorted(axes, low, high, sphere, cells, sorted_, firsts, around)
+                    tests += tested
                     if also_fast:
                         cover(d, middle, extent, to_fast, linked_origin, linked_per, linked_cells, low, high)
                         listed = list_linked(low, high, linked_cells, head, after, around, near)

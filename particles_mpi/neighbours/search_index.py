@@ -4,7 +4,7 @@ Most rows need not look as far as the few fast ones get: SLOW ones are held in s
 in coarser cells of linked lists, and a few OVERSIZE ones one by one.
 """
 
-from math import inf
+from math import nan
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,18 +14,21 @@ from particles_mpi.neighbours.cells import Grid, LinkedCells, cell_at, link, unl
 from particles_mpi.particles import Array
 
 SLOW, FAST, OVERSIZE = 0, 1, 2
+AT_ONCE = 8  # places of the sorted cells that are tested together
 
 
 class SortedCells(NamedTuple):
     """SLOW rows in the order of their cells: rows `order` (m,) by place, and places where each cell starts (cells + 1 or more).
 
-    place (n,): where a row is in `order`. entry (m, g + 1): by place, midpoint on the g gridded axes and bounding radius.
+    place (n,): where a row is in `order`. entry (g + 1, m + AT_ONCE) float32: by place, midpoint on the g gridded axes, from the
+    grid's origin, and bounding radius, both times `scale`, with which no coordinate is above 1.
     """
 
     order: Array
     start: Array
     place: Array
     entry: Array
+    scale: float
     grid: Grid
 
 
@@ -95,25 +98,33 @@ def levels(bounding_radius, slow, fast, most):
 
 
 @kernel
-def fill_cells(paths, order, grid):
-    """(place, entry) of `SortedCells` for SLOW rows `order`; (head, after, before, cell_of) of `LinkedCells` for FAST ones."""
+def fill_cells(paths, order, origin, grid):
+    """Cells of SLOW rows `order`, and of FAST ones: (place, entry, scale, head, after, before, cell_of).
+
+    origin: of the `SortedCells`; grid: of the `LinkedCells`.
+    """
     _, midpoint, bounding_radius, level, _ = paths
     n, g = len(midpoint), min(midpoint.shape[1], 3)
     place = np.empty(n, np.int32)
-    entry = np.empty((len(order), g + 1))
+    entry = np.full((g + 1, len(order) + AT_ONCE), np.float32(np.nan))
+    farthest = 1e-300
+    for i in order:
+        for k in range(g):
+            farthest = max(farthest, abs(midpoint[i, k] - origin[3 - g + k]))
+    scale = 1.0 / farthest
     for e in range(len(order)):
         i = order[e]
         place[i] = e
         for k in range(g):
-            entry[e, k] = midpoint[i, k]
-        entry[e, g] = bounding_radius[i]
+            entry[k, e] = (midpoint[i, k] - origin[3 - g + k]) * scale
+        entry[g, e] = bounding_radius[i] * scale
     head = np.full(grid.cells[0] * grid.cells[1] * grid.cells[2], -1, np.int32)
     after, before, cell_of = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
     linked = LinkedCells(head, after, before, cell_of, grid)
     for i in range(n):
         if level[i] == FAST:
             link(i, cell_at(midpoint, i, grid), linked)
-    return place, entry, head, after, before, cell_of
+    return place, entry, scale, head, after, before, cell_of
 
 
 @lean_inner
@@ -121,7 +132,7 @@ def move_rows(rows, paths, owned, index):
     """Rows with new paths change places: into the lists of the FAST rows, or to the OVERSIZE ones."""
     _, midpoint, bounding_radius, level, _ = paths
     sorted_, linked, oversize, number, largest, limit, low, high, own_low, own_high = index
-    _, _, place, entry, _ = sorted_
+    _, _, place, entry, _, _ = sorted_
     _, _, _, _, grid = linked
     for r in range(len(rows)):
         i = np.int64(rows[r])
@@ -134,7 +145,7 @@ def move_rows(rows, paths, owned, index):
         if level[i] == OVERSIZE:
             continue
         if level[i] == SLOW:
-            entry[place[i], 0] = inf  # no one meets it there
+            entry[-1, place[i]] = nan  # no one meets it there
         else:
             unlink(i, linked)
         if bounding_radius[i] > limit:

@@ -129,6 +129,23 @@ def test_touching_spheres_against_all_pairs():
     assert len(first) == near.sum()
 
 
+@pytest.mark.parametrize("d", [1, 2, 3, 4])
+@pytest.mark.parametrize("unit", [1.0, 1e-25, 1e25])
+@pytest.mark.parametrize("far", [1.0, 1e3, 1e9])
+def test_screening_in_float32_loses_no_pair(d, unit, far):
+    """Spheres that only just touch, in a box that is small or large beside them, in any unit of length."""
+    random = np.random.default_rng(d)
+    direction = random.normal(size=(300, d))
+    direction /= np.sqrt((direction**2).sum(axis=1))[:, None]
+    radius = random.uniform(0.1, 1.0, (300, 2))
+    place = random.random((300, d)) + 5.0 * np.arange(300)[:, None]  # in a row along the diagonal
+    x = np.stack((place, place + direction * radius.sum(axis=1)[:, None] * (1.0 - 1e-10)), axis=1).reshape(600, d)
+    x = np.append(x, np.full((1, d), far * 1500.0), axis=0) * unit
+    radius = np.append(radius.ravel(), 0.0) * unit
+    first, second = touching(x, radius, np.ones(601), np.arange(601), np.zeros(d))
+    assert set(zip(first.tolist(), second.tolist(), strict=True)) >= {(2 * k, 2 * k + 1) for k in range(300)}
+
+
 @pytest.mark.parametrize("wall", [0, 1])
 def test_only_rows_near_a_wall_are_listed(wall):
     x = np.array([[0.5, 5.0], [5.0, 5.0], [9.8, 5.0], [5.0, 0.1]])
