@@ -89,7 +89,7 @@ class Candidates:
         self.paths = Paths(path, midpoint, bounding_radius, level, midpoint[: n if len(periodic) else 0].copy())
         low, high = box
         apart = spacing(low, high, n)
-        fine = grid(midpoint, (low, high), max(0.9 * apart, 0.6 * mean), FINE)
+        fine = grid(midpoint, (low, high), max(1.8 * apart, 1.2 * mean), FINE)
         order, start = sort_rows(midpoint, level, SLOW, fine)
         coarse = grid(midpoint, (low, high), max(2.0 * apart, 2.0 * mean), 1)
         place, entry, scale, head, after, before, cell_of = fill_cells(self.paths, order, fine.origin, coarse)

@@ -14,7 +14,7 @@ from particles_mpi.kernels.jit import kernel, lean_inner
 from particles_mpi.particles import Array
 
 GRIDDED = 3  # axes with cells; more would cost 3^d cells to visit, and the others are tested by distance anyway
-FINE = 4  # cells to a side on the last axis of a sorted grid: runs along it can be any length, so that they may be tight
+FINE = 6  # cells to a side on the last axis of a sorted grid: runs along it can be any length, so that they may be tight
 SAMPLE = 512  # rows that tell where the bulk of the particles is
 
 
