@@ -116,12 +116,13 @@ class Trajectory(Continuing):
         self.ids = ids
         late = self.ranks.bcast(perf_counter() - self.shown_at > LATE)
         columns = {self.places[name]: column for name, column in frame_arrays(rows, self.dimension).items()}
-        if not late:  # the run goes on and changes its arrays
+        waits = not late and (len(self.waiting) + 1) * ids.total * self.row_bytes <= TOGETHER
+        if waits:  # the run goes on and changes its arrays
             columns = {place: column.copy() for place, column in columns.items()}
         self.waiting.append(Frame(step, time, columns))
         if late:
             self.show()
-        elif len(self.waiting) * ids.total * self.row_bytes > TOGETHER:
+        elif not waits:
             self._write_waiting()
 
     def _write_waiting(self) -> None:
@@ -206,7 +207,8 @@ class Trajectory(Continuing):
     def _append(self, place: str, first: int, frames: list[Array]) -> None:
         """Write this rank's rows of a column of several frames of equal size, from row `first` of the file on.
 
-        Ranks without rows take part too: the call is collective.
+        A single frame is a range of the file for each rank, which it writes alone, in half the time. Several have many small
+        ranges: that call is collective, and ranks without rows take part too.
         """
         total, rows = self.parts[-1], len(frames[0])
         dataset = self.datasets[place].id  # of HDF5 itself: a frame of a few bodies is nothing but calls
@@ -223,7 +225,7 @@ class Trajectory(Continuing):
         else:
             space.select_none()
             memory.select_none()
-        dataset.write(memory, space, values, dxpl=self.collective)
+        dataset.write(memory, space, values, dxpl=self.collective if len(frames) > 1 else None)
 
     def _extend(self, place: str, rows: int, values: Any) -> None:
         """Rows at the end of a dataset. Resizing is collective, writing a number is not."""

@@ -159,6 +159,8 @@ def parts(counts: Array) -> list[tuple[int, int, int]]:
 def by_destination(destination: Array, size: int) -> tuple[Array, Array]:
     """(rows sorted by their destination (n,), how many go to each of `size` ranks): what `send_rows` takes."""
     counts = np.bincount(destination, minlength=size).astype(np.int32)
+    if size < 2**15:  # numpy sorts 16 bits by counting, three times as fast
+        destination = destination.astype(np.int16)
     return np.argsort(destination, kind="stable"), counts
 
 
