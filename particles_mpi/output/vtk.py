@@ -10,6 +10,7 @@ import os
 import re
 import shutil
 import xml.etree.ElementTree as ElementTree
+from base64 import b64encode
 from pathlib import Path
 
 import meshio
@@ -22,6 +23,8 @@ from particles_mpi.parallel.exchange import IdRange, in_id_order
 from particles_mpi.particles import Array, field, rows_of
 
 PIECE = 2**20  # ids in a file
+SMALL = 2**10  # particles in a block whose text is kept
+NUMBERS = re.compile(rb'<DataArray [^>]*Name="(?P<name>[^"]+)"[^>]*>\s*(?P<numbers>[^<\s]*)')
 END = ["  </Collection>", "</VTKFile>"]  # the last lines of the list
 KINDS = {"f": "Float", "i": "Int", "u": "UInt"}  # of numbers: as numpy and as VTK call them
 
@@ -33,6 +36,7 @@ class VtkSeries(Continuing):
         self, folder: Path, ranks: Communicator, dimension: int, resume_step: int | None = None, last: int | None = None
     ):
         self.folder, self.dimension = Path(folder), dimension
+        self.blocks = Blocks()
         self.frames: dict[int, tuple[str, str]] = {}  # step → (file, time as written), on rank 0
         super().__init__(self.folder / "particles.pvd", ranks, resume_step, last)
 
@@ -79,9 +83,10 @@ class VtkSeries(Continuing):
             file = files[self.ranks.rank]
             with failing_together(self.ranks, f"cannot write {file} at step {step}"):
                 if len(rows["id"]) or (self.ranks.is_root and not ids.total):
-                    file.parent.mkdir(exist_ok=True)
+                    if path.suffix == ".pvtu":
+                        file.parent.mkdir(exist_ok=True)
                     with replacing(file) as part:
-                        _write_vtu(part, frame_arrays(rows, self.dimension))
+                        self.blocks.write(part, frame_arrays(rows, self.dimension))
         return pieces
 
     def _write_listing(self) -> None:
@@ -123,11 +128,37 @@ class VtkSeries(Continuing):
         check_last(list(self.frames), resume_step, last)
 
 
-def _write_vtu(path: Path, columns: dict[str, Array]) -> None:
-    """Write one block, binary and uncompressed. Each particle is a vertex cell: without cells ParaView shows nothing."""
-    points = columns.pop("Points")
-    cells = [("vertex", np.arange(len(points))[:, None])] if len(points) else []  # meshio raises for a kind without cells
-    meshio.write(path, meshio.Mesh(points, cells, point_data=columns), file_format="vtu", binary=True, compression=None)
+class Blocks:
+    """Writes `.vtu` files by meshio. What stands around the numbers of a small one serves for the next of that shape."""
+
+    def __init__(self) -> None:
+        self.shape: list[tuple[str, tuple[int, ...]]] = []
+        self.parts: list[tuple[bytes, str]] = []  # of that shape: text, and the column whose numbers follow, or ""
+
+    def write(self, path: Path, columns: dict[str, Array]) -> None:
+        """Write one block, binary and uncompressed: columns (n,) or (n, d), `Points` among them."""
+        shape = [(name, column.shape) for name, column in columns.items()]
+        if shape == self.shape:
+            path.write_bytes(b"".join(text + (_encoded(columns[name]) if name else b"") for text, name in self.parts))
+            return
+        points, rest = columns["Points"], {name: column for name, column in columns.items() if name != "Points"}
+        # Each particle is a vertex cell: without cells ParaView shows nothing. meshio raises for a kind without cells.
+        cells = [("vertex", np.arange(len(points))[:, None])] if len(points) else []
+        mesh = meshio.Mesh(points, cells, point_data=rest)
+        meshio.write(path, mesh, file_format="vtu", binary=True, compression=None)
+        if len(points) <= SMALL:
+            self.shape, self.parts, begin = shape, [], 0
+            text = path.read_bytes()
+            for array in NUMBERS.finditer(text):
+                if (name := array["name"].decode()) in columns:
+                    self.parts.append((text[begin : array.start("numbers")], name))
+                    begin = array.end("numbers")
+            self.parts.append((text[begin:], ""))
+
+
+def _encoded(column: Array) -> bytes:
+    """The numbers of a column as they stand in a file: how many bytes, and these."""
+    return b64encode(np.uint32(column.nbytes).tobytes() + column.tobytes())
 
 
 def _write_pvtu(path: Path, pieces: list[str], columns: dict[str, Array]) -> None:

@@ -23,7 +23,7 @@ tables = {
     "effects": {"collisions": {}, "walls": {}},
     "output": {"every": 5, "checkpoint_every": 2, "diagnostics_every": 5},
 }
-whole = vtk.PIECE, vtk._write_vtu, vtk._write_pvtu
+whole = vtk.PIECE, vtk.Blocks.write, vtk._write_pvtu
 
 
 def come_and_go() -> None:
@@ -45,9 +45,9 @@ def killed(path: Path, *_: object) -> None:
     whole[2](path, *_)
 
 
-def full(path: Path, columns: dict) -> None:
-    """In place of `vtk._write_vtu`."""
-    whole[1](path, columns)
+def full(blocks: vtk.Blocks, path: Path, columns: dict) -> None:
+    """In place of `vtk.Blocks.write`."""
+    whole[1](blocks, path, columns)
     if "000005" in path.parent.name and "000001" in path.name:
         raise OSError(28, "No space left on device")
 
@@ -58,11 +58,11 @@ try:
         come_and_go()
     else:
         vtk._write_pvtu = killed if what == "kill" else whole[2]
-        vtk._write_vtu = full if what == "full" else whole[1]
+        vtk.Blocks.write = full if what == "full" else whole[1]
         resumed = (folder / "checkpoint.h5").exists()
         sim = Simulation.resume(folder / "checkpoint.h5") if resumed else Simulation(Scene(**tables))
         sim.run(folder, resumed=resumed)
 except StoppedError as error:
     print(error)
 finally:
-    vtk.PIECE, vtk._write_vtu, vtk._write_pvtu = whole
+    vtk.PIECE, vtk.Blocks.write, vtk._write_pvtu = whole
