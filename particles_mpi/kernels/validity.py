@@ -1,5 +1,7 @@
 """Are all places numbers, and where particles can be? Arrays only."""
 
+import numpy as np
+
 from particles_mpi.kernels.jit import lean
 
 WATCH_EVERY = 10  # steps between two checks
@@ -35,3 +37,13 @@ def find_invalid(axes, x, v, fixed, planes, lower, length):
             if distance < -ROUND_OFF * scale and astray < 0:
                 astray, at = i, w
     return numbers, astray, at
+
+
+@lean
+def id_checksum(ids):
+    """Number, sum and sum of squares of the ids: the same for every order of them. int64, which may overflow and wrap."""
+    total = squares = np.int64(0)
+    for i in ids:
+        total += i
+        squares += i * i
+    return len(ids), total, squares

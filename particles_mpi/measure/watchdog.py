@@ -4,7 +4,7 @@ import numpy as np
 
 from particles_mpi.errors import StateError
 from particles_mpi.kernels.planes import Planes
-from particles_mpi.kernels.validity import find_invalid
+from particles_mpi.kernels.validity import find_invalid, id_checksum
 from particles_mpi.parallel.agreement import require_finite
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange
@@ -20,7 +20,7 @@ class Watchdog:
         """`ids` (n,): of this rank's particles; `span`: range of all ids; `planes`: the walls."""
         self.ranks, self.span, self.planes = ranks, span, tuple(planes)
         self.lower, self.length = lower, length
-        self.id_checksum = ranks.allreduce_sum(id_checksum(ids))
+        self.id_checksum = ranks.allreduce_sum(np.array(id_checksum(ids)))
 
     def look(self, p: Particles, step: int) -> None:
         """Raise a StateError on all ranks, which names ids, step and rank, if something is wrong."""
@@ -63,9 +63,3 @@ class Watchdog:
 def first_ids(ids: Array) -> str:
     """The first of the ids as a text, and how many more there are."""
     return ", ".join(map(str, ids[:NAMED])) + (f" and {len(ids) - NAMED} more" if len(ids) > NAMED else "")
-
-
-def id_checksum(ids: Array) -> Array:
-    """(3,) number, sum and sum of squares of the ids, int64: the same for every order of the ids; they may overflow and wrap."""
-    with np.errstate(over="ignore"):
-        return np.array([len(ids), ids.sum(dtype=np.int64), (ids * ids).sum(dtype=np.int64)])

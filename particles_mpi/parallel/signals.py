@@ -48,7 +48,7 @@ class StopRequest:
         pace = (now - self.polled) / max(step - self.step, 1)
         stop, pace = self.ranks.allreduce_max(np.array([self.asked or now + self.reserve > self.end, pace]))
         self.polled, self.step = now, step
-        self.next = step + int(np.clip(POLL_SECONDS / max(pace, 1e-9), 1, POLL_STEPS))
+        self.next = step + int(min(max(POLL_SECONDS / max(pace, 1e-9), 1), POLL_STEPS))
         return bool(stop)
 
     def close(self) -> None:
