@@ -7,9 +7,7 @@ import numpy as np
 from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import inner, spheres_within, trailing_zeros
 from particles_mpi.neighbours.cells import GRIDDED, cell_along
-from particles_mpi.neighbours.search_index import AT_ONCE, FAST, OVERSIZE, SLOW
-
-ROUNDED = 1e-6  # of the sum of the numbers that are compared: more than what float32 loses
+from particles_mpi.neighbours.search_index import AT_ONCE, FAST, OVERSIZE, ROUNDED, SLOW
 
 
 @inner

@@ -1,10 +1,11 @@
 """By what rows are found: cells of their midpoints, on three levels of bounding radius. See `trajectories` for both.
 
-Most rows need not look as far as the few fast ones get: SLOW ones are held in sorted cells, FAST ones and all that got a new path
-in coarser cells of linked lists, and a few OVERSIZE ones one by one.
+Most rows need not look as far as the few fast ones get: SLOW ones are held in sorted cells, FAST ones in coarser cells of linked
+lists, and a few OVERSIZE ones one by one. A SLOW row with a new path keeps its place among the sorted ones, RENEWED, if all of
+the path is where the first one could have been; otherwise, and when it gets a third one, it becomes FAST.
 """
 
-from math import nan
+from math import nan, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,8 +14,9 @@ from particles_mpi.kernels.jit import kernel, lean_inner
 from particles_mpi.neighbours.cells import Grid, LinkedCells, cell_at, link, unlink
 from particles_mpi.particles import Array
 
-SLOW, FAST, OVERSIZE = 0, 1, 2
+SLOW, FAST, OVERSIZE, RENEWED = 0, 1, 2, 3
 AT_ONCE = 8  # places of the sorted cells that are tested together
+ROUNDED = 1e-6  # of the sum of the numbers that are compared: more than what float32 loses
 
 
 class SortedCells(NamedTuple):
@@ -129,11 +131,12 @@ def fill_cells(paths, order, origin, grid):
 
 @lean_inner
 def move_rows(rows, paths, owned, index):
-    """Rows with new paths change places: into the lists of the FAST rows, or to the OVERSIZE ones."""
+    """Rows with new paths change places, unless they are RENEWED: into the lists of the FAST rows, or to the OVERSIZE ones."""
     _, midpoint, bounding_radius, level, _ = paths
     sorted_, linked, oversize, number, largest, limit, low, high, own_low, own_high = index
-    _, _, place, entry, _, _ = sorted_
+    _, _, place, entry, scale, (origin, _, _) = sorted_
     _, _, _, _, grid = linked
+    g = len(entry) - 1
     for r in range(len(rows)):
         i = np.int64(rows[r])
         for k in range(midpoint.shape[1]):
@@ -144,10 +147,21 @@ def move_rows(rows, paths, owned, index):
                 own_high[k] = max(own_high[k], midpoint[i, k])
         if level[i] == OVERSIZE:
             continue
-        if level[i] == SLOW:
-            entry[-1, place[i]] = nan  # no one meets it there
-        else:
+        if level[i] == FAST:
             unlink(i, linked)
+        else:
+            e = place[i]
+            radius, away = bounding_radius[i] * scale, 0.0
+            for k in range(g):
+                away += ((midpoint[i, k] - origin[3 - g + k]) * scale - entry[k, e]) ** 2
+            found = radius + sqrt(away) <= largest[SLOW] * scale - ROUNDED  # searches look that far from its cell
+            if level[i] == SLOW and found:
+                level[i] = RENEWED
+                for k in range(g):
+                    entry[k, e] = (midpoint[i, k] - origin[3 - g + k]) * scale
+                entry[g, e] = radius
+                continue
+            entry[g, e] = nan  # no one meets it there
         if bounding_radius[i] > limit:
             level[i] = OVERSIZE
             oversize[number[0]] = i

@@ -42,18 +42,19 @@ def at_start(c):
     n=st.sampled_from([2, 7, 60, 300]),
     periodic=st.booleans(),
     giant=st.booleans(),
+    crowded=st.booleans(),
     fast=st.booleans(),
     why=st.sampled_from([LEAVING, TURNED]),
 )
-def test_every_pair_whose_paths_come_near_is_listed_once(seed, d, n, periodic, giant, fast, why):
+def test_every_pair_whose_paths_come_near_is_listed_once(seed, d, n, periodic, giant, crowded, fast, why):
     random = np.random.default_rng(seed)
-    side, end, half = 10.0 * (n / 60) ** (1 / d), 0.5, 0.02
+    side, end, half = (3.0 if crowded else 10.0) * (n / 60) ** (1 / d), 0.5, 0.02
     x, v = random.random((n, d)) * side, random.normal(size=(n, d))
-    radius, ids = random.random(n) * 0.2, random.permutation(n).astype(np.int64)
+    radius, ids = random.random(n) * (0.05 if crowded else 0.2), random.permutation(n).astype(np.int64)
     if giant:
         radius[0] = 1.5
     if fast:
-        v[-1] *= 3.0
+        v *= random.choice([0.1, 1.0, 4.0], (n, 1), p=[0.85, 0.1, 0.05])
     w = np.where(random.random(n) < 0.9, 1.0, 0.0)
     v[w == 0.0] = 0.0
     owned = n if periodic else max(1, 2 * n // 3)
@@ -78,16 +79,39 @@ def test_every_pair_whose_paths_come_near_is_listed_once(seed, d, n, periodic, g
     check(x, v, start)
     if not end:
         return
-    # Some rows turn on the way, others fly on.
-    now = 0.2
-    turning = np.flatnonzero((random.random(n) < 0.3) & (w > 0.0)).astype(np.int32)
-    c.x[:] = x + now * v
-    c.v[turning] = random.permutation(c.v[turning])
-    c.time = now
-    c.first, c.second = c.first[: c.pair_count], c.second[: c.pair_count]  # no room left
-    if c.follow(turning, why, at_start(c), 0.01) == 0.0:
+    # Some rows turn on the way, others fly on: those that turn later look for those that turned before.
+    x0, begun = x.copy(), np.zeros(n)
+    for now in (0.1, 0.2, 0.3):
+        turning = np.flatnonzero((random.random(n) < 0.3) & (w > 0.0)).astype(np.int32)
+        c.x[:] = x0 + (now - begun)[:, None] * c.v
+        c.v[turning] = random.permutation(c.v[turning])
+        c.time = now
+        c.first, c.second = c.first[: c.pair_count].copy(), c.second[: c.pair_count].copy()  # no room left
+        if c.follow(turning.copy(), why, at_start(c), 0.01) != 0.0:
+            return
+        x0[turning], begun[turning] = c.x[turning], now
         end = c.horizon.valid_until
         check(c.x, c.v, np.full(n, now))
+
+
+@pytest.mark.parametrize("speed", [0.1, 0.5, 1.4, 5.0])
+def test_a_row_that_turns_is_found_where_it_goes(speed):
+    """One that was slow gets fast, and before it is there, another one turns in its way: many cells from where it was sorted."""
+    random, n = np.random.default_rng(1), 10_000
+    x, v = random.random((n, 2)) * 10.0, random.normal(size=(n, 2)) * 0.05
+    x[:2] = (2.0, 5.0), (2.0 + 0.45 * speed, 5.0)
+    v[1] = 0.0
+    horizon = Horizon(0.5, 0.02, np.inf, 0.0)
+    spheres = Spheres(np.full(n, 1e-3), np.ones(n), np.arange(n), n)
+    c = Candidates(x, v, spheres, np.zeros(2), tuple(no_planes(2)), horizon, everywhere(2), 0)
+    for now, row, turned in ((0.05, 0, (speed, 0.0)), (0.1, 1, (0.0, 0.01))):
+        c.x[:] = x + now * v
+        c.x[0, 0] = x[0, 0] + 0.05 * v[0, 0] + (now - 0.05) * speed
+        c.x[0, 1] = x[0, 1] + 0.05 * v[0, 1]
+        c.v[row] = turned
+        c.time = now
+        assert c.follow(np.array([row], np.int32), LEAVING, at_start(c), 0.01) == 0.0
+    assert (0, 1) in listed(c)
 
 
 def test_a_search_that_needs_more_room_goes_on_where_it_stopped():
