@@ -10,7 +10,7 @@ from particles_mpi import Simulation
 from particles_mpi.particles import Array
 from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, distance, everyone, slope
 
-E, ORBITS = 0.5, 10
+E, ORBITS = 0.5, 100
 LOOKS = 2000  # moments of a run at which the energy is measured
 ERRORS = {"energy": "largest |dE/E| of the run", "place": "distance at the end from the true place, over the size of the orbit"}
 PLANET = {  # at the pericentre, without mass; and a sun
