@@ -158,6 +158,10 @@ class Job:
                 checkpoint.dump(path, self.ranks, sim.rows.arrays, {"step": sim.steps_done, "error": str(error)})
                 raise StateError(f"{error}; all rows are in {path}, the last checkpoint is untouched") from None
             raise
+        except BaseException:
+            if self.ranks.size == 1:  # others may be anywhere, and to close a file would wait for them
+                self.close()
+            raise
         finally:
             self.screen.stop()
             self.request.close()

@@ -4,6 +4,7 @@ import subprocess
 import sys
 from time import sleep
 
+import h5py
 import pytest
 from conftest import ROOT, run_ranks
 from ranks import environment
@@ -73,6 +74,23 @@ def test_reading_in_the_process_that_writes(tmp_path):
     expected = [0.0, 0.1, 0.2, 0.3, 0.4]
     assert [len(row) for row in told] == [1, 2, 3, 4, 5]
     assert told[-1] == pytest.approx(expected) and len(Run(tmp_path / "run")) == 6
+
+
+def test_frames_before_an_error_are_in_the_file(tmp_path):
+    """An error of Python, as in an effect of the user's own, when frames wait for those that follow."""
+    sim = Simulation(Scene(dimension=2, time={"step": 0.1, "steps": 5}, particles=[{"position": [[0, 0]]}], output={"every": 1}))
+    step = sim.step
+
+    def fails():
+        if sim.steps_done == 3:
+            raise ZeroDivisionError
+        step()
+
+    sim.step = fails
+    with pytest.raises(ZeroDivisionError):
+        sim.run(tmp_path / "run")
+    with h5py.File(tmp_path / "run" / "trajectory.vtkhdf", "r", locking=False) as file:
+        assert file["VTKHDF/Steps"].attrs["NSteps"] == 4
 
 
 def test_view_writes_one_page_on_any_number_of_ranks(tmp_path):
