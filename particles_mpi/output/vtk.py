@@ -149,8 +149,9 @@ class Blocks:
         if len(points) <= SMALL:
             self.shape, self.parts, begin = shape, [], 0
             text = path.read_bytes()
+            topology = range(text.find(b"<Cells>"), text.find(b"</Cells>"))  # a column may have the name of an array in there
             for array in NUMBERS.finditer(text):
-                if (name := array["name"].decode()) in columns:
+                if (name := array["name"].decode()) in columns and array.start() not in topology:
                     self.parts.append((text[begin : array.start("numbers")], name))
                     begin = array.end("numbers")
             self.parts.append((text[begin:], ""))
