@@ -1,4 +1,4 @@
-"""Are all places numbers, and where particles can be? Arrays only."""
+"""Are all particles there, and all places numbers and where particles can be? Arrays only."""
 
 import numpy as np
 

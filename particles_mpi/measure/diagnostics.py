@@ -29,7 +29,7 @@ def measure(ranks: Communicator, p: Particles, potentials: dict[str, Array]) -> 
     """Kinetic, potential and total energy, momentum and largest speed of all movable particles. Collective.
 
     `potentials`: the potential energy (n,) of this rank's particles for each force that has one, by name; nan of one of them
-    makes the sums nan. With mutual gravity: angular momentum about the origin (in two and three dimensions), center of mass, and
+    makes the sums nan. With mutual gravity: angular momentum about the origin (in two and three dimensions), centre of mass, and
     virial ratio 2 K/|W|. Where spheres turn: the energy of spins, which is part of the total, and angular momentum with spins.
     """
     d, movable, gravity, turning = p.dimension, p.fixed == 0, "mutual_gravity" in potentials, "spin" in p.arrays
@@ -84,7 +84,7 @@ def momentum_names(dimension: int) -> list[str]:
 
 
 def center_names(dimension: int) -> list[str]:
-    """center_x, ...: the same of the center of mass."""
+    """center_x, ...: the same of the centre of mass."""
     return [name.replace("momentum", "center") for name in momentum_names(dimension)]
 
 

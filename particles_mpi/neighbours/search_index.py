@@ -57,7 +57,7 @@ class Holding(NamedTuple):
     """What the candidates of one search stand on; plain tuples, whose arrays change in place.
 
     paths: `Paths`; cells: `SearchIndex`; spheres: `Spheres`; planes: `Planes`; region: `HaloRegion`; length (d,) of the periodic
-    axes; marked (n,) bool, around (n + AT_ONCE,): scratch; wall_rows (owned,): room for the rows near walls.
+    axes; marked (n,) bool, around (n,): scratch; wall_rows (owned,): room for the rows near walls.
     """
 
     paths: tuple[Any, ...]
@@ -99,6 +99,15 @@ def levels(bounding_radius, slow, fast, most):
     return level, oversize, count, largest
 
 
+@lean_inner
+def write_entry(i, e, midpoint, bounding_radius, origin, scale, entry):
+    """Row i at place e of `SortedCells.entry`."""
+    g = len(entry) - 1
+    for k in range(g):
+        entry[k, e] = (midpoint[i, k] - origin[3 - g + k]) * scale
+    entry[g, e] = bounding_radius[i] * scale
+
+
 @kernel
 def fill_cells(paths, order, origin, grid):
     """Cells of SLOW rows `order`, and of FAST ones: (place, entry, scale, head, after, before, cell_of).
@@ -117,9 +126,7 @@ def fill_cells(paths, order, origin, grid):
     for e in range(len(order)):
         i = order[e]
         place[i] = e
-        for k in range(g):
-            entry[k, e] = (midpoint[i, k] - origin[3 - g + k]) * scale
-        entry[g, e] = bounding_radius[i] * scale
+        write_entry(i, e, midpoint, bounding_radius, origin, scale, entry)
     head = np.full(grid.cells[0] * grid.cells[1] * grid.cells[2], -1, np.int32)
     after, before, cell_of = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
     linked = LinkedCells(head, after, before, cell_of, grid)
@@ -151,15 +158,13 @@ def move_rows(rows, paths, owned, index):
             unlink(i, linked)
         else:
             e = place[i]
-            radius, away = bounding_radius[i] * scale, 0.0
+            away = 0.0
             for k in range(g):
                 away += ((midpoint[i, k] - origin[3 - g + k]) * scale - entry[k, e]) ** 2
-            found = radius + sqrt(away) <= largest[SLOW] * scale - ROUNDED  # searches look that far from its cell
-            if level[i] == SLOW and found:
+            reach = bounding_radius[i] * scale + sqrt(away)
+            if level[i] == SLOW and reach <= largest[SLOW] * scale - ROUNDED:  # searches look that far from its cell
                 level[i] = RENEWED
-                for k in range(g):
-                    entry[k, e] = (midpoint[i, k] - origin[3 - g + k]) * scale
-                entry[g, e] = radius
+                write_entry(i, e, midpoint, bounding_radius, origin, scale, entry)
                 continue
             entry[g, e] = nan  # no one meets it there
         if bounding_radius[i] > limit:

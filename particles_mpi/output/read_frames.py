@@ -20,8 +20,6 @@ if TYPE_CHECKING:  # particles brings numba, which takes longer to import than a
     from particles_mpi.particles import Array
 
 PAUSES = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)  # seconds between looks at a file that is being changed
-
-
 SHOW: dict[Path, Callable[[], None]] = {}  # of each file that this process alone writes: writes the frames that wait
 
 

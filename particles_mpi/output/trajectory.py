@@ -220,8 +220,8 @@ class Trajectory(Continuing):
         space = dataset.get_space()
         memory = h5py.h5s.create_simple(values.shape)
         if rows:
-            whole = (0,) * len(width), (1,) * len(width)
-            space.select_hyperslab((first, *whole[0]), (len(frames), *whole[1]), (total, *whole[1]), (rows, *width))
+            zeros, ones = (0,) * len(width), (1,) * len(width)
+            space.select_hyperslab((first, *zeros), (len(frames), *ones), (total, *ones), (rows, *width))
         else:
             space.select_none()
             memory.select_none()
