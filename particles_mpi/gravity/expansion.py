@@ -18,7 +18,7 @@ import numpy as np
 
 from particles_mpi.gravity.octree import MASS, SECOND
 from particles_mpi.gravity.powers import formula, inverse_root
-from particles_mpi.kernels.jit import fma, inner, lean_inner, wide
+from particles_mpi.kernels.jit import as_kind, fma, inner, lean_inner, wide
 
 ORDER = 4
 CELLS = 256  # of a list that are added up at a time: they stay in the first-level cache
@@ -43,13 +43,18 @@ LOW = sum(sum(n) < ORDER for n in POWERS)  # coefficients that have higher ones
 
 
 @lean_inner
-def enter_cell(far, n, x, y, z, cell, quadrupoles):
-    """Enter a cell (WIDTH,) as number n into a list (CELLS/LANES, FAR_WIDTH, LANES); the group's middle is (x, y, z) from it."""
+def enter_cell(far, n, r, cell, mass_unit, moment_unit):
+    """Enter a cell (WIDTH,) as number n into a list (CELLS/LANES, FAR_WIDTH, LANES); the group's middle is at r (3) from it.
+
+    r is in the units of the list; `mass_unit`, `moment_unit`: what masses and second moments are to be multiplied by. Returns how
+    many there are then.
+    """
     entry, lane = far[n // LANES], n % LANES
-    entry[0, lane], entry[1, lane], entry[2, lane], entry[3, lane] = x, y, z, cell[MASS]
+    entry[0, lane], entry[1, lane], entry[2, lane], entry[FAR_MASS, lane] = r[0], r[1], r[2], mass_unit * cell[MASS]
     for e in range(6):
         half = 0.5 if e == 0 or e == 3 or e == 5 else 1.0  # the others count twice
-        entry[4 + e, lane] = half * cell[SECOND + e] if quadrupoles else 0.0
+        entry[4 + e, lane] = half * (moment_unit * cell[SECOND + e])
+    return n + 1
 
 
 @formula
@@ -66,21 +71,22 @@ def add_cell(far, lane, softening2, sums):
     xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z
     g0 = inverse_root(softening2 + xx + yy + zz)
     q = g0 * g0
+    two, three, five, seven = as_kind(2.0, q), as_kind(3.0, q), as_kind(5.0, q), as_kind(7.0, q)
     g1 = -g0 * q
-    g2 = -3.0 * g1 * q
-    g3 = -5.0 * g2 * q
-    g4 = -7.0 * g3 * q
+    g2 = -three * g1 * q
+    g3 = -five * g2 * q
+    g4 = -seven * g3 * q
     px, py, pz = fma(g3, xx, g2), fma(g3, yy, g2), fma(g3, zz, g2)
-    tx, ty, tz = fma(g4, xx, 3.0 * g3), fma(g4, yy, 3.0 * g3), fma(g4, zz, 3.0 * g3)
+    tx, ty, tz = fma(g4, xx, three * g3), fma(g4, yy, three * g3), fma(g4, zz, three * g3)
     fx, fy, fz = fma(g4, xx, g3), fma(g4, yy, g3), fma(g4, zz, g3)
     dxx, dxy, dxz, dyy, dyz, dzz = fma(g2, xx, g1), g2 * xy, g2 * xz, fma(g2, yy, g1), g2 * yz, fma(g2, zz, g1)
-    xxx, xxy, xxz, xyy, xyz = x * fma(2.0, g2, px), y * px, z * px, x * py, x * (g3 * yz)
-    xzz, yyy, yyz, yzz, zzz = x * pz, y * fma(2.0, g2, py), z * py, y * pz, z * fma(2.0, g2, pz)
-    xxxx, xxxy, xxxz = fma(xx, fma(3.0, g3, tx), 3.0 * g2), xy * tx, xz * tx
+    xxx, xxy, xxz, xyy, xyz = x * fma(two, g2, px), y * px, z * px, x * py, x * (g3 * yz)
+    xzz, yyy, yyz, yzz, zzz = x * pz, y * fma(two, g2, py), z * py, y * pz, z * fma(two, g2, pz)
+    xxxx, xxxy, xxxz = fma(xx, fma(3.0, g3, tx), three * g2), xy * tx, xz * tx
     xxyy, xxyz, xxzz = fma(yy, fx, px), yz * fx, fma(zz, fx, px)
     xyyy, xyyz, xyzz, xzzz = xy * ty, xz * fy, xy * fz, xz * tz
-    yyyy, yyyz, yyzz = fma(yy, fma(3.0, g3, ty), 3.0 * g2), yz * ty, fma(zz, fy, py)
-    yzzz, zzzz = yz * tz, fma(zz, fma(3.0, g3, tz), 3.0 * g2)
+    yyyy, yyyz, yyzz = fma(yy, fma(3.0, g3, ty), three * g2), yz * ty, fma(zz, fy, py)
+    yzzz, zzzz = yz * tz, fma(zz, fma(3.0, g3, tz), three * g2)
     sums[lane] = contract(fma(mass, g0, sums[lane]), s, dxx, dxy, dxz, dyy, dyz, dzz)
     sums[LANES + lane] = contract(fma(mass, g1 * x, sums[LANES + lane]), s, xxx, xxy, xxz, xyy, xyz, xzz)
     sums[2 * LANES + lane] = contract(fma(mass, g1 * y, sums[2 * LANES + lane]), s, xxy, xyy, xyz, yyy, yyz, yzz)
@@ -118,32 +124,30 @@ def add_cell(far, lane, softening2, sums):
     sums[34 * LANES + lane] = fma(mass, zzzz, sums[34 * LANES + lane])
 
 
-@lean_inner
-def fill_lanes(far, n):
-    """Fill the last block of a list of n cells with cells without mass. Returns the number of blocks."""
+@inner(_nrt=False, error_model="numpy")
+def expand(far, n, softening2, sums):
+    """The first n cells of a list add their parts to the sums (COEFFICIENTS LANES,); cells without mass fill the last block.
+
+    Returns how many are in the list then: none.
+    """
+    wide()
     while n % LANES:
         far[n // LANES, :, n % LANES] = 0.0
         far[n // LANES, 0, n % LANES] = 1.0
         n += 1
-    return n // LANES
-
-
-@inner(_nrt=False, error_model="numpy")
-def expand(far, blocks, softening2, sums):
-    """The cells of the first blocks of a list add their parts to the sums."""
-    wide()
-    for block in range(blocks):
+    for block in range(n // LANES):
         for lane in range(LANES):
             add_cell(far[block], lane, softening2, sums)
+    return 0
 
 
 @lean_inner
-def add_lanes(sums):
-    """The sums of all lanes, in their order, to the beginning of the sums (COEFFICIENTS LANES,)."""
+def add_lanes(sums, coefficients):
+    """The sums (COEFFICIENTS LANES,) of all lanes, in their order, as float64: coefficients (COEFFICIENTS,) or more."""
     for m in range(COEFFICIENTS):
-        sums[m] = sums[m * LANES]
+        coefficients[m] = np.float64(sums[m * LANES])
         for lane in range(1, LANES):
-            sums[m] += sums[m * LANES + lane]
+            coefficients[m] += np.float64(sums[m * LANES + lane])
 
 
 @lean_inner

@@ -33,14 +33,19 @@ def levels(dimension):
 
 
 @lean_inner
-def is_far(lx, ly, lz, hx, hy, hz, cx, cy, cz, radius, angle2):
-    """The opening test: is a cell far from the box with lowest corner l and highest corner h?
+def distance2(lx, ly, lz, hx, hy, hz, x, y, z):
+    """The square of the distance from a point to the box with lowest corner l and highest corner h; 0 inside."""
+    dx, dy, dz = max(lx - x, x - hx, 0.0), max(ly - y, y - hy, 0.0), max(lz - z, z - hz, 0.0)
+    return dx * dx + dy * dy + dz * dz
 
-    The cell has its centre of mass at c; it is far if `radius` < angle * (distance from c to the box), with angle2 = angle^2.
-    J. Salmon and M. Warren, J. Comput. Phys. 111, 136 (1994).
+
+@lean_inner
+def is_far(apart2, radius, angle2):
+    """The opening test: is a cell far from a box? `apart2`: the square of the distance from its centre of mass to the box.
+
+    It is far if `radius` < angle * distance, with angle2 = angle^2. J. Salmon and M. Warren, J. Comput. Phys. 111, 136 (1994).
     """
-    dx, dy, dz = max(lx - cx, cx - hx, 0.0), max(ly - cy, cy - hy, 0.0), max(lz - cz, cz - hz, 0.0)
-    return angle2 * (dx * dx + dy * dy + dz * dz) > radius * radius
+    return angle2 * apart2 > radius * radius
 
 
 @kernel

@@ -3,40 +3,59 @@
 A first guess y of r^(-1/2) comes from the bits of r, a polynomial in r y^2 makes it better, and what is then missing,
 h = 1 - r y^2, enters by the series of (1 - h)^(-1/2) or (1 - h)^(-3/2), whose next term is below the round-off.
 First guess: C. Lomont, Fast Inverse Square Root, Purdue University (2003).
+
+All formulas are for float64 and float32 alike: a literal in them is of the kind of the numbers (`as_kind`).
 """
 
 from typing import Any
 
-import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
 
-from particles_mpi.kernels.jit import fma, inner
+from particles_mpi.kernels.jit import as_kind, fma, inner
 
-HALF_EXPONENT = 0x5FE6EB50C7B537A9  # minus half of the bits of a number gives those of its inverse square root, within 3.5 %
+# Minus half of the bits of a number gives those of its inverse square root, within 3.5 %: for 64 and 32 bits.
+HALF_EXPONENT = {types.float64: 0x5FE6EB50C7B537A9, types.float32: 0x5F375A86}
 CUBIC = (2.18865904, -2.18968855, 1.31340004, -0.31237129)  # in t, closest to t^-1/2 where that guess can lead: within 8e-7
 
 formula: Any = inner(_nrt=False, error_model="numpy", forceinline=True)
 
 
+def _first_guess(typing: Any, r: Any) -> Any:
+    """r^(-1/2) within 3.5 %, from the bits of r, which is not negative."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        bits = ir.IntType(r.bitwidth)
+        half = builder.lshr(builder.bitcast(arguments[0], bits), ir.Constant(bits, 1))
+        return builder.bitcast(builder.sub(ir.Constant(bits, HALF_EXPONENT[r]), half), arguments[0].type)
+
+    return r(r), generate
+
+
+first_guess: Any = intrinsic(_first_guess)
+
+
 @formula
 def almost_inverse_root(r):
     """y, which is r^(-1/2) but for 1e-6 of it; y^2; and h = 1 - r y^2."""
-    guess = np.int64(HALF_EXPONENT - (np.float64(r).view(np.int64) >> 1)).view(np.float64)
+    guess = first_guess(r)
     t = r * (guess * guess)
-    y = guess * fma(fma(fma(CUBIC[3], t, CUBIC[2]), t, CUBIC[1]), t, CUBIC[0])
+    y = guess * fma(fma(fma(as_kind(CUBIC[3], r), t, as_kind(CUBIC[2], r)), t, as_kind(CUBIC[1], r)), t, as_kind(CUBIC[0], r))
     y2 = y * y
-    return y, y2, fma(-r, y2, 1.0)
+    return y, y2, fma(-r, y2, as_kind(1.0, r))
 
 
 @formula
 def inverse_root(r):
-    """r^(-1/2) of a positive number, within 2e-16 of it."""
+    """r^(-1/2) of a positive number, within 2e-16 of it, or within 1e-7."""
     y, _, h = almost_inverse_root(r)
-    return fma(y * h, fma(0.375, h, 0.5), y)
+    return fma(y * h, fma(as_kind(0.375, r), h, as_kind(0.5, r)), y)
 
 
 @formula
 def pull(mass, r2):
-    """mass/r2^(3/2), within 4e-16 of it; 0 where r2 is 0."""
+    """mass/r2^(3/2), within 4e-16 of it, or within 2e-7; 0 where r2 is 0."""
     y, y2, h = almost_inverse_root(r2)
     near = mass * y * y2
-    return fma(near * h, fma(1.875, h, 1.5), near) if r2 > 0.0 else 0.0
+    return fma(near * h, fma(as_kind(1.875, r2), h, as_kind(1.5, r2)), near) if r2 > 0.0 else as_kind(0.0, r2)

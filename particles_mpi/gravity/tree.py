@@ -16,6 +16,7 @@ from particles_mpi.gravity.octree import (
     GROUP,
     RADIUS,
     combine_moments,
+    distance2,
     divide,
     is_far,
     levels,
@@ -24,7 +25,8 @@ from particles_mpi.gravity.octree import (
     skips,
     sort_ties,
 )
-from particles_mpi.gravity.walk import POTENTIAL, RESULT, Law, Nodes, walk
+from particles_mpi.gravity.sources import POTENTIAL
+from particles_mpi.gravity.walk import RESULT, Law, Nodes, walk
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows, send_rows
@@ -54,8 +56,9 @@ class Tree:
         x[:, :d] = position
         ends = np.full(7, -np.inf)
         if len(x):
-            ends[:3], ends[3:6], ends[6] = x.max(axis=0), -x.min(axis=0), not np.isfinite(x).all()
-        ends = ranks.allreduce_max(ends)
+            ends[:3], ends[3:6] = [column.max() for column in x.T], [-column.min() for column in x.T]
+            ends[6] = not np.isfinite(ends[:6]).all()  # an extreme value is not a number where one of the numbers is none
+        ends = ranks.allreduce_max(np.nan_to_num(ends, nan=np.inf))
         lower, extent = -ends[3:6], float((ends[:3] + ends[3:6]).max())
         if not (extent < np.inf and ends[6] < 1.0):
             return np.full((len(x), RESULT), np.nan)
@@ -107,8 +110,8 @@ class Tree:
         tree = Nodes(skip, np.cumsum(count) - count, count, cells, rows["position"], rows["mass"])
         law = self.law._replace(softening2=np.ldexp(self.law.softening2, -2 * unit))
         result, self.interactions = walk(tree, groups, offset, law)
-        result[:, :POTENTIAL] = np.ldexp(result[:, :POTENTIAL], -2 * unit)
-        result[:, POTENTIAL] = np.ldexp(result[:, POTENTIAL], -unit)
+        for columns in (slice(POTENTIAL), slice(POTENTIAL), slice(POTENTIAL, POTENTIAL + 1)):
+            result[:, columns] *= 2.0**-unit  # accelerations twice: a power of 2 unit may be out of range
         return result
 
     def exchange(
@@ -192,7 +195,8 @@ def select_essential(skip, count, first, cells, boxes, angle):
         for b in range(len(boxes)):
             lx, ly, lz, hx, hy, hz = boxes[b, 0], boxes[b, 1], boxes[b, 2], boxes[b, 3], boxes[b, 4], boxes[b, 5]
             cx, cy, cz = cells[node, CENTER], cells[node, CENTER + 1], cells[node, CENTER + 2]
-            opened = opened or not is_far(lx, ly, lz, hx, hy, hz, cx, cy, cz, cells[node, RADIUS], angle2)
+            apart2 = distance2(lx, ly, lz, hx, hy, hz, cx, cy, cz)
+            opened = opened or not is_far(apart2, cells[node, RADIUS], angle2)
         nodes.append(node)
         counts.append(count[node] if opened else 0)
         for p in range(first[node], first[node] + counts[-1]):

@@ -1,48 +1,51 @@
 """Walking the tree: each group of targets meets the cells that are far from it and the particles that are near, and adds them up.
 
 A cell is far from a group if it passes the opening test `is_far` against the group's bounding box. With an opening angle of at
-most 1 no cell is far from a particle of its own. Far cells act by mass and quadrupole: with the vector u from target to centre
-of mass, rho^2 = u^2 + eps^2, second moments S, trace T, Q = u.S.u
+most 1 no cell is far from a particle of its own. Far cells act by mass and quadrupole, or by mass alone (`sources`). Where a
+group is small as seen from a cell, the cell enters the group's own expansion (`expansion`), which all its targets share.
 
-    potential = -(M/rho + (3 Q/rho^2 - T)/(2 rho^3)),     a = u (M/rho^3 + (15 Q/(2 rho^2) - 3 T/2)/rho^5) - 3 S u/rho^5,
+A vector holds twice as many float32 as float64, and their round-off, 1e-7 of a force, is far below what the tree leaves out
+unless the opening angle is small. So what is not close to a group acts on it in float32, with the middle of the group as origin:
+no distance is then so small that the round-off of two places would matter. What is close acts in float64.
 
-which is the Taylor expansion of -m/rho to second order, with softening too; or by mass alone, as a particle does. Where a group
-is small as seen from a cell, the cell enters the group's own expansion (`expansion`), which all its targets share.
-
-Sources act one after the other, in the order of the tree, on all targets of a group; the cells of the expansion in LANES sums.
-So the order of every sum is the tree's: it depends neither on the ranks nor on the vectors of a processor.
+Sources act in the order of the tree, those of either kind of numbers; the cells of the expansion in LANES sums. So the order of
+every sum is the tree's: it depends neither on the ranks nor on the vectors of a processor.
 """
 
+from math import frexp, ldexp, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from particles_mpi.gravity.expansion import (
-    CELLS,
-    COEFFICIENTS,
-    FAR_WIDTH,
-    LANES,
-    add_lanes,
-    enter_cell,
-    evaluate,
-    expand,
-    fill_lanes,
+from particles_mpi.gravity.expansion import CELLS, COEFFICIENTS, FAR_WIDTH, LANES, add_lanes, enter_cell, evaluate, expand
+from particles_mpi.gravity.octree import CENTER, END, FIRST, MASS, RADIUS, distance2, is_far
+from particles_mpi.gravity.sources import (
+    BLOCK,
+    LIST,
+    POTENTIAL,
+    Frame,
+    Lists,
+    add_cells,
+    add_points,
+    adding,
+    begin_group,
+    enter_near_cell,
+    enter_point,
+    new_lists,
 )
-from particles_mpi.gravity.octree import CENTER, END, FIRST, MASS, RADIUS, SECOND, is_far
-from particles_mpi.gravity.powers import formula, inverse_root, pull
-from particles_mpi.kernels.jit import fma, inner, kernel, lean_inner, wide
+from particles_mpi.kernels.jit import kernel
 from particles_mpi.particles import Array
 
-BLOCK = 8  # the number of targets of a group is rounded up to a multiple of it
 # A cell enters a group's expansion if the radius of the group is less than LARGEST of the distance r, and if the first term that
 # the expansion leaves out, M/r^2 (radius/r)^4, is less than (SMALL * opening angle)^4 of the sum of M/r^2 over all cells.
 LARGEST, SMALL = 0.5, 0.1
-POTENTIAL, WORK, RESULT = 3, 4, 5  # columns of a result: acceleration (3), potential, work; and how many these are
-# Work, in units of one particle acting on one target: a far quadrupole for a target, a near particle for a target, a cell of the
-# expansion for a group, and a node that a group visits. Ranks get equal shares of it.
-FAR, NEAR, EXPANDED, VISIT = 1.7, 1.0, 10.0, 12.0
-
-walking = inner(_nrt=False, error_model="numpy")
+# Float32 from the opening angle SINGLE on, for sources further from the box around a group than CLOSE radii of the group; not for
+# groups below TINY of the whole tree, where powers of distances would leave the range of float32.
+SINGLE, CLOSE, TINY = 0.1, 0.05, 1e-6
+WORK, RESULT = POTENTIAL + 1, POTENTIAL + 2  # columns of a result: acceleration (3), potential, work; and how many these are
+# Work, in units of one particle acting on one target in float64: a far quadrupole for a target, a near particle for a target, a
+# cell of the expansion for a group, and a node that a group visits. Ranks get equal shares of it.
+FAR, NEAR, EXPANDED, VISIT = 0.85, 0.5, 5.0, 12.0
 
 
 class Nodes(NamedTuple):
@@ -69,75 +72,21 @@ class Group(NamedTuple):
 
     begin: Any  # the first row of the tree that belongs to it
     end: Any  # and the first beyond
+    blocks: Any  # that its targets fill
     box: Any  # (6,) lowest and highest corner of the box that bounds it
     middle: Any  # (3,) of the box
     size2: Any  # the square of the largest distance of a target from the middle
 
 
 class Room(NamedTuple):
-    """Arrays that all groups use, one after the other."""
+    """What all groups use, one after the other."""
 
-    at: Any  # three arrays: coordinates of the targets, in whole blocks
-    total: Any  # four arrays: acceleration and potential of each target
-    far: Array  # (CELLS / LANES, FAR_WIDTH, LANES) cells that wait for the expansion
-    sums: Array  # (COEFFICIENTS LANES,) of the expansion
-
-
-@formula
-def add_particle(at, t, own, px, py, pz, mass, softening2, total):
-    """Add to column t of total (4, .) what a particle at (px, py, pz) does to the target at[:, t]; nothing if t is `own`."""
-    u, v, w = px - at[0][t], py - at[1][t], pz - at[2][t]
-    r2 = fma(u, u, fma(v, v, fma(w, w, softening2)))
-    f = pull(mass, r2) if t != own else 0.0
-    total[0][t] = fma(f, u, total[0][t])
-    total[1][t] = fma(f, v, total[1][t])
-    total[2][t] = fma(f, w, total[2][t])
-    total[POTENTIAL][t] = fma(-f, r2, total[POTENTIAL][t])
-
-
-@formula
-def add_quadrupole(at, t, cx, cy, cz, mass, second, softening2, total):
-    """The same for a cell with its centre of mass at (cx, cy, cz), its mass and its second moments (6)."""
-    u, v, w = cx - at[0][t], cy - at[1][t], cz - at[2][t]
-    xx, xy, xz, yy, yz, zz = second
-    q = inverse_root(fma(u, u, fma(v, v, fma(w, w, softening2))))
-    q2 = q * q
-    q3 = q * q2
-    q5 = 3.0 * q3 * q2
-    su = fma(xx, u, fma(xy, v, xz * w))
-    sv = fma(xy, u, fma(yy, v, yz * w))
-    sw = fma(xz, u, fma(yz, v, zz * w))
-    bulge = q2 * fma(su, u, fma(sv, v, sw * w))  # Q/rho^2
-    trace = 0.5 * (xx + yy + zz)
-    f = fma(mass, q3, q5 * fma(2.5, bulge, -trace))
-    total[0][t] = fma(f, u, fma(-q5, su, total[0][t]))
-    total[1][t] = fma(f, v, fma(-q5, sv, total[1][t]))
-    total[2][t] = fma(f, w, fma(-q5, sw, total[2][t]))
-    total[POTENTIAL][t] -= fma(mass, q, q3 * fma(1.5, bulge, -trace))
-
-
-@walking
-def add_particles(at, blocks, own, x, mass, begin, end, softening2, total):
-    """Particles begin ... end act on the targets of a group, of which row `own` is the first."""
-    wide()
-    for p in range(begin, end):
-        px, py, pz, m = x[p, 0], x[p, 1], x[p, 2], mass[p]
-        for t in range(blocks * BLOCK):
-            add_particle(at, t, p - own, px, py, pz, m, softening2, total)
-
-
-@walking
-def add_cell(at, blocks, cell, softening2, quadrupoles, total):
-    """A far cell acts on the targets of a group."""
-    wide()
-    mass, cx, cy, cz = cell[MASS], cell[CENTER], cell[CENTER + 1], cell[CENTER + 2]
-    if quadrupoles:
-        s = cell[SECOND], cell[SECOND + 1], cell[SECOND + 2], cell[SECOND + 3], cell[SECOND + 4], cell[SECOND + 5]
-        for t in range(blocks * BLOCK):
-            add_quadrupole(at, t, cx, cy, cz, mass, s, softening2, total)
-    else:
-        for t in range(blocks * BLOCK):
-            add_particle(at, t, -1, cx, cy, cz, mass, softening2, total)
+    exact: Lists  # in float64, for sources that are close
+    quick: Lists  # in float32, for all others
+    total: Any  # four arrays in float64: acceleration and potential of each target
+    far: Array  # (CELLS / LANES, FAR_WIDTH, LANES) float32: cells that wait for the expansion
+    sums: Array  # (COEFFICIENTS LANES,) float32: of the expansion
+    coefficients: Array  # (2 COEFFICIENTS,) those of the expansion, and room for `evaluate`
 
 
 @kernel
@@ -146,105 +95,122 @@ def walk(tree, groups, offset, law):
 
     `groups` (g, 2): FIRST and END row of each among the targets, which are the rows of the tree from `offset` on.
     """
-    result, interactions, most = np.zeros((groups[-1, END] if len(groups) else 0, RESULT)), 0, 0
+    result, interactions, most = np.zeros((groups[-1, END] if len(groups) else 0, RESULT)), 0, np.int64(0)
     for g in range(len(groups)):
         most = max(most, groups[g, END] - groups[g, FIRST] + BLOCK)
-    at = np.empty(most), np.empty(most), np.empty(most)
     total = np.empty(most), np.empty(most), np.empty(most), np.empty(most)
-    room = Room(at, total, np.empty((CELLS // LANES, FAR_WIDTH, LANES)), np.empty(COEFFICIENTS * LANES))
+    far, sums = np.empty((CELLS // LANES, FAR_WIDTH, LANES), np.float32), np.empty(COEFFICIENTS * LANES, np.float32)
+    room = Room(new_lists(most, np.float64), new_lists(most, np.float32), total, far, sums, np.empty(2 * COEFFICIENTS))
+    mass = ldexp(1.0, -frexp(tree.cells[0, MASS])[1])
     for g in range(len(groups)):
-        group = take_targets(tree.x, offset + groups[g, FIRST], offset + groups[g, END], room)
-        limit = (SMALL * law.angle) ** 4 * strength(tree, group)
-        sources, work = add_sources(tree, law, group, limit, room)
-        give_results(group, room, work, result[groups[g, FIRST] : groups[g, END]])
+        group = group_of(tree.x, offset + groups[g, FIRST], offset + groups[g, END])
+        exact = Frame((0.0, 0.0, 0.0), 1.0, 1.0, law.softening2)
+        length = ldexp(1.0, -frexp(max(sqrt(group.size2), TINY))[1])
+        quick = Frame(group.middle, length, mass, np.float32(length * length * law.softening2))
+        begin_group(tree.x, group, exact, room.exact)
+        begin_group(tree.x, group, quick, room.quick)
+        for k in range(4):
+            total[k][: group.blocks * BLOCK] = 0.0
+        sums[:] = 0.0
+        sources, work = add_sources(tree, law, group, exact, quick, room)
+        give_results(tree.x, group, quick, room, work, result[groups[g, FIRST] : groups[g, END]])
         interactions += sources * (group.end - group.begin)
     return result, interactions
 
 
-@walking
-def take_targets(x, begin, end, room):
-    """The group of targets x[begin:end], copied to the room, with sums of 0; the last one is repeated to fill a block."""
-    at, total, _, sums = room
-    sums[:] = 0.0
+@adding
+def group_of(x, begin, end):
+    """The group of targets x[begin:end]."""
     lx, ly, lz = x[begin, 0], x[begin, 1], x[begin, 2]
     hx, hy, hz = lx, ly, lz
     for p in range(begin, end):
         lx, ly, lz = min(lx, x[p, 0]), min(ly, x[p, 1]), min(lz, x[p, 2])
         hx, hy, hz = max(hx, x[p, 0]), max(hy, x[p, 1]), max(hz, x[p, 2])
     mx, my, mz, size2 = 0.5 * (lx + hx), 0.5 * (ly + hy), 0.5 * (lz + hz), 0.0
-    for t in range(blocks_of(begin, end) * BLOCK):
-        p = min(begin + t, end - 1)
-        at[0][t], at[1][t], at[2][t] = x[p, 0], x[p, 1], x[p, 2]
-        total[0][t], total[1][t], total[2][t], total[POTENTIAL][t] = 0.0, 0.0, 0.0, 0.0
+    for p in range(begin, end):
         size2 = max(size2, (x[p, 0] - mx) ** 2 + (x[p, 1] - my) ** 2 + (x[p, 2] - mz) ** 2)
-    return Group(begin, end, (lx, ly, lz, hx, hy, hz), (mx, my, mz), size2)
+    return Group(begin, end, (end - begin + BLOCK - 1) // BLOCK, (lx, ly, lz, hx, hy, hz), (mx, my, mz), size2)
 
 
-@lean_inner
-def blocks_of(begin, end):
-    """How many blocks the targets begin ... end fill."""
-    return (end - begin + BLOCK - 1) // BLOCK
-
-
-@walking
-def give_results(group, room, work, result):
+@adding
+def give_results(x, group, frame, room, work, rows):
     """What the targets of a group found and what their expansion gives: acceleration, potential, work (targets, RESULT)."""
-    (_, _, _, (mx, my, mz), _), (at, total, _, sums) = group, room
-    add_lanes(sums)
-    for t in range(len(result)):
-        x, y, z, depth = evaluate(sums, (at[0][t] - mx, at[1][t] - my, at[2][t] - mz), sums[COEFFICIENTS:])
-        result[t, 0], result[t, 1], result[t, 2] = total[0][t] + x, total[1][t] + y, total[2][t] + z
-        result[t, POTENTIAL], result[t, WORK] = total[POTENTIAL][t] + depth, work
+    (mx, my, mz), length, mass, _ = frame
+    total, coefficients = room.total, room.coefficients
+    add_lanes(room.sums, coefficients)
+    depth_unit = length / mass
+    unit = length * depth_unit
+    for t in range(len(rows)):
+        p = group.begin + t
+        a = length * (x[p, 0] - mx), length * (x[p, 1] - my), length * (x[p, 2] - mz)
+        ax, ay, az, depth = evaluate(coefficients, a, coefficients[COEFFICIENTS:])
+        rows[t, 0], rows[t, 1], rows[t, 2] = total[0][t] + unit * ax, total[1][t] + unit * ay, total[2][t] + unit * az
+        rows[t, POTENTIAL], rows[t, WORK] = total[POTENTIAL][t] + depth_unit * depth, work
 
 
-@walking
+@adding
 def strength(tree, group):
     """The sum of M/r^2 over all cells but the group's own, as seen with an opening angle of 1 from its middle."""
-    (skip, first, count, cells, _, _), (begin, end, (lx, ly, lz, hx, hy, hz), (mx, my, mz), size2) = tree, group
+    (skip, first, count, cells, _, _), (lx, ly, lz, hx, hy, hz), (mx, my, mz) = tree, group.box, group.middle
     node, total = 0, 0.0
     while node < len(skip):
         cx, cy, cz = cells[node, CENTER], cells[node, CENTER + 1], cells[node, CENTER + 2]
-        far = is_far(lx, ly, lz, hx, hy, hz, cx, cy, cz, cells[node, RADIUS], 1.0)
-        if far or (count[node] and not begin <= first[node] < end):
+        far = is_far(distance2(lx, ly, lz, hx, hy, hz, cx, cy, cz), cells[node, RADIUS], 1.0)
+        if far or (count[node] and not group.begin <= first[node] < group.end):
             u, v, w = mx - cx, my - cy, mz - cz
-            total += cells[node, MASS] / max(u * u + v * v + w * w, size2)
+            total += cells[node, MASS] / max(u * u + v * v + w * w, group.size2)
         node = skip[node] if far else node + 1
     return total
 
 
-@walking
-def add_sources(tree, law, group, limit, room):
+@adding
+def add_sources(tree, law, group, exact, quick, room):
     """All sources act on a group: on its targets, or on its expansion if what that leaves out of M/r^2 is below the limit.
 
-    Returns how many sources there were, and the work of each target.
+    `exact`, `quick`: the Frame of either kind of numbers. Returns how many sources there were, and the work of each target.
     """
-    (skip, first, count, cells, x, mass), (angle, softening2, quadrupoles) = tree, law
-    (begin, end, (lx, ly, lz, hx, hy, hz), (mx, my, mz), size2), (at, total, far, sums) = group, room
-    blocks, angle2, size4, smallest2 = blocks_of(begin, end), angle * angle, size2 * size2, size2 / LARGEST**2
+    (skip, first, count, cells, x, mass), (angle, _, quadrupoles) = tree, law
+    begin, end, blocks, (lx, ly, lz, hx, hy, hz), (mx, my, mz), size2 = group
+    angle2, size4, smallest2, close2, limit = angle * angle, size2 * size2, size2 / LARGEST**2, np.inf, -1.0
+    if angle >= SINGLE and size2 > TINY * TINY:
+        close2, limit = CLOSE * CLOSE * size2, (SMALL * angle) ** 4 * strength(tree, group)
+    length, moment_unit = quick.length, quick.length * quick.length * quick.mass if quadrupoles else 0.0
+    points = near_cells = quick_points = quick_cells = far_cells = np.int64(0)  # that wait
     expanded, on_targets, near, visits = 0, 0, 0, 0
     node = 0
     while node < len(skip):
         visits += 1
-        cx, cy, cz = cells[node, CENTER], cells[node, CENTER + 1], cells[node, CENTER + 2]
-        if not is_far(lx, ly, lz, hx, hy, hz, cx, cy, cz, cells[node, RADIUS], angle2):
-            if count[node]:
-                last = first[node] + count[node]
-                own = begin if begin <= first[node] < end else last
-                add_particles(at, blocks, own, x, mass, first[node], last, softening2, total)
-                near += count[node]
-            node += 1
-            continue
-        u, v, w = mx - cx, my - cy, mz - cz
-        d2 = u * u + v * v + w * w
-        if d2 > smallest2 and cells[node, MASS] * size4 <= limit * (d2 * d2 * d2):
-            enter_cell(far, expanded % CELLS, u, v, w, cells[node], quadrupoles)
+        cell = cells[node]
+        u, v, w = mx - cell[CENTER], my - cell[CENTER + 1], mz - cell[CENTER + 2]
+        d2, apart2 = u * u + v * v + w * w, distance2(lx, ly, lz, hx, hy, hz, cell[CENTER], cell[CENTER + 1], cell[CENTER + 2])
+        far = is_far(apart2, cell[RADIUS], angle2)
+        if far and d2 > smallest2 and cell[MASS] * size4 <= limit * (d2 * d2 * d2):
+            waiting = enter_cell(room.far, far_cells, (length * u, length * v, length * w), cell, quick.mass, moment_unit)
+            far_cells = waiting if waiting < CELLS else expand(room.far, waiting, quick.softening2, room.sums)
             expanded += 1
-            if expanded % CELLS == 0:
-                expand(far, CELLS // LANES, softening2, sums)
-        else:
-            add_cell(at, blocks, cells[node], softening2, quadrupoles, total)
+        elif far and quadrupoles:
+            if apart2 > close2:
+                waiting = enter_near_cell(quick, room.quick, quick_cells, cell)
+                quick_cells = waiting if waiting < LIST else add_cells(quick, room.quick, waiting, blocks, room.total)
+            else:
+                waiting = enter_near_cell(exact, room.exact, near_cells, cell)
+                near_cells = waiting if waiting < LIST else add_cells(exact, room.exact, waiting, blocks, room.total)
             on_targets += 1
-        node = skip[node]
-    expand(far, fill_lanes(far, expanded % CELLS), softening2, sums)
-    work = (FAR if quadrupoles else NEAR) * on_targets + NEAR * near + (VISIT * visits + EXPANDED * expanded) / (end - begin)
+        else:
+            for p in range(first[node], first[node] + (1 if far else count[node])):
+                place, m, own = (cell[CENTER : CENTER + 3], cell[MASS], -1) if far else (x[p], mass[p], p - begin)
+                if distance2(lx, ly, lz, hx, hy, hz, place[0], place[1], place[2]) > close2:
+                    waiting = enter_point(quick, room.quick, quick_points, place, m, own)
+                    quick_points = waiting if waiting < LIST else add_points(quick, room.quick, waiting, blocks, room.total)
+                else:
+                    waiting = enter_point(exact, room.exact, points, place, m, own)
+                    points = waiting if waiting < LIST else add_points(exact, room.exact, waiting, blocks, room.total)
+                near += 1
+        node = skip[node] if far else node + 1
+    add_points(exact, room.exact, points, blocks, room.total)
+    add_cells(exact, room.exact, near_cells, blocks, room.total)
+    add_points(quick, room.quick, quick_points, blocks, room.total)
+    add_cells(quick, room.quick, quick_cells, blocks, room.total)
+    expand(room.far, far_cells, quick.softening2, room.sums)
+    work = FAR * on_targets + NEAR * near + (VISIT * visits + EXPANDED * expanded) / (end - begin)
     return expanded + on_targets + near, work

@@ -141,6 +141,15 @@ def _fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
 fma: Any = intrinsic(_fma)
 
 
+def _as_kind(typing: Any, value: Any, other: Any) -> Any:
+    """The value as a number of the kind of another one: numba takes a literal for a float64, and what comes of it too."""
+    kind = types.unliteral(other)
+    return kind(value, other), lambda context, builder, signature, arguments: context.cast(builder, arguments[0], value, kind)
+
+
+as_kind: Any = intrinsic(_as_kind)
+
+
 def _wide(typing: Any) -> Any:
     """The kernel that calls this may use the longest vectors, and may take it that no two of its arrays have memory in common.
 

@@ -17,12 +17,12 @@ from particles_mpi.gravity.expansion import (
     enter_cell,
     evaluate,
     expand,
-    fill_lanes,
 )
 from particles_mpi.gravity.method import choose
 from particles_mpi.gravity.octree import CENTER, GROUP, MASS, RADIUS, divide, levels, moments, morton, skips
 from particles_mpi.gravity.powers import inverse_root, pull
 from particles_mpi.gravity.tree import Tree
+from particles_mpi.gravity.walk import SINGLE
 from particles_mpi.initial.plummer import plummer_places
 from particles_mpi.parallel.communicator import Communicator
 
@@ -180,6 +180,54 @@ def test_powers_are_exact_to_round_off():
     assert powers(np.zeros(1))[0, 1] == 0.0
 
 
+@njit
+def short_powers(r):
+    """The same in float32."""
+    found = np.empty((len(r), 2), np.float32)
+    for i in range(len(r)):
+        found[i] = inverse_root(r[i]), pull(np.float32(1.0), r[i])
+    return found
+
+
+def test_powers_in_float32_are_exact_to_round_off():
+    """Within 1.4e-7 and 1.7e-7: one to three units of float32's last place, 6e-8."""
+    r = (10.0 ** np.random.default_rng(7).uniform(-20.0, 20.0, 100_000)).astype(np.float32)
+    found, root = short_powers(r), 1.0 / np.sqrt(r.astype(float))
+    for k, exact in enumerate((root, root**3)):
+        assert np.abs(found[:, k] / exact - 1.0).max() <= 2.5e-7
+    assert short_powers(np.zeros(1, np.float32))[0, 1] == 0.0
+
+
+def test_float32_is_far_below_what_the_tree_leaves_out(sphere):
+    """From SINGLE on all but the closest sources act in float32, and by an expansion: against float64 at the same angle.
+
+    A dense core in the middle of a wide halo, masses of many sizes, and hundreds of close pairs, whose forces are the sum of two
+    large numbers that float32 could not tell apart.
+    """
+    x, _, _ = sphere
+    x = x[:4000].copy()
+    x[:1000] *= 1e-3
+    random = np.random.default_rng(6)
+    x[3000:] = x[2000:3000] + 1e-9 * random.standard_normal((1000, 3))
+    mass = random.random(4000) ** 8 + 1e-12
+    single, double = (by_tree(x, mass, angle) for angle in (SINGLE, np.nextafter(SINGLE, 0.0)))
+    assert single[:, :4].tobytes() != double[:, :4].tobytes()
+    error = errors(single[:, :3], double[:, :3])
+    assert np.median(error) <= 2e-7 and error.max() <= 5e-6
+    np.testing.assert_allclose(single[:, 3], double[:, 3], rtol=1e-6)
+    assert abs((single[:, 3] / double[:, 3] - 1.0).mean()) <= 5e-8  # no bias: energy does not drift
+
+
+@pytest.mark.parametrize(("length", "weight"), [(200, 0), (-300, 0), (0, 500), (120, -400)])
+def test_units_of_two_change_no_bit(sphere, length, weight):
+    """Lengths times 2^k, masses times 2^j: accelerations times 2^(j - 2 k), potentials times 2^(j - k), float32 or not."""
+    x, mass, _ = (part[:2000] for part in sphere)
+    here = by_tree(x, mass, 0.6, 0.01)
+    there = by_tree(np.ldexp(x, length), np.ldexp(mass, weight), 0.6, np.ldexp(0.01, length))
+    assert np.ldexp(there[:, :3], 2 * length - weight).tobytes() == here[:, :3].tobytes()
+    assert np.ldexp(there[:, 3], length - weight).tobytes() == here[:, 3].tobytes()
+
+
 def test_few_bodies_have_the_bits_of_many():
     """In a dimension for which no kernel is compiled beforehand."""
     x, mass = np.random.default_rng(4).standard_normal((70, 4)), np.linspace(0.0, 1.0, 70)
@@ -194,15 +242,16 @@ def test_few_bodies_have_the_bits_of_many():
 
 
 @njit
-def expanded(cells, softening2, at, quadrupoles):
+def expanded(cells, softening2, at):
     """Accelerations and potentials (n, 4) at places `at` (n, 3) by the expansion of cells (c, WIDTH) about the origin."""
     far, sums, found = np.empty((CELLS // LANES, FAR_WIDTH, LANES)), np.zeros(COEFFICIENTS * LANES), np.empty((len(at), 4))
+    coefficients = np.empty(2 * COEFFICIENTS)
     for c in range(len(cells)):
-        enter_cell(far, c, -cells[c, 1], -cells[c, 2], -cells[c, 3], cells[c], quadrupoles)
-    expand(far, fill_lanes(far, len(cells)), softening2, sums)
-    add_lanes(sums)
+        enter_cell(far, c, (-cells[c, 1], -cells[c, 2], -cells[c, 3]), cells[c], 1.0, 1.0)
+    expand(far, len(cells), softening2, sums)
+    add_lanes(sums, coefficients)
     for t in range(len(at)):
-        found[t] = evaluate(sums, (at[t, 0], at[t, 1], at[t, 2]), sums[COEFFICIENTS:])
+        found[t] = evaluate(coefficients, (at[t, 0], at[t, 1], at[t, 2]), coefficients[COEFFICIENTS:])
     return found
 
 
@@ -222,7 +271,7 @@ def test_expansion_of_far_cells(softening):
         x = (middles[:, None] + size * np.concatenate((shape, -shape), axis=1)).reshape(-1, 3)
         m = np.concatenate((mass, mass), axis=1).ravel()
         cells, _ = moments(np.arange(1, 38), np.full(37, 40), x, m)
-        found, exact = expanded(cells, softening**2, size * places, True), np.zeros((9, 3))
+        found, exact = expanded(cells, softening**2, size * places), np.zeros((9, 3))
         attract((0,) * 3, size * places, x, m, softening**2, exact)
         rho = np.sqrt(((x - size * places[:, None]) ** 2).sum(axis=2) + softening**2)
         wrong.append((np.abs(found[:, :3] - exact).max(), np.abs(found[:, 3] + (m / rho).sum(axis=1)).max()))

@@ -53,7 +53,7 @@ def test_all_kernels_are_known(whole):
     names = (
         "neighbours.pair_search.may_meet",
         "contacts.event_driven.event_loop.run",
-        "gravity.walk.add_cell",
+        "gravity.sources.add_cells",
         "study.hard_cases.orbits.circle",
     )
     assert {f"particles_mpi.{name}" for name in names} <= kernels.keys()
