@@ -7,7 +7,8 @@ In the order in which to read them:
 - `octree`: Morton keys, cells, moments, and the opening test `is_far`
 - `powers`: r^(-1/2) and r^(-3/2) by products and sums
 - `expansion`: one Taylor expansion for all far cells of a small group of targets
-- `walk`: the far cells and near particles of a group of targets, and their sum
+- `sources`: particles and cells that act on each target of a group, in float64 or float32
+- `walk`: which sources act on a group of targets, and how
 - `tree`: the evaluation on all ranks, step by step: cuts between ranks, and the nodes that another rank needs
 
 Direct sum: blocks of sources in id order come from every rank in turn (`parallel.exchange.blocks`), and every target adds them up

@@ -7,8 +7,8 @@ particles with angles from 0.3 to 1; the formula follows the larger of the two, 
 from dataclasses import dataclass
 
 PAIR = 0.6  # ns for a pair in the direct sum
-BUILD, NEAR = 1000.0, 0.45  # ns a particle for keys, cells and their nearest neighbours; and most for each of all particles
-FAR = {"quadrupole": 200.0, "monopole": 160.0}  # ns a particle for all that is not near, at an opening angle of 1
+BUILD, NEAR = 600.0, 0.25  # ns a particle for keys, cells and their nearest neighbours; and most for each of all particles
+FAR = {"quadrupole": 130.0, "monopole": 110.0}  # ns a particle for all that is not near, at an opening angle of 1
 STEEP = 2.5  # the power of 1/angle by which that grows
 ERROR, SLOPE = 6e-3, 3.5  # error = ERROR * angle^SLOPE
 SMALLEST = 0.1  # opening angle below which a tree is of no use
