@@ -1,8 +1,6 @@
-"""All frames of a run in one HDF5 file that ParaView opens directly: VTKHDF PolyData; the README has its layout.
+"""All frames of a run, appended to one HDF5 file that ParaView opens; `layout` says how they lie there.
 
-A frame has the N particles of its time in id order. Frames with the same N share one part (the numbers of points and cells), and
-all frames share one topology: particle i is cell i. With parallel HDF5 each rank writes its range of ids, otherwise rank 0
-writes all; the file is the same.
+With parallel HDF5 each rank writes its range of ids, otherwise rank 0 writes all; the file is the same.
 """
 
 import atexit
@@ -19,29 +17,15 @@ import h5py
 import numpy as np
 
 from particles_mpi.errors import StoppedError
-from particles_mpi.output.files import Continuing, check_last, failing_together, frame_arrays, mpi_io_errors, replacing
+from particles_mpi.output import layout
+from particles_mpi.output.files import Continuing, check_last, failing_together, frame_arrays, mpi_io_errors
 from particles_mpi.output.read_frames import SHOW
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
 from particles_mpi.particles import Array, default_values, field
 
-KINDS = ("Vertices", "Lines", "Polygons", "Strips")  # of cells: particles are vertices, there are no others
-PARTS = ("NumberOfPoints", *(f"{kind}/{what}" for kind in KINDS for what in ("NumberOfCells", "NumberOfConnectivityIds")))
-CELLS = ("Connectivity", "Offsets")  # the point of each cell, and where each cell begins
-STEPS_CHUNK = 1024  # frames
 LATE = 0.5  # seconds: frames that follow one another faster are shown to readers together
 TOGETHER = 2**20  # bytes: smaller frames wait for those that follow in that time, and are written by one call with them
-BLOCK = 2**20  # rows of the topology that are written at once
-# Datasets with a row for each frame: (shape of a row, dtype, fill value). `Step` is an addition, which VTK ignores.
-STEPS: dict[str, tuple[tuple[int, ...], str, int]] = {
-    "Steps/Values": ((), "float64", 0),
-    "Steps/Step": ((), "int64", 0),
-    "Steps/PartOffsets": ((), "int64", 0),
-    "Steps/NumberOfParts": ((), "int64", 1),
-    "Steps/PointOffsets": ((), "int64", 0),
-    "Steps/CellOffsets": ((4,), "int64", 0),
-    "Steps/ConnectivityIdOffsets": ((4,), "int64", 0),
-}
 
 
 class Frame(NamedTuple):
@@ -103,7 +87,7 @@ class Trajectory(Continuing):
             self.file = h5py.File(self.path, "r+", locking=False)  # no lock: viewers may look at a running job
             self.count = h5py.h5a.open(self.file["VTKHDF/Steps"].id, b"NSteps")
         if self.file is not None:
-            names = (*self.columns, *STEPS, *PARTS, *(f"Vertices/{what}" for what in CELLS))
+            names = (*self.columns, *layout.STEPS, *layout.PARTS, *(f"Vertices/{what}" for what in layout.CELLS))
             self.datasets = {name: self.file[f"VTKHDF/{name}"] for name in names}
         if self.ranks.size == 1:
             SHOW[self.path.resolve()] = self.show
@@ -237,14 +221,14 @@ class Trajectory(Continuing):
 
     def _append_part(self, count: int) -> None:
         """From here on frames have `count` particles; the topology is extended if there were never so many."""
-        for place in PARTS:
+        for place in layout.PARTS:
             self._extend(place, len(self.parts) + 1, count if place.startswith(("Number", "Vertices")) else 0)
-        for extra, what in enumerate(CELLS):
+        for extra, what in enumerate(layout.CELLS):
             before, rows = len(self.datasets[f"Vertices/{what}"]), count + extra
             if rows > before:
                 self._extend(f"Vertices/{what}", rows, None)
                 if self.ranks.is_root:
-                    _count_up(self.datasets[f"Vertices/{what}"], before, rows)
+                    layout.count_up(self.datasets[f"Vertices/{what}"], before, rows)
 
     def _append_steps(self, frames: list[Frame]) -> None:
         """The rows of these frames in every dataset of Steps; those that are not named here have their fill value."""
@@ -256,7 +240,7 @@ class Trajectory(Continuing):
             "Steps/PartOffsets": [len(self.parts) - 1] * number,
         }
         memory = h5py.h5s.create_simple((number,))
-        for place, (width, kind, _) in STEPS.items():
+        for place, (width, kind, _) in layout.STEPS.items():
             dataset = self.datasets[place].id
             dataset.set_extent((self.frames + number, *width))
             if self.ranks.is_root and place in rows:
@@ -266,54 +250,16 @@ class Trajectory(Continuing):
 
     def prepare(self) -> None:
         """Make the file, or remove the frames that are not kept."""
-        if not self.continued:
-            with replacing(self.path) as part, h5py.File(part, "w", locking=False) as file:
-                self._create(file.create_group("VTKHDF"))
-            return
-        with h5py.File(self.path, "r+", locking=False) as file:
-            group = file["VTKHDF"]
-            group["Steps"].attrs.modify("NSteps", np.int64(self.frames))
-            file.flush()
-            for places, rows in ((STEPS, self.frames), (self.columns, self.points), (PARTS, len(self.parts))):
-                for place in places:
-                    group[place].resize(rows, axis=0)
+        if self.continued:
+            layout.shorten(self.path, self.columns, self.frames, self.points, len(self.parts))
+        else:
+            layout.create(self.path, self.columns, self.parts[0])
 
     def look(self, resume_step: int, last: int | None) -> None:
         """How many frames of the old file are kept; the last of them must have `held` particles."""
-        with h5py.File(self.path, "r", locking=False) as file:
-            group, steps = file["VTKHDF"], file["VTKHDF/Steps"]
-            columns = {"Points"} | {f"PointData/{name}" for name in group["PointData"]}
-            numbers = [int(n) for n in steps["Step"][: int(steps.attrs["NSteps"])]]
-            kept = [n for n in numbers if n <= resume_step]
-            parts, sizes = steps["PartOffsets"][: len(kept)], group["NumberOfPoints"][:]
-            whole = numbers[: len(kept)] == kept and bool(((parts >= 0) & (parts < len(sizes))).all())
-            points = int(sizes[parts].sum()) if whole else 0
-            if whole and (columns != self.columns.keys() or (kept and sizes[parts[-1]] != self.held)):
-                raise ValueError("it holds other particles or fields than the run to be continued")
-            if not whole or any(len(group[place]) < points for place in columns):
-                raise ValueError("it does not hold all of its frames")
-            check_last(kept, resume_step, last)
-            self.points, self.parts = points, sizes[: int(parts.max(initial=0)) + 1].tolist()
-            self.frames, self.continued = len(kept), True
-
-    def _create(self, group: Any) -> None:
-        group.attrs["Version"] = np.array([2, 0], np.int64)
-        group.attrs["Type"] = np.bytes_("PolyData")  # fixed length: the reader refuses variable ones
-        total = self.parts[0]
-        chunk = int(np.clip(total, 256, 65536))
-        for place, (width, dtype) in self.columns.items():
-            _dataset(group, place, (0, *width), dtype, chunk)
-        for place in PARTS:
-            _dataset(group, place, (1,), "int64", 1, fill=total if place.startswith(("Number", "Vertices")) else 0)
-        for kind in KINDS:
-            for extra, what in enumerate(CELLS):
-                rows = (total if kind == "Vertices" else 0) + extra
-                _count_up(_dataset(group, f"{kind}/{what}", (rows,), "int64", chunk), 0, rows)
-        for place, (width, kind, fill) in STEPS.items():
-            _dataset(group, place, (0, *width), kind, STEPS_CHUNK, fill=fill)
-        group["Steps"].attrs["NSteps"] = np.int64(0)
-        for place in self.columns.keys() - {"Points"}:  # all columns begin where the points do: hard links to one dataset
-            group[place.replace("PointData/", "Steps/PointDataOffsets/")] = group["Steps/PointOffsets"]
+        kept = layout.look(self.path, resume_step, self.columns, self.held)
+        check_last(kept.steps, resume_step, last)
+        self.points, self.parts, self.frames, self.continued = kept.points, kept.parts, len(kept.steps), True
 
 
 def _leave() -> None:
@@ -321,19 +267,3 @@ def _leave() -> None:
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(StoppedError.exit_code)
-
-
-def _count_up(dataset: Any, first: int, last: int) -> None:
-    """Row i is i, for the rows first ... last - 1; a block at a time, so that memory does not grow with them."""
-    for begin in range(first, last, BLOCK):
-        end = min(begin + BLOCK, last)
-        dataset[begin:end] = np.arange(begin, end)
-
-
-def _dataset(group: Any, name: str, shape: tuple[int, ...], dtype: Any, chunk: int, fill: int | None = None) -> Any:
-    """Make a chunked, resizable dataset. Without a fill value new chunks are not written before the data is."""
-    properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-    properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)  # parallel writing needs it, and a file made serially lacks it
-    sizes = {"chunks": (chunk, *shape[1:]), "maxshape": (None, *shape[1:])}
-    filled = {"fillvalue": fill, "fill_time": "never" if fill is None else "alloc"}
-    return group.create_dataset(name, shape, dtype, dcpl=properties, **sizes, **filled)

@@ -1,0 +1,107 @@
+"""How the frames of a run lie in `trajectory.vtkhdf`: VTKHDF PolyData; the README has the whole layout.
+
+A frame has the N particles of its time in id order. Frames with the same N share one part (the numbers of points and cells), and
+all frames share one topology: particle i is cell i.
+"""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+
+from particles_mpi.output.files import replacing
+
+KINDS = ("Vertices", "Lines", "Polygons", "Strips")  # of cells: particles are vertices, there are no others
+PARTS = ("NumberOfPoints", *(f"{kind}/{what}" for kind in KINDS for what in ("NumberOfCells", "NumberOfConnectivityIds")))
+CELLS = ("Connectivity", "Offsets")  # the point of each cell, and where each cell begins
+STEPS_CHUNK = 1024  # frames
+BLOCK = 2**20  # rows of the topology that are written at once
+# Datasets with a row for each frame: (shape of a row, dtype, fill value). `Step` is an addition, which VTK ignores.
+STEPS: dict[str, tuple[tuple[int, ...], str, int]] = {
+    "Steps/Values": ((), "float64", 0),
+    "Steps/Step": ((), "int64", 0),
+    "Steps/PartOffsets": ((), "int64", 0),
+    "Steps/NumberOfParts": ((), "int64", 1),
+    "Steps/PointOffsets": ((), "int64", 0),
+    "Steps/CellOffsets": ((4,), "int64", 0),
+    "Steps/ConnectivityIdOffsets": ((4,), "int64", 0),
+}
+Columns = dict[str, tuple[tuple[int, ...], Any]]  # of a frame, by place in the file: (shape of a row, dtype)
+
+
+class Kept(NamedTuple):
+    """The frames of a file up to a step."""
+
+    steps: list[int]
+    points: int  # rows of all of them
+    parts: list[int]  # the number of particles in each part
+
+
+def create(path: Path, columns: Columns, total: int) -> None:
+    """Make a file without frames, for frames of `total` particles first."""
+    with replacing(path) as part, h5py.File(part, "w", locking=False) as file:
+        group = file.create_group("VTKHDF")
+        group.attrs["Version"] = np.array([2, 0], np.int64)
+        group.attrs["Type"] = np.bytes_("PolyData")  # fixed length: the reader refuses variable ones
+        chunk = int(np.clip(total, 256, 65536))
+        for place, (width, dtype) in columns.items():
+            _dataset(group, place, (0, *width), dtype, chunk)
+        for place in PARTS:
+            _dataset(group, place, (1,), "int64", 1, fill=total if place.startswith(("Number", "Vertices")) else 0)
+        for kind in KINDS:
+            for extra, what in enumerate(CELLS):
+                rows = (total if kind == "Vertices" else 0) + extra
+                count_up(_dataset(group, f"{kind}/{what}", (rows,), "int64", chunk), 0, rows)
+        for place, (width, kind, fill) in STEPS.items():
+            _dataset(group, place, (0, *width), kind, STEPS_CHUNK, fill=fill)
+        group["Steps"].attrs["NSteps"] = np.int64(0)
+        for place in columns.keys() - {"Points"}:  # all columns begin where the points do: hard links to one dataset
+            group[place.replace("PointData/", "Steps/PointDataOffsets/")] = group["Steps/PointOffsets"]
+
+
+def look(path: Path, resume_step: int, columns: Columns, held: int) -> Kept:
+    """The frames of a file up to a step.
+
+    Raises a ValueError if they are not whole, if the file has other columns, or if the last of them has not `held` particles.
+    """
+    with h5py.File(path, "r", locking=False) as file:
+        group, steps = file["VTKHDF"], file["VTKHDF/Steps"]
+        found = {"Points"} | {f"PointData/{name}" for name in group["PointData"]}
+        numbers = [int(n) for n in steps["Step"][: int(steps.attrs["NSteps"])]]
+        kept = [n for n in numbers if n <= resume_step]
+        parts, sizes = steps["PartOffsets"][: len(kept)], group["NumberOfPoints"][:]
+        whole = numbers[: len(kept)] == kept and bool(((parts >= 0) & (parts < len(sizes))).all())
+        points = int(sizes[parts].sum()) if whole else 0
+        if whole and (found != columns.keys() or (kept and sizes[parts[-1]] != held)):
+            raise ValueError("it holds other particles or fields than the run to be continued")
+        if not whole or any(len(group[place]) < points for place in found):
+            raise ValueError("it does not hold all of its frames")
+        return Kept(kept, points, sizes[: int(parts.max(initial=0)) + 1].tolist())
+
+
+def shorten(path: Path, columns: Columns, frames: int, points: int, parts: int) -> None:
+    """Remove all but the first frames: so many, of so many points and parts."""
+    with h5py.File(path, "r+", locking=False) as file:
+        group = file["VTKHDF"]
+        group["Steps"].attrs.modify("NSteps", np.int64(frames))
+        file.flush()  # the count first, so that a reader never sees a frame that is gone
+        for places, rows in ((STEPS, frames), (columns, points), (PARTS, parts)):
+            for place in places:
+                group[place].resize(rows, axis=0)
+
+
+def count_up(dataset: Any, first: int, last: int) -> None:
+    """Row i is i, for the rows first ... last - 1; a block at a time, so that memory does not grow with them."""
+    for begin in range(first, last, BLOCK):
+        end = min(begin + BLOCK, last)
+        dataset[begin:end] = np.arange(begin, end)
+
+
+def _dataset(group: Any, name: str, shape: tuple[int, ...], dtype: Any, chunk: int, fill: int | None = None) -> Any:
+    """Make a chunked, resizable dataset. Without a fill value new chunks are not written before the data is."""
+    properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)  # parallel writing needs it, and a file made serially lacks it
+    sizes = {"chunks": (chunk, *shape[1:]), "maxshape": (None, *shape[1:])}
+    filled = {"fillvalue": fill, "fill_time": "never" if fill is None else "alloc"}
+    return group.create_dataset(name, shape, dtype, dcpl=properties, **sizes, **filled)
