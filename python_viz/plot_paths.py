@@ -1,7 +1,9 @@
 """Draw where particles went: the paths of a few, or the places of many at the last frame, seen along the last axis.
 
-One panel a run. Up to 30 particles are drawn as paths, that end in a dot; more as they stand at the end, as spheres where
-they have radii, else as points that are brighter where they are many. `--span` leaves out what is further from the middle.
+One panel a run. Up to 30 particles are drawn as paths that end in a dot: between two frames a curve that begins and ends with
+the velocities there, or a straight line where collisions or walls turn them. More are drawn as they stand at the end, as spheres
+where they have radii, else as points that are brighter where they are many. `--span` leaves out what is further from the middle.
+In one dimension all paths are drawn over time.
 
 example:
     python python_viz/plot_paths.py out/figure_eight out/solar_system --save gravity.png
@@ -14,25 +16,40 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
+from matplotlib.patches import Rectangle
 from run_files import PAINTS, finish, new_parser, parse, save_path, spaced, start
+from scipy.interpolate import CubicHermiteSpline
 
 from particles_mpi import Run
+from particles_mpi.particles import Array
 from particles_mpi.results.frame import Frame
 
 FEW = 30
 COLUMNS = 3
+PIECES = 8  # of a curve between two frames
 
 
-def plot_few(axes: Axes, frames: list[Frame]) -> None:
-    """A path a particle, and where it is at the end."""
+def paths_of(frames: list[Frame], smooth: bool) -> tuple[Array, Array]:
+    """Moments (s,) and places (s, n, d) of all particles there ever were. smooth: nothing changes velocities at once."""
     ids = np.unique(np.concatenate([frame.id for frame in frames]))
-    places = np.full((len(frames), len(ids), 2), np.nan)  # a path has a gap where its particle was not there
+    times = np.array([frame.time for frame in frames])
+    places = np.full((len(frames), len(ids), frames[0].position.shape[1]), np.nan)  # a gap where a particle was not there
+    velocities = places.copy()
     for k, frame in enumerate(frames):
-        places[k, np.searchsorted(ids, frame.id)] = frame.position[:, :2]
-    for i in range(len(ids)):
+        here = np.searchsorted(ids, frame.id)
+        places[k, here], velocities[k, here] = frame.position, frame.velocity
+    if not smooth or len(frames) == 1 or np.isnan(places).any():
+        return times, places
+    moments = np.interp(np.arange(PIECES * (len(times) - 1) + 1) / PIECES, np.arange(len(times)), times)
+    return moments, CubicHermiteSpline(times, places, velocities)(moments)
+
+
+def plot_few(axes: Axes, places: Array) -> None:
+    """A path a particle, and where it is at the end."""
+    for i in range(places.shape[1]):
         color = PAINTS[i % len(PAINTS)]
         axes.plot(places[:, i, 0], places[:, i, 1], "-", lw=0.8, color=color)
-        axes.plot(*places[-1, i], "o", ms=5, color=color)
+        axes.plot(*places[-1, i, :2], "o", ms=5, color=color)
 
 
 def plot_spheres(axes: Axes, frame: Frame) -> None:
@@ -53,10 +70,17 @@ def plot_points(axes: Axes, frame: Frame) -> None:
 
 def plot(axes: Axes, run: Run, span: float) -> None:
     """One run."""
-    last = run[-1]
-    half = 0.0
-    if len(last.position) <= FEW:
-        plot_few(axes, run[:])
+    last, half, scene = run[-1], 0.0, run.about.get("scene", {})
+    smooth = not {"collisions", "walls"} & scene.get("effects", {}).keys()
+    if run.dimension == 1:
+        moments, places = paths_of(run[:], smooth)
+        axes.plot(moments, places[:, :, 0], lw=0.8)
+        axes.set(xlabel="t", ylabel="x")
+    elif len(last.position) <= FEW:
+        plot_few(axes, paths_of(run[:], smooth)[1])
+        if box := scene.get("box"):
+            (x, y), (right, top) = box["lower"][:2], box["upper"][:2]
+            axes.add_patch(Rectangle((x, y), right - x, top - y, fill=False, ec="0.6", lw=0.8, zorder=0))
         axes.margins(0.08)
     else:
         plot_spheres(axes, last) if last.radius.any() else plot_points(axes, last)
@@ -66,7 +90,8 @@ def plot(axes: Axes, run: Run, span: float) -> None:
         axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
     axes.grid(False)
     axes.spines[:].set_visible(True)
-    axes.set_aspect("equal", adjustable="datalim" if not half else "box")
+    if run.dimension > 1:
+        axes.set_aspect("equal", adjustable="datalim" if not half else "box")
     axes.set_title(run.title, fontsize=10)
     axes.text(0.99, 0.01, f"{spaced(len(last.position))} at t = {last.time:g}", transform=axes.transAxes, ha="right", fontsize=8,
               bbox={"facecolor": axes.get_facecolor(), "alpha": 0.7, "lw": 0, "pad": 1},

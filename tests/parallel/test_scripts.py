@@ -2,9 +2,14 @@
 
 import json
 import re
+import sys
+from math import pi
 
+import numpy as np
 import pytest
 from conftest import ROOT, run_ranks
+
+from particles_mpi import Run, Scene, Simulation
 
 pytestmark = pytest.mark.parallel
 
@@ -53,6 +58,41 @@ def test_paths_of_a_few_and_places_of_many(tmp_path):
     done = script("plot_paths.py", tmp_path / "few", many, "--save", tmp_path / "paths.png")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "paths.png").stat().st_size > 20_000
+
+
+def test_paths_between_frames_are_curves_and_those_of_a_line_are_drawn_over_time(tmp_path):
+    """A circular orbit of which there are four frames a turn: within 2 % of the circle, whose chords come within 0.7 of it."""
+    circle = Scene(
+        dimension=2,
+        G=1.0,
+        time={"step": pi / 200, "steps": 400},
+        particles=[{"position": [[0, 0]], "mass": 1.0, "fixed": True}, {"position": [[1, 0]], "velocity": [0, 1], "mass": 0.0}],
+        effects={"mutual_gravity": {}},
+        output={"every": 100, "formats": ["hdf5"]},
+    )
+    rods = Scene(
+        dimension=1,
+        box={"lower": [0.0], "upper": [9.0]},
+        time={"step": 0.1, "steps": 20},
+        particles=[{"count": 9, "position": "lattice", "velocity": {"temperature": 1.0}, "radius": 0.1}],
+        effects={"collisions": {"mode": "event"}, "walls": {}},
+        output={"every": 1, "formats": ["hdf5"]},
+    )
+    for name, scene in (("circle", circle), ("rods", rods)):
+        Simulation(scene).run(tmp_path / name)
+    sys.path.insert(0, str(ROOT / "python_viz"))
+    try:
+        from plot_paths import paths_of
+    finally:
+        sys.path.pop(0)
+    frames = Run(tmp_path / "circle")[:]
+    for smooth, least in ((True, 0.98), (False, 0.7)):
+        _, places = paths_of(frames, smooth)
+        along = np.concatenate([places[:-1, 1] * (1 - s) + places[1:, 1] * s for s in (0.0, 0.5)])
+        away = np.linalg.norm(along, axis=1)
+        assert away.max() < 1.02 and away.min() == pytest.approx(least, abs=0.02)
+    done = script("plot_paths.py", tmp_path / "circle", tmp_path / "rods", "--save", tmp_path / "paths.png")
+    assert done.returncode == 0, done.stderr
 
 
 def test_rewind_against_event(tmp_path):
