@@ -11,6 +11,7 @@ Observables of a gas of spheres: D axes, N movable particles, T in units of ener
   (Enskog; M. P. Allen and D. J. Tildesley, Computer Simulation of Liquids, 1987, for both)
 """
 
+from functools import cache
 from math import gamma, nan, pi, sqrt
 from typing import Any
 
@@ -73,19 +74,22 @@ def angular_momenta(p: Particles, mass: Array) -> dict[str, Array]:
     return dict(zip(angular_names(p.dimension), [mass * (x[i] * v[j] - x[j] * v[i]) for i, j in planes], strict=True))
 
 
-def angular_names(dimension: int) -> list[str]:
+@cache
+def angular_names(dimension: int) -> tuple[str, ...]:
     """Names of the components of the angular momentum."""
-    return [f"angular_momentum_{'xyz'[3 - i - j]}" for i, j in ROTATION_PLANES.get(dimension, ())]
+    return tuple(f"angular_momentum_{'xyz'[3 - i - j]}" for i, j in ROTATION_PLANES.get(dimension, ()))
 
 
-def momentum_names(dimension: int) -> list[str]:
+@cache
+def momentum_names(dimension: int) -> tuple[str, ...]:
     """momentum_x, _y, _z; beyond three axes momentum_0, momentum_1, ..."""
-    return [f"momentum_{'xyz'[k] if dimension <= 3 else k}" for k in range(dimension)]
+    return tuple(f"momentum_{'xyz'[k] if dimension <= 3 else k}" for k in range(dimension))
 
 
-def center_names(dimension: int) -> list[str]:
+@cache
+def center_names(dimension: int) -> tuple[str, ...]:
     """center_x, ...: the same of the centre of mass."""
-    return [name.replace("momentum", "center") for name in momentum_names(dimension)]
+    return tuple(name.replace("momentum", "center") for name in momentum_names(dimension))
 
 
 def columns(dimension: int, observables: bool = False, gravity: bool = False, spins: bool = False) -> list[str]:
