@@ -27,13 +27,13 @@ POTENTIAL = 3  # of the columns of a total: acceleration (3), potential
 adding = inner(_nrt=False, error_model="numpy")
 
 
-class Frame(NamedTuple):
-    """The units of a kind of numbers: place = length (x - origin), mass = mass unit times mass. Both are powers of two."""
+class Units(NamedTuple):
+    """Numbers of one kind stand for: a place x by length (x - origin), a mass m by mass m; both factors are powers of two."""
 
     origin: Any  # (3,)
     length: Any
     mass: Any
-    softening2: Any  # eps^2 in this unit of length, in this kind of numbers
+    softening2: Any  # eps^2 in these units, as a number of this kind
 
 
 class Lists(NamedTuple):
@@ -55,9 +55,9 @@ def new_lists(most, kind):
 
 
 @adding
-def begin_group(x, group, frame, lists):
-    """The targets of a group, rows of x (n, 3), in a frame, the last one repeated to fill the blocks."""
-    (ox, oy, oz), length = frame.origin, frame.length
+def begin_group(x, group, units, lists):
+    """The targets of a group, rows of x (n, 3), in these units, the last one repeated to fill the blocks."""
+    (ox, oy, oz), length = units.origin, units.length
     at, sums = lists.at, lists.sums
     for t in range(group.blocks * BLOCK):
         p = min(group.begin + t, group.end - 1)
@@ -99,18 +99,18 @@ def add_quadrupole(at, t, cx, cy, cz, mass, second, softening2, sums):
 
 
 @lean_inner
-def enter_point(frame, lists, n, x, mass, own):
+def enter_point(units, lists, n, x, mass, own):
     """A particle waits as number n; `own`: its number among the targets, if it is one of them. Returns how many wait then."""
-    (ox, oy, oz), length, unit, _ = frame
+    (ox, oy, oz), length, unit, _ = units
     point, lists.own[n] = lists.points[n], own
     point[0], point[1], point[2], point[3] = length * (x[0] - ox), length * (x[1] - oy), length * (x[2] - oz), unit * mass
     return n + 1
 
 
 @lean_inner
-def enter_near_cell(frame, lists, n, cell):
+def enter_near_cell(units, lists, n, cell):
     """A cell (WIDTH,) waits as number n. Returns how many wait then."""
-    (ox, oy, oz), length, unit, _ = frame
+    (ox, oy, oz), length, unit, _ = units
     near = lists.cells[n]
     near[MASS], near[CENTER] = unit * cell[MASS], length * (cell[CENTER] - ox)
     near[CENTER + 1], near[CENTER + 2] = length * (cell[CENTER + 1] - oy), length * (cell[CENTER + 2] - oz)
@@ -120,38 +120,38 @@ def enter_near_cell(frame, lists, n, cell):
 
 
 @adding
-def add_points(frame, lists, n, blocks, total):
+def add_points(units, lists, n, blocks, total):
     """The first n particles that wait act on the targets, of which there are so many blocks. Returns how many wait then, 0."""
     wide()
-    (at, sums, points, own, _), softening2 = lists, frame.softening2
+    (at, sums, points, own, _), softening2 = lists, units.softening2
     for p in range(n):
         x, y, z, mass, number = points[p, 0], points[p, 1], points[p, 2], points[p, 3], own[p]
         for t in range(blocks * BLOCK):
             add_particle(at, t, number, x, y, z, mass, softening2, sums)
-    add_sums(frame, blocks, sums, total)
+    add_sums(units, blocks, sums, total)
     return 0
 
 
 @adding
-def add_cells(frame, lists, n, blocks, total):
+def add_cells(units, lists, n, blocks, total):
     """The first n cells that wait act on the targets. Returns how many wait then, 0."""
     wide()
-    (at, sums, _, _, cells), softening2 = lists, frame.softening2
+    (at, sums, _, _, cells), softening2 = lists, units.softening2
     for c in range(n):
         mass, x, y, z = cells[c, MASS], cells[c, CENTER], cells[c, CENTER + 1], cells[c, CENTER + 2]
         xx, xy, xz = cells[c, SECOND], cells[c, SECOND + 1], cells[c, SECOND + 2]
         yy, yz, zz = cells[c, SECOND + 3], cells[c, SECOND + 4], cells[c, SECOND + 5]
         for t in range(blocks * BLOCK):
             add_quadrupole(at, t, x, y, z, mass, (xx, xy, xz, yy, yz, zz), softening2, sums)
-    add_sums(frame, blocks, sums, total)
+    add_sums(units, blocks, sums, total)
     return 0
 
 
 @formula
-def add_sums(frame, blocks, sums, total):
+def add_sums(units, blocks, sums, total):
     """Add the sums of a list to the total in float64, in the units of that, and begin them anew."""
-    depth = frame.length / frame.mass
-    strength = frame.length * depth
+    depth = units.length / units.mass
+    strength = units.length * depth
     for t in range(blocks * BLOCK):
         total[0][t] += strength * sums[0][t]
         total[1][t] += strength * sums[1][t]

@@ -23,8 +23,8 @@ from particles_mpi.gravity.sources import (
     BLOCK,
     LIST,
     POTENTIAL,
-    Frame,
     Lists,
+    Units,
     add_cells,
     add_points,
     adding,
@@ -81,8 +81,8 @@ class Group(NamedTuple):
 class Room(NamedTuple):
     """What all groups use, one after the other."""
 
-    exact: Lists  # in float64, for sources that are close
-    quick: Lists  # in float32, for all others
+    double: Lists  # in float64, for sources that are close
+    single: Lists  # in float32, for all others
     total: Any  # four arrays in float64: acceleration and potential of each target
     far: Array  # (CELLS / LANES, FAR_WIDTH, LANES) float32: cells that wait for the expansion
     sums: Array  # (COEFFICIENTS LANES,) float32: of the expansion
@@ -104,16 +104,16 @@ def walk(tree, groups, offset, law):
     mass = ldexp(1.0, -frexp(tree.cells[0, MASS])[1])
     for g in range(len(groups)):
         group = group_of(tree.x, offset + groups[g, FIRST], offset + groups[g, END])
-        exact = Frame((0.0, 0.0, 0.0), 1.0, 1.0, law.softening2)
+        double = Units((0.0, 0.0, 0.0), 1.0, 1.0, law.softening2)
         length = ldexp(1.0, -frexp(max(sqrt(group.size2), TINY))[1])
-        quick = Frame(group.middle, length, mass, np.float32(length * length * law.softening2))
-        begin_group(tree.x, group, exact, room.exact)
-        begin_group(tree.x, group, quick, room.quick)
+        single = Units(group.middle, length, mass, np.float32(length * length * law.softening2))
+        begin_group(tree.x, group, double, room.double)
+        begin_group(tree.x, group, single, room.single)
         for k in range(4):
             total[k][: group.blocks * BLOCK] = 0.0
         sums[:] = 0.0
-        sources, work = add_sources(tree, law, group, exact, quick, room)
-        give_results(tree.x, group, quick, room, work, result[groups[g, FIRST] : groups[g, END]])
+        sources, work = add_sources(tree, law, group, double, single, room)
+        give_results(tree.x, group, single, room, work, result[groups[g, FIRST] : groups[g, END]])
         interactions += sources * (group.end - group.begin)
     return result, interactions
 
@@ -133,9 +133,9 @@ def group_of(x, begin, end):
 
 
 @adding
-def give_results(x, group, frame, room, work, rows):
+def give_results(x, group, units, room, work, rows):
     """What the targets of a group found and what their expansion gives: acceleration, potential, work (targets, RESULT)."""
-    (mx, my, mz), length, mass, _ = frame
+    (mx, my, mz), length, mass, _ = units
     total, coefficients = room.total, room.coefficients
     add_lanes(room.sums, coefficients)
     depth_unit = length / mass
@@ -164,18 +164,18 @@ def strength(tree, group):
 
 
 @adding
-def add_sources(tree, law, group, exact, quick, room):
+def add_sources(tree, law, group, double, single, room):
     """All sources act on a group: on its targets, or on its expansion if what that leaves out of M/r^2 is below the limit.
 
-    `exact`, `quick`: the Frame of either kind of numbers. Returns how many sources there were, and the work of each target.
+    `double`, `single`: the Units of either kind of numbers. Returns how many sources there were, and the work of each target.
     """
     (skip, first, count, cells, x, mass), (angle, _, quadrupoles) = tree, law
     begin, end, blocks, (lx, ly, lz, hx, hy, hz), (mx, my, mz), size2 = group
     angle2, size4, smallest2, close2, limit = angle * angle, size2 * size2, size2 / LARGEST**2, np.inf, -1.0
     if angle >= SINGLE and size2 > TINY * TINY:
         close2, limit = CLOSE * CLOSE * size2, (SMALL * angle) ** 4 * strength(tree, group)
-    length, moment_unit = quick.length, quick.length * quick.length * quick.mass if quadrupoles else 0.0
-    points = near_cells = quick_points = quick_cells = far_cells = np.int64(0)  # that wait
+    length, moment_unit = single.length, single.length * single.length * single.mass if quadrupoles else 0.0
+    double_points = double_cells = single_points = single_cells = far_cells = np.int64(0)  # that wait
     expanded, on_targets, near, visits = 0, 0, 0, 0
     node = 0
     while node < len(skip):
@@ -185,32 +185,32 @@ def add_sources(tree, law, group, exact, quick, room):
         d2, apart2 = u * u + v * v + w * w, distance2(lx, ly, lz, hx, hy, hz, cell[CENTER], cell[CENTER + 1], cell[CENTER + 2])
         far = is_far(apart2, cell[RADIUS], angle2)
         if far and d2 > smallest2 and cell[MASS] * size4 <= limit * (d2 * d2 * d2):
-            waiting = enter_cell(room.far, far_cells, (length * u, length * v, length * w), cell, quick.mass, moment_unit)
-            far_cells = waiting if waiting < CELLS else expand(room.far, waiting, quick.softening2, room.sums)
+            waiting = enter_cell(room.far, far_cells, (length * u, length * v, length * w), cell, single.mass, moment_unit)
+            far_cells = waiting if waiting < CELLS else expand(room.far, waiting, single.softening2, room.sums)
             expanded += 1
         elif far and quadrupoles:
             if apart2 > close2:
-                waiting = enter_near_cell(quick, room.quick, quick_cells, cell)
-                quick_cells = waiting if waiting < LIST else add_cells(quick, room.quick, waiting, blocks, room.total)
+                waiting = enter_near_cell(single, room.single, single_cells, cell)
+                single_cells = waiting if waiting < LIST else add_cells(single, room.single, waiting, blocks, room.total)
             else:
-                waiting = enter_near_cell(exact, room.exact, near_cells, cell)
-                near_cells = waiting if waiting < LIST else add_cells(exact, room.exact, waiting, blocks, room.total)
+                waiting = enter_near_cell(double, room.double, double_cells, cell)
+                double_cells = waiting if waiting < LIST else add_cells(double, room.double, waiting, blocks, room.total)
             on_targets += 1
         else:
             for p in range(first[node], first[node] + (1 if far else count[node])):
                 place, m, own = (cell[CENTER : CENTER + 3], cell[MASS], -1) if far else (x[p], mass[p], p - begin)
                 if distance2(lx, ly, lz, hx, hy, hz, place[0], place[1], place[2]) > close2:
-                    waiting = enter_point(quick, room.quick, quick_points, place, m, own)
-                    quick_points = waiting if waiting < LIST else add_points(quick, room.quick, waiting, blocks, room.total)
+                    waiting = enter_point(single, room.single, single_points, place, m, own)
+                    single_points = waiting if waiting < LIST else add_points(single, room.single, waiting, blocks, room.total)
                 else:
-                    waiting = enter_point(exact, room.exact, points, place, m, own)
-                    points = waiting if waiting < LIST else add_points(exact, room.exact, waiting, blocks, room.total)
+                    waiting = enter_point(double, room.double, double_points, place, m, own)
+                    double_points = waiting if waiting < LIST else add_points(double, room.double, waiting, blocks, room.total)
                 near += 1
         node = skip[node] if far else node + 1
-    add_points(exact, room.exact, points, blocks, room.total)
-    add_cells(exact, room.exact, near_cells, blocks, room.total)
-    add_points(quick, room.quick, quick_points, blocks, room.total)
-    add_cells(quick, room.quick, quick_cells, blocks, room.total)
-    expand(room.far, far_cells, quick.softening2, room.sums)
+    add_points(double, room.double, double_points, blocks, room.total)
+    add_cells(double, room.double, double_cells, blocks, room.total)
+    add_points(single, room.single, single_points, blocks, room.total)
+    add_cells(single, room.single, single_cells, blocks, room.total)
+    expand(room.far, far_cells, single.softening2, room.sums)
     work = FAR * on_targets + NEAR * near + (VISIT * visits + EXPANDED * expanded) / (end - begin)
     return expanded + on_targets + near, work
