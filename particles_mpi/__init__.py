@@ -7,6 +7,10 @@ Run("out/marbles")[-1].position
 
 from typing import Any
 
+from particles_mpi.setup.freshness import forget_stale_kernels
+
+forget_stale_kernels()
+
 __all__ = ["Particles", "Run", "Scene", "SceneError", "Simulation", "StoppedError"]
 __version__ = "0.1.0"
 

@@ -21,7 +21,6 @@ from run_files import PAINTS, finish, new_parser, parse, save_path, spaced, star
 from scipy.interpolate import CubicHermiteSpline
 
 from particles_mpi import Run
-from particles_mpi.particles import Array
 from particles_mpi.results.frame import Frame
 
 FEW = 30
@@ -29,7 +28,7 @@ COLUMNS = 3
 PIECES = 8  # of a curve between two frames
 
 
-def paths_of(frames: list[Frame], smooth: bool) -> tuple[Array, Array]:
+def paths_of(frames: list[Frame], smooth: bool) -> tuple[np.ndarray, np.ndarray]:
     """Moments (s,) and places (s, n, d) of all particles there ever were. smooth: nothing changes velocities at once."""
     ids = np.unique(np.concatenate([frame.id for frame in frames]))
     times = np.array([frame.time for frame in frames])
@@ -44,7 +43,7 @@ def paths_of(frames: list[Frame], smooth: bool) -> tuple[Array, Array]:
     return moments, CubicHermiteSpline(times, places, velocities)(moments)
 
 
-def plot_few(axes: Axes, places: Array) -> None:
+def plot_few(axes: Axes, places: np.ndarray) -> None:
     """A path a particle, and where it is at the end."""
     for i in range(places.shape[1]):
         color = PAINTS[i % len(PAINTS)]

@@ -16,6 +16,7 @@ import pickle
 import sys
 from collections import defaultdict
 from collections.abc import Iterable
+from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -73,6 +74,7 @@ class Sources:
             known |= self.calls[place]
         return known
 
+    @cached_property
     def kernels(self) -> dict[str, str]:
         """{"module.name": digest} of each compiled function."""
         digests, texts = {}, {}
@@ -88,13 +90,13 @@ class Sources:
 
     def state(self) -> dict[str, dict[str, str]]:
         """Digests of all kernels, and of the files that define them: numba itself compiles those of a changed file again."""
-        kernels = self.kernels()
+        kernels = self.kernels
         modules = sorted({name.rpartition(".")[0] for name in kernels})
         return {"kernels": kernels, "files": {m: digest(self.files[m].read_text(encoding="utf-8")) for m in modules}}
 
-    def stale(self) -> list[str]:
-        """The kernels whose digest is not what it was when all were compiled."""
-        before, now = self.compiled().get("kernels", {}), self.kernels()
+    def stale(self, before: dict[str, str] | None = None) -> list[str]:
+        """The kernels whose digest is not what it was `before`: if that is not given, when all were compiled."""
+        before, now = self.compiled().get("kernels", {}) if before is None else before, self.kernels
         return sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name))
 
     def compiled(self) -> dict[str, dict[str, str]]:
@@ -108,14 +110,19 @@ class Sources:
         """Are all kernels compiled from their present source?"""
         return self.compiled() == self.state()
 
-    def forget_stale(self) -> None:
-        """Delete what was compiled of stale kernels, and of those whose arguments are of classes that are gone."""
-        for name in self.stale():
-            module, _, function = name.rpartition(".")
-            path = self.package.joinpath(*module.split(".")[1:])
-            for old in (path.parent / "__pycache__").glob(f"{path.name}.{function}-*.nb[ic]"):
-                old.unlink(missing_ok=True)
-        for index in self.package.rglob("__pycache__/*.nbi"):
+    def forget_stale(
+        self, before: dict[str, str] | None = None, cache: Path | None = None, folders: str = "**/__pycache__"
+    ) -> None:
+        """Delete what was compiled of stale kernels, and of those whose arguments are of classes that are gone.
+
+        `before`: as for `stale`. Compiled kernels are in these `folders` below `cache`: by default beside their sources.
+        """
+        cache = self.package if cache is None else cache
+        stale = {".".join(name.split(".")[-2:]) for name in self.stale(before)}  # numba's files have no more of the name
+        for file in cache.glob(f"{folders}/*.nb[ic]"):
+            if file.name.partition("-")[0] in stale:
+                file.unlink(missing_ok=True)
+        for index in cache.glob(f"{folders}/*.nbi"):
             if not classes_in(index, self.package.name) <= self.defined.keys():
                 for old in index.parent.glob(f"{index.stem}.*nb[ic]"):
                     old.unlink(missing_ok=True)

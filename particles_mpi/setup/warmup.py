@@ -192,8 +192,6 @@ def main() -> None:
     """Each rank takes the next job that no other has taken; then all ranks run those of several ranks together."""
     begin = perf_counter()
     world, alone = Communicator(), Communicator.alone()
-    if world.is_root:
-        Sources(PACKAGE).forget_stale()
     claims = Path(world.bcast(tempfile.mkdtemp() if world.is_root else None))
     for number, job in enumerate(JOBS):
         try:

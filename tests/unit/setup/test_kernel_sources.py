@@ -49,7 +49,7 @@ def edit(whole):
 
 def test_all_kernels_are_known(whole):
     """Those of every decorator: with options, without, and those that are inlined."""
-    kernels = Sources(whole).kernels()
+    kernels = Sources(whole).kernels
     names = (
         "neighbours.pair_search.may_meet",
         "contacts.event_driven.event_loop.run",

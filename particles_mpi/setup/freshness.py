@@ -1,0 +1,65 @@
+"""No kernel is loaded that was compiled from other sources than those that are here: looked at whenever the program starts.
+
+Numba compares a compiled kernel with the file that defines it, and with no other: a kernel that uses a function or a constant of
+another file, which has changed since, would be loaded as it was, and no one would be told. `kernel_sources` knows which kernels
+these are, but takes a second. So first times and sizes of all files are compared with those of the last look: a few milliseconds.
+"""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+PACKAGE = Path(__file__).parents[1]
+
+
+def cache_of(package: Path) -> tuple[Path, str]:
+    """Where numba keeps what it compiles of the package: a folder, and a pattern of folders in it. In numba's own order."""
+    if own := os.environ.get("NUMBA_CACHE_DIR"):
+        return Path(own), "*_*"
+    if os.access(package, os.W_OK):
+        return package, "**/__pycache__"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "numba", "*_*"
+
+
+def files_of(package: Path) -> str:
+    """Name, time and size of each file with sources, a line each."""
+    lines = []
+    for folder, _, names in os.walk(package):
+        for name in names:
+            if name.endswith(".py"):
+                path = os.path.join(folder, name)
+                about = os.stat(path)
+                lines.append(f"{path} {about.st_mtime_ns} {about.st_size}")
+    return "\n".join(sorted(lines))
+
+
+def forget_stale_kernels(package: Path = PACKAGE) -> None:
+    """Where a file has changed since the last look, delete what was compiled of kernels that it concerns.
+
+    Where the folder for compiled kernels cannot be written there is nothing to be done: none are kept there.
+    """
+    cache, folders = cache_of(package)
+    record = (package / "__pycache__" if cache == package else cache) / f"looked_at_{package.name}.json"
+    try:
+        seen, files = record_in(record), files_of(package)
+        if seen.get("files") == files:
+            return
+        from particles_mpi.setup.kernel_sources import Sources
+
+        sources = Sources(package)
+        sources.forget_stale(seen.get("kernels"), cache, folders)
+        record.parent.mkdir(parents=True, exist_ok=True)
+        part = record.with_suffix(f".{os.getpid()}")
+        part.write_text(json.dumps({"files": files, "kernels": sources.kernels}), encoding="utf-8")
+        part.replace(record)
+    except OSError:  # not to be written, or full
+        return
+
+
+def record_in(path: Path) -> dict[str, Any]:
+    """What the last look has left; {} if there was none."""
+    try:
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError):
+        return {}
