@@ -27,7 +27,7 @@ def files_of(package: Path) -> str:
     lines = []
     for folder, _, names in os.walk(package):
         for name in names:
-            if name.endswith(".py"):
+            if name.endswith(".py") and not name.startswith("."):  # an editor's own files
                 path = os.path.join(folder, name)
                 about = os.stat(path)
                 lines.append(f"{path} {about.st_mtime_ns} {about.st_size}")
@@ -53,7 +53,7 @@ def forget_stale_kernels(package: Path = PACKAGE) -> None:
         part = record.with_suffix(f".{os.getpid()}")
         part.write_text(json.dumps({"files": files, "kernels": sources.kernels}), encoding="utf-8")
         part.replace(record)
-    except OSError:  # not to be written, or full
+    except (OSError, SyntaxError):  # not to be written, or full; or half of an edit, of which Python tells more
         return
 
 

@@ -37,7 +37,7 @@ class Sources:
         self.defined: dict[Place, list[ast.stmt]] = defaultdict(list)
         self.links: dict[Place, Place] = {}  # where an imported name is defined
         self.calls: dict[Place, set[Place]] = {}
-        for path in sorted(package.rglob("*.py")):
+        for path in sorted(package.rglob("[!.]*.py")):
             module = ".".join((package.name, *path.relative_to(package).with_suffix("").parts)).removesuffix(".__init__")
             self.files[module] = path
             for statement in ast.parse(path.read_text(encoding="utf-8")).body:
