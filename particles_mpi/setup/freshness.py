@@ -9,8 +9,10 @@ import json
 import os
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 PACKAGE = Path(__file__).parents[1]
+RECORD = "looked_at.json"  # of the last look: files, and digests of all kernels
 
 
 def cache_of(package: Path) -> tuple[Path, str]:
@@ -40,7 +42,9 @@ def forget_stale_kernels(package: Path = PACKAGE) -> None:
     Where the folder for compiled kernels cannot be written there is nothing to be done: none are kept there.
     """
     cache, folders = cache_of(package)
-    record = (package / "__pycache__" if cache == package else cache) / f"looked_at_{package.name}.json"
+    record = package / "__pycache__" / RECORD
+    if cache != package:  # which copies of the package may share
+        record = cache / f"{crc32(str(package).encode()):08x}_{RECORD}"
     try:
         seen, files = record_in(record), files_of(package)
         if seen.get("files") == files:
