@@ -58,7 +58,7 @@ class Tree:
         if len(x):
             ends[:3], ends[3:6] = [column.max() for column in x.T], [-column.min() for column in x.T]
             ends[6] = not np.isfinite(ends[:6]).all()  # an extreme value is not a number where one of the numbers is none
-        ends = ranks.allreduce_max(np.nan_to_num(ends, nan=np.inf))
+        ends = ranks.allreduce_max(np.where(np.isnan(ends), np.inf, ends))
         lower, extent = -ends[3:6], float((ends[:3] + ends[3:6]).max())
         if not (extent < np.inf and ends[6] < 1.0):
             return np.full((len(x), RESULT), np.nan)
