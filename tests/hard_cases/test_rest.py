@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.contacts.persistent.problem import TAKEN, Problem, bound_rows, table_of
-from particles_mpi.contacts.persistent.solver import EXACT, Solver
+from particles_mpi.contacts.persistent.solver import EXACT, OUTLIER, Solver
 from particles_mpi.parallel.communicator import Communicator
 
 MODES = ("rewind", "event")
@@ -247,10 +247,14 @@ def test_projection(drawn):
     # As many as rigid spheres have; with more their shares are not unique, and convergence is slow.
     few = ((may_close < 3.0) | (both[0] > 0.0)).sum() <= 3 * n
     assert not few or converged or solver.iterations >= 5000
-    assert not converged or (speeds + may_close >= -1e-7).all()
+    # It ends when an iteration took no more than OUTLIER/1e9, and one more follows; an iteration takes W (speed + may_close)/D.
+    # D is large for rows with many contacts, idle ones too.
+    weight, longest = (row[a] + np.where(b >= 0, row[b], 0.0) for row in (w, w * bound))
+    left = np.maximum(1e-7, 2.0 * OUTLIER * 1e-9 * longest / weight)
+    assert not converged or (speeds + may_close >= -left).all()
     mass = np.divide(1.0, w, out=np.zeros(n + 1), where=w > 0.0)[:n, None]
     energy = [float((mass * u**2).sum()) for u in (before, v[:n])]
     assert energy[1] <= energy[0] * (1.0 + 1e-9) + 1e-9
-    assert not converged or (np.abs(speeds + may_close)[both[0] > 1e-6] <= 1e-7).all()
+    assert not converged or (np.abs(speeds + may_close) <= left)[both[0] > 1e-6].all()
     if (w[:n] > 0.0).all() and (b >= 0).all():
         np.testing.assert_allclose((mass * v[:n]).sum(axis=0), (mass * before).sum(axis=0), rtol=1e-9, atol=1e-9 * mass.sum())
