@@ -244,11 +244,11 @@ def test_few_bodies_have_the_bits_of_many():
 @njit
 def expanded(cells, softening2, at):
     """Accelerations and potentials (n, 4) at places `at` (n, 3) by the expansion of cells (c, WIDTH) about the origin."""
-    far, sums, found = np.empty((CELLS // LANES, FAR_WIDTH, LANES)), np.zeros(COEFFICIENTS * LANES), np.empty((len(at), 4))
-    coefficients = np.empty(2 * COEFFICIENTS)
+    far, sums = np.empty((CELLS // LANES, FAR_WIDTH, LANES), np.float32), np.zeros(COEFFICIENTS * LANES, np.float32)
+    coefficients, found = np.empty(2 * COEFFICIENTS), np.empty((len(at), 4))
     for c in range(len(cells)):
         enter_cell(far, c, (-cells[c, 1], -cells[c, 2], -cells[c, 3]), cells[c], 1.0, 1.0)
-    expand(far, len(cells), softening2, sums)
+    expand(far, len(cells), np.float32(softening2), sums)
     add_lanes(sums, coefficients)
     for t in range(len(at)):
         found[t] = evaluate(coefficients, (at[t, 0], at[t, 1], at[t, 2]), coefficients[COEFFICIENTS:])
