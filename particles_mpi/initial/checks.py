@@ -179,8 +179,8 @@ def check_step(scene: Scene, particles: Particles, event: bool, faults: Faults) 
         least = 2.0 * (2.0 * widest + 2.0 * fastest * dt)
         need = f"2 (2 R + 2 v dt) = {least:g} for the largest and the fastest particle"
     for k, length in enumerate(periodic_length(scene)):
-        if 0.0 < length < least:
-            faults.add(f"box: periodic axis {k} is {length:g} long, but collisions need {need}")
+        if 0.0 < length <= least:
+            faults.add(f"box: periodic axis {k} is {length:g} long, but collisions need more than {need}")
     return warnings
 
 

@@ -15,6 +15,7 @@ from particles_mpi.particles import Array
 
 GRIDDED = 3  # axes with cells; more would cost 3^d cells to visit, and the others are tested by distance anyway
 FINE = 6  # cells to a side on the last axis of a sorted grid: runs along it can be any length, so that they may be tight
+SMALLEST = 1e-300  # side of a cell, of points that are all at one place: a million of them in it, and its inverse, are numbers
 SAMPLE = 512  # rows that tell where the bulk of the particles is
 
 
@@ -45,7 +46,7 @@ def grid(x: Array, box: tuple[Array, Array], side: float, fine: int) -> Grid:
         return Grid(origin, per, cells)
     low, high = bulk(x[:, :g], box[0][:g], box[1][:g])
     extent = np.maximum(high - low, 0.0)
-    side = max(side, np.finfo(float).tiny, float(extent.max()) * 1e-6)
+    side = max(side, SMALLEST, float(extent.max()) * 1e-6)
     while np.prod(np.floor(extent / side) + 1.0) > min(max(len(x), 64), limits.MOST // fine):
         side *= 1.25
     origin[first:] = low

@@ -23,7 +23,9 @@ from particles_mpi.contacts.event_driven.calendar_queue import (
 )
 from particles_mpi.contacts.event_driven.rows import (
     EVENT_COUNT,
+    HARDLY,
     ID,
+    JAMMED,
     LAST_CONTACT,
     LAST_PARTNER,
     NOT_HERE,
@@ -74,6 +76,8 @@ QUICK = 0.01  # of a drift: a contact so soon after the last one is quick
 BITS = 64  # of a mask
 PIECE = 100_000  # events, about a tenth of a second
 STANDING = 1e-9  # of a drift: time that does not count as passed
+RATTLING = 1e-5  # of a drift: nor does this between contacts that take no energy because they follow one another so soon
+NOWHERE = 1e-14  # of a coordinate and a radius: a way that is round-off
 MOST_STANDING, FEW = 2.0 * SQUEEZED / ZERO_TIME_EVENT, 100  # events a row while no time passes: more than SQUEEZED ever allows
 EARLY, SOON, NEXT_ONES = 6, 4, 2  # buckets ahead of the present one, for which memory is prefetched
 
@@ -110,6 +114,12 @@ def likely_partners(axes, segment, lists, i, first, count, place, now, until):
     return likely
 
 
+@lean_inner
+def passes_by(jammed, rapid):
+    """Does a row, `jammed` or not, take no notice of one with this number of RAPID_EVENTS?"""
+    return rapid >= SQUEEZED and (jammed or rapid < JAMMED)
+
+
 @inner(inline="always")
 def next_event(axes, rows, lists, planes, work, i, now, h):
     """(time, partner) of the next event of row i on the present segments: its first contact, or LIST_EXPIRY."""
@@ -119,7 +129,8 @@ def next_event(axes, rows, lists, planes, work, i, now, h):
     d = len(axes)
     best = h
     partner = np.int64(NO_EVENT)
-    if state[i, RAPID_EVENTS] < SQUEEZED:
+    jammed = state[i, RAPID_EVENTS] >= JAMMED
+    if state[i, RAPID_EVENTS] < SQUEEZED or jammed:
         for k in range(d):
             work.place[k] = segment[i, k] + segment[i, d + k] * (now - segment[i, 2 * d + START])
         end = np.int64(spans[i, BEGIN] + spans[i, COUNT])
@@ -133,18 +144,19 @@ def next_event(axes, rows, lists, planes, work, i, now, h):
                 if (
                     t != NEVER
                     and (t < best or partner == NO_EVENT or comes_before(i, j, i, partner, state))
-                    and not (work.any_squeezed[0] and state[j, RAPID_EVENTS] >= SQUEEZED)
+                    and not (work.any_squeezed[0] and passes_by(jammed, state[j, RAPID_EVENTS]))
                     and not (
                         segment[i, 2 * d + START] == segment[j, 2 * d + START]
                         and state[i, LAST_PARTNER] == state[j, ID]
                         and state[j, LAST_PARTNER] == state[i, ID]
+                        and max(state[i, RAPID_EVENTS], state[j, RAPID_EVENTS]) < JAMMED
                         and is_nearest_image(d, r, length)
                     )
                 ):
                     best = t
                     partner = j
         start, radius = segment[i, 2 * d + START], segment[i, 2 * d + RADIUS]
-        if len(planes.point) and may_hit(axes, segment, segment, np.int64(d), start, i, radius, h, planes):
+        if not jammed and len(planes.point) and may_hit(axes, segment, segment, np.int64(d), start, i, radius, h, planes):
             t, wall = wall_contact(axes, segment, segment, np.int64(d), start, i, radius, state[i, LAST_PARTNER], h, planes)
             if wall >= 0 and (t < best or partner == NO_EVENT):
                 best = t
@@ -169,20 +181,67 @@ def next_event(axes, rows, lists, planes, work, i, now, h):
 
 
 @lean_inner
-def note_contact(axes, rows, i, t, partner, moment, quickly, crowded, any_squeezed):
-    """Row i is about to begin a new segment at time t: change its state. Rows of a crowd wait as squeezed ones do."""
+def progress(d, segment, i, t, h, elastic):
+    """1 if row i got anywhere on its segment, which ends at time t, -1 if not, and 0 if it was at rest, for hardly any time.
+
+    What is shut in without room meets its partners for ever, in hardly any time, on ways that are less than round-off of its
+    position; or in little time, if the TC model keeps it from coming to rest (`elastic`).
+    """
+    passed = t - segment[i, 2 * d + START]
+    if passed > (RATTLING if elastic else STANDING) * h:
+        return 1
+    moved = False
+    at_rest = True
+    for k in range(d):
+        at_rest &= segment[i, d + k] == 0.0
+        moved |= abs(segment[i, d + k]) * passed > NOWHERE * (abs(segment[i, k]) + segment[i, 2 * d + RADIUS])
+    if at_rest:
+        return 0
+    return 1 if moved and not elastic else -1
+
+
+@lean_inner
+def note_contact(axes, rows, i, t, partner, moment, h, elastic, crowded, any_squeezed):
+    """Row i is about to begin a new segment at time t of a drift over h: change its state. Rows of a crowd wait as squeezed
+    ones do. `elastic`: the contact takes no energy because it follows the last one so soon."""
     state, reals = rows.state, rows.reals
-    if t != rows.segment[i, 2 * len(axes) + START]:
-        state[i, RAPID_EVENTS] %= ZERO_TIME_EVENT
-    else:
+    way = progress(len(axes), rows.segment, i, t, h, elastic)
+    if way < 0:
         state[i, RAPID_EVENTS] += ZERO_TIME_EVENT
-    state[i, RAPID_EVENTS] += abs(moment + t - reals[i, LAST_CONTACT]) <= quickly
+    elif way > 0:
+        state[i, RAPID_EVENTS] %= ZERO_TIME_EVENT
+    state[i, RAPID_EVENTS] += abs(moment + t - reals[i, LAST_CONTACT]) <= QUICK * h
     if state[i, RAPID_EVENTS] % ZERO_TIME_EVENT >= crowded and state[i, RAPID_EVENTS] < SQUEEZED:
         state[i, RAPID_EVENTS] += SQUEEZED
     any_squeezed[0] |= state[i, RAPID_EVENTS] >= SQUEEZED
     state[i, LAST_PARTNER] = partner
     state[i, EVENT_COUNT] += 1
     reals[i, LAST_CONTACT] = moment + t
+
+
+@lean_inner
+def stop_squeezed(axes, rows, i, crowded):
+    """Row i, if it is squeezed and not only one of a crowd, stands where it is until the end of the drift."""
+    rapid = rows.state[i, RAPID_EVENTS]
+    if SQUEEZED <= rapid < JAMMED and rapid % ZERO_TIME_EVENT < crowded:
+        stand_still(axes, rows, i)
+
+
+@lean_inner
+def stop_at_jam(axes, rows, i, t):
+    """Row i, one of two that touch at time t, stops there if it is the one that is not jammed yet."""
+    if rows.state[i, RAPID_EVENTS] < JAMMED:
+        move_to(axes, rows.segment, i, t)
+        rows.state[i, EVENT_COUNT] += 1
+        stand_still(axes, rows, i)
+
+
+@lean_inner
+def stand_still(axes, rows, i):
+    """Row i is jammed from now on."""
+    rows.state[i, RAPID_EVENTS] = JAMMED
+    for k in range(len(axes)):
+        rows.segment[i, len(axes) + k] *= HARDLY
 
 
 @lean_inner
@@ -310,7 +369,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             wall = -1 - j
             lossy = planes.restitution[wall] * planes.velocity_factor[wall] < 1.0
             elastic = lossy and abs(moment + t - reals[i, LAST_CONTACT]) < contact_duration
-            note_contact(axes, rows, i, t, j, moment, QUICK * h, crowded, work.any_squeezed)
+            note_contact(axes, rows, i, t, j, moment, h, elastic, crowded, work.any_squeezed)
             move_to(axes, segment, i, t)
             own = state[i, OWNERSHIP] >= OWN
             e, factor = (1.0, 1.0) if elastic else (planes.restitution[wall], planes.velocity_factor[wall])
@@ -319,6 +378,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
                 bounce(axes, segment, np.int64(d), i, wall, planes.normal, e, factor, w, t, rates)
             else:
                 meet_wall(axes, segment, np.int64(d), i, wall, radius, w, t, taken, planes.normal, rates, rough)
+            stop_squeezed(axes, rows, i, crowded)
             if elastic and own:
                 note_tc_elastic(work, moment + t, state[i, ID], j)
             counts[WALL_HITS] += own
@@ -331,13 +391,22 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             pending = 2
             if state[j, ID] < state[i, ID]:
                 i, j = j, i
+            if max(state[i, RAPID_EVENTS], state[j, RAPID_EVENTS]) >= JAMMED:
+                stop_at_jam(axes, rows, i, t)
+                stop_at_jam(axes, rows, j, t)
+                if logging:
+                    note_segment(axes, rows, i, log)
+                    note_segment(axes, rows, j, log)
+                continue
             last_contact = max(reals[i, LAST_CONTACT], reals[j, LAST_CONTACT])
             elastic = restitution * velocity_factor < 1.0 and abs(moment + t - last_contact) < contact_duration
-            note_contact(axes, rows, i, t, state[j, ID], moment, QUICK * h, crowded, work.any_squeezed)
-            note_contact(axes, rows, j, t, state[i, ID], moment, QUICK * h, crowded, work.any_squeezed)
+            note_contact(axes, rows, i, t, state[j, ID], moment, h, elastic, crowded, work.any_squeezed)
+            note_contact(axes, rows, j, t, state[i, ID], moment, h, elastic, crowded, work.any_squeezed)
             own = state[i, OWNERSHIP] >= OWN
             loss = (1.0, 1.0) if elastic else (restitution, velocity_factor)
             reals[i, VIRIAL] += collide(axes, segment, reference, i, j, t, loss, length, rates, rough, elastic, work.r)
+            stop_squeezed(axes, rows, i, crowded)
+            stop_squeezed(axes, rows, j, crowded)
             if elastic and own:
                 note_tc_elastic(work, moment + t, state[i, ID], state[j, ID])
             counts[COLLISIONS] += own

@@ -19,8 +19,10 @@ START, RADIUS = 0, 1  # columns of `segment`, after 2 d
 LAST_PARTNER, RAPID_EVENTS, TRAJECTORY_HASH, LAST_CONTACT, VIRIAL, ID, EVENT_COUNT, OWNERSHIP = range(8)  # columns of `state`
 SAVED = 5  # the first of these are in a record
 NOT_HERE, GHOST, OWN, SHARED = range(4)  # OWNERSHIP: a free row, another rank's particle, an own one, an own one others know
-ZERO_TIME_EVENT = 2**32  # RAPID_EVENTS counts contacts in a row without time passing in units of this; below it, quick ones
+ZERO_TIME_EVENT = 2**32  # RAPID_EVENTS counts contacts in a row that got nowhere in units of this; below it, quick ones
 SQUEEZED = 1000 * ZERO_TIME_EVENT  # from here on a particle is squeezed: it has no more contacts in this drift
+JAMMED = 2**60  # from here on others that come to it stop there, as it does; its velocity is kept times HARDLY, exactly
+HARDLY = 2.0**-200  # too little for a velocity to change a position
 ODD = -7046029254386353131  # an odd number with many bits, to multiply with
 
 
@@ -98,6 +100,9 @@ def end_drift(axes, rows, h, reference, box):
         if state[i, RAPID_EVENTS] >= SQUEEZED:
             squeezed += state[i, OWNERSHIP] >= OWN
             segment[i, 2 * d + START] = h  # it stays where its last contact was
+            if state[i, RAPID_EVENTS] >= JAMMED:
+                for k in range(d):
+                    segment[i, d + k] /= HARDLY
         for k in range(d):
             at = segment[i, k] + segment[i, d + k] * (h - segment[i, 2 * d + START])
             if length[k] > 0.0 and not lower[k] <= at < lower[k] + length[k]:

@@ -1,0 +1,102 @@
+"""Spheres that fill a box exactly, with no room to move: they meet one another and the walls without end, in no time.
+
+Real gaps of such scenes are round-off. Nothing may run for ever, overlap, leave the box, or lose energy that it should keep.
+"""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import pdist
+
+from particles_mpi import Scene, Simulation
+
+R = 0.2
+GRAVITY = {"uniform_gravity": {"acceleration": [0.0, -9.81]}}
+
+
+def full_box(d, n, mode, e, friction=0.0, forces=None, steps=20):
+    """n^d spheres of radius R that touch one another and the walls, thrown in all directions."""
+    surface = {"restitution": e} | ({"friction": friction} if friction else {})
+    places = [[R + 2.0 * R * k for k in cell] for cell in itertools.product(range(n), repeat=d)]
+    return Simulation(
+        Scene(
+            dimension=d,
+            seed=1,
+            box={"lower": [0.0] * d, "upper": [2.0 * R * n] * d},
+            time={"step": 0.01, "steps": steps},
+            particles=[{"position": places, "radius": R, "mass": {"min": 1.0, "max": 2.0}, "velocity": {"speed": 1.0}}],
+            effects={"collisions": {"mode": mode} | surface, "walls": surface} | (forces or {}),
+        )
+    )
+
+
+def assert_in_place(sim, n, within=1e-12):
+    """No sphere overlaps another one or a wall."""
+    x = sim.particles.position
+    assert pdist(x).min() >= 2.0 * R - within
+    assert x.min() >= R - within and x.max() <= (2.0 * n - 1.0) * R + within
+
+
+@pytest.mark.parametrize(("d", "n", "friction"), [(1, 4, 0.0), (2, 3, 0.0), (3, 2, 0.0), (2, 3, 0.5), (3, 2, 0.5)])
+def test_elastic_spheres_without_room_stay_where_they_are(d, n, friction):
+    """Smooth ones keep the energy to the round-off of 50 000 contacts; each has a thousand contacts a step that get nowhere."""
+    sim = full_box(d, n, "event", 1.0, friction)
+    energy = sim.measure()["kinetic"]
+    for _ in range(20):
+        before = sim.totals["collisions"] + sim.totals["wall_hits"]
+        sim.step()
+        assert sim.totals["collisions"] + sim.totals["wall_hits"] - before <= 1100 * n**d
+        assert_in_place(sim, n)
+    now = sim.measure()["kinetic"]
+    assert now <= energy * (1.0 + 1e-10)
+    if not friction:
+        assert now == pytest.approx(energy, rel=1e-10)
+
+
+@pytest.mark.parametrize("e", [0.0, 0.5])
+@pytest.mark.parametrize(("d", "n"), [(1, 4), (2, 3), (3, 2)])
+def test_lossy_spheres_without_room_lose_energy(d, n, e):
+    sim = full_box(d, n, "event", e)
+    energy = [sim.measure()["kinetic"]]
+    for _ in range(20):
+        sim.step()
+        assert_in_place(sim, n)
+        energy.append(sim.measure()["kinetic"])
+    assert (np.diff(energy) <= 1e-12 * energy[0]).all() and energy[-1] < 0.5 * energy[0]
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+@pytest.mark.parametrize("mode", ["rewind", "event"])
+@pytest.mark.parametrize("e", [0.0, 0.5])
+def test_a_full_box_under_gravity_comes_to_rest(mode, e, friction):
+    sim = full_box(2, 3, mode, e, friction, GRAVITY)
+    for _ in range(20):
+        sim.step()
+        assert_in_place(sim, 3, within=1e-3 * R)
+    assert sim.measure()["kinetic"] < 1e-20
+
+
+def test_a_sphere_that_comes_to_a_jam_does_not_enter_it():
+    """Four spheres fill the ground of a box; a fifth one is thrown at them, and leaves again with the energy that there is."""
+    places = [[R + 2.0 * R * k, R] for k in range(4)]
+    sim = Simulation(
+        Scene(
+            dimension=2,
+            box={"lower": [0.0, 0.0], "upper": [8.0 * R, 4.0]},
+            time={"step": 0.05, "steps": 200},
+            particles=[
+                {"position": places, "radius": R, "velocity": [[1.0, -0.3], [-0.5, -1.0], [0.8, -0.1], [-1.0, -0.7]]},
+                {"position": [[0.9, 2.0]], "radius": R, "velocity": [0.0, -3.0]},
+            ],
+            effects={"collisions": {"mode": "event"}, "walls": {}},
+        )
+    )
+    energy, highest = sim.measure()["kinetic"], []
+    for _ in range(200):
+        sim.step()
+        x = sim.particles.position
+        assert pdist(x).min() >= 2.0 * R - 1e-12 and (x >= R - 1e-12).all()
+        highest.append(x[4, 1])
+    assert min(highest) < 3.2 * R and max(highest[highest.index(min(highest)) :]) > 1.0
+    assert sim.measure()["kinetic"] == pytest.approx(energy, rel=1e-10)

@@ -1,0 +1,29 @@
+"""Scenes at random, with any effects at once: every way to go on from a state takes the same steps, to the bit."""
+
+import numpy as np
+import pytest
+from random_scenes import random_scenes
+
+from particles_mpi import Scene, Simulation
+
+COUNT = 25
+
+
+@pytest.mark.parametrize("seed", [1, 2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(3, 12))])
+def test_every_way_on_is_the_same(seed, tmp_path):
+    for name, tables in random_scenes(seed, COUNT).items():
+        steps = tables["time"]["steps"]
+        at_once = Simulation(Scene.from_dict(tables))
+        at_once.steps(steps)
+        assert all(np.isfinite(column).all() for key, column in at_once.particles.arrays.items() if key != "contacted"), name
+        one_by_one = Simulation(Scene.from_dict(tables))
+        for _ in range(steps // 2):
+            one_by_one.step()
+        one_by_one.to_json(tmp_path / "half.json")
+        others = {"copy": one_by_one.copy(), "JSON": Simulation.from_json(tmp_path / "half.json")}
+        stopped = Simulation(Scene.from_dict(tables))
+        stopped.run(tmp_path / name, steps=steps // 2, quiet=True)
+        others |= {"resumed": Simulation.resume(tmp_path / name / "checkpoint.h5"), "one by one": one_by_one}
+        for way, other in others.items():
+            other.steps(steps - steps // 2)
+            assert other == at_once, (name, way)
