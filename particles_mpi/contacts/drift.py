@@ -88,7 +88,7 @@ class Drift:
         box, loss = Box(context.lower, context.upper, context.length), Loss(pairs.restitution, pairs.keep)
         law = surfaces(self.effects)
         exact: Any = None
-        if pairs.options.mode == "event" or self.effects.keeps_contacts:
+        if pairs.options.mode == "event" or self.effects.lossy:
             from particles_mpi.contacts.event_driven.operator import Event as EventDriven
 
             duration = pairs.options.contact_duration

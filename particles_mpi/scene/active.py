@@ -54,8 +54,12 @@ class ActiveEffects:
     @property
     def keeps_contacts(self) -> bool:
         """Are there forces that press particles together or onto walls, and contacts that take energy?"""
-        lossy = any(contact.lossy for contact in (self.pairs, self.walls) if contact is not None)
-        return self.integrator == "leapfrog" and bool(self.forces) and lossy
+        return self.integrator == "leapfrog" and bool(self.forces) and self.lossy
+
+    @property
+    def lossy(self) -> bool:
+        """Do contacts take energy? Particles can crowd together then, and have many contacts in a step."""
+        return any(contact.lossy for contact in (self.pairs, self.walls) if contact is not None)
 
 
 def fields_of(scene: Scene) -> list[str]:
@@ -64,7 +68,7 @@ def fields_of(scene: Scene) -> list[str]:
     keeps, pairs = effects.keeps_contacts, effects.pairs
     conditions = {
         "rate": scene.time.integrator == "taylor",
-        "contacted": pairs and (pairs.options.mode == "event" or keeps),
+        "contacted": pairs and (pairs.options.mode == "event" or effects.lossy),
         "virial": scene.output.observables,
         "supported": keeps,
         "spin": effects.rough,

@@ -1,6 +1,7 @@
 """Spheres that fill a box exactly, with no room to move: they meet one another and the walls without end, in no time.
 
 Real gaps of such scenes are round-off. Nothing may run for ever, overlap, leave the box, or lose energy that it should keep.
+And clusters of spheres that stick together, which meet as often.
 """
 
 import itertools
@@ -100,3 +101,30 @@ def test_a_sphere_that_comes_to_a_jam_does_not_enter_it():
         highest.append(x[4, 1])
     assert min(highest) < 3.2 * R and max(highest[highest.index(min(highest)) :]) > 1.0
     assert sim.measure()["kinetic"] == pytest.approx(energy, rel=1e-10)
+
+
+@pytest.mark.parametrize("e", [0.0, 0.3])
+@pytest.mark.parametrize(("d", "n", "side"), [(1, 20, 16.0), (2, 64, 4.0), (3, 125, 3.0)])
+def test_clusters_that_stick_together_are_in_order_without_forces_too(d, n, side, e):
+    """A gas that cools in mode rewind: passes do not suffice for clusters, whose steps are done in order of time."""
+    sim = Simulation(
+        Scene(
+            dimension=d,
+            seed=3,
+            box={"lower": [0.0] * d, "upper": [side] * d, "periodic": True},
+            time={"step": 0.02, "steps": 300},
+            particles=[{"count": n, "position": "lattice", "radius": 0.15, "velocity": {"temperature": 1.0}}],
+            effects={"collisions": {"mode": "rewind", "restitution": e}},
+        )
+    )
+    momentum = sim.particles.velocity.sum(axis=0)
+    deepest = 0.0
+    for _ in range(300):
+        sim.step()
+        x = sim.particles.position
+        apart = x[:, None] - x[None]
+        apart -= side * np.round(apart / side)
+        distance = np.sqrt((apart**2).sum(axis=-1))[np.triu_indices(n, 1)]
+        deepest = max(deepest, 0.3 - distance.min())
+    assert sim.totals["missed"] == 0 and deepest < 0.01 * 0.15
+    np.testing.assert_allclose(sim.particles.velocity.sum(axis=0), momentum, atol=1e-12)

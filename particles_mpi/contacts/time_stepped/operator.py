@@ -158,6 +158,8 @@ class Rewind:
         In a pile that would add up; others soon move apart.
         """
         near, (first, second) = self.near, self.near.candidates.pairs
+        if "supported" not in near.particles.arrays:
+            return False
         supported = np.zeros(len(near.x), bool)
         supported[: near.spheres.owned] = near.particles["supported"]
         pairs = supported[first] | supported[second]
