@@ -29,8 +29,22 @@ class Hits(NamedTuple):
     time: Array
 
 
+class Pairs(NamedTuple):
+    """Candidate pairs, or room for them: rows, and the times from when until when they are near enough to touch."""
+
+    first: Array  # (m,) int32
+    second: Array  # (m,) int32
+    begin: Array  # (m,) float32, since the search
+    end: Array  # (m,) float32
+
+
+def room_for(capacity: int) -> Pairs:
+    """Of so many pairs."""
+    return Pairs(*np.empty((2, capacity), np.int32), *np.empty((2, capacity), np.float32))
+
+
 class Candidates:
-    """`pairs` are the candidate pairs as rows (first, second), `near_wall` the rows near walls, `hits` room for contacts of both.
+    """`pairs` are the candidate pairs, `near_wall` the rows near walls, `hits` room for contacts of both.
 
     x, v (n, d) may change in place: `leaving` finds rows that forces bend away from their paths, and `follow` gives new ones to
     those and to rows that contacts turned. The first `expected` pairs have room from the start.
@@ -54,14 +68,14 @@ class Candidates:
         n = len(x)
         self.marked, self.chosen = np.zeros(n, np.bool_), np.empty(n, np.int32)  # scratch
         self.pair_count = self.wall_count = self.tests = self.asked = 0
-        self.first, self.second = np.empty(0, np.int32), np.empty(0, np.int32)
+        self.room = room_for(0)
         self.reserve(expected + expected // 4 + 256)
         self.wall_rows = np.empty(spheres.owned, np.int32)
         self.search()
 
     @property
-    def pairs(self) -> tuple[Array, Array]:
-        return self.first[: self.pair_count], self.second[: self.pair_count]
+    def pairs(self) -> Pairs:
+        return Pairs(*(column[: self.pair_count] for column in self.room))
 
     @property
     def near_wall(self) -> Array:
@@ -69,9 +83,10 @@ class Candidates:
 
     def reserve(self, capacity: int) -> None:
         """Room for pairs."""
-        first, second = np.empty(capacity, np.int32), np.empty(capacity, np.int32)
-        first[: self.pair_count], second[: self.pair_count] = self.pairs
-        self.first, self.second = first, second
+        room = room_for(capacity)
+        for column, old in zip(room, self.pairs, strict=True):
+            column[: self.pair_count] = old
+        self.room = room
         size = capacity + self.spheres.owned
         self.hits = Hits(np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size))
 
@@ -125,7 +140,7 @@ class Candidates:
         while True:
             needed, until, self.pair_count, self.wall_count, tests, count, done = replace_candidates(
                 self.axes, rows, done, why, segments, (self.time, h), tuple(self.horizon), self.holding,
-                self.first, self.second, self.pair_count, self.wall_count,
+                tuple(self.room), self.pair_count, self.wall_count,
             )  # fmt: skip
             self.tests += tests if why == ALL else ALONE * tests
             if until != self.horizon.valid_until:
@@ -133,7 +148,7 @@ class Candidates:
             if needed or done == count:
                 break
             rows = rows[:count]
-            self.reserve(len(self.first) + len(self.first) // 2 + 256)
+            self.reserve(len(self.room.first) + len(self.room.first) // 2 + 256)
         if why != ALL and not needed:
             self.asked += count
         return float(needed)
@@ -143,4 +158,5 @@ def touching(x: Array, radius: Array, w: Array, ids: Array, length: Array) -> tu
     """(first, second): rows of all pairs of resting spheres that touch, each once, the lower id first, not both with w = 0."""
     n, d = x.shape
     spheres = Spheres(radius, w, ids, n)
-    return Candidates(x, np.zeros_like(x), spheres, length, tuple(no_planes(d)), AT_REST, everywhere(d), EXPECTED * n).pairs
+    found = Candidates(x, np.zeros_like(x), spheres, length, tuple(no_planes(d)), AT_REST, everywhere(d), EXPECTED * n)
+    return found.pairs[:2]

@@ -9,10 +9,14 @@ from particles_mpi.kernels.jit import inner, spheres_within, trailing_zeros
 from particles_mpi.neighbours.cells import GRIDDED, cell_along
 from particles_mpi.neighbours.search_index import AT_ONCE, FAST, OVERSIZE, ROUNDED, SLOW
 
+LOST = 1e-10  # of what is subtracted in `time_near`: more than double precision loses
+MUCH = 1e4  # windows: times beyond are not told
+
 
 @inner
-def drop_pairs(rows, marked, first, second, count):
-    """Forget the pairs of `rows` among the first `count`; marks the rows, returns how many pairs stay."""
+def drop_pairs(rows, marked, pairs, count):
+    """Forget those of `rows` among the first `count` of `pairs`; marks the rows, returns how many pairs stay."""
+    first, second, begin, end = pairs
     for i in rows:
         marked[i] = True
     kept = 0
@@ -21,6 +25,8 @@ def drop_pairs(rows, marked, first, second, count):
         j = second[p]
         first[kept] = i
         second[kept] = j
+        begin[kept] = begin[p]
+        end[kept] = end[p]
         kept += not (marked[np.uint64(i)] | marked[np.uint64(j)])
     return kept
 
@@ -112,7 +118,8 @@ def list_linked(low, high, cells, head, after, around, listed):
 def may_meet(axes, y, path, i, j, window, tolerance, length):
     """Do the paths of i, at y at its start, and of j come nearer than R_i + R_j + 2 tolerance within `window` from then?
 
-    With a margin for round-off. On the gridded axes y is the image that is meant.
+    With a margin for round-off. On the gridded axes y is the image that is meant. Returns (whether they do, r.u, u.u, r.r, the
+    square of that distance); `time_near` goes on with these.
     """
     d = len(axes)
     passed = path[i, 2 * d] - path[j, 2 * d]
@@ -132,11 +139,25 @@ def may_meet(axes, y, path, i, j, window, tolerance, length):
     t = t if t < window else window
     size = path[i, 2 * d + 1] + path[j, 2 * d + 1]
     cut = size + 2.0 * tolerance
-    return (size > 0.0) & (r2 + t * (2.0 * ru + t * u2) <= cut * cut + 1e-12 * r2)
+    return (size > 0.0) & (r2 + t * (2.0 * ru + t * u2) <= cut * cut + 1e-12 * r2), ru, u2, r2, cut * cut
 
 
 @inner(error_model="numpy")
-def find_partners(axes, rows, begin, everything, horizon, holding, first, second, found):
+def time_near(ru, u2, r2, cut2, start, window):
+    """(begin, end) of the time in which two paths are so near that their rows can touch; float32, with margins for what is lost.
+
+    ru, u2, r2, cut2: as `may_meet` returns them, at the time `start`.
+    """
+    half = sqrt(max(ru * ru - u2 * (r2 - cut2), 0.0) + LOST * u2 * r2)
+    begin, end = (-ru - half) / u2, (half - ru) / u2
+    if not abs(begin) + abs(end) < MUCH * window:  # they hardly move, or not at all
+        return np.float32(-inf), np.float32(inf)
+    margin = ROUNDED * (abs(begin) + abs(end) + start + window)
+    return np.float32(start + begin - margin), np.float32(start + end + margin)
+
+
+@inner(error_model="numpy")
+def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found):
     """Candidate pairs of `rows` (all of them marked), from rows[begin] on, with all rows, each once, behind the first `found`.
 
     Returns (number of pairs then; number of tests; how many of `rows` are done: if there is no room for the pairs of the next
@@ -152,6 +173,7 @@ def find_partners(axes, rows, begin, everything, horizon, holding, first, second
     _, _, _, _, scale, (origin, per, cells) = sorted_
     head, after, _, _, (linked_origin, linked_per, linked_cells) = linked
     _, w, ids, owned = spheres
+    first, second, near_from, near_until = pairs
     d = len(axes)
     g = min(d, 3)
     low, high = np.zeros(3, np.int64), np.zeros(3, np.int64)
@@ -186,11 +208,11 @@ def find_partners(axes, rows, begin, everything, horizon, holding, first, second
                 for k in range(g):
                     r = path[i, k] - (path[other, k] + path[other, d + k] * (path[i, 2 * d] - path[other, 2 * d]))
                     y[k] = path[i, k] + nearest(r, length[k]) - r
-                if wanted(i, other, marked, bounding_radius, owned, ids, w) and may_meet(
-                    axes, y, path, i, other, window, tolerance, length
-                ):
+                meet, ru, u2, r2, cut2 = may_meet(axes, y, path, i, other, window, tolerance, length)
+                if meet and wanted(i, other, marked, bounding_radius, owned, ids, w):
                     if found < len(first):
                         first[found], second[found] = (i, other) if ids[i] < ids[other] else (other, i)
+                        near_from[found], near_until[found] = time_near(ru, u2, r2, cut2, path[i, 2 * d], window)
                     found += 1
         for p0 in range(images[0]):
             for p1 in range(images[1]):
@@ -225,11 +247,11 @@ def find_partners(axes, rows, begin, everything, horizon, holding, first, second
                             near += (r2 <= (own + bounding_radius[j]) ** 2) & (i != j)
                     for p in range(near):
                         other = np.int64(around[p])
-                        if may_meet(axes, y, path, i, np.uint64(other), window, tolerance, length) and wanted(
-                            i, other, marked, bounding_radius, owned, ids, w
-                        ):
+                        meet, ru, u2, r2, cut2 = may_meet(axes, y, path, i, np.uint64(other), window, tolerance, length)
+                        if meet and wanted(i, other, marked, bounding_radius, owned, ids, w):
                             if found < len(first):
                                 first[found], second[found] = (i, other) if ids[i] < ids[other] else (other, i)
+                                near_from[found], near_until[found] = time_near(ru, u2, r2, cut2, path[i, 2 * d], window)
                             found += 1
         if found > len(first):
             return pairs_before, tests_before, m

@@ -11,12 +11,13 @@ ALL, LEAVING, TURNED = 0, 1, 2  # why candidates are replaced
 
 
 @kernel(error_model="numpy")
-def replace_candidates(axes, rows, begin, why, segments, drift, horizon, holding, first, second, pairs, walls):
-    """Replace the candidates of `rows`: drop theirs among the first `pairs` pairs and `walls` rows near walls, and find others.
+def replace_candidates(axes, rows, begin, why, segments, drift, horizon, holding, pairs, found, walls):
+    """Replace the candidates of `rows`: drop theirs among the first `found` of `pairs` and `walls` rows near walls, find others.
 
     why: ALL rows have got paths; the segments of these rows, in the drift over h from `time` (drift = (time, h)), were TURNED
     by contacts, or are LEAVING their paths by forces. Of rows that were turned those that leave their paths come first in
-    `rows` then. holding: `Holding` as a plain tuple. begin: -1, or how many rows were done when there was no more room for pairs.
+    `rows` then. holding, pairs: `Holding` and `Pairs` as plain tuples. begin: -1, or how many rows were done when there was no
+    more room for pairs.
 
     Returns (0, or how far a row gets if that is further than candidates may reach: nothing is found then; until when candidates
     are valid; pairs; rows near walls; tests; rows that left their paths; how many of them are done).
@@ -32,14 +33,14 @@ def replace_candidates(axes, rows, begin, why, segments, drift, horizon, holding
         if why != ALL and count > 0:
             needed, until = renew_paths(asking, segments, owned, paths, region, horizon, length, time, h)
             if needed != 0.0:
-                return needed, until, pairs, walls, 0, count, 0
+                return needed, until, found, walls, 0, count, 0
             move_rows(asking, paths, owned, cells)
-        pairs = drop_pairs(asking, marked, first, second, pairs)
+        found = drop_pairs(asking, marked, pairs, found)
     valid = (until, horizon[1], horizon[2], horizon[3])
-    pairs, tests, done = find_partners(axes, asking, begin, why == ALL, valid, holding, first, second, pairs)
+    found, tests, done = find_partners(axes, asking, begin, why == ALL, valid, holding, pairs, found)
     if done == count:
         if len(planes[0]) > 0:
             walls = find_near_walls(asking, paths[0], valid, owned, planes, marked, wall_rows, walls)
         for i in asking:
             marked[i] = False
-    return 0.0, until, pairs, walls, tests, count, done
+    return 0.0, until, found, walls, tests, count, done

@@ -13,16 +13,25 @@ from particles_mpi.kernels.markers import NEVER
 
 
 @lean_inner(error_model="numpy")
-def approaching(axes, x, v, radius, first, second, h, length, periodic, a, b):
-    """Candidate pairs (first, second) whose segments, all from now, may touch within h; into a and b, returns how many.
+def approaching(axes, x, v, radius, pairs, drift, length, periodic, a, b):
+    """Candidate pairs whose segments, all from now, may touch in a drift = (time since the search, h); into a and b, returns
+    how many.
 
-    Left out: partners that move apart, or are clear of each other when they are nearest, at h or before. Nothing branches:
-    each pair is written, and the next one over it if it does not count. Unsigned indices spare the test for a negative one.
+    Most candidates are not near yet, or no longer: their rows are not looked at. Left out, too, are partners that move apart,
+    or are clear of each other when they are nearest, at h or before. Nothing branches: each pair is written, and the next one
+    over it if it does not count. Unsigned indices spare the test for a negative one.
     """
-    found = 0
+    first, second, begin, end = pairs
+    time, h = drift
+    near = 0
     for p in range(len(first)):
-        i = np.uint64(first[p])
-        j = np.uint64(second[p])
+        b[near] = p
+        near += (begin[p] <= time + h) & (end[p] >= time)
+    found = 0
+    for q in range(near):
+        pair = np.uint64(b[q])
+        i = np.uint64(first[pair])
+        j = np.uint64(second[pair])
         u2 = 0.0
         ru = 0.0
         r2 = 0.0
@@ -60,21 +69,22 @@ def with_active_row(start, last_partner, ids, active, first, second, a, b):
 
 
 @lean
-def find_contacts(axes, segments, spheres, first, second, h, length, everything, active, hits):
-    """Candidate pairs (first, second) that touch on their present segments, into `hits`; returns how many.
+def find_contacts(axes, segments, spheres, pairs, drift, length, everything, active, hits):
+    """Candidate `pairs` that touch on their segments in a drift = (time since the search, h), into `hits`; returns how many.
 
     In the first pass, in which all segments begin at time 0, with `everything`; later of the pairs with an active row only.
     """
     x, v, start, last_partner = segments
     radius, _, ids, _ = spheres
     a, b, time = hits
+    h = drift[1]
     if everything:
         periodic = length[0] > 0.0
         for k in range(1, len(axes)):
             periodic |= length[k] > 0.0
-        likely = approaching(axes, x, v, radius, first, second, h, length, periodic, a, b)
+        likely = approaching(axes, x, v, radius, pairs, drift, length, periodic, a, b)
     else:
-        likely = with_active_row(start, last_partner, ids, active, first, second, a, b)
+        likely = with_active_row(start, last_partner, ids, active, pairs[0], pairs[1], a, b)
     found = 0
     for p in range(likely):
         i = np.int64(a[p])

@@ -157,7 +157,7 @@ class Rewind:
 
         In a pile that would add up; others soon move apart.
         """
-        near, (first, second) = self.near, self.near.candidates.pairs
+        near, (first, second, _, _) = self.near, self.near.candidates.pairs
         if "supported" not in near.particles.arrays:
             return False
         supported = np.zeros(len(near.x), bool)
@@ -171,8 +171,8 @@ class Rewind:
         """The hits on the present segments: all of them, or those of active rows."""
         near, active = self.near, self.near.active.flag
         first, second, time = hits = tuple(near.candidates.hits)
-        pairs = near.candidates.pairs
-        found = find_contacts(near.axes, *near.rows, *pairs, h, near.length, everything, active, hits)
+        pairs, drift = tuple(near.candidates.pairs), (near.candidates.time, h)
+        found = find_contacts(near.axes, *near.rows, pairs, drift, near.length, everything, active, hits)
         if self.walls:
             radius, rows = near.spheres.radius, near.candidates.near_wall
             found = find_wall_hits(near.axes, near.rows[0], radius, rows, h, everything, active, self.planes, hits, found)
