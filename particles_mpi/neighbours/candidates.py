@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from particles_mpi.kernels.jit import plain
+from particles_mpi.kernels.limits import require_countable
 from particles_mpi.kernels.motion import Segments
 from particles_mpi.kernels.planes import no_planes
 from particles_mpi.neighbours.cells import FINE, LinkedCells, grid, sort_rows, spacing
@@ -149,6 +150,7 @@ class Candidates:
                 break
             rows = rows[:count]
             self.reserve(len(self.room.first) + len(self.room.first) // 2 + 256)
+        require_countable(self.pair_count, "candidate pairs")
         if why != ALL and not needed:
             self.asked += count
         return float(needed)

@@ -13,10 +13,10 @@ COUNT = 40
 SHARED = [{}, {"few": 0}, {"large": True}, {"windows": True}]  # of final_state.py
 
 
-@pytest.mark.parametrize("seed", [21, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(22, 30))])
-def test_same_bits(seed, tmp_path):
+@pytest.mark.parametrize(("seed", "axes"), [(21, 3), *(pytest.param(seed, 4, marks=pytest.mark.slow) for seed in range(22, 30))])
+def test_same_bits(seed, axes, tmp_path):
     """`interactions` is left out: where all are fixed, forces may be summed once or twice."""
-    scenes = random_scenes(seed, COUNT)
+    scenes = random_scenes(seed, COUNT, axes)
     for number, tables in enumerate(scenes.values()):
         how = SHARED[number % len(SHARED)]
         event = tables["effects"].get("collisions", {}).get("mode") == "event"

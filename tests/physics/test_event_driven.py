@@ -185,7 +185,7 @@ def overlaps(x, radius, length):
 
 @pytest.mark.parametrize(
     ("d", "periodic"),
-    [(2, True), (2, False), (3, True), (3, False), (4, False), pytest.param(4, True, marks=pytest.mark.slow)],
+    [(2, True), (2, False), (3, True), (3, False), *(pytest.param(4, flag, marks=pytest.mark.slow) for flag in (True, False))],
 )
 def test_nothing_ever_overlaps(d, periodic):
     """Every contact is found: whatever the sizes, walls and images; after 3 units of time nobody is in anybody."""

@@ -9,9 +9,12 @@ from particles_mpi import Scene, Simulation
 COUNT = 25
 
 
-@pytest.mark.parametrize("seed", [1, 2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(3, 12))])
-def test_every_way_on_is_the_same(seed, tmp_path):
-    for name, tables in random_scenes(seed, COUNT).items():
+MORE = [pytest.param(seed, 4, marks=pytest.mark.slow) for seed in range(3, 12)]
+
+
+@pytest.mark.parametrize(("seed", "axes"), [(1, 3), (2, 3), *MORE])
+def test_every_way_on_is_the_same(seed, axes, tmp_path):
+    for name, tables in random_scenes(seed, COUNT, axes).items():
         steps = tables["time"]["steps"]
         at_once = Simulation(Scene.from_dict(tables))
         at_once.steps(steps)

@@ -353,7 +353,7 @@ def test_plummer_sphere_of_a_scene():
         assert abs(row[name]) < 1e-15
 
 
-@pytest.mark.parametrize(("method", "bound"), [("direct", 1e-4), ("tree", 1e-3)])
+@pytest.mark.parametrize(("method", "bound"), [pytest.param("direct", 1e-4, marks=pytest.mark.slow), ("tree", 1e-3)])
 def test_energy_over_ten_dynamical_times(method, bound):
     """A Plummer sphere of 1000; (3 pi/(16 G rho))^(1/2) within the half-mass radius is 3.3."""
     particles = [{"count": 1000, "position": {"plummer": 1.0}, "velocity": "equilibrium", "mass": 1e-3}]

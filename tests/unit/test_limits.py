@@ -14,6 +14,7 @@ from particles_mpi.initial.sphere_grid import SphereGrid
 from particles_mpi.kernels import limits
 from particles_mpi.kernels.geometry import Box
 from particles_mpi.neighbours import cells
+from particles_mpi.neighbours.candidates import touching
 from particles_mpi.neighbours.verlet_lists import VerletLists
 from particles_mpi.parallel import exact_sum
 from particles_mpi.parallel.buffers import RowBuffers
@@ -66,6 +67,13 @@ def test_lists_of_neighbours_do_not_outgrow_their_places(monkeypatch):
             lists.arrays.used[0] = 1500
         with pytest.raises(StoppedError, match=r"places in lists of neighbours on one rank, more than 2000: use more ranks"):
             action()
+
+
+def test_candidate_pairs(monkeypatch):
+    x, ones = np.random.default_rng(1).random((200, 3)), np.ones(200)
+    monkeypatch.setattr(limits, "MOST", 20)
+    with pytest.raises(StoppedError, match=r"candidate pairs on one rank, more than 20: use more ranks"):
+        touching(x, 0.2 * ones, ones, np.arange(200), np.zeros(3))
 
 
 def test_rows_and_spheres(monkeypatch):

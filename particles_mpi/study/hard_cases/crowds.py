@@ -1,6 +1,7 @@
 """Many contacts at once: chains, racks, collapse, dense fluids."""
 
 from functools import partial
+from itertools import product
 
 import numpy as np
 
@@ -33,6 +34,25 @@ def rack(run: CaseRun) -> Finding:
     energy, momentum = abs(row["kinetic"] / 8.0 - 1.0), abs(row["momentum_x"] - 4.0)
     holds = energy <= 1e-14 and momentum <= 1e-14 * 8.0 and total(sim, "missed") == 0
     return f"energy off {energy:.0e}, momentum {momentum:.0e}", bool(holds)
+
+
+@case(
+    "a box that spheres fill, thrown in all directions",
+    "events for ever, in gaps of round-off",
+    "in place, energy kept",
+    modes=("event",),
+)
+def full_box(run: CaseRun) -> Finding:
+    """Three spheres in a row along each axis, which touch one another and the walls."""
+    places = [[0.2 + 0.4 * k for k in cell] for cell in product(range(3), repeat=run.dimension)]
+    speeds = np.random.default_rng(1).standard_normal((len(places), run.dimension)).tolist()
+    sim = run.simulate(
+        [{"position": places, "velocity": speeds, "radius": 0.2}], 0.01, 20, {"collisions": {}, "walls": {}}, box=run.cube(1.2)
+    )
+    before = sim.measure()["kinetic"]
+    sim.run()
+    energy, off = sim.measure()["kinetic"] / before - 1.0, np.abs(everyone(sim).position - places).max()
+    return f"moved {off:.0e}, energy off {energy:+.0e}", bool(off <= 1e-12 and abs(energy) <= 1e-10)
 
 
 def collapse(run: CaseRun, beads: list[float], speeds: list[float], e: float, wall: bool) -> Finding:
