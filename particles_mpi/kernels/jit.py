@@ -24,6 +24,9 @@ from numba.cpython.unsafe.numbers import trailing_zeros as count_trailing_zeros
 from numba.cpython.unsafe.tuple import tuple_setitem
 from numba.extending import intrinsic
 
+from particles_mpi.kernels.loading import read_bitcode_when_needed
+
+read_bitcode_when_needed()
 kernel: Any = partial(njit, cache=True, no_cfunc_wrapper=True)
 lean: Any = kernel(_nrt=False)
 

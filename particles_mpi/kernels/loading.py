@@ -1,0 +1,54 @@
+"""Kernels come from numba's cache in half of the time: the bitcode that is kept with each is read when it is needed.
+
+With the machine code of a kernel numba keeps its bitcode, for kernels that are compiled later and call it. It reads this, and all
+names in it, whenever a kernel is loaded, which takes longer than all else, and nearly always for nothing. Both are private
+matters of numba: other versions than those that this was written for go on as they do.
+"""
+
+from typing import Any
+
+import llvmlite.binding as llvm
+from numba import version_info
+from numba.core import codegen
+
+KNOWN = {(0, 68)}  # versions of numba
+
+library_class: Any = codegen.JITCodeLibrary
+
+
+class Library(library_class):  # type: ignore[misc]
+    """The compiled code of a kernel; `unread`: machine code and bitcode, if it is from the cache and nothing needed these."""
+
+    unread: tuple[bytes, bytes] | None = None
+
+    @classmethod
+    def _unserialize(cls, codegen: Any, state: tuple[str, str, Any]) -> Any:
+        """From what was kept: (name, "object", (machine code, bitcode))."""
+        name, kind, kept = state
+        if kind != "object":
+            return super()._unserialize(codegen, state)
+        library = codegen.create_library(name)
+        library.unread = kept
+        library.enable_object_caching()
+        library._set_compiled_object(kept[0])
+        library._finalize_final_module()
+        return library
+
+    def get_pointer_to_function(self, name: str) -> Any:
+        """Where the function of this name begins, or 0: it is there if the name is among those of the machine code."""
+        if self.unread is not None and name.encode() in self.unread[0]:
+            self._codegen._engine._defined_symbols.add(name)
+        return super().get_pointer_to_function(name)
+
+    def _get_module_for_linking(self) -> Any:
+        """For a kernel that calls this one."""
+        if self.unread is not None:
+            self._shared_module, self.unread = llvm.parse_bitcode(self.unread[1]), None
+            self._codegen._engine._load_defined_symbols(self._shared_module)
+        return super()._get_module_for_linking()
+
+
+def read_bitcode_when_needed() -> None:
+    """From now on, if this version of numba is known."""
+    if version_info[:2] in KNOWN:
+        codegen.JITCPUCodegen._library_class = Library

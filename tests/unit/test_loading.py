@@ -1,0 +1,39 @@
+"""Kernels that come from the cache: what is read of them, and that others can still call them."""
+
+import subprocess
+import sys
+
+import pytest
+from conftest import ROOT
+from numba import version_info
+
+from particles_mpi.kernels.loading import KNOWN
+
+SCRIPT = """
+import numpy as np
+from numba import njit
+from particles_mpi.neighbours.cells import bounds
+
+x = np.random.default_rng(1).random((50, 3))
+low, high = bounds(x)
+assert (low == x.min(axis=0)).all() and (high == x.max(axis=0)).all()
+(result,) = bounds.overloads.values()
+library = result.library
+assert library.unread is not None and library._shared_module is None, "its bitcode was read"
+assert library.get_pointer_to_function(result.fndesc.llvm_func_name) != 0
+assert library.get_pointer_to_function("nothing of this name") == 0
+
+@njit
+def widths(x):
+    low, high = bounds(x)
+    return high - low
+
+assert (widths(x) == np.ptp(x, axis=0)).all()
+assert library.unread is None and library._shared_module is not None, "it was not linked"
+"""
+
+
+@pytest.mark.skipif(version_info[:2] not in KNOWN, reason="another version of numba loads kernels its own way")
+def test_bitcode_is_read_when_another_kernel_calls_it():
+    done = subprocess.run([sys.executable, "-c", SCRIPT], cwd=ROOT, capture_output=True, text=True, timeout=100)
+    assert done.returncode == 0, done.stderr
