@@ -73,9 +73,9 @@ def random_tables(rng):
         effects["walls"] = surface()
     elif hard and not boxed and chance(0.5):
         effects["walls"] = {"planes": [{"point": [-2.0] * d, "normal": (np.abs(vector(1.0)) + 0.1).tolist()} | surface()]}
-    if chance(0.3) and any("friction" in effects.get(name, {}) for name in ("collisions", "walls")):
-        effects["rolling"] = {"resistance": 0.01}
     rough = any("friction" in effects.get(name, {}) for name in ("collisions", "walls"))
+    if chance(0.3) and rough:
+        effects["rolling"] = {"resistance": 0.01}
 
     # Places: a grid, shaken, whose spheres touch one another or nearly so, or are far apart.
     largest, gap = 0.2, one_of(0.0, 0.01, 0.2, 1.0)

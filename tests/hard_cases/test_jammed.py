@@ -16,7 +16,7 @@ R = 0.2
 GRAVITY = {"uniform_gravity": {"acceleration": [0.0, -9.81]}}
 
 
-def full_box(d, n, mode, e, friction=0.0, forces=None, steps=20):
+def full_box(d, n, mode, e, friction=0.0, forces=None):
     """n^d spheres of radius R that touch one another and the walls, thrown in all directions."""
     surface = {"restitution": e} | ({"friction": friction} if friction else {})
     places = [[R + 2.0 * R * k for k in cell] for cell in itertools.product(range(n), repeat=d)]
@@ -25,7 +25,7 @@ def full_box(d, n, mode, e, friction=0.0, forces=None, steps=20):
             dimension=d,
             seed=1,
             box={"lower": [0.0] * d, "upper": [2.0 * R * n] * d},
-            time={"step": 0.01, "steps": steps},
+            time={"step": 0.01, "steps": 20},
             particles=[{"position": places, "radius": R, "mass": {"min": 1.0, "max": 2.0}, "velocity": {"speed": 1.0}}],
             effects={"collisions": {"mode": mode} | surface, "walls": surface} | (forces or {}),
         )

@@ -17,6 +17,7 @@ pytestmark = pytest.mark.parallel
 BOX3 = {"lower": [0, 0, 0], "upper": [4, 4, 4]}
 MIXED = {"radius": {"min": 0.05, "max": 0.15}, "mass": {"min": 0.1, "max": 0.5}, "velocity": {"speed": {"min": 0.1, "max": 3.0}}}
 GRAVITY = {"acceleration": [0, 0, -9.80665]}
+JAM = {"mass": {"min": 1.0, "max": 2.0}, "velocity": {"speed": 1.0}}
 
 CLOUD = np.random.default_rng(5).standard_normal((90, 3)).tolist()
 
@@ -309,6 +310,13 @@ for name in EVENTS:
 
 
 SCENES |= {
+    "spheres that fill a box": dict(
+        dimension=2,
+        box={"lower": [0, 0], "upper": [2.0, 2.0]},
+        time={"step": 0.01, "steps": 20},
+        particles=[{"position": [[0.2 + 0.4 * i, 0.2 + 0.4 * k] for i in range(5) for k in range(5)], "radius": 0.2} | JAM],
+        effects={"collisions": {"mode": "event"}, "walls": {}},
+    ),
     "cold dense gas, with observables": dict(
         dimension=3,
         box={"lower": [0, 0, 0], "upper": [9.6, 9.6, 9.6], "periodic": True},

@@ -7,8 +7,6 @@ from random_scenes import random_scenes
 from particles_mpi import Scene, Simulation
 
 COUNT = 25
-
-
 MORE = [pytest.param(seed, 4, marks=pytest.mark.slow) for seed in range(3, 12)]
 
 

@@ -21,9 +21,9 @@ from particles_mpi.contacts.event_driven.calendar_queue import (
     find_first,
     push,
 )
+from particles_mpi.contacts.event_driven.jams import STANDING, note_contact, passes_by, stop_at_jam, stop_squeezed
 from particles_mpi.contacts.event_driven.rows import (
     EVENT_COUNT,
-    HARDLY,
     ID,
     JAMMED,
     LAST_CONTACT,
@@ -72,12 +72,8 @@ COLLISIONS, WALL_HITS, TC_ELASTIC, EXPIRIES = range(4)  # what `counts` counts
 ASKED, LOWER, HIGHER = range(3)  # columns of `stop`
 LAST_PROGRESS, EVENTS_SINCE = range(2)  # columns of `progress`
 INTERRUPTED, STANDSTILL, FULL_BUCKET = -1, -2, -3  # what `run` returns
-QUICK = 0.01  # of a drift: a contact so soon after the last one is quick
 BITS = 64  # of a mask
 PIECE = 100_000  # events, about a tenth of a second
-STANDING = 1e-9  # of a drift: time that does not count as passed
-RATTLING = 1e-5  # of a drift: nor does this between contacts that take no energy because they follow one another so soon
-NOWHERE = 1e-14  # of a coordinate and a radius: a way that is round-off
 MOST_STANDING, FEW = 2.0 * SQUEEZED / ZERO_TIME_EVENT, 100  # events a row while no time passes: more than SQUEEZED ever allows
 EARLY, SOON, NEXT_ONES = 6, 4, 2  # buckets ahead of the present one, for which memory is prefetched
 
@@ -114,12 +110,6 @@ def likely_partners(axes, segment, lists, i, first, count, place, now, until):
     return likely
 
 
-@lean_inner
-def passes_by(jammed, rapid):
-    """Does a row, `jammed` or not, take no notice of one with this number of RAPID_EVENTS?"""
-    return rapid >= SQUEEZED and (jammed or rapid < JAMMED)
-
-
 @inner(inline="always")
 def next_event(axes, rows, lists, planes, work, i, now, h):
     """(time, partner) of the next event of row i on the present segments: its first contact, or LIST_EXPIRY."""
@@ -149,7 +139,8 @@ def next_event(axes, rows, lists, planes, work, i, now, h):
                         segment[i, 2 * d + START] == segment[j, 2 * d + START]
                         and state[i, LAST_PARTNER] == state[j, ID]
                         and state[j, LAST_PARTNER] == state[i, ID]
-                        and max(state[i, RAPID_EVENTS], state[j, RAPID_EVENTS]) < JAMMED
+                        and not jammed
+                        and state[j, RAPID_EVENTS] < JAMMED
                         and is_nearest_image(d, r, length)
                     )
                 ):
@@ -178,70 +169,6 @@ def next_event(axes, rows, lists, planes, work, i, now, h):
             best += -c / (b + root) if b > 0.0 else (root - b) / a
         partner = np.int64(LIST_EXPIRY)
     return best, partner
-
-
-@lean_inner
-def progress(d, segment, i, t, h, elastic):
-    """1 if row i got anywhere on its segment, which ends at time t, -1 if not, and 0 if it was at rest, for hardly any time.
-
-    What is shut in without room meets its partners for ever, in hardly any time, on ways that are less than round-off of its
-    position; or in little time, if the TC model keeps it from coming to rest (`elastic`).
-    """
-    passed = t - segment[i, 2 * d + START]
-    if passed > (RATTLING if elastic else STANDING) * h:
-        return 1
-    moved = False
-    at_rest = True
-    for k in range(d):
-        at_rest &= segment[i, d + k] == 0.0
-        moved |= abs(segment[i, d + k]) * passed > NOWHERE * (abs(segment[i, k]) + segment[i, 2 * d + RADIUS])
-    if at_rest:
-        return 0
-    return 1 if moved and not elastic else -1
-
-
-@lean_inner
-def note_contact(axes, rows, i, t, partner, moment, h, elastic, crowded, any_squeezed):
-    """Row i is about to begin a new segment at time t of a drift over h: change its state. Rows of a crowd wait as squeezed
-    ones do. `elastic`: the contact takes no energy because it follows the last one so soon."""
-    state, reals = rows.state, rows.reals
-    way = progress(len(axes), rows.segment, i, t, h, elastic)
-    if way < 0:
-        state[i, RAPID_EVENTS] += ZERO_TIME_EVENT
-    elif way > 0:
-        state[i, RAPID_EVENTS] %= ZERO_TIME_EVENT
-    state[i, RAPID_EVENTS] += abs(moment + t - reals[i, LAST_CONTACT]) <= QUICK * h
-    if state[i, RAPID_EVENTS] % ZERO_TIME_EVENT >= crowded and state[i, RAPID_EVENTS] < SQUEEZED:
-        state[i, RAPID_EVENTS] += SQUEEZED
-    any_squeezed[0] |= state[i, RAPID_EVENTS] >= SQUEEZED
-    state[i, LAST_PARTNER] = partner
-    state[i, EVENT_COUNT] += 1
-    reals[i, LAST_CONTACT] = moment + t
-
-
-@lean_inner
-def stop_squeezed(axes, rows, i, crowded):
-    """Row i, if it is squeezed and not only one of a crowd, stands where it is until the end of the drift."""
-    rapid = rows.state[i, RAPID_EVENTS]
-    if SQUEEZED <= rapid < JAMMED and rapid % ZERO_TIME_EVENT < crowded:
-        stand_still(axes, rows, i)
-
-
-@lean_inner
-def stop_at_jam(axes, rows, i, t):
-    """Row i, one of two that touch at time t, stops there if it is the one that is not jammed yet."""
-    if rows.state[i, RAPID_EVENTS] < JAMMED:
-        move_to(axes, rows.segment, i, t)
-        rows.state[i, EVENT_COUNT] += 1
-        stand_still(axes, rows, i)
-
-
-@lean_inner
-def stand_still(axes, rows, i):
-    """Row i is jammed from now on."""
-    rows.state[i, RAPID_EVENTS] = JAMMED
-    for k in range(len(axes)):
-        rows.segment[i, len(axes) + k] *= HARDLY
 
 
 @lean_inner

@@ -157,9 +157,9 @@ class Rewind:
 
         In a pile that would add up; others soon move apart.
         """
-        near, (first, second, _, _) = self.near, self.near.candidates.pairs
-        if "supported" not in near.particles.arrays:
+        if "supported" not in self.near.particles.arrays:
             return False
+        near, (first, second, _, _) = self.near, self.near.candidates.pairs
         supported = np.zeros(len(near.x), bool)
         supported[: near.spheres.owned] = near.particles["supported"]
         pairs = supported[first] | supported[second]

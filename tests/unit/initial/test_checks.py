@@ -11,7 +11,7 @@ from conftest import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from particles_mpi import Scene, Simulation
+from particles_mpi import Scene, SceneError, Simulation
 from particles_mpi.initial.checks import coincident
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Particles
@@ -112,3 +112,21 @@ def test_a_lattice_is_searched_without_comparing_all_pairs():
     arrays = {"id": np.arange(n), "position": grid, "mass": np.ones(n), "fixed": np.zeros(n, np.uint8)}
     (warning,) = coincident(scene, Particles(3, arrays), Communicator.alone())
     assert f"pair 3-{n // 2} is at the same place" in warning
+
+
+@pytest.mark.parametrize("mode", ["rewind", "event"])
+def test_a_periodic_box_of_two_diameters_is_refused(mode):
+    """A sphere could meet two images of another one; just above, `rewind` takes it, and `event` from a hundredth more on."""
+
+    def scene(side):
+        return Scene(
+            dimension=2,
+            box={"lower": [0.0, 0.0], "upper": [side, side], "periodic": True},
+            time={"step": 0.01, "steps": 3},
+            particles=[{"position": [[0.2, 0.2]], "radius": 0.2}],
+            effects={"collisions": {"mode": mode}},
+        )
+
+    with pytest.raises(SceneError, match=r"box: periodic axis 0 is 0\.8 long, but collisions need more than"):
+        Simulation(scene(0.8))
+    Simulation(scene(0.81)).steps(3)

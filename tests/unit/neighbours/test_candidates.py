@@ -140,6 +140,13 @@ def test_a_search_that_needs_more_room_goes_on_where_it_stopped():
     assert all(map(np.array_equal, small.pairs, large.pairs))
 
 
+@pytest.mark.parametrize("n", [1, 5])
+def test_points_at_one_place_have_cells(n):
+    """Cells of no size; warnings are errors here."""
+    none = touching(np.full((n, 2), 0.3), np.zeros(n), np.ones(n), np.arange(n), np.zeros(2))
+    assert len(none[0]) == len(none[1]) == 0
+
+
 @pytest.mark.parametrize("why", [LEAVING, TURNED])
 def test_no_room_for_the_first_pair(why):
     """A row that is turned towards another, when there is room for no pair at all: its way begins once, and the pair is found."""
