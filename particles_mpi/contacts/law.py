@@ -93,6 +93,14 @@ def contact_time(axes, x, v, start, i, j, diameter, h, length):
     return t if t <= h else NEVER
 
 
+@lean_inner
+def overlap(r2, one, other):
+    """How deep spheres of two radii, sqrt(r2) apart, are in one another, in units of the smaller one that is no point; or 0."""
+    if not r2 < (one + other) ** 2:
+        return 0.0
+    return (one + other - sqrt(r2)) / (min(one, other) if one > 0.0 and other > 0.0 else max(one, other))
+
+
 @inner(inline="always")
 def exchange(axes, v, column, r, i, j, w_i, w_j, t, restitution, velocity_factor, rates):
     """The law of a contact at time t: changes the velocities of rows i and j, which are r = x_i - x_j (d,) apart.
@@ -156,7 +164,7 @@ def exchange_at_contact(v, column, r, r2, i, j, w_i, w_j, tau, restitution, velo
         after_i = back_i * decay_i * v[i, column + k] - back_i * (impulse * w_i * r[k]) + left_i * a[at, k]
         after_j = back_j * decay_j * v[j, column + k] + back_j * (impulse * w_j * r[k]) + left_j * a[to, k]
         leaving += r[k] * (after_i - after_j)
-    if leaving < 0.0 and acceleration_offset != 0.0:
+    if leaving < 0.0 and (acceleration_offset != 0.0 or decay_i != decay_j):  # else it is round-off
         return 0.0
     for k in range(len(r)):
         v[i, column + k] = back_i * decay_i * v[i, column + k] - back_i * (impulse * w_i * r[k]) + left_i * a[at, k]

@@ -134,7 +134,7 @@ def strike_at(axes, v, column, rough, which, i, j, bodies, tau, restitution, rat
         if j >= 0:
             after -= back_j * decay_j * v[j, column + k] - back_j * w_j * impulse[k] + left_j * a[to, k]
         leaving += after * normal[k]
-    if leaving < 0.0 and offset != 0.0:
+    if leaving < 0.0 and (offset != 0.0 or decay_i != decay_j):  # else it is round-off
         return 0.0
     for k in range(len(axes)):
         v[i, column + k] = back_i * decay_i * v[i, column + k] + back_i * w_i * impulse[k] + left_i * a[at, k]

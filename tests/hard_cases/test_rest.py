@@ -258,3 +258,32 @@ def test_projection(drawn):
     assert not converged or (np.abs(speeds + may_close) <= left)[both[0] > 1e-6].all()
     if (w[:n] > 0.0).all() and (b >= 0).all():
         np.testing.assert_allclose((mass * v[:n]).sum(axis=0), (mass * before).sum(axis=0), rtol=1e-9, atol=1e-9 * mass.sum())
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("surface", [{"restitution": 0.0}, {"restitution": 0.5}, {}, {"restitution": 0.5, "friction": 0.3}])
+@pytest.mark.parametrize(
+    ("effects", "speed"),
+    [
+        ({"drag": {}}, lambda t: 3.0 * np.exp(-2.0 / 11.0 * t)),  # (10 * 0.1 + 1 * 1.0)/11 for both together
+        ({"friction": {"strength": 0.3}}, lambda t: 3.0 - 0.6 / 11.0 * t),
+    ],
+)
+def test_a_sphere_that_is_slowed_less_pushes_the_one_before_it(mode, surface, effects, speed):
+    """It presses that one for 5 units of time, goes with it at the speed of both together, and never goes into it."""
+    both = {"velocity": [0.0, -3.0], "radius": 0.5}
+    sim = Simulation(
+        Scene(
+            dimension=2,
+            time={"step": 0.01, "steps": 500},
+            particles=[
+                {"position": [[0.0, 1.0]], "mass": 10.0, **both} | ({"drag": 0.1} if "drag" in effects else {}),
+                {"position": [[0.0, 0.0]], "mass": 1.0, **both} | ({"drag": 1.0} if "drag" in effects else {}),
+            ],
+            effects=effects | {"collisions": {"mode": mode} | surface},
+        )
+    )
+    for _ in range(500):
+        sim.step()
+        assert np.ptp(sim.particles.position[:, 1]) >= 1.0 - 1e-12
+    assert -sim.particles.velocity[:, 1] == pytest.approx(speed(sim.time), rel=0.02)

@@ -7,6 +7,7 @@ from random_scenes import random_scenes
 from particles_mpi import Scene, Simulation
 
 COUNT = 25
+OVERLAP = 1e-9  # of the smaller radius
 MORE = [pytest.param(seed, 4, marks=pytest.mark.slow) for seed in range(3, 12)]
 
 
@@ -28,3 +29,31 @@ def test_every_way_on_is_the_same(seed, axes, tmp_path):
         for way, other in others.items():
             other.steps(steps - steps // 2)
             assert other == at_once, (name, way)
+
+
+@pytest.mark.parametrize(("seed", "axes"), [(1, 3), (2, 3), *MORE])
+def test_nothing_overlaps_that_did_not_at_the_start(seed, axes):
+    """Whatever moves, slows or presses the spheres, in mode event."""
+    for name, tables in random_scenes(seed, COUNT, axes).items():
+        if "collisions" not in tables["effects"]:
+            continue
+        tables["effects"]["collisions"]["mode"] = "event"
+        sim = Simulation(Scene.from_dict(tables))
+        before = overlaps(sim) > OVERLAP
+        for _ in range(tables["time"]["steps"]):
+            sim.step()
+            assert overlaps(sim)[~before].max(initial=0.0) <= OVERLAP, (name, sim.steps_done)
+
+
+def overlaps(sim):
+    """How deep each pair (i, j) of spheres, not both fixed, is in one another: (n, n), in units of the smaller radius."""
+    p, box = sim.particles, sim.scene.box
+    apart = p.position[:, None] - p.position[None, :]
+    if box:
+        length = np.subtract(box.upper, box.lower)
+        apart -= np.where(box.periodic, length * np.round(apart / length), 0.0)
+    radii, fixed = (p.radius[:, None], p.radius[None, :]), p.fixed != 0
+    smaller = np.minimum(*radii)
+    pairs = (smaller > 0.0) & ~(fixed[:, None] & fixed[None, :]) & ~np.eye(len(p), dtype=bool)
+    depth = (radii[0] + radii[1] - np.sqrt((apart**2).sum(axis=-1))) / np.where(pairs, smaller, 1.0)
+    return np.where(pairs, depth, 0.0)

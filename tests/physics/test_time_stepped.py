@@ -172,6 +172,26 @@ def test_rate_of_a_dense_gas_is_that_of_the_hard_sphere_fluid():
     assert measured / gamma == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.parametrize(("share", "some"), [(0.003, False), (1.0, True)])
+def test_collisions_that_come_late_are_told(share, some):
+    """Passes go forward in time for each sphere, not for all: with long steps of a dense gas some meet when they overlap."""
+    n, packing = 500, 0.30
+    length = (n * np.pi / 6.0 / packing) ** (1.0 / 3.0)
+    sim = Simulation(
+        Scene(
+            dimension=3,
+            box={"lower": [0.0] * 3, "upper": [length] * 3, "periodic": True},
+            time={"step": share / ((carnahan_starling(packing) - 1.0) * 6.0 / np.sqrt(np.pi)), "steps": 1},
+            particles=[{"count": n, "position": "random", "velocity": {"temperature": 1.0}, "radius": 0.5}],
+            effects={"collisions": {"passes": 50}},
+        )
+    )
+    for _ in range(10):
+        sim.step()
+    assert sim.totals["collisions"] > 0 and sim.totals["missed"] == 0
+    assert any("came late" in remark for remark in sim.remarks()) == some
+
+
 def carnahan_starling(packing: float) -> float:
     """Z by Carnahan and Starling, J. Chem. Phys. 51, 635 (1969); within 0.1 % of reference/ at this density."""
     return (1 + packing + packing**2 - packing**3) / (1 - packing) ** 3

@@ -5,11 +5,13 @@ All times count from the beginning of the drift, over a time h.
 
 import numpy as np
 
-from particles_mpi.contacts.law import contact_time, may_come_near, separation
+from particles_mpi.contacts.law import contact_time, may_come_near, overlap, separation
 from particles_mpi.contacts.walls import may_hit, wall_contact
 from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import kernel, lean, lean_inner
 from particles_mpi.kernels.markers import NEVER
+
+NOTICEABLE = 1e-6  # of a radius: an overlap that is no round-off
 
 
 @lean_inner(error_model="numpy")
@@ -118,7 +120,7 @@ def find_wall_hits(axes, segments, radius, rows, h, everything, active, planes, 
     return found
 
 
-@kernel(error_model="numpy")
+@kernel
 def deepest_overlap(segments, radius, first, second, time, length):
     """The largest overlap of the pairs of rows (first, second) at their times, in units of the smaller radius; 0 if none."""
     x, v, start, _ = segments
@@ -129,7 +131,5 @@ def deepest_overlap(segments, radius, first, second, time, length):
         for k in range(len(length)):
             r = separation(x, v, start, i, j, k, time[p], length)
             r2 += r * r
-        sum_of_radii = radius[i] + radius[j]
-        if r2 < sum_of_radii**2:
-            most = max(most, (sum_of_radii - r2**0.5) / min(radius[i], radius[j]))
+        most = max(most, overlap(r2, radius[i], radius[j]))
     return most

@@ -15,8 +15,9 @@ import numpy as np
 
 from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.rough import Rough
-from particles_mpi.contacts.time_stepped.contact_search import deepest_overlap, find_contacts, find_wall_hits
+from particles_mpi.contacts.time_stepped.contact_search import NOTICEABLE, deepest_overlap, find_contacts, find_wall_hits
 from particles_mpi.contacts.time_stepped.passes import (
+    LATE,
     MISSED,
     WALL_HITS,
     Selection,
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     from particles_mpi.contacts.event_driven.operator import Event
 
 NONE = np.empty(0)
-LATE = 1e-6  # of a radius: an overlap that is no round-off
 DEEP = 0.5e-3  # of a radius: an overlap at the end of a drift, which nobody may keep
 CROWDED = 3  # passes, after which partners that overlap are taken as a sign of a crowd, not of two who soon move apart
 
@@ -64,7 +64,7 @@ class Rewind:
         self.near, self.passes, self.timers, self.exact = near, passes, timers, exact
         self.loss, self.law, self.planes = tuple(loss), law, near.planes
         self.walls = len(self.planes[0]) > 0
-        self.dense_steps = 0
+        self.dense_steps, self.late_collisions = 0, 0
         self.searches = -1  # the search of `near` that the arrays by row belong to
 
     def drift(self, h: float, moment: float, rates: Rates) -> Array:
@@ -94,7 +94,8 @@ class Rewind:
         with self.timers("drift"):
             near.advance(h)
             self.forget_contacts()
-        return counts
+        self.late_collisions += counts[LATE]
+        return counts[:LATE]
 
     def renew(self, rates: Rates) -> None:
         """What depends on the rows that are here since the last search, and on the step."""
@@ -114,15 +115,19 @@ class Rewind:
 
     def remarks(self) -> list[str]:
         """What a user should be told at the end. Collective."""
-        if not self.dense_steps:
-            return []
-        assert self.exact
-        dense = f"{self.dense_steps} steps had more contacts than passes put in order: those were done in order of time"
-        return [dense, *self.exact.remarks()]
+        remarks = []
+        if self.dense_steps:
+            assert self.exact
+            dense = f"{self.dense_steps} steps had more contacts than passes put in order: those were done in order of time"
+            remarks += [dense, *self.exact.remarks()]
+        late = int(self.near.ranks.allreduce_sum(self.late_collisions)[0])
+        if late:
+            remarks.append(f"{late} collisions came late, when spheres overlapped: shorter steps have fewer, mode event has none")
+        return remarks
 
     def all_passes(self, h: float) -> Array:
         """All passes; leaves each row at the start of its last segment. Returns (collisions, wall hits, missed) of this rank."""
-        near, counts, needed = self.near, np.zeros(3, np.int64), 0.0
+        near, counts, needed = self.near, np.zeros(4, np.int64), 0.0
         for left in range(self.passes, -1, -1):
             with self.timers("search"):
                 hits = self.find(h, left == self.passes)
@@ -150,7 +155,7 @@ class Rewind:
         """Do partners meet that already overlap? Passes go forward in time for each particle, but not for all together."""
         near, pairs = self.near, hits.second >= 0
         first, second, time = (column[pairs] for column in hits)
-        return float(deepest_overlap(near.rows[0], near.spheres.radius, first, second, time, near.length)) > LATE
+        return float(deepest_overlap(near.rows[0], near.spheres.radius, first, second, time, near.length)) > NOTICEABLE
 
     def overlapping(self, h: float) -> bool:
         """Does a supported particle overlap with another in the end, because a pass was late? Collective.

@@ -4,15 +4,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.contacts.law import collide_pair
+from particles_mpi.contacts.law import collide_pair, overlap
 from particles_mpi.contacts.rough import Rough
+from particles_mpi.contacts.time_stepped.contact_search import NOTICEABLE
 from particles_mpi.contacts.walls import bounce_until, meet_wall
 from particles_mpi.kernels.jit import kernel, lean, lean_inner
 from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.kernels.motion import move_to
 from particles_mpi.particles import Array
 
-COLLISIONS, WALL_HITS, MISSED = 0, 1, 2  # what `counts` counts
+COLLISIONS, WALL_HITS, MISSED, LATE = 0, 1, 2, 3  # what `counts` counts
 TIME, LOW, HIGH = 0, 1, 2  # columns of `Selection.order`
 
 
@@ -67,8 +68,8 @@ def apply_contacts(axes, segments, spheres, hits, selected_partner, rules, activ
     """Apply the hits that both partners selected; `rules`: loss of a pair, planes, `Rates`, `Rough`, periodic lengths (d,).
 
     Rows that changed, and rows with a hit that has to wait, are active in the next pass. `log` gets the owned rows of which
-    this was the first contact. `counts` (3,) += collisions and wall hits, each collision counted by the owner of the lower
-    id; so is its virial -r.dp, where that is wanted: else `virial` (owned,) is empty.
+    this was the first contact. `counts` (4,) += collisions, wall hits and collisions that came late, each collision counted
+    by the owner of the lower id; so is its virial -r.dp, where that is wanted: else `virial` (owned,) is empty.
     """
     x, v, start, last_partner = segments
     radius, w, ids, owned = spheres
@@ -104,11 +105,24 @@ def apply_contacts(axes, segments, spheres, hits, selected_partner, rules, activ
         last_partner[j] = ids[i]
         if i < owned:
             counts[COLLISIONS] += 1
+            counts[LATE] += is_late(time[p], r, radius[i], radius[j])
             if len(virial):
                 virial[i] += given
     for p in range(found):
         selected_partner[active_rows[p]] = NOBODY
     active_number[0] = found
+
+
+@lean_inner
+def is_late(t, r, one, other):
+    """Did spheres of two radii that meet at t, r (d,) apart, overlap already when one of them was turned in this drift?
+
+    Passes go forward in time for each particle, but not for all together.
+    """
+    r2 = 0.0
+    for k in range(len(r)):
+        r2 += r[k] * r[k]
+    return t > 0.0 and overlap(r2, one, other) > NOTICEABLE
 
 
 @lean_inner
