@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.distance import pdist
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.contacts.persistent.problem import TAKEN, Problem, bound_rows, table_of
@@ -287,3 +288,32 @@ def test_a_sphere_that_is_slowed_less_pushes_the_one_before_it(mode, surface, ef
         sim.step()
         assert np.ptp(sim.particles.position[:, 1]) >= 1.0 - 1e-12
     assert -sim.particles.velocity[:, 1] == pytest.approx(speed(sim.time), rel=0.02)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_step_in_which_gravity_moves_spheres_by_many_radii(mode):
+    """g h^2 is 2.5 radii: they come to rest all the same, and none has contacts with more than those around it."""
+    n, radius = 300, 0.01
+    sim = Simulation(
+        Scene(
+            dimension=3,
+            box={"lower": [0.0] * 3, "upper": [0.15, 0.15, 1.0]},
+            time={"step": 0.05, "steps": 60},
+            particles=[{"count": n, "position": "lattice", "radius": radius}],
+            effects={
+                "uniform_gravity": {"acceleration": [0.0, 0.0, -9.81]},
+                "walls": {"restitution": 0.5},
+                "collisions": {"mode": mode, "restitution": 0.5},
+            },
+        )
+    )
+    start = sim.measure()["total_energy"]
+    most = 0
+    for _ in range(60):
+        sim.step()
+        x = sim.particles.position
+        assert x.min() >= radius * (1.0 - 1e-9) and pdist(x).min() >= 2.0 * radius * (1.0 - 1e-3)
+        assert sim.measure()["total_energy"] <= start * (1.0 + 1e-9)
+        most = max(most, len(sim.persistent.graph.other) if sim.persistent.graph else 0)
+    assert n < most < 40 * n
+    assert sim.measure()["kinetic"] < 1e-4 * start

@@ -1,7 +1,8 @@
 """Who is near enough for a contact that may last: rows near walls, and all half-edges that may be slow. See `operator`.
 
-`push` (d,) of a row: SLOW times the change of velocity by forces in a step. A row counts as wider by the way that it goes in a
-step at HELD times that speed: contacts within that may be slow.
+`push` (d,) of a row: SLOW times the change of velocity by forces in a step. A row counts as wider by its *reach*, the way that
+it goes in a step at HELD times that speed: contacts within that may be slow. The reach of a sphere is at most NEAR radii, and of
+one in a crowd CROWDED, so that none has more than some hundred contacts, whatever forces, speeds and steps there are.
 """
 
 from math import inf, sqrt
@@ -16,6 +17,7 @@ from particles_mpi.particles import Array
 SLOW = 2.0  # times what forces do in a step: a bounce that is over in about two steps
 PRECISE = 1e-12  # of the slow speed: approach that does not matter
 HELD = 5.0  # times as fast may it be among those that are held, who would rattle between one another
+NEAR, CROWDED = 1.0, 3.0  # radii that a sphere reaches at most, and in a crowd, however far it moves in a step
 
 
 class Contacts(NamedTuple):
@@ -100,6 +102,12 @@ def near_walls_among(rows, x, v, a, radius, supported, h, point, normal):
     return chosen[:found]
 
 
+@lean_inner
+def reach_of(radius, far, most):
+    """How much further than its radius a row reaches that goes so far: at most so many radii, if it is no point."""
+    return min(far, most * radius) if radius > 0.0 else far
+
+
 @kernel
 def widths(radius, a, h, out):
     """Of rows with accelerations a (n, d): two with a slow contact are no further apart than the sum of theirs. To out (n,)."""
@@ -107,7 +115,17 @@ def widths(radius, a, h, out):
         a2 = 0.0
         for k in range(a.shape[1]):
             a2 += a[i, k] * a[i, k]
-        out[i] = radius[i] + HELD * SLOW * h * h * sqrt(a2)
+        out[i] = radius[i] + reach_of(radius[i], HELD * SLOW * h * h * sqrt(a2), NEAR)
+
+
+@kernel
+def crowd_widths(radius, v, h, out):
+    """The same of rows of a crowd with velocities v (n, d), into `out` where that is more."""
+    for i in range(len(radius)):
+        v2 = 0.0
+        for k in range(v.shape[1]):
+            v2 += v[i, k] * v[i, k]
+        out[i] = max(out[i], radius[i] + reach_of(radius[i], h * sqrt(v2), CROWDED))
 
 
 @kernel
@@ -163,10 +181,12 @@ def find_contacts(axes, state, graph, inside, h, length, faces, planes):
             if not inside[j] or w[i] + w[j] == 0.0 or not wide > 0.0:
                 continue
             of_crowd = crowd[i] or crowd[j]
-            reach = HELD * wide * h
+            radius_i, radius_j = radius[i], radius[j]
+            far_i, far_j = HELD * pushes[i] * h, HELD * pushes[j] * h
+            reach = min(max(far_i, far_j), reach_of(radius_i, far_i, NEAR) + reach_of(radius_j, far_j, NEAR))
             if of_crowd:
-                reach = max(reach, (speeds[i] + speeds[j]) * h)
-            r2, both = 0.0, radius[i] + radius[j]
+                reach = max(reach, reach_of(radius_i, speeds[i] * h, CROWDED) + reach_of(radius_j, speeds[j] * h, CROWDED))
+            r2, both = 0.0, radius_i + radius_j
             for k in range(len(axes)):
                 r = nearest(x[i, np.uint64(k)] - x[j, np.uint64(k)], length[k])
                 normals[made, np.uint64(k)] = r

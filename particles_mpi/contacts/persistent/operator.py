@@ -22,6 +22,7 @@ from particles_mpi.contacts.persistent.detection import (
     PRECISE,
     SLOW,
     Contacts,
+    crowd_widths,
     find_contacts,
     near_walls,
     near_walls_among,
@@ -41,7 +42,7 @@ from particles_mpi.contacts.warm_start import Memory, nothing
 from particles_mpi.kernels.markers import CROWD
 from particles_mpi.kernels.planes import Planes
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.particles import Array, Particles, row_dot
+from particles_mpi.particles import Array, Particles
 from particles_mpi.timers import Timers
 
 SKIN = 0.3  # of the smallest radius: so far rows may move, two together, before the graph is made anew
@@ -148,7 +149,8 @@ class PersistentContacts:
         with self.timers("rest"):
             touch = np.empty(len(p))
             widths(p.radius, a, h, touch)
-            wide = np.maximum(touch, p.radius + h * np.sqrt(row_dot(p.velocity, p.velocity)))
+            wide = touch.copy()
+            crowd_widths(p.radius, p.velocity, h, wide)
             graph = ContactGraph(self.ranks, p, np.arange(len(p)), wide, 0.0, self.length, points=self.points)
             local = self.local(p, a, h, graph)
             ghost_touch = np.zeros(graph.size + 1)
