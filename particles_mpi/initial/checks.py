@@ -147,13 +147,18 @@ def check_crossings(scene: Scene, particles: Particles, faults: Faults) -> None:
     if scene.box is None or not {"walls", "collisions"} & scene.effects.keys():
         return
     edge, dt = min(hi - lo for lo, hi in zip(scene.box.lower, scene.box.upper, strict=True)), scene.time.step
-    pull = largest_component(particles.arrays.get("acceleration", np.zeros((1, 1))))
-    if "uniform_gravity" in scene.effects:
-        pull = pull + max(map(abs, scene.effects["uniform_gravity"].acceleration))
-    speed = largest_component(particles.velocity) + dt * pull
+    speed = largest_component(particles.velocity) + dt * largest_pull(scene, particles)
     fast = (particles.fixed == 0) & ~(speed * dt <= MOST_CROSSINGS * edge)
     what = f" would cross the box more than {MOST_CROSSINGS:g} times in a step of {dt:g}"
     faults.name("time.step: ", particles.id[fast], what)
+
+
+def largest_pull(scene: Scene, particles: Particles) -> Array:
+    """The largest component of the acceleration of each particle (n,) by the forces that are known before the start."""
+    pull = largest_component(particles.arrays.get("acceleration", np.zeros((len(particles), 1))))
+    if "uniform_gravity" in scene.effects:
+        pull = pull + max(map(abs, scene.effects["uniform_gravity"].acceleration))
+    return pull
 
 
 def check_step(scene: Scene, particles: Particles, event: bool, faults: Faults) -> list[str]:
@@ -170,6 +175,13 @@ def check_step(scene: Scene, particles: Particles, event: bool, faults: Faults) 
         verb = "crosses more than its" if ranks.allreduce_sum(np.count_nonzero(fast))[0] == 1 else "cross more than their"
         what = f" {verb} diameter in a step of {dt:g}; use a step <= {rounded_down(safe):g}" if safe < inf else ""
         faults.name("time.step: ", particles.id[fast], what)
+    pull = largest_pull(scene, particles)
+    coarse = (particles.fixed == 0) & (radius > 0.0) & (pull * dt * dt > radius)
+    fine = float(ranks.allreduce_min(np.sqrt(radius[coarse] / pull[coarse]).min(initial=inf))[0])
+    pushed = listed_ids(ranks, particles.id[coarse])
+    if pushed:
+        what = f"forces move {pushed} by more than a radius in a step of {dt:g}"
+        warnings.append(f"time.step: {what}: contacts will be coarse, and piles slow; better is a step <= {rounded_down(fine):g}")
     largest = [radius.max(initial=0.0), radius[particles.fixed == 0].max(initial=0.0), speed.max(initial=0.0)]
     widest, movable, fastest = ranks.allreduce_max(np.array(largest)).tolist()
     if event:  # a sphere must not meet two images of another

@@ -233,6 +233,18 @@ def test_points_are_warned_of():
     assert "radius 0" in warnings[0]
 
 
+def test_a_step_in_which_forces_move_spheres_far_is_warned_of():
+    """By more than a radius: of those that can move and are no points, by the common and by their own acceleration."""
+    population = {"position": [[0.2, 0.5], [0.5, 0.5], [0.8, 0.5]], "radius": [0.01, 0.0, 0.1], "fixed": [False, False, True]}
+    gravity = {"collisions": {}, "uniform_gravity": {"acceleration": [0.0, -9.0]}}
+    own = {"collisions": {}, "user_acceleration": {}}
+    for effects, more in ((gravity, {}), (own, {"acceleration": [[0.0, 9.0]] * 2 + [[0.0, 0.0]]})):
+        _, warnings = start(population | more, effects=effects, step=0.1)
+        assert warnings[0].startswith("time.step: forces move particle 0 by more than a radius in a step of 0.1")
+        assert warnings[0].endswith("a step <= 0.0333")
+        assert start(population | more, effects=effects, step=0.0333)[1] == []
+
+
 def test_overlap_names_the_pairs_and_touching_is_none():
     touching = {"position": [[0.2, 0.5], [0.4, 0.5], [0.4, 0.7]], "radius": 0.1}
     assert start(touching)[1] == []
