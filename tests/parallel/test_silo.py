@@ -16,7 +16,7 @@ def runs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("silo")
     text = (ROOT / "particles_mpi" / "scenes" / "silo.toml").read_text()
     assert "count = 2000" in text and "end = 2.0" in text
-    (folder / "silo.toml").write_text(text.replace("count = 2000", "count = 100").replace("end = 2.0", "end = 1.5"))
+    (folder / "silo.toml").write_text(text.replace("count = 2000", "count = 60").replace("end = 2.0", "end = 1.5"))
     for ranks in (1, 2):
         words = "run", folder / "silo.toml", "--output", folder / str(ranks), "--quiet"
         done = run_ranks(ranks, "-m", "particles_mpi", *words, timeout=300)
