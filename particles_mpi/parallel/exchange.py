@@ -180,18 +180,26 @@ def id_range(ranks: Communicator, ids: Array) -> IdRange:
 
 def by_range(numbers: Array, ids: IdRange, writers: int, size: int) -> tuple[Array, Array]:
     """`by_destination` of rows with these ids, where the first `writers` of `size` ranks each own an even part of the range."""
-    return by_destination((numbers - ids.first) * writers // max(ids.end - ids.first, 1), size)
+    return by_destination(((numbers - ids.first + 1) * writers - 1) // max(ids.end - ids.first, 1), size)
+
+
+def in_own_range(rank: int, numbers: Array, ids: IdRange, writers: int) -> bool:
+    """Do rows with these ids ascend, and does `by_range` send all of them to this rank?"""
+    length = ids.end - ids.first
+    least, most = (ids.first + length * min(r, writers) // writers for r in (rank, rank + 1))
+    return not len(numbers) or bool(least <= numbers[0] and numbers[-1] < most and (numbers[1:] > numbers[:-1]).all())
 
 
 def in_id_order(ranks: Communicator, arrays: dict[str, Array], ids: IdRange, writers: int) -> dict[str, Array]:
     """Rows in id order: the range of ids is divided evenly among the first `writers` ranks. Collective.
 
     The columns are sent one after the other: a rank holds the rows that it gets and, of a single column, what is on its way.
-    On one rank that has them in order already they are the arrays given.
+    Where all have theirs in order already, as without pairs, they are the arrays given.
     """
+    if ranks.allreduce_min(float(in_own_range(ranks.rank, arrays["id"], ids, writers)))[0]:
+        return dict(arrays)
     if ranks.size == 1:
-        in_order = bool((arrays["id"][1:] > arrays["id"][:-1]).all())
-        return dict(arrays) if in_order else rows_of(arrays, rows_in_order(arrays["id"]))
+        return rows_of(arrays, rows_in_order(arrays["id"]))
     order, counts = by_range(arrays["id"], ids, writers, ranks.size)
     arrived, _ = send_rows(ranks, {"id": arrays["id"]}, order, counts)
     places = rows_in_order(arrived["id"])

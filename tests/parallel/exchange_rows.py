@@ -51,8 +51,12 @@ for seed, total, dimension, emptied in json.loads(Path(sys.argv[1]).read_text())
         assert (shown[name][places] == column[expected]).all(), (seed, name)
 
     writers = 1 + seed % ranks.size
-    block = in_id_order(ranks, shown, id_range(ranks, shown["id"]), writers)["id"]
-    assert (np.concatenate(ranks.allgather(block)) == np.arange(total)).all()
-    assert len(block) <= -(-total // writers)
+    ids = id_range(ranks, shown["id"])
+    block = in_id_order(ranks, shown, ids, writers)
+    assert (np.concatenate(ranks.allgather(block["id"])) == np.arange(total)).all()
+    assert len(block["id"]) <= -(-total // writers)
+    sent = ranks.messages
+    again = in_id_order(ranks, block, ids, writers)  # now each has its own
+    assert ranks.messages == sent and all(again[name] is block[name] for name in block)
 if ranks.is_root:
     print("all arrived")
