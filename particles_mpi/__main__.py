@@ -1,11 +1,13 @@
 """The program: signals first, so that none finds it with half of its imports done and leaves a traceback."""
 
+import gc
 import sys
 
 from particles_mpi.errors import SceneError
 from particles_mpi.parallel.signals import exit_on_signals
 
 exit_on_signals()
+gc.disable()  # nearly all that a start makes stays: to look at it again and again took an eighth of its time; see `cli.main`
 
 try:
     from particles_mpi.cli import main

@@ -55,6 +55,8 @@ def main() -> None:
         sys.stdout.flush()
         sys.stderr.flush()
         MPI.COMM_WORLD.Barrier()  # files that all of them opened are closed by all together
+        gc.unfreeze()  # what the command took as needed when it ended
+        gc.enable()
         gc.collect()
         part = folder / f"{number}.part.{rank}"
         part.write_text(str(code))
