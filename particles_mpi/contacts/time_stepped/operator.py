@@ -122,7 +122,9 @@ class Rewind:
             remarks += [dense, *self.exact.remarks()]
         late = int(self.near.ranks.allreduce_sum(self.late_collisions)[0])
         if late:
-            remarks.append(f"{late} collisions came late, when spheres overlapped: shorter steps have fewer, mode event has none")
+            remarks.append(
+                f"collisions that came late, when spheres overlapped: {late}; shorter steps have fewer, mode event none"
+            )
         return remarks
 
     def all_passes(self, h: float) -> Array:
