@@ -11,9 +11,7 @@ length is the dimension, makes one for each dimension: only kernels that take mu
 an argument makes another one, and so does a variable that starts as a literal: `count = np.int64(0)` if it is handed on.
 """
 
-import sys
 from functools import partial
-from importlib import import_module
 from typing import Any
 
 from llvmlite import ir
@@ -24,19 +22,11 @@ from numba.cpython.unsafe.numbers import trailing_zeros as count_trailing_zeros
 from numba.cpython.unsafe.tuple import tuple_setitem
 from numba.extending import intrinsic
 
-from particles_mpi.kernels.loading import read_bitcode_when_needed
+from particles_mpi.kernels.loading import load_only_what_is_needed
 
-read_bitcode_when_needed()
+load_only_what_is_needed()
 kernel: Any = partial(njit, cache=True, no_cfunc_wrapper=True)
 lean: Any = kernel(_nrt=False)
-
-
-# Numba loads SciPy for this module at each start, which takes 0.1 s; only np.inner asks later whether it was there.
-BLAS = "scipy.linalg.cython_blas"
-if BLAS not in sys.modules:
-    sys.modules[BLAS] = None  # type: ignore[assignment]
-    import_module("numba.np.arraymath")
-    del sys.modules[BLAS]
 
 
 class Inner(CPUDispatcher):

@@ -1,4 +1,4 @@
-"""Kernels that come from the cache: what is read of them, and that others can still call them."""
+"""Kernels that come from the cache: what is read of them and imported for them, and that others can still call them."""
 
 import subprocess
 import sys
@@ -10,6 +10,7 @@ from numba import version_info
 from particles_mpi.kernels.loading import KNOWN
 
 SCRIPT = """
+import sys
 import numpy as np
 from numba import njit
 from particles_mpi.neighbours.cells import bounds
@@ -22,6 +23,7 @@ library = result.library
 assert library.unread is not None and library._shared_module is None, "its bitcode was read"
 assert library.get_pointer_to_function(result.fndesc.llvm_func_name) != 0
 assert library.get_pointer_to_function("nothing of this name") == 0
+assert not {"numba.np.arraymath", "numba.typed.typedlist", "scipy.linalg"} & sys.modules.keys(), "what only a compiler needs"
 
 @njit
 def widths(x):
@@ -34,6 +36,6 @@ assert library.unread is None and library._shared_module is not None, "it was no
 
 
 @pytest.mark.skipif(version_info[:2] not in KNOWN, reason="another version of numba loads kernels its own way")
-def test_bitcode_is_read_when_another_kernel_calls_it():
+def test_what_a_compiler_needs_is_read_when_another_kernel_is_compiled():
     done = subprocess.run([sys.executable, "-c", SCRIPT], cwd=ROOT, capture_output=True, text=True, timeout=100)
     assert done.returncode == 0, done.stderr
