@@ -86,7 +86,7 @@ class Simulation(Saved):
             self.persistent.awake = contacts
 
         def drift(part: float) -> None:
-            rates = self.drift.rates(self.g, self.accelerations.total, self.kick.rate(self.rows))
+            rates = self.drift.rates(self.g, self.accelerations.total)
             self.drift.advance(self._h if stop else part, self.time, rates, contacts, stop)
 
         self.integrator.advance(self.rows, h, drift)

@@ -155,26 +155,25 @@ class Drift:
         self.rows.version += changed > 0  # nothing that was known of neighbours holds any longer
         return changed > 0
 
-    def rates(self, g: Array, total: Array | None, by_flows: Array | None) -> Rates:
+    def rates(self, g: Array, total: Array | None) -> Rates:
         """How velocities change between the contacts of this step.
 
-        g (d,): what all particles have in common; total (n, d): the sum of all forces, by_flows (n, d): of other effects on
-        velocities; None for nothing. They stand in a field of the particles where they differ from one to another.
+        g (d,): what all particles have in common; total (n, d): the sum of all forces, None without any. They stand in a field
+        of the particles where they differ from one to another. Other flows of velocities are left out: what their rate would be
+        after a contact is not known, and with that of before, what does no work, as a magnetic field, would change the energy.
         """
         p, none = self.rows, np.empty((0, self.rows.dimension))
         if "total_acceleration" in p.arrays:
             field, known = p["total_acceleration"], (p.version, p.edition)
-            if total is not None and by_flows is None and total is self.total and known == self.known:
+            if total is not None and total is self.total and known == self.known:
                 field[self.pushed] = total[self.pushed]  # the other rows have it since last time
             else:
                 field[:] = 0.0 if total is None else total
-                if by_flows is not None:
-                    field += by_flows
-            self.total, self.known, self.pushed = total if by_flows is None else None, known, np.empty(0, np.int64)
+            self.total, self.known, self.pushed = total, known, np.empty(0, np.int64)
         if self.persistent:  # contacts that last push too: what lies on something does not fall
             self.pushed, given = self.persistent.given
             field[self.pushed] += given.reshape(len(given), p.dimension) / self.middle
-        kicked = self.effects.forces or self.effects.on_velocities
+        kicked = self.effects.forces or self.damping or self.strength
         return Rates(g[None, :] if kicked else none, np.zeros(len(self.damping)), self.strength, self.middle)
 
     def continue_counts(self, before: Drift) -> None:

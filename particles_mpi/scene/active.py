@@ -74,7 +74,7 @@ def fields_of(scene: Scene) -> list[str]:
         "spin": effects.rough,
         "moment_of_inertia": effects.rough,
         "orientation": effects.rough and scene.output.orientation,
-        "total_acceleration": (pairs or effects.walls) and (keeps or effects.flows or not effects.uniform),
+        "total_acceleration": (pairs or effects.walls) and (keeps or not effects.uniform),
     }
     needed = {*ALWAYS, *(name for name, condition in conditions.items() if condition)}
     needed |= {name for effect in effects.all.values() for name in effect.needs.columns}

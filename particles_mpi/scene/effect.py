@@ -179,7 +179,10 @@ class Force(Effect):
 
 
 class VelocityFlow(Effect):
-    """dv/dt as a function of the velocity, at fixed positions. Several act one after the other, symmetrically about the force."""
+    """dv/dt as a function of the velocity, at fixed positions. Several act one after the other, symmetrically about the force.
+
+    Contacts reflect the velocities that a flow has given to the drift, so that a flow that does no work changes no energy there.
+    """
 
     role = "velocity"
     needs = Needs(integrators=FORWARD)
@@ -189,7 +192,7 @@ class VelocityFlow(Effect):
         raise NotImplementedError
 
     def rate(self, particles: Particles) -> Array:
-        """dv/dt (n, d) at the present velocities: contacts, and the integrator `taylor`, ask for it."""
+        """dv/dt (n, d) at the present velocities: the integrator `taylor` asks for it."""
         raise NotImplementedError
 
 

@@ -74,6 +74,26 @@ def runs(tmp_path_factory):
     return folder
 
 
+@pytest.mark.parametrize("mode", ["rewind", "event"])
+def test_a_magnetic_field_does_no_work_between_elastic_contacts_either(mode):
+    """Charged spheres of a gas, and between walls, turn by 0.06 in a step: energy to round-off after a thousand contacts."""
+    particle = {
+        "position": "lattice",
+        "count": 64,
+        "velocity": {"temperature": 1.0},
+        "radius": 0.4,
+        "charge": {"min": 1, "max": 2},
+    }
+    box = {"lower": [0.0] * 3, "upper": [4.0] * 3, "periodic": [True, True, False]}
+    field = {"file": "magnetic.py", "field": [1.0, 0.0, 3.0]}
+    sim = Simulation(scene({"magnetic_field": field, "collisions": {"mode": mode}, "walls": {}}, particle=particle, box=box))
+    energy = sim.measure()["kinetic"]
+    while sim.totals["collisions"] < 1000:
+        sim.step()
+        assert sim.measure()["kinetic"] == pytest.approx(energy, rel=1e-12)
+    assert sim.totals["wall_hits"] > 100
+
+
 CASES = [f"{name}_{mode}" for mode in ("rewind", "event") for name in (*OWN, "all")]
 
 
