@@ -192,6 +192,22 @@ def test_collisions_that_come_late_are_told(share, some):
     assert any("came late" in remark for remark in sim.remarks()) == some
 
 
+@pytest.mark.parametrize(("mode", "fall", "told"), [("rewind", 8.0, True), ("rewind", 4.0, False), ("event", 8.0, False)])
+def test_spheres_that_get_too_fast_for_the_step_are_told(mode, fall, told):
+    """A sphere that has fallen by 5 crosses sqrt(2 g 5) h = 0.2 in a step, its diameter."""
+    sim = Simulation(
+        Scene(
+            dimension=2,
+            time={"step": 0.02, "steps": 100},
+            particles=[{"position": [[0.0, 0.0], [5.0, 0.0]], "radius": 0.1}],
+            effects={"uniform_gravity": {"acceleration": [0.0, -9.81]}, "collisions": {"mode": mode}},
+        )
+    )
+    while sim.measure()["potential"] > -2.0 * 9.81 * fall:
+        sim.step()
+    assert any("more than their diameter in a step" in remark for remark in sim.remarks()) == told
+
+
 def carnahan_starling(packing: float) -> float:
     """Z by Carnahan and Starling, J. Chem. Phys. 51, 635 (1969); within 0.1 % of reference/ at this density."""
     return (1 + packing + packing**2 - packing**3) / (1 - packing) ** 3

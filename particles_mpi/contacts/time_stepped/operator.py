@@ -31,7 +31,8 @@ from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.neighbours.candidates import Hits
 from particles_mpi.neighbours.neighbour_list import Neighbourhood
 from particles_mpi.neighbours.pass_messages import exchange_segments, exchange_selections
-from particles_mpi.particles import Array
+from particles_mpi.neighbours.trajectories import fastest
+from particles_mpi.particles import Array, row_dot
 from particles_mpi.timers import Timers
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 
 NONE = np.empty(0)
 DEEP = 0.5e-3  # of a radius: an overlap at the end of a drift, which nobody may keep
+LOOK_EVERY = 10  # drifts between two looks at the speeds
 CROWDED = 3  # passes, after which partners that overlap are taken as a sign of a crowd, not of two who soon move apart
 
 
@@ -64,7 +66,7 @@ class Rewind:
         self.near, self.passes, self.timers, self.exact = near, passes, timers, exact
         self.loss, self.law, self.planes = tuple(loss), law, near.planes
         self.walls = len(self.planes[0]) > 0
-        self.dense_steps, self.late_collisions = 0, 0
+        self.drifts, self.dense_steps, self.late_collisions, self.too_fast = 0, 0, 0, False
         self.searches = -1  # the search of `near` that the arrays by row belong to
 
     def drift(self, h: float, moment: float, rates: Rates) -> Array:
@@ -75,6 +77,9 @@ class Rewind:
         """
         near = self.near
         near.prepare(h)
+        self.drifts += 1
+        if self.drifts % LOOK_EVERY == 0:
+            self.look_at_speeds(h)
         travel = 0.0
         while True:
             self.renew(rates)
@@ -113,6 +118,13 @@ class Rewind:
         self.virial = near.particles.arrays.get("virial", NONE)
         self.virial_before = self.virial.copy()
 
+    def look_at_speeds(self, h: float) -> None:
+        """Does a sphere cross more than its diameter in a drift over h? A start is refused, but forces make spheres faster."""
+        p = self.near.particles
+        if h * fastest(p.position, p.velocity) > 2.0 * p.radius.min(initial=np.inf, where=p.radius > 0.0):
+            far = h * np.sqrt(row_dot(p.velocity, p.velocity)) > 2.0 * p.radius
+            self.too_fast |= bool((far & (p.radius > 0.0)).any())
+
     def remarks(self) -> list[str]:
         """What a user should be told at the end. Collective."""
         remarks = []
@@ -120,7 +132,11 @@ class Rewind:
             assert self.exact
             dense = f"{self.dense_steps} steps had more contacts than passes put in order: those were done in order of time"
             remarks += [dense, *self.exact.remarks()]
-        late = int(self.near.ranks.allreduce_sum(self.late_collisions)[0])
+        late, too_fast = self.near.ranks.allreduce_sum(np.array([self.late_collisions, self.too_fast], np.int64)).tolist()
+        if too_fast:
+            remarks.append(
+                "spheres crossed more than their diameter in a step, and may have met in a wrong order: shorten time.step"
+            )
         if late:
             remarks.append(
                 f"collisions that came late, when spheres overlapped: {late}; shorter steps have fewer, mode event none"
