@@ -1,5 +1,6 @@
 """Shared by all tests: which of them run, on which process, and that none of them compiles anything."""
 
+import gc
 import os
 import subprocess
 import sys
@@ -25,6 +26,12 @@ def pytest_collection_modifyitems(config, items):
     if left_out:
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if not item.get_closest_marker("slow")]
+
+
+def pytest_collection_finish():
+    """All that is there by now stays: Python need not look again and again whether some of it is garbage."""
+    gc.collect()
+    gc.freeze()
 
 
 # Files whose tests share what one process has made; all other tests go to whichever process is free.

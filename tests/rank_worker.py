@@ -16,6 +16,8 @@ from mpi4py import MPI
 
 import particles_mpi  # noqa: F401  so that the first script need not wait for it
 
+FREEZE = gc.freeze  # what a script leaves here; one that ends as a process would must not freeze what it leaves
+gc.freeze = lambda: None
 folder, rank = Path(sys.argv[1]), MPI.COMM_WORLD.Get_rank()
 
 
@@ -55,9 +57,9 @@ def main() -> None:
         sys.stdout.flush()
         sys.stderr.flush()
         MPI.COMM_WORLD.Barrier()  # files that all of them opened are closed by all together
-        gc.unfreeze()  # what the command took as needed when it ended
         gc.enable()
         gc.collect()
+        FREEZE()
         part = folder / f"{number}.part.{rank}"
         part.write_text(str(code))
         part.rename(folder / f"{number}.code.{rank}")
