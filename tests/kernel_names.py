@@ -10,11 +10,10 @@ from pathlib import Path
 
 
 def many_axes(signature):
-    """Is the first argument more than three axes, or their number?"""
-    if not signature:
-        return False
-    number = getattr(signature[0], "count", None) or getattr(signature[0], "literal_value", None)
-    return isinstance(number, int) and number > 3
+    """Is the first argument more than three axes, or any one their number?"""
+    axes = getattr(signature[0], "count", None) if signature else None
+    numbers = [axes, *(getattr(kind, "literal_value", None) for kind in signature)]
+    return any(isinstance(number, int) and number > 3 for number in numbers)
 
 
 files = [Path(name) for name in sys.argv[1:]]
