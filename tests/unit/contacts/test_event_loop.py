@@ -70,6 +70,8 @@ def test_any_state_ends(data):
 
 
 LONG = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)  # the tests may be a job in the background, which is to ignore it
 from particles_mpi import Scene, Simulation
 sim = Simulation(Scene(dimension=2, time={"step": 1e4, "steps": 1}, box={"lower": [0, 0], "upper": [100, 100]},
     particles=[{"count": 1000, "position": "random", "velocity": {"speed": 50.0}, "radius": 0.5}],
