@@ -11,11 +11,13 @@ in another file has handed them on. Numba fails if such a class is not there any
 """
 
 import ast
+import gc
 import json
 import pickle
 import sys
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
@@ -28,9 +30,23 @@ COMPILER = ("numba", "njit")
 Place = tuple[str, str]  # a module and a name in it
 
 
+@contextmanager
+def keeping_garbage() -> Iterator[None]:
+    """Syntax trees are many objects without cycles: to look at them again and again for garbage takes two thirds of the time."""
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collecting:
+            gc.freeze()
+            gc.enable()
+
+
 class Sources:
     """The definitions of a package: `defined[module, name]` are the statements at the top of a module that define a name."""
 
+    @keeping_garbage()
     def __init__(self, package: Path):
         self.package = package
         self.files: dict[str, Path] = {}
@@ -75,6 +91,7 @@ class Sources:
         return known
 
     @cached_property
+    @keeping_garbage()
     def kernels(self) -> dict[str, str]:
         """{"module.name": digest} of each compiled function."""
         digests, texts = {}, {}
