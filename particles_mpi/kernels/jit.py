@@ -22,9 +22,9 @@ from numba.cpython.unsafe.numbers import trailing_zeros as count_trailing_zeros
 from numba.cpython.unsafe.tuple import tuple_setitem
 from numba.extending import intrinsic
 
-from particles_mpi.kernels.loading import load_only_what_is_needed
+from particles_mpi.kernels.loading import load_and_keep_kernels
 
-load_only_what_is_needed()
+load_and_keep_kernels()
 kernel: Any = partial(njit, cache=True, no_cfunc_wrapper=True)
 lean: Any = kernel(_nrt=False)
 

@@ -2,10 +2,16 @@
 
 With the machine code of a kernel numba keeps its bitcode, for kernels that are compiled later and call it. It reads this, and all
 names in it, whenever a kernel is loaded, which takes longer than all else. Before it loads the first one it also imports all that
-it knows of Python and numpy, and SciPy, which takes as long as a hundred kernels. Nearly always that is for nothing. Both are
-private matters of numba: other versions than those that this was written for go on as they do.
+it knows of Python and numpy, and SciPy, which takes as long as a hundred kernels. Nearly always that is for nothing.
+
+And kernels are kept one at a time: of two processes that have compiled the same function for other arguments at the same moment,
+as the ranks of set-up do, numba would forget the one, or take its code for that of the other. All this is about private matters
+of numba: other versions than those that it was written for go on as they do.
 """
 
+import fcntl
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -17,6 +23,8 @@ KNOWN = {(0, 68)}  # versions of numba
 
 library_class: Any = codegen.JITCodeLibrary
 cache_class: Any = caching.Cache
+files_class: Any = caching.IndexDataCacheFile
+save_to_files = files_class.save
 
 
 class Library(library_class):  # type: ignore[misc]
@@ -61,8 +69,17 @@ def load_overload(cache: Any, signature: Any, context: Any) -> Any:
         return cache._load_overload(signature, context)
 
 
-def load_only_what_is_needed() -> None:
-    """From now on, if this version of numba is known."""
+def save_alone(files: Any, key: Any, data: Any) -> None:
+    """As `IndexDataCacheFile.save`, which reads an index file, adds a line and writes it, while no other process does so."""
+    with open(Path(files._cache_path) / "kernels.lock", "w") as lock:
+        with suppress(OSError):  # some file systems have no locks
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        save_to_files(files, key, data)
+
+
+def load_and_keep_kernels() -> None:
+    """Do so from now on, if this version of numba is known."""
     if version_info[:2] in KNOWN:
         codegen.JITCPUCodegen._library_class = Library
         cache_class.load_overload = load_overload
+        files_class.save = save_alone

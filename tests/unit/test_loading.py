@@ -6,6 +6,7 @@ import sys
 import pytest
 from conftest import ROOT
 from numba import version_info
+from numba.core.caching import IndexDataCacheFile
 
 from particles_mpi.kernels.loading import KNOWN
 
@@ -39,3 +40,33 @@ assert library.unread is None and library._shared_module is not None, "it was no
 def test_what_a_compiler_needs_is_read_when_another_kernel_is_compiled():
     done = subprocess.run([sys.executable, "-c", SCRIPT], cwd=ROOT, capture_output=True, text=True, timeout=100)
     assert done.returncode == 0, done.stderr
+
+
+KEEPING = """
+import sys
+from numba.core.caching import IndexDataCacheFile
+import particles_mpi.kernels.jit
+
+files = IndexDataCacheFile(sys.argv[1], "kernel", "stamp")
+print("begins", flush=True)
+sys.stdin.readline()
+for number in range(100):
+    files.save((sys.argv[2], number), (sys.argv[2], number))
+"""
+
+
+@pytest.mark.skipif(version_info[:2] not in KNOWN, reason="another version of numba keeps kernels its own way")
+def test_what_two_processes_keep_at_the_same_time_is_all_there(tmp_path):
+    """Different kernels of the same function: none is forgotten, or read for another one."""
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "cwd": ROOT}
+    processes = [subprocess.Popen([sys.executable, "-c", KEEPING, tmp_path, name], **pipes) for name in "ab"]
+    assert [process.stdout.readline() for process in processes] == ["begins\n"] * 2
+    for process in processes:
+        process.stdin.write("go\n")
+        process.stdin.flush()
+    for process in processes:
+        process.communicate(timeout=60)
+        assert process.returncode == 0
+    files = IndexDataCacheFile(str(tmp_path), "kernel", "stamp")
+    for key in ((name, number) for name in "ab" for number in range(100)):
+        assert files.load(key) == key
