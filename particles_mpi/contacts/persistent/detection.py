@@ -2,7 +2,7 @@
 
 `push` (d,) of a row: SLOW times the change of velocity by forces in a step. A row counts as wider by its *reach*, the way that
 it goes in a step at HELD times that speed: contacts within that may be slow. The reach of a sphere is at most NEAR radii, and of
-one in a crowd CROWDED, so that none has more than some hundred contacts, whatever forces, speeds and steps there are.
+one in a crowd NEAR_IN_CROWDS, so that none has more than some hundred contacts, whatever forces, speeds and steps there are.
 """
 
 from math import inf, sqrt
@@ -17,7 +17,7 @@ from particles_mpi.particles import Array
 SLOW = 2.0  # times what forces do in a step: a bounce that is over in about two steps
 PRECISE = 1e-12  # of the slow speed: approach that does not matter
 HELD = 5.0  # times as fast may it be among those that are held, who would rattle between one another
-NEAR, CROWDED = 1.0, 3.0  # radii that a sphere reaches at most, and in a crowd, however far it moves in a step
+NEAR, NEAR_IN_CROWDS = 1.0, 3.0  # radii that a sphere reaches at most, and in a crowd, however far it moves in a step
 
 
 class Contacts(NamedTuple):
@@ -109,23 +109,15 @@ def reach_of(radius, far, most):
 
 
 @kernel
-def widths(radius, a, h, out):
-    """Of rows with accelerations a (n, d): two with a slow contact are no further apart than the sum of theirs. To out (n,)."""
+def widths(radius, vectors, scale, most):
+    """Radii plus reaches (n,) of rows that go `scale` times the length of their vector (n, d), at most so many radii each."""
+    found = np.empty(len(radius))
     for i in range(len(radius)):
-        a2 = 0.0
-        for k in range(a.shape[1]):
-            a2 += a[i, k] * a[i, k]
-        out[i] = radius[i] + reach_of(radius[i], HELD * SLOW * h * h * sqrt(a2), NEAR)
-
-
-@kernel
-def crowd_widths(radius, v, h, out):
-    """The same of rows of a crowd with velocities v (n, d), into `out` where that is more."""
-    for i in range(len(radius)):
-        v2 = 0.0
-        for k in range(v.shape[1]):
-            v2 += v[i, k] * v[i, k]
-        out[i] = max(out[i], radius[i] + reach_of(radius[i], h * sqrt(v2), CROWDED))
+        square = 0.0
+        for k in range(vectors.shape[1]):
+            square += vectors[i, k] * vectors[i, k]
+        found[i] = radius[i] + reach_of(radius[i], scale * sqrt(square), most)
+    return found
 
 
 @kernel
@@ -185,7 +177,9 @@ def find_contacts(axes, state, graph, inside, h, length, faces, planes):
             far_i, far_j = HELD * pushes[i] * h, HELD * pushes[j] * h
             reach = min(max(far_i, far_j), reach_of(radius_i, far_i, NEAR) + reach_of(radius_j, far_j, NEAR))
             if of_crowd:
-                reach = max(reach, reach_of(radius_i, speeds[i] * h, CROWDED) + reach_of(radius_j, speeds[j] * h, CROWDED))
+                reach = max(
+                    reach, reach_of(radius_i, speeds[i] * h, NEAR_IN_CROWDS) + reach_of(radius_j, speeds[j] * h, NEAR_IN_CROWDS)
+                )
             r2, both = 0.0, radius_i + radius_j
             for k in range(len(axes)):
                 r = nearest(x[i, np.uint64(k)] - x[j, np.uint64(k)], length[k])

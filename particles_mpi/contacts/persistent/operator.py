@@ -19,10 +19,12 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.contacts.persistent.detection import (
+    HELD,
+    NEAR,
+    NEAR_IN_CROWDS,
     PRECISE,
     SLOW,
     Contacts,
-    crowd_widths,
     find_contacts,
     near_walls,
     near_walls_among,
@@ -121,8 +123,7 @@ class PersistentContacts:
             if not some and self.uniform:
                 self.forget()
                 return
-            wide = np.empty(len(p))
-            widths(p.radius, a, h, wide)
+            wide = slow_widths(p, a, h)
             zone = self.zone(p, wide, involved, bool(known))
             graph = self.near(p, wide, zone)
             local = self.local(p, a, h, graph)
@@ -147,10 +148,8 @@ class PersistentContacts:
     def keep_crowds(self, p: Particles, a: Array, h: float) -> None:
         """As `keep`, but contacts with those that are CROWD, and with all who touch them, are kept at any speed. Collective."""
         with self.timers("rest"):
-            touch = np.empty(len(p))
-            widths(p.radius, a, h, touch)
-            wide = touch.copy()
-            crowd_widths(p.radius, p.velocity, h, wide)
+            touch = slow_widths(p, a, h)
+            wide = np.maximum(touch, widths(p.radius, p.velocity, h, NEAR_IN_CROWDS))
             graph = ContactGraph(self.ranks, p, np.arange(len(p)), wide, 0.0, self.length, points=self.points)
             local = self.local(p, a, h, graph)
             ghost_touch = np.zeros(graph.size + 1)
@@ -308,6 +307,11 @@ class PersistentContacts:
         self.given = hand_over(rows, np.ascontiguousarray(v[:, :d]), held, p.velocity, p["supported"])
         if v.shape[1] > d:
             p["spin"][rows] = v[:, d:]
+
+
+def slow_widths(p: Particles, a: Array, h: float) -> Array:
+    """Widths (n,) of rows with accelerations a (n, d): two with a slow contact are no further apart than the sum of theirs."""
+    return np.asarray(widths(p.radius, a, HELD * SLOW * h * h, NEAR))
 
 
 def exactly(contacts: Contacts) -> Targets:

@@ -1,4 +1,4 @@
-"""Python's search for garbage: not in the start of a run, which makes a million objects that stay, but in its steps."""
+"""Python's search for garbage: not in the start of a run, which makes very many objects that stay, but in its steps."""
 
 import subprocess
 import sys
