@@ -29,7 +29,7 @@ from particles_mpi.particles import Array, Particles, field
 from particles_mpi.timers import Timers
 
 SORT_EVERY = 2  # searches; between two sorts in space the rows keep their order, which changes slowly
-SLACK = 0.2  # how far rows may get over the border of their rank's box, in paths of the fastest one
+SLACK = 0.3  # how far rows may get over the border of their rank's box, in paths of the fastest one
 TOO_MANY = 0.1  # of the rows left their paths at once: a search of all is cheaper than one for each
 
 

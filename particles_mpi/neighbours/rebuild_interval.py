@@ -34,13 +34,15 @@ class RebuildTuner:
         if self.steps == 0:
             self.steps = int(crossing)
         elif self.lasted:
-            cost = work / self.lasted
-            if cost > WORSE * self.cost_before:
-                self.upwards = not self.upwards
-            self.cost_before = cost
-            self.steps = min(self.steps, self.lasted)  # what did not last as long as it should, need not be longer
             stride = max(1, round(STRIDE * self.steps))
-            self.steps += stride if self.upwards else -stride
+            if self.lasted < self.steps:  # a row got too far: what such a search costs says nothing of the steps that are best
+                self.steps = max(self.steps - stride, self.lasted)
+            else:
+                cost = work / self.lasted
+                if cost > WORSE * self.cost_before:
+                    self.upwards = not self.upwards
+                self.cost_before = cost
+                self.steps += stride if self.upwards else -stride
         self.steps = min(max(self.steps, 1), MOST_STEPS)
         self.lasted = self.pair_steps = 0
         return self.steps

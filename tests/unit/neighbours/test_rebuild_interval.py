@@ -1,0 +1,41 @@
+"""For how many steps a search is made to hold: the cheapest number, also where some searches end before that."""
+
+import numpy as np
+import pytest
+
+from particles_mpi.neighbours.rebuild_interval import RebuildTuner
+
+BEST = 12  # steps
+
+
+def work(rows, made_for, lasted):
+    """Of a search: its own part, the candidates that grow with the time they are made for, and what each step takes."""
+    return rows * (BEST**2 + made_for**2 + 10.0 * lasted)
+
+
+@pytest.mark.parametrize("early", [0.0, 0.1, 0.3])
+def test_the_cheapest_number_is_found(early):
+    """A share `early` of the searches ends anywhere before its time, because a row got too far."""
+    random, tuner, steps = np.random.default_rng(3), RebuildTuner(), []
+    cost = 0.0
+    for _ in range(200):
+        made_for = tuner.next(cost, 5.0)
+        steps.append(made_for)
+        lasted = int(random.integers(1, made_for + 1)) if random.random() < early else made_for
+        for _ in range(lasted):
+            tuner.step(0)
+        cost = work(1e5, made_for, lasted)
+    settled = np.array(steps[50:])
+    assert abs(settled.mean() - BEST) < 0.25 * BEST
+    assert settled.min() >= 0.3 * BEST
+
+
+def test_searches_that_never_last_get_shorter():
+    """Where none lasts more than three steps, none is made for many more: ghosts and candidates would be for nothing."""
+    tuner = RebuildTuner()
+    steps = []
+    for _ in range(60):
+        steps.append(tuner.next(work(1e5, tuner.steps, min(tuner.steps, 3)), 20.0))
+        for _ in range(min(steps[-1], 3)):
+            tuner.step(0)
+    assert max(steps[30:]) <= 5
