@@ -12,7 +12,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, rows_of
 
 TAG = 0  # of messages with rows; `agreement` uses another one
-FEW = 10_000  # most rows that `blocks` sends to all ranks in one message
+FEW = 10_000  # particles: up to so many rows are sent in one message, which `blocks` and `in_id_order` do otherwise piece by piece
 WORD = 8  # bytes; all messages consist of such words
 MOST_WORDS = 2**31 - 1  # in one message, as MPI counts with 32 bits: longer ones are sent in pieces
 
@@ -193,18 +193,18 @@ def in_own_range(rank: int, numbers: Array, ids: IdRange, writers: int) -> bool:
 def in_id_order(ranks: Communicator, arrays: dict[str, Array], ids: IdRange, writers: int) -> dict[str, Array]:
     """Rows in id order: the range of ids is divided evenly among the first `writers` ranks. Collective.
 
-    The columns are sent one after the other: a rank holds the rows that it gets and, of a single column, what is on its way.
-    Where all have theirs in order already, as without pairs, they are the arrays given.
+    Few rows are sent together. Of many, the columns are sent one after the other: a rank holds the rows that it gets and, of a
+    single column, what is on its way. Where all have theirs in order already, as without pairs, they are the arrays given.
     """
     if ranks.allreduce_min(float(in_own_range(ranks.rank, arrays["id"], ids, writers)))[0]:
         return dict(arrays)
     if ranks.size == 1:
         return rows_of(arrays, rows_in_order(arrays["id"]))
     order, counts = by_range(arrays["id"], ids, writers, ranks.size)
-    arrived, _ = send_rows(ranks, {"id": arrays["id"]}, order, counts)
+    arrived, _ = send_rows(ranks, arrays if ids.total <= FEW else {"id": arrays["id"]}, order, counts)
     places = rows_in_order(arrived["id"])
     for name in arrays:
-        column = arrived["id"] if name == "id" else send_rows(ranks, {name: arrays[name]}, order, counts)[0][name]
+        column = arrived[name] if name in arrived else send_rows(ranks, {name: arrays[name]}, order, counts)[0][name]
         arrived[name] = column.take(places, axis=0)
     return {name: arrived[name] for name in arrays}
 
