@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from random_scenes import random_scenes
 
-from particles_mpi import Scene, Simulation
+from particles_mpi import Scene, Simulation, StoppedError
 
 COUNT = 25
-OVERLAP = 1e-9  # of the smaller radius
+OVERLAP, UNTOLD = 1e-9, 1e-6  # of the smaller radius
 MORE = [pytest.param(seed, 4, marks=pytest.mark.slow) for seed in range(3, 12)]
 
 
@@ -43,6 +43,25 @@ def test_nothing_overlaps_that_did_not_at_the_start(seed, axes):
         for _ in range(tables["time"]["steps"]):
             sim.step()
             assert overlaps(sim)[~before].max(initial=0.0) <= OVERLAP, (name, sim.steps_done)
+
+
+@pytest.mark.parametrize(("seed", "axes"), [(1, 3), (2, 3), *MORE])
+def test_no_overlap_stays_untold_in_mode_rewind(seed, axes):
+    """Where spheres overlap, collisions were missed or came late, or spheres were too fast for the step, and a user is told."""
+    for name, tables in random_scenes(seed, COUNT, axes).items():
+        if "collisions" not in tables["effects"]:
+            continue
+        tables["effects"]["collisions"]["mode"] = "rewind"
+        sim = Simulation(Scene.from_dict(tables))
+        allowed = np.maximum(overlaps(sim), UNTOLD)
+        for _ in range(tables["time"]["steps"]):
+            try:
+                sim.step()
+            except StoppedError:
+                break
+            if (overlaps(sim) > allowed).any():
+                assert sim.totals["missed"] or any(word in " ".join(sim.remarks()) for word in ("late", "diameter")), name
+                break
 
 
 def overlaps(sim):
