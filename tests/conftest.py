@@ -43,33 +43,42 @@ SHARING = {
     "test_study_gravity.py",
     "test_tree.py",
 }
-BESIDE = "older_processor", "test_study_", "test_pictures", "test_scripts", "test_silo"  # of tests/parallel
-STARTING = {  # of tests/parallel, those that start mpirun again and again, and mostly wait
+STARTING = {  # of tests/parallel, those that start mpirun again and again, and mostly wait; and studies, which take their time
     "test_beyond_limits.py",
     "test_cluster.py",
     "test_command.py",
     "test_nothing_lost.py",
     "test_one_rank_fails.py",
     "test_output.py",
+    "test_pictures.py",
+    "test_scripts.py",
+    "test_silo.py",
+    "test_study_accuracy.py",
+    "test_study_scaling.py",
+    "test_study_scene.py",
 }
+NICE = {"tests/parallel": 0, "starting": 10}  # how nice those of a group are to the others; the rest is 19, as nice as can be
+
+
+def group_of(nodeid):
+    """Tests of one group are given to one process: two of tests/parallel, each of SHARING, and all others one by one.
+
+    What compiles all kernels for an older processor takes one core for a minute or more, beside all else.
+    """
+    path = nodeid.partition("::")[0]
+    if path.startswith("tests/parallel/") and "older_processor" not in nodeid:
+        return "starting" if Path(path).name in STARTING else "tests/parallel"
+    return path if Path(path).name in SHARING else nodeid
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """Which tests xdist gives to one process: tests/parallel, whose ranks stay and want the cores, and each of SHARING.
-
-    Beside the rest of tests/parallel, which takes longest of all, other processes get the tests of STARTING, studies and
-    pictures, and what compiles all kernels for an older processor on one core, for a minute or more.
-    """
+    """Which tests xdist gives to one process."""
     from xdist.scheduler import LoadScopeScheduling
 
     class Scheduling(LoadScopeScheduling):
         def _split_scope(self, nodeid):
-            path = nodeid.partition("::")[0]
-            if path.startswith("tests/parallel/"):
-                beside = [word for word in BESIDE if word in nodeid]
-                return beside[0] if beside else "starting" if Path(path).name in STARTING else "tests/parallel"
-            return path if Path(path).name in SHARING else nodeid
+            return group_of(nodeid)
 
     return Scheduling(config, log)
 
@@ -80,11 +89,16 @@ def on_a_worker(config):
 
 
 def pytest_runtest_setup(item):
-    """Ranks take turns often, and all else is less urgent than tests/parallel: what waits for messages must not wait for it."""
-    if item.nodeid.startswith("tests/parallel/"):
+    """Ranks take turns often; and no other process is as urgent as those that exchange messages all the time.
+
+    Beside one that wants a core for itself, and is as urgent, two ranks take four times as long; beside one as nice as can be 6 %
+    more.
+    """
+    group = group_of(item.nodeid)
+    if group in NICE:
         take_turns_often()
-    elif on_a_worker(item.config) and os.getpriority(os.PRIO_PROCESS, 0) == 0:
-        os.nice(19)
+    if on_a_worker(item.config):
+        os.nice(max(NICE.get(group, 19) - os.getpriority(os.PRIO_PROCESS, 0), 0))
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -278,15 +278,16 @@ SCENES = {
     ),
 }  # fmt: skip
 HEAP, DISCS = "a heap that collapses in crowds", "discs that come to rest"
-for smooth, rough, surfaces, steps, top in (  # friction takes longer than all else: they fall less deep
-    (DISCS, f"rough {DISCS}", {"collisions": 0.4, "walls": 0.5}, 95, [4, 10]),
-    (HEAP, "a rough heap", {"collisions": 0.3, "walls": 0.3}, 130, [0.6, 0.6, 1.6]),
+for smooth, rough, surfaces, steps, count, top in (  # friction takes longer than all else: they are fewer, and fall less deep
+    (DISCS, f"rough {DISCS}", {"collisions": 0.4, "walls": 0.5}, 70, 16, [3, 6]),
+    (HEAP, "a rough heap", {"collisions": 0.3, "walls": 0.3}, 105, 40, [0.4, 0.4, 1.0]),
 ):
     effects = SCENES[smooth]["effects"]
     with_friction = {name: effects[name] | {"friction": mu} for name, mu in surfaces.items()}
     more = {"rolling": {"resistance": 0.01}} if smooth == DISCS else {}
     box, time = {"lower": [0] * len(top), "upper": top}, SCENES[smooth]["time"] | {"steps": steps}
-    SCENES[rough] = SCENES[smooth] | {"box": box, "time": time, "effects": effects | with_friction | more}
+    particles = [population | {"count": count} for population in SCENES[smooth]["particles"]]
+    SCENES[rough] = SCENES[smooth] | {"box": box, "time": time, "particles": particles, "effects": effects | with_friction | more}
 EVENTS = (
     "balls that collide on a floor, and lean on a wall in the end",
     "discs that come to rest",
