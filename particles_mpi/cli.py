@@ -36,6 +36,7 @@ Folder = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for rep
 Quick = Annotated[bool, typer.Option("--quick", help="A look within a minute: fewer settings, short samples.")]
 STOPPING = "Write a checkpoint and stop within this time; if not given, before the limit of a Slurm job; none: without a limit."
 WallTime = Annotated[str | None, typer.Option(metavar="HH:MM:SS", help=STOPPING)]
+RESULTS = "Folder for the results; out/<scene name> if not given."
 RESUMING = "Go on from this checkpoint.h5, on any number of ranks; auto: from the folder's own, or else from the start."
 TunedFile = Annotated[Path | None, typer.Option(metavar="TUNED.toml", help="The tuned scene; NAME.tuned.toml if not given.")]
 IS_ROOT = MPI.COMM_WORLD.Get_rank() == 0
@@ -44,7 +45,7 @@ IS_ROOT = MPI.COMM_WORLD.Get_rank() == 0
 @app.command()
 def run(
     scene: SceneFile,
-    output: Annotated[Path | None, typer.Option(help="Folder for the results; out/<scene name> if not given.")] = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help=RESULTS)] = None,
     steps: Annotated[int | None, typer.Option(min=0, help="Stop after this many steps instead of at the scene's end.")] = None,
     resume: Annotated[Path | None, typer.Option(help=RESUMING)] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run that the folder holds.")] = False,

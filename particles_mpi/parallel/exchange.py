@@ -12,7 +12,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, rows_of
 
 TAG = 0  # of messages with rows; `agreement` uses another one
-FEW = 10_000  # particles: up to so many rows are sent in one message, which `blocks` and `in_id_order` do otherwise piece by piece
+FEW = 10_000  # particles: their rows are sent in one message; `blocks` and `in_id_order` send those of more piece by piece
 WORD = 8  # bytes; all messages consist of such words
 MOST_WORDS = 2**31 - 1  # in one message, as MPI counts with 32 bits: longer ones are sent in pieces
 
