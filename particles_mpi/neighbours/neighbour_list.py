@@ -219,6 +219,11 @@ class Neighbourhood:
         self.tuner.step(self.candidates.pair_count)
         self.pair_tests += self.candidates.pair_count
 
+    def leave(self) -> None:
+        """This drift is done by other means: the candidates served for one step, and end with it."""
+        self.tuner.step(self.candidates.pair_count)
+        self.distrust()
+
     def distrust(self) -> None:
         """Ghosts are not what their owners have: search before the next drift."""
         self.version = -1

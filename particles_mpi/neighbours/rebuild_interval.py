@@ -14,7 +14,8 @@ class RebuildTuner:
         self.steps = 0
         self.upwards = True
         self.cost_before = float("inf")
-        self.lasted = 0
+        self.lasted = 0  # steps since the last search
+        self.early = 0  # searches in a row that ended before their time
         self.pair_steps = 0
 
     def step(self, pairs: int) -> None:
@@ -36,13 +37,16 @@ class RebuildTuner:
         elif self.lasted:
             stride = max(1, round(STRIDE * self.steps))
             if self.lasted < self.steps:  # a row got too far: what such a search costs says nothing of the steps that are best
-                self.steps = max(self.steps - stride, self.lasted)
+                self.early += 1
+                self.steps = max(self.steps - self.early * stride, self.lasted)
             else:
+                self.early = 0
                 cost = work / self.lasted
                 if cost > WORSE * self.cost_before:
                     self.upwards = not self.upwards
                 self.cost_before = cost
                 self.steps += stride if self.upwards else -stride
         self.steps = min(max(self.steps, 1), MOST_STEPS)
+        self.upwards = self.steps == 1 or (self.upwards and self.steps < MOST_STEPS)
         self.lasted = self.pair_steps = 0
         return self.steps
