@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from particles_mpi import Scene, Simulation
 from particles_mpi.neighbours.rebuild_interval import RebuildTuner
 
 BEST = 12  # steps
@@ -40,3 +41,22 @@ def test_searches_that_never_last_get_shorter_and_then_longer_again():
             tuner.step(0)
     assert max(steps[8:60]) <= 20 and max(steps[20:60]) <= 3
     assert abs(np.mean(steps[100:]) - BEST) < 0.25 * BEST
+
+
+def test_steps_in_order_of_time_count():
+    """Discs that fall on one another without bouncing: most steps are done in order of time, after which all is sought anew."""
+    lossy = {"restitution": 0.0}
+    sim = Simulation(
+        Scene(
+            dimension=2,
+            seed=1,
+            box={"lower": [0.0, 0.0], "upper": [1.5, 4.0]},
+            time={"step": 0.01, "steps": 80},
+            particles=[{"count": 150, "position": "random", "radius": {"min": 0.03, "max": 0.05}}],
+            effects={"uniform_gravity": {"acceleration": [0.0, -9.81]}, "collisions": lossy, "walls": lossy},
+        )
+    )
+    sim.steps(5)
+    assert sim.near.tuner.steps > 100  # they begin at rest
+    sim.steps(75)
+    assert sim.near.searches > 40 and sim.near.tuner.steps < 10
