@@ -53,7 +53,9 @@ class Communicator:
         return np.searchsorted(begins, numbers, "right") - 1
 
     def _allreduce(self, values: Any, operation: MPI.Op) -> Array:
-        values = np.atleast_1d(values)
+        values = np.asarray(values)
+        if not values.ndim:
+            values = values.reshape(1)
         if self.size == 1:
             return values
         self.reductions += 1

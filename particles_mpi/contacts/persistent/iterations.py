@@ -47,14 +47,15 @@ def iterate(axes, first, last, problem, w, v0, v, after, beta, looks, sums):
 
 @kernel
 def iterations(axes, count, problem, w, v0, v, other, theta, looks, sums):
-    """So many iterations of all rows; v and `other` (size + 1, d) take turns. If it `looks`, one only.
+    """So many iterations of all rows; v and `other` (size + 1, d) take turns. If it `looks`, it does so in the last one.
 
     Returns theta of the next one, and of the last one the largest errors and the largest work of a row: see `iterate`.
     """
     rough, left, most = 0.0, 0.0, 0.0
-    for _ in range(count):
+    for number in range(count):
         beta, theta = momentum(theta)
-        rough, left = iterate(axes, 0, len(problem[0]) - 1, problem, w, v0, v, other, beta, looks, sums)
+        look = looks and number == count - 1
+        rough, left = iterate(axes, 0, len(problem[0]) - 1, problem, w, v0, v, other, beta, look, sums)
         v, other = other, v
     if looks:
         for i in range(len(sums)):

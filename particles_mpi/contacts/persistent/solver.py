@@ -76,11 +76,12 @@ class Run:
 
     def advance(self, count: int, looks: bool = False) -> tuple[float, float, float]:
         """So many iterations, with an exchange of ghosts after each; what the last one saw, if it `looks`."""
-        for part in [1] * count if self.exchange else [count]:
+        calls, count = (count, 1) if self.exchange else (1, count)
+        for left in range(calls - 1, -1, -1):
             self.theta, *seen = iterations(
-                self.axes, part, self.problem, self.w, self.v0, self.v, self.other, self.theta, looks, self.sums
+                self.axes, count, self.problem, self.w, self.v0, self.v, self.other, self.theta, looks and not left, self.sums
             )
-            if part % 2:
+            if count % 2:
                 self.v, self.other = self.other, self.v
             if self.exchange:
                 self.exchange(self.v)
@@ -116,8 +117,8 @@ class Run:
         done, exact, before = 1, least >= EXACT, np.inf
         if not exact and not self.rough:
             self.balance(ranks, 1.0 - NEAR, 1.0 + NEAR)
+        worst = self.advance(1, looks=True)
         while True:
-            worst = self.advance(1, looks=True)
             rough, left, most = ranks.allreduce_max(np.array(worst))
             squares, work = ranks.allreduce_sum(np.array(whole_numbers(self.sums, (1.0, most if most > 0.0 else 1.0))))
             good, calm = rough <= OUTLIER and squares <= count * FINE, self.rough and squares <= count * FINE * CALM**2
@@ -134,7 +135,7 @@ class Run:
             elif squares > before if self.rough else work > 0.0:
                 self.restart()
             before = squares
-            self.advance(CHECK - 1)
+            worst = self.advance(CHECK, looks=True)
             done += CHECK
         self.finish()
         if not exact and not calm:  # errors of one sign, however small, would lift a bed, or let it sink
