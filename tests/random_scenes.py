@@ -13,16 +13,17 @@ from particles_mpi import Scene, SceneError, Simulation, StoppedError
 def random_scenes(seed, count, axes=3, mode=None):
     """{name: tables} of `count` scenes in up to so many dimensions that are accepted and whose run is not stopped.
 
-    `mode`: that of their collisions, if not any. The kernels of more than three axes are compiled when they are needed, which
-    takes longer than all else.
+    `mode`: only scenes with collisions, in this mode. The kernels of more than three axes are compiled when they are needed,
+    which takes longer than all else.
     """
     rng, scenes = np.random.default_rng(seed), {}
     while len(scenes) < count:
         tables = random_tables(rng)
-        if tables["dimension"] > axes:
+        collisions = tables["effects"].get("collisions")
+        if tables["dimension"] > axes or (mode and collisions is None):
             continue
-        if mode and "collisions" in tables["effects"]:
-            tables["effects"]["collisions"]["mode"] = mode
+        if mode:
+            collisions["mode"] = mode
         try:
             Simulation(Scene.from_dict(tables)).steps(tables["time"]["steps"])
         except (SceneError, StoppedError):

@@ -219,7 +219,7 @@ class Neighbourhood:
         self.tuner.step(self.candidates.pair_count)
         self.pair_tests += self.candidates.pair_count
 
-    def leave(self) -> None:
+    def end_candidates(self) -> None:
         """This drift is done by other means: the candidates served for one step, and end with it."""
         self.tuner.step(self.candidates.pair_count)
         self.distrust()

@@ -36,7 +36,7 @@ class RebuildTuner:
             self.steps = int(crossing)
         elif self.lasted:
             stride = max(1, round(STRIDE * self.steps))
-            if self.lasted < self.steps:  # a row got too far: what such a search costs says nothing of the steps that are best
+            if self.lasted < self.steps:  # it ended early, as where a row got too far: its cost says nothing of the best interval
                 self.early += 1
                 self.steps = max(self.steps - self.early * stride, self.lasted)
             else:
@@ -47,6 +47,6 @@ class RebuildTuner:
                 self.cost_before = cost
                 self.steps += stride if self.upwards else -stride
         self.steps = min(max(self.steps, 1), MOST_STEPS)
-        self.upwards = self.steps == 1 or (self.upwards and self.steps < MOST_STEPS)
+        self.upwards = self.steps == 1 or (self.upwards and self.steps < MOST_STEPS)  # from either end only back
         self.lasted = self.pair_steps = 0
         return self.steps

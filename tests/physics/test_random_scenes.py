@@ -35,8 +35,6 @@ def test_every_way_on_is_the_same(seed, axes, tmp_path):
 def test_nothing_overlaps_that_did_not_at_the_start(seed, axes):
     """Whatever moves, slows or presses the spheres, in mode event."""
     for name, tables in random_scenes(seed, COUNT, axes, "event").items():
-        if "collisions" not in tables["effects"]:
-            continue
         sim = Simulation(Scene.from_dict(tables))
         before = overlaps(sim) > OVERLAP
         for _ in range(tables["time"]["steps"]):
@@ -48,8 +46,6 @@ def test_nothing_overlaps_that_did_not_at_the_start(seed, axes):
 def test_no_overlap_stays_untold_in_mode_rewind(seed, axes):
     """Where spheres overlap, collisions were missed or came late, or spheres were too fast for the step, and a user is told."""
     for name, tables in random_scenes(seed, COUNT, axes, "rewind").items():
-        if "collisions" not in tables["effects"]:
-            continue
         sim = Simulation(Scene.from_dict(tables))
         allowed = np.maximum(overlaps(sim), UNTOLD)
         for _ in range(tables["time"]["steps"]):

@@ -89,7 +89,7 @@ class Rewind:
             except TooDenseError:
                 assert self.exact
                 self.undo()
-                near.leave()
+                near.end_candidates()
                 self.dense_steps += 1
                 return self.exact.drift(h, moment, rates)
             except TooFarError as far:
