@@ -6,10 +6,10 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from particles_mpi.gravity.direct import add_potential, attract
+from particles_mpi.gravity.direct import TILE, Attraction, add_potential, in_tiles
 from particles_mpi.gravity.method import TREES, Choice, choose
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exchange import IdRange, blocks
+from particles_mpi.parallel.exchange import IdRange, blocks, rows_in_order
 from particles_mpi.parallel.signals import check_signals
 from particles_mpi.particles import Array, Particles, places_of
 from particles_mpi.scene.effect import Context, EffectOptions, Force
@@ -96,29 +96,48 @@ class DirectSum:
         self.ranks, self.ids, self.G, self.softening2 = ranks, ids, G, softening2
         self.interactions = 0  # so far
 
-    def sources(self, p: Particles, mass: Array) -> Iterator[tuple[Array, Array, Array]]:
-        """(ids, positions, masses) of all, as many at once as take some tenths of a second, so that Ctrl-C is heard."""
-        each = max(1, PAIRS // max(len(p), 1))
-        for block in blocks(self.ranks, {"id": p.id, "position": p.position, "mass": mass}, self.ids):
-            for first in range(0, len(block["mass"]), each):
-                check_signals()
-                some = slice(first, first + each)
-                yield block["id"][some], block["position"][some], block["mass"][some]
-
     def pull(self, p: Particles) -> Array:
         """Accelerations (n, d). Collective."""
-        pull = np.zeros_like(p.position)
-        for _, x, mass in self.sources(p, p.mass):
-            attract((0,) * p.dimension, p.position, x, mass, self.softening2, pull)
+        order = rows_in_order(p.id)
+        ids, sums = p.id[order], Attraction(p.position[order], self.ids.total, self.softening2)
+        for block in blocks(self.ranks, {"id": p.id, "position": p.position, "mass": p.mass}, self.ids):
+            x, mass = block["position"], block["mass"]
+            own = part_with(block["id"], ids) if sums.lanes > 1 else slice(0, 0)
+            for some in slices(0, own.start, len(p)):
+                sums.add(x[some], mass[some])
+            for some in slices(0, len(sums.at) if own.stop > own.start else 0, TILE * len(p)):
+                sums.add_one_another(mass[own], some.start, some.stop)
+            for some in slices(own.stop, len(mass), len(p)):
+                sums.add(x[some], mass[some])
         self.interactions += len(p) * self.ids.total
-        return pull
+        result = np.empty_like(p.position)
+        result[order] = sums.accelerations()
+        return result
 
     def potential(self, p: Particles) -> Array:
         """Potential (n,), that of movable sources by half. Collective."""
-        total = np.zeros(len(p))
-        for ids, x, mass in self.sources(p, halved(p)):
-            add_potential((0,) * p.dimension, p.position, p.id, x, mass, ids, self.softening2, total)
-        return total
+        at, ids = in_tiles(p.position), in_tiles(p.id)
+        total = np.zeros((len(at), TILE))
+        for block in blocks(self.ranks, {"id": p.id, "position": p.position, "mass": halved(p)}, self.ids):
+            for some in slices(0, len(block["id"]), len(p)):
+                x, mass, of = block["position"][some], block["mass"][some], block["id"][some]
+                add_potential((0,) * p.dimension, at, ids, x, mass, of, self.softening2, total)
+        return total.reshape(-1)[: len(p)]
+
+
+def part_with(every: Array, ids: Array) -> slice:
+    """Where the ids, in order, lie in those of a block without others between them; an empty slice if they do not."""
+    first = int(np.searchsorted(every, ids[0])) if len(ids) else 0
+    part = slice(first, first + len(ids))
+    return part if np.array_equal(every[part], ids) else slice(0, 0)
+
+
+def slices(begin: int, end: int, each: int) -> Iterator[slice]:
+    """Parts of the range, of some tenths of a second, so that Ctrl-C is heard; `each`: pairs for one of its numbers."""
+    many = max(1, PAIRS // max(each, 1))
+    for first in range(begin, end, many):
+        check_signals()
+        yield slice(first, min(first + many, end))
 
 
 class TreeSum:

@@ -12,7 +12,7 @@ In the order in which to read them:
 - `tree`: the evaluation on all ranks, step by step: cuts between ranks, and the nodes that another rank needs
 
 Direct sum: blocks of sources in id order come from every rank in turn (`parallel.exchange.blocks`), and every target adds them up
-in that order. Tree: each particle is sent to the rank that owns the Morton key of its position; that rank builds the cells of its
-keys, sends other ranks the nodes that are essential to them, joins what arrives with its own part to one tree, and walks it for
-each group of its targets; the results return to the ranks that the particles came from.
+in that order (`direct.Attraction`). Tree: each particle is sent to the rank that owns the Morton key of its position; that rank
+builds the cells of its keys, sends other ranks the nodes that are essential to them, joins what arrives with its own part to one
+tree, and walks it for each group of its targets; the results return to the ranks that the particles came from.
 """

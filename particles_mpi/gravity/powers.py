@@ -4,7 +4,8 @@ A first guess y of r^(-1/2) comes from the bits of r, a polynomial in r y^2 make
 h = 1 - r y^2, enters by the series of (1 - h)^(-1/2) or (1 - h)^(-3/2), whose next term is below the round-off.
 First guess: C. Lomont, Fast Inverse Square Root, Purdue University (2003).
 
-All formulas are for float64 and float32 alike: a literal in them is of the kind of the numbers (`as_kind`).
+All formulas are for float64, eight of these at once (`Lanes`), and float32: a literal in them is of the kind of the numbers
+(`as_kind`).
 """
 
 from typing import Any
@@ -14,26 +15,44 @@ from numba import types
 from numba.extending import intrinsic
 
 from particles_mpi.kernels.jit import as_kind, fma, inner
+from particles_mpi.kernels.lanes import LANES
 
 # Minus half of the bits of a number gives those of its inverse square root, within 3.5 %: for 64 and 32 bits.
-HALF_EXPONENT = {types.float64: 0x5FE6EB50C7B537A9, types.float32: 0x5F375A86}
+HALF_EXPONENT = {types.float64: 0x5FE6EB50C7B537A9, LANES: 0x5FE6EB50C7B537A9, types.float32: 0x5F375A86}
+BITS = {types.float64: ir.IntType(64), LANES: ir.VectorType(ir.IntType(64), LANES.width), types.float32: ir.IntType(32)}
 CUBIC = (2.18865904, -2.18968855, 1.31340004, -0.31237129)  # in t, closest to t^-1/2 where that guess can lead: within 8e-7
 
 formula: Any = inner(_nrt=False, error_model="numpy", forceinline=True)
+
+
+def constant(kind: Any, number: Any) -> Any:
+    """The number in the compiler's type, as often as that holds numbers."""
+    return ir.Constant(kind, [number] * kind.count if isinstance(kind, ir.VectorType) else number)
 
 
 def _first_guess(typing: Any, r: Any) -> Any:
     """r^(-1/2) within 3.5 %, from the bits of r, which is not negative."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        bits = ir.IntType(r.bitwidth)
-        half = builder.lshr(builder.bitcast(arguments[0], bits), ir.Constant(bits, 1))
-        return builder.bitcast(builder.sub(ir.Constant(bits, HALF_EXPONENT[r]), half), arguments[0].type)
+        bits = BITS[r]
+        half = builder.lshr(builder.bitcast(arguments[0], bits), constant(bits, 1))
+        return builder.bitcast(builder.sub(constant(bits, HALF_EXPONENT[r]), half), arguments[0].type)
 
     return r(r), generate
 
 
+def _if_positive(typing: Any, r: Any, value: Any) -> Any:
+    """The value where r is positive, 0 elsewhere."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        zero = constant(arguments[0].type, 0.0)
+        return builder.select(builder.fcmp_ordered(">", arguments[0], zero), arguments[1], zero)
+
+    return r(r, r), generate
+
+
 first_guess: Any = intrinsic(_first_guess)
+if_positive: Any = intrinsic(_if_positive)
 
 
 @formula
@@ -51,6 +70,14 @@ def inverse_root(r):
     """r^(-1/2) of a positive number, within 2e-16 of it, or within 1e-7."""
     y, _, h = almost_inverse_root(r)
     return fma(y * h, fma(as_kind(0.375, r), h, as_kind(0.5, r)), y)
+
+
+@formula
+def inverse_cube(r2):
+    """1/r2^(3/2), within 4e-16 of it; 0 where r2 is 0."""
+    y, y2, h = almost_inverse_root(r2)
+    near = y * y2
+    return if_positive(r2, fma(near * h, fma(as_kind(1.875, r2), h, as_kind(1.5, r2)), near))
 
 
 @formula

@@ -12,6 +12,7 @@ import numpy as np
 
 from particles_mpi.contacts.drift import Drift
 from particles_mpi.contacts.rough import no_spins
+from particles_mpi.gravity.direct import FEW
 from particles_mpi.integrators.collocation import END, STUCK, work_for
 from particles_mpi.integrators.compiled_steps import (
     Bodies,
@@ -34,7 +35,6 @@ from particles_mpi.particles import Array, Particles, places_of, rows_of
 from particles_mpi.scene.active import ActiveEffects
 from particles_mpi.scene.effect import Context
 
-FEW = 256  # particles that attract one another: with more, a force takes longer than the calls that are saved
 BLOCK = 4096  # rows that are advanced together: what is needed of them stays in the cache
 LONGEST = 1e8  # ns in one call, about, so that Ctrl-C is heard
 PAIR, ROW, BESIDES = 3.0, 8.0, 50.0  # ns of a pair, a row, and everything else in a step, at most

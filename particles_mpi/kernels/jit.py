@@ -128,7 +128,16 @@ spheres_within: Any = intrinsic(_spheres_within)
 
 def _fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
     """a b + c, rounded once, on every processor: those that have no instruction for it take a hundred times as long."""
-    return a(a, a, a), lambda context, builder, signature, arguments: builder.fma(*arguments)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kind = arguments[0].type
+        if not isinstance(kind, ir.VectorType):
+            return builder.fma(*arguments)
+        name = f"llvm.fma.v{kind.count}{kind.element.intrinsic_name}"
+        function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(kind, [kind] * 3), name)
+        return builder.call(function, arguments)
+
+    return a(a, a, a), generate
 
 
 fma: Any = intrinsic(_fma)

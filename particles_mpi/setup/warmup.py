@@ -126,6 +126,8 @@ def others(d: int, ranks: Communicator) -> None:
     run(ranks, d, {"walls": {}})
     for integrator in ("taylor", "leapfrog", "order4", "adaptive"):
         run(ranks, d, {"uniform_gravity": down(d), "mutual_gravity": {"softening": 0.1}}, time={"integrator": integrator})
+    many = [{"count": 300, "position": "random"}]
+    run(ranks, d, {"mutual_gravity": {"softening": 0.1}}, particles=many)
     run(ranks, d, {"drag": {"rate": 0.1}}, periodic=True)
     run(ranks, d, {"friction": {"strength": 0.1}})
     run(ranks, d, {})

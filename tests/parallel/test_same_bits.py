@@ -364,6 +364,24 @@ SCENES[LARGE] = dict(
     effects={"collisions": {"mode": "event"}},
 )
 SCENES["cluster, in blocks"] = SCENES["cluster, fixed and without mass"] | {"few": 0}
+SCENES["more than make one sum attract one another, and collide"] = dict(
+    dimension=2,
+    G=1.0,
+    time={"step": 0.01, "steps": 20},
+    particles=[
+        {"position": [[0.5 * (k % 17), 0.5 * (k // 17)] for k in range(285)], "radius": 0.2, "mass": {"min": 0.0, "max": 1.0}},
+        {"position": [[-9.0, 0.0], [17.0, 4.0]], "mass": 20.0, "fixed": True},
+    ],
+    effects={"mutual_gravity": {}, "collisions": {"restitution": 0.5}},
+)
+SCENES["more than make one sum attract one another, in blocks"] = SCENES["cluster by tree of monopoles"] | {
+    "particles": [
+        {"count": 500, "position": {"plummer": 1.0}, "velocity": "equilibrium", "mass": 0.001},
+        {"position": CLOUD, "mass": {"min": 0.0, "max": 0.1}, "fixed": True},
+    ],
+    "effects": {"mutual_gravity": {}},
+    "few": 0,
+}
 GRAINS = [[0.15 + 0.2 * i, 0.15 + 0.2 * j, 0.1 + 0.2 * k] for i in range(4) for j in range(4) for k in range(3)]
 SCENES["rough columns that stand still, and are hit"] = dict(
     dimension=3,

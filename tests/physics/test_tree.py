@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numba import njit
 
 from particles_mpi import Scene, SceneError, Simulation
-from particles_mpi.gravity.direct import attract, attract_few
+from particles_mpi.gravity.direct import Attraction, attract_few
 from particles_mpi.gravity.expansion import (
     CELLS,
     COEFFICIENTS,
@@ -33,9 +33,14 @@ def by_tree(x, mass, angle, softening=0.0, quadrupoles=True):
 
 
 def by_pairs(x, mass, softening=0.0, of=slice(None)):
-    total = np.zeros_like(x[of])
-    attract((0,) * x.shape[1], np.ascontiguousarray(x[of]), x, mass, softening**2, total)
-    return total
+    return sum_over_pairs(x[of], x, mass, softening)
+
+
+def sum_over_pairs(at, x, mass, softening=0.0):
+    """Accelerations of places `at` by masses at x."""
+    sums = Attraction(at, len(x), softening**2)
+    sums.add(x, mass)
+    return sums.accelerations()
 
 
 def errors(a, b):
@@ -271,8 +276,7 @@ def test_expansion_of_far_cells(softening):
         x = (middles[:, None] + size * np.concatenate((shape, -shape), axis=1)).reshape(-1, 3)
         m = np.concatenate((mass, mass), axis=1).ravel()
         cells, _ = moments(np.arange(1, 38), np.full(37, 40), x, m)
-        found, exact = expanded(cells, softening**2, size * places), np.zeros((9, 3))
-        attract((0,) * 3, size * places, x, m, softening**2, exact)
+        found, exact = expanded(cells, softening**2, size * places), sum_over_pairs(size * places, x, m, softening)
         rho = np.sqrt(((x - size * places[:, None]) ** 2).sum(axis=2) + softening**2)
         wrong.append((np.abs(found[:, :3] - exact).max(), np.abs(found[:, 3] + (m / rho).sum(axis=1)).max()))
     order = np.log2(np.array(wrong[:-1]) / wrong[1:])

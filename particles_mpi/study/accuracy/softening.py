@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi import Simulation
-from particles_mpi.gravity.direct import attract
+from particles_mpi.gravity.direct import Attraction
 from particles_mpi.initial.plummer import MOST, plummer_places
 from particles_mpi.particles import Array
 from particles_mpi.study.accuracy.orbits import gravity, place_on_ellipse, plummer_sphere
@@ -126,9 +126,10 @@ def fields(n: int) -> dict[float, Errors]:
     exact = r * (r * r + 1.0) ** -1.5 / MOST  # the sphere is cut where the drawn ones end
     found = {}
     for eps in WIDTHS:
-        forces = np.zeros((SPHERES, PLACES, 3))
-        for x, field in zip(drawn, forces, strict=True):
-            attract((0,) * 3, at, x, mass, eps * eps, field)
+        sums = [Attraction(at, n, eps * eps) for _ in drawn]
+        for one, x in zip(sums, drawn, strict=True):
+            one.add(x, mass)
+        forces = np.array([one.accelerations() for one in sums])
         bias, noise = ((smooth_field(r, eps) - exact) ** 2).mean(), forces.var(axis=0, ddof=1).sum(axis=1).mean()
         squares = zip(FIELD, (bias + noise, bias, noise), strict=True)
         found[eps] = {name: float(np.sqrt(square / (exact**2).mean())) for name, square in squares}
