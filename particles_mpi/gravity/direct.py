@@ -20,6 +20,7 @@ from particles_mpi.particles import Array
 
 FEW = 256  # particles in all up to which a target makes one sum
 TILE = 8 * WIDTH  # targets
+TOGETHER = 16  # tiles that act on another one in turn while the caches hold it
 
 summing: Any = inner(_nrt=False, error_model="numpy")
 
@@ -100,20 +101,27 @@ def attract_one_another(axes, x, at, mass, softening2, first, begin, end, sums):
 
     Only the part of it that comes from tiles `begin` to `end` - 1 and all tiles behind them.
     """
-    d = len(axes)
-    own = np.empty(d * TILE * WIDTH)  # sums of a tile, lane by lane for each of its targets
-    for tile in range(begin, end):
-        rows = slice(tile * TILE, min((tile + 1) * TILE, len(x)))
-        number = first + tile * TILE
-        attract_tile(axes, at[tile], x[rows], mass[tile], softening2, number, WIDTH, sums[tile])
-        for place in range(d * TILE):
-            for lane in range(WIDTH):
-                own[place * WIDTH + lane] = sums[tile, ((first + lane) & (WIDTH - 1)) * d * TILE + place]
-        for other in range(tile + 1, len(at)):
-            attract_tiles(axes, at[tile], mass[tile], at[other], mass[other], softening2, number, own, sums[other])
-        for place in range(d * TILE):
-            for lane in range(WIDTH):
-                sums[tile, ((first + lane) & (WIDTH - 1)) * d * TILE + place] = own[place * WIDTH + lane]
+    size = len(axes) * TILE
+    own = np.empty((TOGETHER, size * WIDTH))  # sums of a tile, lane by lane for each of its targets
+    for group in range(begin, end, TOGETHER):
+        behind = min(group + TOGETHER, end)
+        for tile in range(group, behind):
+            rows, number = slice(tile * TILE, min((tile + 1) * TILE, len(x))), first + tile * TILE
+            attract_tile(axes, at[tile], x[rows], mass[tile], softening2, number, WIDTH, sums[tile])
+            for place in range(size):
+                for lane in range(WIDTH):
+                    own[tile - group, place * WIDTH + lane] = sums[tile, ((first + lane) & (WIDTH - 1)) * size + place]
+            for other in range(tile + 1, behind):
+                of = own[tile - group]
+                attract_tiles(axes, at[tile], mass[tile], at[other], mass[other], softening2, number, of, sums[other])
+        for other in range(behind, len(at)):
+            for tile in range(group, behind):
+                number, of = first + tile * TILE, own[tile - group]
+                attract_tiles(axes, at[tile], mass[tile], at[other], mass[other], softening2, number, of, sums[other])
+        for tile in range(group, behind):
+            for place in range(size):
+                for lane in range(WIDTH):
+                    sums[tile, ((first + lane) & (WIDTH - 1)) * size + place] = own[tile - group, place * WIDTH + lane]
 
 
 @summing
