@@ -20,7 +20,9 @@ from particles_mpi.kernels.lanes import LANES
 # Minus half of the bits of a number gives those of its inverse square root, within 3.5 %: for 64 and 32 bits.
 HALF_EXPONENT = {types.float64: 0x5FE6EB50C7B537A9, LANES: 0x5FE6EB50C7B537A9, types.float32: 0x5F375A86}
 BITS = {types.float64: ir.IntType(64), LANES: ir.VectorType(ir.IntType(64), LANES.width), types.float32: ir.IntType(32)}
-CUBIC = (2.18865904, -2.18968855, 1.31340004, -0.31237129)  # in t, closest to t^-1/2 where that guess can lead: within 8e-7
+# In t, closest to t^-1/2 where that guess can lead: within 8e-7; for float32 within 3e-5, the square of which is below round-off.
+CUBIC = (2.18865904, -2.18968855, 1.31340004, -0.31237129)
+QUADRATIC = (1.87659833, -1.25210032, 0.3755022)
 
 formula: Any = inner(_nrt=False, error_model="numpy", forceinline=True)
 
@@ -51,16 +53,24 @@ def _if_positive(typing: Any, r: Any, value: Any) -> Any:
     return r(r, r), generate
 
 
+def _by_kind(typing: Any, r: Any, single: Any, double: Any) -> Any:
+    """`single` if r is a float32, `double` if not."""
+    return double(r, single, double), lambda context, builder, signature, arguments: arguments[1 if r == types.float32 else 2]
+
+
 first_guess: Any = intrinsic(_first_guess)
 if_positive: Any = intrinsic(_if_positive)
+by_kind: Any = intrinsic(_by_kind)
 
 
 @formula
 def almost_inverse_root(r):
-    """y, which is r^(-1/2) but for 1e-6 of it; y^2; and h = 1 - r y^2."""
+    """y, which is r^(-1/2) but for 1e-6 of it, or 3e-5; y^2; and h = 1 - r y^2."""
     guess = first_guess(r)
     t = r * (guess * guess)
-    y = guess * fma(fma(fma(as_kind(CUBIC[3], r), t, as_kind(CUBIC[2], r)), t, as_kind(CUBIC[1], r)), t, as_kind(CUBIC[0], r))
+    quadratic = fma(fma(as_kind(QUADRATIC[2], r), t, as_kind(QUADRATIC[1], r)), t, as_kind(QUADRATIC[0], r))
+    cubic = fma(fma(fma(as_kind(CUBIC[3], r), t, as_kind(CUBIC[2], r)), t, as_kind(CUBIC[1], r)), t, as_kind(CUBIC[0], r))
+    y = guess * by_kind(r, quadratic, cubic)
     y2 = y * y
     return y, y2, fma(-r, y2, as_kind(1.0, r))
 
@@ -69,20 +79,21 @@ def almost_inverse_root(r):
 def inverse_root(r):
     """r^(-1/2) of a positive number, within 2e-16 of it, or within 1e-7."""
     y, _, h = almost_inverse_root(r)
-    return fma(y * h, fma(as_kind(0.375, r), h, as_kind(0.5, r)), y)
+    half = as_kind(0.5, r)
+    return fma(y * h, by_kind(r, half, fma(as_kind(0.375, r), h, half)), y)
 
 
 @formula
 def inverse_cube(r2):
-    """1/r2^(3/2), within 4e-16 of it; 0 where r2 is 0."""
+    """1/r2^(3/2), within 4e-16 of it, or within 2e-7; 0 where r2 is 0."""
     y, y2, h = almost_inverse_root(r2)
-    near = y * y2
-    return if_positive(r2, fma(near * h, fma(as_kind(1.875, r2), h, as_kind(1.5, r2)), near))
+    near, first = y * y2, as_kind(1.5, r2)
+    return if_positive(r2, fma(near * h, by_kind(r2, first, fma(as_kind(1.875, r2), h, first)), near))
 
 
 @formula
 def pull(mass, r2):
-    """mass/r2^(3/2), within 4e-16 of it, or within 2e-7; 0 where r2 is 0."""
+    """mass/r2^(3/2), as precisely; large and small masses and distances may go together."""
     y, y2, h = almost_inverse_root(r2)
-    near = mass * y * y2
-    return fma(near * h, fma(as_kind(1.875, r2), h, as_kind(1.5, r2)), near) if r2 > 0.0 else as_kind(0.0, r2)
+    near, first = mass * y * y2, as_kind(1.5, r2)
+    return if_positive(r2, fma(near * h, by_kind(r2, first, fma(as_kind(1.875, r2), h, first)), near))

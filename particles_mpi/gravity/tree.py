@@ -48,6 +48,7 @@ class Tree:
     def __init__(self, ranks: Communicator, dimension: int, angle: float, softening2: float, quadrupoles: bool = True):
         self.ranks, self.dimension, self.law = ranks, dimension, Law(angle, softening2, quadrupoles)
         self.interactions = 0
+        self.order = np.empty(0, np.int64)  # of this rank's rows by key in the last call, which is nearly that of the next
 
     def attract(self, ids: Array, position: Array, mass: Array, work: Array) -> Array:
         """Acceleration, potential, work (n, RESULT) for G = 1, nan if a place is not finite. `work`: the last one. Collective."""
@@ -66,7 +67,8 @@ class Tree:
         unit = max(int(np.frexp(max(extent, self.law.softening2**0.5))[1]), SMALLEST)  # of length, as a power of two
         x, lower = np.ldexp(x, -unit), np.ldexp(lower, -unit)  # so that high powers of distances are never out of range
         keys = morton(x, lower, 2.0 ** (levels(d) - side + unit), d)
-        order = np.argsort(keys, kind="stable")
+        before = self.order if len(self.order) == len(keys) else np.arange(len(keys))
+        order = self.order = before[np.argsort(keys[before], kind="stable")]
         cuts = self.cut(keys[order], work[order])
         counts = np.diff(np.searchsorted(keys[order], cuts), prepend=0, append=len(keys)).astype(np.int32)
         arrived, arriving = send_rows(ranks, {"id": ids, "key": keys, "position": x, "mass": mass}, order, counts)
@@ -74,10 +76,9 @@ class Tree:
         sort_ties(arrived["key"], arrived["id"], by_key)
         mine = rows_of(arrived, by_key)
         low, high = [0, *cuts][ranks.rank], [*(cuts - 1), LAST_KEY][ranks.rank]
-        theirs, result = np.empty((len(by_key), RESULT)), np.empty((len(x), RESULT))
-        theirs[by_key] = self.attract_sorted(mine["key"], mine["position"], mine["mass"], low, high, unit)
-        result[order] = send_rows(ranks, {"result": theirs}, np.arange(len(theirs)), arriving)[0]["result"]
-        return result
+        found = self.attract_sorted(mine["key"], mine["position"], mine["mass"], low, high, unit)
+        back, _ = send_rows(ranks, {"result": found}, inverse(by_key), arriving)
+        return back["result"].take(inverse(order), axis=0)
 
     def cut(self, keys: Array, work: Array) -> Array:
         """The first key of every rank but the first, (ranks - 1,), from this rank's sorted keys. Collective."""
@@ -110,7 +111,7 @@ class Tree:
         tree = Nodes(skip, np.cumsum(count) - count, count, cells, rows["position"], rows["mass"])
         law = self.law._replace(softening2=np.ldexp(self.law.softening2, -2 * unit))
         result, self.interactions = walk(tree, groups, offset, law)
-        for columns in (slice(POTENTIAL), slice(POTENTIAL), slice(POTENTIAL, POTENTIAL + 1)):
+        for columns in (slice(POTENTIAL + 1), slice(POTENTIAL)):
             result[:, columns] *= 2.0**-unit  # accelerations twice: a power of 2 unit may be out of range
         return result
 
@@ -132,7 +133,16 @@ class Tree:
 
 def insert(mine: dict[str, Array], theirs: dict[str, Array], place: int) -> dict[str, Array]:
     """The rows of others with this rank's own inserted at `place`."""
+    if not any(map(len, theirs.values())):
+        return mine
     return {name: np.concatenate((theirs[name][:place], mine[name], theirs[name][place:])) for name in mine}
+
+
+def inverse(order: Array) -> Array:
+    """Where each row (n,) stands in an order of all."""
+    places = np.empty_like(order)
+    places[order] = np.arange(len(order))
+    return places
 
 
 def equal_shares(ranks: Communicator, keys: Array, work: Array) -> Array:

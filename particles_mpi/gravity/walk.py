@@ -38,7 +38,8 @@ from particles_mpi.particles import Array
 
 # A cell enters a group's expansion if the radius of the group is less than LARGEST of the distance r, and if the first term that
 # the expansion leaves out, M/r^2 (radius/r)^4, is less than (SMALL * opening angle)^4 of the sum of M/r^2 over all cells.
-LARGEST, SMALL = 0.5, 0.1
+# That sum is taken with the square COARSE2 of an opening angle.
+LARGEST, SMALL, COARSE2 = 0.5, 0.1, 4.0
 # Float32 from the opening angle SINGLE on, for sources further from the box around a group than CLOSE radii of the group; not for
 # groups below TINY of the whole tree, where powers of distances would leave the range of float32.
 SINGLE, CLOSE, TINY = 0.1, 0.05, 1e-6
@@ -150,12 +151,12 @@ def give_results(x, group, units, room, work, rows):
 
 @adding
 def strength(tree, group):
-    """The sum of M/r^2 over all cells but the group's own, as seen with an opening angle of 1 from its middle."""
+    """The sum of M/r^2 over all cells but the group's own, as seen from its middle, by so wide an angle that they are few."""
     (skip, first, count, cells, _, _), (lx, ly, lz, hx, hy, hz), (mx, my, mz) = tree, group.box, group.middle
     node, total = 0, 0.0
     while node < len(skip):
         cx, cy, cz = cells[node, CENTER], cells[node, CENTER + 1], cells[node, CENTER + 2]
-        far = is_far(distance2(lx, ly, lz, hx, hy, hz, cx, cy, cz), cells[node, RADIUS], 1.0)
+        far = is_far(distance2(lx, ly, lz, hx, hy, hz, cx, cy, cz), cells[node, RADIUS], COARSE2)
         if far or (count[node] and not group.begin <= first[node] < group.end):
             u, v, w = mx - cx, my - cy, mz - cz
             total += cells[node, MASS] / max(u * u + v * v + w * w, group.size2)

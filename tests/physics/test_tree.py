@@ -265,7 +265,8 @@ def test_expansion_of_far_cells(softening):
     """Against the sum over all pairs: errors fall with the fourth power of the size of the group and of all cells together.
 
     That is the first power of the group's size that is left out of the acceleration. Cells leave out their moments from the third
-    order on, but here those of odd orders are 0, since every particle has its mirror image.
+    order on, but here those of odd orders are 0, since every particle has its mirror image. Potentials of the smallest size are
+    within the round-off of float32, 6e-8 of their sum.
     """
     random = np.random.default_rng(3)
     middles = random.standard_normal((37, 3))
@@ -280,7 +281,8 @@ def test_expansion_of_far_cells(softening):
         rho = np.sqrt(((x - size * places[:, None]) ** 2).sum(axis=2) + softening**2)
         wrong.append((np.abs(found[:, :3] - exact).max(), np.abs(found[:, 3] + (m / rho).sum(axis=1)).max()))
     order = np.log2(np.array(wrong[:-1]) / wrong[1:])
-    assert (order[:, 0] > 3.7).all() and (order[:, 1] > 3.7).all()
+    assert (order[:, 0] > 3.7).all() and order[0, 1] > 3.7
+    assert order[1, 1] > 3.7 or wrong[2][1] <= 6e-8 * (m / rho).sum(axis=1).max()
 
 
 places = st.integers(0, 2**32).flatmap(lambda seed: st.tuples(st.just(seed), st.integers(1, 400), st.sampled_from([1, 2, 3])))
