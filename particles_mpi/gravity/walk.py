@@ -33,7 +33,7 @@ from particles_mpi.gravity.sources import (
     enter_point,
     new_lists,
 )
-from particles_mpi.kernels.jit import kernel
+from particles_mpi.kernels.jit import kernel, prefetch
 from particles_mpi.particles import Array
 
 # A cell enters a group's expansion if the radius of the group is less than LARGEST of the distance r, and if the first term that
@@ -181,6 +181,7 @@ def add_sources(tree, law, group, double, single, room):
     node = 0
     while node < len(skip):
         visits += 1
+        prefetch(cells, skip[node])  # where the walk goes on if this one is far
         cell = cells[node]
         u, v, w = mx - cell[CENTER], my - cell[CENTER + 1], mz - cell[CENTER + 2]
         d2, apart2 = u * u + v * v + w * w, distance2(lx, ly, lz, hx, hy, hz, cell[CENTER], cell[CENTER + 1], cell[CENTER + 2])
