@@ -57,18 +57,18 @@ class Attraction:
     def accelerations(self) -> Array:
         """The sums of all lanes, (n, d)."""
         n, d = self.x.shape
-        lanes = self.sums.reshape(-1, self.lanes, d, TILE)
+        lanes = self.sums.reshape(len(self.at), self.lanes, d, TILE)
         while lanes.shape[1] > 1:
             lanes = lanes[:, : lanes.shape[1] // 2] + lanes[:, lanes.shape[1] // 2 :]
-        return np.ascontiguousarray(lanes[:, 0].transpose(0, 2, 1).reshape(-1, d)[:n])
+        return np.ascontiguousarray(lanes[:, 0].transpose(0, 2, 1).reshape(len(self.at) * TILE, d)[:n])
 
 
 def in_tiles(column: Array) -> Array:
     """Rows (n, d) or (n,) as tiles (tiles, d TILE), axis by axis; the last is filled up with the last row."""
-    n = len(column)
+    n, axes = len(column), column.size // max(len(column), 1)
     tiles = -(-n // TILE)
-    filled = column.reshape(n, -1)[np.minimum(np.arange(tiles * TILE), n - 1)]
-    return np.ascontiguousarray(filled.reshape(tiles, TILE, -1).transpose(0, 2, 1)).reshape(tiles, -1)
+    filled = column.reshape(n, axes)[np.minimum(np.arange(tiles * TILE), n - 1)]
+    return np.ascontiguousarray(filled.reshape(tiles, TILE, axes).transpose(0, 2, 1)).reshape(tiles, axes * TILE)
 
 
 @kernel(error_model="numpy")

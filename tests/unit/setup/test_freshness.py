@@ -17,7 +17,7 @@ sums = Attraction(np.zeros((1, 3)), 1, 0.0)
 sums.add(np.ones((1, 3)), np.ones(1))
 print(sums.accelerations()[0, 0], sum(attract.stats.cache_misses.values()))
 """
-PULL = "near = y * y2\n"
+PULL = "near, first = y * y2, "
 
 
 @pytest.mark.parametrize("own_folder", [False, True])
