@@ -47,6 +47,7 @@ def inner(function: Any = None, **options: Any) -> Any:
 
 
 lean_inner: Any = inner(_nrt=False)
+in_place: Any = inner(_nrt=False, forceinline=True)  # a call hands over every array of a bundle by itself: up to 0.1 us
 screening: Any = inner(_nrt=False, forceinline=True, fastmath={"contract"})  # what it lets pass must be tested exactly
 trailing_zeros: Any = count_trailing_zeros  # of an integer that is not 0
 with_item: Any = tuple_setitem  # (tuple, place, value): sums in a tuple stay in registers, those in an array do not

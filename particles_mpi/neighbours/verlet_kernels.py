@@ -13,7 +13,9 @@ import numpy as np
 
 from particles_mpi.kernels import limits
 from particles_mpi.kernels.geometry import Box, some_nearest
-from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch, screening
+from particles_mpi.kernels.jit import in_place, inner, lean, lean_inner, prefetch, screening
+from particles_mpi.kernels.lanes import WIDTH as WIDE
+from particles_mpi.kernels.lanes import columns_of, eight
 from particles_mpi.particles import Array
 
 GRIDDED = 3  # axes with cells
@@ -113,21 +115,28 @@ def cells_along(y, reach, low, per_length, cells, periodic):
     return np.int64(begin), np.int64(min(max(end, 0.0), cells - 1.0) - begin) + 1
 
 
+columns_of_reference = columns_of(lambda d: d + 3)
+
+
 @screening
-def may_meet(axes, lists, i, j):
-    """May rows i and j touch while both are within their skins? Not if both are fixed."""
+def may_meet(axes, lists, i, others):
+    """Bit p tells whether row i and row p of eight `others` (`columns_of_reference`) may touch while both are within their skins.
+
+    Not if both are fixed.
+    """
     reference = lists.reference
     _, _, length = lists.box
     d = len(axes)
-    r2 = 0.0
+    r2 = eight(0.0)
     for k in range(d):
-        r = some_nearest(reference[i, k] - reference[j, k], length[k], lists.boxes_per_length[k])
+        r = some_nearest(reference[i, k] - others[k], length[k], lists.boxes_per_length[k])
         r2 += r * r
-    reach = (reference[i, d + SIZE] + reference[j, d + SIZE]) * MARGIN
-    return (r2 <= reach * reach) & (i != j) & ((reference[i, d + INVERSE_MASS] > 0.0) | (reference[j, d + INVERSE_MASS] > 0.0))
+    reach = (reference[i, d + SIZE] + others[d + SIZE]) * MARGIN
+    both_fixed = ~(others[d + INVERSE_MASS] > 0.0) if reference[i, d + INVERSE_MASS] == 0.0 else np.int64(0)
+    return (r2 <= reach * reach) & ~both_fixed
 
 
-@lean_inner
+@in_place
 def first_in_cells(axes, lists, place, i, size):
     """Write the first row of each cell in which rows no further than `size` + R + skin from place[i] can be to `lists.nearby`;
     returns how many."""
@@ -161,28 +170,31 @@ def first_in_cells(axes, lists, place, i, size):
     return waiting
 
 
-@lean_inner
+@in_place
 def find_nearby(axes, lists, i):
     """Write the rows that `may_meet` row i to `lists.nearby`; returns how many."""
     reference, links, nearby = lists.reference, lists.links, lists.nearby
     d = len(axes)
     waiting = first_in_cells(axes, lists, reference, i, reference[i, d + SIZE])
-    # Each is taken from the front, the next one in its cell is put behind: without a branch the memory answers many at once.
-    found = 0
+    # The next one in the cell of each is put behind: without a branch the memory answers many at once.
     p = 0
     while p < waiting:
-        j = np.uint64(nearby[np.uint64(p)])
+        after = links[np.uint64(nearby[np.uint64(p)]), 2 * d + NEXT_ROW]
         p += 1
-        after = links[j, 2 * d + NEXT_ROW]
         prefetch(reference, after)
         nearby[np.uint64(waiting)] = after
         waiting += after >= 0
-        nearby[np.uint64(found)] = j
-        found += may_meet(axes, lists, np.uint64(i), j)
+    found = 0
+    for first in range(0, waiting, WIDE):
+        meet = may_meet(axes, lists, np.uint64(i), columns_of_reference(axes, reference, nearby, first, waiting - 1))
+        for p in range(min(WIDE, waiting - first)):
+            j = nearby[np.uint64(first + p)]
+            nearby[np.uint64(found)] = j
+            found += ((meet >> p) & 1) & (j != i)
     return found
 
 
-@lean_inner
+@in_place
 def compare(lists, i, found):
     """(kept, new): which of the `found` nearby rows are in the list of i, and which are not.
 
@@ -209,7 +221,7 @@ def compare(lists, i, found):
     return kept - begin, new
 
 
-@lean_inner
+@in_place
 def shortage(lists, i, kept, new):
     """How many places the pool may lack to list the `new` nearby rows with i, and i with each of them; then `enlarge` it."""
     spans, nearby = lists.spans, lists.nearby
@@ -249,7 +261,7 @@ def take_from_list(pool, spans, i, j):
             return
 
 
-@lean_inner
+@in_place
 def relist(axes, lists, i, kept, new):
     """Row i keeps the first `kept` rows of its list, gets the `new` nearby ones, and stands in their lists; see `compare`."""
     spans, pool = lists.spans, lists.pool
@@ -268,7 +280,7 @@ def relist(axes, lists, i, kept, new):
         link(axes, lists, i, cell)
 
 
-@lean_inner
+@in_place
 def cell_of(axes, lists, i):
     """The cell of row i."""
     reference = lists.reference

@@ -133,9 +133,9 @@ def others(d: int, ranks: Communicator) -> None:
     run(ranks, d, {})
 
 
-def windows(ranks: Communicator) -> None:
-    """The messages between ranks in mode event, the same in all dimensions: one rank sends them to itself."""
-    sim = Simulation(scene(3, {"collisions": {"mode": "event"}}), ranks.comm)
+def windows(d: int, ranks: Communicator) -> None:
+    """The messages between ranks in mode event, most of them the same in all dimensions: one rank sends them to itself."""
+    sim = Simulation(scene(d, {"collisions": {"mode": "event"}}), ranks.comm)
     assert isinstance(sim.near, Event)
     divided = sim.near.windows
     sim.near.divided = divided.always = True
@@ -177,12 +177,14 @@ JOBS: tuple[Callable[[Communicator], None], ...] = (
     tree,
     partial(event, 1),
     partial(rewind, 3),
-    windows,
+    partial(windows, 3),
     partial(others, 2),
     orbits,
     partial(others, 3),
+    partial(windows, 2),
     partial(rewind, 2),
     partial(others, 1),
+    partial(windows, 1),
     partial(rewind, 1),
     *(partial(losses, d) for d in DIMENSIONS),
     partial(rough, 3),

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.contacts.event_driven.rows import ID
-from particles_mpi.kernels.jit import lean, lean_inner
+from particles_mpi.kernels.jit import in_place, lean, lean_inner
 from particles_mpi.particles import Array
 
 PARTNER, PARTNER_COUNT, NEXT, PREVIOUS, BUCKET = range(5)  # columns of `node`
@@ -49,7 +49,7 @@ def earlier(queue, i, j, state):
     return one < other or (one == other and comes_before(i, queue.node[i, PARTNER], j, queue.node[j, PARTNER], state))
 
 
-@lean_inner
+@in_place
 def push(queue, state, i, t, partner, count):
     """Give row i, which has no event, one at time t with the partner of this event count; never before the present bucket."""
     node, first, present = queue.node, queue.first, queue.present
@@ -69,7 +69,7 @@ def push(queue, state, i, t, partner, count):
         first[bucket] = i
 
 
-@lean_inner
+@in_place
 def cancel(queue, i):
     """Row i loses its event, if it has one."""
     node = queue.node
@@ -115,7 +115,7 @@ def sort_present(queue, state):
     queue.present[1] = 1
 
 
-@lean_inner
+@in_place
 def find_first(queue, state):
     """The row with the first event in the present bucket, or EMPTY: then `advance`; or UNSORTED: then `sort_present`."""
     node, present = queue.node, queue.present

@@ -19,7 +19,7 @@ from particles_mpi.contacts.event_driven.rows import (
     ZERO_TIME_EVENT,
 )
 from particles_mpi.contacts.event_driven.segments import move_to
-from particles_mpi.kernels.jit import lean_inner
+from particles_mpi.kernels.jit import in_place, lean_inner
 
 QUICK = 0.01  # of a drift: a contact so soon after the last one is quick
 STANDING = 1e-9  # of a drift: time that does not count as passed
@@ -33,7 +33,7 @@ def passes_by(jammed, rapid):
     return rapid >= SQUEEZED and (jammed or rapid < JAMMED)
 
 
-@lean_inner
+@in_place
 def progress(d, segment, i, t, h, elastic):
     """1 if row i got anywhere on its segment, which ends at time t, -1 if not, and 0 if it was at rest, for hardly any time.
 
@@ -53,7 +53,7 @@ def progress(d, segment, i, t, h, elastic):
     return 1 if moved and not elastic else -1
 
 
-@lean_inner
+@in_place
 def note_contact(axes, rows, i, t, partner, moment, h, elastic, crowded, any_squeezed):
     """Row i is about to begin a new segment at time t of a drift over h: change its state. Rows of a crowd wait as squeezed
     ones do. `elastic`: the contact takes no energy because it follows the last one so soon."""
@@ -72,7 +72,7 @@ def note_contact(axes, rows, i, t, partner, moment, h, elastic, crowded, any_squ
     reals[i, LAST_CONTACT] = moment + t
 
 
-@lean_inner
+@in_place
 def stop_squeezed(axes, rows, i, crowded):
     """Row i, if it is squeezed and not only one of a crowd, stands where it is until the end of the drift."""
     rapid = rows.state[i, RAPID_EVENTS]

@@ -253,12 +253,12 @@ def reconcile(rows, directory, log, message, differing, moves, regions, stale):
 
 
 @kernel
-def apply_moves(rows, lists, queue, directory, regions, message, at, skin, stale, pending):
+def apply_moves(axes, rows, lists, queue, directory, regions, message, at, skin, stale, pending):
     """ADD_GHOST, TRANSFER and DROP_GHOST of a message, from place `at` on.
 
     stale[:pending[0]]: rows that must find their next events. Returns (place, shortage): the end and 0, or the place of the part
     for which the pool of the lists is short of so many places, or for which there is no free row (-1); then enlarge and call
-    again from there. `length` stands for axes, so that this is compiled for all dimensions at once.
+    again from there.
     """
     rows, lists, queue, directory = Rows(*rows), Lists(*lists), Queue(*queue), Directory(*directory)
     numbers, bits = message
@@ -266,8 +266,7 @@ def apply_moves(rows, lists, queue, directory, regions, message, at, skin, stale
     known = Regions(*regions).known
     at_row = np.empty(1, np.int32)
     segment, state, reference = rows.segment, rows.state, lists.reference
-    _, _, length = lists.box
-    d, extra = dimension(rows), extra_width(rows)
+    d, extra = len(axes), extra_width(rows)
     record = record_width(d, spin_width(rows))
     while at < len(numbers):
         kind, name = bits[at], bits[at + 1]
@@ -288,7 +287,7 @@ def apply_moves(rows, lists, queue, directory, regions, message, at, skin, stale
                 if fresh:
                     reference[i, d + SKIN] = skin if reference[i, d + INVERSE_MASS] > 0.0 else 0.0
                     reference[i, d + SIZE] = segment[i, 2 * d + RADIUS] + reference[i, d + SKIN]
-                found = find_nearby(length, lists, i)
+                found = find_nearby(axes, lists, i)
                 kept, new = compare(lists, i, found)
                 short = shortage(lists, i, kept, new)
                 if short > 0:
@@ -308,7 +307,7 @@ def apply_moves(rows, lists, queue, directory, regions, message, at, skin, stale
                     if len(rows.turn) > 0:
                         rows.turn[i] = numbers[begin + d + extra - 1]
                     lists.level[i] = level_of(reference[i, d + SIZE], lists)
-                relist(length, lists, i, kept, new)
+                relist(axes, lists, i, kept, new)
                 stale[pending[0]] = i
                 pending[0] += 1
             if kind == TRANSFER:
@@ -323,7 +322,7 @@ def apply_moves(rows, lists, queue, directory, regions, message, at, skin, stale
         elif kind == DROP_GHOST:
             i = row_of(table, name)
             cancel(queue, i)
-            remove(length, lists, i)
+            remove(axes, lists, i)
             state[i, OWNERSHIP] = NOT_HERE
             state[i, EVENT_COUNT] += 1
             drop(table, name)

@@ -6,6 +6,7 @@ particle's path together: one line of memory is read for it instead of four.
 """
 
 from math import sqrt
+from typing import Any
 
 import numpy as np
 
@@ -13,29 +14,30 @@ from particles_mpi.contacts.event_driven.rows import RADIUS, START
 from particles_mpi.contacts.law import exchange, may_come_near
 from particles_mpi.contacts.rough import FRICTION, PAIRS, strike_pair
 from particles_mpi.kernels.geometry import image_shift, some_nearest
-from particles_mpi.kernels.jit import inner, lean_inner, screening
+from particles_mpi.kernels.jit import in_place, inner, lean_inner, screening
+from particles_mpi.kernels.lanes import columns_of, eight
 from particles_mpi.kernels.markers import NEVER
 from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS
 
+columns_of_segments: Any = columns_of(lambda d: 2 * d + 2)
+
 
 @screening
-def may_touch(axes, segment, i, j, place, now, until, length, boxes_per_length):
-    """False for most: rows that move apart from now on, or are clear of each other until then (by margins above round-off).
+def may_touch(axes, segment, i, others, place, now, until, length, boxes_per_length):
+    """Bit p is 0 if row i and row p of eight `others` move apart from now on, or are clear of each other until then.
 
-    `place` (d,): where row i is now.
+    That is by margins above round-off. `place` (d,): where row i is now; others: their `columns_of_segments`.
     """
     d = len(axes)
-    a = 0.0
-    b = 0.0
-    r2 = 0.0
+    a, b, r2 = eight(0.0), eight(0.0), eight(0.0)
+    passed = now - others[2 * d + START]
     for k in range(d):
-        r = place[k] - (segment[j, k] + segment[j, d + k] * (now - segment[j, 2 * d + START]))
-        r = some_nearest(r, length[k], boxes_per_length[k])
-        u = segment[i, d + k] - segment[j, d + k]
+        r = some_nearest(place[k] - (others[k] + others[d + k] * passed), length[k], boxes_per_length[k])
+        u = segment[i, d + k] - others[d + k]
         a += u * u
         b += r * u
         r2 += r * r
-    return may_come_near(a, b, r2, segment[i, 2 * d + RADIUS] + segment[j, 2 * d + RADIUS], until - now)
+    return may_come_near(a, b, r2, segment[i, 2 * d + RADIUS] + others[2 * d + RADIUS], until - now)
 
 
 @inner(inline="always")
@@ -98,7 +100,7 @@ def move_to(axes, segment, i, t):
     segment[i, 2 * d + START] = t
 
 
-@lean_inner
+@in_place
 def collide(axes, segment, reference, i, j, t, loss, length, rates, rough, smooth, r):
     """The contact of rows i and j at time t: `law.collide_pair` on segments. Returns its virial, -r.dp; r (d,) is scratch.
 

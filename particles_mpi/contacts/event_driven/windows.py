@@ -307,8 +307,8 @@ class Windows:
         stale_count = np.array([pending])
         while at < len(message[0]):
             at, short = apply_moves(
-                tuple(engine.rows), tuple(engine.lists.arrays), tuple(engine.queue), tuple(self.directory), regions,
-                message, at, self.skin, engine.work.stale, stale_count,
+                engine.axes, tuple(engine.rows), tuple(engine.lists.arrays), tuple(engine.queue), tuple(self.directory),
+                regions, message, at, self.skin, engine.work.stale, stale_count,
             )  # fmt: skip
             if short > 0:
                 engine.lists.enlarge(short)
