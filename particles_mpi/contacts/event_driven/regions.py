@@ -7,7 +7,7 @@ import numpy as np
 
 from particles_mpi.contacts.event_driven.rows import OWN, OWNERSHIP, RADIUS, START, Log, record_width, spin_width
 from particles_mpi.kernels.geometry import some_nearest
-from particles_mpi.kernels.jit import inner, kernel, lean_inner, prefetch
+from particles_mpi.kernels.jit import in_place, inner, kernel, lean_inner, prefetch
 from particles_mpi.neighbours.verlet_kernels import MARGIN, NEXT_ROW, SIZE, first_in_cells
 from particles_mpi.parallel.decomposition import owners
 from particles_mpi.particles import Array
@@ -96,7 +96,7 @@ def plan_moves(reference, log, regions, tree, moves):
         moves.holders[m, here >> 6] |= np.int64(1) << (here & 63)  # it stays here for now, as a ghost if not as an own row
 
 
-@lean_inner
+@in_place
 def place_at_begin(rows, log, i, begin, place, p):
     """place[p] (d,): where row i was when the window began."""
     segment, saved = rows.segment, log.saved
@@ -110,7 +110,7 @@ def place_at_begin(rows, log, i, begin, place, p):
             place[p, k] = segment[i, k] + segment[i, d + k] * (begin - segment[i, 2 * d + START])
 
 
-@lean_inner
+@in_place
 def can_affect_owned(rows, lists, log, regions, i, begin, place):
     """May row i, wherever it went in the window that began at `begin`, have touched an own row? `place` (2, d) is scratch.
 

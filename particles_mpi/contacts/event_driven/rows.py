@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.kernels.geometry import into_box
-from particles_mpi.kernels.jit import inner, lean, lean_inner
+from particles_mpi.kernels.jit import in_place, inner, lean
 from particles_mpi.kernels.markers import CROWD, NOBODY
 from particles_mpi.particles import Array
 
@@ -180,7 +180,7 @@ def new_log(n: int, d: int, spins: int) -> Log:
     )  # fmt: skip
 
 
-@lean_inner
+@in_place
 def save_row(d, rows, i, out, out_bits, at):
     """Write the record of row i, in d dimensions, to `out` from place `at` on; returns where it ends."""
     segment, state = rows.segment, rows.state
@@ -195,7 +195,7 @@ def save_row(d, rows, i, out, out_bits, at):
     return at + spin_width(rows)
 
 
-@lean_inner
+@in_place
 def load_row(d, rows, i, record, bits, at):
     """Restore row i from the record at place `at`; raise its event count, so that queued events with it are void."""
     segment, state = rows.segment, rows.state
@@ -209,7 +209,7 @@ def load_row(d, rows, i, record, bits, at):
     state[i, EVENT_COUNT] += 1
 
 
-@lean_inner
+@in_place
 def save_once(axes, rows, i, log):
     """Row i is about to change: save it, once in a window."""
     mark, count = log.mark, log.changed_count
@@ -223,7 +223,7 @@ def save_once(axes, rows, i, log):
         count[0] += 1
 
 
-@lean_inner
+@in_place
 def note_segment(axes, rows, i, log):
     """Row i has begun a new segment: add it to the row's hash, and its speed to the log."""
     segment, bits, state = rows.segment, rows.segment_bits, rows.state
@@ -238,7 +238,7 @@ def note_segment(axes, rows, i, log):
     log.fastest2[0] = max(log.fastest2[0], speed2)
 
 
-@lean_inner
+@in_place
 def note_move(i, log):
     """Row i has a new reference position."""
     if not log.is_moved[i]:
@@ -247,7 +247,7 @@ def note_move(i, log):
         log.moved_count[0] += 1
 
 
-@lean_inner
+@in_place
 def has_new_segment(d, rows, log, p):
     """Has the row at place p of the log got a new segment in the window, or only a new reference position?"""
     return log.saved_bits[p * record_width(d, spin_width(rows)) + hash_place(d)] != rows.state[log.changed[p], TRAJECTORY_HASH]
