@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from particles_mpi.gravity.powers import if_positive, inverse_cube, inverse_root
+from particles_mpi.gravity.powers import formula, if_positive, inverse_cube, inverse_root
 from particles_mpi.kernels.jit import fma, inner, kernel, wide
 from particles_mpi.kernels.lanes import WIDTH, eight, load, store
 from particles_mpi.particles import Array
@@ -144,7 +144,7 @@ def attract_tiles(axes, at, mass, other, other_mass, softening2, first, own, sum
                 store(sums, others, fma(on_others, -r, load(sums, others)))
 
 
-@summing
+@formula
 def attract_few(axes, x, mass, softening2, total):
     """total (n, d) = what `attract` gives in one lane for x (n, d) as sources and targets, with the same bits; at most FEW.
 

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.integrators.radau_tables import NODES
-from particles_mpi.kernels.jit import lean, lean_inner
+from particles_mpi.kernels.jit import in_place, lean, lean_in_place
 from particles_mpi.particles import Array
 from particles_mpi.scene.schema import TOLERANCES
 
@@ -110,20 +110,20 @@ def shake(x, d, attempt):
             x[first + k] += SHAKEN * unit_in_the_last_place(x[first + k]) * sign
 
 
-@lean_inner
+@in_place
 def unit_in_the_last_place(x):
     """The distance from |x| to the next larger float64."""
     return np.spacing(abs(x))
 
 
-@lean_inner
+@in_place
 def copy(source, target):
     """target = source, both (m,)."""
     for m in range(len(source)):
         target[m] = source[m]
 
 
-@lean_inner
+@in_place
 def combine(weights, at, m):
     """sum_j weights[j] at[j, m], in this order."""
     total = weights[0] * at[0, m]
@@ -132,7 +132,7 @@ def combine(weights, at, m):
     return total
 
 
-@lean
+@lean_in_place
 def add(total, lost, change, m):
     """total[m] + lost[m] += change; total is rounded, and lost is what that took away (D. E. Knuth, TAOCP 2, 4.2.2)."""
     change += lost[m]
@@ -142,7 +142,7 @@ def add(total, lost, change, m):
     total[m] = rounded
 
 
-@lean_inner
+@in_place
 def seventh_root(number):
     """Of a number of [SHRINK^7, GROW^7], by Newton's method from above: the same bits on every machine, as a power is not."""
     root = GROW
@@ -156,13 +156,13 @@ def seventh_root(number):
     return root
 
 
-@lean_inner
+@in_place
 def larger(one, other):
     """The larger of two numbers, and NaN if one is not a number."""
     return other if other > one or other != other else one
 
 
-@lean_inner
+@in_place
 def place(x, v, work, tables):
     """Positions at the node, by the accelerations known so far."""
     progress, x0, lost, at, _, _ = work
@@ -172,7 +172,7 @@ def place(x, v, work, tables):
         x[m] = x0[m] + (lost[m] + (h * tables.c[node] * v[m] + h * h * combine(tables.twice[node], at, m)))
 
 
-@lean_inner
+@in_place
 def guess(a, work, tables):
     """Accelerations at the nodes of a step that begins with a: the last polynomial goes on, if not for too long."""
     progress, _, _, at, last, row = work
@@ -189,7 +189,7 @@ def guess(a, work, tables):
             at[i, m] = combine(row, last, m) if known and i > 0 else a[m]
 
 
-@lean_inner
+@in_place
 def next_try(work, x):
     """Begin a substep of at most `length` from the places of now."""
     progress, x0, _, _, _, _ = work
@@ -200,19 +200,19 @@ def next_try(work, x):
     s["stage"] = AT_START
 
 
-@lean_inner
+@in_place
 def first_iteration(s):
     """The next one begins at the first node after the start."""
     s["node"], s["before"], s["change"], s["largest"] = 1, s["change"], 0.0, 0.0
 
 
-@lean_inner
+@in_place
 def still_to_come(change, before):
     """What the next iteration would change if changes go on shrinking as from `before` to `change`; with caution."""
     return min(change, CAUTION * change * (change / before)) if before < np.inf else change
 
 
-@lean_inner
+@in_place
 def end_of_try(x, v, round_off, left, work, tables):
     """Take the substep, or not; returns how long the next one may be. If that is too short, nothing has changed."""
     progress, x0, lost, at, last, _ = work
@@ -237,7 +237,7 @@ def end_of_try(x, v, round_off, left, work, tables):
     return h * factor
 
 
-@lean
+@lean_in_place
 def begin(x, step, work):
     """Begin a step of the scene from the places x; then `go_on` with the forces there."""
     progress, _, lost, _, _, _ = work
@@ -250,7 +250,7 @@ def begin(x, step, work):
     next_try(work, x)
 
 
-@lean
+@lean_in_place
 def go_on(x, v, d, force, work, tables):
     """Go on with a step as far as it is known what it needs; returns what that is, which must be there at the next call.
 

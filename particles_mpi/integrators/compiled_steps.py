@@ -14,7 +14,7 @@ from particles_mpi.contacts.walls import drift_with_walls
 from particles_mpi.gravity.direct import attract_few
 from particles_mpi.integrators.collocation import END, FORCES, STUCK, begin, copy, go_on
 from particles_mpi.kernels.geometry import wrap
-from particles_mpi.kernels.jit import kernel, lean, lean_inner
+from particles_mpi.kernels.jit import in_place, kernel, lean, lean_inner
 from particles_mpi.kernels.motion import free_drift, kick, kick_with_drag
 from particles_mpi.kernels.sliding import kick_with_friction
 from particles_mpi.kernels.validity import WATCH_EVERY, find_invalid
@@ -103,7 +103,7 @@ class Until(NamedTuple):
     sums: int  # about so many sums of forces
 
 
-@lean_inner
+@in_place
 def sum_forces(axes, x, mass, fixed, forces, total):
     """total (n, d) = all forces at x, in the order of `Accelerations.sum`."""
     first, attracts, G, softening2, others, _ = forces
@@ -143,7 +143,7 @@ def keep_on_walls(axes, bodies, space, h, near):
     return len(changed)
 
 
-@lean_inner
+@in_place
 def set_rates(axes, bodies, space, before, pushed, t_mid):
     """As `Drift.rates`: accelerations of rows, and what contacts give to the first `pushed` of `on_walls.pushed` besides.
 
@@ -160,7 +160,7 @@ def set_rates(axes, bodies, space, before, pushed, t_mid):
             rates[on_walls.pushed[r], k] += on_walls.given[r, k] / t_mid
 
 
-@lean_inner
+@in_place
 def move(axes, bodies, space, strength, h, t_mid):
     """The drift of `Drift.advance`, without pairs; returns the number of wall hits, and of rows in `on_walls.near`."""
     hits, near = 0, 0
@@ -176,7 +176,7 @@ def move(axes, bodies, space, strength, h, t_mid):
     return hits, near
 
 
-@lean_inner
+@in_place
 def kick_bodies(axes, bodies, forces, losses, part, h, drift):
     """The kick of `Kick.force_and_losses`, number `part` of a step; `drift`: length of the drift that follows."""
     if len(losses.decay) == 0:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from particles_mpi.kernels.jit import lean, lean_inner, screening
+from particles_mpi.kernels.jit import lean_in_place, lean_inner, screening
 
 
 class Box(NamedTuple):
@@ -65,7 +65,7 @@ def into_box(y, lower, upper, length):
     return y if y < upper else lower
 
 
-@lean
+@lean_in_place
 def wrap(x, lower, upper, length):
     """Places back into [lower, upper) on the periodic axes, in place on x (n, d)."""
     for k in range(x.shape[1]):

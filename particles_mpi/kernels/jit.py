@@ -6,6 +6,9 @@ two thirds of the time. Called from Python an `@inner` kernel runs uncompiled.
 `@lean` kernels count no references, which numba does with locked instructions wherever a function unpacks a tuple of arrays or
 takes a part of one: half of the time of a kernel that does little a call. Such a function cannot make an array.
 
+`@in_place` ones, and `@lean_in_place`, which Python calls too, become part of the kernel that calls them. A call hands over seven
+numbers for each array of a bundle, which takes up to 0.1 us: more than most small functions.
+
 Every combination of argument types is compiled for itself, which takes a tenth of a second to several. A tuple `axes`, whose
 length is the dimension, makes one for each dimension: only kernels that take much of a run's time have it. A literal number as
 an argument makes another one, and so does a variable that starts as a literal: `count = np.int64(0)` if it is handed on.
@@ -47,7 +50,8 @@ def inner(function: Any = None, **options: Any) -> Any:
 
 
 lean_inner: Any = inner(_nrt=False)
-in_place: Any = inner(_nrt=False, forceinline=True)  # a call hands over every array of a bundle by itself: up to 0.1 us
+in_place: Any = inner(_nrt=False, forceinline=True)
+lean_in_place: Any = kernel(_nrt=False, forceinline=True)
 screening: Any = inner(_nrt=False, forceinline=True, fastmath={"contract"})  # what it lets pass must be tested exactly
 trailing_zeros: Any = count_trailing_zeros  # of an integer that is not 0
 with_item: Any = tuple_setitem  # (tuple, place, value): sums in a tuple stay in registers, those in an array do not

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from particles_mpi.kernels.jit import lean, lean_inner
+from particles_mpi.kernels.jit import lean, lean_in_place, lean_inner
 
 
 class Segments(NamedTuple):
@@ -20,7 +20,7 @@ class Segments(NamedTuple):
     last_partner: NDArray[Any]
 
 
-@lean
+@lean_in_place
 def kick(v, a, h):
     """v += a h, in place on v (n, d); as `free_drift` x += v h."""
     changed, rate = v.reshape(-1), a.reshape(-1)  # as one loop: the compiler can use vectors, whatever d is
