@@ -14,7 +14,7 @@ import numpy as np
 from particles_mpi.contacts.rough import FRICTION, PAIRS, strike_pair
 from particles_mpi.contacts.velocity_flow import change_of, row_of
 from particles_mpi.kernels.geometry import nearest
-from particles_mpi.kernels.jit import inner, lean, lean_inner
+from particles_mpi.kernels.jit import in_place, inner, lean_in_place, lean_inner
 from particles_mpi.kernels.markers import NEVER
 from particles_mpi.kernels.motion import move_to
 
@@ -45,13 +45,13 @@ def may_come_near(a, b, r2, diameter, h):
     return (b < 0.0) & (before | within)
 
 
-@lean_inner
+@in_place
 def separation(x, v, start, i, j, k, t, length):
     """Component k of x_i - x_j at time t, by the nearest periodic image."""
     return nearest((x[i, k] + v[i, k] * (t - start[i])) - (x[j, k] + v[j, k] * (t - start[j])), length[k])
 
 
-@lean
+@lean_in_place
 def contact_time(axes, x, v, start, i, j, diameter, h, length):
     """Time in [max(start_i, start_j), h] at which the segments of i and j first touch, or NEVER.
 
@@ -172,7 +172,7 @@ def exchange_at_contact(v, column, r, r2, i, j, w_i, w_j, tau, restitution, velo
     return change
 
 
-@lean_inner
+@in_place
 def collide_pair(axes, segments, spheres, i, j, t, loss, length, rates, rough, r):
     """Collide rows i and j at time t. In place on the segments, and on spins of rough spheres; r (d,) is overwritten.
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.kernels import limits
-from particles_mpi.kernels.jit import kernel, lean_inner
+from particles_mpi.kernels.jit import in_place, kernel
 from particles_mpi.particles import Array
 
 GRIDDED = 3  # axes with cells; more would cost 3^d cells to visit, and the others are tested by distance anyway
@@ -82,13 +82,13 @@ def bounds(x):
     return low, high
 
 
-@lean_inner
+@in_place
 def cell_along(y, origin, per, cells):
     """The cell of coordinate y on one axis; monotone in y, so that an interval of y is an interval of cells."""
     return int(min(max((y - origin) * per, 0.0), cells - 1.0))
 
 
-@lean_inner
+@in_place
 def cell_at(x, i, grid):
     """The cell of row i of x (n, d)."""
     origin, per, cells = grid
@@ -130,7 +130,7 @@ def order_in_space(x: Array, box: tuple[Array, Array]) -> Array:
     return order
 
 
-@lean_inner
+@in_place
 def link(i, c, linked):
     """Put row i into the list of cell c."""
     head, after, before, cell_of, _ = linked
@@ -141,7 +141,7 @@ def link(i, c, linked):
     head[c] = i
 
 
-@lean_inner
+@in_place
 def unlink(i, linked):
     """Take row i out of the list of its cell."""
     head, after, before, cell_of, _ = linked

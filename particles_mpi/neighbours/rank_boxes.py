@@ -7,10 +7,10 @@ from math import inf
 
 import numpy as np
 
-from particles_mpi.kernels.jit import inner, kernel, lean_inner
+from particles_mpi.kernels.jit import in_place, inner, kernel
 
 
-@lean_inner
+@in_place
 def swept(x, v, i, k, margin, until):
     """The interval (low, high) that row i covers on axis k, from now until then, and `margin` on each side."""
     then = x[i, k] + v[i, k] * until
@@ -53,7 +53,7 @@ def rows_near_box(x, v, radius, horizon, low, high, length):
     return rows[:found]
 
 
-@inner
+@in_place
 def time_in_box(path, i, margin, low, high):
     """How long the path of row i stays `margin` inside the box [low, high]; below 0 if it does not start there."""
     d = len(low)
@@ -71,7 +71,7 @@ def time_in_box(path, i, margin, low, high):
     return stay
 
 
-@inner
+@in_place
 def time_to_box(path, i, margin, low, high, length):
     """When the path of row i comes within `margin` of the box [low, high] or an image of it, at the earliest; inf if never."""
     d = len(low)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.kernels.geometry import nearest
-from particles_mpi.kernels.jit import kernel, lean_inner
+from particles_mpi.kernels.jit import in_place, kernel, lean_inner
 from particles_mpi.particles import Array
 
 SLOW = 2.0  # times what forces do in a step: a bounce that is over in about two steps
@@ -37,7 +37,7 @@ class Contacts(NamedTuple):
     crowd: Array
 
 
-@lean_inner
+@in_place
 def wall_push(x, v, push, radius, i, w, point, normal):
     """Of row i, which has the given push, at wall w: (push onto it, approach, gap)."""
     pressed, closing, distance = 0.0, 0.0, 0.0
@@ -48,7 +48,7 @@ def wall_push(x, v, push, radius, i, w, point, normal):
     return pressed, closing, distance - radius[i]
 
 
-@lean_inner
+@in_place
 def has_slow_wall(x, v, a, radius, i, h, push, point, normal):
     """Has row i a slow contact with a wall, which forces press? push (d,): room for its push."""
     slow = False

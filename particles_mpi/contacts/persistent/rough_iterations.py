@@ -18,9 +18,16 @@ from math import sqrt
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.problem import AHEAD, MAY_CLOSE, NORMAL, SHARE, STEP, TAKEN
+from particles_mpi.contacts.persistent.problem import (
+    AHEAD,
+    MAY_CLOSE,
+    NORMAL,
+    SHARE,
+    STEP,
+    TAKEN,
+)
 from particles_mpi.contacts.rough import plane_of
-from particles_mpi.kernels.jit import inner, kernel, with_item
+from particles_mpi.kernels.jit import in_place, inner, kernel, with_item
 
 # Columns behind the d components of the normal
 ARM, OTHER_ARM, FRICTION, RESISTANCE, SPIN_SHARE, SLIDE_STEP, ROLL_STEP, SLID = range(8)
@@ -135,7 +142,7 @@ def bound_rough(axes, start, partner, normal, other, arms, turn, w, which, resis
         bound[i] = trace * sqrt(sqrt(sqrt(size2)))
 
 
-@inner
+@in_place
 def give(axes, table, e, given, turned):
     """Add to what row i is `given` and by how much it is `turned` (tuples) what half-edge e has ahead; returns both."""
     d, s, at = len(axes), spins_of(axes), NORMAL + len(axes)
@@ -170,7 +177,7 @@ def rough_begin(axes, first, last, start, table, v0, v):
             v[i, d + c] = v0[i, d + c] + turned[c]
 
 
-@inner
+@in_place
 def cut(axes, table, e, at, width, step, most, beta, wanted):
     """What half-edge e takes across its normal, or its couple, from column `at` on: `wanted` (a tuple), not longer than `most`.
 

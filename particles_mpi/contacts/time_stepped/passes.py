@@ -8,7 +8,7 @@ from particles_mpi.contacts.law import collide_pair, overlap
 from particles_mpi.contacts.rough import Rough
 from particles_mpi.contacts.time_stepped.contact_search import NOTICEABLE
 from particles_mpi.contacts.walls import bounce_until, meet_wall
-from particles_mpi.kernels.jit import kernel, lean, lean_inner
+from particles_mpi.kernels.jit import in_place, kernel, lean
 from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.kernels.motion import move_to
 from particles_mpi.particles import Array
@@ -34,7 +34,7 @@ class UndoLog(NamedTuple):
     number: Array
 
 
-@lean_inner
+@in_place
 def comes_first(row, t, wall, low, high, selection):
     """Note the contact (t, wall or pair, low, high) for `row` if it comes before the one selected for it; returns whether."""
     partner, order = selection
@@ -113,7 +113,7 @@ def apply_contacts(axes, segments, spheres, hits, selected_partner, rules, activ
     active_number[0] = found
 
 
-@lean_inner
+@in_place
 def is_late(t, r, one, other):
     """Did spheres of two radii that meet at t, r (d,) apart, overlap already when one of them was turned in this drift?
 
@@ -125,7 +125,7 @@ def is_late(t, r, one, other):
     return t > 0.0 and overlap(r2, one, other) > NOTICEABLE
 
 
-@lean_inner
+@in_place
 def activate(i, is_active, active_rows, found):
     """Make row i active, and list it once behind the first `found`; returns how many are listed."""
     if not is_active[i]:
@@ -135,7 +135,7 @@ def activate(i, is_active, active_rows, found):
     return found
 
 
-@lean_inner
+@in_place
 def note_start(segments, spin, i, owned, log):
     """Before the first contact of an owned row in this drift: log where it started."""
     x, v, _, last_partner = segments
