@@ -1,4 +1,4 @@
-"""What compiled kernels stand on: how they are compiled and loaded, distances in a periodic box, straight segments and kicks.
+"""What compiled kernels stand on: how they are compiled, eight numbers at once, distances in a periodic box, segments and kicks.
 
 Nothing of the program starts where no folder for compiled kernels can be written: numba would raise an error at each of them.
 """
