@@ -105,19 +105,16 @@ def attract_one_another(axes, x, at, mass, softening2, first, begin, end, sums):
     own = np.empty((TOGETHER, size * WIDTH))  # sums of a tile, lane by lane for each of its targets
     for group in range(begin, end, TOGETHER):
         behind = min(group + TOGETHER, end)
-        for tile in range(group, behind):
-            rows, number = slice(tile * TILE, min((tile + 1) * TILE, len(x))), first + tile * TILE
-            attract_tile(axes, at[tile], x[rows], mass[tile], softening2, number, WIDTH, sums[tile])
-            for place in range(size):
-                for lane in range(WIDTH):
-                    own[tile - group, place * WIDTH + lane] = sums[tile, ((first + lane) & (WIDTH - 1)) * size + place]
-            for other in range(tile + 1, behind):
-                of = own[tile - group]
-                attract_tiles(axes, at[tile], mass[tile], at[other], mass[other], softening2, number, of, sums[other])
-        for other in range(behind, len(at)):
-            for tile in range(group, behind):
+        for other in range(group, len(at)):
+            for tile in range(group, min(other, behind)):
                 number, of = first + tile * TILE, own[tile - group]
                 attract_tiles(axes, at[tile], mass[tile], at[other], mass[other], softening2, number, of, sums[other])
+            if other < behind:
+                rows, number = slice(other * TILE, min((other + 1) * TILE, len(x))), first + other * TILE
+                attract_tile(axes, at[other], x[rows], mass[other], softening2, number, WIDTH, sums[other])
+                for place in range(size):
+                    for lane in range(WIDTH):
+                        own[other - group, place * WIDTH + lane] = sums[other, ((first + lane) & (WIDTH - 1)) * size + place]
         for tile in range(group, behind):
             for place in range(size):
                 for lane in range(WIDTH):

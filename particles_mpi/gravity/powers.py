@@ -86,14 +86,12 @@ def inverse_root(r):
 @formula
 def inverse_cube(r2):
     """1/r2^(3/2), within 4e-16 of it, or within 2e-7; 0 where r2 is 0."""
-    y, y2, h = almost_inverse_root(r2)
-    near, first = y * y2, as_kind(1.5, r2)
-    return if_positive(r2, fma(near * h, by_kind(r2, first, fma(as_kind(1.875, r2), h, first)), near))
+    return pull(as_kind(1.0, r2), r2)
 
 
 @formula
 def pull(mass, r2):
-    """mass/r2^(3/2), as precisely; large and small masses and distances may go together."""
+    """mass/r2^(3/2), as precisely: the mass comes first, so that a small one of a near source is in the range of the numbers."""
     y, y2, h = almost_inverse_root(r2)
     near, first = mass * y * y2, as_kind(1.5, r2)
     return if_positive(r2, fma(near * h, by_kind(r2, first, fma(as_kind(1.875, r2), h, first)), near))

@@ -126,12 +126,8 @@ def add_points(units, lists, n, blocks, total):
     (at, sums, points, own, _), softening2 = lists, units.softening2
     for p in range(n):
         x, y, z, mass, number = points[p, 0], points[p, 1], points[p, 2], points[p, 3], own[p]
-        if number < 0:  # most are no targets: nothing has to be compared then
-            for t in range(blocks * BLOCK):
-                add_particle(at, t, -1, x, y, z, mass, softening2, sums)
-        else:
-            for t in range(blocks * BLOCK):
-                add_particle(at, t, number, x, y, z, mass, softening2, sums)
+        for t in range(blocks * BLOCK):
+            add_particle(at, t, number, x, y, z, mass, softening2, sums)
     add_sums(units, blocks, sums, total)
     return 0
 

@@ -29,7 +29,7 @@ from particles_mpi.gravity.sources import POTENTIAL
 from particles_mpi.gravity.walk import RESULT, Law, Nodes, walk
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exchange import allgather_rows, send_rows
+from particles_mpi.parallel.exchange import allgather_rows, rows_in_order, send_rows
 from particles_mpi.particles import Array, rows_of
 
 SECTIONS = 64  # into which the keys between two bounds of a cut are divided
@@ -77,8 +77,8 @@ class Tree:
         mine = rows_of(arrived, by_key)
         low, high = [0, *cuts][ranks.rank], [*(cuts - 1), LAST_KEY][ranks.rank]
         found = self.attract_sorted(mine["key"], mine["position"], mine["mass"], low, high, unit)
-        back, _ = send_rows(ranks, {"result": found}, inverse(by_key), arriving)
-        return back["result"].take(inverse(order), axis=0)
+        back, _ = send_rows(ranks, {"result": found}, rows_in_order(by_key), arriving)
+        return back["result"].take(rows_in_order(order), axis=0)
 
     def cut(self, keys: Array, work: Array) -> Array:
         """The first key of every rank but the first, (ranks - 1,), from this rank's sorted keys. Collective."""
@@ -136,13 +136,6 @@ def insert(mine: dict[str, Array], theirs: dict[str, Array], place: int) -> dict
     if not any(map(len, theirs.values())):
         return mine
     return {name: np.concatenate((theirs[name][:place], mine[name], theirs[name][place:])) for name in mine}
-
-
-def inverse(order: Array) -> Array:
-    """Where each row (n,) stands in an order of all."""
-    places = np.empty_like(order)
-    places[order] = np.arange(len(order))
-    return places
 
 
 def equal_shares(ranks: Communicator, keys: Array, work: Array) -> Array:

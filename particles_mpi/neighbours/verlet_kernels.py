@@ -7,7 +7,7 @@ level are about as wide as the sizes R + skin in it, so that a few large spheres
 """
 
 from math import floor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -115,7 +115,7 @@ def cells_along(y, reach, low, per_length, cells, periodic):
     return np.int64(begin), np.int64(min(max(end, 0.0), cells - 1.0) - begin) + 1
 
 
-columns_of_reference = columns_of(lambda d: d + 3)
+columns_of_reference: Any = columns_of(lambda d: d + INVERSE_MASS + 1)
 
 
 @screening
@@ -132,8 +132,8 @@ def may_meet(axes, lists, i, others):
         r = some_nearest(reference[i, k] - others[k], length[k], lists.boxes_per_length[k])
         r2 += r * r
     reach = (reference[i, d + SIZE] + others[d + SIZE]) * MARGIN
-    both_fixed = ~(others[d + INVERSE_MASS] > 0.0) if reference[i, d + INVERSE_MASS] == 0.0 else np.int64(0)
-    return (r2 <= reach * reach) & ~both_fixed
+    near = r2 <= reach * reach
+    return near if reference[i, d + INVERSE_MASS] > 0.0 else near & (others[d + INVERSE_MASS] > 0.0)
 
 
 @in_place

@@ -265,15 +265,15 @@ def test_expansion_of_far_cells(softening):
     """Against the sum over all pairs: errors fall with the fourth power of the size of the group and of all cells together.
 
     That is the first power of the group's size that is left out of the acceleration. Cells leave out their moments from the third
-    order on, but here those of odd orders are 0, since every particle has its mirror image. Potentials of the smallest size are
-    within the round-off of float32, 6e-8 of their sum.
+    order on, but here those of odd orders are 0, since every particle has its mirror image. All sizes are so large that
+    the round-off of float32, 6e-8 of a sum, is far below what is left out.
     """
     random = np.random.default_rng(3)
     middles = random.standard_normal((37, 3))
     middles *= random.uniform(5.0, 10.0, (37, 1)) / np.sqrt((middles**2).sum(axis=1, keepdims=True))
     shape, places, mass = random.standard_normal((37, 20, 3)), random.standard_normal((9, 3)), random.random((37, 20))
     wrong = []
-    for size in (0.4, 0.2, 0.1):
+    for size in (0.6, 0.3, 0.15):
         x = (middles[:, None] + size * np.concatenate((shape, -shape), axis=1)).reshape(-1, 3)
         m = np.concatenate((mass, mass), axis=1).ravel()
         cells, _ = moments(np.arange(1, 38), np.full(37, 40), x, m)
@@ -281,8 +281,7 @@ def test_expansion_of_far_cells(softening):
         rho = np.sqrt(((x - size * places[:, None]) ** 2).sum(axis=2) + softening**2)
         wrong.append((np.abs(found[:, :3] - exact).max(), np.abs(found[:, 3] + (m / rho).sum(axis=1)).max()))
     order = np.log2(np.array(wrong[:-1]) / wrong[1:])
-    assert (order[:, 0] > 3.7).all() and order[0, 1] > 3.7
-    assert order[1, 1] > 3.7 or wrong[2][1] <= 6e-8 * (m / rho).sum(axis=1).max()
+    assert (order[:, 0] > 3.7).all() and (order[:, 1] > 3.7).all()
 
 
 places = st.integers(0, 2**32).flatmap(lambda seed: st.tuples(st.just(seed), st.integers(1, 400), st.sampled_from([1, 2, 3])))

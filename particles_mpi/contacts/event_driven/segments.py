@@ -19,7 +19,7 @@ from particles_mpi.kernels.lanes import columns_of, eight
 from particles_mpi.kernels.markers import NEVER
 from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS
 
-columns_of_segments: Any = columns_of(lambda d: 2 * d + 2)
+columns_of_segments: Any = columns_of(lambda d: 2 * d + RADIUS + 1)
 
 
 @screening

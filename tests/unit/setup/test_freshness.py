@@ -17,7 +17,7 @@ sums = Attraction(np.zeros((1, 3)), 1, 0.0)
 sums.add(np.ones((1, 3)), np.ones(1))
 print(sums.accelerations()[0, 0], sum(attract.stats.cache_misses.values()))
 """
-PULL = "near, first = y * y2, "
+PULL = "near, first = mass * y * y2, "
 
 
 @pytest.mark.parametrize("own_folder", [False, True])
@@ -40,6 +40,6 @@ def test_a_kernel_is_compiled_again_when_what_it_uses_has_changed(tmp_path, own_
     powers = package / "gravity" / "powers.py"
     before = powers.read_text()
     assert before.count(PULL) == 1
-    powers.write_text(before.replace(PULL, PULL.replace("y * y2", "(y + y) * y2")))
+    powers.write_text(before.replace(PULL, PULL.replace("mass", "(mass + mass)")))
     assert run() == (pytest.approx(2.0 * pull, rel=1e-5), 1)
     assert run() == (pytest.approx(2.0 * pull, rel=1e-5), 0)
