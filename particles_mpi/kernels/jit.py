@@ -88,6 +88,14 @@ def _prefetch(typing: Any, array: Any, row: Any) -> Any:
 prefetch: Any = intrinsic(_prefetch)
 
 
+def repeated(builder: Any, value: Any, count: int) -> Any:
+    """A vector of the compiler's with one number in all places."""
+    place = ir.IntType(32)
+    empty = ir.Constant(ir.VectorType(value.type, count), ir.Undefined)
+    one = builder.insert_element(empty, value, ir.Constant(place, 0))
+    return builder.shuffle_vector(one, empty, ir.Constant(ir.VectorType(place, count), [0] * count))
+
+
 def _spheres_within(typing: Any, axes: Any, middle: Any, own: Any, limit: Any, spheres: Any, first: Any) -> Any:
     """Which of eight spheres are within reach of one: bit p for sphere first + p, as int64.
 
@@ -99,12 +107,6 @@ def _spheres_within(typing: Any, axes: Any, middle: Any, own: Any, limit: Any, s
         float32, number = ir.FloatType(), ir.IntType(64)
         eight = ir.VectorType(float32, 8)
         one, all_ = (context.make_array(signature.args[k])(context, builder, arguments[k]) for k in (1, 4))
-        lanes = ir.Constant(ir.VectorType(ir.IntType(32), 8), [0] * 8)
-
-        def repeated(value: Any) -> Any:
-            """A number in all lanes."""
-            empty = ir.Constant(eight, ir.Undefined)
-            return builder.shuffle_vector(builder.insert_element(empty, value, ir.Constant(ir.IntType(32), 0)), empty, lanes)
 
         def row(k: int) -> Any:
             """Eight numbers of row k of `spheres`."""
@@ -117,12 +119,12 @@ def _spheres_within(typing: Any, axes: Any, middle: Any, own: Any, limit: Any, s
         for k in range(g):
             place = [ir.Constant(number, k)]
             address = cgutils.get_item_pointer(context, builder, signature.args[1], one, place, wraparound=False)
-            r = builder.fsub(repeated(builder.load(address)), row(k))
+            r = builder.fsub(repeated(builder, builder.load(address), 8), row(k))
             square = builder.fmul(r, r) if square is None else builder.fadd(square, builder.fmul(r, r))
         radii = row(g)
-        reach = builder.fadd(repeated(arguments[2]), radii)
+        reach = builder.fadd(repeated(builder, arguments[2], 8), radii)
         within = builder.fcmp_ordered("<=", square, builder.fmul(reach, reach))
-        small = builder.fcmp_ordered("<=", radii, repeated(arguments[3]))
+        small = builder.fcmp_ordered("<=", radii, repeated(builder, arguments[3], 8))
         return builder.zext(builder.bitcast(builder.and_(within, small), ir.IntType(8)), number)
 
     return types.int64(axes, middle, own, limit, spheres, first), generate

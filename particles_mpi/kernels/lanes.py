@@ -18,6 +18,8 @@ from numba.core.typeconv.rules import default_type_manager
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, models, register_model
 
+from particles_mpi.kernels.jit import repeated
+
 WIDTH = 8
 VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
 PLACE = ir.IntType(32)
@@ -74,9 +76,7 @@ default_type_manager.set_safe_convert(types.float64, LANES)
 
 @lower_cast(types.float64, LANES)
 def _repeated(context: Any, builder: Any, number: Any, kind: Any, value: Any) -> Any:
-    empty = ir.Constant(VECTOR, ir.Undefined)
-    one = builder.insert_element(empty, value, ir.Constant(PLACE, 0))
-    return builder.shuffle_vector(one, empty, ir.Constant(ir.VectorType(PLACE, WIDTH), [0] * WIDTH))
+    return repeated(builder, value, WIDTH)
 
 
 def _eight(typing: Any, value: Any) -> Any:
