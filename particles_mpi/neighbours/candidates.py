@@ -6,12 +6,13 @@ import numpy as np
 
 from particles_mpi.kernels.jit import plain
 from particles_mpi.kernels.limits import require_countable
+from particles_mpi.kernels.memory import aligned, whole_lines
 from particles_mpi.kernels.motion import Segments
 from particles_mpi.kernels.planes import no_planes
 from particles_mpi.neighbours.cells import FINE, LinkedCells, grid, sort_rows, spacing
 from particles_mpi.neighbours.halo_region import HaloRegion, everywhere
 from particles_mpi.neighbours.replacement import ALL, replace_candidates
-from particles_mpi.neighbours.search_index import SLOW, Holding, SearchIndex, SortedCells, fill_cells, levels
+from particles_mpi.neighbours.search_index import SLOW, WAITING, Holding, SearchIndex, SortedCells, fill_cells, levels
 from particles_mpi.neighbours.trajectories import AT_REST, Horizon, Paths, Spheres, rows_leaving, start_paths
 from particles_mpi.particles import Array
 
@@ -94,8 +95,9 @@ class Candidates:
     def search(self) -> None:
         """All candidates, from cells made anew."""
         n, radius = len(self.x), self.spheres.radius
-        path, midpoint, bounding_radius, mean, box, own_box = start_paths(
-            self.axes, self.x, self.v, radius, self.horizon, self.spheres.owned
+        path = aligned(n, whole_lines(2 * len(self.axes) + 2))
+        midpoint, bounding_radius, mean, box, own_box = start_paths(
+            self.axes, self.x, self.v, radius, self.horizon, self.spheres.owned, path
         )
         limit = LARGEST * mean
         largest, periodic = float(radius.max(initial=0.0)), self.length[self.length > 0.0]
@@ -114,7 +116,7 @@ class Candidates:
         self.holding = tuple(
             Holding(
                 tuple(self.paths), plain(index), tuple(self.spheres), self.planes, self.region, self.length,
-                self.marked, np.empty(n, np.int32), self.wall_rows,
+                self.marked, np.empty(n + WAITING, np.int32), self.wall_rows,
             )
         )  # fmt: skip
         segments = self.x, self.v, np.empty(0), np.empty(0, np.int64)

@@ -1,13 +1,15 @@
 """Which pairs can meet: those whose paths come near each other before the horizon. See `trajectories` and `search_index`."""
 
 from math import inf, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
 from particles_mpi.kernels.geometry import nearest
-from particles_mpi.kernels.jit import inner, spheres_within, trailing_zeros
+from particles_mpi.kernels.jit import inner, prefetch, spheres_within, trailing_zeros
 from particles_mpi.neighbours.cells import GRIDDED, cell_along
-from particles_mpi.neighbours.search_index import AT_ONCE, FAST, OVERSIZE, ROUNDED, SLOW
+from particles_mpi.neighbours.search_index import AT_ONCE, FAST, OVERSIZE, ROUNDED, SLOW, WAITING
+from particles_mpi.particles import Array
 
 LOST = 1e-10  # of what is subtracted in `time_near`: more than double precision loses
 MUCH = 1e4  # windows: times beyond are not told
@@ -53,8 +55,10 @@ def cover(d, middle, extent, margin, origin, per, cells, low, high):
 
 
 @inner
-def list_sorted(axes, low, high, sphere, cells, sorted_, firsts, around):
-    """Rows in the sorted cells in the ranges low..high that may be partners of a sphere, into `around`: (how many, tests).
+def list_sorted(axes, low, high, sphere, cells, sorted_, firsts, around, listed, path):
+    """Rows in the sorted cells in the ranges low..high that may be partners of a sphere, behind the first `listed` of `around`.
+
+    Returns (how many are listed then, tests).
 
     sphere: middle (g,), radius and largest radius of a partner, float32 in the units of `SortedCells.entry`, and its own row.
     firsts: scratch, (8,).
@@ -63,7 +67,7 @@ def list_sorted(axes, low, high, sphere, cells, sorted_, firsts, around):
     """
     middle, own, limit, i = sphere
     order, start, _, entry, _, _ = sorted_
-    listed = tests = 0
+    tests = 0
     bits = np.int64(0)
     slot = np.int64(0)
     for c0 in range(low[0], high[0] + 1):
@@ -80,21 +84,25 @@ def list_sorted(axes, low, high, sphere, cells, sorted_, firsts, around):
                 slot += 1
                 first += AT_ONCE
                 if slot == len(firsts):
-                    listed = list_bits(bits, firsts, order, i, around, listed)
+                    listed = list_bits(bits, firsts, order, i, around, listed, path)
                     bits = np.int64(0)
                     slot = np.int64(0)
                 if first >= end:
                     break
-    return list_bits(bits, firsts, order, i, around, listed), tests
+    return list_bits(bits, firsts, order, i, around, listed, path), tests
 
 
 @inner
-def list_bits(bits, firsts, order, i, around, listed):
-    """The rows whose bits are set, AT_ONCE of them from each of the places `firsts` on; behind the first `listed` of `around`."""
+def list_bits(bits, firsts, order, i, around, listed, path):
+    """The rows whose bits are set, AT_ONCE of them from each of the places `firsts` on; behind the first `listed` of `around`.
+
+    Their paths are asked for, to be in the cache when they are tested.
+    """
     while bits != 0:
         bit = trailing_zeros(bits)
         bits &= bits - 1
         j = order[np.uint64(firsts[bit // AT_ONCE] + bit % AT_ONCE)]
+        prefetch(path, j)
         around[listed] = j
         listed += j != i
     return listed
@@ -156,34 +164,78 @@ def time_near(ru, u2, r2, cut2, start, window):
     return np.float32(start + begin - margin), np.float32(start + end + margin)
 
 
+class Waiting(NamedTuple):
+    """Rows that wait for the test of their paths, for each row that asks: until then their paths have come to the cache."""
+
+    around: Array  # (n + WAITING,) int32: the rows
+    asking: Array  # (WAITING,) int32: the row that asks, for one part of `around` after the other
+    until: Array  # (WAITING,) int32: where that part ends
+    place: Array  # (WAITING, d): where the row that asks is at the start of its path; on the gridded axes the image that is meant
+
+
+@inner(error_model="numpy")
+def keep_pairs(axes, waiting, parts, holding, horizon, pairs, found):
+    """Of the first `parts` parts of those `waiting`, add the pairs to keep to the first `found`; returns how many are then.
+
+    Pairs beyond the room for them are counted only.
+    """
+    around, asking, until, place = waiting
+    paths, _, spheres, _, _, length, marked, _, _ = holding
+    path, _, bounding_radius, _, _ = paths
+    end, tolerance, _, _ = horizon
+    _, w, ids, owned = spheres
+    first, second, near_from, near_until = pairs
+    y = np.empty(len(axes))
+    p = 0
+    for part in range(parts):
+        i = np.int64(asking[part])
+        window = end - path[i, 2 * len(axes)]
+        for k in range(len(axes)):
+            y[k] = place[part, k]
+        while p < until[part]:
+            j = np.int64(around[p])
+            p += 1
+            meet, ru, u2, r2, cut2 = may_meet(axes, y, path, i, np.uint64(j), window, tolerance, length)
+            if meet and wanted(i, j, marked, bounding_radius, owned, ids, w):
+                if found < len(first):
+                    first[found], second[found] = (i, j) if ids[i] < ids[j] else (j, i)
+                    near_from[found], near_until[found] = time_near(ru, u2, r2, cut2, path[i, 2 * len(axes)], window)
+                found += 1
+    return found
+
+
 @inner(error_model="numpy")
 def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found):
     """Candidate pairs of `rows` (all of them marked), from rows[begin] on, with all rows, each once, behind the first `found`.
 
     Returns (number of pairs then; number of tests; how many of `rows` are done: if there is no room for the pairs of the next
-    one, enlarge and call again from there). Kept are pairs with an owned partner and a movable one, the lower id first. Of two
+    ones, enlarge and call again from there). Kept are pairs with an owned partner and a movable one, the lower id first. Of two
     marked rows the one with the larger bounding radius finds the other: with `everything` marked no search need look further
     than the row's own radius, and SLOW rows need not look for FAST ones. `holding`: `Holding` as a plain tuple.
-    Nearly every test is a coin toss: spheres are tested eight at once in float32, with a margin for what that loses.
+    Nearly every test is a coin toss: spheres are tested eight at once in float32, with a margin for what that loses. The paths
+    of those that pass are tested a few rows later.
     """
-    paths, index, spheres, _, _, length, marked, around, _ = holding
+    paths, index, spheres, _, _, length, _, around, _ = holding
     path, midpoint, bounding_radius, level, _ = paths
     end, tolerance, _, _ = horizon
     sorted_, linked, oversize, number, largest, _, lowest, highest, own_low, own_high = index
     _, _, _, _, scale, (origin, per, cells) = sorted_
     head, after, _, _, (linked_origin, linked_per, linked_cells) = linked
-    _, w, ids, owned = spheres
-    first, second, near_from, near_until = pairs
+    owned = spheres[3]
     d = len(axes)
     g = min(d, 3)
     low, high = np.zeros(3, np.int64), np.zeros(3, np.int64)
     by, images = np.zeros((3, 3)), np.ones(3, np.int64)
-    y, middle, extent = np.empty(d), np.empty(d), np.empty(g)
+    middle, extent = np.empty(d), np.empty(g)
     middle32, firsts = np.empty(g, np.float32), np.empty(8, np.int64)
-    tests = 0
+    asking, until, place = np.empty(WAITING, np.int32), np.empty(WAITING, np.int32), np.empty((WAITING, d))
+    waiting = around, asking, until, place
+    listed = parts = tests = 0
+    done, pairs_done, tests_done = begin, found, 0
     for m in range(begin, len(rows)):
+        if parts == 0:
+            done, pairs_done, tests_done = m, found, tests
         i = np.int64(rows[m])
-        pairs_before, tests_before = found, tests
         window = end - path[i, 2 * d]
         base = path[i, 2 * d + 1] + tolerance
         limit = bounding_radius[i] if everything else inf
@@ -194,7 +246,6 @@ def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found)
         outside = i >= owned
         for k in range(d):
             own += path[i, d + k] ** 2
-            y[k] = path[i, k]
         own = base + 0.5 * sqrt(own) * window
         far = max(to_slow, to_fast) if also_fast else to_slow
         for k in range(g):
@@ -205,22 +256,27 @@ def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found)
             tests += number[0]
             for a in range(number[0]):
                 other = np.int64(oversize[a])
+                for k in range(d):
+                    place[parts, k] = path[i, k]
                 for k in range(g):
                     r = path[i, k] - (path[other, k] + path[other, d + k] * (path[i, 2 * d] - path[other, 2 * d]))
-                    y[k] = path[i, k] + nearest(r, length[k]) - r
-                meet, ru, u2, r2, cut2 = may_meet(axes, y, path, i, other, window, tolerance, length)
-                if meet and wanted(i, other, marked, bounding_radius, owned, ids, w):
-                    if found < len(first):
-                        first[found], second[found] = (i, other) if ids[i] < ids[other] else (other, i)
-                        near_from[found], near_until[found] = time_near(ru, u2, r2, cut2, path[i, 2 * d], window)
-                    found += 1
+                    place[parts, k] = path[i, k] + nearest(r, length[k]) - r
+                around[listed] = other
+                listed += 1
+                asking[parts], until[parts] = i, listed
+                parts += 1
+                if parts == WAITING or listed >= WAITING:
+                    found = keep_pairs(axes, waiting, parts, holding, horizon, pairs, found)
+                    listed = parts = 0
         for p0 in range(images[0]):
             for p1 in range(images[1]):
                 for p2 in range(images[2]):
                     apart = 0.0
+                    for k in range(d):
+                        place[parts, k] = path[i, k]
                     for k in range(g):
-                        y[k] = path[i, k] + by[k, p0 if k == 0 else (p1 if k == 1 else p2)]
-                        middle[k] = y[k] + 0.5 * path[i, d + k] * window
+                        place[parts, k] += by[k, p0 if k == 0 else (p1 if k == 1 else p2)]
+                        middle[k] = place[parts, k] + 0.5 * path[i, d + k] * window
                         apart = max(apart, own_low[k] - middle[k] - extent[k], middle[k] - extent[k] - own_high[k])
                     if outside and apart > far:  # a ghost, nowhere near an owned row
                         continue
@@ -232,29 +288,32 @@ def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found)
                         at_most += abs(r)
                     slip = ROUNDED * at_most
                     sphere = middle32, np.float32(own * scale + slip), np.float32(limit * scale + slip), i
-                    near, tested = list_sorted(axes, low, high, sphere, cells, sorted_, firsts, around)
+                    near, tested = list_sorted(axes, low, high, sphere, cells, sorted_, firsts, around, listed, path)
                     tests += tested
                     if also_fast:
                         cover(d, middle, extent, to_fast, linked_origin, linked_per, linked_cells, low, high)
-                        listed = list_linked(low, high, linked_cells, head, after, around, near)
-                        tests += listed - near
-                        for p in range(near, listed):
+                        fast = list_linked(low, high, linked_cells, head, after, around, near)
+                        tests += fast - near
+                        for p in range(near, fast):
                             j = np.uint64(around[p])
                             r2 = 0.0
                             for k in range(g):
                                 r2 += (middle[k] - midpoint[j, k]) ** 2
+                            prefetch(path, j)
                             around[near] = j
                             near += (r2 <= (own + bounding_radius[j]) ** 2) & (i != j)
-                    for p in range(near):
-                        other = np.int64(around[p])
-                        meet, ru, u2, r2, cut2 = may_meet(axes, y, path, i, np.uint64(other), window, tolerance, length)
-                        if meet and wanted(i, other, marked, bounding_radius, owned, ids, w):
-                            if found < len(first):
-                                first[found], second[found] = (i, other) if ids[i] < ids[other] else (other, i)
-                                near_from[found], near_until[found] = time_near(ru, u2, r2, cut2, path[i, 2 * d], window)
-                            found += 1
-        if found > len(first):
-            return pairs_before, tests_before, m
+                    if near > listed:
+                        listed = near
+                        asking[parts], until[parts] = i, listed
+                        parts += 1
+                        if parts == WAITING or listed >= WAITING:
+                            found = keep_pairs(axes, waiting, parts, holding, horizon, pairs, found)
+                            listed = parts = 0
+        if found > len(pairs[0]):
+            return pairs_done, tests_done, done
+    found = keep_pairs(axes, waiting, parts, holding, horizon, pairs, found)
+    if found > len(pairs[0]):
+        return pairs_done, tests_done, done
     return found, tests, len(rows)
 
 

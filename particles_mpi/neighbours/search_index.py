@@ -15,6 +15,7 @@ from particles_mpi.neighbours.cells import Grid, LinkedCells, cell_at, link, unl
 from particles_mpi.particles import Array
 
 SLOW, FAST, OVERSIZE, RENEWED = 0, 1, 2, 3
+WAITING = 64  # rows listed before their paths are tested
 AT_ONCE = 8  # places of the sorted cells that are tested together
 ROUNDED = 1e-6  # of the sum of the numbers that are compared: more than what float32 loses
 
@@ -57,7 +58,7 @@ class Holding(NamedTuple):
     """What the candidates of one search stand on; plain tuples, whose arrays change in place.
 
     paths: `Paths`; cells: `SearchIndex`; spheres: `Spheres`; planes: `Planes`; region: `HaloRegion`; length (d,) of the periodic
-    axes; marked (n,) bool, around (n,): scratch; wall_rows (owned,): room for the rows near walls.
+    axes; marked (n,) bool, around (n + WAITING,) int32: scratch; wall_rows (owned,): room for the rows near walls.
     """
 
     paths: tuple[Any, ...]

@@ -51,7 +51,7 @@ class Spheres(NamedTuple):
 class Paths(NamedTuple):
     """The paths of all rows, and what encloses them until the horizon.
 
-    path (n, 2d + 2): a row is (x0, v0, t0, R), so that all of it lies together in memory. midpoint (n, d): where the row will be
+    path (n, 2d + 2 or more): a row is (x0, v0, t0, R), so that all of it lies together in memory, in whole lines of the cache. midpoint (n, d): where the row will be
     halfway to the horizon. bounding_radius (n,): R, tolerance and path lie within that distance of the midpoint. level (n,)
     int8: how rows are held by their bounding radius (`pair_search`). first_midpoint (n, d): as it was at the search; without
     rows where no axis is periodic, because there is no bound then.
@@ -80,15 +80,14 @@ def fastest(x, v):
 
 
 @kernel
-def start_paths(axes, x, v, radius, horizon, owned):
-    """Paths of rows that all start now, at time 0.
+def start_paths(axes, x, v, radius, horizon, owned, path):
+    """Paths of rows that all start now, at time 0, into `path`.
 
-    Returns (path, midpoint, bounding radius, the mean of it, bounds (2, d) of the midpoints, those of the first `owned` rows).
+    Returns (midpoint, bounding radius, the mean of it, bounds (2, d) of the midpoints, those of the first `owned` rows).
     """
     d = len(axes)
     until, tolerance = horizon.valid_until, horizon.tolerance
-    path, midpoint = np.empty((len(x), 2 * d + 2)), np.empty((len(x), d))
-    bounding_radius = np.empty(len(x))
+    midpoint, bounding_radius = np.empty((len(x), d)), np.empty(len(x))
     box = np.empty((2, d))
     box[0], box[1] = inf, -inf
     own_box = box.copy()
@@ -110,7 +109,7 @@ def start_paths(axes, x, v, radius, horizon, owned):
         total += bounding_radius[i]
     if owned == len(x):
         own_box = box.copy()
-    return path, midpoint, bounding_radius, total / max(len(x), 1), box, own_box
+    return midpoint, bounding_radius, total / max(len(x), 1), box, own_box
 
 
 @kernel

@@ -1,12 +1,11 @@
 """The neighbour lists of a rank's particles as one object; see `verlet_kernels` for the idea."""
 
-from typing import Any
-
 import numpy as np
 
 from particles_mpi.kernels import limits
 from particles_mpi.kernels.geometry import Box, boxes_per_length
 from particles_mpi.kernels.limits import require_countable
+from particles_mpi.kernels.memory import aligned, doubled, enlarged, whole_lines
 from particles_mpi.neighbours.cells import spacing
 from particles_mpi.neighbours.verlet_kernels import (
     BEGIN,
@@ -85,7 +84,7 @@ class VerletLists:
         places = rows * (BLOCK + BLOCK // 8) + 64
         require_countable(places, PLACES_IN_LISTS)
         self.skin = max(self.width, 64.0 * np.finfo(float).eps * float(np.abs(x).max(initial=0.0)))  # above round-off of x
-        reference = aligned(rows, 8 * ((d + 5 + 7) // 8))
+        reference = aligned(rows, whole_lines(d + 5))
         skin = reference[:n, d + SKIN] = np.where(w > 0.0, self.skin, 0.0)
         size = reference[:n, d + SIZE] = radius + skin
         reference[:n, d + INVERSE_MASS] = w
@@ -145,22 +144,3 @@ def set_empty(spans: Array, first: int) -> None:
     """Rows from `first` on have an empty list in their block."""
     spans[first:, BEGIN] = np.arange(first, len(spans)) * BLOCK + PLACES
     spans[first:, COUNT], spans[first:, ROOM] = 0, BLOCK - PLACES
-
-
-def aligned(rows: int, width: int) -> Array:
-    """Room for rows of float64 that begin where lines of the cache (64 bytes) do: eight numbers of a row are read at once."""
-    room = np.empty(rows * width + 8)
-    first = -room.ctypes.data // 8 % 8
-    return room[first : first + rows * width].reshape(rows, width)
-
-
-def doubled(bundle: Any, *names: str) -> Any:
-    """The bundle with twice as many rows in the arrays of these names; the new ones are 0."""
-    arrays = {name: getattr(bundle, name) for name in names}
-    return bundle._replace(**{name: np.concatenate((old, np.zeros_like(old))) for name, old in arrays.items()})
-
-
-def enlarged(old: Array, new: Array) -> Array:
-    """The new array, with the rows of the old one in front."""
-    new[: len(old)] = old
-    return new

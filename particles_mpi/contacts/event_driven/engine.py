@@ -33,8 +33,9 @@ from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.velocity_flow import Rates, no_rates
 from particles_mpi.errors import StateError
 from particles_mpi.kernels.geometry import Box
+from particles_mpi.kernels.memory import aligned, doubled, enlarged
 from particles_mpi.kernels.planes import Planes
-from particles_mpi.neighbours.verlet_lists import VerletLists, aligned, doubled, enlarged
+from particles_mpi.neighbours.verlet_lists import VerletLists
 from particles_mpi.parallel.signals import check_signals
 from particles_mpi.particles import Array, Particles
 
