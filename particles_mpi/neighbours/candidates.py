@@ -9,7 +9,7 @@ from particles_mpi.kernels.limits import require_countable
 from particles_mpi.kernels.memory import aligned, whole_lines
 from particles_mpi.kernels.motion import Segments
 from particles_mpi.kernels.planes import no_planes
-from particles_mpi.neighbours.cells import FINE, LinkedCells, grid, sort_rows, spacing
+from particles_mpi.neighbours.cells import FINE, GRIDDED, LinkedCells, grid, sort_rows, spacing
 from particles_mpi.neighbours.halo_region import HaloRegion, everywhere
 from particles_mpi.neighbours.replacement import ALL, replace_candidates
 from particles_mpi.neighbours.search_index import SLOW, WAITING, Holding, SearchIndex, SortedCells, fill_cells, levels
@@ -110,7 +110,10 @@ class Candidates:
         fine = grid(midpoint, (low, high), max(1.8 * apart, 1.2 * mean), FINE)
         order, start = sort_rows(midpoint, level, SLOW, fine)
         coarse = grid(midpoint, (low, high), max(2.0 * apart, 2.0 * mean), 1)
-        place, entry, scale, head, after, before, cell_of = fill_cells(self.paths, order, fine.origin, coarse)
+        origin = fine.origin[-min(len(low), GRIDDED) :]
+        farthest = np.maximum(high[: len(origin)] - origin, origin - low[: len(origin)]).max()
+        scale = 1.0 / max(float(farthest), 1e-300) if n else 1.0
+        place, entry, head, after, before, cell_of = fill_cells(self.paths, order, fine.origin, scale, coarse)
         cells = SortedCells(order, start, place, entry, scale, fine), LinkedCells(head, after, before, cell_of, coarse)
         index = SearchIndex(*cells, oversize, np.array([count]), reaches, limit, low, high, *own_box)
         self.holding = tuple(

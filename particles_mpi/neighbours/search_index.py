@@ -110,20 +110,15 @@ def write_entry(i, e, midpoint, bounding_radius, origin, scale, entry):
 
 
 @kernel
-def fill_cells(paths, order, origin, grid):
-    """Cells of SLOW rows `order`, and of FAST ones: (place, entry, scale, head, after, before, cell_of).
+def fill_cells(paths, order, origin, scale, grid):
+    """Cells of SLOW rows `order`, and of FAST ones: (place, entry, head, after, before, cell_of).
 
-    origin: of the `SortedCells`; grid: of the `LinkedCells`.
+    origin and scale: of the `SortedCells`; grid: of the `LinkedCells`.
     """
     _, midpoint, bounding_radius, level, _ = paths
     n, g = len(midpoint), min(midpoint.shape[1], 3)
     place = np.empty(n, np.int32)
     entry = np.full((g + 1, len(order) + AT_ONCE), np.float32(np.nan))
-    farthest = 1e-300
-    for i in order:
-        for k in range(g):
-            farthest = max(farthest, abs(midpoint[i, k] - origin[3 - g + k]))
-    scale = 1.0 / farthest
     for e in range(len(order)):
         i = order[e]
         place[i] = e
@@ -134,7 +129,7 @@ def fill_cells(paths, order, origin, grid):
     for i in range(n):
         if level[i] == FAST:
             link(i, cell_at(midpoint, i, grid), linked)
-    return place, entry, scale, head, after, before, cell_of
+    return place, entry, head, after, before, cell_of
 
 
 @lean_inner

@@ -78,7 +78,7 @@ class Rewind:
         near = self.near
         near.prepare(h)
         self.drifts += 1
-        if self.drifts % LOOK_EVERY == 0:
+        if self.drifts % LOOK_EVERY == 0 and not self.too_fast:
             self.look_at_speeds(h)
         travel = 0.0
         while True:
