@@ -15,11 +15,11 @@ import numpy as np
 
 from particles_mpi.gravity.powers import formula, if_positive, inverse_cube, inverse_root
 from particles_mpi.kernels.jit import fma, inner, kernel, wide
-from particles_mpi.kernels.lanes import WIDTH, eight, load, store
+from particles_mpi.kernels.lanes import LANE_COUNT, eight, load, store
 from particles_mpi.particles import Array
 
 FEW = 256  # particles in all up to which a target makes one sum
-TILE = 8 * WIDTH  # targets
+TILE = 8 * LANE_COUNT  # targets
 TOGETHER = 16  # tiles that act on another one in turn while the caches hold it
 
 summing: Any = inner(_nrt=False, error_model="numpy")
@@ -35,7 +35,7 @@ class Attraction:
     def __init__(self, x: Array, total: int, softening2: float):
         """`total`: of the sources that will come."""
         self.x, self.softening2, self.met = x, softening2, 0
-        self.axes, self.lanes = (0,) * x.shape[1], 1 if total <= FEW else WIDTH
+        self.axes, self.lanes = (0,) * x.shape[1], 1 if total <= FEW else LANE_COUNT
         self.at = in_tiles(x)
         self.sums = np.zeros((len(self.at), self.lanes * self.at.shape[1]))
 
@@ -84,7 +84,7 @@ def attract_tile(axes, at, source, mass, softening2, first, lanes, sums):
     wide()
     for j in range(len(source)):
         lane = ((first + j) & (lanes - 1)) * len(at)  # lanes: a power of 2
-        for t in range(0, TILE, WIDTH):
+        for t in range(0, TILE, LANE_COUNT):
             r2 = eight(softening2)
             for k in range(len(axes)):
                 r = eight(source[j, k]) - load(at, k * TILE + t)
@@ -102,7 +102,7 @@ def attract_one_another(axes, x, at, mass, softening2, first, begin, end, sums):
     Only the part of it that comes from tiles `begin` to `end` - 1 and all tiles behind them.
     """
     size = len(axes) * TILE
-    own = np.empty((TOGETHER, size * WIDTH))  # sums of a tile, lane by lane for each of its targets
+    own = np.empty((TOGETHER, size * LANE_COUNT))  # sums of a tile, lane by lane for each of its targets
     for group in range(begin, end, TOGETHER):
         behind = min(group + TOGETHER, end)
         for other in range(group, len(at)):
@@ -111,14 +111,16 @@ def attract_one_another(axes, x, at, mass, softening2, first, begin, end, sums):
                 attract_tiles(axes, at[tile], mass[tile], at[other], mass[other], softening2, number, of, sums[other])
             if other < behind:
                 rows, number = slice(other * TILE, min((other + 1) * TILE, len(x))), first + other * TILE
-                attract_tile(axes, at[other], x[rows], mass[other], softening2, number, WIDTH, sums[other])
+                attract_tile(axes, at[other], x[rows], mass[other], softening2, number, LANE_COUNT, sums[other])
                 for place in range(size):
-                    for lane in range(WIDTH):
-                        own[other - group, place * WIDTH + lane] = sums[other, ((first + lane) & (WIDTH - 1)) * size + place]
+                    for lane in range(LANE_COUNT):
+                        own[other - group, place * LANE_COUNT + lane] = sums[
+                            other, ((first + lane) & (LANE_COUNT - 1)) * size + place
+                        ]
         for tile in range(group, behind):
             for place in range(size):
-                for lane in range(WIDTH):
-                    sums[tile, ((first + lane) & (WIDTH - 1)) * size + place] = own[tile - group, place * WIDTH + lane]
+                for lane in range(LANE_COUNT):
+                    sums[tile, ((first + lane) & (LANE_COUNT - 1)) * size + place] = own[tile - group, place * LANE_COUNT + lane]
 
 
 @summing
@@ -126,8 +128,8 @@ def attract_tiles(axes, at, mass, other, other_mass, softening2, first, own, sum
     """Two tiles act on one another: `own` are the sums of the first, by target, and `sums` those of the other."""
     wide()
     for i in range(TILE):
-        lane = ((first + i) & (WIDTH - 1)) * len(at)
-        for t in range(0, TILE, WIDTH):
+        lane = ((first + i) & (LANE_COUNT - 1)) * len(at)
+        for t in range(0, TILE, LANE_COUNT):
             r2 = eight(softening2)
             for k in range(len(axes)):
                 r = load(other, k * TILE + t) - eight(at[k * TILE + i])
@@ -136,7 +138,7 @@ def attract_tiles(axes, at, mass, other, other_mass, softening2, first, own, sum
             on_one, on_others = strength * load(other_mass, t), strength * eight(mass[i])
             for k in range(len(axes)):
                 r = load(other, k * TILE + t) - eight(at[k * TILE + i])
-                one, others = (k * TILE + i) * WIDTH, lane + k * TILE + t
+                one, others = (k * TILE + i) * LANE_COUNT, lane + k * TILE + t
                 store(own, one, fma(on_one, r, load(own, one)))
                 store(sums, others, fma(on_others, -r, load(sums, others)))
 

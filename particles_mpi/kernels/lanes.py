@@ -1,9 +1,9 @@
 """Eight float64 at once, for kernels in which the compiler does not find by itself what a processor can do together.
 
-A value of the type `Lanes` holds `WIDTH` numbers. +, -, *, `fma`, `np.rint` and the formulas made of them act on each by itself:
-the bits are those of single numbers, whatever the length of the processor's vectors. <, <= and > give an int64 with a bit for
-each. A float64 beside them is repeated. `load` and `store` take eight numbers in a row from an array (n,) and put them back; what
-`columns_of` makes takes eight rows of a table.
+A value of the type `Lanes` holds `LANE_COUNT` numbers. +, -, *, `fma`, `np.rint` and the formulas made of them act on each by
+itself: the bits are those of single numbers, whatever the length of the processor's vectors. <, <= and > give an int64 with a bit
+for each. A float64 beside them is repeated. `load` and `store` take eight numbers in a row from an array (n,) and put them back;
+what `columns_of` makes takes eight rows of a table.
 """
 
 import operator
@@ -20,15 +20,15 @@ from numba.extending import intrinsic, models, register_model
 
 from particles_mpi.kernels.jit import repeated
 
-WIDTH = 8
-VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
+LANE_COUNT = 8
+VECTOR = ir.VectorType(ir.DoubleType(), LANE_COUNT)
 PLACE = ir.IntType(32)
 
 
 class Lanes(types.Type):
     """The type of eight numbers."""
 
-    width = WIDTH
+    width = LANE_COUNT
 
 
 LANES = Lanes("Lanes")
@@ -53,13 +53,13 @@ def _comparison(relation: str) -> Any:
     """Of which numbers is it true? Bit p of an int64 for number p."""
 
     def generate(builder: Any, a: Any, b: Any) -> Any:
-        return builder.zext(builder.bitcast(builder.fcmp_ordered(relation, a, b), ir.IntType(WIDTH)), ir.IntType(64))
+        return builder.zext(builder.bitcast(builder.fcmp_ordered(relation, a, b), ir.IntType(LANE_COUNT)), ir.IntType(64))
 
     return generate
 
 
 def _rint(builder: Any, a: Any) -> Any:
-    function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(VECTOR, [VECTOR]), f"llvm.rint.v{WIDTH}f64")
+    function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(VECTOR, [VECTOR]), f"llvm.rint.v{LANE_COUNT}f64")
     return builder.call(function, [a])
 
 
@@ -76,7 +76,7 @@ default_type_manager.set_safe_convert(types.float64, LANES)
 
 @lower_cast(types.float64, LANES)
 def _repeated(context: Any, builder: Any, number: Any, kind: Any, value: Any) -> Any:
-    return repeated(builder, value, WIDTH)
+    return repeated(builder, value, LANE_COUNT)
 
 
 def _eight(typing: Any, value: Any) -> Any:
@@ -126,13 +126,13 @@ def columns_of(count: Any) -> Any:
             stride = cgutils.unpack_tuple(builder, held.strides)[0]
             number, byte = ir.IntType(64), ir.IntType(8).as_pointer()
             begins, found = [], []
-            for p in range(WIDTH):
+            for p in range(LANE_COUNT):
                 place = builder.add(arguments[3], ir.Constant(number, p))
                 place = builder.select(builder.icmp_signed("<", place, arguments[4]), place, arguments[4])
                 row = builder.zext(builder.load(builder.gep(listed.data, [place])), number)
                 begins.append(builder.gep(builder.bitcast(held.data, byte), [builder.mul(row, stride)]))
-            for begin in range(0, width, WIDTH):
-                some = min(WIDTH, width - begin)
+            for begin in range(0, width, LANE_COUNT):
+                some = min(LANE_COUNT, width - begin)
                 parts = [builder.gep(p, [ir.Constant(number, 8 * begin)]) for p in begins]
                 found += _transposed(builder, [_row(builder, p, some) for p in parts])[:some]
             return context.make_tuple(builder, result, found)
@@ -146,17 +146,17 @@ def _row(builder: Any, place: Any, some: int) -> Any:
     """So many numbers from an address on, and what comes after them is not asked for."""
     kind = ir.VectorType(ir.DoubleType(), some)
     numbers = builder.load(builder.bitcast(place, kind.as_pointer()), align=8)
-    lanes = ir.Constant(ir.VectorType(PLACE, WIDTH), [min(k, some - 1) for k in range(WIDTH)])
-    return numbers if some == WIDTH else builder.shuffle_vector(numbers, ir.Constant(kind, ir.Undefined), lanes)
+    lanes = ir.Constant(ir.VectorType(PLACE, LANE_COUNT), [min(k, some - 1) for k in range(LANE_COUNT)])
+    return numbers if some == LANE_COUNT else builder.shuffle_vector(numbers, ir.Constant(kind, ir.Undefined), lanes)
 
 
 def _transposed(builder: Any, rows: list[Any]) -> list[Any]:
     """Eight rows of eight numbers as their eight columns, in three rounds that exchange parts of 1, 2, and 4 numbers."""
     for size in (1, 2, 4):
-        low = [p if not p & size else p + WIDTH - size for p in range(WIDTH)]
+        low = [p if not p & size else p + LANE_COUNT - size for p in range(LANE_COUNT)]
         high = [p + size for p in low]
-        masks = [ir.Constant(ir.VectorType(PLACE, WIDTH), m) for m in (low, high)]
-        for p in range(WIDTH):
+        masks = [ir.Constant(ir.VectorType(PLACE, LANE_COUNT), m) for m in (low, high)]
+        for p in range(LANE_COUNT):
             if not p & size:
                 a, b = rows[p], rows[p + size]
                 rows[p], rows[p + size] = (builder.shuffle_vector(a, b, m) for m in masks)

@@ -21,6 +21,7 @@ row would get where its rank does not know everyone, is all searched anew.
 
 Mode `event` (`contacts/event_driven`) moves particles one at a time, and has neighbour lists for that instead:
 
+    verlet_cells      cells in levels of size, whose rows come and go one at a time
     verlet_kernels    a list of neighbours for each particle, which holds while it stays near a reference position
     verlet_lists      the lists of all particles of a rank
 

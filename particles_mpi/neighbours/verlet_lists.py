@@ -7,21 +7,8 @@ from particles_mpi.kernels.geometry import Box, boxes_per_length
 from particles_mpi.kernels.limits import require_countable
 from particles_mpi.kernels.memory import aligned, doubled, enlarged, whole_lines
 from particles_mpi.neighbours.cells import spacing
-from particles_mpi.neighbours.verlet_kernels import (
-    BEGIN,
-    BLOCK,
-    CELL,
-    COUNT,
-    INVERSE_MASS,
-    NOWHERE,
-    PLACES,
-    ROOM,
-    SIZE,
-    SKIN,
-    Lists,
-    list_rows,
-    make_grid,
-)
+from particles_mpi.neighbours.verlet_cells import CELL, NOWHERE, make_grid
+from particles_mpi.neighbours.verlet_kernels import BEGIN, BLOCK, COUNT, INVERSE_MASS, PLACES, ROOM, SIZE, SKIN, Lists, list_rows
 from particles_mpi.particles import Array
 
 WANTED = {1: 3.0, 2: 7.0, 3: 12.0}  # neighbours in a list: fewer, and lists expire too often; more, and looks take longer

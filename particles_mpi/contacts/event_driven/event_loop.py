@@ -54,7 +54,7 @@ from particles_mpi.contacts.event_driven.segments import (
 from particles_mpi.contacts.rough import Rough
 from particles_mpi.contacts.walls import bounce, may_hit, meet_wall, wall_contact
 from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch, screening, trailing_zeros
-from particles_mpi.kernels.lanes import WIDTH
+from particles_mpi.kernels.lanes import LANE_COUNT
 from particles_mpi.kernels.markers import NEVER
 from particles_mpi.kernels.planes import Planes
 from particles_mpi.neighbours.verlet_kernels import (
@@ -102,7 +102,7 @@ def likely_partners(axes, segment, lists, i, first, count, place, now, until):
     """Which of the `count` <= BITS rows in the pool from place `first` on `may_touch` row i: bit p for place first + p."""
     _, _, length = lists.box
     likely, last = np.int64(0), first + count - 1
-    for p in range(0, count, WIDTH):
+    for p in range(0, count, LANE_COUNT):
         others = columns_of_segments(axes, segment, lists.pool, first + p, last)
         likely |= may_touch(axes, segment, i, others, place, now, until, length, lists.boxes_per_length) << p
     return likely & ((np.int64(1) << count) - 1) if count < BITS else likely

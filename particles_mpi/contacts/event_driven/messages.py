@@ -38,6 +38,7 @@ from particles_mpi.contacts.event_driven.rows import (
     spin_width,
 )
 from particles_mpi.kernels.jit import inner, kernel, lean, lean_inner, prefetch
+from particles_mpi.neighbours.verlet_cells import level_of
 from particles_mpi.neighbours.verlet_kernels import (
     INVERSE_MASS,
     SIZE,
@@ -45,7 +46,6 @@ from particles_mpi.neighbours.verlet_kernels import (
     Lists,
     compare,
     find_nearby,
-    level_of,
     relist,
     remove,
     shortage,

@@ -8,7 +8,8 @@ import numpy as np
 from particles_mpi.contacts.event_driven.rows import OWN, OWNERSHIP, RADIUS, START, Log, record_width, spin_width
 from particles_mpi.kernels.geometry import some_nearest
 from particles_mpi.kernels.jit import in_place, inner, kernel, lean_inner, prefetch
-from particles_mpi.neighbours.verlet_kernels import MARGIN, NEXT_ROW, SIZE, first_in_cells
+from particles_mpi.neighbours.verlet_cells import MARGIN, NEXT_ROW, first_in_cells
+from particles_mpi.neighbours.verlet_kernels import SIZE
 from particles_mpi.parallel.decomposition import owners
 from particles_mpi.particles import Array
 

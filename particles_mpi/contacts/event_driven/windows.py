@@ -43,7 +43,8 @@ from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.kernels.memory import doubled, enlarged
 from particles_mpi.neighbours.cells import bounds, order_in_space
 from particles_mpi.neighbours.trajectories import fastest
-from particles_mpi.neighbours.verlet_kernels import MARGIN, SIZE
+from particles_mpi.neighbours.verlet_cells import MARGIN
+from particles_mpi.neighbours.verlet_kernels import SIZE
 from particles_mpi.parallel.agreement import require_finite
 from particles_mpi.parallel.buffers import RowBuffers
 from particles_mpi.parallel.communicator import Communicator

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from particles_mpi.kernels.geometry import Box, image_shifts
-from particles_mpi.neighbours.verlet_kernels import BEGIN, BLOCK, COUNT, PLACES, SIZE, list_rows, make_grid
+from particles_mpi.neighbours.verlet_cells import make_grid
+from particles_mpi.neighbours.verlet_kernels import BEGIN, BLOCK, COUNT, PLACES, SIZE, list_rows
 from particles_mpi.neighbours.verlet_lists import VerletLists
 
 
