@@ -16,7 +16,7 @@ from particles_mpi.kernels.motion import Segments, end_segments
 from particles_mpi.neighbours.candidates import Candidates, Hits
 from particles_mpi.neighbours.cells import GRIDDED, bounds, order_in_space, spacing
 from particles_mpi.neighbours.halo_region import HaloRegion, everywhere, fetch_near_rows
-from particles_mpi.neighbours.pass_messages import Active, any_of, message_width
+from particles_mpi.neighbours.pass_messages import OWN_ONLY, Active, message_width, who_is_concerned
 from particles_mpi.neighbours.rebuild_interval import RebuildTuner
 from particles_mpi.neighbours.replacement import LEAVING, TURNED
 from particles_mpi.neighbours.trajectories import Horizon, Spheres, fastest
@@ -186,9 +186,9 @@ class Neighbourhood:
         self.position, self.version = particles.position, particles.version
         return region
 
-    def concern_others(self, hits: Hits) -> bool:
-        """Is a row among the hits that other ranks hold too?"""
-        return self.halo is not None and any_of(self.shared, hits.first, hits.second)
+    def concerned(self, hits: Hits) -> int:
+        """Which rows the hits are about: OWN_ONLY, SHARED_ROWS or ACROSS."""
+        return int(who_is_concerned(self.shared, self.spheres.owned, hits.first, hits.second)) if self.halo else OWN_ONLY
 
     def follow(self, h: float) -> float:
         """After a pass in the drift over h: candidates for the segments of the active rows.

@@ -15,6 +15,10 @@ from particles_mpi.neighbours.rank_boxes import index_of
 from particles_mpi.parallel.halo import Halo
 from particles_mpi.particles import Array
 
+# What hits are about: rows that no other rank knows; own rows that others know as ghosts; a row with a ghost of its own. Who its
+# partners select only the last need to be told, who is where now the last two.
+OWN_ONLY, SHARED_ROWS, ACROSS = 0, 1, 2
+
 
 class Active(NamedTuple):
     """The rows whose contacts must be sought in the next pass."""
@@ -55,12 +59,17 @@ def exchange_segments(halo: Halo, active: Active, segments: Segments, spin: Arra
 
 
 @kernel
-def any_of(marks, a, b):
-    """Is a row of a, or one of b that is no wall (b < 0), marked?"""
-    found = False
-    for p in range(len(a)):
-        found |= marks[a[p]] or (b[p] >= 0 and marks[b[p]])
-    return found
+def who_is_concerned(shared, owned, first, second):
+    """By hits of rows (first, second): OWN_ONLY; SHARED_ROWS, if `shared` marks one of these; ACROSS, if one is a ghost."""
+    concerned = OWN_ONLY
+    for p in range(len(first)):
+        i = first[p]
+        j = second[p] if second[p] >= 0 else i  # below 0 it is a wall
+        if i >= owned or j >= owned:
+            return ACROSS
+        if shared[i] or shared[j]:
+            concerned = SHARED_ROWS
+    return concerned
 
 
 @kernel

@@ -30,7 +30,7 @@ from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.neighbours.candidates import Hits
 from particles_mpi.neighbours.neighbour_list import Neighbourhood
-from particles_mpi.neighbours.pass_messages import exchange_segments, exchange_selections
+from particles_mpi.neighbours.pass_messages import ACROSS, OWN_ONLY, exchange_segments, exchange_selections
 from particles_mpi.neighbours.trajectories import fastest
 from particles_mpi.particles import Array, row_dot
 from particles_mpi.timers import Timers
@@ -151,8 +151,8 @@ class Rewind:
                 hits = self.find(h, left == self.passes)
             with self.timers("agree"):
                 late = self.exact is not None and self.passes - left >= CROWDED and self.late(hits)
-                mine = np.array([len(hits.first), needed, near.concern_others(hits), late], float)
-                waiting, needed, shared, late = near.ranks.allreduce_max(mine)
+                mine = np.array([len(hits.first), needed, near.concerned(hits), late], float)
+                waiting, needed, concerned, late = near.ranks.allreduce_max(mine)
             if needed:
                 raise TooFarError(float(needed))
             if self.exact and (late or (waiting and not left)):
@@ -166,7 +166,7 @@ class Rewind:
                 if self.walls:
                     counts[WALL_HITS] += self.finish_walls(hits, h)
                 break
-            needed = self.one_pass(hits, h, counts, bool(shared))
+            needed = self.one_pass(hits, h, counts, int(concerned))
         return counts
 
     def late(self, hits: Hits) -> bool:
@@ -201,16 +201,16 @@ class Rewind:
             found = find_wall_hits(near.axes, near.rows[0], radius, rows, h, everything, active, self.planes, hits, found)
         return Hits(first[:found], second[:found], time[:found])
 
-    def one_pass(self, hits: Hits, h: float, counts: Array, shared: bool) -> float:
+    def one_pass(self, hits: Hits, h: float, counts: Array, concerned: int) -> float:
         """Select by the total order, tell the other ranks, apply the selected contacts, find who is in the way now.
 
-        `shared`: some rank has hits that concern another one, so that there is something to tell.
+        `concerned`: what the hits of any rank are about (`who_is_concerned`), and so what there is to tell.
         Returns 0, or how far a row needs candidates to reach.
         """
         near, selected = self.near, self.selection.partner
         with self.timers("collide"):
             select_contacts(near.spheres.id, near.spheres.owned, tuple(hits), tuple(self.selection))
-        if shared:
+        if concerned == ACROSS:
             with self.timers("ghosts"):
                 exchange_selections(near.halo, selected, hits.first, hits.second, near.candidates.marked)
         with self.timers("collide"):
@@ -219,7 +219,7 @@ class Rewind:
                 near.axes, *near.rows, tuple(hits), selected, self.rules, tuple(near.active), tuple(self.log), counts,
                 self.virial,
             )  # fmt: skip
-        if shared:
+        if concerned != OWN_ONLY:
             with self.timers("ghosts"):
                 selected[near.spheres.owned :] = NOBODY
                 exchange_segments(near.halo, near.active, near.segments, near.spin)
