@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 from time import sleep
 
 import numpy as np
@@ -69,6 +70,7 @@ def test_any_state_ends(data):
         assert len(str(error).splitlines()) == 1 and "step" in str(error)
 
 
+WELL_INTO = 1.0  # seconds of a core, after which a process is in its long step: kernels are loaded in a tenth of that
 LONG = """
 import signal
 signal.signal(signal.SIGINT, signal.default_int_handler)  # the tests may be a job in the background, which is to ignore it
@@ -79,6 +81,12 @@ sim = Simulation(Scene(dimension=2, time={"step": 1e4, "steps": 1}, box={"lower"
 print("begins", flush=True)
 sim.run(%s)
 """
+
+
+def seconds_of(process):
+    """Of a core that a process has taken so far."""
+    ticks = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()[11:13]
+    return sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +100,10 @@ def interrupted(tmp_path_factory):
     processes = [subprocess.Popen([sys.executable, "-c", script], cwd=ROOT, **pipes) for script in (plain, run)]
     for process in processes:
         assert process.stdout.readline() == "begins\n"
-    sleep(5.0)  # into the step
+    begun = [seconds_of(process) for process in processes]
+    while any(seconds_of(process) < begin + WELL_INTO for process, begin in zip(processes, begun, strict=True)):
+        assert all(process.poll() is None for process in processes)
+        sleep(0.02)
     yield dict(zip(("script", "run with files"), zip(processes, (-signal.SIGINT, 130), strict=True), strict=True))
     for process in processes:
         process.kill()
