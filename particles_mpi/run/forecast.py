@@ -13,8 +13,7 @@ from particles_mpi.scene.active import ActiveEffects
 from particles_mpi.scene.plan import duration
 from particles_mpi.scene.schema import Scene
 
-PROBE = 0.5  # seconds of steps that are enough for a forecast
-SLOW = 2.0  # seconds: a first step that takes longer is measured too, though the first step also does what is done only once
+PROBE = 0.5  # seconds of steps that are enough for a forecast, if the first step did not take longer
 TRUST = 1.5  # factor within which a forecast should be right
 HEAPING = 0.9  # restitution below which falling particles soon lie in heaps
 WRITING = {"output": "every", "diagnostics": "diagnostics_every", "checkpoint": "checkpoint_every"}  # phases and their periods
@@ -92,7 +91,7 @@ class Forecaster:
     def __init__(self, sim: Any, last: int):
         self.sim, self.last = sim, last
         self.began = self.first = self.since = self.here()
-        self.due, self.half = 0.0, self.began.step + (last - self.began.step + 1) // 2
+        self.due, self.half, self.enough = 0.0, self.began.step + (last - self.began.step + 1) // 2, PROBE
         self.loaded = 0.0  # seconds in which the first row of diagnostics loaded kernels
         self.outlook = outlook(sim.scene)
 
@@ -111,14 +110,17 @@ class Forecaster:
             return None
         now = self.here()
         own = self.own(now)
-        if self.first is self.began and own < SLOW and now.step < self.last:  # the first step, with all that is done only once
+        if self.first is self.began and now.step < self.last:
+            # It did what is done only once, and what serves many steps, as a search for neighbours: those after it count, and
+            # as long as it took they are to be seen, so that such work is among them with its part.
             self.first = self.since = now
+            self.enough = max(PROBE, own)
             return None
-        if own < PROBE and now.step < self.half:
-            self.due = perf_counter() + PROBE - own
+        if own < self.enough and now.step < self.half:
+            self.due = perf_counter() + self.enough - own
             return None
         forecast = self.forecast(now, own)
-        self.since, self.outlook = now, Outlook()
+        self.since, self.outlook, self.enough = now, Outlook(), PROBE
         self.due, self.half = 2.0 * now.clock - self.began.clock, self.last
         return forecast
 
