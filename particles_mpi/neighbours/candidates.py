@@ -103,16 +103,15 @@ class Candidates:
         largest, periodic = float(radius.max(initial=0.0)), self.length[self.length > 0.0]
         if len(periodic) and 2.0 * largest + 4.0 * self.horizon.bound > 0.5 * periodic.min():
             limit = np.inf  # no row is OVERSIZE: those only know the nearest image of a partner
-        level, oversize, count, reaches = levels(bounding_radius, SLOWEST * mean, limit, FEW)
+        level, oversize, count, reaches, slow_box = levels(midpoint, bounding_radius, SLOWEST * mean, limit, FEW)
         self.paths = Paths(path, midpoint, bounding_radius, level, midpoint[: n if len(periodic) else 0].copy())
         low, high = box
         apart = spacing(low, high, n)
         fine = grid(midpoint, (low, high), max(1.8 * apart, 1.2 * mean), FINE)
         order, start = sort_rows(midpoint, level, SLOW, fine)
         coarse = grid(midpoint, (low, high), max(2.0 * apart, 2.0 * mean), 1)
-        origin = fine.origin[-min(len(low), GRIDDED) :]
-        farthest = np.maximum(high[: len(origin)] - origin, origin - low[: len(origin)]).max()
-        scale = 1.0 / max(float(farthest), 1e-300) if n else 1.0
+        farthest = np.abs(slow_box[:, :GRIDDED] - fine.origin[-min(len(low), GRIDDED) :]).max()
+        scale = 1.0 / max(float(farthest), 1e-300) if len(order) else 1.0
         place, entry, head, after, before, cell_of = fill_cells(self.paths, order, fine.origin, scale, coarse)
         cells = SortedCells(order, start, place, entry, scale, fine), LinkedCells(head, after, before, cell_of, coarse)
         index = SearchIndex(*cells, oversize, np.array([count]), reaches, limit, low, high, *own_box)

@@ -175,9 +175,9 @@ class Waiting(NamedTuple):
 
 @inner(error_model="numpy")
 def keep_pairs(axes, waiting, parts, holding, horizon, pairs, found):
-    """Of the first `parts` parts of those `waiting`, add the pairs to keep to the first `found`; returns how many are then.
+    """Add the pairs to keep, of the first `parts` parts of those `waiting`, to the first `found`; returns how many are then.
 
-    Pairs beyond the room for them are counted only.
+    Pairs beyond the room for them are counted only. waiting: a `Waiting` as a plain tuple.
     """
     around, asking, until, place = waiting
     paths, _, spheres, _, _, length, marked, _, _ = holding

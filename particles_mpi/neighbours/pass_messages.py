@@ -15,8 +15,8 @@ from particles_mpi.neighbours.rank_boxes import index_of
 from particles_mpi.parallel.halo import Halo
 from particles_mpi.particles import Array
 
-# What hits are about: rows that no other rank knows; own rows that others know as ghosts; a row with a ghost of its own. Who its
-# partners select only the last need to be told, who is where now the last two.
+# What hits are about: own rows that no other rank holds; own rows that others hold as ghosts; an own row and a ghost. Which
+# partners were selected must be told for the last only, new segments for the last two.
 OWN_ONLY, SHARED_ROWS, ACROSS = 0, 1, 2
 
 

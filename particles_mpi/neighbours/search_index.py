@@ -5,7 +5,7 @@ lists, and a few OVERSIZE ones one by one. A SLOW row with a new path keeps its 
 the path is where the first one could have been; otherwise, and when it gets a third one, it becomes FAST.
 """
 
-from math import nan, sqrt
+from math import inf, nan, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from particles_mpi.neighbours.cells import Grid, LinkedCells, cell_at, link, unl
 from particles_mpi.particles import Array
 
 SLOW, FAST, OVERSIZE, RENEWED = 0, 1, 2, 3
-WAITING = 64  # rows listed before their paths are tested
+WAITING = 64  # rows are listed, or parts of a list, before the paths of all are tested
 AT_ONCE = 8  # places of the sorted cells that are tested together
 ROUNDED = 1e-6  # of the sum of the numbers that are compared: more than what float32 loses
 
@@ -24,7 +24,7 @@ class SortedCells(NamedTuple):
     """SLOW rows in the order of their cells: rows `order` (m,) by place, and places where each cell starts (cells + 1 or more).
 
     place (n,): where a row is in `order`. entry (g + 1, m + AT_ONCE) float32: by place, midpoint on the g gridded axes, from the
-    grid's origin, and bounding radius, both times `scale`, with which no coordinate is above 1.
+    grid's origin, and bounding radius, both times `scale`, with which no coordinate was above 1 at the search.
     """
 
     order: Array
@@ -73,8 +73,9 @@ class Holding(NamedTuple):
 
 
 @kernel
-def levels(bounding_radius, slow, fast, most):
-    """(level of each row, OVERSIZE rows, their number, largest bounding radius of SLOW rows and of FAST ones).
+def levels(midpoint, bounding_radius, slow, fast, most):
+    """(level of each row, OVERSIZE rows, their number, largest bounding radius of SLOW rows and of FAST ones, bounds (2, d) of
+    the midpoints of SLOW rows).
 
     SLOW are rows with a bounding radius up to `slow`, FAST up to `fast`, and OVERSIZE beyond; but if more than `most` are
     beyond, they are FAST.
@@ -86,9 +87,14 @@ def levels(bounding_radius, slow, fast, most):
     oversize = np.empty(len(bounding_radius), np.int32)
     count = 0
     largest = np.zeros(2)
+    box = np.empty((2, midpoint.shape[1]))
+    box[0], box[1] = inf, -inf
     for i in range(len(bounding_radius)):
         if bounding_radius[i] <= slow:
             level[i] = SLOW
+            for k in range(midpoint.shape[1]):
+                box[0, k] = min(box[0, k], midpoint[i, k])
+                box[1, k] = max(box[1, k], midpoint[i, k])
         elif bounding_radius[i] <= fast or beyond > most:
             level[i] = FAST
         else:
@@ -97,7 +103,7 @@ def levels(bounding_radius, slow, fast, most):
             count += 1
             continue
         largest[level[i]] = max(largest[level[i]], bounding_radius[i])
-    return level, oversize, count, largest
+    return level, oversize, count, largest, box
 
 
 @lean_inner

@@ -48,6 +48,13 @@ SCENES = {
         particles=[{"count": 512, "position": "lattice", "velocity": {"temperature": 1.0}, "radius": 0.5}],
         effects={"collisions": {}},
     ),
+    "more contacts than passes, between walls": dict(
+        dimension=2,
+        box={"lower": [0, 0], "upper": [6, 6]},
+        time={"step": 0.05, "steps": 40},
+        particles=[{"count": 60, "position": "random", "velocity": {"speed": 6.0}, "radius": 0.25, "mass": 1.0}],
+        effects={"collisions": {"passes": 1}, "walls": {}},
+    ),
     "half periodic, drag, acceleration, fixed": dict(
         dimension=2,
         box={"lower": [0, 0], "upper": [10, 10], "periodic": [True, False]},

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 NONE = np.empty(0)
 DEEP = 0.5e-3  # of a radius: an overlap at the end of a drift, which nobody may keep
-LOOK_EVERY = 10  # drifts between two looks at the speeds
+LOOK_EVERY = 10  # drifts between two looks at the speeds, until one is too fast
 CROWDED = 3  # passes, after which partners that overlap are taken as a sign of a crowd, not of two who soon move apart
 
 
@@ -229,8 +229,8 @@ class Rewind:
     def finish_walls(self, hits: Hits, h: float) -> int:
         """After the last pass particles still may not leave through walls: they meet those, and nobody else."""
         near, log = self.near, self.log
-        if near.halo:
-            near.distrust()  # walls that are blind to others turn rows which are ghosts elsewhere
+        if near.halo or not near.kicked:
+            near.distrust()  # rows that are turned here get no new paths, and are not told to those who have them as ghosts
         rows = hits.first[hits.second < 0]
         rows = rows[near.segments.last_partner[rows] == NOBODY]  # owned rows whose first contact this is, each once
         count = log.number[0]

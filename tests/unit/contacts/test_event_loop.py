@@ -98,16 +98,18 @@ def interrupted(tmp_path_factory):
     run += "except BaseException as error:\n    raise SystemExit(abort_all(error))\n"
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     processes = [subprocess.Popen([sys.executable, "-c", script], cwd=ROOT, **pipes) for script in (plain, run)]
-    for process in processes:
-        assert process.stdout.readline() == "begins\n"
-    begun = [seconds_of(process) for process in processes]
-    while any(seconds_of(process) < begin + WELL_INTO for process, begin in zip(processes, begun, strict=True)):
-        assert all(process.poll() is None for process in processes)
-        sleep(0.02)
-    yield dict(zip(("script", "run with files"), zip(processes, (-signal.SIGINT, 130), strict=True), strict=True))
-    for process in processes:
-        process.kill()
-        process.wait()
+    try:
+        for process in processes:
+            assert process.stdout.readline() == "begins\n"
+        begun = [seconds_of(process) for process in processes]
+        while any(seconds_of(process) < begin + WELL_INTO for process, begin in zip(processes, begun, strict=True)):
+            assert all(process.poll() is None for process in processes)
+            sleep(0.02)
+        yield dict(zip(("script", "run with files"), zip(processes, (-signal.SIGINT, 130), strict=True), strict=True))
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
 
 
 @pytest.mark.parametrize("what", ["script", "run with files"])

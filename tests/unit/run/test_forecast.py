@@ -100,8 +100,7 @@ def test_a_first_step_that_serves_many_says_nothing_of_the_others(monkeypatch):
     """As that of ten million spheres: 7 s with the first search, then 0.3 s, and 2 s in every tenth, which searches anew."""
     cost = lambda n: 7.0 if n == 1 else 2.0 if n % 10 == 1 else 0.3  # noqa: E731
     found, whole = invented(monkeypatch, 100, (50, 10, 50), cost, 3.0, 0.5, 4.0, 0.1)
-    for told, when, _ in found:
-        assert whole / TRUST <= told.seconds <= whole * TRUST
+    assert all(whole / TRUST <= told.seconds <= whole * TRUST for told, _, _ in found)
     assert found[0][1] < 25.0
 
 
