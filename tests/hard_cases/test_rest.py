@@ -317,3 +317,25 @@ def test_a_step_in_which_gravity_moves_spheres_by_many_radii(mode):
         most = max(most, len(sim.persistent.graph.other) if sim.persistent.graph else 0)
     assert n < most < 40 * n
     assert sim.measure()["kinetic"] < 1e-4 * start
+
+
+@pytest.mark.parametrize(("seed", "friction"), [(3, 0.4), (8, 0.0)])
+def test_steps_in_which_forces_move_spheres_by_more_than_their_radius(seed, friction):
+    """A copy, which knows of no contacts of before, goes on with the same bits in every step."""
+    surface = {"restitution": 0.3, **({"friction": friction} if friction else {})}
+    spheres = {"count": 90, "position": "random", "radius": {"min": 0.08, "max": 0.2}, "velocity": {"speed": 1.0}}
+    sim = Simulation(
+        Scene(
+            dimension=2,
+            seed=seed,
+            box={"lower": [0, 0], "upper": [6, 6]},
+            time={"step": 0.06, "steps": 15},
+            particles=[spheres],
+            effects={"uniform_gravity": {"acceleration": [0.3, -9.81]}, "collisions": surface, "walls": surface},
+        )
+    )
+    for _ in range(15):
+        twin = sim.copy()
+        twin.step()
+        sim.step()
+        assert sim == twin

@@ -49,6 +49,7 @@ from particles_mpi.timers import Timers
 
 SKIN = 0.3  # of the smallest radius: so far rows may move, two together, before the graph is made anew
 DILUTE = 1.0  # the same, in a gas: few pairs come near, but rows move far
+ROUND_UP = 1.000001  # times a width: more than anyone loses who computes it otherwise
 UNKNOWN = 10  # times the effort where nothing is remembered
 
 
@@ -127,7 +128,7 @@ class PersistentContacts:
             zone = self.zone(p, wide, involved, bool(known))
             graph = self.near(p, wide, zone)
             local = self.local(p, a, h, graph)
-            inside = inside_zone(local.x, local.push, local.radius, h, zone)
+            inside = inside_zone(local.x, widths(local.radius, local.push, HELD * h, NEAR), zone)
             self.taken[:] = self.solve(p, local, graph, inside, h, self.taken, bool(known))
 
     def involved(self, p: Particles, a: Array, h: float) -> Array:
@@ -184,7 +185,7 @@ class PersistentContacts:
             least = p.radius.min(initial=np.inf, where=p.radius > 0.0)
             skin = (DILUTE if self.dilute else SKIN) * float(self.ranks.allreduce_min(least)[0])
             skin = skin if skin < np.inf else 0.0
-            rows = rows_in(p.position, wide + skin, zone)
+            rows = rows_in(p.position, ROUND_UP * wide + skin, zone)  # all that `inside_zone` finds, whatever is rounded
             graph = ContactGraph(self.ranks, p, rows, wide, skin, self.length, points=self.points)
             self.taken = self.taken_before(p, graph)
             self.graph = graph

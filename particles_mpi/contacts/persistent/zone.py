@@ -1,10 +1,9 @@
 """The zone: the box in which contacts are sought, around those involved; and crowds, which spread from row to row."""
 
-from math import inf, sqrt
+from math import inf
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.detection import HELD
 from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import kernel, lean_inner
 
@@ -19,14 +18,11 @@ def touches(x, i, wide, zone):
 
 
 @kernel
-def inside_zone(x, push, radius, h, zone):
-    """Which rows and ghosts touch the zone (2, d), with their widths."""
+def inside_zone(x, wide, zone):
+    """Which rows and ghosts touch the zone (2, d), with their widths (n,)."""
     inside = np.empty(len(x), np.bool_)
     for i in range(len(x)):
-        push2 = 0.0
-        for k in range(x.shape[1]):
-            push2 += push[i, k] * push[i, k]
-        inside[i] = touches(x, i, radius[i] + HELD * h * sqrt(push2), zone)
+        inside[i] = touches(x, i, wide[i], zone)
     return inside
 
 
