@@ -140,7 +140,8 @@ def accuracy(
 ) -> None:
     """What accuracy costs: error against seconds and work, for a scene or the built-in problems.
 
-    A orbits, B close encounters, C hard-sphere fluid, D tree, F softening, G drag and friction, H effects on and off.
+    A orbits, B close encounters, C hard-sphere fluid, D tree, F softening, G drag and friction, H effects on and off, I contacts
+    that last, J rough spheres.
 
     Example:   ./run.sh study accuracy --quick
     """

@@ -1,1 +1,6 @@
-"""What a user may read and change between two steps."""
+"""What a user may read and change between two steps.
+
+- `state`: particles, clock, counts and scene of a simulation, and what is made anew when they change
+- `views`: the particles and the effects as a user sees them, and what was changed there
+- `saved`: copied, compared, printed, saved and read back
+"""

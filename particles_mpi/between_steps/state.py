@@ -32,7 +32,7 @@ class State:
     reported, written: counts and steps at the last row of diagnostics and the last frame; observed: time, collisions and virial
     when the observables were last looked at. Of this rank, since the start: totals: collisions, wall hits, missed contacts and
     exchanges; calls: how often each effect was asked. forces: those that are switched on, by name; g (d,): the acceleration
-    that all particles have in common; near: whoever knows the neighbours, and contacts: the operator for pairs, or None.
+    that all particles have in common; near: whoever knows the neighbours, or None.
     """
 
     persistent: Any = None
@@ -83,7 +83,7 @@ class State:
         if drift:
             self.drift.continue_counts(drift)
         self.totals, self.calls = self.drift.totals, self.drift.calls
-        self.near, self.contacts = self.drift.near, self.drift.operator
+        self.near = self.drift.near
         done = summed.interactions if summed else 0
         self.accelerations = Accelerations(effects.forces, ranks, scene.dimension, self.calls, done)
         self.forces, self.g = self.accelerations.forces, self.accelerations.g

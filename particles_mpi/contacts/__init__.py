@@ -17,6 +17,6 @@ segments; `select_contacts` chooses for each particle the earliest; ranks exchan
 those contacts happen that both partners chose, by `law.collide_pair` and `walls.bounce`, and each partner begins a new segment;
 ranks exchange those, and `Neighbourhood.follow` finds who is in the way of them. When no contact is left, all move to the end.
 
-In mode `event` (`event_driven.operator.Event.drift`) a queue holds the next event of each particle; the first one of all takes
-place by the same law, and only those whom it concerns look for their next events again.
+In mode `event` (`event_driven.operator.EventDriven.drift`) a queue holds the next event of each particle; the first one of all
+takes place by the same law, and only those whom it concerns look for their next events again.
 """

@@ -85,11 +85,11 @@ class Drift:
     def load_operator(self, pairs: PairContacts, accelerations: Callable[[], Any]) -> None:
         """The collision operator that the scene names, and its search for neighbours."""
         context, planes = self.context, self.effects.walls.planes if self.effects.walls else None
-        box, loss = Box(context.lower, context.upper, context.length), Loss(pairs.restitution, pairs.keep)
+        box, loss = Box(context.lower, context.upper, context.length), Loss(pairs.restitution, pairs.velocity_factor)
         law = surfaces(self.effects)
         exact: Any = None
         if pairs.options.mode == "event" or self.effects.lossy:
-            from particles_mpi.contacts.event_driven.operator import Event as EventDriven
+            from particles_mpi.contacts.event_driven.operator import EventDriven
 
             duration = pairs.options.contact_duration
             exact = EventDriven(self.rows, context.ranks, box, loss, law, duration, planes, context.timers)

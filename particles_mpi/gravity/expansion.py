@@ -22,7 +22,7 @@ from particles_mpi.kernels.jit import as_kind, fma, inner, lean_inner, wide
 
 ORDER = 4
 CELLS = 256  # of a list that are added up at a time: they stay in the first-level cache
-LANES = 16  # cells that are added up side by side: the order of the sum depends on it, not on the vectors of a processor
+CELL_LANES = 16  # cells that are added up side by side: the order of the sum depends on it, not on the vectors of a processor
 FAR_MASS, FAR_WIDTH = 3, 10  # rows of a list of far cells: r (3), mass, S/2 (xx, 2 xy, 2 xz, yy, 2 yz, zz)
 
 POWERS = sorted((n for n in product(range(ORDER + 1), repeat=3) if sum(n) <= ORDER), key=lambda n: (sum(n), [-k for k in n]))
@@ -44,12 +44,13 @@ LOW = sum(sum(n) < ORDER for n in POWERS)  # coefficients that have higher ones
 
 @lean_inner
 def enter_cell(far, n, r, cell, mass_unit, moment_unit):
-    """Enter a cell (WIDTH,) as number n into a list (CELLS/LANES, FAR_WIDTH, LANES); the group's middle is at r (3) from it.
+    """Enter a cell (WIDTH,) as number n into a list (CELLS/CELL_LANES, FAR_WIDTH, CELL_LANES); the group's middle is at r (3)
+    from it.
 
     r is in the units of the list; `mass_unit`, `moment_unit`: what masses and second moments are to be multiplied by. Returns how
     many there are then.
     """
-    entry, lane = far[n // LANES], n % LANES
+    entry, lane = far[n // CELL_LANES], n % CELL_LANES
     entry[0, lane], entry[1, lane], entry[2, lane], entry[FAR_MASS, lane] = r[0], r[1], r[2], mass_unit * cell[MASS]
     for e in range(6):
         half = 0.5 if e == 0 or e == 3 or e == 5 else 1.0  # the others count twice
@@ -65,7 +66,7 @@ def contract(start, s, xx, xy, xz, yy, yz, zz):
 
 @formula
 def add_cell(far, lane, softening2, sums):
-    """Cell c of a list of far cells (FAR_WIDTH, .) adds its part to the sums (COEFFICIENTS, LANES), in one lane."""
+    """Cell c of a list of far cells (FAR_WIDTH, .) adds its part to the sums (COEFFICIENTS, CELL_LANES), in one lane."""
     x, y, z, mass = far[0, lane], far[1, lane], far[2, lane], far[FAR_MASS, lane]
     s = far[4, lane], far[5, lane], far[6, lane], far[7, lane], far[8, lane], far[9, lane]
     xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z
@@ -88,66 +89,66 @@ def add_cell(far, lane, softening2, sums):
     yyyy, yyyz, yyzz = fma(yy, fma(3.0, g3, ty), three * g2), yz * ty, fma(zz, fy, py)
     yzzz, zzzz = yz * tz, fma(zz, fma(3.0, g3, tz), three * g2)
     sums[lane] = contract(fma(mass, g0, sums[lane]), s, dxx, dxy, dxz, dyy, dyz, dzz)
-    sums[LANES + lane] = contract(fma(mass, g1 * x, sums[LANES + lane]), s, xxx, xxy, xxz, xyy, xyz, xzz)
-    sums[2 * LANES + lane] = contract(fma(mass, g1 * y, sums[2 * LANES + lane]), s, xxy, xyy, xyz, yyy, yyz, yzz)
-    sums[3 * LANES + lane] = contract(fma(mass, g1 * z, sums[3 * LANES + lane]), s, xxz, xyz, xzz, yyz, yzz, zzz)
-    sums[4 * LANES + lane] = contract(fma(mass, dxx, sums[4 * LANES + lane]), s, xxxx, xxxy, xxxz, xxyy, xxyz, xxzz)
-    sums[5 * LANES + lane] = contract(fma(mass, dxy, sums[5 * LANES + lane]), s, xxxy, xxyy, xxyz, xyyy, xyyz, xyzz)
-    sums[6 * LANES + lane] = contract(fma(mass, dxz, sums[6 * LANES + lane]), s, xxxz, xxyz, xxzz, xyyz, xyzz, xzzz)
-    sums[7 * LANES + lane] = contract(fma(mass, dyy, sums[7 * LANES + lane]), s, xxyy, xyyy, xyyz, yyyy, yyyz, yyzz)
-    sums[8 * LANES + lane] = contract(fma(mass, dyz, sums[8 * LANES + lane]), s, xxyz, xyyz, xyzz, yyyz, yyzz, yzzz)
-    sums[9 * LANES + lane] = contract(fma(mass, dzz, sums[9 * LANES + lane]), s, xxzz, xyzz, xzzz, yyzz, yzzz, zzzz)
-    sums[10 * LANES + lane] = fma(mass, xxx, sums[10 * LANES + lane])
-    sums[11 * LANES + lane] = fma(mass, xxy, sums[11 * LANES + lane])
-    sums[12 * LANES + lane] = fma(mass, xxz, sums[12 * LANES + lane])
-    sums[13 * LANES + lane] = fma(mass, xyy, sums[13 * LANES + lane])
-    sums[14 * LANES + lane] = fma(mass, xyz, sums[14 * LANES + lane])
-    sums[15 * LANES + lane] = fma(mass, xzz, sums[15 * LANES + lane])
-    sums[16 * LANES + lane] = fma(mass, yyy, sums[16 * LANES + lane])
-    sums[17 * LANES + lane] = fma(mass, yyz, sums[17 * LANES + lane])
-    sums[18 * LANES + lane] = fma(mass, yzz, sums[18 * LANES + lane])
-    sums[19 * LANES + lane] = fma(mass, zzz, sums[19 * LANES + lane])
-    sums[20 * LANES + lane] = fma(mass, xxxx, sums[20 * LANES + lane])
-    sums[21 * LANES + lane] = fma(mass, xxxy, sums[21 * LANES + lane])
-    sums[22 * LANES + lane] = fma(mass, xxxz, sums[22 * LANES + lane])
-    sums[23 * LANES + lane] = fma(mass, xxyy, sums[23 * LANES + lane])
-    sums[24 * LANES + lane] = fma(mass, xxyz, sums[24 * LANES + lane])
-    sums[25 * LANES + lane] = fma(mass, xxzz, sums[25 * LANES + lane])
-    sums[26 * LANES + lane] = fma(mass, xyyy, sums[26 * LANES + lane])
-    sums[27 * LANES + lane] = fma(mass, xyyz, sums[27 * LANES + lane])
-    sums[28 * LANES + lane] = fma(mass, xyzz, sums[28 * LANES + lane])
-    sums[29 * LANES + lane] = fma(mass, xzzz, sums[29 * LANES + lane])
-    sums[30 * LANES + lane] = fma(mass, yyyy, sums[30 * LANES + lane])
-    sums[31 * LANES + lane] = fma(mass, yyyz, sums[31 * LANES + lane])
-    sums[32 * LANES + lane] = fma(mass, yyzz, sums[32 * LANES + lane])
-    sums[33 * LANES + lane] = fma(mass, yzzz, sums[33 * LANES + lane])
-    sums[34 * LANES + lane] = fma(mass, zzzz, sums[34 * LANES + lane])
+    sums[CELL_LANES + lane] = contract(fma(mass, g1 * x, sums[CELL_LANES + lane]), s, xxx, xxy, xxz, xyy, xyz, xzz)
+    sums[2 * CELL_LANES + lane] = contract(fma(mass, g1 * y, sums[2 * CELL_LANES + lane]), s, xxy, xyy, xyz, yyy, yyz, yzz)
+    sums[3 * CELL_LANES + lane] = contract(fma(mass, g1 * z, sums[3 * CELL_LANES + lane]), s, xxz, xyz, xzz, yyz, yzz, zzz)
+    sums[4 * CELL_LANES + lane] = contract(fma(mass, dxx, sums[4 * CELL_LANES + lane]), s, xxxx, xxxy, xxxz, xxyy, xxyz, xxzz)
+    sums[5 * CELL_LANES + lane] = contract(fma(mass, dxy, sums[5 * CELL_LANES + lane]), s, xxxy, xxyy, xxyz, xyyy, xyyz, xyzz)
+    sums[6 * CELL_LANES + lane] = contract(fma(mass, dxz, sums[6 * CELL_LANES + lane]), s, xxxz, xxyz, xxzz, xyyz, xyzz, xzzz)
+    sums[7 * CELL_LANES + lane] = contract(fma(mass, dyy, sums[7 * CELL_LANES + lane]), s, xxyy, xyyy, xyyz, yyyy, yyyz, yyzz)
+    sums[8 * CELL_LANES + lane] = contract(fma(mass, dyz, sums[8 * CELL_LANES + lane]), s, xxyz, xyyz, xyzz, yyyz, yyzz, yzzz)
+    sums[9 * CELL_LANES + lane] = contract(fma(mass, dzz, sums[9 * CELL_LANES + lane]), s, xxzz, xyzz, xzzz, yyzz, yzzz, zzzz)
+    sums[10 * CELL_LANES + lane] = fma(mass, xxx, sums[10 * CELL_LANES + lane])
+    sums[11 * CELL_LANES + lane] = fma(mass, xxy, sums[11 * CELL_LANES + lane])
+    sums[12 * CELL_LANES + lane] = fma(mass, xxz, sums[12 * CELL_LANES + lane])
+    sums[13 * CELL_LANES + lane] = fma(mass, xyy, sums[13 * CELL_LANES + lane])
+    sums[14 * CELL_LANES + lane] = fma(mass, xyz, sums[14 * CELL_LANES + lane])
+    sums[15 * CELL_LANES + lane] = fma(mass, xzz, sums[15 * CELL_LANES + lane])
+    sums[16 * CELL_LANES + lane] = fma(mass, yyy, sums[16 * CELL_LANES + lane])
+    sums[17 * CELL_LANES + lane] = fma(mass, yyz, sums[17 * CELL_LANES + lane])
+    sums[18 * CELL_LANES + lane] = fma(mass, yzz, sums[18 * CELL_LANES + lane])
+    sums[19 * CELL_LANES + lane] = fma(mass, zzz, sums[19 * CELL_LANES + lane])
+    sums[20 * CELL_LANES + lane] = fma(mass, xxxx, sums[20 * CELL_LANES + lane])
+    sums[21 * CELL_LANES + lane] = fma(mass, xxxy, sums[21 * CELL_LANES + lane])
+    sums[22 * CELL_LANES + lane] = fma(mass, xxxz, sums[22 * CELL_LANES + lane])
+    sums[23 * CELL_LANES + lane] = fma(mass, xxyy, sums[23 * CELL_LANES + lane])
+    sums[24 * CELL_LANES + lane] = fma(mass, xxyz, sums[24 * CELL_LANES + lane])
+    sums[25 * CELL_LANES + lane] = fma(mass, xxzz, sums[25 * CELL_LANES + lane])
+    sums[26 * CELL_LANES + lane] = fma(mass, xyyy, sums[26 * CELL_LANES + lane])
+    sums[27 * CELL_LANES + lane] = fma(mass, xyyz, sums[27 * CELL_LANES + lane])
+    sums[28 * CELL_LANES + lane] = fma(mass, xyzz, sums[28 * CELL_LANES + lane])
+    sums[29 * CELL_LANES + lane] = fma(mass, xzzz, sums[29 * CELL_LANES + lane])
+    sums[30 * CELL_LANES + lane] = fma(mass, yyyy, sums[30 * CELL_LANES + lane])
+    sums[31 * CELL_LANES + lane] = fma(mass, yyyz, sums[31 * CELL_LANES + lane])
+    sums[32 * CELL_LANES + lane] = fma(mass, yyzz, sums[32 * CELL_LANES + lane])
+    sums[33 * CELL_LANES + lane] = fma(mass, yzzz, sums[33 * CELL_LANES + lane])
+    sums[34 * CELL_LANES + lane] = fma(mass, zzzz, sums[34 * CELL_LANES + lane])
 
 
 @inner(_nrt=False, error_model="numpy")
 def expand(far, n, softening2, sums):
-    """The first n cells of a list add their parts to the sums (COEFFICIENTS LANES,); cells without mass fill the last block.
+    """The first n cells of a list add their parts to the sums (COEFFICIENTS CELL_LANES,); cells without mass fill the last block.
 
     Returns how many are in the list then: none.
     """
     wide()
-    while n % LANES:
-        far[n // LANES, :, n % LANES] = 0.0
-        far[n // LANES, 0, n % LANES] = 1.0
+    while n % CELL_LANES:
+        far[n // CELL_LANES, :, n % CELL_LANES] = 0.0
+        far[n // CELL_LANES, 0, n % CELL_LANES] = 1.0
         n += 1
-    for block in range(n // LANES):
-        for lane in range(LANES):
+    for block in range(n // CELL_LANES):
+        for lane in range(CELL_LANES):
             add_cell(far[block], lane, softening2, sums)
     return 0
 
 
 @lean_inner
 def add_lanes(sums, coefficients):
-    """The sums (COEFFICIENTS LANES,) of all lanes, in their order, as float64: coefficients (COEFFICIENTS,) or more."""
+    """The sums (COEFFICIENTS CELL_LANES,) of all lanes, in their order, as float64: coefficients (COEFFICIENTS,) or more."""
     for m in range(COEFFICIENTS):
-        coefficients[m] = np.float64(sums[m * LANES])
-        for lane in range(1, LANES):
-            coefficients[m] += np.float64(sums[m * LANES + lane])
+        coefficients[m] = np.float64(sums[m * CELL_LANES])
+        for lane in range(1, CELL_LANES):
+            coefficients[m] += np.float64(sums[m * CELL_LANES + lane])
 
 
 @lean_inner

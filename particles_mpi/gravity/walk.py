@@ -8,8 +8,8 @@ A vector holds twice as many float32 as float64, and their round-off, 1e-7 of a 
 unless the opening angle is small. So what is not close to a group acts on it in float32, with the middle of the group as origin:
 no distance is then so small that the round-off of two places would matter. What is close acts in float64.
 
-Sources act in the order of the tree, those of either kind of numbers; the cells of the expansion in LANES sums. So the order of
-every sum is the tree's: it depends neither on the ranks nor on the vectors of a processor.
+Sources act in the order of the tree, those of either kind of numbers; the cells of the expansion in CELL_LANES sums. So the order
+of every sum is the tree's: it depends neither on the ranks nor on the vectors of a processor.
 """
 
 from math import frexp, ldexp, sqrt
@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from particles_mpi.gravity.expansion import CELLS, COEFFICIENTS, FAR_WIDTH, LANES, add_lanes, enter_cell, evaluate, expand
+from particles_mpi.gravity.expansion import CELL_LANES, CELLS, COEFFICIENTS, FAR_WIDTH, add_lanes, enter_cell, evaluate, expand
 from particles_mpi.gravity.octree import CENTER, END, FIRST, MASS, RADIUS, distance2, is_far
 from particles_mpi.gravity.sources import (
     BLOCK,
@@ -85,8 +85,8 @@ class Room(NamedTuple):
     double: Lists  # in float64, for sources that are close
     single: Lists  # in float32, for all others
     total: Any  # four arrays in float64: acceleration and potential of each target
-    far: Array  # (CELLS / LANES, FAR_WIDTH, LANES) float32: cells that wait for the expansion
-    sums: Array  # (COEFFICIENTS LANES,) float32: of the expansion
+    far: Array  # (CELLS / CELL_LANES, FAR_WIDTH, CELL_LANES) float32: cells that wait for the expansion
+    sums: Array  # (COEFFICIENTS CELL_LANES,) float32: of the expansion
     coefficients: Array  # (2 COEFFICIENTS,) those of the expansion, and room for `evaluate`
 
 
@@ -100,7 +100,8 @@ def walk(tree, groups, offset, law):
     for g in range(len(groups)):
         most = max(most, groups[g, END] - groups[g, FIRST] + BLOCK)
     total = np.empty(most), np.empty(most), np.empty(most), np.empty(most)
-    far, sums = np.empty((CELLS // LANES, FAR_WIDTH, LANES), np.float32), np.empty(COEFFICIENTS * LANES, np.float32)
+    far = np.empty((CELLS // CELL_LANES, FAR_WIDTH, CELL_LANES), np.float32)
+    sums = np.empty(COEFFICIENTS * CELL_LANES, np.float32)
     room = Room(new_lists(most, np.float64), new_lists(most, np.float32), total, far, sums, np.empty(2 * COEFFICIENTS))
     mass = ldexp(1.0, -frexp(tree.cells[0, MASS])[1])
     for g in range(len(groups)):

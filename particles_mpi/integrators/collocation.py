@@ -31,16 +31,11 @@ ROUNDED = float(np.finfo(float).eps)  # round-off of a sum of forces, relative t
 CAUTION = 10.0  # times the change that the next iteration is expected to make
 NOISY = 8.0  # times the round-off: changes from one iteration to the next that are nothing else
 STALLED, DIVERGED = 1e-10, 1e-8  # of the largest acceleration: changes that need not shrink any more, and that must
-SAFE, SHRINK, GROW = (
-    0.25,
-    0.1,
-    4.0,
-)  # a substep is taken if the next may be SAFE times as long or more; that is SHRINK to GROW times as long
+SAFE = 0.25  # a substep is taken if the next one may be so many times as long, or longer
+SHRINK, GROW = 0.1, 4.0  # bounds of the length of a substep, divided by that of the one before
 SHORTEST = 1e-11  # of a step of the scene: where masses meet head on there is no end to it
-BLIND, MOST_BLIND = (
-    4.0,
-    100,
-)  # times the largest tolerance: more round-off hides the motion; after so many such tries in a row it is an error
+BLIND = 4.0  # times the largest tolerance: more round-off hides the motion
+MOST_BLIND = 100  # tries in a row in which it does; then it is an error
 FAR = 1.5  # times the last step: for longer ones its polynomial is no guess
 ROOT_ROUNDS = 60
 

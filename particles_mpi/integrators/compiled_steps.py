@@ -177,7 +177,7 @@ def move(axes, bodies, space, strength, h, t_mid):
 
 
 @in_place
-def kick_bodies(axes, bodies, forces, losses, part, h, drift):
+def kick_bodies(bodies, forces, losses, part, h, drift):
     """The kick of `Kick.force_and_losses`, number `part` of a step; `drift`: length of the drift that follows."""
     if len(losses.decay) == 0:
         if forces.any:
@@ -220,7 +220,7 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch):
                             rate[i, k] -= bodies.drag[i] * bodies.v[i, k]
                 kick(bodies.v, rate, kicked)
             else:
-                kick_bodies(axes, bodies, forces, losses, part, kicked, drifted)
+                kick_bodies(bodies, forces, losses, part, kicked, drifted)
                 if space.on_walls.kept:
                     pushed = keep_on_walls(axes, bodies, space, h, near)
             if drifted != 0.0:

@@ -1,4 +1,11 @@
-"""What compiled kernels stand on: how they are compiled, eight numbers at once, distances in a periodic box, segments and kicks.
+"""What compiled kernels stand on: how they are compiled, and small ones that all folders use.
+
+- `jit`: the decorators that compile; `loading`: kernels come from numba's cache quickly
+- `lanes`: eight numbers at once; `memory`: arrays that begin with lines of the cache, and larger ones
+- `limits`: what 32 bits can count; `markers`: numbers for what is not there
+- `geometry`: distances and places in a periodic box; `planes`: walls as arrays
+- `motion`: kicks and straight segments; `sliding`: under friction; `turning`: orientations that follow spins
+- `validity`: is everyone there, and inside? `fingerprint`: was an array changed?
 
 Nothing of the program starts where no folder for compiled kernels can be written: numba would raise an error at each of them.
 """

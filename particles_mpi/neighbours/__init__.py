@@ -8,6 +8,7 @@ Mode `rewind` (`contacts/time_stepped`) searches by candidates. The files, in th
     pair_search       which paths come near one another
     replacement       the compiled call that finds the candidates of all rows, or replaces those of a few
     candidates        one search: all pairs and all particles near walls, and how those are replaced whose paths changed
+    rank_boxes        boxes of ranks, and which rows get into them
     halo_region       the ghosts that a rank needs for that, and until when its particles meet no unknown one
     pass_messages     what ranks tell one another of ghosts in a pass over contacts
     rebuild_interval  for how many steps a search shall hold, so that the whole costs least

@@ -177,9 +177,9 @@ class Waiting(NamedTuple):
 def keep_pairs(axes, waiting, parts, holding, horizon, pairs, found):
     """Add the pairs to keep, of the first `parts` parts of those `waiting`, to the first `found`; returns how many are then.
 
-    Pairs beyond the room for them are counted only. waiting: a `Waiting` as a plain tuple.
+    Pairs beyond the room for them are counted only. waiting: a `Waiting`.
     """
-    around, asking, until, place = waiting
+    around, asking, until, place = waiting.around, waiting.asking, waiting.until, waiting.place
     paths, _, spheres, _, _, length, marked, _, _ = holding
     path, _, bounding_radius, _, _ = paths
     end, tolerance, _, _ = horizon
@@ -229,7 +229,7 @@ def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found)
     middle, extent = np.empty(d), np.empty(g)
     middle32, firsts = np.empty(g, np.float32), np.empty(8, np.int64)
     asking, until, place = np.empty(WAITING, np.int32), np.empty(WAITING, np.int32), np.empty((WAITING, d))
-    waiting = around, asking, until, place
+    waiting = Waiting(around, asking, until, place)
     listed = parts = tests = 0
     done, pairs_done, tests_done = begin, found, 0
     for m in range(begin, len(rows)):

@@ -19,8 +19,13 @@ def replace_candidates(axes, rows, begin, why, segments, drift, horizon, holding
     `rows` then. holding, pairs: `Holding` and `Pairs` as plain tuples. begin: -1, or how many rows were done when there was no
     more room for pairs.
 
-    Returns (0, or how far a row gets if that is further than candidates may reach: nothing is found then; until when candidates
-    are valid; pairs; rows near walls; tests; rows that left their paths; how many of them are done).
+    Returns, in this order,
+    needed: 0, or how far a row gets if that is further than candidates may reach: nothing was replaced then;
+    until: the time until which candidates are valid;
+    found, walls: how many pairs and rows near walls there are now;
+    tests: how many rows were looked at as partners;
+    count: how many of `rows` left their paths;
+    done: how many of these have found their partners, before there was no more room.
     """
     paths, cells, spheres, planes, region, length, marked, _, wall_rows = holding
     until, (time, h), owned = horizon[0], drift, spheres[3]

@@ -53,7 +53,7 @@ class Paths(NamedTuple):
 
     path (n, 2d + 2 or more): a row is (x0, v0, t0, R), so that all of it lies together in memory, in whole lines of the cache.
     midpoint (n, d): where the row will be halfway to the horizon. bounding_radius (n,): R, tolerance and path lie within that
-    distance of the midpoint. level (n,) int8: how rows are held by their bounding radius (`pair_search`). first_midpoint (n, d):
+    distance of the midpoint. level (n,) int8: how rows are held by their bounding radius (`search_index`). first_midpoint (n, d):
     as it was at the search; without rows where no axis is periodic, because there is no bound then.
     """
 

@@ -13,9 +13,9 @@ import numpy as np
 from particles_mpi.kernels import limits
 from particles_mpi.kernels.geometry import Box
 from particles_mpi.kernels.jit import in_place, inner, lean_inner, prefetch
+from particles_mpi.neighbours.cells import GRIDDED
 from particles_mpi.particles import Array
 
-GRIDDED = 3  # axes with cells
 LEVELS, FACTOR = 5, 3.0  # each level of cells is for sizes up to FACTOR times those of the one before
 WIDTH = 1.4  # of a cell, in sizes of the largest row in it
 NEXT_ROW, PREVIOUS_ROW, CELL = 6, 7, 8  # columns of `Lists.links`, after 2 d: behind the float64 numbers there

@@ -5,6 +5,7 @@ In the order in which to read them:
 - `files`: what all writers share: errors on all ranks together, files that are replaced as a whole, the columns of a frame
 - `layout`: how frames lie in the HDF5 file that ParaView opens
 - `trajectory`: appends all frames of a run to that file
+- `read_frames`: reads frames back, also while a run writes them
 - `vtk`: the same frames as one VTK file each, or as several pieces where they are large
 - `diagnostics_csv`: a row of sums every few steps
 - `checkpoint`: the exact state in one file, from which a run continues with the same bits

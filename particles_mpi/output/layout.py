@@ -1,4 +1,4 @@
-"""How the frames of a run lie in `trajectory.vtkhdf`: VTKHDF PolyData; the README has the whole layout.
+"""How the frames of a run lie in `trajectory.vtkhdf`: VTKHDF PolyData. STEPS, PARTS and CELLS are the whole layout.
 
 A frame has the N particles of its time in id order. Frames with the same N share one part (the numbers of points and cells), and
 all frames share one topology: particle i is cell i.

@@ -58,10 +58,10 @@ class Column(NamedTuple):
     high: float | None = None
 
 
-def write_page(run: Any, path: Path | None = None, largest: int = LARGEST) -> Path:
+def write_page(run: Any, path: Path | None = None) -> Path:
     """Write the page of a `Run`, as view.html into its folder if no path is given. Raises SceneError for one without frames."""
     path = path or run.folder / "view.html"
-    text, part = page(run, largest), path.with_name(path.name + ".tmp")
+    text, part = page(run), path.with_name(path.name + ".tmp")
     try:
         part.write_text(text, encoding="utf-8")
         os.replace(part, path)

@@ -1,1 +1,7 @@
-"""One run of the program from its plan to its phase table, with progress, forecast, and a check of the installation (doctor)."""
+"""One run of the program, from its plan to its phase table.
+
+- `job`: the run itself, with all that it writes
+- `console`: what a user sees of it; `forecast`: how long it will take
+- `scheduler`: the time limit of the job that it is in
+- `doctor`: what is installed, and whether it works together
+"""

@@ -33,7 +33,7 @@ def outlook(scene: Scene) -> Outlook:
     if scene.time.integrator == "adaptive":
         return Outlook(0.3, 3.0, "steps are cut where bodies come close, and how often that will be is not known")
     if effects.forces and effects.pairs:
-        if effects.pairs.restitution * effects.pairs.keep < HEAPING:
+        if effects.pairs.restitution * effects.pairs.velocity_factor < HEAPING:
             return Outlook(1.0 / TRUST, 10.0, "what falls heaps up, and contacts that last are not counted")
         return Outlook(1.0 / TRUST, 4.0, "what falls gets faster and denser, and later contacts are not counted")
     if effects.keeps_contacts:

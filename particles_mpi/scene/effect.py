@@ -247,13 +247,13 @@ class WallContacts(Effect):
 
 
 class PairContacts(Effect):
-    """Spheres that bounce off one another. restitution, keep: see `contacts.law.loss`; surface: (mu, beta_0), see
+    """Spheres that bounce off one another. restitution, velocity_factor: see `contacts.law.loss`; surface: (mu, beta_0), see
     `contacts.rough`; lossy: does a contact take energy?"""
 
     role = "event"
     options: Any
     restitution: float
-    keep: float
+    velocity_factor: float
     surface: tuple[float, float]
     lossy: bool
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.contacts.event_driven.messages import message_of
-from particles_mpi.contacts.event_driven.operator import Event
+from particles_mpi.contacts.event_driven.operator import EventDriven
 from particles_mpi.initial.populate import populate
 from particles_mpi.initial.random_addition import FEW
 from particles_mpi.parallel.communicator import Communicator
@@ -41,7 +41,7 @@ def scene(d: int, effects: dict[str, Any], *, periodic: bool = False, **more: An
 def run(ranks: Communicator, d: int, effects: dict[str, Any], **more: Any) -> None:
     """Compute all that a run of such a scene computes: steps, the watchdog, diagnostics."""
     sim = Simulation(scene(d, effects, **more), ranks.comm)
-    if isinstance(sim.near, Event) and ranks.size > 1:  # windows of time on divided space, however few particles there are
+    if isinstance(sim.near, EventDriven) and ranks.size > 1:  # windows of time on divided space, however few particles there are
         sim.near.divided = sim.near.windows.always = True
     sim.run()
     if sim.many_steps:  # what more particles need
@@ -136,7 +136,7 @@ def others(d: int, ranks: Communicator) -> None:
 def windows(d: int, ranks: Communicator) -> None:
     """The messages between ranks in mode event, most of them the same in all dimensions: one rank sends them to itself."""
     sim = Simulation(scene(d, {"collisions": {"mode": "event"}}), ranks.comm)
-    assert isinstance(sim.near, Event)
+    assert isinstance(sim.near, EventDriven)
     divided = sim.near.windows
     sim.near.divided = divided.always = True
     sim.step()

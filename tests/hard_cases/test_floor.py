@@ -81,7 +81,7 @@ def measured(ground, force, d, mode, step, speed):
         effects["walls"] = {"planes": scene.planes}
     particles = [balls, *([scene.fixed] if scene.fixed else [])]
     sim = Simulation(Scene(dimension=d, time={"step": step, "steps": 1}, particles=particles, effects=effects))
-    balls, drift, found = slice(0, len(scene.position)), sim.contacts.drift, []
+    balls, drift, found = slice(0, len(scene.position)), sim.drift.operator.drift, []
 
     def apart():
         """(distance between the surfaces, how fast it shrinks, and how fast that grows) of the two, or of one and the wall."""
@@ -101,7 +101,7 @@ def measured(ground, force, d, mode, step, speed):
             found.append(-(after + gained) / (before + gained))
         return counts
 
-    sim.contacts.drift = watched
+    sim.drift.operator.drift = watched
     for _ in range(6):
         sim.step()
     order = np.argsort(sim.particles.id)[balls]

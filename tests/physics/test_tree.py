@@ -12,7 +12,7 @@ from particles_mpi.gravity.expansion import (
     CELLS,
     COEFFICIENTS,
     FAR_WIDTH,
-    LANES,
+    CELL_LANES,
     add_lanes,
     enter_cell,
     evaluate,
@@ -249,7 +249,10 @@ def test_few_bodies_have_the_bits_of_many():
 @njit
 def expanded(cells, softening2, at):
     """Accelerations and potentials (n, 4) at places `at` (n, 3) by the expansion of cells (c, WIDTH) about the origin."""
-    far, sums = np.empty((CELLS // LANES, FAR_WIDTH, LANES), np.float32), np.zeros(COEFFICIENTS * LANES, np.float32)
+    far, sums = (
+        np.empty((CELLS // CELL_LANES, FAR_WIDTH, CELL_LANES), np.float32),
+        np.zeros(COEFFICIENTS * CELL_LANES, np.float32),
+    )
     coefficients, found = np.empty(2 * COEFFICIENTS), np.empty((len(at), 4))
     for c in range(len(cells)):
         enter_cell(far, c, (-cells[c, 1], -cells[c, 2], -cells[c, 3]), cells[c], 1.0, 1.0)

@@ -112,9 +112,11 @@ def test_no_function_has_more_than_a_dozen_parameters():
 
 @pytest.mark.parametrize("folder", sorted({path.parent for path in modules().values()} - {PACKAGE}), ids=lambda f: f.name)
 def test_every_folder_says_what_it_is_for(folder):
-    """In the docstring of its `__init__`: one plain sentence at least."""
+    """In the docstring of its `__init__`: one plain sentence, and the names of its files, but for effects, whose names tell."""
     text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text())) or ""
     assert text.partition("\n")[0].rstrip().endswith(".")
+    files = {path.stem for path in folder.glob("*.py")} - {"__init__"}
+    assert folder.name == "effects" or files <= set(re.findall(r"\w+", text))
 
 
 def test_plots_know_a_run_by_its_results_only():

@@ -39,7 +39,7 @@ from particles_mpi.neighbours.verlet_lists import VerletLists
 from particles_mpi.parallel.signals import check_signals
 from particles_mpi.particles import Array, Particles
 
-CONTACTS = 0.5  # and other events expected in a bucket of the queue: memory is prefetched for one in each
+EVENTS_PER_BUCKET = 0.5  # expected, in the queue: memory is prefetched for one in each
 AHEAD = 0.8  # of a skin: how far before it a particle's reference position lies, where flights are longer than skins;
 TURNING = 0.35  # and how much less where there are many collisions an expiry: fitted to fewest expiries at packing 0.05 to 0.45
 MOST_EXPIRIES = 8  # of the list of a row, on average; then all rows are sorted in space and listed anew
@@ -132,7 +132,7 @@ class Engine:
         self.work.counts[:], self.work.any_squeezed[0], self.work.stopped[0] = 0, False, h
         self.node[:, PARTNER] = NO_EVENT
         self.rows.state[:, EVENT_COUNT] = 0  # compared within a drift only, and there with 32 bits
-        buckets = int(min(max(self.events / CONTACTS, len(here)), 8 * len(here))) + 64
+        buckets = int(min(max(self.events / EVENTS_PER_BUCKET, len(here)), 8 * len(here))) + 64
         first = np.full(buckets, -1, np.int32)
         self.h = h
         self.queue = Queue(self.node, self.node.view(np.float64), first, buckets / h, np.zeros(2, np.int64))

@@ -53,7 +53,7 @@ from particles_mpi.contacts.event_driven.segments import (
 )
 from particles_mpi.contacts.rough import Rough
 from particles_mpi.contacts.walls import bounce, may_hit, meet_wall, wall_contact
-from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch, screening, trailing_zeros
+from particles_mpi.kernels.jit import in_place, inner, lean, lean_inner, prefetch, screening, trailing_zeros
 from particles_mpi.kernels.lanes import LANE_COUNT
 from particles_mpi.kernels.markers import NEVER
 from particles_mpi.kernels.planes import Planes
@@ -178,37 +178,39 @@ def note_tc_elastic(work, t, one, other):
     counts[TC_ELASTIC] += 1
 
 
+@in_place
+def prefetch_row(rows, lists, queue, i):
+    """What an event of row i needs of it comes to the cache, if i is a row."""
+    if i >= 0:
+        prefetch(queue.node, i)
+        prefetch(lists.spans, i)
+        prefetch(rows.segment, i)
+        prefetch(rows.state, i)
+        prefetch(lists.reference, i)
+
+
+@in_place
+def prefetch_neighbours(rows, lists, i):
+    """The segments of the rows in the list of row i come to the cache, if i is a row."""
+    if i >= 0:
+        for p in range(np.uint64(lists.spans[i, BEGIN]), np.uint64(lists.spans[i, BEGIN] + lists.spans[i, COUNT])):
+            prefetch(rows.segment, lists.pool[p])
+
+
 @lean_inner
 def prefetch_next(rows, lists, queue):
     """A bucket is over: what the next events need comes to the cache while others are worked on; rows, lists, then neighbours."""
-    segment, state, reference, spans, pool = rows.segment, rows.state, lists.reference, lists.spans, lists.pool
     node, first, present = queue.node, queue.first, queue.present
     last = len(first) - 1
-    i = np.int64(first[min(present[0] + EARLY, last)])
-    if i >= 0:
-        prefetch(node, i)
-        prefetch(spans, i)
-        prefetch(segment, i)
-        prefetch(state, i)
-        prefetch(reference, i)
+    prefetch_row(rows, lists, queue, np.int64(first[min(present[0] + EARLY, last)]))
     i = np.int64(first[min(present[0] + SOON, last)])
     if i >= 0:
         prefetch(node, node[i, NEXT])
-        j = np.int64(node[i, PARTNER])
-        if j >= 0:
-            prefetch(node, j)
-            prefetch(spans, j)
-            prefetch(segment, j)
-            prefetch(state, j)
-            prefetch(reference, j)
+        prefetch_row(rows, lists, queue, np.int64(node[i, PARTNER]))
     i = np.int64(first[min(present[0] + NEXT_ONES, last)])
     if i >= 0:
-        for p in range(np.uint64(spans[i, BEGIN]), np.uint64(spans[i, BEGIN] + spans[i, COUNT])):
-            prefetch(segment, pool[p])
-        j = np.int64(node[i, PARTNER])
-        if j >= 0:
-            for p in range(np.uint64(spans[j, BEGIN]), np.uint64(spans[j, BEGIN] + spans[j, COUNT])):
-                prefetch(segment, pool[p])
+        prefetch_neighbours(rows, lists, i)
+        prefetch_neighbours(rows, lists, np.int64(node[i, PARTNER]))
 
 
 @lean

@@ -6,13 +6,14 @@ Programming 3, 6.4). At least half of the places are free, so that every search 
 
 import numpy as np
 
+from particles_mpi.kernels.fingerprint import GOLDEN
 from particles_mpi.kernels.jit import kernel, lean_inner
 from particles_mpi.particles import Array
 
 ID, ROW = range(2)  # columns of a table
 FREE = -1  # in place of an id
 NOWHERE = -1  # in place of a row: there is none with this id
-SPREAD = 0x61C8864680B583EB  # odd: consecutive ids get places far apart
+SPREAD = -GOLDEN  # consecutive ids get places far apart
 
 
 def table_of(ids: Array, rows: Array, room: int) -> Array:

@@ -37,7 +37,7 @@ DURATION = 1e-4  # of a step: that of a contact, where a scene gives none
 CHANGING = ("position", "velocity", "contacted", "virial", "supported", "total_acceleration", "spin")
 
 
-class Event:
+class EventDriven:
     """Drifts particles that collide with one another, and with walls if there are any."""
 
     migrated = ghost_rows = pair_tests = 0  # candidate pairs are tested in mode rewind only
@@ -63,7 +63,7 @@ class Event:
         self.crowded_steps = 0
         self.pause, self.next_pause = 0, 1  # drifts that every rank computes as a whole, after windows that did not pay
         self.stop, self.stopped = np.array([0, -1, -1]), np.zeros(1)
-        self.hold: Callable[[float], None] | None = None  # a crowd's contacts, where forces press: see rest
+        self.hold: Callable[[float], None] | None = None  # keeps a crowd's contacts: `PersistentContacts.keep_crowds`
 
     @cached_property
     def whole(self) -> Whole:

@@ -102,8 +102,8 @@ def place_at_begin(rows, log, i, begin, place, p):
     """place[p] (d,): where row i was when the window began."""
     segment, saved = rows.segment, log.saved
     d = place.shape[1]
-    changed = log.mark[i] >= log.before[0]
-    at = (log.mark[i] - log.before[0]) * record_width(d, spin_width(rows))
+    changed = log.mark[i] >= log.stamp[0]
+    at = (log.mark[i] - log.stamp[0]) * record_width(d, spin_width(rows))
     for k in range(d):
         if changed:
             place[p, k] = saved[at + k] + saved[at + d + k] * (begin - saved[at + 2 * d + START])

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from particles_mpi.kernels.fingerprint import GOLDEN
 from particles_mpi.kernels.geometry import into_box
 from particles_mpi.kernels.jit import in_place, inner, lean
 from particles_mpi.kernels.markers import CROWD, NOBODY
@@ -23,7 +24,6 @@ ZERO_TIME_EVENT = 2**32  # RAPID_EVENTS counts contacts in a row that got nowher
 SQUEEZED = 1000 * ZERO_TIME_EVENT  # from here on a particle is squeezed: it has no more contacts in this drift
 JAMMED = 2**60  # from here on others that come to it stop there, as it does; its velocity is kept times HARDLY, exactly
 HARDLY = 2.0**-200  # too little for a velocity to change a position
-ODD = -7046029254386353131  # an odd number with many bits, to multiply with
 
 
 class Rows(NamedTuple):
@@ -158,8 +158,8 @@ class Log(NamedTuple):
     window: Array  # (1,) number of the window, 0 while no log is needed
     changed_count: Array  # (1,) rows that were changed in the window
     changed: Array  # (n,) int32, these, in the order of their first changes
-    before: Array  # (1,) 1 + how many changes of rows there were in all windows before this one
-    mark: Array  # (n,) `before` + its place in `changed`, of a row that was changed in this window; else less than `before`
+    stamp: Array  # (1,) grows from window to window, by more than the changes in it: so marks need not be cleared
+    mark: Array  # (n,) of a row that was changed in this window: stamp + its place in `changed`; of others less than the stamp
     saved: Array  # (n * record_width,) records of these rows, as they were before
     saved_bits: Array  # the same memory as int64
     fastest2: Array  # (1,) the largest square of a speed that a contact gave
@@ -213,8 +213,8 @@ def load_row(d, rows, i, record, bits, at):
 def save_once(axes, rows, i, log):
     """Row i is about to change: save it, once in a window."""
     mark, count = log.mark, log.changed_count
-    if mark[i] < log.before[0]:
-        mark[i] = log.before[0] + count[0]
+    if mark[i] < log.stamp[0]:
+        mark[i] = log.stamp[0] + count[0]
         log.changed[count[0]] = i
         if rows.state[i, OWNERSHIP] != OWN:
             log.border[log.border_count[0]] = count[0]
@@ -232,9 +232,9 @@ def note_segment(axes, rows, i, log):
     h = state[i, TRAJECTORY_HASH] ^ state[i, LAST_PARTNER]
     for k in range(d):
         speed2 += segment[i, d + k] * segment[i, d + k]
-        h = (h ^ bits[i, d + k]) * ODD
+        h = (h ^ bits[i, d + k]) * GOLDEN
         h ^= h >> 29
-    state[i, TRAJECTORY_HASH] = (h ^ bits[i, 2 * d + START]) * ODD
+    state[i, TRAJECTORY_HASH] = (h ^ bits[i, 2 * d + START]) * GOLDEN
     log.fastest2[0] = max(log.fastest2[0], speed2)
 
 

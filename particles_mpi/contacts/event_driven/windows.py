@@ -5,7 +5,7 @@ ghosts, and computes all contacts among these rows in the window as if there wer
 unless one of them touched, or should have touched, a ghost that went wrong here for lack of what is beyond the ghosts. So after
 a window owners send what happened to their rows. If a ghost that was so near to an own particle that they can have touched has
 another trajectory hash at its owner, all ranks undo the window and compute half of it. If there is none, the union of what the
-owners found is the exact run (README, by induction over the contacts in order of time); ghosts that went wrong further out are
+owners found is the exact run (contacts/README.md has the proof); ghosts that went wrong further out are
 corrected. Windows leave no trace in the bits.
 """
 
@@ -58,7 +58,7 @@ DEPTH = 1.4  # mean diameters: thickness of the ghosts beyond those that own par
 LEAST_DEPTH, MOST_DEPTH = 1.0, 4.0  # bounds of that depth, which is fitted: then windows need not be shorter on more ranks
 DEEPER, MOST_REDONE = 0.2, 0.02  # added if more than this part of the windows was redone
 SHALLOWER, ENOUGH = 0.1, 100  # taken off after so many windows of which none was
-CROWDED = 0.75  # of all particles on one rank, ghosts included: then each may as well compute everything
+MOST_ON_ONE_RANK = 0.75  # of all particles on one rank, ghosts included: then each may as well compute everything
 FASTER, SLOWER = 1.015, 0.6  # what success and failure do to the length of a window: in balance about 3 % fail
 FIRST, GROWING = 0.25, 1.2  # of the longest window: the first one; and how it grows until one fails
 LEAST = 1e-3  # of the longest window: with shorter ones it is no use
@@ -207,7 +207,7 @@ class Windows:
             np.zeros(total, np.int64), np.roll(np.arange(total, dtype=np.int32), spare), np.array([spare]),
         )  # fmt: skip
         self.own_rows = np.arange(n, dtype=np.int32)
-        self.crowded = bool(ranks.allreduce_max(float(len(here)))[0] > CROWDED * self.total)
+        self.crowded = bool(ranks.allreduce_max(float(len(here)))[0] > MOST_ON_ONE_RANK * self.total)
         self.ghost_rows += ghosts
         self.version = p.version
         self.searches += 1
@@ -251,7 +251,7 @@ class Windows:
         engine, log, ranks = self.engine, self.engine.log, self.ranks
         self.count += 1
         log.window[0] = self.count
-        log.before[0] += log.changed_count[0]
+        log.stamp[0] += log.changed_count[0]
         log.changed_count[0], log.border_count[0], log.fastest2[0] = 0, 0, 0.0
         before = engine.work.counts.copy()
         with self.timers("collide"):

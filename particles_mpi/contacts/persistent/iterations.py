@@ -34,10 +34,11 @@ def begin(axes, first, last, problem, w, v0, v):
 
 @inner
 def iterate(axes, first, last, problem, w, v0, v, after, beta, looks, sums):
-    """An iteration of the rows first ... last - 1: the table in place, velocities v to `after`.
+    """One iteration of the rows first ... last - 1: updates the table in place, and writes the velocities to `after`.
 
-    If it `looks`: returns the largest errors in v, in what is enough and in round-off. To sums[i] then the squares of the first,
-    and the work of what changes against the momentum, which is positive past a minimum.
+    If it `looks`, it returns the largest error of an approach speed divided by the error that is allowed, and the largest one
+    divided by round-off. To sums[i] it then writes the sum of squares of the first quotient over the half-edges of row i, and the
+    work of the change against the momentum, which is positive when the minimum was passed.
     """
     if w.ndim == 1:
         return smooth_iterate(axes, first, last, problem, w, v0, v, after, beta, looks, sums)
@@ -51,21 +52,24 @@ def iterations(axes, count, problem, w, v0, v, other, theta, looks, sums):
 
     Returns theta of the next one, and of the last one the largest errors and the largest work of a row: see `iterate`.
     """
-    rough, left, most = 0.0, 0.0, 0.0
+    worst, left, most = 0.0, 0.0, 0.0
     for number in range(count):
         beta, theta = momentum(theta)
         look = looks and number == count - 1
-        rough, left = iterate(axes, 0, len(problem[0]) - 1, problem, w, v0, v, other, beta, look, sums)
+        worst, left = iterate(axes, 0, len(problem[0]) - 1, problem, w, v0, v, other, beta, look, sums)
         v, other = other, v
     if looks:
         for i in range(len(sums)):
             most = max(most, abs(sums[i, 1]))
-    return theta, rough, left, most
+    return theta, worst, left, most
 
 
 @kernel
 def works(axes, problem, w, v0, v, sums):
-    """To sums[i] of each row, which its contacts took from v0 to v: p (N v0 + c), and p A p. Returns the largest."""
+    """To sums[i] (n, 2): the part of row i in p.(N v0 + c) and in p.A p, of the impulses p that took the rows from v0 to v.
+
+    Returns the largest absolute value of these numbers.
+    """
     if w.ndim == 1:
         return smooth_works(axes, problem, w, v0, v, sums)
     else:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.kernels.jit import kernel
+from particles_mpi.kernels.jit import in_place, kernel
 from particles_mpi.particles import Array
 
 # Columns of the table of half-edges. It has one row for each, 64 bytes long in space: arrays of their own would be in one
@@ -41,9 +41,33 @@ class Targets(NamedTuple):
     tight: Array
 
 
+@in_place
+def fourth_power_norm(size, m, t):
+    """|m^4|^(1/4), by the Frobenius norm, of a symmetric matrix m (size, size): not below its largest eigenvalue, in size.
+
+    At most size^(1/8) times that. m and t (size, size) are overwritten.
+    """
+    for _ in range(2):
+        for k in range(size):
+            for n in range(size):
+                total = 0.0
+                for q in range(size):
+                    total += m[k, q] * m[n, q]
+                t[k, n] = total
+        m, t = t, m
+    square = 0.0
+    for k in range(size):
+        for n in range(size):
+            square += m[k, n] * m[k, n]
+    return sqrt(sqrt(sqrt(square)))
+
+
 @kernel
 def bound_rows(axes, start, normal, w, which, bound):
-    """To bound (n,): w b of each row; b = tr S |(S/tr S)^4|^(1/4) is not below the largest eigenvalue of S = sum of n n^T."""
+    """To bound (n,): an upper bound of w times the largest eigenvalue of S, the sum of n n^T over the contacts of each row.
+
+    S divided by its trace is what `fourth_power_norm` takes, so that no power of it is too large or too small a number.
+    """
     s, t = np.empty((len(axes), len(axes))), np.empty((len(axes), len(axes)))
     for i in range(len(start) - 1):
         trace = 0.0
@@ -60,19 +84,7 @@ def bound_rows(axes, start, normal, w, which, bound):
                 part = normal[e, np.uint64(k)] / trace
                 for m in range(len(axes)):
                     s[k, m] += part * normal[e, np.uint64(m)]
-        for _ in range(2):
-            for k in range(len(axes)):
-                for m in range(len(axes)):
-                    total = 0.0
-                    for q in range(len(axes)):
-                        total += s[k, q] * s[m, q]
-                    t[k, m] = total
-            s, t = t, s
-        size2 = 0.0
-        for k in range(len(axes)):
-            for m in range(len(axes)):
-                size2 += s[k, m] * s[k, m]
-        bound[i] = w[i] * trace * sqrt(sqrt(sqrt(size2)))
+        bound[i] = w[i] * trace * fourth_power_norm(len(axes), s, t)
 
 
 @kernel

@@ -25,6 +25,7 @@ from particles_mpi.contacts.persistent.problem import (
     SHARE,
     STEP,
     TAKEN,
+    fourth_power_norm,
 )
 from particles_mpi.contacts.rough import plane_of
 from particles_mpi.kernels.jit import in_place, inner, kernel, with_item
@@ -127,19 +128,7 @@ def bound_rough(axes, start, partner, normal, other, arms, turn, w, which, resis
         if not trace > 0.0:
             continue
         m /= trace
-        for _ in range(2):
-            for k in range(size):
-                for n in range(size):
-                    total = 0.0
-                    for q in range(size):
-                        total += m[k, q] * m[n, q]
-                    t[k, n] = total
-            m, t = t, m
-        size2 = 0.0
-        for k in range(size):
-            for n in range(size):
-                size2 += m[k, n] * m[k, n]
-        bound[i] = trace * sqrt(sqrt(sqrt(size2)))
+        bound[i] = trace * fourth_power_norm(size, m, t)
 
 
 @in_place
@@ -178,7 +167,7 @@ def rough_begin(axes, first, last, start, table, v0, v):
 
 
 @in_place
-def cut(axes, table, e, at, width, step, most, beta, wanted):
+def cut(table, e, at, width, step, most, beta, wanted):
     """What half-edge e takes across its normal, or its couple, from column `at` on: `wanted` (a tuple), not longer than `most`.
 
     Moves it on by beta times its change. Returns the squares of the error in speed, and error times change.
@@ -206,7 +195,7 @@ def rough_iterate(axes, first, last, problem, w, v0, v, after, beta, looks, sums
     """See `iterations.iterate`."""
     start, partner, table, loose, tight = problem
     d, s, at = len(axes), spins_of(axes), NORMAL + len(axes)
-    rough, left = 0.0, 0.0
+    worst, left = 0.0, 0.0
     for i in range(np.uint64(first), np.uint64(last)):
         squares, work = 0.0, 0.0
         given, turned = axes, axes
@@ -241,20 +230,20 @@ def rough_iterate(axes, first, last, problem, w, v0, v, after, beta, looks, sums
                 slip = with_item(slip, k, table[e, at + SLID + d + k] - across * slide_step)
             if slide_step > 0.0:
                 most = table[e, at + FRICTION] * new if new > 0.0 else 0.0
-                more, done = cut(axes, table, e, at + SLID, d, slide_step, most, beta, slip)
+                more, done = cut(table, e, at + SLID, d, slide_step, most, beta, slip)
                 error2, worked = error2 + more, worked + done
             if roll_step > 0.0:
                 for c in range(s):
                     spin = with_item(spin, c, table[e, at + SLID + 2 * d + s + c] - spin[c] * roll_step)
                 most = table[e, at + RESISTANCE] * new
-                more, done = cut(axes, table, e, at + SLID + 2 * d, s, roll_step, most, beta, spin)
+                more, done = cut(table, e, at + SLID + 2 * d, s, roll_step, most, beta, spin)
                 reach = (arm if arm > far else far) ** 2  # an error in spin, as one of the surface
                 error2, worked = error2 + more * reach, worked + done
             if looks:
                 size = sqrt(error2)
                 part = size * loose[e]
                 squares += part * part
-                rough = part if part > rough else rough
+                worst = part if part > worst else worst
                 part = size * tight[e]
                 left = part if part > left else left
                 work += worked * table[e, SHARE]
@@ -265,7 +254,7 @@ def rough_iterate(axes, first, last, problem, w, v0, v, after, beta, looks, sums
             after[i, np.uint64(d + c)] = v0[i, np.uint64(d + c)] + turned[c]
         if looks:
             sums[i, np.uint64(0)], sums[i, np.uint64(1)] = squares, work / w[i, np.uint64(0)] if w[i, np.uint64(0)] > 0.0 else 0.0
-    return rough, left
+    return worst, left
 
 
 @inner

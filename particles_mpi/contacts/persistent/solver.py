@@ -48,7 +48,7 @@ def taken_columns(d: int, rough: bool) -> list[int]:
     return [TAKEN, *(range(first, first + d)), *(range(first + 2 * d, first + 2 * d + d * (d - 1) // 2))] if rough else [TAKEN]
 
 
-class Run:
+class Iteration:
     """The iterations of one solution for velocities v (size + 1, d), which stay as they are; `result` (n, d) has the last ones.
 
     w (size + 1,): inverse masses. Of rough spheres v has spins beside velocities, w the inverse moments of inertia, and the table
@@ -117,11 +117,11 @@ class Run:
         done, exact, before = 1, least >= EXACT, np.inf
         if not exact and not self.rough:
             self.balance(ranks, 1.0 - NEAR, 1.0 + NEAR)
-        worst = self.advance(1, looks=True)
+        errors = self.advance(1, looks=True)
         while True:
-            rough, left, most = ranks.allreduce_max(np.array(worst))
+            worst, left, most = ranks.allreduce_max(np.array(errors))
             squares, work = ranks.allreduce_sum(np.array(whole_numbers(self.sums, (1.0, most if most > 0.0 else 1.0))))
-            good, calm = rough <= OUTLIER and squares <= count * FINE, self.rough and squares <= count * FINE * CALM**2
+            good, calm = worst <= OUTLIER and squares <= count * FINE, self.rough and squares <= count * FINE * CALM**2
             enough = done >= (max(MORE, least) if calm else least)
             if left <= 1.0 or (good and enough) or done >= MOST:
                 break
@@ -135,7 +135,7 @@ class Run:
             elif squares > before if self.rough else work > 0.0:
                 self.restart()
             before = squares
-            worst = self.advance(CHECK, looks=True)
+            errors = self.advance(CHECK, looks=True)
             done += CHECK
         self.finish()
         if not exact and not calm:  # errors of one sign, however small, would lift a bed, or let it sink
@@ -157,7 +157,8 @@ class Solver:
         """Velocities (n, d) at which no contact closes faster than it may, whether errors are allowed, and whether all is asleep;
         to the table, what contacts have taken. Without `pairs` each row of rough spheres is solved for by itself.
 
-        w (size + 1,): inverse masses; v (size + 1, d) and ids of rows and ghosts. For `least` and `asleep`, see `Run.until_good`.
+        w (size + 1,): inverse masses; v (size + 1, d) and ids of rows and ghosts. For `least` and `asleep`, see
+        `Iteration.until_good`.
         Collective.
         """
         ranks = self.ranks
@@ -170,7 +171,7 @@ class Solver:
             return v[: len(problem.start) - 1], True, False
         if ranks.size > 1 and every <= FEW:
             together = Together(ranks, ids, problem, w, v)
-            run = Run(self.axes, together.problem, together.w, together.v, None)
+            run = Iteration(self.axes, together.problem, together.w, together.v, None)
 
             def ours_asleep(result: Array) -> bool:
                 return asleep is not None and asleep(together.ours(result, v, problem.table, run.taken))
@@ -178,7 +179,7 @@ class Solver:
             good, done = run.until_good(Communicator.alone(), count, least, asleep and ours_asleep)
             result = together.ours(run.result, v, problem.table, run.taken)
         else:
-            run = Run(self.axes, problem, w, v, exchange if ranks.size > 1 else None)
+            run = Iteration(self.axes, problem, w, v, exchange if ranks.size > 1 else None)
             good, done = run.until_good(ranks, count, least, asleep)
             result = run.result
         self.iterations += done

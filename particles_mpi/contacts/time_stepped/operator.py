@@ -36,12 +36,12 @@ from particles_mpi.particles import Array, row_dot
 from particles_mpi.timers import Timers
 
 if TYPE_CHECKING:
-    from particles_mpi.contacts.event_driven.operator import Event
+    from particles_mpi.contacts.event_driven.operator import EventDriven
 
 NONE = np.empty(0)
 DEEP = 0.5e-3  # of a radius: an overlap at the end of a drift, which nobody may keep
 LOOK_EVERY = 10  # drifts between two looks at the speeds, until one is too fast
-CROWDED = 3  # passes, after which partners that overlap are taken as a sign of a crowd, not of two who soon move apart
+LOOK_AFTER = 3  # passes, after which partners that overlap are taken as a sign of a crowd, not of two who soon move apart
 
 
 class TooFarError(Exception):
@@ -61,7 +61,7 @@ class Rewind:
     `exact`: the operator that does drifts with more contacts than `passes` put in order, or None if they are just counted.
     """
 
-    def __init__(self, near: Neighbourhood, loss: Loss, law: Array, passes: int, timers: Timers, exact: Event | None):
+    def __init__(self, near: Neighbourhood, loss: Loss, law: Array, passes: int, timers: Timers, exact: EventDriven | None):
         """`law`: see `contacts.rough.Rough`."""
         self.near, self.passes, self.timers, self.exact = near, passes, timers, exact
         self.loss, self.law, self.planes = tuple(loss), law, near.planes
@@ -150,7 +150,7 @@ class Rewind:
             with self.timers("search"):
                 hits = self.find(h, left == self.passes)
             with self.timers("agree"):
-                late = self.exact is not None and self.passes - left >= CROWDED and self.late(hits)
+                late = self.exact is not None and self.passes - left >= LOOK_AFTER and self.late(hits)
                 mine = np.array([len(hits.first), needed, near.concerned(hits), late], float)
                 waiting, needed, concerned, late = near.ranks.allreduce_max(mine)
             if needed:

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Any
 
 from rich.table import Table
 
@@ -152,10 +151,10 @@ def trials_table(found: Recommendation) -> Table:
 
 
 def recommend_scene(
-    path: Path, tolerance: float, error: str = "", output: Path | None = None, seconds: float = BUDGET, comm: Any = None
+    path: Path, tolerance: float, error: str = "", output: Path | None = None, seconds: float = BUDGET
 ) -> Recommendation | None:
     """What `study recommend` does: find it, print it, write the tuned scene (to NAME.tuned.toml by default). Collective."""
-    benchmark = Benchmark(comm)
+    benchmark = Benchmark()
     with raising_together(benchmark.ranks):
         scene = Scene.load(path)
     same_on_all(benchmark.ranks, scene.to_dict())

@@ -2,6 +2,7 @@
 
 measure            `study scaling`: seconds, phases and counts of a step on some of the ranks, while the others sleep
 scale_scene        a scene with more particles at the same density
+counted            `study scaling --counts`: work and messages on more ranks than there are, counted and not timed
 performance_model  t(N, P): seconds of a step on more ranks than there are
 report             curves and predictions, as tables, rows of CSV files and a figure
 """

@@ -72,12 +72,12 @@ class Counted:
         return Point(self.particles, self.ranks, s, s, s, s, s, 0.0, self.mean, oversubscribed=self.ranks > 1)
 
 
-def count(described: Scene | None, folder: Path, quick: bool, comm: Any = None) -> None:
+def count(described: Scene | None, folder: Path, quick: bool) -> None:
     """Count, print tables and verdicts, write counts.csv and counts_model.csv. Collective.
 
     `described`: None for the headline gas, in both modes of collisions. `quick`: on QUICK ranks at most.
     """
-    world = Communicator(comm)
+    world = Communicator()
     screen = Screen(world.is_root, False)
     make_folder(world, folder)
     with raising_together(world):
