@@ -9,10 +9,10 @@ from numba import njit
 from particles_mpi import Scene, SceneError, Simulation
 from particles_mpi.gravity.direct import Attraction, attract_few
 from particles_mpi.gravity.expansion import (
+    CELL_LANES,
     CELLS,
     COEFFICIENTS,
     FAR_WIDTH,
-    CELL_LANES,
     add_lanes,
     enter_cell,
     evaluate,
