@@ -57,7 +57,7 @@ OWN = tuple(FIELDS)  # those of the program; effects from outside bring more
 USER = Column("", output=False)  # any other name: data of the user's, of any type and shape, that goes where its particle goes
 ALWAYS = ("id", "position", "velocity", "radius", "mass", "fixed")
 # Fields that decide who meets whom, with what outcome
-MEETING = ("position", "velocity", "radius", "mass", "fixed", "drag", "spin", "moment_of_inertia")
+MEETING = ("position", "velocity", "radius", "mass", "fixed", "drag", "spin", "moment_of_inertia", "contacted", "virial")
 
 
 class Particles:

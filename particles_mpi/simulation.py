@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.between_steps.saved import Saved
-from particles_mpi.errors import SceneError, StateError
+from particles_mpi.errors import SceneError
 from particles_mpi.initial.populate import populate
 from particles_mpi.kernels.validity import WATCH_EVERY
 from particles_mpi.measure.diagnostics import measure, observe
@@ -66,16 +66,14 @@ class Simulation(Saved):
         """Advance by one step, or by up to `most` if many are computed at once. Collective."""
         self.take_changes()
         done = 1
-        try:
+        with self.stepping():
             self.particles.close()
             if self.many_steps and collisions:
                 done = self.many_steps.advance(self._h, self.steps_done, most)
             else:
                 self.advance(self._h, collisions)
-        except StateError as error:
-            raise StateError(f"step {self.steps_done + 1}: {error}") from None
-        self.particles.open()
-        self.steps_done += done
+            self.particles.open()
+            self.steps_done += done
         for view in self.views:
             view.look(self)
 
@@ -104,6 +102,11 @@ class Simulation(Saved):
         if pairs is None or pairs.options.mode != "event":
             raise SceneError('effects.collisions.mode: step_to_collision needs "event"')
         self.take_changes()
+        with self.stepping():
+            return self.advance_to_collision()
+
+    def advance_to_collision(self) -> tuple[int, int] | None:
+        """As `step_to_collision`, for a state that is taken and checked."""
         self.particles.close()
         h, near, free = self.h, self.near, not (self.active.forces or self.active.on_velocities)
         tried: list[tuple[float, float]] = []  # (length that was kicked for, how much later the contact came)

@@ -76,9 +76,10 @@ class Saved(State):
 
     def to_json(self, path: str | Path, indent: int | None = None) -> None:
         """Save scene and state, exact to the bit; compact, or readable with `indent`. Collective."""
+        metadata = self.metadata()  # takes what was changed, which may make contacts forgotten
         contacts = allgather_rows(self.ranks, self.lasting_contacts()._asdict())
         order = np.lexsort((contacts["partner"], contacts["id"]))
-        metadata = self.metadata() | {"kept": [contacts[name][order].tolist() for name in Memory._fields]}
+        metadata |= {"kept": [contacts[name][order].tolist() for name in Memory._fields]}
         snapshot.save_json(Path(path), self.ranks, self.rows, metadata, indent)
 
     @classmethod

@@ -1,6 +1,7 @@
 """The state of a simulation: its particles, its clock, its counts, and the scene that it goes by; all of it may be changed."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from particles_mpi.measure.watchdog import Watchdog
 from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import id_range
+from particles_mpi.parallel.signals import HeldInterrupt
 from particles_mpi.particles import OWN, Array, Particles, default_values, moment_of_sphere
 from particles_mpi.scene.active import ActiveEffects, fields_of
 from particles_mpi.scene.effect import Context, Force
@@ -35,6 +37,7 @@ class State:
     that all particles have in common; near: whoever knows the neighbours, or None.
     """
 
+    broken = ""  # why the state cannot be used any more
     persistent: Any = None
     drift: Any = None
     accelerations: Any = None
@@ -93,6 +96,19 @@ class State:
         self.taken = p.edition
         self.particles.open()
 
+    @contextmanager
+    def stepping(self) -> Iterator[None]:
+        """For a step: Ctrl-C waits for its end; a state in which a step ended halfway cannot be used any more."""
+        step = self.steps_done + 1
+        with HeldInterrupt():
+            try:
+                yield
+            except StateError as error:
+                raise StateError(f"step {step}: {error}") from None
+            except BaseException:
+                self.broken = f"step {step} was interrupted: these particles are of no time; go on from a copy or a checkpoint"
+                raise
+
     def look_for_many_steps(self) -> None:
         """Can many steps be computed at once, with these effects?"""
         parts = self.rows, self.context, self.active, self.accelerations, self.drift, self.integrator, self.persistent
@@ -104,6 +120,8 @@ class State:
 
     def take_changes(self) -> None:
         """What the user has written into `particles` becomes the state. Called wherever the state is used. Collective."""
+        if self.broken:
+            raise StateError(self.broken)
         try:
             self.particles.collect()
         except StateError as error:
@@ -182,6 +200,7 @@ class State:
         same_on_all(self.ranks, {"effects": {name: options.model_dump(mode="json")}})
         self.take_changes()
         options.effect_class().option_changed(self.rows, self.scene.effects[name], options)
+        self.particles.show()
         self.scene = self.scene.model_copy(update={"effects": {**self.scene.effects, name: options.running()}})
         if issubclass(options.effect_class(), Force) and options.active and key != "active":  # nothing else depends on it
             force = self.scene.effects[name].build(self.scene)

@@ -100,8 +100,12 @@ class ParticleView:
         if changed:
             self._check(changed)
             self._rows.change(changed)
-            for name, copy in self._copies.items():
-                copy[...] = held[name]
+            self.show()
+
+    def show(self) -> None:
+        """What the user has been given holds what counts now."""
+        for name, copy in self._copies.items():
+            copy[...] = self._rows.arrays[name]
 
     def open(self) -> None:
         """The state belongs to the user."""

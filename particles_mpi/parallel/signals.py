@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from threading import current_thread, main_thread
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -58,7 +59,32 @@ class StopRequest:
             signal.signal(number, handler)
 
 
-_requests: list[StopRequest] = []  # those that catch signals at present
+class HeldInterrupt:
+    """For a block that should not be left halfway: Ctrl-C, if it would raise KeyboardInterrupt, does so at the end of it.
+
+    `check_signals` within the block does so earlier, after GRACE seconds.
+    """
+
+    asked_at = np.inf
+
+    def __enter__(self) -> None:
+        self.held = signal.getsignal(signal.SIGINT) is signal.default_int_handler and current_thread() is main_thread()
+        if self.held:
+            signal.signal(signal.SIGINT, self._ask)
+            _requests.append(self)
+
+    def _ask(self, *_: object) -> None:
+        self.asked_at = min(self.asked_at, perf_counter())
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self.held:
+            _requests.remove(self)
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            if self.asked_at < np.inf and kind is None:
+                raise KeyboardInterrupt
+
+
+_requests: list[StopRequest | HeldInterrupt] = []  # those that catch signals at present
 
 
 def check_signals() -> None:

@@ -89,6 +89,12 @@ def change(sim, kind, seed):
             return False
         p.spin[some] = 9.0 * (mine[some, :1] - 0.5)
         p.moment_of_inertia[~some] *= 1.5
+    elif kind == "met":  # when it had its last contact, and what contacts gave it
+        if "contacted" not in p.arrays:
+            return False
+        p.contacted[some] = -np.inf
+        if "virial" in p.arrays:
+            p.virial[some] = 0.25
     elif kind == "friction":
         if "walls" not in effects:
             return False
@@ -119,8 +125,8 @@ def change(sim, kind, seed):
 
 
 KINDS = (
-    "position", "reversed", "swapped", "velocity", "radius", "mass", "fixed", "loose", "drag", "acceleration", "spin", "friction",
-    "time", "h", "g", "G", "restitution", "off", "on", "add", "remove",
+    "position", "reversed", "swapped", "velocity", "radius", "mass", "fixed", "loose", "drag", "acceleration", "spin", "met",
+    "friction", "time", "h", "g", "G", "restitution", "off", "on", "add", "remove",
 )  # fmt: skip
 
 

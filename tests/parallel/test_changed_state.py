@@ -4,7 +4,11 @@ For every field, effect, mode and integrator, on one, two and three ranks, whose
 """
 
 import json
+import os
+import signal
+from contextlib import contextmanager
 from functools import cache
+from threading import Timer
 
 import numpy as np
 import pytest
@@ -25,6 +29,7 @@ TOGETHER = (  # what is changed at once, so that all of it is tried in every sce
     ("friction", "drag", "acceleration", "g", "G"),
     ("off", "on", "restitution", "time"),
     ("remove", "add", "h", "off"),
+    ("met",),
 )
 
 
@@ -40,6 +45,14 @@ def cases():
 
 assert {kind for kinds in TOGETHER for kind in kinds} == set(KINDS)
 CASES = list(cases())
+
+
+@contextmanager
+def interrupts_of_a_terminal():
+    """Ctrl-C raises KeyboardInterrupt: the tests may be a job in the background, which is to ignore it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture(scope="module")
@@ -151,3 +164,53 @@ def test_what_cannot_be_changed_says_so(wrong, error, says):
     there = {"sim": Simulation(Scene.from_dict(SCENES["elastic"]))}
     with pytest.raises(error, match=says):
         exec(wrong, there)
+
+
+def test_a_look_at_a_field_does_not_undo_a_change_of_an_option():
+    bodies = {"position": [[0.0], [1.0]], "velocity": [1.0], "mass": 1.0}
+    sim = Simulation(Scene(dimension=1, time={"step": 0.1, "steps": 3}, particles=[bodies], effects={"drag": {"rate": 0.1}}))
+    held = sim.particles.drag
+    sim.effects["drag"].rate = 5.0
+    assert (held == 5.0).all()
+    sim.run()
+    np.testing.assert_allclose(sim.particles.velocity, np.exp(-1.5), rtol=1e-12)
+
+
+def test_contacts_that_a_change_made_forgotten_are_not_saved(tmp_path):
+    """The run forgets what contacts carried when velocities are changed; so does what is saved before the next step."""
+    sim = Simulation(Scene.from_dict(SCENES["heap"]))
+    sim.steps(300)
+    sim.particles.velocity *= 0.5
+    sim.to_json(tmp_path / "state.json")
+    other = Simulation.from_json(tmp_path / "state.json")
+    for one in (sim, other):
+        one.steps(3)
+    assert sim == other
+
+
+@pytest.mark.parametrize("name", ["walls alone", "heap"])
+def test_ctrl_c_comes_between_two_steps(name):
+    """Of a script or a notebook: what was computed counts, and the clock is that of the state."""
+    sim = Simulation(Scene.from_dict(SCENES[name]))
+    sim.step()
+    timer = Timer(0.1, os.kill, (os.getpid(), signal.SIGINT))
+    with interrupts_of_a_terminal(), pytest.raises(KeyboardInterrupt):
+        timer.start()
+        sim.steps(10**7)
+    assert sim.steps_done > 1
+    if name == "heap":
+        other = Simulation(Scene.from_dict(SCENES[name]))
+        other.steps(sim.steps_done)
+        assert sim == other
+    sim.step()
+
+
+def test_a_step_that_ended_halfway_is_not_gone_on_from(monkeypatch):
+    sim = Simulation(Scene.from_dict(SCENES["heap"]))
+    monkeypatch.setattr(sim.integrator, "advance", lambda *_: 1 // 0)
+    with pytest.raises(ZeroDivisionError):
+        sim.step()
+    monkeypatch.undo()
+    for use in (sim.step, sim.copy, sim.measure):
+        with pytest.raises(StateError, match="step 1 was interrupted"):
+            use()

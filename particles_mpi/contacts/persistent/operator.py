@@ -49,7 +49,7 @@ from particles_mpi.timers import Timers
 
 SKIN = 0.3  # of the smallest radius: so far rows may move, two together, before the graph is made anew
 DILUTE = 1.0  # the same, in a gas: few pairs come near, but rows move far
-ROUND_UP = 1.000001  # times a width: more than anyone loses who computes it otherwise
+ROUND_UP = 1.000001  # times a width: so the graph has all that `inside_zone` finds, whatever is rounded
 UNKNOWN = 10  # times the effort where nothing is remembered
 
 
@@ -180,12 +180,12 @@ class PersistentContacts:
 
     def near(self, p: Particles, wide: Array, zone: Array) -> ContactGraph:
         """The graph of all who are near one another in the zone, new or as before. Collective."""
-        good = self.graph is not None and self.graph.holds(p, wide, zone)
+        good = self.graph is not None and self.graph.holds(p, ROUND_UP * wide, zone)
         if not self.ranks.allreduce_min(float(good))[0] or self.graph is None:
             least = p.radius.min(initial=np.inf, where=p.radius > 0.0)
             skin = (DILUTE if self.dilute else SKIN) * float(self.ranks.allreduce_min(least)[0])
             skin = skin if skin < np.inf else 0.0
-            rows = rows_in(p.position, ROUND_UP * wide + skin, zone)  # all that `inside_zone` finds, whatever is rounded
+            rows = rows_in(p.position, ROUND_UP * wide + skin, zone)
             graph = ContactGraph(self.ranks, p, rows, wide, skin, self.length, points=self.points)
             self.taken = self.taken_before(p, graph)
             self.graph = graph

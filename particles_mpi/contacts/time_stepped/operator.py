@@ -229,8 +229,7 @@ class Rewind:
     def finish_walls(self, hits: Hits, h: float) -> int:
         """After the last pass particles still may not leave through walls: they meet those, and nobody else."""
         near, log = self.near, self.log
-        if near.halo or not near.kicked:
-            near.distrust()  # rows that are turned here get no new paths, and are not told to those who have them as ghosts
+        near.distrust()  # rows that are turned here get no new paths, and are not told to those who have them as ghosts
         rows = hits.first[hits.second < 0]
         rows = rows[near.segments.last_partner[rows] == NOBODY]  # owned rows whose first contact this is, each once
         count = log.number[0]
