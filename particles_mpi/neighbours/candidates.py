@@ -165,4 +165,8 @@ def touching(x: Array, radius: Array, w: Array, ids: Array, length: Array) -> tu
     n, d = x.shape
     spheres = Spheres(radius, w, ids, n)
     found = Candidates(x, np.zeros_like(x), spheres, length, tuple(no_planes(d)), AT_REST, everywhere(d), EXPECTED * n)
-    return found.pairs[:2]
+    first, second = found.pairs[:2]
+    if ((length > 0.0) & (length < 4.0 * radius.max(initial=0.0))).any():  # a pair may have been found through two images
+        one, other = np.divmod(np.unique(first.astype(np.int64) * n + second), n)
+        return one.astype(np.int32), other.astype(np.int32)
+    return first, second

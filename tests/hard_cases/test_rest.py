@@ -339,3 +339,51 @@ def test_steps_in_which_forces_move_spheres_by_more_than_their_radius(seed, fric
         twin.step()
         sim.step()
         assert sim == twin
+
+
+LIGHT, RANDOM = {"mass": 1e-6, "velocity": {"speed": 30.0}}, {"min": 0.03, "max": 0.1}
+NARROW = {  # as far as a sphere's width and the skin of a graph reach, a pair is near through two images
+    "dimension": 2,
+    "seed": 945,
+    "time": {"step": 0.05, "steps": 30},
+    "box": {"lower": [0.0, 0.0], "upper": [0.52, 0.52], "periodic": [True, False]},
+    "particles": [
+        {"position": [[0.13557966246417263, 0.39757144394296273]], "radius": 0.1, **LIGHT, "acceleration": [2.09, -1.62]},
+        {"position": [[0.11664369853346215, 0.12794731059901013]], "radius": RANDOM, **LIGHT, "acceleration": [2.78, -3.08]},
+    ],
+    "effects": {
+        "collisions": {"mode": "event", "restitution": 0.0, "friction": 0.5, "tangential_restitution": 1.0},
+        "walls": {"restitution": 0.5},
+        "user_acceleration": {},
+    },
+}
+LATTICE = {  # spheres that touch exactly; contacts that take nothing along their normals, and next to nothing across
+    "dimension": 3,
+    "seed": 720,
+    "time": {"step": 0.05, "steps": 30},
+    "box": {"lower": [0.0] * 3, "upper": [0.6] * 3, "periodic": [False, True, False]},
+    "particles": [
+        {"position": [[0.1, 0.3, 0.5], [0.3, 0.1, 0.1], [0.5, 0.3, 0.3], [0.1, 0.5, 0.5]], "radius": 0.1, "mass": 1e6},
+        {
+            "position": [[0.1, 0.1, 0.5], [0.5, 0.3, 0.1], [0.5, 0.5, 0.3], [0.5, 0.1, 0.5], [0.3, 0.5, 0.5]],
+            "radius": 0.1,
+            "mass": {"min": 0.1, "max": 3.0},
+            "fixed": [False, False, False, True, False],
+        },
+    ],
+    "effects": {
+        "collisions": {"mode": "event", "restitution": 0.3},
+        "walls": {"restitution": 0.5, "friction": 0.1},
+        "uniform_gravity": {"acceleration": [0.0, 0.0, -9.81]},
+    },
+}
+
+
+@pytest.mark.parametrize("tables", [NARROW, LATTICE], ids=["narrow", "lattice"])
+def test_a_copy_goes_on_with_the_same_bits(tables):
+    sim = Simulation(Scene.from_dict(tables))
+    for _ in range(tables["time"]["steps"]):
+        twin = sim.copy()
+        twin.step()
+        sim.step()
+        assert sim == twin

@@ -257,7 +257,7 @@ class PersistentContacts:
         held = carried(contacts.start, bears)
         self.give_back(p, graph.rows, self.law.at_rest(self.ranks, pile, bears, held, v), held)
         all_taken = np.zeros_like(took)
-        all_taken[contacts.slot] = taken
+        all_taken[contacts.slot] = np.where(along_normals(taken) != 0.0, taken.T, 0.0).T  # all that `remember` keeps
         return all_taken
 
     def contacts(self, local: Local, graph: ContactGraph, inside: Array, h: float) -> Contacts:

@@ -200,3 +200,11 @@ def test_only_rows_near_a_wall_are_listed(wall):
     planes = (point[[wall]], normal[[wall]], np.ones(1), np.ones(1), lower[wall], upper[wall], False)
     c = Candidates(x, v, spheres, np.zeros(2), planes, horizon, everywhere(2), 0)
     assert c.near_wall.tolist() == [[0], [2]][wall]
+
+
+@pytest.mark.parametrize("length", [0.5, 0.7, 0.9])
+def test_who_touches_through_two_images_is_found_once(length):
+    first, second = touching(
+        np.array([[0.1, 0.1], [0.3, 0.1]]), np.full(2, 0.2), np.ones(2), np.arange(2), np.array([length, 0.0])
+    )
+    assert (first.tolist(), second.tolist()) == ([0], [1])
