@@ -57,6 +57,10 @@ SCENES = {
     "taylor": scene(ELASTIC | G | {"drag": {"rate": 0.1}}, time=with_time(integrator="taylor")),
 }
 SCENES |= {f"{name}, event": s | {"effects": event(s["effects"])} for name, s in SCENES.items() if "collisions" in s["effects"]}
+# Of every particle the last contact is remembered, and what contacts gave it.
+LASTING = {"collisions": {"restitution": 0.6, "mode": "event", "contact_duration": 10.0}, "walls": {"restitution": 0.6}}
+FAST = [{**DISCS, **CHANGING, "velocity": {"speed": 20.0}}]
+SCENES["remembered contacts, event"] = scene(LASTING, particles=FAST, output={"observables": True})
 
 
 def change(sim, kind, seed):
