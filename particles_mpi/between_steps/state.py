@@ -106,7 +106,9 @@ class State:
             except StateError as error:
                 raise StateError(f"step {step}: {error}") from None
             except BaseException:
-                self.broken = f"step {step} was interrupted: these particles are of no time; go on from a copy or a checkpoint"
+                self.broken = (
+                    f"step {step} was interrupted halfway: its particles belong to no moment; go on from a copy or a checkpoint"
+                )
                 raise
 
     def look_for_many_steps(self) -> None:

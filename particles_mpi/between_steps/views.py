@@ -103,7 +103,7 @@ class ParticleView:
             self.show()
 
     def show(self) -> None:
-        """What the user has been given holds what counts now."""
+        """Copy the fields of the state into the arrays that the user was given."""
         for name, copy in self._copies.items():
             copy[...] = self._rows.arrays[name]
 
