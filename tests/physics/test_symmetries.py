@@ -32,6 +32,7 @@ KEYS = {
     "strength": (1, -2, 1),
     "softening": (1, 0, 0),
     "resistance": (1, 0, 0),
+    "contact_duration": (0, 1, 0),
 }
 COLUMNS = {name: KEYS[name] for name in ("position", "velocity", "radius", "mass", "acceleration")} | {
     "total_acceleration": KEYS["acceleration"],
@@ -39,7 +40,7 @@ COLUMNS = {name: KEYS[name] for name in ("position", "velocity", "radius", "mass
     "drag": (0, -1, 0),
     "spin": (0, -1, 0),
     "moment_of_inertia": (2, 0, 1),
-    "virial": (2, -2, 1),
+    "virial": (2, -1, 1),  # of impulses, -r.dp
     "contacted": (0, 1, 0),
 }
 UNITS = {"kilometres": (10, 0, 0), "seconds": (0, -30, 0), "masses": (0, 0, 60), "all": (-33, 21, -50)}
