@@ -73,6 +73,11 @@ def random_tables(rng):
         effects["friction"] = {"strength": one_of(0.05, 0.5)}
     if hard and chance(0.8):
         effects["collisions"] = {"mode": one_of("rewind", "event")} | surface()
+        if chance(0.2):
+            few = {"passes": 1 + int(rng.integers(3))}
+            effects["collisions"] |= (
+                few if effects["collisions"]["mode"] == "rewind" else {"contact_duration": one_of(0.0, 0.1, 5.0)}
+            )
     if hard and boxed and not all(periodic) and chance(0.8):
         effects["walls"] = surface()
     elif hard and not boxed and chance(0.5):
@@ -81,11 +86,14 @@ def random_tables(rng):
     if chance(0.3) and rough:
         effects["rolling"] = {"resistance": 0.01}
 
-    # Places: a grid, shaken, whose spheres touch one another or nearly so, or are far apart.
+    # Places: a grid, shaken, whose spheres touch one another or nearly so, or are far apart; some are one or two spheres wide.
     largest, gap = 0.2, one_of(0.0, 0.01, 0.2, 1.0)
-    across = int(np.ceil(count ** (1.0 / d)))
-    side = across * (2.0 * largest + gap)
-    places = np.stack(np.unravel_index(rng.permutation(across**d)[:count], (across,) * d), axis=1) + 0.5
+    across = np.full(d, int(np.ceil(count ** (1.0 / d))))
+    if d > 1 and chance(0.2):
+        across[1:] = one_of(1, 2)
+        across[0] = np.ceil(count / across[1:].prod())
+    upper = across * (2.0 * largest + gap)
+    places = np.stack(np.unravel_index(rng.permutation(across.prod())[:count], across), axis=1) + 0.5
     places = places * (2.0 * largest + gap) + 0.5 * gap * (rng.random((count, d)) - 0.5)
     cuts = sorted({0, count, *rng.integers(0, count + 1, one_of(0, 1, 2)).tolist()})
     populations = []
@@ -111,10 +119,12 @@ def random_tables(rng):
     tables = {
         "dimension": d,
         "seed": int(rng.integers(1000)),
-        "time": {"step": one_of(0.003, 0.01, 0.03), "steps": int(rng.integers(10, 50)), "integrator": integrator},
+        "time": {"step": one_of(0.003, 0.01, 0.03, 0.1), "steps": int(rng.integers(10, 50)), "integrator": integrator},
         "particles": populations,
         "effects": effects,
     }
     if boxed:
-        tables["box"] = {"lower": [0.0] * d, "upper": [side] * d, "periodic": periodic}
+        tables["box"] = {"lower": [0.0] * d, "upper": upper.tolist(), "periodic": periodic}
+    if chance(0.2):
+        tables["output"] = {"observables": True}
     return tables

@@ -192,6 +192,24 @@ def test_collisions_that_come_late_are_told(share, some):
     assert any("came late" in remark for remark in sim.remarks()) == some
 
 
+@pytest.mark.parametrize("passes", range(1, 6))
+def test_a_collision_that_the_last_wall_hit_leads_to_is_missed_not_forgotten(passes):
+    """A heavy sphere drives a light one against a wall: hit after hit, of which passes put some in order."""
+    light, heavy = {"position": [[0.11]], "velocity": [-1.0]}, {"position": [[0.35]], "velocity": [-4.0], "mass": 1000.0}
+    sim = Simulation(
+        Scene(
+            dimension=1,
+            box={"lower": [0.0], "upper": [2.0]},
+            time={"step": 0.03, "steps": 1},
+            particles=[light | {"radius": 0.1}, heavy | {"radius": 0.1}],
+            effects={"collisions": {"passes": passes}, "walls": {}},
+        )
+    )
+    sim.step()
+    overlap = 0.2 - np.ptp(sim.particles.position)
+    assert overlap > 1e-3 and sim.totals["missed"] == 1
+
+
 @pytest.mark.parametrize(("mode", "fall", "told"), [("rewind", 8.0, True), ("rewind", 4.0, False), ("event", 8.0, False)])
 def test_spheres_that_get_too_fast_for_the_step_are_told(mode, fall, told):
     """A sphere that has fallen by 5 crosses sqrt(2 g 5) h = 0.2 in a step, its diameter."""

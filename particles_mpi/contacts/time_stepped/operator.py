@@ -162,9 +162,9 @@ class Rewind:
                     raise TooDenseError
                 break
             if not left:
-                counts[MISSED] = np.count_nonzero((hits.second >= 0) & (hits.first < near.spheres.owned))
-                if self.walls:
-                    counts[WALL_HITS] += self.finish_walls(hits, h)
+                needed = near.ranks.allreduce_max(self.finish(hits, h, counts, int(concerned)))[0]
+                if needed:
+                    raise TooFarError(float(needed))
                 break
             needed = self.one_pass(hits, h, counts, int(concerned))
         return counts
@@ -226,16 +226,26 @@ class Rewind:
         with self.timers("pairs"):
             return near.follow(h)
 
-    def finish_walls(self, hits: Hits, h: float) -> int:
-        """After the last pass particles still may not leave through walls: they meet those, and nobody else."""
-        near, log = self.near, self.log
-        near.distrust()  # rows that are turned here get no new paths, and are not told to those who have them as ghosts
-        rows = hits.first[hits.second < 0]
-        rows = rows[near.segments.last_partner[rows] == NOBODY]  # owned rows whose first contact this is, each once
-        count = log.number[0]
-        log.rows[count : count + len(rows)] = rows
-        log.number[0] += len(rows)
-        return int(finish_walls(near.axes, *near.rows, tuple(hits), h, self.planes, self.rates, self.rough))
+    def finish(self, hits: Hits, h: float, counts: Array, concerned: int) -> float:
+        """After the last pass particles still may not leave through walls: they meet those, and nobody else.
+
+        Counts the pairs that are left then as missed. Returns 0, or how far a row needs candidates to reach.
+        """
+        near = self.near
+        with self.timers("collide"):
+            near.deactivate()
+            counts[WALL_HITS] += finish_walls(
+                near.axes, *near.rows, tuple(hits), h, self.rules, tuple(near.active), tuple(self.log)
+            )
+        if concerned != OWN_ONLY:
+            with self.timers("ghosts"):
+                exchange_segments(near.halo, near.active, near.segments, near.spin)
+        with self.timers("pairs"):
+            needed = near.follow(h)
+        with self.timers("search"):
+            left = self.find(h, False)
+        counts[MISSED] = np.count_nonzero((left.second >= 0) & (left.first < near.spheres.owned))
+        return needed
 
     def undo(self) -> None:
         """Owned rows go back to where they were before their contacts in this drift."""

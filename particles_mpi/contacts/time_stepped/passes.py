@@ -154,15 +154,26 @@ def note_start(segments, spin, i, owned, log):
 
 
 @lean
-def finish_walls(axes, segments, spheres, hits, h, planes, rates, rough):
-    """Take the rows of the wall hits through all their wall contacts, blind to other particles; returns the number."""
+def finish_walls(axes, segments, spheres, hits, h, rules, active, log):
+    """Take the rows of the wall hits through all their wall contacts until h, blind to other particles; returns the number.
+
+    `rules`, `active`, `log`: as in `apply_contacts`. All rows with a hit are active then.
+    """
     x, v, start, last_partner = segments
-    rough = Rough(*rough)
-    radius, w, _, _ = spheres
+    radius, w, _, owned = spheres
     a, b, _ = hits
-    count = 0
+    _, planes, rates, rough, _ = rules
+    rough = Rough(*rough)
+    is_active, active_rows, active_number = active
+    count = found = 0
     for p in range(len(a)):
-        if b[p] < 0:
-            i = np.int64(a[p])
-            count += bounce_until(axes, x, v, start, last_partner[i], i, radius[i], w[i], h, planes, rates, rough)
+        i = np.int64(a[p])
+        found = activate(i, is_active, active_rows, found)
+        if b[p] >= 0:
+            found = activate(np.int64(b[p]), is_active, active_rows, found)
+            continue
+        note_start(segments, rough.spin, i, owned, log)
+        count += bounce_until(axes, x, v, start, last_partner[i], i, radius[i], w[i], h, planes, rates, rough)
+        last_partner[i] = b[p]
+    active_number[0] = found
     return count
