@@ -59,12 +59,11 @@ def random_tables(rng):
     effects = {}
     if chance(0.5):
         effects["uniform_gravity"] = {"acceleration": vector(5.0)}
-    if chance(0.3):
-        effects["mutual_gravity"] = {"G": one_of(0.01, 0.3), "softening": one_of(0.05, 0.3), "method": "direct"}
+    if chance(0.4) and not (boxed and any(periodic)):
+        method = one_of("direct", "tree", "auto")
+        effects["mutual_gravity"] = {"G": one_of(0.01, 0.3), "softening": one_of(0.05, 0.3), "method": method}
         if integrator == "adaptive":  # it would take minutes for close encounters
             effects["mutual_gravity"] |= {"G": 0.01, "softening": 0.3}
-        if not boxed or not any(periodic):
-            effects["mutual_gravity"]["method"] = one_of("direct", "tree", "auto")
     if chance(0.3):
         effects["user_acceleration"] = {}
     if hard and chance(0.25):

@@ -16,6 +16,7 @@ from changed_state import KINDS, SCENES, differences
 from conftest import run_ranks
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from random_scenes import random_scenes
 
 from particles_mpi import Scene, SceneError, Simulation
 from particles_mpi.errors import StateError
@@ -87,6 +88,38 @@ def test_changed_on_ranks_is_the_same_as_on_one(results, ranks):
         if one[n][name].tobytes() != many[n][name].tobytes()
     ]
     assert not wrong
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize(
+    ("seed", "count"), [(31, 20), *(pytest.param(seed, 80, marks=pytest.mark.slow) for seed in range(32, 36))]
+)
+def test_random_scenes_that_are_changed(seed, count, tmp_path):
+    """A copy and a fresh start take the same steps, and so do one, two and three ranks; or all refuse the change."""
+    rng = np.random.default_rng(seed)
+
+    def some_changes():
+        return [[KINDS[k], int(rng.integers(99))] for k in rng.integers(0, len(KINDS), rng.integers(1, 5))]
+
+    cases = [
+        dict(tables=tables, before=int(rng.integers(9)), changes=some_changes(), after=4, divided=number % 3 == 0)
+        for number, tables in enumerate(random_scenes(seed, count).values())
+        if tables["time"]["integrator"] != "adaptive"  # of which a fresh start tries other lengths of steps
+    ]
+    (tmp_path / "cases.json").write_text(json.dumps(cases))
+    for ranks in (1, 2, 3):
+        done = run_ranks(ranks, "tests/parallel/changed_state.py", tmp_path / "cases.json", tmp_path, timeout=500)
+        assert (done.returncode, done.stdout) == (0, ""), done.stderr[-2000:]
+    ends = [[tmp_path / f"{number}.{ranks}.npz" for number in range(len(cases))] for ranks in (1, 2, 3)]
+    there = [[path.exists() for path in paths] for paths in ends]
+    assert there[0] == there[1] == there[2] and sum(there[0]) > len(cases) // 2
+    for one, *others in zip(*ends, strict=True):
+        for other in others if one.exists() else []:
+            a, b = np.load(one), np.load(other)
+            assert [name for name in a if a[name].tobytes() != b[name].tobytes()] == [], (
+                other,
+                cases[int(other.name.split(".")[0])],
+            )
 
 
 @settings(max_examples=100, deadline=None, suppress_health_check=list(HealthCheck))

@@ -20,7 +20,10 @@ def test_every_way_on_is_the_same(seed, axes, tmp_path):
         assert all(np.isfinite(column).all() for key, column in at_once.particles.arrays.items() if key != "contacted"), name
         one_by_one = Simulation(Scene.from_dict(tables))
         for _ in range(steps // 2):
+            copy = one_by_one.copy()
+            copy.step()
             one_by_one.step()
+            assert copy == one_by_one, (name, one_by_one.steps_done)
         one_by_one.to_json(tmp_path / "half.json")
         others = {"copy": one_by_one.copy(), "JSON": Simulation.from_json(tmp_path / "half.json")}
         stopped = Simulation(Scene.from_dict(tables))
