@@ -2,15 +2,13 @@
 
 import numpy as np
 
-from particles_mpi.errors import StateError
+from particles_mpi.errors import SHOWN, StateError, listed
 from particles_mpi.kernels.planes import Planes
 from particles_mpi.kernels.validity import find_invalid, id_checksum
 from particles_mpi.parallel.agreement import require_finite
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange
 from particles_mpi.particles import Array, Particles
-
-NAMED = 10  # ids that a message lists
 
 
 class Watchdog:
@@ -46,20 +44,15 @@ class Watchdog:
         ids, span = np.concatenate(everyone), self.span
         odd = ids[(ids < span.first) | (ids >= span.end)]
         if len(odd):
-            return f"unknown ids {first_ids(odd)}"
+            return f"unknown: {listed(odd)}"
         times = np.bincount(ids - span.first, minlength=span.end - span.first)
         twice = span.first + np.flatnonzero(times > 1)
-        held = [f"{i} on ranks {', '.join(str(r) for r, of in enumerate(everyone) if i in of)}" for i in twice[:NAMED]]
+        held = [f"{i} on ranks {', '.join(str(r) for r, of in enumerate(everyone) if i in of)}" for i in twice[:SHOWN]]
         missing = span.total - len(np.unique(ids))
         faults = []
         if missing > 0 and span.total == span.end - span.first:
-            faults.append(f"particles {first_ids(span.first + np.flatnonzero(times == 0))} are lost")
+            faults.append(f"lost: {listed(span.first + np.flatnonzero(times == 0))}")
         elif missing > 0:  # some were removed, and nobody has kept which
-            faults.append(f"{missing} particles are lost")
+            faults.append(f"lost: {missing} particle{'s' if missing > 1 else ''}")
         faults += [f"there more than once: {'; '.join(held)}"] if len(twice) else []
         return "; ".join(faults) or "other particles are there than before"
-
-
-def first_ids(ids: Array) -> str:
-    """The first of the ids as a text, and how many more there are."""
-    return ", ".join(map(str, ids[:NAMED])) + (f" and {len(ids) - NAMED} more" if len(ids) > NAMED else "")

@@ -1,18 +1,14 @@
-"""Which pairs can meet: those whose paths come near each other before the horizon. See `trajectories` and `search_index`."""
+"""Which pairs can meet: rows whose paths may come near are listed as partners by cells, and `near_paths` tests their paths."""
 
 from math import inf, sqrt
-from typing import NamedTuple
 
 import numpy as np
 
 from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import inner, prefetch, spheres_within, trailing_zeros
-from particles_mpi.neighbours.cells import GRIDDED, cell_along
-from particles_mpi.neighbours.search_index import AT_ONCE, FAST, OVERSIZE, ROUNDED, SLOW, WAITING
-from particles_mpi.particles import Array
-
-LOST = 1e-10  # of what is subtracted in `time_near`: more than double precision loses
-MUCH = 1e4  # windows: times beyond are not told
+from particles_mpi.neighbours.cells import cell_along
+from particles_mpi.neighbours.near_paths import WAITING, Waiting, keep_pairs
+from particles_mpi.neighbours.search_index import AT_ONCE, FAST, OVERSIZE, ROUNDED, SLOW
 
 
 @inner
@@ -123,85 +119,14 @@ def list_linked(low, high, cells, head, after, around, listed):
 
 
 @inner(error_model="numpy", inline="always")
-def may_meet(axes, y, path, i, j, window, tolerance, length):
-    """Do the paths of i, at y at its start, and of j come nearer than R_i + R_j + 2 tolerance within `window` from then?
-
-    With a margin for round-off. On the gridded axes y is the image that is meant. Returns (whether they do, r.u, u.u, r.r, the
-    square of that distance); `time_near` goes on with these.
-    """
-    d = len(axes)
-    passed = path[i, 2 * d] - path[j, 2 * d]
-    r2 = 0.0
-    ru = 0.0
-    u2 = 0.0
-    for k in range(d):
-        r = y[k] - (path[j, k] + path[j, d + k] * passed)
-        if k >= GRIDDED:
-            r = nearest(r, length[k])
-        u = path[i, d + k] - path[j, d + k]
-        r2 += r * r
-        ru += r * u
-        u2 += u * u
-    t = -ru / (u2 + 1e-300)
-    t = t if t > 0.0 else 0.0  # not max and min: those branch
-    t = t if t < window else window
-    size = path[i, 2 * d + 1] + path[j, 2 * d + 1]
-    cut = size + 2.0 * tolerance
-    return (size > 0.0) & (r2 + t * (2.0 * ru + t * u2) <= cut * cut + 1e-12 * r2), ru, u2, r2, cut * cut
-
-
-@inner(error_model="numpy")
-def time_near(ru, u2, r2, cut2, start, window):
-    """(begin, end) of the time in which two paths are so near that their rows can touch; float32, with margins for what is lost.
-
-    ru, u2, r2, cut2: as `may_meet` returns them, at the time `start`.
-    """
-    half = sqrt(max(ru * ru - u2 * (r2 - cut2), 0.0) + LOST * u2 * r2)
-    begin, end = (-ru - half) / u2, (half - ru) / u2
-    if not abs(begin) + abs(end) < MUCH * window:  # they hardly move, or not at all
-        return np.float32(-inf), np.float32(inf)
-    margin = ROUNDED * (abs(begin) + abs(end) + start + window)
-    return np.float32(start + begin - margin), np.float32(start + end + margin)
-
-
-class Waiting(NamedTuple):
-    """Rows that wait for the test of their paths, for each row that asks: until then their paths have come to the cache."""
-
-    around: Array  # (n + WAITING,) int32: the rows
-    asking: Array  # (WAITING,) int32: the row that asks, for one part of `around` after the other
-    until: Array  # (WAITING,) int32: where that part ends
-    place: Array  # (WAITING, d): where the row that asks is at the start of its path; on the gridded axes the image that is meant
-
-
-@inner(error_model="numpy")
-def keep_pairs(axes, waiting, parts, holding, horizon, pairs, found):
-    """Add the pairs to keep, of the first `parts` parts of those `waiting`, to the first `found`; returns how many are then.
-
-    Pairs beyond the room for them are counted only. waiting: a `Waiting`.
-    """
-    around, asking, until, place = waiting.around, waiting.asking, waiting.until, waiting.place
-    paths, _, spheres, _, _, length, marked, _, _ = holding
-    path, _, bounding_radius, _, _ = paths
-    end, tolerance, _, _ = horizon
-    _, w, ids, owned = spheres
-    first, second, near_from, near_until = pairs
-    y = np.empty(len(axes))
-    p = 0
-    for part in range(parts):
-        i = np.int64(asking[part])
-        window = end - path[i, 2 * len(axes)]
-        for k in range(len(axes)):
-            y[k] = place[part, k]
-        while p < until[part]:
-            j = np.int64(around[p])
-            p += 1
-            meet, ru, u2, r2, cut2 = may_meet(axes, y, path, i, np.uint64(j), window, tolerance, length)
-            if meet and wanted(i, j, marked, bounding_radius, owned, ids, w):
-                if found < len(first):
-                    first[found], second[found] = (i, j) if ids[i] < ids[j] else (j, i)
-                    near_from[found], near_until[found] = time_near(ru, u2, r2, cut2, path[i, 2 * len(axes)], window)
-                found += 1
-    return found
+def end_part(axes, waiting, i, listed, parts, holding, horizon, pairs, found):
+    """Row i asks for what is listed since the last part; when many wait, all are tested. Returns (listed, parts, found) then."""
+    waiting.asking[parts], waiting.until[parts] = i, listed
+    parts += 1
+    if parts == WAITING or listed >= WAITING:
+        found = keep_pairs(axes, waiting, parts, holding, horizon, pairs, found)
+        listed = parts = 0
+    return listed, parts, found
 
 
 @inner(error_model="numpy")
@@ -228,8 +153,8 @@ def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found)
     by, images = np.zeros((3, 3)), np.ones(3, np.int64)
     middle, extent = np.empty(d), np.empty(g)
     middle32, firsts = np.empty(g, np.float32), np.empty(8, np.int64)
-    asking, until, place = np.empty(WAITING, np.int32), np.empty(WAITING, np.int32), np.empty((WAITING, d))
-    waiting = Waiting(around, asking, until, place)
+    waiting = Waiting(around, np.empty(WAITING, np.int32), np.empty(WAITING, np.int32), np.empty((WAITING, d)))
+    place = waiting.place
     listed = parts = tests = 0
     done, pairs_done, tests_done = begin, found, 0
     for m in range(begin, len(rows)):
@@ -262,12 +187,7 @@ def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found)
                     r = path[i, k] - (path[other, k] + path[other, d + k] * (path[i, 2 * d] - path[other, 2 * d]))
                     place[parts, k] = path[i, k] + nearest(r, length[k]) - r
                 around[listed] = other
-                listed += 1
-                asking[parts], until[parts] = i, listed
-                parts += 1
-                if parts == WAITING or listed >= WAITING:
-                    found = keep_pairs(axes, waiting, parts, holding, horizon, pairs, found)
-                    listed = parts = 0
+                listed, parts, found = end_part(axes, waiting, i, listed + 1, parts, holding, horizon, pairs, found)
         for p0 in range(images[0]):
             for p1 in range(images[1]):
                 for p2 in range(images[2]):
@@ -303,25 +223,10 @@ def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found)
                             around[near] = j
                             near += (r2 <= (own + bounding_radius[j]) ** 2) & (i != j)
                     if near > listed:
-                        listed = near
-                        asking[parts], until[parts] = i, listed
-                        parts += 1
-                        if parts == WAITING or listed >= WAITING:
-                            found = keep_pairs(axes, waiting, parts, holding, horizon, pairs, found)
-                            listed = parts = 0
+                        listed, parts, found = end_part(axes, waiting, i, near, parts, holding, horizon, pairs, found)
         if found > len(pairs[0]):
             return pairs_done, tests_done, done
     found = keep_pairs(axes, waiting, parts, holding, horizon, pairs, found)
     if found > len(pairs[0]):
         return pairs_done, tests_done, done
     return found, tests, len(rows)
-
-
-@inner
-def wanted(i, j, marked, bounding_radius, owned, ids, w):
-    """Is this a pair to keep, found from i?"""
-    if i == j or not (i < owned or j < owned) or (w[i] == 0.0 and w[j] == 0.0):
-        return False
-    return not (
-        marked[j] and (bounding_radius[j] > bounding_radius[i] or (bounding_radius[j] == bounding_radius[i] and ids[j] > ids[i]))
-    )

@@ -15,7 +15,6 @@ from particles_mpi.neighbours.cells import Grid, LinkedCells, cell_at, link, unl
 from particles_mpi.particles import Array
 
 SLOW, FAST, OVERSIZE, RENEWED = 0, 1, 2, 3
-WAITING = 64  # rows are listed, or parts of a list, before the paths of all are tested
 AT_ONCE = 8  # places of the sorted cells that are tested together
 ROUNDED = 1e-6  # of the sum of the numbers that are compared: more than what float32 loses
 

@@ -26,20 +26,26 @@ def exit_on_signals() -> None:
         signal.signal(number, lambda *_: os._exit(EXIT_ON_SIGNAL))
 
 
-class StopRequest:
+class SignalCaught:
+    """Remembers when the first signal came, for `check_signals`."""
+
+    asked_at = np.inf
+
+    def ask(self, *_: object) -> None:
+        """What a signal calls."""
+        self.asked_at = min(self.asked_at, perf_counter())
+
+
+class StopRequest(SignalCaught):
     """Was the run asked to stop, by a signal, or by `wall_time` seconds since `began`? Holds the signals until `close`."""
 
     def __init__(self, ranks: Communicator, began: float, wall_time: float | None):
-        self.ranks, self.asked = ranks, False
+        self.ranks = ranks
         self.end = np.inf if wall_time is None else began + wall_time
         self.reserve = 0.0  # seconds before the end that a checkpoint needs
         self.polled, self.step, self.next = perf_counter(), 0, 0
-        self.asked_at = np.inf
-        self.before = {number: signal.signal(number, self._ask) for number in SIGNALS}
+        self.before = {number: signal.signal(number, self.ask) for number in SIGNALS}
         _requests.append(self)
-
-    def _ask(self, *_: object) -> None:
-        self.asked, self.asked_at = True, min(self.asked_at, perf_counter())
 
     def poll(self, step: int) -> bool:
         """Was any rank asked to stop, or is the time over? Ranks compare every few steps, if these are short. Collective."""
@@ -47,7 +53,7 @@ class StopRequest:
             return False
         now = perf_counter()
         pace = (now - self.polled) / max(step - self.step, 1)
-        stop, pace = self.ranks.allreduce_max(np.array([self.asked or now + self.reserve > self.end, pace]))
+        stop, pace = self.ranks.allreduce_max(np.array([self.asked_at < np.inf or now + self.reserve > self.end, pace]))
         self.polled, self.step = now, step
         self.next = step + int(min(max(POLL_SECONDS / max(pace, 1e-9), 1), POLL_STEPS))
         return bool(stop)
@@ -59,22 +65,17 @@ class StopRequest:
             signal.signal(number, handler)
 
 
-class HeldInterrupt:
+class HeldInterrupt(SignalCaught):
     """For a block that should not be left halfway: Ctrl-C, if it would raise KeyboardInterrupt, does so at the end of it.
 
     `check_signals` within the block does so earlier, after GRACE seconds.
     """
 
-    asked_at = np.inf
-
     def __enter__(self) -> None:
         self.held = signal.getsignal(signal.SIGINT) is signal.default_int_handler and current_thread() is main_thread()
         if self.held:
-            signal.signal(signal.SIGINT, self._ask)
+            signal.signal(signal.SIGINT, self.ask)
             _requests.append(self)
-
-    def _ask(self, *_: object) -> None:
-        self.asked_at = min(self.asked_at, perf_counter())
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if self.held:
@@ -84,7 +85,7 @@ class HeldInterrupt:
                 raise KeyboardInterrupt
 
 
-_requests: list[StopRequest | HeldInterrupt] = []  # those that catch signals at present
+_requests: list[SignalCaught] = []  # those that catch signals at present
 
 
 def check_signals() -> None:

@@ -179,7 +179,7 @@ class Job:
             return
         self.forecast = forecast
         if self.rehearsal:
-            self.request.asked = True
+            self.request.ask()
         elif before is None:
             self.plan["predicted_seconds"] = forecast.seconds
             self.plan["predicted_seconds_range"] = [forecast.least, forecast.most]

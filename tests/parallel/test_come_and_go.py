@@ -42,7 +42,7 @@ def test_what_cannot_be_is_refused_by_name(runs, ranks):
     assert said["outside"].startswith("box: particle 58 outside")
     assert said["key"].startswith("particles[2].radios: unknown key")
     assert said["unknown"] == "remove: no particle 99"
-    assert "step 25: 1 particles are lost" in said["lost"]
+    assert "step 25: lost: 1 particle" in said["lost"]
 
 
 @pytest.mark.parametrize("ranks", [1, 2])

@@ -12,7 +12,8 @@ The files, in the order in which one reads them:
 - `windows`: the drift where space is divided among ranks, in short windows of time that are verified.
 - `regions`: which ranks must know a row, and which ghosts can affect own rows.
 - `id_table`: the row of a particle, by its id; a hash table.
-- `messages`: what ranks send one another after a window, and what they do with it.
+- `messages`: what ranks send one another after a window.
+- `arrivals`: what they do with it.
 
 The way of one drift: `EventDriven.drift` is called with the length of the step. `Engine.start_drift` puts each particle on a
 straight segment, `begin` empties the queue, and `run` hands everything to `event_loop.run`. There, `next_event` finds for each

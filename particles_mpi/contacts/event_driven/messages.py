@@ -1,4 +1,4 @@
-"""What ranks send one another after a window of time, and what they do with it: compiled parts of `windows`.
+"""What ranks send one another after a window of time: compiled parts of `windows`. `arrivals` is what they do with it.
 
 A message is a series of numbers, each part beginning with its kind and a particle's id:
 
@@ -14,42 +14,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.contacts.event_driven.calendar_queue import Queue, cancel
-from particles_mpi.contacts.event_driven.id_table import drop, home, put, row_of
-from particles_mpi.contacts.event_driven.regions import Moves, Regions, can_affect_owned, mark_holders
+from particles_mpi.contacts.event_driven.regions import Moves, Regions
 from particles_mpi.contacts.event_driven.rows import (
-    EVENT_COUNT,
-    GHOST,
     ID,
-    NOT_HERE,
     OWN,
     OWNERSHIP,
     RADIUS,
     SHARED,
-    TRAJECTORY_HASH,
     Log,
     Rows,
     dimension,
     has_new_segment,
-    hash_place,
-    load_row,
     record_width,
     save_row,
-    spin_width,
 )
-from particles_mpi.kernels.jit import inner, kernel, lean, lean_inner, prefetch
-from particles_mpi.neighbours.verlet_cells import level_of
-from particles_mpi.neighbours.verlet_kernels import (
-    INVERSE_MASS,
-    SIZE,
-    SKIN,
-    Lists,
-    compare,
-    find_nearby,
-    relist,
-    remove,
-    shortage,
-)
+from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch
+from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS
 from particles_mpi.particles import Array
 
 UPDATE, ADD_GHOST, TRANSFER, DROP_GHOST = range(4)
@@ -83,6 +63,12 @@ def part_width(kind, d, record, extra):
     if kind == TRANSFER:
         return HEAD + 3 + d
     return HEAD
+
+
+def widest_part(dimension: int) -> int:
+    """Numbers in the longest part of a message, of rough spheres that velocity flows act on."""
+    record = record_width(dimension, dimension * (dimension - 1) // 2)
+    return max(part_width(kind, dimension, record, dimension + 2) for kind in (UPDATE, ADD_GHOST, TRANSFER, DROP_GHOST))
 
 
 @inner
@@ -167,166 +153,3 @@ def pack_changes(rows, reference, directory, log, moves, regions, bit, message):
             bits[size], bits[size + 1] = DROP_GHOST, state[i, ID]
             size += HEAD
     return size
-
-
-@lean
-def roll_back(rows, log, stale):
-    """All rows as before the window; returns how many (written to `stale`) must find their next events again."""
-    rows, log = Rows(*rows), Log(*log)
-    d, record = dimension(rows), record_width(dimension(rows), spin_width(rows))
-    for p in range(log.changed_count[0]):
-        load_row(d, rows, np.int64(log.changed[p]), log.saved, log.saved_bits, p * record)
-        stale[p] = log.changed[p]
-    return log.changed_count[0]
-
-
-@kernel
-def verify(rows, lists, directory, log, regions, begin, message):
-    """(must the window that began at `begin` be rolled back, which ghosts differ from their owners' rows).
-
-    It must if such a ghost could have touched an own row. `message`: all that arrived; a ghost of which no UPDATE tells did not
-    change at its owner. Of each ghost that differs: the row, and where its right record begins in the message, or else the log.
-    """
-    rows, lists, directory, log, regions = Rows(*rows), Lists(*lists), Directory(*directory), Log(*log), Regions(*regions)
-    numbers, bits = message
-    state, table, updated = rows.state, directory.table, directory.updated
-    d, extra, window = regions.low.shape[1], extra_width(rows), log.window[0]
-    record = record_width(d, spin_width(rows))
-    differing, found = np.empty((len(numbers) // (HEAD + record) + log.border_count[0], 2), np.int64), 0
-    place = np.empty((2, d))
-    wrong = False
-    for step in range(2):  # first to the cache
-        at = 0
-        while at < len(numbers):
-            if bits[at] == UPDATE:
-                if step == 0:
-                    prefetch(table, home(table, bits[at + 1]))
-                else:
-                    i = row_of(table, bits[at + 1])
-                    prefetch(state, i)
-                    prefetch(updated, i)
-            at += part_width(bits[at], d, record, extra)
-    at = 0
-    while at < len(numbers):
-        if bits[at] == UPDATE:
-            i = row_of(table, bits[at + 1])
-            updated[i] = window
-            if bits[at + HEAD + hash_place(d)] != state[i, TRAJECTORY_HASH]:
-                wrong = wrong or can_affect_owned(rows, lists, log, regions, i, begin, place)
-                differing[found, 0], differing[found, 1] = i, at + HEAD
-                found += 1
-        at += part_width(bits[at], d, record, extra)
-    for p in log.border[: log.border_count[0]]:
-        i = np.int64(log.changed[p])
-        if state[i, OWNERSHIP] == GHOST and updated[i] != window and has_new_segment(d, rows, log, p):
-            wrong = wrong or can_affect_owned(rows, lists, log, regions, i, begin, place)
-            differing[found, 0], differing[found, 1] = i, len(numbers) + p * record
-            found += 1
-    return wrong, differing[:found]
-
-
-@lean
-def reconcile(rows, directory, log, message, differing, moves, regions, stale):
-    """After a correct window: ghosts that differ from their owners' rows become equal to them, and moved rows change owner.
-
-    Returns how many rows, written to `stale`, must find their next events again.
-    """
-    rows, directory, log, moves = Rows(*rows), Directory(*directory), Log(*log), Moves(*moves)
-    numbers, bits = message
-    rank, here = Regions(*regions).rank, len(Regions(*regions).known) - 1
-    d, state, masks = dimension(rows), rows.state, directory.holders.shape[1]
-    for p in range(len(differing)):
-        i, at = differing[p, 0], differing[p, 1]
-        if at < len(numbers):
-            load_row(d, rows, i, numbers, bits, at)
-        else:
-            load_row(d, rows, i, log.saved, log.saved_bits, at - len(numbers))
-        stale[p] = i
-    for m in range(log.moved_count[0]):
-        i = np.int64(log.moved[m])
-        log.is_moved[i] = False
-        for b in range(masks):
-            directory.holders[i, b] = moves.holders[m, b]
-        state[i, OWNERSHIP] = ownership(directory.holders, i, here) if moves.owner[m] == rank else GHOST
-    log.moved_count[0] = 0
-    return len(differing)
-
-
-@kernel
-def apply_moves(axes, rows, lists, queue, directory, regions, message, at, skin, stale, pending):
-    """ADD_GHOST, TRANSFER and DROP_GHOST of a message, from place `at` on.
-
-    stale[:pending[0]]: rows that must find their next events. Returns (place, shortage): the end and 0, or the place of the part
-    for which the pool of the lists is short of so many places, or for which there is no free row (-1); then enlarge and call
-    again from there.
-    """
-    rows, lists, queue, directory = Rows(*rows), Lists(*lists), Queue(*queue), Directory(*directory)
-    numbers, bits = message
-    table, holders, free, free_count = directory.table, directory.holders, directory.free, directory.free_count
-    known = Regions(*regions).known
-    at_row = np.empty(1, np.int32)
-    segment, state, reference = rows.segment, rows.state, lists.reference
-    d, extra = len(axes), extra_width(rows)
-    record = record_width(d, spin_width(rows))
-    while at < len(numbers):
-        kind, name = bits[at], bits[at + 1]
-        if kind in (ADD_GHOST, TRANSFER):
-            i = row_of(table, name)
-            fresh = kind == ADD_GHOST and i < 0
-            if fresh:
-                if free_count[0] == 0:
-                    return at, -1
-                i = np.int64(free[free_count[0] - 1])
-                segment[i, 2 * d + RADIUS] = numbers[at + HEAD + record]
-                reference[i, d + INVERSE_MASS] = numbers[at + HEAD + record + 1]
-            begin = at + HEAD + (2 + record if kind == ADD_GHOST else 3)
-            if fresh or kind == TRANSFER:
-                before = reference[i].copy()
-                for k in range(d):
-                    reference[i, k] = numbers[begin + k]
-                if fresh:
-                    reference[i, d + SKIN] = skin if reference[i, d + INVERSE_MASS] > 0.0 else 0.0
-                    reference[i, d + SIZE] = segment[i, 2 * d + RADIUS] + reference[i, d + SKIN]
-                found = find_nearby(axes, lists, i)
-                kept, new = compare(lists, i, found)
-                short = shortage(lists, i, kept, new)
-                if short > 0:
-                    for k in range(d + INVERSE_MASS + 1):
-                        reference[i, k] = before[k]
-                    return at, short
-                if fresh:
-                    free_count[0] -= 1
-                    put(table, name, i)
-                    state[i, ID], state[i, OWNERSHIP] = name, GHOST
-                    load_row(d, rows, i, numbers, bits, at + HEAD)
-                    if len(rows.acceleration) > 0:
-                        for k in range(d):
-                            rows.acceleration[i, k] = numbers[begin + d + k]
-                    if len(rows.drag) > 0:
-                        rows.drag[i] = numbers[begin + d + extra - 1 - (1 if len(rows.turn) > 0 else 0)]
-                    if len(rows.turn) > 0:
-                        rows.turn[i] = numbers[begin + d + extra - 1]
-                    lists.level[i] = level_of(reference[i, d + SIZE], lists)
-                relist(axes, lists, i, kept, new)
-                stale[pending[0]] = i
-                pending[0] += 1
-            if kind == TRANSFER:
-                directory.fields_at[i, HOLDER], directory.fields_at[i, PLACE] = bits[at + HEAD], bits[at + HEAD + 1]
-                at_row[0] = i
-                mark_holders(reference, at_row, regions, holders[i : i + 1])
-                for k in range(len(known)):
-                    if known[k] == bits[at + HEAD + 2]:
-                        add_holder(holders, i, k)
-                add_holder(holders, i, len(known) - 1)
-                state[i, OWNERSHIP] = SHARED  # the rank that had it holds it, at least
-        elif kind == DROP_GHOST:
-            i = row_of(table, name)
-            cancel(queue, i)
-            remove(axes, lists, i)
-            state[i, OWNERSHIP] = NOT_HERE
-            state[i, EVENT_COUNT] += 1
-            drop(table, name)
-            free[free_count[0]] = i
-            free_count[0] += 1
-        at += part_width(kind, d, record, extra)
-    return at, 0

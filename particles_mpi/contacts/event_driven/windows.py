@@ -11,20 +11,11 @@ corrected. Windows leave no trace in the bits.
 
 import numpy as np
 
+from particles_mpi.contacts.event_driven.arrivals import apply_moves, reconcile, roll_back, verify
 from particles_mpi.contacts.event_driven.engine import MOST_EXPIRIES, Engine
 from particles_mpi.contacts.event_driven.event_loop import COLLISIONS, WALL_HITS
 from particles_mpi.contacts.event_driven.id_table import rows_of_ids, table_of
-from particles_mpi.contacts.event_driven.messages import (
-    HOLDER,
-    PLACE,
-    Directory,
-    apply_moves,
-    message_of,
-    pack_changes,
-    reconcile,
-    roll_back,
-    verify,
-)
+from particles_mpi.contacts.event_driven.messages import HOLDER, PLACE, Directory, message_of, pack_changes, widest_part
 from particles_mpi.contacts.event_driven.regions import Moves, Regions, mark_holders, plan_moves
 from particles_mpi.contacts.event_driven.rows import (
     ID,
@@ -286,8 +277,8 @@ class Windows:
     def changes_for(self, bit: int, moves: Moves) -> Array:
         """What happened in the window, for the known rank of a bit."""
         engine, log, d = self.engine, self.engine.log, len(self.box.length)
-        widest = record_width(d, d * (d - 1) // 2) + 2 * d + 9
-        message = message_of(np.empty((int(log.border_count[0]) + 3 * int(log.moved_count[0])) * widest))
+        parts = int(log.border_count[0]) + 3 * int(log.moved_count[0])
+        message = message_of(np.empty(parts * widest_part(d)))
         rows, directory, reference = tuple(engine.rows), tuple(self.directory), engine.lists.arrays.reference
         regions = tuple(self.regions)
         size = pack_changes(rows, reference, directory, tuple(log), tuple(moves), regions, bit, message)

@@ -37,8 +37,8 @@ def outside(p):
 
 
 FAULTS = [
-    (lose, "particles 7 are lost"),
-    (double, "particles 7 are lost; there more than once: 8 on ranks 0"),
+    (lose, "lost: particle 7"),
+    (double, "lost: particle 7; there more than once: 8 on ranks 0"),
     (nan, "particle 3 on rank 0 has a position or velocity that is not finite"),
     (outside, r"particle 5 on rank 0 is beyond wall \d, at \(3, -0.1\)"),
 ]

@@ -51,7 +51,7 @@ def test_all_kernels_are_known(whole):
     """Those of every decorator: with options, without, and those that are inlined."""
     kernels = Sources(whole).kernels
     names = (
-        "neighbours.pair_search.may_meet",
+        "neighbours.near_paths.may_meet",
         "contacts.event_driven.event_loop.run",
         "gravity.sources.add_cells",
         "study.hard_cases.orbits.circle",
@@ -88,7 +88,7 @@ def test_what_is_stale_is_forgotten(whole, edit):
     script = [sys.executable, "-P", str(whole / "setup/kernel_sources.py")]
     cache = whole / "neighbours" / "__pycache__"
     cache.mkdir(exist_ok=True)
-    files = [cache / f"pair_search.{name}-100.py311.1.nbc" for name in ("cover", "find_partners", "wanted")]
+    files = [cache / f"pair_search.{name}-100.py311.1.nbc" for name in ("cover", "find_partners", "list_bits")]
     for file in files:
         file.touch()
     assert subprocess.run(script, timeout=60).returncode == 0
