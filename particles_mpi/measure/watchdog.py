@@ -1,5 +1,8 @@
 """The check, every few steps, that all particles are there, finite, and inside the walls and the box. It costs very little."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 from particles_mpi.errors import SHOWN, StateError, listed
@@ -7,7 +10,7 @@ from particles_mpi.kernels.planes import Planes
 from particles_mpi.kernels.validity import find_invalid, id_checksum
 from particles_mpi.parallel.agreement import require_finite
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exchange import IdRange
+from particles_mpi.parallel.exchange import IdRange, by_range, own_range, send_rows
 from particles_mpi.particles import Array, Particles
 
 
@@ -39,20 +42,29 @@ class Watchdog:
             raise StateError(next(text for text in self.ranks.allgather(mine) if text))
 
     def who_is_lost(self, p: Particles) -> str:
-        """A text: which ids are missing, and which exist more than once. Collective."""
-        everyone = self.ranks.allgather(p.id.copy())
-        ids, span = np.concatenate(everyone), self.span
-        odd = ids[(ids < span.first) | (ids >= span.end)]
-        if len(odd):
-            return f"unknown: {listed(odd)}"
-        times = np.bincount(ids - span.first, minlength=span.end - span.first)
-        twice = span.first + np.flatnonzero(times > 1)
-        held = [f"{i} on ranks {', '.join(str(r) for r, of in enumerate(everyone) if i in of)}" for i in twice[:SHOWN]]
-        missing = span.total - len(np.unique(ids))
+        """A text: which ids are missing, and which exist more than once. Collective; each rank looks at its range of ids."""
+        ranks, span = self.ranks, self.span
+        known = (p.id >= span.first) & (p.id < span.end)
+        odd, number = first_of(ranks, p.id[~known])
+        if number:
+            return f"unknown: {listed(odd, total=number)}"
+        arrived, arriving = send_rows(ranks, {"id": p.id}, *by_range(p.id, span, ranks.size, ranks.size))
+        sender = np.repeat(np.arange(ranks.size), arriving)
+        ids, times = np.unique(arrived["id"], return_counts=True)
+        lost, missing = first_of(ranks, np.setdiff1d(np.arange(*own_range(ranks.rank, span, ranks.size)), ids))
+        twice = [f"{i} on ranks {', '.join(map(str, np.unique(sender[arrived['id'] == i])))}" for i in ids[times > 1][:SHOWN]]
+        held, _ = first_of(ranks, twice)
         faults = []
-        if missing > 0 and span.total == span.end - span.first:
-            faults.append(f"lost: {listed(span.first + np.flatnonzero(times == 0))}")
-        elif missing > 0:  # some were removed, and nobody has kept which
-            faults.append(f"lost: {missing} particle{'s' if missing > 1 else ''}")
-        faults += [f"there more than once: {'; '.join(held)}"] if len(twice) else []
+        if span.total < span.end - span.first:  # some were removed, and nobody has kept which
+            missing -= span.end - span.first - span.total
+            faults += [f"lost: {missing} particle{'s' if missing > 1 else ''}"] if missing > 0 else []
+        elif missing:
+            faults.append(f"lost: {listed(lost, total=missing)}")
+        faults += [f"there more than once: {'; '.join(held)}"] if held else []
         return "; ".join(faults) or "other particles are there than before"
+
+
+def first_of(ranks: Communicator, mine: Sequence[Any] | Array) -> tuple[list[Any], int]:
+    """The first few of what all ranks have, rank by rank, and how many there are. Collective."""
+    everyone = ranks.allgather((list(mine[:SHOWN]), len(mine)))
+    return [one for some, _ in everyone for one in some][:SHOWN], sum(number for _, number in everyone)

@@ -183,10 +183,16 @@ def by_range(numbers: Array, ids: IdRange, writers: int, size: int) -> tuple[Arr
     return by_destination(((numbers - ids.first + 1) * writers - 1) // max(ids.end - ids.first, 1), size)
 
 
-def in_own_range(rank: int, numbers: Array, ids: IdRange, writers: int) -> bool:
-    """Do rows with these ids ascend, and does `by_range` send all of them to this rank?"""
+def own_range(rank: int, ids: IdRange, writers: int) -> tuple[int, int]:
+    """The first and the end of the ids that `by_range` sends to this rank."""
     length = ids.end - ids.first
     least, most = (ids.first + length * min(r, writers) // writers for r in (rank, rank + 1))
+    return least, most
+
+
+def in_own_range(rank: int, numbers: Array, ids: IdRange, writers: int) -> bool:
+    """Do rows with these ids ascend, and does `by_range` send all of them to this rank?"""
+    least, most = own_range(rank, ids, writers)
     return not len(numbers) or bool(least <= numbers[0] and numbers[-1] < most and (numbers[1:] > numbers[:-1]).all())
 
 

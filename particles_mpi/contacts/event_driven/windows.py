@@ -27,7 +27,6 @@ from particles_mpi.contacts.event_driven.rows import (
     SHARED,
     START,
     TRAJECTORY_HASH,
-    record_width,
 )
 from particles_mpi.kernels.geometry import Box, wrap
 from particles_mpi.kernels.markers import NOBODY
