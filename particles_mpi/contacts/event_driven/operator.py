@@ -17,6 +17,7 @@ from particles_mpi.contacts.event_driven.event_loop import COLLISIONS, TC_ELASTI
 from particles_mpi.contacts.event_driven.windows import Windows
 from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.velocity_flow import Rates
+from particles_mpi.errors import StateError
 from particles_mpi.kernels.geometry import Box
 from particles_mpi.kernels.markers import CROWD
 from particles_mpi.kernels.planes import Planes, no_planes
@@ -26,7 +27,7 @@ from particles_mpi.parallel.agreement import require_finite
 from particles_mpi.parallel.buffers import Replica, RowBuffers
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows
-from particles_mpi.particles import Array, Particles, rows_of
+from particles_mpi.particles import Array, Particles, row_dot, rows_of
 from particles_mpi.timers import Timers
 
 LEAST = 2000  # particles a rank; with fewer, space is not divided
@@ -34,6 +35,7 @@ LONGEST_PAUSE = 64  # drifts
 CROWDED = 8  # quick contacts in a drift; then a particle is one of a crowd that collapses
 ROUNDS = 3
 DURATION = 1e-4  # of a step: that of a contact, where a scene gives none
+MOST_SKINS = 1e8  # times that a particle may leave its neighbourhood in a drift, about ten seconds of work
 CHANGING = ("position", "velocity", "contacted", "virial", "supported", "total_acceleration", "spin")
 
 
@@ -195,6 +197,7 @@ class Whole:
             if moved:
                 self.reload()
                 engine.start_drift(p, self.own_rows)
+            self.check_way(speed * h, moment)
             engine.work.stop[:] = stop, -1, -1
             engine.begin(h)
         with self.timers("collide"):
@@ -209,6 +212,17 @@ class Whole:
     def check(self, speed: float, moment: float) -> None:
         """Raise where the largest speed shows that a number is not finite."""
         require_finite(self.ranks, self.particles, speed, f"t = {moment:g}")
+
+    def check_way(self, longest: float, moment: float) -> None:
+        """Raise where the fastest particle would leave its neighbourhood again and again for minutes, on the way of a drift."""
+        times = longest / self.engine.lists.skin
+        if times > MOST_SKINS:
+            p, square = self.particles, row_dot(self.particles.velocity, self.particles.velocity)
+            name = p.id[square == square.max()].min()
+            raise StateError(
+                f"t = {moment:g}: particle {name} crosses {longest:.3g} in a step, {times:.1g} times as far as its list of"
+                " neighbours reaches: shorten time.step"
+            )
 
     def reload(self) -> None:
         """Sort the particles in space and load them into the engine, with new lists."""

@@ -52,6 +52,16 @@ def test_time_that_stands_still_is_told_with_ids_and_time():
     assert StateError.exit_code == 3
 
 
+@pytest.mark.parametrize("size", [1.0, 1e30])
+def test_a_way_that_would_take_years_is_refused_by_name(size):
+    """Time passes, in steps of hardly more than round-off of the position."""
+    sim = discs(velocity=[[1.0, 0.0], [-1.0, 0.2], [0.5, -0.5]])
+    sim.step()
+    sim.particles.position[2], sim.particles.radius[2], sim.particles.velocity[2] = size, 0.1 * size, 1e12 * size
+    with pytest.raises(StateError, match=r"t = 0.5: particle 2 crosses 7.07e\+\d\d in a step, .* shorten time.step"):
+        sim.step()
+
+
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_any_state_ends(data):
