@@ -118,17 +118,6 @@ def list_linked(low, high, cells, head, after, around, listed):
     return listed
 
 
-@inner(error_model="numpy", inline="always")
-def end_part(axes, waiting, i, listed, parts, holding, horizon, pairs, found):
-    """Row i asks for what is listed since the last part; when many wait, all are tested. Returns (listed, parts, found) then."""
-    waiting.asking[parts], waiting.until[parts] = i, listed
-    parts += 1
-    if parts == WAITING or listed >= WAITING:
-        found = keep_pairs(axes, waiting, parts, holding, horizon, pairs, found)
-        listed = parts = 0
-    return listed, parts, found
-
-
 @inner(error_model="numpy")
 def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found):
     """Candidate pairs of `rows` (all of them marked), from rows[begin] on, with all rows, each once, behind the first `found`.
@@ -138,7 +127,8 @@ def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found)
     marked rows the one with the larger bounding radius finds the other: with `everything` marked no search need look further
     than the row's own radius, and SLOW rows need not look for FAST ones. `holding`: `Holding` as a plain tuple.
     Nearly every test is a coin toss: spheres are tested eight at once in float32, with a margin for what that loses. The paths
-    of those that pass are tested a few rows later.
+    of those that pass are tested a few rows later. Where a part of the list ends is written out twice: as a function it would count
+    references to all the arrays, and the whole search take twice as long.
     """
     paths, index, spheres, _, _, length, _, around, _ = holding
     path, midpoint, bounding_radius, level, _ = paths
@@ -153,8 +143,8 @@ def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found)
     by, images = np.zeros((3, 3)), np.ones(3, np.int64)
     middle, extent = np.empty(d), np.empty(g)
     middle32, firsts = np.empty(g, np.float32), np.empty(8, np.int64)
-    waiting = Waiting(around, np.empty(WAITING, np.int32), np.empty(WAITING, np.int32), np.empty((WAITING, d)))
-    place = waiting.place
+    asking, until, place = np.empty(WAITING, np.int32), np.empty(WAITING, np.int32), np.empty((WAITING, d))
+    waiting = Waiting(around, asking, until, place)
     listed = parts = tests = 0
     done, pairs_done, tests_done = begin, found, 0
     for m in range(begin, len(rows)):
@@ -187,7 +177,12 @@ def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found)
                     r = path[i, k] - (path[other, k] + path[other, d + k] * (path[i, 2 * d] - path[other, 2 * d]))
                     place[parts, k] = path[i, k] + nearest(r, length[k]) - r
                 around[listed] = other
-                listed, parts, found = end_part(axes, waiting, i, listed + 1, parts, holding, horizon, pairs, found)
+                listed += 1
+                asking[parts], until[parts] = i, listed
+                parts += 1
+                if parts == WAITING or listed >= WAITING:
+                    found = keep_pairs(axes, waiting, parts, holding, horizon, pairs, found)
+                    listed = parts = 0
         for p0 in range(images[0]):
             for p1 in range(images[1]):
                 for p2 in range(images[2]):
@@ -223,7 +218,12 @@ def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found)
                             around[near] = j
                             near += (r2 <= (own + bounding_radius[j]) ** 2) & (i != j)
                     if near > listed:
-                        listed, parts, found = end_part(axes, waiting, i, near, parts, holding, horizon, pairs, found)
+                        listed = near
+                        asking[parts], until[parts] = i, listed
+                        parts += 1
+                        if parts == WAITING or listed >= WAITING:
+                            found = keep_pairs(axes, waiting, parts, holding, horizon, pairs, found)
+                            listed = parts = 0
         if found > len(pairs[0]):
             return pairs_done, tests_done, done
     found = keep_pairs(axes, waiting, parts, holding, horizon, pairs, found)
