@@ -141,13 +141,13 @@ class State:
     def check_values(self, values: dict[str, Array]) -> None:
         """Raises StateError for values that no particle can have, naming the first that has one."""
         p = self.rows
-        for name, allowed in value_limits(self.scene, p, values).items():
+        for name, allowed in value_limits(self.scene, p, values, self.h).items():
             wrong = np.flatnonzero(~allowed)
             if len(wrong):
                 row = wrong[p.id[wrong].argmin()]
+                given = ", ".join(f"{value:g}" for value in np.ravel(values[name][row]))
                 raise StateError(
-                    f"particles.{name}: particle {p.id[row]} on rank {self.ranks.rank} was given {values[name][row]:g},"
-                    " which it cannot have"
+                    f"particles.{name}: particle {p.id[row]} on rank {self.ranks.rank} was given {given}, which it cannot have"
                 )
 
     @property

@@ -115,12 +115,15 @@ def exchange(axes, v, column, r, i, j, w_i, w_j, t, restitution, velocity_factor
     for k in range(len(axes)):
         r2 += r[k] * r[k]
         approach += r[k] * (v[i, column + k] - v[j, column + k])
+    weight = r2 * (w_i + w_j)
+    if weight == 0.0:  # spheres smaller than round-off of their places: there is no normal
+        return 0.0
     if len(rates.a) > 0:
         change = exchange_at_contact(v, column, r, r2, i, j, w_i, w_j, t - rates.t_mid, restitution, velocity_factor, rates)
         if change != 0.0:
             return change
     change = (1.0 + restitution) * approach
-    impulse = change / (r2 * (w_i + w_j))  # coincident centres have no normal, and never get here: they do not approach
+    impulse = change / weight
     for k in range(len(axes)):
         v[i, column + k] = velocity_factor * (v[i, column + k] - impulse * w_i * r[k])
         v[j, column + k] = velocity_factor * (v[j, column + k] + impulse * w_j * r[k])

@@ -63,6 +63,8 @@ def strike_pair(axes, v, column, rough, r, i, j, spheres, t, restitution, rates)
     for k in range(len(axes)):
         r2 += r[k] * r[k]
     distance = sqrt(r2)
+    if distance == 0.0:  # spheres smaller than round-off of their places: there is no normal
+        return 0.0
     for k in range(len(axes)):
         rough.normal[k] = r[k] / distance
     part = distance / (radius_i + radius_j) if radius_i + radius_j > 0.0 else 0.0

@@ -10,12 +10,13 @@ from particles_mpi.initial.overlaps import check_overlaps, listed_pairs
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.decomposition import bisect, to_owners
-from particles_mpi.particles import FIELDS, Array, Particles, row_dot
+from particles_mpi.particles import FIELDS, OWN, Array, Particles, row_dot
 from particles_mpi.scene.effect import ConstantFriction
 from particles_mpi.scene.model import LARGEST
 from particles_mpi.scene.schema import Scene, periodic_length
 
 MOST_CROSSINGS = 1e4  # of the box in a step
+FARTHEST = 1e6  # lengths of a periodic box, from which a given place can be brought back into it
 
 
 def check_start(
@@ -144,13 +145,19 @@ def largest_component(vectors: Array) -> Array:
 
 def check_crossings(scene: Scene, particles: Particles, faults: Faults) -> None:
     """Who would meet so many others, or walls, in one step that the step would never end."""
-    if scene.box is None or not {"walls", "collisions"} & scene.effects.keys():
-        return
-    edge, dt = min(hi - lo for lo, hi in zip(scene.box.lower, scene.box.upper, strict=True)), scene.time.step
+    dt = scene.time.step
     speed = largest_component(particles.velocity) + dt * largest_pull(scene, particles)
-    fast = (particles.fixed == 0) & ~(speed * dt <= MOST_CROSSINGS * edge)
+    fast = (particles.fixed == 0) & crosses_too_often(scene, speed, dt)
     what = f" would cross the box more than {MOST_CROSSINGS:g} times in a step of {dt:g}"
     faults.name("time.step: ", particles.id[fast], what)
+
+
+def crosses_too_often(scene: Scene, speed: Array, dt: float) -> Array:
+    """Would particles of these speeds (n,) cross the box so often in a step that it would never end?"""
+    if scene.box is None or not {"walls", "collisions"} & scene.effects.keys():
+        return np.zeros(len(speed), bool)
+    edge = min(hi - lo for lo, hi in zip(scene.box.lower, scene.box.upper, strict=True))
+    return ~(speed * dt <= MOST_CROSSINGS * edge)
 
 
 def largest_pull(scene: Scene, particles: Particles) -> Array:
@@ -196,12 +203,21 @@ def check_step(scene: Scene, particles: Particles, event: bool, faults: Faults) 
     return warnings
 
 
-def value_limits(scene: Scene, particles: Particles, values: dict[str, Array]) -> dict[str, Array]:
-    """Which of the values (n,) given to some fields are possible, by name. Those that are no numbers are found elsewhere."""
+def value_limits(scene: Scene, particles: Particles, values: dict[str, Array], h: float) -> dict[str, Array]:
+    """Which of the values (n,) or (n, width) given to some fields are possible, in steps of h, by name: (n,) bool each."""
     allowed: dict[str, Array] = {}
     for name in values.keys() & FIELDS.keys():
-        if FIELDS[name].least > -np.inf and not FIELDS[name].vector:
+        if FIELDS[name].least > -np.inf:
             allowed[name] = (values[name] >= FIELDS[name].least) & (values[name] <= LARGEST)
+        elif name in OWN and FIELDS[name].dtype == "float64":
+            numbers = np.isfinite(values[name]) | (values[name] == FIELDS[name].default)
+            allowed[name] = numbers.reshape(len(numbers), -1).all(axis=1)
+    if "position" in values and scene.box:
+        lower, length = np.array(scene.box.lower), np.subtract(scene.box.upper, scene.box.lower)
+        near = np.abs(values["position"] - lower) <= FARTHEST * np.where(scene.box.periodic, length, np.inf)
+        allowed["position"] &= near.all(axis=1)  # from further away round-off leaves no place in the box
+    if "velocity" in values:
+        allowed["velocity"] &= ~crosses_too_often(scene, largest_component(values["velocity"]), h)
     if {"mass", "fixed"} & values.keys():
         mass, fixed = (values.get(name, particles[name]) for name in ("mass", "fixed"))
         needed = np.zeros(len(mass), bool)

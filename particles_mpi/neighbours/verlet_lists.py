@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from particles_mpi.errors import StateError
 from particles_mpi.kernels import limits
 from particles_mpi.kernels.geometry import Box, boxes_per_length
 from particles_mpi.kernels.limits import require_countable
@@ -31,11 +32,13 @@ class VerletLists:
         self.width = 0.0
         self.share = 1.0  # all rows of the box, divided by those that are here
 
-    def tune(self, x: Array, radius: Array, w: Array) -> None:
-        """New lists for positions x (n, d), radii and inverse masses (n,), with skins as wide as serves the density found."""
+    def tune(self, x: Array, radius: Array, w: Array, distance: float) -> None:
+        """New lists for positions x (n, d), radii and inverse masses (n,), with skins as wide as serves the density found.
+
+        `distance`: the longest contact distance there can be, over all ranks; a StateError if the box is too narrow for it.
+        """
         n, d = x.shape
-        movable = radius[w > 0.0].max(initial=0.0)
-        widest = self.widest_skin(float(radius.max(initial=0.0) + movable))
+        widest = self.widest_skin(distance)
         if not self.width:
             low, high = (x.min(axis=0), x.max(axis=0)) if n else (np.zeros(d), np.ones(d))
             self.width = max(0.5 * spacing(low, high, n), 0.05 * float(radius.mean()) if n else 0.0) or 1.0  # any, of one point
@@ -59,10 +62,16 @@ class VerletLists:
                 break
             wider, longest, self.width = self.width, mean, width
 
-    def widest_skin(self, diameter: float) -> float:
+    def widest_skin(self, distance: float) -> float:
         """Two rows in each other's list must have one nearest image only, wherever within their skins they are."""
         periodic = self.box.length[self.box.length > 0.0]
-        return float(periodic.min() - 2.0 * diameter) / 8.0 if len(periodic) else np.inf
+        widest = float(periodic.min() - 2.0 * distance) / 8.0 if len(periodic) else np.inf
+        if not widest > 0.0:
+            raise StateError(
+                f"particles.radius: a step needs a periodic box more than twice as wide as spheres are apart that touch; it is"
+                f" {periodic.min():g} wide, and they are {distance:g} apart"
+            )
+        return widest
 
     def build(self, x: Array, radius: Array, w: Array, spare: int = 0) -> None:
         """New lists with skins of the present width, and room for `spare` rows more. Arguments as in `tune`."""
@@ -131,3 +140,8 @@ def set_empty(spans: Array, first: int) -> None:
     """Rows from `first` on have an empty list in their block."""
     spans[first:, BEGIN] = np.arange(first, len(spans)) * BLOCK + PLACES
     spans[first:, COUNT], spans[first:, ROOM] = 0, BLOCK - PLACES
+
+
+def contact_distance(radius: Array, w: Array) -> tuple[float, float]:
+    """The largest radius of all, and of those that move: together the longest contact distance. w (n,): inverse masses."""
+    return float(radius.max(initial=0.0)), float(radius[w > 0.0].max(initial=0.0))

@@ -22,7 +22,7 @@ plain_step = sim.step
 def step():
     plain_step()
     if sim.steps_done == 10 and sim.ranks.rank == 1:
-        sim.particles.acceleration[:9] = 1 / 0 if sys.argv[2] == "raise" else np.nan  # ghosts of rank 0 among them
+        sim.rows.acceleration[:9] = 1 / 0 if sys.argv[2] == "raise" else np.nan  # ghosts of rank 0 among them
 
 
 sim.step = step

@@ -39,6 +39,22 @@ def test_points_of_no_volume_fly_straight(d, spread, count, walls, mode):
     assert (sim.particles.velocity == v[ids]).all() and sim.totals["collisions"] == 0
 
 
+@pytest.mark.parametrize("radius", [1e-30, 1e-170])
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("surface", [{}, {"friction": 0.3}, {"restitution": 0.5}])
+@pytest.mark.parametrize("pulled", [False, True])
+def test_spheres_below_round_off_pass_one_another(pulled, surface, mode, radius):
+    """Their centres are at one place when they touch: there is no direction in which to push them apart."""
+    spheres = {"position": [[1.0, 0.5], [2.0, 0.5]], "velocity": [[1.0, 0.0], [-1.0, 0.0]], "radius": radius}
+    effects = {"collisions": {"mode": mode} | surface} | ({"drag": {"rate": 1e-3}} if pulled else {})
+    time = {"step": 0.3 if mode == "event" else radius, "steps": 1}  # in mode rewind steps end before a diameter is crossed
+    sim = Simulation(Scene(dimension=2, time=time, particles=[spheres], effects=effects))
+    sim.h = 0.3
+    sim.steps(4)
+    order = np.argsort(sim.particles.id)
+    assert np.abs(sim.particles.position[order] - [[2.2, 0.5], [0.8, 0.5]]).max() < 2e-3
+
+
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("d", [1, 2, 3])
 @pytest.mark.parametrize("force", ["user_acceleration", "mutual_gravity"])

@@ -23,6 +23,7 @@ from particles_mpi.kernels.markers import CROWD
 from particles_mpi.kernels.planes import Planes, no_planes
 from particles_mpi.neighbours.cells import bounds, order_in_space
 from particles_mpi.neighbours.trajectories import fastest
+from particles_mpi.neighbours.verlet_lists import contact_distance
 from particles_mpi.parallel.agreement import require_finite
 from particles_mpi.parallel.buffers import Replica, RowBuffers
 from particles_mpi.parallel.communicator import Communicator
@@ -35,7 +36,7 @@ LONGEST_PAUSE = 64  # drifts
 CROWDED = 8  # quick contacts in a drift; then a particle is one of a crowd that collapses
 ROUNDS = 3
 DURATION = 1e-4  # of a step: that of a contact, where a scene gives none
-MOST_SKINS = 1e8  # times that a particle may leave its neighbourhood in a drift, about ten seconds of work
+MOST_SKINS = 1e7  # times that a particle may leave its neighbourhood in a drift, some seconds of work
 CHANGING = ("position", "velocity", "contacted", "virial", "supported", "total_acceleration", "spin")
 
 
@@ -230,7 +231,8 @@ class Whole:
         self.row_buffers.adopt()
         if len(p) > 1:
             self.row_buffers.sort(order_in_space(p.position, bounds(p.position)))
-        self.engine.lists.tune(p.position, p.radius, p.inverse_mass)
+        w = p.inverse_mass
+        self.engine.lists.tune(p.position, p.radius, w, sum(contact_distance(p.radius, w)))
         self.engine.load(p, len(p))
         self.own_rows = np.arange(len(p), dtype=np.int32)
         self.version = p.version

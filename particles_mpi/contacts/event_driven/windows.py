@@ -35,6 +35,7 @@ from particles_mpi.neighbours.cells import bounds, order_in_space
 from particles_mpi.neighbours.trajectories import fastest
 from particles_mpi.neighbours.verlet_cells import MARGIN
 from particles_mpi.neighbours.verlet_kernels import SIZE
+from particles_mpi.neighbours.verlet_lists import contact_distance
 from particles_mpi.parallel.agreement import require_finite
 from particles_mpi.parallel.buffers import RowBuffers
 from particles_mpi.parallel.communicator import Communicator
@@ -168,8 +169,10 @@ class Windows:
         n, d = len(p), p.dimension
         if n > 1:
             self.row_buffers.sort(order_in_space(p.position, bounds(p.position)))
-        lists.tune(p.position, p.radius, p.inverse_mass)
-        self.skin, largest = (float(value) for value in ranks.allreduce_max(np.array([lists.skin, p.radius.max(initial=0.0)])))
+        w = p.inverse_mass
+        largest, movable = ranks.allreduce_max(np.array(contact_distance(p.radius, w))).tolist()
+        lists.tune(p.position, p.radius, w, largest + movable)
+        self.skin = float(ranks.allreduce_max(lists.skin)[0])
         mean = float(ranks.allreduce_sum(p.radius.sum())[0]) / max(self.total, 1)
         lists.width = self.skin
         self.divide(largest, mean)
