@@ -1,6 +1,6 @@
 """Velocities under a friction of constant magnitude, b against the velocity, and a constant acceleration. Arrays only."""
 
-from math import exp, expm1, log1p, sqrt
+from math import exp, expm1, inf, log1p, sqrt
 
 from particles_mpi.kernels.jit import lean, lean_inner
 
@@ -94,7 +94,7 @@ def kick_with_friction(v, a, mass, decay, push, strength, h, coast):
         a2 = 0.0
         for k in range(d):
             a2 += a[i, k] ** 2
-        if loss > 0.0 and a2 * h * h > loss * loss and before < NEAR * (sqrt(a2) * h + loss):
+        if loss > 0.0 and inf > a2 * h * h > loss * loss and before < NEAR * (sqrt(a2) * h + loss):
             slide(v, a, i, sqrt(a2), loss / h, sqrt(decay[i]), h)
             continue
         if pushed <= loss * loss:

@@ -32,16 +32,17 @@ class VerletLists:
         self.width = 0.0
         self.share = 1.0  # all rows of the box, divided by those that are here
 
-    def tune(self, x: Array, radius: Array, w: Array, distance: float) -> None:
+    def tune(self, x: Array, radius: Array, w: Array, distance: float, way: float) -> None:
         """New lists for positions x (n, d), radii and inverse masses (n,), with skins as wide as serves the density found.
 
         `distance`: the longest contact distance there can be, over all ranks; a StateError if the box is too narrow for it.
+        `way`: the longest one of a particle in a step, the only length that a single point knows.
         """
         n, d = x.shape
         widest = self.widest_skin(distance)
         if not self.width:
             low, high = (x.min(axis=0), x.max(axis=0)) if n else (np.zeros(d), np.ones(d))
-            self.width = max(0.5 * spacing(low, high, n), 0.05 * float(radius.mean()) if n else 0.0) or 1.0  # any, of one point
+            self.width = max(0.5 * spacing(low, high, n), 0.05 * float(radius.mean()) if n else 0.0) or way or 1.0  # any, at rest
         wanted = WANTED.get(d, MANY)
         wider, longest = 0.0, np.inf  # the width before, if it was wider, and the mean length of lists with it
         for _ in range(6):

@@ -11,6 +11,7 @@ import sys
 import numpy as np
 import pytest
 from conftest import ROOT
+from random_scenes import random_scenes
 
 from particles_mpi import Scene, Simulation
 
@@ -33,13 +34,16 @@ KEYS = {
     "softening": (1, 0, 0),
     "resistance": (1, 0, 0),
     "contact_duration": (0, 1, 0),
-}
-COLUMNS = {name: KEYS[name] for name in ("position", "velocity", "radius", "mass", "acceleration")} | {
-    "total_acceleration": KEYS["acceleration"],
-    "rate": KEYS["acceleration"],  # dv/dt
+    "temperature": (2, -2, 1),
+    "point": (1, 0, 0),
     "drag": (0, -1, 0),
     "spin": (0, -1, 0),
     "moment_of_inertia": (2, 0, 1),
+}
+COLUMNS = ("position", "velocity", "radius", "mass", "acceleration", "drag", "spin", "moment_of_inertia")
+COLUMNS = {name: KEYS[name] for name in COLUMNS} | {
+    "total_acceleration": KEYS["acceleration"],
+    "rate": KEYS["acceleration"],  # dv/dt
     "virial": (2, -1, 1),  # of impulses, -r.dp
     "contacted": (0, 1, 0),
 }
@@ -55,7 +59,7 @@ def in_unit(tables, unit):
 
     def times(value, powers):
         if isinstance(value, dict):
-            return {key: times(part, powers) for key, part in value.items()}
+            return {key: times(part, KEYS["temperature"] if key == "temperature" else powers) for key, part in value.items()}
         if isinstance(value, list):
             return [times(part, powers) for part in value]
         return value if isinstance(value, str) else float(np.ldexp(value, exponent(powers, unit)))
@@ -64,11 +68,11 @@ def in_unit(tables, unit):
         for key, value in table.items():
             if key in KEYS:
                 table[key] = times(value, KEYS[key])
-            elif isinstance(value, dict):
-                walk(value)
-            elif key == "particles":
-                for population in value:
-                    walk(population)
+                continue
+            below = list(value.values()) if key == "effects" else value if isinstance(value, list) else [value]
+            for part in below:
+                if isinstance(part, dict):
+                    walk(part)
 
     tables = copy.deepcopy(tables)
     walk(tables)
@@ -83,6 +87,14 @@ def end_of(tables, steps=60):
     return {name: column[order] for name, column in sim.particles.arrays.items()}, sim.totals
 
 
+def assert_same_in_unit(tables, size, steps):
+    (here, counts), (there, others) = end_of(tables, steps), end_of(in_unit(tables, size), steps)
+    assert dict(counts) == dict(others)
+    for column, values in here.items():
+        scaled = np.ldexp(there[column], -exponent(COLUMNS[column], size)) if column in COLUMNS else there[column]
+        assert scaled.tobytes() == values.tobytes(), column
+
+
 @pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("name", SCENES)
 def test_units_change_no_bit(name, unit):
@@ -90,11 +102,14 @@ def test_units_change_no_bit(name, unit):
     size = UNITS[unit]
     if name == "adaptive" and size[0]:
         size = (0, *size[1:])
-    (here, counts), (there, others) = end_of(SCENES[name]), end_of(in_unit(SCENES[name], size))
-    assert dict(counts) == dict(others)
-    for column, values in here.items():
-        scaled = np.ldexp(there[column], -exponent(COLUMNS[column], size)) if column in COLUMNS else there[column]
-        assert scaled.tobytes() == values.tobytes(), column
+    assert_same_in_unit(SCENES[name], size, 60)
+
+
+@pytest.mark.parametrize(("seed", "axes"), [(41, 3), *(pytest.param(seed, 4, marks=pytest.mark.slow) for seed in range(42, 50))])
+def test_units_change_no_bit_of_random_scenes(seed, axes):
+    for number, tables in enumerate(random_scenes(seed, 50, axes).values()):
+        if tables["time"]["integrator"] != "adaptive":
+            assert_same_in_unit(tables, list(UNITS.values())[number % len(UNITS)], tables["time"]["steps"])
 
 
 def mirrored(v):

@@ -190,13 +190,14 @@ class Whole:
             self.replica.gather()
         with self.timers("pairs"):
             if self.version != p.version or engine.expiries > MOST_EXPIRIES * len(p):
-                self.check(fastest(p.position, p.velocity), moment)
-                self.reload()
+                speed = fastest(p.position, p.velocity)
+                self.check(speed, moment)
+                self.reload(speed * h)
         with self.timers("search"):
             moved, speed = engine.start_drift(p, self.own_rows)
             self.check(speed, moment)
             if moved:
-                self.reload()
+                self.reload(speed * h)
                 engine.start_drift(p, self.own_rows)
             self.check_way(speed * h, moment)
             engine.work.stop[:] = stop, -1, -1
@@ -225,14 +226,14 @@ class Whole:
                 " neighbours reaches: shorten time.step"
             )
 
-    def reload(self) -> None:
-        """Sort the particles in space and load them into the engine, with new lists."""
+    def reload(self, way: float) -> None:
+        """Sort the particles in space and load them into the engine, with new lists. `way`: the longest one in a drift."""
         p = self.particles
         self.row_buffers.adopt()
         if len(p) > 1:
             self.row_buffers.sort(order_in_space(p.position, bounds(p.position)))
         w = p.inverse_mass
-        self.engine.lists.tune(p.position, p.radius, w, sum(contact_distance(p.radius, w)))
+        self.engine.lists.tune(p.position, p.radius, w, sum(contact_distance(p.radius, w)), way)
         self.engine.load(p, len(p))
         self.own_rows = np.arange(len(p), dtype=np.int32)
         self.version = p.version

@@ -171,8 +171,8 @@ class Windows:
             self.row_buffers.sort(order_in_space(p.position, bounds(p.position)))
         w = p.inverse_mass
         largest, movable = ranks.allreduce_max(np.array(contact_distance(p.radius, w))).tolist()
-        lists.tune(p.position, p.radius, w, largest + movable)
-        self.skin = float(ranks.allreduce_max(lists.skin)[0])
+        lists.tune(p.position, p.radius, w, largest + movable, way=0.0)
+        self.skin = float(ranks.allreduce_max(lists.skin if n else 0.0)[0])
         mean = float(ranks.allreduce_sum(p.radius.sum())[0]) / max(self.total, 1)
         lists.width = self.skin
         self.divide(largest, mean)
