@@ -156,11 +156,12 @@ class Simulation(Saved):
         """Energies, momentum, largest speed of all particles, and observables if the scene has them. Collective."""
         self.take_changes()
         p = self.rows
-        row = measure(self.ranks, p, self.accelerations.potentials(p))
-        if self.scene.output.observables:
-            collisions = int(self.ranks.allreduce_sum(self.totals["collisions"])[0])
-            volume = float(np.prod(self.upper - self.lower)) if self.scene.box else np.nan
-            row |= observe(self.ranks, p, volume, self.time, collisions, self.observed)
+        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is told below
+            row = measure(self.ranks, p, self.accelerations.potentials(p))
+            if self.scene.output.observables:
+                collisions = int(self.ranks.allreduce_sum(self.totals["collisions"])[0])
+                volume = float(np.prod(self.upper - self.lower)) if self.scene.box else np.nan
+                row |= observe(self.ranks, p, volume, self.time, collisions, self.observed)
         require_finite(self.ranks, p, row["kinetic"], f"step {self.steps_done}")
         return row
 

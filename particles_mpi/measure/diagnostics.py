@@ -128,7 +128,8 @@ def observe(
     if count < 2 or not heat > 0.0:
         return row
     temperature = row["temperature"] = heat / (d * (count - 1.0))
-    row["moment_ratio"] = fourth * count / second**2
+    if fourth > 0.0:  # else it is below the range of numbers
+        row["moment_ratio"] = fourth / second * count / second
     if not lasted > 0.0:
         return row
     rate = row["collision_rate"] = 2.0 * happened / (count * lasted)

@@ -33,7 +33,7 @@ class RebuildTuner:
         `crossing`: steps in which the fastest row gets as far as the next one is, for a start.
         """
         if self.steps == 0:
-            self.steps = int(crossing)
+            self.steps = int(min(crossing, MOST_STEPS))
         elif self.lasted:
             stride = max(1, round(STRIDE * self.steps))
             if self.lasted < self.steps:  # it ended early, as where a row got too far: its cost says nothing of the best interval

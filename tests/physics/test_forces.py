@@ -86,6 +86,27 @@ def test_strong_drag_decays_monotonically():
     assert all(b <= a for a, b in pairwise(speeds)) and speeds[-1] == pytest.approx(-1.0, abs=1e-12)
 
 
+@pytest.mark.parametrize("mode", ["rewind", "event"])
+def test_drag_to_a_standstill_goes_through_the_smallest_numbers(mode):
+    """exp(-34) of the velocity is left after a step; speeds are below the least number in the end, their squares halfway."""
+    discs = {"count": 20, "position": "random", "radius": 0.2, "velocity": {"speed": 0.01}}
+    tables = {
+        "dimension": 2,
+        "box": {"lower": [0, 0], "upper": [10, 10]},
+        "time": {"step": 1.0, "steps": 30},
+        "particles": [discs],
+        "effects": {"drag": {"rate": 34.0}, "collisions": {"mode": mode}, "walls": {}},
+        "output": {"observables": True},
+    }
+    sim = Simulation(Scene.from_dict(tables))
+    speeds = []
+    for _ in range(30):
+        sim.step()
+        sim.measure()
+        speeds.append(np.abs(sim.particles.velocity).max())
+    assert any(0.0 < speed < 1e-308 for speed in speeds) and speeds[-1] == 0.0
+
+
 def test_leapfrog_parabola_is_exact():
     x, v = single(0.1, 2.0, [1.0, 2.0], {"uniform_gravity": {"acceleration": [0.0, -9.80665]}})
     assert np.abs(x - [2.0, 4.0 - 2.0 * 9.80665]).max() <= 1e-12 and np.abs(v - [1.0, 2.0 - 19.6133]).max() <= 1e-12
