@@ -133,7 +133,8 @@ def observe(
     if not lasted > 0.0:
         return row
     rate = row["collision_rate"] = 2.0 * happened / (count * lasted)
-    row["z_virial"] = 1.0 + given / (d * count * temperature * lasted)
+    if (pressed := d * count * temperature * lasted) > 0.0:
+        row["z_virial"] = 1.0 + given / pressed
     if rate > 0.0:
         row["free_time"], row["free_path"] = 1.0 / rate, speed / count / rate
     if largest == -minus_smallest and heaviest == -minus_lightest:

@@ -5,7 +5,17 @@ from collections.abc import Iterator
 from typing import Annotated, Any, Literal, Self, Union, get_args
 
 from annotated_types import Len
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, TypeAdapter, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    TypeAdapter,
+    ValidationError,
+    field_validator,
+)
 
 LARGEST = 1e100
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -25,6 +35,15 @@ class Model(BaseModel):
                 " set sim.h, sim.time, or an option of sim.effects[name]"
             )
         super().__setattr__(name, value)
+
+    @field_validator("*")
+    @classmethod
+    def _in_range(cls, value: Any) -> Any:
+        """Numbers, and lists of them, that are not beyond LARGEST."""
+        for number in value if isinstance(value, list) else [value]:
+            if isinstance(number, float):
+                not_too_large(number)
+        return value
 
     def running(self) -> Self:
         """A copy, down to the tables, that a simulation goes by and that can no longer be changed."""
