@@ -114,11 +114,11 @@ class Particles:
 
     @property
     def inverse_inertia(self) -> Array:
-        """1/I, and 0 for what nothing turns: fixed particles, and points; no row where spheres are smooth."""
+        """1/I, and 0 for what nothing turns: fixed particles, and points, or nearly so; no row where spheres are smooth."""
         moment = self.arrays.get("moment_of_inertia")
         if moment is None:
             return np.empty(0)
-        turns = (self.fixed == 0) & (self.mass > 0.0) & (moment > 0.0) & (self.radius > 0.0)
+        turns = (self.fixed == 0) & (self.mass > 0.0) & (moment >= np.finfo(float).tiny) & (self.radius > 0.0)
         return np.divide(1.0, moment, out=np.zeros(len(self)), where=turns)
 
     def __repr__(self) -> str:
