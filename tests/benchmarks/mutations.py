@@ -29,7 +29,7 @@ class Mutation(NamedTuple):
     tests: tuple[str, ...]
 
 
-CHANGE = "            return change\n    change = (1.0 + restitution) * approach\n    impulse = change / (r2 * (w_i + w_j))"
+CHANGE = "            return change\n    change = (1.0 + restitution) * approach\n    impulse = change / weight"
 OTHER = "        v[j, column + k] = velocity_factor * (v[j, column + k] + impulse * w_j * r[k])\n"
 MUTATIONS = (
     Mutation(

@@ -1,4 +1,4 @@
-"""A user's script in which something goes wrong on one rank only: one_rank_fails.py FOLDER raise|nan rewind|event"""
+"""A user's script in which something goes wrong on one rank only: one_rank_fails.py FOLDER raise|nan|given rewind|event"""
 
 import sys
 
@@ -22,7 +22,10 @@ plain_step = sim.step
 def step():
     plain_step()
     if sim.steps_done == 10 and sim.ranks.rank == 1:
-        sim.rows.acceleration[:9] = 1 / 0 if sys.argv[2] == "raise" else np.nan  # ghosts of rank 0 among them
+        if sys.argv[2] == "given":
+            sim.particles.acceleration[:9] = np.nan
+            return
+        sim.rows.velocity[:9] = 1 / 0 if sys.argv[2] == "raise" else np.nan  # ghosts of rank 0 among them
 
 
 sim.step = step

@@ -199,6 +199,8 @@ def test_a_folder_that_cannot_be_written_is_one_line(whole, tmp_path, below):
         ("raise", "rewind", "ZeroDivisionError"),
         ("nan", "rewind", "on rank 1 has a position or velocity that is not finite"),
         ("nan", "event", "has a position or velocity that is not finite"),
+        ("given", "rewind", "on rank 1 was given nan, nan, which it cannot have"),
+        ("given", "event", "on rank 1 was given nan, nan, which it cannot have"),
     ],
 )
 def test_what_goes_wrong_on_one_rank_ends_all(tmp_path, fault, mode, says):

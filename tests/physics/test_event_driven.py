@@ -207,7 +207,7 @@ def test_skins_leave_no_trace_in_the_bits():
         if width:
             lists = sim.near.whole.engine.lists
             lists.width = width
-            lists.tune = lists.build
+            lists.tune = lambda x, radius, w, *_, build=lists.build: build(x, radius, w)
         sim.run()
         final.append(by_id(sim))
     for x, v in final[1:]:
