@@ -1,11 +1,11 @@
 """The check, every few steps, that all particles are there, finite, and inside the walls and the box. It costs very little."""
 
-from collections.abc import Sequence
-from typing import Any
+from itertools import chain
 
 import numpy as np
 
-from particles_mpi.errors import SHOWN, StateError, listed
+from particles_mpi.errors import SHOWN, StateError
+from particles_mpi.initial.faults import listed_ids
 from particles_mpi.kernels.planes import Planes
 from particles_mpi.kernels.validity import find_invalid, id_checksum
 from particles_mpi.parallel.agreement import require_finite
@@ -45,26 +45,19 @@ class Watchdog:
         """A text: which ids are missing, and which exist more than once. Collective; each rank looks at its range of ids."""
         ranks, span = self.ranks, self.span
         known = (p.id >= span.first) & (p.id < span.end)
-        odd, number = first_of(ranks, p.id[~known])
-        if number:
-            return f"unknown: {listed(odd, total=number)}"
+        if odd := listed_ids(ranks, p.id[~known]):
+            return f"unknown: {odd}"
         arrived, arriving = send_rows(ranks, {"id": p.id}, *by_range(p.id, span, ranks.size, ranks.size))
         sender = np.repeat(np.arange(ranks.size), arriving)
         ids, times = np.unique(arrived["id"], return_counts=True)
-        lost, missing = first_of(ranks, np.setdiff1d(np.arange(*own_range(ranks.rank, span, ranks.size)), ids))
+        lost = np.setdiff1d(np.arange(*own_range(ranks.rank, span, ranks.size)), ids)
         twice = [f"{i} on ranks {', '.join(map(str, np.unique(sender[arrived['id'] == i])))}" for i in ids[times > 1][:SHOWN]]
-        held, _ = first_of(ranks, twice)
+        held = list(chain.from_iterable(ranks.allgather(twice)))[:SHOWN]
         faults = []
         if span.total < span.end - span.first:  # some were removed, and nobody has kept which
-            missing -= span.end - span.first - span.total
+            missing = int(ranks.allreduce_sum(len(lost))[0]) - (span.end - span.first - span.total)
             faults += [f"lost: {missing} particle{'s' if missing > 1 else ''}"] if missing > 0 else []
-        elif missing:
-            faults.append(f"lost: {listed(lost, total=missing)}")
+        elif who := listed_ids(ranks, lost):
+            faults.append(f"lost: {who}")
         faults += [f"there more than once: {'; '.join(held)}"] if held else []
         return "; ".join(faults) or "other particles are there than before"
-
-
-def first_of(ranks: Communicator, mine: Sequence[Any] | Array) -> tuple[list[Any], int]:
-    """The first few of what all ranks have, rank by rank, and how many there are. Collective."""
-    everyone = ranks.allgather((list(mine[:SHOWN]), len(mine)))
-    return [one for some, _ in everyone for one in some][:SHOWN], sum(number for _, number in everyone)
