@@ -21,6 +21,9 @@ from particles_mpi.kernels.validity import WATCH_EVERY, find_invalid
 from particles_mpi.particles import Array
 
 
+HIT, ON_WALLS = 100.0, 3000.0  # ns of a hit of a wall, and of a row whose contacts with walls last, at most
+
+
 class Bodies(NamedTuple):
     """Rows of particles; vectors are (n, d). Where they attract one another all of them, in the order of their ids."""
 
@@ -95,6 +98,13 @@ class Scheme(NamedTuple):
     taylor: bool
 
 
+class Budget(NamedTuple):
+    """How much work a call of `fixed_steps` does, about, in nanoseconds."""
+
+    step: float  # of a step in which nobody meets a wall
+    most: float  # the call ends with the step that reaches it
+
+
 class Until(NamedTuple):
     """Where a call of `adaptive_steps` ends."""
 
@@ -123,7 +133,7 @@ def sum_forces(axes, x, mass, fixed, forces, total):
 def keep_on_walls(axes, bodies, space, h, near):
     """As `PersistentContacts.keep`, of rows of which the first `near` of `on_walls.near` are near walls; -1 if that is not known.
 
-    Returns how many rows contacts push.
+    Returns how many rows contacts push, and of how many that was found out.
     """
     on_walls = space.on_walls
     x, v, a, radius, supported = bodies.x, bodies.v, bodies.total, bodies.radius, on_walls.supported
@@ -132,7 +142,7 @@ def keep_on_walls(axes, bodies, space, h, near):
     else:
         rows = near_walls(x, v, a, radius, bodies.fixed, supported, h, *on_walls.faces, on_walls.point, on_walls.normal)
     if len(rows) == 0:
-        return 0
+        return 0, 0
     fields, planes = (x, v, radius, bodies.mass, bodies.fixed, supported), (on_walls.point, on_walls.normal)
     settled, held = settle_on_walls(on_walls.axes, rows, fields, a, h, space.length, on_walls.faces, planes, PRECISE)
     changed, by = hand_over(rows, settled, held, v, supported)
@@ -140,7 +150,7 @@ def keep_on_walls(axes, bodies, space, h, near):
         on_walls.pushed[r] = changed[r]
         for k in range(len(axes)):
             on_walls.given[r, k] = by[r, k]
-    return len(changed)
+    return len(changed), len(rows)
 
 
 @in_place
@@ -198,13 +208,16 @@ def invalid(axes, bodies, space):
 
 
 @lean
-def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch):
+def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, budget):
     """Up to `steps` steps as of `Composition` or `Taylor`; from step `watch` on, they end where the watchdog would stop the run.
+
+    Fewer steps where they are more work than `budget` allows: what rests on walls takes a hundred times as long as what flies.
 
     Returns (steps done, wall hits, sums of forces, are the forces in `bodies.total` those of the present places?).
     """
     hits, sums, known = 0, 0, True
     before, near, pushed = -1, -1, 0
+    work = 0.0
     for step in range(1, steps + 1):
         for part in range(len(scheme.kicks)):
             kicked, drifted = scheme.kicks[part] * h, scheme.drifts[part] * h
@@ -222,17 +235,20 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch):
             else:
                 kick_bodies(bodies, forces, losses, part, kicked, drifted)
                 if space.on_walls.kept:
-                    pushed = keep_on_walls(axes, bodies, space, h, near)
+                    pushed, resting = keep_on_walls(axes, bodies, space, h, near)
+                    work += ON_WALLS * resting
             if drifted != 0.0:
                 if space.own_rates:
                     set_rates(axes, bodies, space, before, pushed, 0.5 * h)
                     before = pushed
                 hit, near = move(axes, bodies, space, losses.strength, drifted, 0.5 * h)
                 hits += hit
+                work += HIT * hit
                 known = not forces.attracts
             if scheme.taylor:
                 kick(bodies.v, rate, kicked)
-        if step >= watch and (step - watch) % WATCH_EVERY == 0 and invalid(axes, bodies, space):
+        work += budget.step
+        if work >= budget.most or (step >= watch and (step - watch) % WATCH_EVERY == 0 and invalid(axes, bodies, space)):
             return step, hits, sums, known
     return steps, hits, sums, known
 

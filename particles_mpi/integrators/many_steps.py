@@ -6,6 +6,7 @@ in the cache, with the same bits as `Composition`, `Taylor` and `Adaptive` give 
 same order. On several ranks each rank computes all of a few particles that attract one another, which costs less than a message.
 """
 
+from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from particles_mpi.gravity.direct import FEW
 from particles_mpi.integrators.collocation import END, STUCK, work_for
 from particles_mpi.integrators.compiled_steps import (
     Bodies,
+    Budget,
     Forces,
     Losses,
     OnWalls,
@@ -111,13 +113,13 @@ class ManySteps:
         """Steps of `Composition` or `Taylor`: (how many, wall hits, sums of forces, are those of the present places?)."""
         n, parts = self.context.ids.total, len(self.scheme.kicks)
         cost = BESIDES + ROW * n + (PAIR * n * n * parts if self.direct else 0.0)
-        most = min(most, max(1, int(LONGEST / cost)))
+        budget = Budget(cost, LONGEST)
         if len(self.blocks) > 1 or (self.own and self.context.ranks.size > 1):  # what stops one block must stop all
             most = min(most, watch)  # the watchdog of all looks then
-            watch = most + 1
+            watch, budget = most + 1, Budget(cost, inf)
         hits = 0
         for block in self.blocks:
-            done, hit, sums, known = fixed_steps(self.axes, *block, self.scheme, h, most, watch)
+            done, hit, sums, known = fixed_steps(self.axes, *block, self.scheme, h, most, watch, budget)
             hits += hit
         return done, hits, sums, known
 
