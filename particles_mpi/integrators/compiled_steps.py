@@ -20,7 +20,6 @@ from particles_mpi.kernels.sliding import kick_with_friction
 from particles_mpi.kernels.validity import WATCH_EVERY, find_invalid
 from particles_mpi.particles import Array
 
-
 HIT, ON_WALLS = 100.0, 3000.0  # ns of a hit of a wall, and of a row whose contacts with walls last, at most
 
 
