@@ -10,6 +10,7 @@ import os
 import runpy
 import sys
 import traceback
+import tracemalloc
 from pathlib import Path
 
 from mpi4py import MPI
@@ -57,6 +58,7 @@ def main() -> None:
         sys.stdout.flush()
         sys.stderr.flush()
         MPI.COMM_WORLD.Barrier()  # files that all of them opened are closed by all together
+        tracemalloc.stop()  # a script that looked at its memory would make all after it slower
         gc.enable()
         gc.collect()
         FREEZE()

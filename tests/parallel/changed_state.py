@@ -1,8 +1,8 @@
 """Change a simulation between two steps in every way that a user can, and compare it with new simulations of the same state.
 
 changed_state.py CASES.json FOLDER: each case is {"tables": scene, "before": steps, "changes": [[kind, seed], ...],
-"after": steps, "divided": whether to divide space}. Prints a line for each difference, and saves the final states for
-comparison between numbers of ranks.
+"after": steps, "divided": whether to divide space}, and has a number. Prints a line for each difference, and saves the final
+states for comparison between numbers of ranks.
 """
 
 import json
@@ -180,7 +180,7 @@ def divide(sim, divided):
 
 def main():
     folder = Path(sys.argv[2])
-    for number, case in enumerate(json.loads(Path(sys.argv[1]).read_text())):
+    for number, case in json.loads(Path(sys.argv[1]).read_text()).items():
         try:
             sim, found = differences(**case)
         except (SceneError, StoppedError, StateError):  # a change that is refused, on all ranks

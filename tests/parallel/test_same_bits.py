@@ -295,6 +295,7 @@ for smooth, rough, surfaces, steps, count, top in (  # friction takes longer tha
     box, time = {"lower": [0] * len(top), "upper": top}, SCENES[smooth]["time"] | {"steps": steps}
     particles = [population | {"count": count} for population in SCENES[smooth]["particles"]]
     SCENES[rough] = SCENES[smooth] | {"box": box, "time": time, "particles": particles, "effects": effects | with_friction | more}
+IN_ORDER, IN_WINDOWS = ": in order of time", ": in windows"
 EVENTS = (
     "balls that collide on a floor, and lean on a wall in the end",
     "discs that come to rest",
@@ -314,7 +315,7 @@ for name in EVENTS:
     given = SCENES[name]["effects"]["collisions"]
     given = {key: value for key, value in given.items() if key != "passes"}
     collisions = ({} if "damping" in given else {"restitution": 0.9}) | given | {"mode": "event"}
-    SCENES[f"{name}: in order of time"] = SCENES[name] | {"effects": SCENES[name]["effects"] | {"collisions": collisions}}
+    SCENES[name + IN_ORDER] = SCENES[name] | {"effects": SCENES[name]["effects"] | {"collisions": collisions}}
 
 
 SCENES |= {
@@ -404,25 +405,25 @@ SCENES["rough columns that stand still, and are hit"] = dict(
     large=True,
 )
 WINDOWS = [name for name in SCENES if SCENES[name]["effects"].get("collisions", {}).get("mode") == "event" and name != LARGE]
-SCENES |= {f"{name}: in windows": SCENES[name] | {"windows": True, "few": 0} for name in WINDOWS}
+SCENES |= {name + IN_WINDOWS: SCENES[name] | {"windows": True, "few": 0} for name in WINDOWS}
 SCENES |= {
     f"{HEAP}, solved as a large one": SCENES[HEAP] | {"large": True},
     "a rough heap, solved as a large one": SCENES["a rough heap"] | {"large": True},
-    f"{HEAP}, solved as a large one, in windows": SCENES[f"{HEAP}: in order of time"]
-    | {"large": True, "windows": True, "few": 0},
+    f"{HEAP}, solved as a large one, in windows": SCENES[HEAP + IN_ORDER] | {"large": True, "windows": True, "few": 0},
 }
 MANY = (4, 7, 8)  # ranks, only with --all
-LONG = 100  # steps: longer scenes run on two ranks, on more with --all
-LONG_SCENES = {name for name in SCENES if SCENES[name]["time"]["steps"] > LONG}
+LONG = 60  # steps
+
+
+def most_ranks(name):
+    """On how many ranks a scene runs without --all: three, if it is short; one less if its twin in windows is there too."""
+    long, twin = SCENES[name]["time"]["steps"] > LONG, name.endswith(IN_ORDER)
+    return 3 - long - twin
 
 
 def cases(ranks, names):
     """Parameters (name, ranks) of tests of these scenes; what takes long is marked so."""
-    return [
-        pytest.param(name, r, marks=[pytest.mark.slow] if r in MANY or (r > 2 and name in LONG_SCENES) else [])
-        for r in ranks
-        for name in names
-    ]
+    return [pytest.param(name, r, marks=[pytest.mark.slow] if r > most_ranks(name) else []) for r in ranks for name in names]
 
 
 @pytest.fixture(scope="module")
@@ -434,12 +435,12 @@ def results(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bits")
 
     def group(name):
-        return "long" if name in LONG_SCENES else "large" if name == LARGE else "short"
+        return "large" if name == LARGE else f"up to {most_ranks(name)}"
 
-    for one in ("short", "long", "large"):
+    for one in {group(name) for name in SCENES}:
         scenes = {name: scene for name, scene in SCENES.items() if group(name) == one}
         (folder / one).write_text(json.dumps(scenes))
-        alone = {name: scene for name, scene in scenes.items() if not name.endswith(": in windows")}
+        alone = {name: scene for name, scene in scenes.items() if not name.endswith(IN_WINDOWS)}
         (folder / f"{one} on 1").write_text(json.dumps(alone))
 
     @cache
@@ -451,7 +452,7 @@ def results(tmp_path_factory):
     @cache
     def load(name, ranks):
         if ranks == 1:
-            name = name.removesuffix(": in windows")
+            name = name.removesuffix(IN_WINDOWS)
         run(group(name), ranks)
         return dict(np.load(folder / f"{name}.{ranks}.npz"))
 
@@ -495,12 +496,17 @@ def test_same_bits_on_an_older_processor(results, processor, tmp_path):
     assert not different
 
 
-@pytest.mark.parametrize(("name", "ranks"), cases((2, 3, 8), WINDOWS))
+@pytest.mark.parametrize(("name", "ranks"), cases((2, 3, 8), [name + IN_WINDOWS for name in WINDOWS]))
 def test_windows_were_verified(results, name, ranks):
     """Forced to, ranks divide even small scenes; where contacts follow one another in no time they give up, and say so."""
-    windows, redone = results(f"{name}: in windows", ranks)["windows"]
+    windows, redone = results(name, ranks)["windows"]
     assert windows > 0 and redone < windows
-    assert not results(name, ranks)["windows"].any()  # too few particles to divide, unless they must
+
+
+@pytest.mark.parametrize(("name", "ranks"), cases((2, 3, 8), WINDOWS))
+def test_few_are_not_divided(results, name, ranks):
+    """Too few particles to divide, unless ranks must."""
+    assert not results(name, ranks)["windows"].any()
 
 
 @pytest.mark.parametrize(
