@@ -140,7 +140,7 @@ def test_three_cylinders_stand_only_with_friction(mu, stands):
     assert (top > 0.5 + 3**0.5 / 2 - 1e-3) == stands
 
 
-@pytest.mark.parametrize(("count", "large"), [(100, False), (200, True)])
+@pytest.mark.parametrize(("count", "large"), [(100, False), (100, True), pytest.param(200, True, marks=pytest.mark.slow)])
 def test_a_bed_comes_to_rest_and_then_takes_no_work(count, large):
     """With resistance to rolling, K falls to nothing at all; without it only what rolls or spins freely on the floor goes on.
 
