@@ -87,11 +87,6 @@ class Iteration:
                 self.exchange(self.v)
         return seen[0], seen[1], seen[2]
 
-    def finish(self) -> tuple[float, float, float]:
-        """A last iteration without momentum, so that velocities are those that go with what is taken; what it saw."""
-        self.theta = 1.0
-        return self.advance(1, looks=True)
-
     def balance(self, ranks: Communicator, least: float, most: float) -> None:
         """All that is taken times the factor that makes p A p/2 + p (N v + c) least, if it is from `least` to `most`.
 
@@ -119,21 +114,16 @@ class Iteration:
             self.balance(ranks, 1.0 - NEAR, 1.0 + NEAR)
         errors = self.advance(1, looks=True)
         while True:
-            good, left, squares, work = self.judge(ranks, errors, count)
-            calm = self.rough and squares <= count * FINE * CALM**2
+            worst, left, most = ranks.allreduce_max(np.array(errors))
+            squares, work = ranks.allreduce_sum(np.array(whole_numbers(self.sums, (1.0, most if most > 0.0 else 1.0))))
+            good, calm = worst <= OUTLIER and squares <= count * FINE, self.rough and squares <= count * FINE * CALM**2
             enough = done >= (max(MORE, least) if calm else least)
             if left <= 1.0 or (good and enough) or done >= MOST:
-                # What is ahead was not judged yet: errors may pass through 0 while momentum carries them on.
-                good, left, *_ = self.judge(ranks, self.finish(), count)
-                done += 1
-                if left <= 1.0 or good or done >= MOST:
-                    break
+                break
+            if asleep and done == 1 and good:
                 self.restart()
-            elif asleep and done == 1 and good:
-                self.finish()
                 if asleep(self.result):
                     return True, 0
-                self.restart()
             elif self.rough and done == 1 and not (exact or calm):
                 self.balance(ranks, 1.0 - NEAR, 1.0 + NEAR)
             elif squares > before if self.rough else work > 0.0:
@@ -141,18 +131,10 @@ class Iteration:
             before = squares
             errors = self.advance(CHECK, looks=True)
             done += CHECK
+        self.restart()  # errors that were looked at are of what is taken: what is ahead may be far past it already
         if not exact and not calm:  # errors of one sign, however small, would lift a bed, or let it sink
             self.balance(ranks, 0.5, 1.0 if self.rough else 2.0)
         return bool(good or left <= 1.0), done
-
-    def judge(self, ranks: Communicator, errors: tuple[float, float, float], count: int) -> tuple[bool, float, int, int]:
-        """(are errors allowed, the largest in units of round-off, sums of their squares and of `iterate`'s work). Collective.
-
-        errors: what an iteration saw; count: half-edges of all ranks that may take something.
-        """
-        worst, left, most = ranks.allreduce_max(np.array(errors))
-        squares, work = ranks.allreduce_sum(np.array(whole_numbers(self.sums, (1.0, most if most > 0.0 else 1.0))))
-        return bool(worst <= OUTLIER and squares <= count * FINE), float(left), int(squares), int(work)
 
 
 class Solver:
