@@ -43,31 +43,18 @@ SHARING = {
     "test_study_gravity.py",
     "test_tree.py",
 }
-STARTING = {  # of tests/parallel, those that start mpirun again and again, and mostly wait; and studies, which take their time
-    "test_beyond_limits.py",
-    "test_cluster.py",
-    "test_command.py",
-    "test_nothing_lost.py",
-    "test_one_rank_fails.py",
-    "test_output.py",
-    "test_pictures.py",
-    "test_scripts.py",
-    "test_silo.py",
-    "test_study_accuracy.py",
-    "test_study_scaling.py",
-    "test_study_scene.py",
-}
-NICE = {"tests/parallel": 0, "starting": 10}  # how nice those of a group are to the others; the rest is 19, as nice as can be
+RANKS = "tests/parallel"
 
 
 def group_of(nodeid):
-    """Tests of one group are given to one process: two of tests/parallel, each of SHARING, and all others one by one.
+    """Tests of one group are given to one process: all of tests/parallel, each of SHARING, and all others one by one.
 
+    Two ranks and one test beside them keep two cores busy; two such pairs at once wait for one another, and all take longer.
     What compiles all kernels for an older processor takes one core for a minute or more, beside all else.
     """
     path = nodeid.partition("::")[0]
-    if path.startswith("tests/parallel/") and "older_processor" not in nodeid:
-        return "starting" if Path(path).name in STARTING else "tests/parallel"
+    if path.startswith(f"{RANKS}/") and "older_processor" not in nodeid:
+        return RANKS
     return path if Path(path).name in SHARING else nodeid
 
 
@@ -94,11 +81,11 @@ def pytest_runtest_setup(item):
     Beside one that wants a core for itself, and is as urgent, two ranks take four times as long; beside one as nice as can be 6 %
     more.
     """
-    group = group_of(item.nodeid)
-    if group in NICE:
+    ranks = group_of(item.nodeid) == RANKS
+    if ranks:
         take_turns_often()
-    if on_a_worker(item.config):
-        os.nice(max(NICE.get(group, 19) - os.getpriority(os.PRIO_PROCESS, 0), 0))
+    if on_a_worker(item.config):  # 19: as nice as can be
+        os.nice(max((0 if ranks else 19) - os.getpriority(os.PRIO_PROCESS, 0), 0))
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -6,17 +6,21 @@ import pytest
 from conftest import run_ranks
 
 pytestmark = pytest.mark.parallel
-SPREAD = "on borders|crossing many|one rank's corner|three particles|overlap at|squeezed|rough hits|between a floor"
+SPREAD = "on borders|crossing many|one rank's corner|squeezed|rough hits"
+MORE = "three particles|overlap at|between a floor"
+SLOW = pytest.mark.slow
 
 
-@pytest.mark.parametrize("ranks", [2, pytest.param(5, marks=pytest.mark.slow)])
-def test_the_bits_of_one_rank(tmp_path, ranks):
+@pytest.mark.parametrize(
+    ("ranks", "only"), [(2, SPREAD), *(pytest.param(*one, marks=SLOW) for one in ((2, MORE), (5, f"{SPREAD}|{MORE}")))]
+)
+def test_the_bits_of_one_rank(tmp_path, ranks, only):
     """The command on several ranks runs each case on all and on one, and compares."""
     file = tmp_path / "outcomes.json"
-    done = run_ranks(ranks, "-m", "particles_mpi", "study", "hard-cases", "--only", SPREAD, "--output", file, timeout=300)
+    done = run_ranks(ranks, "-m", "particles_mpi", "study", "hard-cases", "--only", only, "--output", file, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
     outcomes = json.loads(file.read_text())
-    assert len(outcomes) == 4 * len(SPREAD.split("|"))
+    assert len(outcomes) == 4 * len(only.split("|"))
     assert all(outcome["holds"] and outcome["same_bits"] for outcome in outcomes)
     assert f"{len(outcomes)} of {len(outcomes)} hold, each with the bits of one rank on {ranks}" in done.stdout
 

@@ -10,7 +10,8 @@ import time
 
 import h5py
 import pytest
-from conftest import MPI_ENVIRONMENT, ROOT, run_ranks
+from conftest import ROOT, run_ranks
+from ranks import environment
 
 from particles_mpi.integrators.kicks_and_drifts import Composition
 from particles_mpi.neighbours.neighbour_list import Neighbourhood
@@ -50,8 +51,7 @@ def start(*programs):
     for program in programs:
         words += [":", "-n", "1", sys.executable, *map(str, program)]
     words.pop(1)
-    environment = MPI_ENVIRONMENT | os.environ | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=100)
+    done = subprocess.run(words, cwd=ROOT, env=environment(), capture_output=True, text=True, timeout=100)
     return done.returncode, done.stderr
 
 
