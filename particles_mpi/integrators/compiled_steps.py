@@ -216,7 +216,7 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
     """
     hits, sums, known = 0, 0, True
     before, near, pushed = -1, -1, 0
-    work = 0.0
+    resting = 0
     for step in range(1, steps + 1):
         for part in range(len(scheme.kicks)):
             kicked, drifted = scheme.kicks[part] * h, scheme.drifts[part] * h
@@ -234,20 +234,19 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
             else:
                 kick_bodies(bodies, forces, losses, part, kicked, drifted)
                 if space.on_walls.kept:
-                    pushed, resting = keep_on_walls(axes, bodies, space, h, near)
-                    work += ON_WALLS * resting
+                    pushed, rows = keep_on_walls(axes, bodies, space, h, near)
+                    resting += rows
             if drifted != 0.0:
                 if space.own_rates:
                     set_rates(axes, bodies, space, before, pushed, 0.5 * h)
                     before = pushed
                 hit, near = move(axes, bodies, space, losses.strength, drifted, 0.5 * h)
                 hits += hit
-                work += HIT * hit
                 known = not forces.attracts
             if scheme.taylor:
                 kick(bodies.v, rate, kicked)
-        work += budget.step
-        if work >= budget.most or (step >= watch and (step - watch) % WATCH_EVERY == 0 and invalid(axes, bodies, space)):
+        spent = budget.step * step + HIT * hits + ON_WALLS * resting
+        if spent >= budget.most or (step >= watch and (step - watch) % WATCH_EVERY == 0 and invalid(axes, bodies, space)):
             return step, hits, sums, known
     return steps, hits, sums, known
 
