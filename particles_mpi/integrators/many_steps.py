@@ -114,6 +114,7 @@ class ManySteps:
         n, parts = self.context.ids.total, len(self.scheme.kicks)
         cost = BESIDES + ROW * n + (PAIR * n * n * parts if self.direct else 0.0)
         budget = Budget(cost, LONGEST)
+        most = min(most, max(1, int(LONGEST / cost)))
         if len(self.blocks) > 1 or (self.own and self.context.ranks.size > 1):  # what stops one block must stop all
             most = min(most, watch)  # the watchdog of all looks then
             watch, budget = most + 1, Budget(cost, inf)

@@ -13,6 +13,7 @@ from conftest import ROOT, run_ranks
 from ranks import environment
 
 from particles_mpi import Scene, Simulation, StoppedError
+from particles_mpi.integrators import many_steps
 
 pytestmark = pytest.mark.parallel
 
@@ -121,6 +122,14 @@ def test_one_call_takes_a_moment_whatever_bodies_do(name):
     begun = process_time()
     sim.step_towards(10**9)
     assert sim.many_steps and 1000 < sim.steps_done < 10**9 and process_time() - begun < 2.0
+
+
+def test_many_blocks_take_fewer_steps_at_once(monkeypatch):
+    """Where rows are advanced in blocks, all of them take the same number of steps, which is as many as there is time for."""
+    sim = Simulation(Scene.from_dict(scenes()["elastic walls; "]))
+    monkeypatch.setattr(many_steps, "LONGEST", 3.5 * many_steps.ROW * sim.total)
+    sim.step_towards(40)
+    assert len(sim.many_steps.blocks) > 1 and sim.steps_done == 3
 
 
 def test_ctrl_c_is_heard_at_once(tmp_path):
