@@ -6,6 +6,8 @@ import json
 import pytest
 from conftest import run_ranks
 
+from particles_mpi.study.accuracy import effects
+
 pytestmark = pytest.mark.parallel
 
 
@@ -53,11 +55,12 @@ def test_an_effect_alone_sends_nothing(reports):
 
 
 def test_files(reports, only):
-    settings = {"C2": {"event", "rewind, 10 passes", "rewind, 1 pass"}, "H": {"nothing", "collisions", "all of these"}}
+    together = {"nothing", "all but user_acceleration", "all of these"}
+    settings = {"C2": {"event", "rewind, 10 passes", "rewind, 1 pass"}, "H": together | effects.ON.keys()}
     for key in settings if "C" in only else ["H"]:
         with (reports[2] / f"{key}.csv").open() as file:
             rows = list(csv.DictReader(file))
-        assert {row["setting"] for row in rows} >= settings[key]
+        assert {row["setting"] for row in rows} == settings[key]
         assert all(float(row["first quartile"]) <= float(row["seconds"]) <= float(row["third quartile"]) for row in rows)
     page = (reports[2] / "report.html").read_text()
     assert page.count("<svg") == sum(len(KEYS[letter]) for letter in only)

@@ -105,9 +105,11 @@ def test_units_change_no_bit(name, unit):
     assert_same_in_unit(SCENES[name], size, 60)
 
 
-@pytest.mark.parametrize(("seed", "axes"), [(41, 3), *(pytest.param(seed, 4, marks=pytest.mark.slow) for seed in range(42, 50))])
-def test_units_change_no_bit_of_random_scenes(seed, axes):
-    for number, tables in enumerate(random_scenes(seed, 25, axes).values()):
+@pytest.mark.parametrize(
+    ("seed", "count", "axes"), [(41, 25, 3), *(pytest.param(seed, 50, 4, marks=pytest.mark.slow) for seed in range(41, 50))]
+)
+def test_units_change_no_bit_of_random_scenes(seed, count, axes):
+    for number, tables in enumerate(random_scenes(seed, count, axes).values()):
         if tables["time"]["integrator"] != "adaptive":
             assert_same_in_unit(tables, list(UNITS.values())[number % len(UNITS)], tables["time"]["steps"])
 
