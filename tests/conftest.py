@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))  # for the modules that tests share
-from ranks import IMPATIENT, MPI_ENVIRONMENT, ROOT, end_standing_ranks, environment, run_ranks, take_turns_often
+from ranks import ROOT, end_standing_ranks, environment, run_ranks, take_turns_often
 
 from particles_mpi.setup.kernel_sources import PACKAGE, Sources
 
-__all__ = ["IMPATIENT", "MPI_ENVIRONMENT", "ROOT", "run_ranks"]
+__all__ = ["ROOT", "environment", "run_ranks"]
 
 
 def pytest_addoption(parser):

@@ -132,7 +132,7 @@ def sum_forces(axes, x, mass, fixed, forces, total):
 def keep_on_walls(axes, bodies, space, h, near):
     """As `PersistentContacts.keep`, of rows of which the first `near` of `on_walls.near` are near walls; -1 if that is not known.
 
-    Returns how many rows contacts push, and of how many that was found out.
+    Returns (how many rows contacts push, how many rows contacts were solved for).
     """
     on_walls = space.on_walls
     x, v, a, radius, supported = bodies.x, bodies.v, bodies.total, bodies.radius, on_walls.supported
