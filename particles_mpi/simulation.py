@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.between_steps.saved import Saved
+from particles_mpi.between_steps.trial import Trial
 from particles_mpi.errors import SceneError
 from particles_mpi.initial.populate import populate
+from particles_mpi.integrators.length_search import LengthSearch
 from particles_mpi.kernels.validity import WATCH_EVERY
 from particles_mpi.measure.diagnostics import measure, observe
 from particles_mpi.parallel.agreement import raising_together, require_finite, same_on_all
@@ -16,9 +18,6 @@ from particles_mpi.particles import Particles
 from particles_mpi.results.notebook import LiveView
 from particles_mpi.run.job import Job
 from particles_mpi.scene.schema import Scene
-
-CLOSE = 1e-14  # of a step: how well a step that ends with a contact must know its own length
-MOST_TRIES = 60
 
 
 class Simulation(Saved):
@@ -95,7 +94,8 @@ class Simulation(Saved):
         """Advance to the next collision of two particles, or by one step if there is none before its end. Collective.
 
         Returns the ids of the two that met, the lower one first, or None; `sim.time` is the moment. It is the end of a whole
-        leapfrog step of the length that ends with the contact, found by iteration where forces make that depend on itself.
+        leapfrog step of the length that ends with the contact, found by iteration where forces make that depend on itself; if
+        none does, for a contact begins to last within the step, None after a shorter step that ends there (`LengthSearch`).
         Needs collisions in mode event. Collisions at the same moment come one call after the other.
         """
         pairs = self.active.pairs
@@ -108,28 +108,26 @@ class Simulation(Saved):
     def advance_to_collision(self) -> tuple[int, int] | None:
         """As `step_to_collision`, for a state that is taken and checked."""
         self.particles.close()
-        h, near, free = self.h, self.near, not (self.active.forces or self.active.on_velocities)
-        tried: list[tuple[float, float]] = []  # (length that was kicked for, how much later the contact came)
-        for _ in range(MOST_TRIES):
-            totals, calls = self.totals.copy(), self.calls.copy()
-            before = None if free else self.rows.select(np.arange(len(self.rows)))
+        near, free = self.near, not (self.active.forces or self.active.on_velocities)
+        search = LengthSearch(self.h)
+        while True:
+            h, before = search.h, None if free else Trial(self)
             self.advance(h, stop=True)
-            reached, met_none = float(near.stopped[0]), near.stop[1] < 0
-            if met_none and h == self.h:
+            reached, met = float(near.stopped[0]), near.stop[1] >= 0
+            if not met and h == self.h:
                 self.particles.open()
                 self.steps_done += 1
                 return None
-            tried.append((h, reached - h))
-            if before is None or (not met_none and abs(reached - h) <= CLOSE * self.h):
+            if before is None or search.ends_with(reached - h, met):
                 break
-            self.rows.replace(before.arrays)
-            self.totals.update(totals)
-            self.calls.clear()
-            self.calls.update(calls)
-            h = next_length(tried, self.h)
+            before.undo()
+            if search.jump:
+                self.advance(search.h)
+                reached, met = search.h, False
+                break
         self.moment = self.time + reached, self.steps_done
         self.particles.open()
-        return int(near.stop[1]), int(near.stop[2])
+        return (int(near.stop[1]), int(near.stop[2])) if met else None
 
     def run(self, output: str | Path | None = None, quiet: bool = True, **options: Any) -> None:
         """Step to the end of the scene; with `output` (a folder) write everything the scene asks for. Collective."""
@@ -184,12 +182,3 @@ class Simulation(Saved):
     def remarks(self) -> list[str]:
         """What happened that a user should know of, a line each. Collective."""
         return self.drift.remarks()
-
-
-def next_length(tried: list[tuple[float, float]], longest: float) -> float:
-    """The secant's guess of the step length h that ends with its contact, where (h, lateness) were tried."""
-    (h, late) = tried[-1]
-    guess = h + 0.5 * late
-    if len(tried) > 1 and late != tried[-2][1]:
-        guess = h - late * (h - tried[-2][0]) / (late - tried[-2][1])
-    return guess if 0.0 <= guess < longest else h + 0.5 * late

@@ -2,5 +2,6 @@
 
 - `state`: particles, clock, counts and scene of a simulation, and what is made anew when they change
 - `views`: the particles and the effects as a user sees them, and what was changed there
+- `trial`: a step that may be undone
 - `saved`: copied, compared, printed, saved and read back
 """

@@ -116,13 +116,16 @@ class Drift:
         near = self.persistent.near_faces if self.persistent else None
         if near:
             near.known = None
-        turned = p.arrays.get("orientation")
-        if turned is not None:  # by the spins before hits for half of the time, and by those after them: off by little
-            turn(turned, p["spin"], 0.5 * h)
+        turns = "orientation" in p.arrays
+        spin = p["spin"].copy() if turns and stop else None
+        if turns and not stop:  # by the spins before hits for half of the time, and by those after them: off by little
+            turn(p["orientation"], p["spin"], 0.5 * h)
         if contacts and self.effects.pairs:
             migrated = self.near.migrated
             stopping = {"stop": True} if stop else {}
             found = self.operator.drift(h, time, rates, **stopping)
+            if stop:
+                h = float(self.near.stopped[0])
             happened = [*found, self.near.migrated - migrated]
             self.calls.update([*self.pair_names, *self.wall_names])
             wrapped = True  # ghosts too
@@ -135,7 +138,9 @@ class Drift:
                 free_drift(p.position, p.velocity, h)
             happened = [0, 0, 0, 0]
             p.version += self.effects.pairs is not None  # what is known of neighbours does not hold any longer
-        if turned is not None:
+        if spin is not None:  # the first hit of two particles is at the end
+            turn(p["orientation"], spin, h)
+        elif turns:
             turn(p["orientation"], p["spin"], 0.5 * h)
         for name, number in zip(HAPPENED, happened, strict=True):
             self.totals[name] += int(number)

@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from random_scenes import random_tables
 
 from particles_mpi import Scene, Simulation
 
@@ -27,6 +28,10 @@ sim.step()
 met.append(("same before and after", sim == twin))
 twin.step()
 met.append(("same again", sim == twin))
+
+piling = Simulation(Scene.from_dict(random_tables(np.random.default_rng(2059)) | {"output": {}}))  # with contacts that last
+for _ in range(20):
+    met.append((piling.step_to_collision(), piling.time.hex()))
 
 tables["effects"]["collisions"] = {"restitution": 0.9}
 roaming = Simulation(Scene.from_dict(tables))

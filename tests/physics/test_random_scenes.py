@@ -5,9 +5,11 @@ import pytest
 from random_scenes import random_scenes
 
 from particles_mpi import Scene, Simulation
+from particles_mpi.integrators.length_search import SHORT
 
 COUNT = 25
 OVERLAP, UNTOLD = 1e-9, 1e-6  # of the smaller radius
+TOUCHING = 1e-9
 MORE = [pytest.param(seed, 4, marks=pytest.mark.slow) for seed in range(3, 12)]
 
 
@@ -60,15 +62,46 @@ def test_no_overlap_stays_untold_in_mode_rewind(seed, axes):
                 break
 
 
-def overlaps(sim):
-    """How deep each pair (i, j) of spheres, not both fixed, is in one another: (n, n), in units of the smaller radius."""
+@pytest.mark.parametrize(("seed", "axes"), [(1, 3), pytest.param(2, 3, marks=pytest.mark.slow), *MORE[-3:]])
+def test_a_step_to_a_collision_ends_with_it(seed, axes):
+    """The two touch; the time gone by is the length of a step that leads everybody to the same places."""
+    met = 0
+    for name, tables in random_scenes(seed, COUNT, axes, "event").items():
+        sim = Simulation(Scene.from_dict(tables))
+        for _ in range(25):
+            twin, before, lasting = sim.copy(), sim.time, len(sim.lasting_contacts().id)
+            pair = sim.step_to_collision()
+            length = sim.time - before
+            assert 0.0 <= length <= sim.h * (1.0 + 1e-12), (name, before)
+            if not pair:
+                continue
+            met += 1
+            rows = [int(np.flatnonzero(sim.particles.id == member)[0]) for member in pair]
+            assert abs(gaps(sim)[tuple(rows)]) <= TOUCHING, (name, before)
+            if length > SHORT * sim.h and not lasting + len(sim.lasting_contacts().id):  # which hang on h by more than it does
+                twin.h = length * (1.0 - 1e-13)
+                twin.step()
+                here, there = (one.particles.position[np.argsort(one.particles.id)] for one in (sim, twin))
+                apart = np.abs(here - there)
+                if sim.scene.box:
+                    apart = np.minimum(apart, np.abs(apart - np.subtract(sim.scene.box.upper, sim.scene.box.lower)))
+                assert apart.max() <= TOUCHING, (name, before)
+    assert met > COUNT
+
+
+def gaps(sim):
+    """Between the surfaces of each pair (i, j) of spheres: (n, n), negative where they overlap."""
     p, box = sim.particles, sim.scene.box
     apart = p.position[:, None] - p.position[None, :]
     if box:
         length = np.subtract(box.upper, box.lower)
         apart -= np.where(box.periodic, length * np.round(apart / length), 0.0)
-    radii, fixed = (p.radius[:, None], p.radius[None, :]), p.fixed != 0
-    smaller = np.minimum(*radii)
+    return np.sqrt((apart**2).sum(axis=-1)) - p.radius[:, None] - p.radius[None, :]
+
+
+def overlaps(sim):
+    """How deep each pair (i, j) of spheres, not both fixed, is in one another: (n, n), in units of the smaller radius."""
+    p, fixed = sim.particles, sim.particles.fixed != 0
+    smaller = np.minimum(p.radius[:, None], p.radius[None, :])
     pairs = (smaller > 0.0) & ~(fixed[:, None] & fixed[None, :]) & ~np.eye(len(p), dtype=bool)
-    depth = (radii[0] + radii[1] - np.sqrt((apart**2).sum(axis=-1))) / np.where(pairs, smaller, 1.0)
-    return np.where(pairs, depth, 0.0)
+    return np.where(pairs, -gaps(sim) / np.where(pairs, smaller, 1.0), 0.0)

@@ -32,6 +32,23 @@ def test_a_rolling_ball_turns_by_its_way():
     assert sim.rows.orientation[0, 0] * 0.5 == pytest.approx(-sim.rows.position[0, 0], rel=1e-9)
 
 
+@pytest.mark.parametrize("gravity", [0.0, 2.0])
+def test_a_step_to_a_collision_turns_until_then(gravity):
+    """A ball comes down on a fixed one after t, and has turned by its spin times t; the hit comes after that."""
+    pair = [
+        {"position": [[0.0, 0.0]], "radius": 0.5, "fixed": True},
+        {"position": [[0.0, 1.5]], "velocity": [0.0, -1.0], "radius": 0.5, "spin": 3.0},
+    ]
+    effects = FREE | ({"uniform_gravity": {"acceleration": [0.0, -gravity]}} if gravity else {})
+    sim = simulation(2, pair, effects, step=0.2, output={"orientation": True})
+    while sim.step_to_collision() is None:
+        pass
+    wanted = (np.sqrt(1.0 + gravity) - 1.0) / gravity if gravity else 0.5
+    assert sim.time == pytest.approx(wanted, abs=1e-12)
+    assert sim.rows.orientation[sim.rows.id == 1, 0][0] == pytest.approx(3.0 * sim.time, abs=1e-12)
+    assert sim.rows["spin"][sim.rows.id == 1, 0][0] != 3.0
+
+
 def test_only_where_a_scene_asks_for_it():
     assert "orientation" not in slope(3, 0.3, 0.5).rows.arrays
     with pytest.raises(SceneError, match=r"output\.orientation: nothing turns"):

@@ -1,0 +1,50 @@
+"""The length of a step that ends with a contact."""
+
+CLOSE = 1e-14  # of the whole step: how well the length must be known
+SECANTS = 8  # tries after which the interval is halved
+MOST_TRIES = 64
+SHORT = 0.01  # of the whole step: what one goes on by at a jump
+
+
+class LengthSearch:
+    """The length h of the step that ends with its first contact, where forces make the moment of that depend on h.
+
+    A try is a step that is kicked as one of length h and moves on until the contact, or for `whole` if there is none. Its
+    contact is late by so much after h: less than nothing in the whole step, and more in a very short one. In between is a zero,
+    found by secants, which converge in about five tries, or by halving where they do not. It may be a jump instead, where a
+    contact begins to last: no step ends with a contact then, and the longest that ends before it is taken. If that is shorter
+    than `SHORT`, it is the one that was nearest to its contact, so that time goes on.
+
+    h: the length to try next, or, if `jump`, to go on by without a contact.
+    """
+
+    def __init__(self, whole: float):
+        self.h = self.whole = self.above = whole
+        self.below = 0.0
+        self.tries: list[tuple[float, float]] = []  # (length, how late the contact came)
+        self.best = whole, whole  # the same for the try that was nearest to its contact
+        self.last = self.jump = False
+
+    def ends_with(self, late: float, met: bool) -> bool:
+        """Was the step of length `h` the one? `late`: from its end to the contact, if there was one (`met`). If not, `h` is new."""
+        if self.last or (met and abs(late) <= CLOSE * self.whole):
+            return True
+        self.tries.append((self.h, late))
+        if met and abs(late) <= abs(self.best[1]):
+            self.best = self.tries[-1]
+        if late > 0.0:
+            self.below = self.h
+        else:
+            self.above = self.h
+        self.last = self.above - self.below <= CLOSE * self.whole or len(self.tries) == MOST_TRIES
+        self.jump = self.last and self.below >= SHORT * self.whole
+        self.h = self.below if self.jump else self.best[0] if self.last else self.guess()
+        return False
+
+    def guess(self) -> float:
+        """By the secant through the last two tries, as long as that is between what is known to be too short and too long."""
+        (h, late), count = self.tries[-1], len(self.tries)
+        guess = h + 0.5 * late
+        if count > 1 and late != self.tries[-2][1]:
+            guess = h - late * (h - self.tries[-2][0]) / (late - self.tries[-2][1])
+        return guess if count <= SECANTS and self.below <= guess < self.above else 0.5 * (self.below + self.above)
