@@ -26,7 +26,10 @@ class LengthSearch:
         self.last = self.jump = False
 
     def ends_with(self, late: float, met: bool) -> bool:
-        """Was the step of length `h` the one? `late`: from its end to the contact, if there was one (`met`). If not, `h` is new."""
+        """Was the step of length `h` the one? If not, `h` is new.
+
+        late: how long after its end the contact is; met: whether there was one, or `whole` went by without.
+        """
         if self.last or (met and abs(late) <= CLOSE * self.whole):
             return True
         self.tries.append((self.h, late))

@@ -137,15 +137,15 @@ def windows(d: int, ranks: Communicator) -> None:
     """The messages between ranks in mode event, most of them the same in all dimensions: one rank sends them to itself."""
     sim = Simulation(scene(d, {"collisions": {"mode": "event"}}), ranks.comm)
     assert isinstance(sim.near, EventDriven)
-    divided = sim.near.windows
+    divided, part = sim.near.windows, sim.near.windows.partition
     sim.near.divided = divided.always = True
     sim.step()
-    divided.near = [0]
-    divided.send_motion()
-    divided.changes_for(0, divided.plan_moves())
+    part.near = [0]
+    part.send_motion()
+    part.changes_for(0, part.plan_moves())
     divided.undo(divided.engine.work.counts)
     nothing = message_of(np.array([NO_PART, 0]).view(float))
-    divided.accept(nothing, np.empty((0, 2), np.int64), divided.plan_moves())
+    divided.accept(nothing, np.empty((0, 2), np.int64), part.plan_moves())
 
 
 def starts(ranks: Communicator) -> None:

@@ -10,6 +10,7 @@ The files, in the order in which one reads them:
 - `engine`: rows, lists and queue of a rank as one object.
 - `operator`: the effect's way in: a drift by `Whole`, where every rank computes all contacts, or by `Windows`.
 - `windows`: the drift where space is divided among ranks, in short windows of time that are verified.
+- `partition`: which rows a rank has then: its own, and ghosts of those near them.
 - `regions`: which ranks must know a row, and which ghosts can affect own rows.
 - `id_table`: the row of a particle, by its id; a hash table.
 - `messages`: what ranks send one another after a window.

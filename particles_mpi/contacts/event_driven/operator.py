@@ -124,7 +124,7 @@ class EventDriven:
             windows = self.windows
             windows.engine.set_step(*step)
             in_windows = windows.drift(h, moment)
-            self.migrated, self.ghost_rows = windows.migrated, windows.ghost_rows
+            self.migrated, self.ghost_rows = windows.partition.migrated, windows.partition.ghost_rows
             self.windows_redone = windows.count, windows.redone
             if in_windows is not None:
                 self.next_pause = 1

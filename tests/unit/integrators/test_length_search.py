@@ -40,4 +40,4 @@ def test_a_zero_beyond_a_jump_is_found():
 def test_at_a_jump_soon_after_the_start_time_goes_on_with_a_contact():
     found, late, _ = search(lambda h: 0.2 * SHORT if h >= 0.5 * SHORT else 0.6 * SHORT)
     assert not found.jump and abs(late) <= SHORT
-    assert late == pytest.approx(0.1 * SHORT, abs=1e-12)  # that of the shorter step, which is late by less than the other is early
+    assert late == pytest.approx(0.1 * SHORT, abs=1e-12)  # the shorter step: less late than the other is early
