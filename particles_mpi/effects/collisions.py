@@ -6,7 +6,8 @@ from pydantic import Field
 
 from particles_mpi.contacts.law import loss
 from particles_mpi.contacts.rough import takes_energy
-from particles_mpi.scene.effect import FORWARD, EffectOptions, Losses, Needs, PairContacts
+from particles_mpi.scene.effect import FORWARD, EffectOptions, Needs, PairContacts
+from particles_mpi.scene.losses import Losses
 from particles_mpi.scene.model import NotNegative
 from particles_mpi.scene.schema import Scene
 

@@ -10,7 +10,8 @@ from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.contacts.walls import NearFaces, drift_with_walls
 from particles_mpi.kernels.planes import Planes
 from particles_mpi.particles import Particles
-from particles_mpi.scene.effect import FORWARD, EffectOptions, Losses, Needs, WallContacts
+from particles_mpi.scene.effect import FORWARD, EffectOptions, Needs, WallContacts
+from particles_mpi.scene.losses import Losses
 from particles_mpi.scene.model import wrong_length
 from particles_mpi.scene.schema import Scene
 

@@ -1,24 +1,15 @@
-"""The kinds of effect, and how their files are loaded. How to write an effect stands in `effects/__init__.py`."""
+"""The kinds of effect. How to write one stands in `effects/__init__.py`; `effect_files` loads it."""
 
-import importlib.util
-import pkgutil
 import sys
 from collections.abc import Mapping
-from hashlib import sha256
-from math import inf
-from pathlib import Path
-from types import MappingProxyType, ModuleType
-from typing import Annotated, Any, ClassVar, NamedTuple
-
-from pydantic import Field, ValidationInfo, field_validator
+from types import MappingProxyType
+from typing import Any, ClassVar, NamedTuple
 
 from particles_mpi.particles import Array, Column, Particles, add_column
-from particles_mpi.scene.model import Fraction, Model, NotNegative
+from particles_mpi.scene.model import Model
 
 ANY = ("leapfrog", "order4", "taylor", "adaptive")  # all integrators
 FORWARD = ("leapfrog", "taylor")  # those with one drift a step, forward in time
-PACKAGE = "particles_mpi.effects"
-OUTSIDE = "particles_mpi_effect"  # modules of effects from outside the package are called so, with a digest of their path
 
 
 class EffectOptions(Model):
@@ -46,71 +37,6 @@ class EffectOptions(Model):
     def faults(self, scene: Any) -> list[str]:
         """What is wrong with these options in this scene, each beginning with the key; [] if nothing is."""
         return []
-
-
-class Losses(Model):
-    """What contacts take: `restitution` e (momentum is conserved), or `damping` alpha, whole velocity times sqrt(1-alpha).
-
-    Spheres are rough with `friction` mu (Coulomb's) or `tangential_restitution` beta_0, the part of the slip of their surfaces
-    that comes back, reversed, where they stick: 0 if not given. Without mu they always stick. See `contacts.rough`.
-    """
-
-    damping: Fraction | None = None
-    restitution: Fraction | None = None
-    friction: NotNegative | None = None
-    tangential_restitution: Annotated[float, Field(ge=-1.0, le=1.0)] | None = None
-
-    @property
-    def surface(self) -> tuple[float, float]:
-        """(mu, beta_0) of contacts, see `contacts.rough`: (0, 0) if they are smooth, an infinite mu if they always stick."""
-        beta = 0.0 if self.tangential_restitution is None else self.tangential_restitution
-        mu = (0.0 if self.tangential_restitution is None else inf) if self.friction is None else self.friction
-        return (mu, beta) if mu > 0.0 and beta > -1.0 else (0.0, 0.0)
-
-    @property
-    def rough(self) -> bool:
-        """Do surfaces act on one another in a contact?"""
-        return self.surface[0] > 0.0
-
-    def parts(self) -> dict[str, "Losses"]:
-        """What contacts take, by the key in the table that says so, "" for the table itself."""
-        return {"": self}
-
-    def within(self, table: "Losses") -> "Losses":
-        """These, and those of a `table` where they say nothing."""
-        normal = table if self.restitution is None and self.damping is None else self
-        across = table if self.tangential_restitution is None else self
-        return Losses(
-            damping=normal.damping,
-            restitution=normal.restitution,
-            friction=table.friction if self.friction is None else self.friction,
-            tangential_restitution=across.tangential_restitution,
-        )
-
-    def described(self, scene: Any, total: int) -> str:
-        """The surfaces, for the plan."""
-        surfaces = {losses.surface for losses in self.parts().values() if losses.rough}
-        limits = {mu: "without a limit" if mu == inf else f"{mu:g}" for mu, _ in surfaces}
-        texts = [f"friction {limits[mu]}, tangential restitution {beta:g}" for mu, beta in sorted(surfaces)]
-        return "rough: " + "; ".join(texts) if texts else ""
-
-    def rough_faults(self, scene: Any) -> list[str]:
-        """Why rough spheres cannot be here, each beginning with the key."""
-        faults = []
-        for part, losses in self.parts().items():
-            key = part + ("friction" if losses.friction is not None else "tangential_restitution")
-            if losses.rough and scene.dimension not in (2, 3):
-                faults.append(f"{key}: spins are known in 2 and 3 dimensions, not in {scene.dimension}")
-            if losses.rough and losses.damping is not None:
-                faults.append(f"{key}: damping takes of the whole velocity; give restitution, to which friction belongs")
-        return faults
-
-    @field_validator("restitution")
-    @classmethod
-    def _one_of_both(cls, value: float | None, info: ValidationInfo) -> float | None:
-        if value is not None and info.data.get("damping") is not None:
-            raise ValueError("give restitution or damping, not both")
-        return value
 
 
 class Needs(NamedTuple):
@@ -267,40 +193,3 @@ class RollingResistance(Effect):
 
 ONE_OF_EACH = (Damping, ConstantFriction, RollingResistance, WallContacts, PairContacts)
 KINDS = (Force, VelocityFlow, Event, *ONE_OF_EACH)
-
-
-def effect_names() -> list[str]:
-    """The effects that come with the program: one file each in `effects/`."""
-    return sorted(module.name for module in pkgutil.iter_modules(importlib.import_module(PACKAGE).__path__))
-
-
-def load_effect(name: str, file: Path | None) -> ModuleType:
-    """The module of an effect of the program, or of a `file` of the user's, loaded once, with the sha256 of it as `digest`.
-
-    Raises ValueError, one line without the key, for a file that cannot be read, fails, or does not hold the two classes.
-    """
-    if file is None:
-        return importlib.import_module(f"{PACKAGE}.{name}")
-    path = file.resolve()
-    title = f"{OUTSIDE}_{sha256(str(path).encode()).hexdigest()[:12]}_{path.stem}"
-    if title in sys.modules:
-        return sys.modules[title]
-    spec = importlib.util.spec_from_file_location(title, path)
-    if spec is None or spec.loader is None or not path.is_file():
-        raise ValueError(f"{file}: no such Python file")
-    module = sys.modules[title] = importlib.util.module_from_spec(spec)
-    module.digest = sha256(path.read_bytes()).hexdigest()  # type: ignore[attr-defined]
-    try:
-        spec.loader.exec_module(module)
-        options, effect = getattr(module, "Options", None), getattr(module, "Effect", None)
-        if not (isinstance(options, type) and issubclass(options, EffectOptions)):
-            raise ValueError("needs a class Options(EffectOptions)")
-        if not (isinstance(effect, type) and issubclass(effect, KINDS)):
-            raise ValueError("needs a class Effect that is a Force, a VelocityFlow or an Event")
-        if not isinstance(getattr(effect, "formula", None), str):
-            raise ValueError("its class Effect needs a formula, in one line")
-    except Exception as error:
-        del sys.modules[title]
-        name = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
-        raise ValueError(f"{file}: {name}{' '.join(str(error).split())}") from error
-    return module

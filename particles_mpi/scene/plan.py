@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.particles import Particles
-from particles_mpi.scene.effect import effect_names
+from particles_mpi.scene.effect_files import effect_names
 from particles_mpi.scene.schema import Scene
 
 

@@ -9,7 +9,9 @@ from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, Validation
 
 from particles_mpi.errors import SceneError
 from particles_mpi.particles import Array
-from particles_mpi.scene.effect import ONE_OF_EACH, Losses, effect_names, load_effect
+from particles_mpi.scene.effect import ONE_OF_EACH
+from particles_mpi.scene.effect_files import effect_names, load_effect
+from particles_mpi.scene.losses import Losses
 from particles_mpi.scene.model import (
     Flags,
     Model,

@@ -8,7 +8,7 @@ import numpy as np
 
 from particles_mpi import Simulation
 from particles_mpi.kernels.motion import free_drift, kick
-from particles_mpi.scene.effect import effect_names
+from particles_mpi.scene.effect_files import effect_names
 from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, everyone
 from particles_mpi.study.timing import StepTimer, time_in_turns
 

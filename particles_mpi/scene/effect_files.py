@@ -1,0 +1,50 @@
+"""The files of effects: those of the program, and those of a user."""
+
+import importlib.util
+import pkgutil
+import sys
+from hashlib import sha256
+from pathlib import Path
+from types import ModuleType
+
+from particles_mpi.scene.effect import KINDS, EffectOptions
+
+PACKAGE = "particles_mpi.effects"
+OUTSIDE = "particles_mpi_effect"  # modules of effects from outside the package are called so, with a digest of their path
+
+
+def effect_names() -> list[str]:
+    """The effects that come with the program: one file each in `effects/`."""
+    return sorted(module.name for module in pkgutil.iter_modules(importlib.import_module(PACKAGE).__path__))
+
+
+def load_effect(name: str, file: Path | None) -> ModuleType:
+    """The module of an effect of the program, or of a `file` of the user's, loaded once, with the sha256 of it as `digest`.
+
+    Raises ValueError, one line without the key, for a file that cannot be read, fails, or does not hold the two classes.
+    """
+    if file is None:
+        return importlib.import_module(f"{PACKAGE}.{name}")
+    path = file.resolve()
+    title = f"{OUTSIDE}_{sha256(str(path).encode()).hexdigest()[:12]}_{path.stem}"
+    if title in sys.modules:
+        return sys.modules[title]
+    spec = importlib.util.spec_from_file_location(title, path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise ValueError(f"{file}: no such Python file")
+    module = sys.modules[title] = importlib.util.module_from_spec(spec)
+    module.digest = sha256(path.read_bytes()).hexdigest()  # type: ignore[attr-defined]
+    try:
+        spec.loader.exec_module(module)
+        options, effect = getattr(module, "Options", None), getattr(module, "Effect", None)
+        if not (isinstance(options, type) and issubclass(options, EffectOptions)):
+            raise ValueError("needs a class Options(EffectOptions)")
+        if not (isinstance(effect, type) and issubclass(effect, KINDS)):
+            raise ValueError("needs a class Effect that is a Force, a VelocityFlow or an Event")
+        if not isinstance(getattr(effect, "formula", None), str):
+            raise ValueError("its class Effect needs a formula, in one line")
+    except Exception as error:
+        del sys.modules[title]
+        name = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
+        raise ValueError(f"{file}: {name}{' '.join(str(error).split())}") from error
+    return module
