@@ -51,6 +51,35 @@ def test_dropped_on_a_fixed_sphere(step):
     assert falling[1] == pytest.approx(1.0, abs=1e-12)
 
 
+CLOCK = """
+from particles_mpi.effects import Column, EffectOptions, Event, Needs
+
+class Options(EffectOptions):
+    pass
+
+class Effect(Event):
+    formula = "age = time"
+    needs = Needs(columns={"age": Column("float64")}, integrators=("leapfrog",))
+
+    def act(self, particles, h):
+        particles["age"][:] += h
+        return 0
+"""
+
+
+@pytest.mark.parametrize("gravity", [0.0, 2.0])
+def test_events_act_for_the_time_until_then(gravity, tmp_path):
+    """A user's event that adds up the time that it is told of, with contacts found at once and by tries that are undone."""
+    (tmp_path / "clock.py").write_text(CLOCK)
+    effects = {"collisions": {"mode": "event"}, "clock": {"file": "clock.py"}}
+    effects |= {"uniform_gravity": {"acceleration": [0.0, -gravity]}} if gravity else {}
+    tables = {"dimension": 2, "time": {"step": 0.3, "steps": 100}, "particles": DISCS, "effects": effects}
+    sim = Simulation(Scene.from_dict(tables, tmp_path))
+    pairs = [sim.step_to_collision() for _ in range(6)]
+    assert pairs.count(None) == 4
+    np.testing.assert_allclose(sim.particles.age, sim.time, rtol=1e-13)
+
+
 def test_nobody_to_meet_is_a_whole_step():
     sim = Simulation(scene(1, [{"position": [[0.0], [5.0]], "velocity": [[1.0], [1.0]], "radius": 0.1}], 0.5))
     assert sim.step_to_collision() is None
