@@ -13,7 +13,9 @@ p (w_i + w_j) is kept, the approach that it takes from its partners. A half-edge
 velocities that ranks exchange in each iteration; all sums are in the order of half-edges (`graph`). So the bits are the same on
 any number of ranks. For rough spheres, max(., 0) is followed by a cut of what is taken across the normal: `rough_iterations`.
 
-With friction the problem is no minimum, and work past one says nothing: there, momentum is given up where errors grow.
+With friction the problem is no minimum, and work past one says less: there, momentum is given up where errors grow, and in
+solutions that end at round-off where errors do work, or are more than GROWN times the least so far. What does not get to errors
+that are allowed is multiplied by the factor below, if that is less than 1: so it adds no energy.
 
 Large piles are solved to a tolerance only. There p is multiplied by the factor that makes p A p/2 + p (N v + c) least, before the
 iterations and after them: then errors do no work in sum over all contacts. Rough piles whose errors are far below that (CALM)
@@ -38,6 +40,7 @@ NEAR = 0.2  # `balance` before the iterations is done only if its factor is with
 QUIET = 1e-3  # of the allowed errors: a rough pile in which nothing is faster is asleep
 CALM = 1e-3  # of the allowed errors, root mean square: below it at least MORE iterations are done
 MORE = 150  # iterations in such a pile: fewer do not show what else has to fall
+GROWN = 3.0  # mean square errors
 EXACT = 100  # iterations: a solution that always gets so many ends at round-off
 EFFORT = 200_000  # half-edges times iterations that are always spent, as long as it is no waste: small piles are exact
 
@@ -87,18 +90,24 @@ class Iteration:
                 self.exchange(self.v)
         return seen[0], seen[1], seen[2]
 
-    def balance(self, ranks: Communicator, least: float, most: float) -> None:
-        """All that is taken times the factor that makes p A p/2 + p (N v + c) least, if it is from `least` to `most`.
-
-        In sum over all contacts errors do no work then. Collective.
-        """
+    def factor(self, ranks: Communicator) -> float:
+        """Times what p A p/2 + p (N v + c) is least: in sum over all contacts errors do no work then. Collective."""
         largest = ranks.allreduce_max(works(self.axes, self.problem, self.w, self.v0, self.v, self.sums))[0]
-        if largest > 0.0:
-            asked, did = ranks.allreduce_sum(np.array(whole_numbers(self.sums, (largest, largest))))
-            factor = -asked / did if did > 0 else 1.0
-            if least < factor < most:
-                self.problem[2][:, self.taken] *= factor
-                self.restart()
+        if not largest > 0.0:
+            return 1.0
+        asked, did = ranks.allreduce_sum(np.array(whole_numbers(self.sums, (largest, largest))))
+        return -asked / did if did > 0 else 1.0
+
+    def multiply(self, factor: float) -> None:
+        """All that is taken."""
+        self.problem[2][:, self.taken] *= factor
+        self.restart()
+
+    def balance(self, ranks: Communicator, least: float, most: float) -> None:
+        """All that is taken times `factor`, if that is from `least` to `most`. Collective."""
+        factor = self.factor(ranks)
+        if least < factor < most:
+            self.multiply(factor)
 
     def until_good(
         self, ranks: Communicator, count: int, least: int, asleep: Callable[[Array], bool] | None = None
@@ -109,7 +118,7 @@ class Iteration:
         errors that are allowed moves at all; if not, it is left like that. Returns whether errors are allowed, and the
         iterations done, 0 for a pile that is asleep. Collective.
         """
-        done, exact, before = 1, least >= EXACT, np.inf
+        done, exact, before, best = 1, least >= EXACT, np.inf, np.inf
         if not exact and not self.rough:
             self.balance(ranks, 1.0 - NEAR, 1.0 + NEAR)
         errors = self.advance(1, looks=True)
@@ -126,15 +135,20 @@ class Iteration:
                     return True, 0
             elif self.rough and done == 1 and not (exact or calm):
                 self.balance(ranks, 1.0 - NEAR, 1.0 + NEAR)
-            elif squares > before if self.rough else work > 0.0:
+            elif self.rough and squares > (GROWN * best if exact else before):
                 self.restart()
-            before = squares
+            elif work > 0.0 and (exact or not self.rough):
+                self.restart()
+            before, best = squares, min(best, squares)
             errors = self.advance(CHECK, looks=True)
             done += CHECK
         self.restart()  # errors that were looked at are of what is taken: what is ahead may be far past it already
-        if not exact and not calm:  # errors of one sign, however small, would lift a bed, or let it sink
+        good = good or left <= 1.0
+        if self.rough and not good:
+            self.multiply(min(max(self.factor(ranks), 0.0), 1.0))
+        elif not exact and not calm:  # errors of one sign, however small, would lift a bed, or let it sink
             self.balance(ranks, 0.5, 1.0 if self.rough else 2.0)
-        return bool(good or left <= 1.0), done
+        return bool(good), done
 
 
 class Solver:
