@@ -71,8 +71,7 @@ class Saved(State):
     def copy(self) -> Self:
         """Another simulation in the same state. Collective."""
         metadata = self.metadata()
-        rows = self.rows.select(np.arange(len(self.rows)))
-        return self.restored(self.scene, self.ranks, rows, metadata, self.lasting_contacts())
+        return self.restored(self.scene, self.ranks, self.rows.copy(), metadata, self.lasting_contacts())
 
     def to_json(self, path: str | Path, indent: int | None = None) -> None:
         """Save scene and state, exact to the bit; compact, or readable with `indent`. Collective."""

@@ -1,8 +1,6 @@
 """A step that may be undone."""
 
-import numpy as np
-
-from particles_mpi.between_steps.state import State
+from particles_mpi.between_steps.saved import Saved
 
 
 class Trial:
@@ -11,12 +9,10 @@ class Trial:
     Kept are the particles of this rank, what their lasting contacts took, and the counts. Work that was done stays counted.
     """
 
-    def __init__(self, sim: State):
+    def __init__(self, sim: Saved):
         self.sim = sim
-        self.rows = sim.rows.select(np.arange(len(sim.rows)))
-        self.totals, self.calls = sim.totals.copy(), sim.calls.copy()
-        self.contacts = sim.persistent.remembered() if sim.persistent else None
-        self.tc_elastic = sim.near.tc_elastic, sim.near.first_tc_elastic
+        self.rows, self.contacts = sim.rows.copy(), sim.lasting_contacts()
+        self.totals, self.calls, self.tc_elastic = sim.totals.copy(), sim.calls.copy(), sim.near.tc_elastic
 
     def undo(self) -> None:
         """Back to where it began; once."""
@@ -27,4 +23,4 @@ class Trial:
         sim.calls.update(self.calls)
         if sim.persistent:
             sim.persistent.restore(self.contacts)
-        sim.near.tc_elastic, sim.near.first_tc_elastic = self.tc_elastic
+        sim.near.tc_elastic = self.tc_elastic

@@ -7,7 +7,7 @@ SHORT = 0.01  # of the whole step: what one goes on by at a jump
 
 
 class LengthSearch:
-    """The length h of the step that ends with its first contact, where forces make the moment of that depend on h.
+    """The length h, a time, of the step that ends with its first contact, where forces make the moment of that depend on h.
 
     A try is a step that is kicked as one of length h and moves on until the contact, or for `whole` if there is none. Its
     contact is late by so much after h: less than nothing in the whole step, and more in a very short one. In between is a zero,
@@ -41,7 +41,12 @@ class LengthSearch:
             self.above = self.h
         self.last = self.above - self.below <= CLOSE * self.whole or len(self.tries) == MOST_TRIES
         self.jump = self.last and self.below >= SHORT * self.whole
-        self.h = self.below if self.jump else self.best[0] if self.last else self.guess()
+        if self.jump:
+            self.h = self.below
+        elif self.last:
+            self.h = self.best[0]
+        else:
+            self.h = self.guess()
         return False
 
     def guess(self) -> float:

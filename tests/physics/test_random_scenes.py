@@ -78,7 +78,8 @@ def test_a_step_to_a_collision_ends_with_it(seed, axes):
             met += 1
             rows = [int(np.flatnonzero(sim.particles.id == member)[0]) for member in pair]
             assert abs(gaps(sim)[tuple(rows)]) <= TOUCHING, (name, before)
-            if length > SHORT * sim.h and not lasting + len(sim.lasting_contacts().id):  # which hang on h by more than it does
+            # Contacts that last may be solved in another way in a step that is shorter by round-off.
+            if length > SHORT * sim.h and lasting == len(sim.lasting_contacts().id) == 0:
                 twin.h = length * (1.0 - 1e-13)
                 twin.step()
                 here, there = (one.particles.position[np.argsort(one.particles.id)] for one in (sim, twin))

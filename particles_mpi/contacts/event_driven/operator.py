@@ -61,8 +61,8 @@ class EventDriven:
         self.particles, self.box, self.timers = particles, box, timers
         self.rules = box, loss, law, planes or no_planes(particles.dimension)
         self.divided = ranks.size > 1 and ranks.allreduce_sum(len(particles))[0] >= LEAST * ranks.size
-        self.tc_elastic = 0  # contacts of this rank that took no energy
-        self.first_tc_elastic: tuple[float, Array] = np.inf, np.empty((0, 3))  # moment of a step, and (time, id, id or wall)
+        # Contacts of this rank that took no energy: how many; of the first step with some its moment, and (time, id, id or wall)
+        self.tc_elastic: tuple[int, float, Array] = 0, np.inf, np.empty((0, 3))
         self.crowded_steps = 0
         self.pause, self.next_pause = 0, 1  # drifts that every rank computes as a whole, after windows that did not pay
         self.stop, self.stopped = np.array([0, -1, -1]), np.zeros(1)
@@ -91,13 +91,12 @@ class EventDriven:
         if self.hold is None or stop:
             return self.drift_once(h, moment, stop, NEVER_CROWDED)
         for left in range(ROUNDS, -1, -1):
-            before = self.particles.select(np.arange(len(self.particles)))
-            tc_elastic_before = self.tc_elastic, self.first_tc_elastic
+            before, tc_elastic_before = self.particles.copy(), self.tc_elastic
             happened = self.drift_once(h, moment, False, CROWDED if left else NEVER_CROWDED)
             if not left or not self.ranks.allreduce_max(float((self.particles["supported"] == CROWD).any()))[0]:
                 break
             self.undo(before)
-            self.tc_elastic, self.first_tc_elastic = tc_elastic_before
+            self.tc_elastic = tc_elastic_before
             self.hold(h)
             self.crowded_steps += left == ROUNDS
         return happened
@@ -144,13 +143,14 @@ class EventDriven:
     def count_tc_elastic(self, moment: float, engine: Engine) -> None:
         """How many contacts took no energy, and which were the first."""
         count = int(engine.work.counts[TC_ELASTIC])
-        self.tc_elastic += count
-        if count and not len(self.first_tc_elastic[1]):
-            self.first_tc_elastic = moment, engine.work.tc_elastic[:count].copy()
+        before, begin, rows = self.tc_elastic
+        if count and not before:
+            begin, rows = moment, engine.work.tc_elastic[:count].copy()
+        self.tc_elastic = before + count, begin, rows
 
     def remarks(self) -> list[str]:
         """What a user should be told at the end. Collective."""
-        found = self.ranks.allgather((self.tc_elastic, *self.first_tc_elastic))
+        found = self.ranks.allgather(self.tc_elastic)
         count = sum(number for number, _, _ in found)
         said = f"collapsing crowds: in {self.crowded_steps} steps some contacts took all of the approach, as if e = 0"
         crowds = [said] if self.crowded_steps else []

@@ -45,7 +45,8 @@ class Partition:
     """The rows of this rank in an engine, and who else holds them.
 
     version: of the particles that the rows are of, or -1; own_rows (particles,): the row of each; near: the ranks that messages
-    go to; directory: who holds which row; depth: of the ghosts, in mean diameters; crowded: does a rank hold nearly all?
+    go to; directory: who holds which row; skin: of the neighbour lists of all ranks, a length; depth: of the ghosts, in mean
+    diameters; crowded: does a rank hold nearly all?
     Counted: redistributions (`searches`), particles that came from other ranks (`migrated`), and ghosts.
     """
 
@@ -123,8 +124,8 @@ class Partition:
         self.near = [int(rank) for rank in np.flatnonzero((apart**2).sum(axis=1) <= within**2) if rank != me]
         self.regions = Regions(low, high, tuple(self.box), me, np.array([*self.near, me]), reach, bound, depth)
 
-    def find_fields(self) -> None:
-        """The particles' fields are on this rank, in their order."""
+    def locate_fields(self) -> None:
+        """The fields of own particles are on this rank, in the order of the particles: so it is at the start of a drift."""
         self.directory.fields_at[self.own_rows, HOLDER] = self.ranks.rank
         self.directory.fields_at[self.own_rows, PLACE] = np.arange(len(self.particles))
 

@@ -114,7 +114,7 @@ class Windows:
                 break
             self.fit_depth()
             self.partition.redistribute()
-        self.partition.find_fields()
+        self.partition.locate_fields()
         return float(speed)
 
     def redone_often(self) -> bool:

@@ -135,10 +135,10 @@ class Iteration:
                     return True, 0
             elif self.rough and done == 1 and not (exact or calm):
                 self.balance(ranks, 1.0 - NEAR, 1.0 + NEAR)
-            elif self.rough and squares > (GROWN * best if exact else before):
-                self.restart()
-            elif work > 0.0 and (exact or not self.rough):
-                self.restart()
+            else:
+                grown = self.rough and squares > (GROWN * best if exact else before)
+                if grown or (work > 0.0 and (exact or not self.rough)):
+                    self.restart()
             before, best = squares, min(best, squares)
             errors = self.advance(CHECK, looks=True)
             done += CHECK
