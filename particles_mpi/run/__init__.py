@@ -2,6 +2,7 @@
 
 - `job`: the run itself, with all that it writes
 - `console`: what a user sees of it; `forecast`: how long it will take
+- `scene_file`: the scene that a command is given, the same on all ranks
 - `scheduler`: the time limit of the job that it is in
 - `doctor`: what is installed, and whether it works together
 """

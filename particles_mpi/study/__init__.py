@@ -2,6 +2,7 @@
 
 `particles-mpi study`, in the order in which to read it:
 
+commands     what a user can ask for, with its arguments
 timing       fair seconds of a step: by turns, the slowest rank, medians with quartiles
 experiment   settings of a problem, the errors that each makes, and what each costs
 report       tables, the page, CSV and JSON files; plots: the pictures

@@ -9,8 +9,8 @@ from pathlib import Path
 from mpi4py import MPI
 
 from particles_mpi import Scene, SceneError, Simulation, StoppedError
-from particles_mpi.cli import load
 from particles_mpi.initial.populate import Populator
+from particles_mpi.run.scene_file import load
 
 folder, rank = Path(sys.argv[1]), MPI.COMM_WORLD.Get_rank()
 GAS = {"count": 30, "position": "random", "velocity": {"speed": 2.0}, "radius": 0.1}

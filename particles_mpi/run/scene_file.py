@@ -1,0 +1,25 @@
+"""The scene file that a command is given: read, and compared among the ranks."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from particles_mpi.parallel.agreement import raising_together, same_on_all
+from particles_mpi.parallel.communicator import Communicator
+
+SceneFile = Annotated[Path, typer.Argument(metavar="SCENE.toml", help="The scene: see particles_mpi/scenes/ for examples.")]
+
+
+def load(path: Path, quiet: bool = True) -> Any:
+    """The scene of a file: the same on all ranks, or refused. Collective. Unless `quiet` it is told if kernels are compiled."""
+    from particles_mpi.run.console import tell_of_compiling
+    from particles_mpi.scene.schema import Scene
+
+    ranks = Communicator()
+    with raising_together(ranks):
+        described = Scene.load(path)
+    same_on_all(ranks, described.to_dict())
+    if ranks.is_root and not quiet:
+        tell_of_compiling(described.dimension)
+    return described

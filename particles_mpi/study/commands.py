@@ -1,0 +1,107 @@
+"""The commands `particles-mpi study ...`: their arguments, and what they say of themselves."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from particles_mpi.errors import SceneError, StoppedError
+from particles_mpi.run.scene_file import SceneFile, load
+
+AnyScene = Annotated[Path | None, typer.Argument(metavar="[SCENE.toml]", help="A scene of yours; else the built-in set.")]
+Folder = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for report, pictures and CSV files.")]
+Quick = Annotated[bool, typer.Option("--quick", help="A look within a minute: fewer settings, short samples.")]
+TunedFile = Annotated[Path | None, typer.Option(metavar="TUNED.toml", help="The tuned scene; NAME.tuned.toml if not given.")]
+
+
+class Studies(TyperGroup):
+    """`study SCENE.toml` is `study accuracy SCENE.toml`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, ["accuracy", *args] if args and args[0].endswith(".toml") else args)
+
+
+study = typer.Typer(
+    cls=Studies,
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+    help="""Measure the program itself, here and now: what accuracy costs, what a scene needs, how it scales, what stays right.
+
+    [bold]study SCENE.toml[/bold] is short for [bold]study accuracy SCENE.toml[/bold].""",
+)
+
+
+@study.command("accuracy")
+def accuracy(
+    scene: AnyScene = None,
+    only: Annotated[str, typer.Option(metavar="LETTERS", help="Only these experiments of the built-in set, as in AC.")] = "",
+    quick: Quick = False,
+    output: Folder = None,
+) -> None:
+    """What accuracy costs: error against seconds and work, for a scene or the built-in problems.
+
+    A orbits, B close encounters, C hard-sphere fluid, D tree, F softening, G drag and friction, H effects on and off, I contacts
+    that last, J rough spheres.
+
+    Example:   ./run.sh study accuracy --quick
+    """
+    from particles_mpi.study.accuracy.command import accuracy as measure
+
+    described = load(scene) if scene else None
+    if described and only:
+        raise SceneError("--only: chooses among the built-in experiments, not with a scene")
+    measure(described, only, quick, output or Path("out/study") / (scene.stem if scene else "accuracy"))
+
+
+@study.command("recommend")
+def recommend(
+    scene: SceneFile,
+    tolerance: Annotated[float, typer.Option(help="Error that is allowed, relative.")],
+    error: Annotated[str, typer.Option(metavar="NAME", help="Of what: state, energy, ... (default: the strictest).")] = "",
+    output: TunedFile = None,
+    seconds: Annotated[float, typer.Option(min=1.0, help="About how long to measure.")] = 60.0,
+) -> None:
+    """The cheapest setting of a scene that reaches a tolerance: measured, verified at half the step, written as a scene.
+
+    Example:   ./run.sh study recommend my.toml --tolerance 1e-6
+    """
+    from particles_mpi.study.recommend.recommend import recommend_scene
+
+    recommend_scene(scene, tolerance, error, output, seconds)
+
+
+@study.command("scaling")
+def scaling(
+    scene: Annotated[Path | None, typer.Argument(metavar="[SCENE.toml]", help="A scene of yours; else headline.toml.")] = None,
+    quick: Quick = False,
+    output: Folder = None,
+    counts: Annotated[
+        bool, typer.Option("--counts", help="Only what ranks send and hold: ranks may be more than cores.")
+    ] = False,
+) -> None:
+    """Strong and weak scaling over 1, 2, 4 ... ranks of this start, phases, and a model of more ranks.
+
+    Example:   RANKS=4 ./run.sh study scaling my.toml,   RANKS=32 ./run.sh study scaling --counts
+    """
+    from particles_mpi.study.scaling.counted import count
+    from particles_mpi.study.scaling.measure import scale
+
+    described, folder = load(scene) if scene else None, output or Path("out/study/scaling") / (scene.stem if scene else "")
+    (count if counts else scale)(described, folder, quick)
+
+
+@study.command("hard-cases")
+def hard_cases(
+    only: Annotated[str | None, typer.Option(metavar="TEXT", help="Only cases with this in their name, long ones too.")] = None,
+    full: Annotated[bool, typer.Option("--full", help="Also the cases that take many minutes: beds of 10 000 for 10 s.")] = False,
+    output: Annotated[Path | None, typer.Option(metavar="FILE.json", help="The outcomes as JSON.")] = None,
+) -> None:
+    """What goes wrong in naive programs, and what must hold here; exit code 3 if something does not.
+
+    Example:   ./run.sh study hard-cases --only column
+    """
+    from particles_mpi.study.hard_cases.catalogue import study as run_catalogue
+
+    if not run_catalogue(only, full, output):
+        raise StoppedError("hard cases: not all that must hold does")
