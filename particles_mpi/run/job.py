@@ -1,9 +1,7 @@
-"""One run from plan to phase table: frames, diagnostics, checkpoints, signals, `run.json`."""
+"""One run from plan to phase table: frames, diagnostics, checkpoints, signals."""
 
 import json
-import platform
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -19,19 +17,17 @@ from particles_mpi.output import checkpoint, run_folder
 from particles_mpi.output.diagnostics_csv import Diagnostics
 from particles_mpi.output.files import write_text
 from particles_mpi.parallel.agreement import await_all, same_on_all
-from particles_mpi.parallel.communicator import mpi_library
 from particles_mpi.parallel.signals import StopRequest
 from particles_mpi.particles import Array, field
 from particles_mpi.results.paraview import paraview_script
 from particles_mpi.run.console import Screen
+from particles_mpi.run.ending import PROGRAM, tell_end
 from particles_mpi.run.forecast import Forecast, Forecaster
 from particles_mpi.scene.plan import plan
 
 MOST_VTK = 1_000_000  # particles of which there are VTK files without being asked for: slower and larger than HDF5
 SHOW_EVERY = 10  # steps between two moves of the progress bar
 SAFETY = 1.5  # times the slowest checkpoint: how long before the limit of its time a run stops
-PROGRAM = "./run.sh" if Path("run.sh").is_file() else "particles-mpi"  # as a user would start it here
-LIBRARIES = ("numpy", "numba", "mpi4py", "h5py", "meshio", "particles-mpi")
 
 
 class Job:
@@ -149,7 +145,8 @@ class Job:
                 self.save()
             show(sim.steps_done, row)
             self.close()
-            self.finish(setup, perf_counter() - begin, sim.steps_done - done)
+            loop = perf_counter() - begin
+            tell_end(sim, self.plan, self.folder, self.screen, {"setup": setup, "loop": loop}, sim.steps_done - done)
         except (SceneError, StoppedError) as error:
             await_all(self.ranks, error)  # to close a file would wait for ranks that have no error
             self.close()
@@ -229,52 +226,3 @@ class Job:
         with self.sim.timers("output"):
             for writer in (*self.frames, self.diagnostics):
                 writer.close()
-
-    def finish(self, setup: float, loop: float, steps: int) -> None:
-        """The phase table, run.json, and where to look next."""
-        sim, f, say = self.sim, self.folder, self.screen.say
-        seconds = {"setup": setup, "loop": loop, **sim.timers.seconds, "other": loop - sum(sim.timers.seconds.values())}
-        everyone = self.ranks.allgather(seconds)
-        timers = {}
-        for name in ["setup", "loop", *sorted(set().union(*everyone) - {"setup", "loop"})]:
-            values = [s.get(name, 0.0) for s in everyone]
-            timers[name] = {"min": min(values), "mean": sum(values) / len(values), "max": max(values)}
-        traffic, remarks = self.traffic(), sim.remarks()
-        self.screen.phases(timers, steps, sim.total)
-        if windows := traffic.get("windows"):
-            redone = traffic["windows_redone"]
-            say(f"{windows} windows of time verified by the ranks, {redone} redone ({100 * redone / windows:.1f} %)")
-        for remark in remarks:
-            say(remark)
-        write_text(f / "run.json", self.ranks, json.dumps(self.about_end(timers, traffic, remarks), indent=2) + "\n")
-        if self.scene.output.formats:
-            say(f"ParaView: paraview {f}/view_paraview.py")
-        if "vtk" in self.scene.output.formats:
-            say(f"VisIt: {f}/vtk/particles_*.vtu database")
-        say(f"view: {PROGRAM} view {f}")
-        say(f"plots: python python_viz/plot_frame.py {f}   (and plot_diagnostics.py, plot_phases.py, animate.py)")
-
-    def traffic(self) -> dict[str, int]:
-        """Sums over ranks of what was sent, and of what happened."""
-        here = self.sim.counted()
-        counted = {name: self.sim.totals[name] for name in COUNTS}
-        counted |= {"messages": self.ranks.messages, "ghost_rows": here["ghost_rows"]}
-        result = dict(zip(counted, self.ranks.allreduce_sum(np.array(list(counted.values()), np.int64)).tolist()))
-        if here["windows"]:
-            result |= {name: here[name] for name in ("windows", "windows_redone")}
-        return result | {"reductions": self.ranks.reductions, "pair_searches": here["pair_searches"]}
-
-    def about_end(self, timers: dict[str, Any], counts: dict[str, int], remarks: list[str]) -> dict[str, Any]:
-        """What run.json says."""
-        calls = self.sim.calls
-        effects = [row | {"calls": calls.get(row["effect"], 0)} for row in self.plan["effects"]]
-        not_run = [{"effect": name, "calls": calls.get(name, 0)} for name in self.plan["not_run"]]
-        return {
-            "scene": self.scene.to_dict(),
-            "plan": self.plan | {"effects": effects, "not_run": not_run},
-            "ranks": self.ranks.size,
-            "versions": {n: version(n) for n in LIBRARIES} | {"python": platform.python_version(), "mpi": mpi_library()},
-            "timers": timers,
-            "remarks": remarks,
-            "counts": {"steps": self.sim.steps_done, **counts},
-        }

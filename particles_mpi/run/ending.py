@@ -1,0 +1,76 @@
+"""What a run tells when it has come to its end: the phase table, `run.json`, and where to look next."""
+
+import json
+import platform
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from particles_mpi.contacts.drift import COUNTS
+from particles_mpi.output.files import write_text
+from particles_mpi.parallel.communicator import mpi_library
+from particles_mpi.run.console import Screen
+
+PROGRAM = "./run.sh" if Path("run.sh").is_file() else "particles-mpi"  # as a user would start it here
+LIBRARIES = ("numpy", "numba", "mpi4py", "h5py", "meshio", "particles-mpi")
+
+
+def tell_end(sim: Any, plan: dict[str, Any], folder: Path, screen: Screen, seconds: dict[str, float], steps: int) -> None:
+    """Show the phase table and the remarks of a run of `steps` steps, and write `run.json` into its folder. Collective.
+
+    `seconds`: of this rank for the set-up and for the loop; those of the phases of the loop are in `sim.timers`.
+    """
+    timers, counts, remarks = spread(sim, seconds), traffic(sim), sim.remarks()
+    screen.phases(timers, steps, sim.total)
+    say = screen.say
+    if windows := counts.get("windows"):
+        redone = counts["windows_redone"]
+        say(f"{windows} windows of time verified by the ranks, {redone} redone ({100 * redone / windows:.1f} %)")
+    for remark in remarks:
+        say(remark)
+    about = about_run(sim, plan) | {"timers": timers, "remarks": remarks, "counts": {"steps": sim.steps_done, **counts}}
+    write_text(folder / "run.json", sim.ranks, json.dumps(about, indent=2) + "\n")
+    formats = sim.scene.output.formats
+    if formats:
+        say(f"ParaView: paraview {folder}/view_paraview.py")
+    if "vtk" in formats:
+        say(f"VisIt: {folder}/vtk/particles_*.vtu database")
+    say(f"view: {PROGRAM} view {folder}")
+    say(f"plots: python python_viz/plot_frame.py {folder}   (and plot_diagnostics.py, plot_phases.py, animate.py)")
+
+
+def spread(sim: Any, seconds: dict[str, float]) -> dict[str, dict[str, float]]:
+    """Least, mean and largest seconds among the ranks of the set-up, the loop, and each phase of it. Collective."""
+    phases = sim.timers.seconds
+    everyone = sim.ranks.allgather({**seconds, **phases, "other": seconds["loop"] - sum(phases.values())})
+    result = {}
+    for name in [*seconds, *sorted(set().union(*everyone) - seconds.keys())]:
+        values = [one.get(name, 0.0) for one in everyone]
+        result[name] = {"min": min(values), "mean": sum(values) / len(values), "max": max(values)}
+    return result
+
+
+def traffic(sim: Any) -> dict[str, int]:
+    """Sums over the ranks of what was sent, and of what happened. Collective."""
+    here, ranks = sim.counted(), sim.ranks
+    counted = {name: sim.totals[name] for name in COUNTS}
+    counted |= {"messages": ranks.messages, "ghost_rows": here["ghost_rows"]}
+    result = dict(zip(counted, ranks.allreduce_sum(np.array(list(counted.values()), np.int64)).tolist()))
+    if here["windows"]:
+        result |= {name: here[name] for name in ("windows", "windows_redone")}
+    return result | {"reductions": ranks.reductions, "pair_searches": here["pair_searches"]}
+
+
+def about_run(sim: Any, plan: dict[str, Any]) -> dict[str, Any]:
+    """The scene, its plan with how often each effect was called, and the versions of all that took part."""
+    calls = sim.calls
+    effects = [row | {"calls": calls.get(row["effect"], 0)} for row in plan["effects"]]
+    not_run = [{"effect": name, "calls": calls.get(name, 0)} for name in plan["not_run"]]
+    return {
+        "scene": sim.scene.to_dict(),
+        "plan": plan | {"effects": effects, "not_run": not_run},
+        "ranks": sim.ranks.size,
+        "versions": {n: version(n) for n in LIBRARIES} | {"python": platform.python_version(), "mpi": mpi_library()},
+    }
