@@ -1,7 +1,7 @@
 """Mutual gravity: every particle attracts every other, fixed ones too; those without mass feel it and do not attract."""
 
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -15,6 +15,9 @@ from particles_mpi.particles import Array, Particles, places_of
 from particles_mpi.scene.effect import Context, EffectOptions, Force
 from particles_mpi.scene.model import NotNegative
 from particles_mpi.scene.schema import Scene
+
+if TYPE_CHECKING:
+    from particles_mpi.gravity.tree import TreeResult
 
 ACCURACY = 1e-3
 PAIRS = 2 * 10**8  # at once
@@ -156,22 +159,22 @@ class TreeSum:
         """Accelerations (n, d). Collective."""
         result = self.sum(particles, particles.mass)
         self.interactions += self.tree.interactions
-        self.known, self.depth = places_of(particles), result[:, 3]
-        return result[:, : particles.dimension]
+        self.known, self.depth = places_of(particles), result.potential
+        return result.acceleration[:, : particles.dimension]
 
     def potential(self, p: Particles) -> Array:
         """Potential (n,), that of movable sources by half: half that of the last `pull` if none is fixed or moved. Collective."""
         known = self.known == places_of(p) and not p.fixed.any()
         if self.ranks.allreduce_min(float(known))[0]:
             return 0.5 * self.depth
-        return self.sum(p, halved(p))[:, 3]
+        return self.sum(p, halved(p)).potential
 
-    def sum(self, p: Particles, mass: Array) -> Array:
+    def sum(self, p: Particles, mass: Array) -> "TreeResult":
         """What the tree gives, with the work of each row from the last time, as long as rows are the same."""
         if self.version != p.version:
             self.version, self.work = p.version, np.ones(len(p))
         result = self.tree.attract(p.id, p.position, mass, self.work)
-        self.work = result[:, 4]
+        self.work = result.work
         return result
 
 

@@ -1,4 +1,4 @@
-"""Attraction by a tree that all ranks share: each builds its part of it and receives the nodes of others that it needs.
+"""TreeResult by a tree that all ranks share: each builds its part of it and receives the nodes of others that it needs.
 
 Particles are sent to the rank that owns their Morton key, in equal shares of the work of the last evaluation, and the results are
 sent back; which rank holds a particle otherwise does not matter. A cut between ranks never divides a group, so every list of
@@ -8,6 +8,8 @@ Of the other ranks' cells a rank needs with all their parts those that its own p
 enough. Together they are its locally essential tree (M. Warren and J. Salmon, Supercomputing '92, 570): joined in the order of
 keys it is the one tree of all particles, without the insides of cells that nobody on this rank opens.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,7 +28,7 @@ from particles_mpi.gravity.octree import (
     sort_ties,
 )
 from particles_mpi.gravity.sources import POTENTIAL
-from particles_mpi.gravity.walk import RESULT, Law, Nodes, walk
+from particles_mpi.gravity.walk import RESULT, WORK, Law, Nodes, walk
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows, rows_in_order, send_rows
@@ -36,6 +38,14 @@ SECTIONS = 64  # into which the keys between two bounds of a cut are divided
 FEW = 0.02  # of the work of a rank: a cut is known well enough where there is no more between its bounds
 SMALLEST = -900  # the least power of two that the side of the cube may be
 LAST_KEY = np.iinfo(np.int64).max
+
+
+class TreeResult(NamedTuple):
+    """What a tree gives for G = 1: accelerations (n, 3), zero beyond the dimension, potentials (n,), and work (n,) of each row."""
+
+    acceleration: Array
+    potential: Array
+    work: Array
 
 
 class Tree:
@@ -50,8 +60,8 @@ class Tree:
         self.interactions = 0
         self.order = np.empty(0, np.int64)  # of this rank's rows by key in the last call, which is nearly that of the next
 
-    def attract(self, ids: Array, position: Array, mass: Array, work: Array) -> Array:
-        """Acceleration, potential, work (n, RESULT) for G = 1, nan if a place is not finite. `work`: the last one. Collective."""
+    def attract(self, ids: Array, position: Array, mass: Array, work: Array) -> TreeResult:
+        """The attraction of all on each row, nan if a place is not finite. `work`: the last one. Collective."""
         ranks, d, self.interactions = self.ranks, self.dimension, 0
         x = np.zeros((len(position), 3))
         x[:, :d] = position
@@ -62,7 +72,7 @@ class Tree:
         ends = ranks.allreduce_max(np.where(np.isnan(ends), np.inf, ends))
         lower, extent = -ends[3:6], float((ends[:3] + ends[3:6]).max())
         if not (extent < np.inf and ends[6] < 1.0):
-            return np.full((len(x), RESULT), np.nan)
+            return columns_of(np.full((len(x), RESULT), np.nan))
         side = max(int(np.frexp(extent)[1]), SMALLEST)  # of the cube, as a power of two, so that cells are halved exactly
         unit = max(int(np.frexp(max(extent, self.law.softening2**0.5))[1]), SMALLEST)  # of length, as a power of two
         x, lower = np.ldexp(x, -unit), np.ldexp(lower, -unit)  # so that high powers of distances are never out of range
@@ -78,7 +88,7 @@ class Tree:
         low, high = [0, *cuts][ranks.rank], [*(cuts - 1), LAST_KEY][ranks.rank]
         found = self.attract_sorted(mine["key"], mine["position"], mine["mass"], low, high, unit)
         back, _ = send_rows(ranks, {"result": found}, rows_in_order(by_key), arriving)
-        return back["result"].take(rows_in_order(order), axis=0)
+        return columns_of(back["result"].take(rows_in_order(order), axis=0))
 
     def cut(self, keys: Array, work: Array) -> Array:
         """The first key of every rank but the first, (ranks - 1,), from this rank's sorted keys. Collective."""
@@ -129,6 +139,11 @@ class Tree:
         their_rows, rows_arriving = send_rows(ranks, rows, chosen_rows, row_numbers)
         nodes_before, rows_before = (int(arriving[: ranks.rank].sum()) for arriving in (nodes_arriving, rows_arriving))
         return insert(nodes, their_nodes, nodes_before), insert(rows, their_rows, rows_before), rows_before
+
+
+def columns_of(result: Array) -> TreeResult:
+    """The columns of a result (n, RESULT)."""
+    return TreeResult(result[:, :POTENTIAL], result[:, POTENTIAL], result[:, WORK])
 
 
 def insert(mine: dict[str, Array], theirs: dict[str, Array], place: int) -> dict[str, Array]:

@@ -29,7 +29,7 @@ from particles_mpi.parallel.communicator import Communicator
 
 def by_tree(x, mass, angle, softening=0.0, quadrupoles=True):
     tree = Tree(Communicator.alone(), x.shape[1], angle, softening**2, quadrupoles)
-    return tree.attract(np.arange(len(x)), x, mass, np.ones(len(x)))
+    return np.column_stack(tree.attract(np.arange(len(x)), x, mass, np.ones(len(x))))  # (n, 5): acceleration, potential, work
 
 
 def by_pairs(x, mass, softening=0.0, of=slice(None)):
