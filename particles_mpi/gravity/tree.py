@@ -41,7 +41,7 @@ LAST_KEY = np.iinfo(np.int64).max
 
 
 class TreeResult(NamedTuple):
-    """What a tree gives for G = 1: accelerations (n, 3), zero beyond the dimension, potentials (n,), and work (n,) of each row."""
+    """What a tree gives for G = 1: accelerations (n, 3), zero beyond the dimension; potentials and the work of each row (n,)."""
 
     acceleration: Array
     potential: Array
