@@ -113,7 +113,7 @@ class Drift:
         """
         p, context = self.rows, self.context
         wrapped = False
-        near = self.persistent.near_faces if self.persistent else None
+        near = self.persistent.walls.near_faces if self.persistent else None
         if near:
             near.known = None
         turns = "orientation" in p.arrays

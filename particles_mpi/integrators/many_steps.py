@@ -74,7 +74,7 @@ class ManySteps:
     @staticmethod
     def suit(effects: ActiveEffects, total: int, persistent: Any) -> bool:
         """Do these kernels compute all that there is, for so many particles?"""
-        if effects.pairs or effects.flows or effects.events or effects.rough or (persistent and not persistent.near_faces):
+        if effects.pairs or effects.flows or effects.events or effects.rough or (persistent and not persistent.walls.near_faces):
             return False
         forces = effects.forces.values()
         together = effects.integrator == "adaptive" or any(force.direct for force in forces)
@@ -105,7 +105,7 @@ class ManySteps:
             drift.totals["wall_hits"] += hits if self.own or self.context.ranks.is_root else 0
         drift.total = None
         if self.persistent:
-            self.persistent.near_faces.known = None
+            self.persistent.walls.near_faces.known = None
         drift.calls.update(dict.fromkeys(self.effects.on_velocities, 2 * done))
         return done
 
@@ -180,7 +180,7 @@ class ManySteps:
         a = p["total_acceleration"] if own else self.summed.g[None, :] if kicked else np.empty((0, d))
         box = self.context.lower, self.context.upper, self.context.length
         on_walls = self.on_walls_of(p)
-        reach = self.persistent.reach(p.fixed, p[SUM], h) if on_walls.kept and n else 0.0
+        reach = self.persistent.walls.reach(p.fixed, p[SUM], h) if on_walls.kept and n else 0.0
         smooth = no_spins(d, np.zeros((1 + len(planes.point), 2)))
         space = Space(tuple(planes), bool(effects.walls), a, own, *box, np.empty(n), smooth, reach, on_walls)
         return Block(bodies, self.forces_on(p), self.losses_of(p, h), space)
@@ -209,7 +209,7 @@ class ManySteps:
         planes = no_planes(d)
         point, normal, faces = planes.point, planes.normal, (planes.lower, planes.upper, planes.oblique)
         if persistent:
-            point, normal, faces = persistent.point, persistent.normal, persistent.faces
+            (point, normal), faces = persistent.walls.planes, persistent.walls.faces
         room = nobody, nobody.copy(), np.empty((n, d)), nobody.copy()
         return OnWalls(persistent is not None, (0.0,) * d, supported, point, normal, faces, *room)
 

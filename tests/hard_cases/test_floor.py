@@ -266,7 +266,7 @@ def test_rows_that_a_drift_tells_near_walls_are_those_that_are_found_by_looking(
             if step == 220:
                 sim.h = 0.03
             if sim is looking:
-                sim.persistent.near_faces = None
+                sim.persistent.walls.near_faces = None
             if sim is not at_once:
                 sim.many_steps = None
             sim.step(collisions=step < 250 or step % 3 != 0)

@@ -1,6 +1,6 @@
 """Contacts that last: spheres that forces press onto walls and one another come to rest there.
 
-operator    what happens after a kick, and with crowds; who is involved
+operator    what happens after a kick, and with crowds
 graph       who is near whom, among the rows of a rank and their ghosts
 detection   which of these may have contacts that last
 slow        which contacts are slow, and so kept
@@ -11,6 +11,6 @@ surfaces    what such a table says of smooth and of rough spheres
 solver      velocities at which none of these closes, solved by all ranks together
 iterations  its compiled loops; smooth_iterations, rough_iterations: what they do with the rows of smooth and of rough spheres
 together    few contacts, which every rank solves for by itself
-on_walls    the same for rows that touch nothing but walls, in one kernel
+walls       which rows the walls concern; on_walls: the same as the solver for those that touch nothing else, in one kernel
 memory      what contacts took last, which goes with the rows
 """

@@ -26,20 +26,17 @@ from particles_mpi.contacts.persistent.detection import (
     SLOW,
     Contacts,
     find_contacts,
-    near_walls,
-    near_walls_among,
     widths,
 )
 from particles_mpi.contacts.persistent.graph import ContactGraph, Exchange, rows_in
 from particles_mpi.contacts.persistent.memory import along_normals, carry_over, recall, remember, send_home
-from particles_mpi.contacts.persistent.on_walls import settle_on_walls
 from particles_mpi.contacts.persistent.problem import Targets
 from particles_mpi.contacts.persistent.rows import Local, gather, hand_over
 from particles_mpi.contacts.persistent.slow import approach, carried, loads, pressing, slow
 from particles_mpi.contacts.persistent.solver import EFFORT, EXACT, OUTLIER, Solver
 from particles_mpi.contacts.persistent.surfaces import Pile, RoughContacts, SmoothContacts, Surfaces
+from particles_mpi.contacts.persistent.walls import Walls
 from particles_mpi.contacts.persistent.zone import inside_zone, spread, zone_around
-from particles_mpi.contacts.walls import NearFaces
 from particles_mpi.contacts.warm_start import Memory, nothing
 from particles_mpi.kernels.markers import CROWD
 from particles_mpi.kernels.planes import Planes
@@ -75,14 +72,10 @@ class PersistentContacts:
         self.ranks, self.length = ranks if pairs else Communicator.alone(), length
         self.pairs, self.uniform, self.tolerance, self.timers = pairs, uniform, tolerance, timers
         self.points = points
-        self.point, self.normal = planes.point[taking], planes.normal[taking]
-        self.faces = planes.lower, planes.upper, planes.oblique
         self.axes = (0.0,) * len(length)
         surfaces = surfaces._replace(walls=surfaces.walls[taking])
         self.law = RoughContacts(self.axes, surfaces) if surfaces.rough else SmoothContacts(self.axes)
-        screens = uniform and not pairs and not planes.oblique
-        self.near_faces = NearFaces() if screens else None  # which a drift with walls tells
-        self.round_off = 1e-12 * np.abs(self.point).max(initial=0.0)
+        self.walls = Walls(planes, taking, screens=uniform and not pairs)
         self.nothing = nothing(self.law.columns)
         self.memory = self.nothing  # of contacts that the graph does not hold
         self.graph: ContactGraph | None = None
@@ -102,7 +95,7 @@ class PersistentContacts:
     def remembered(self) -> Memory:
         """What our rows' contacts took in the last solution."""
         if self.graph is not None:
-            self.memory = remember(self.graph, self.taken, len(self.point))
+            self.memory = remember(self.graph, self.taken, len(self.walls))
         return self.memory
 
     def restore(self, memory: Memory) -> None:
@@ -115,7 +108,7 @@ class PersistentContacts:
         if not self.awake:
             return
         with self.timers("rest"):
-            involved = self.involved(p, a, h)
+            involved = self.walls.involved(p, a, h)
             if not self.pairs:
                 self.keep_on_walls(p, a, h, involved)
                 return
@@ -130,21 +123,6 @@ class PersistentContacts:
             local = self.local(p, a, h, graph)
             inside = inside_zone(local.x, widths(local.radius, local.push, HELD * h, NEAR), zone)
             self.taken[:] = self.solve(p, local, graph, inside, h, self.taken, bool(known))
-
-    def involved(self, p: Particles, a: Array, h: float) -> Array:
-        """Rows that are supported, or have a slow contact with a wall; where pairs are kept, fixed ones too."""
-        state, near = (p.position, p.velocity, a, p.radius), self.near_faces
-        if near and len(p):
-            near.reach = self.reach(p.fixed, a, h)
-            rows = near.within(near.reach, p)  # with all that were held: these have not moved away from their walls
-            if rows is not None:
-                return near_walls_among(rows, *state, p["supported"], h, self.point, self.normal)
-        return near_walls(*state, p.fixed, p["supported"], h, *self.faces, self.point, self.normal)
-
-    def reach(self, fixed: Array, a: Array, h: float) -> float:
-        """How far from walls slow contacts may be, of rows (at least one) with accelerations a (n, d), the same if not fixed."""
-        push = float(np.sqrt((a[np.argmin(fixed)] ** 2).sum()))
-        return 1.000001 * SLOW * h * h * push + self.round_off
 
     def keep_crowds(self, p: Particles, a: Array, h: float) -> None:
         """As `keep`, but contacts with those that are CROWD, and with all who touch them, are kept at any speed. Collective."""
@@ -199,7 +177,7 @@ class PersistentContacts:
         if old is not None and not np.array_equal(old.ids, p.id):  # rows have changed their rank, or their order
             old = None
         memory = send_home(self.ranks, self.nothing if old else self.remembered(), p)
-        walls = len(self.point)
+        walls = len(self.walls)
         return carry_over(old, self.taken, graph, walls) if old else recall(memory, graph, walls)
 
     def local(self, p: Particles, a: Array, h: float, graph: ContactGraph) -> Local:
@@ -270,8 +248,7 @@ class PersistentContacts:
         if found and not crowd and found.graph is graph and all(map(np.array_equal, found.for_these, for_these)):
             return found.contacts
         near = graph.start, graph.other
-        planes = self.point, self.normal
-        columns = find_contacts(self.axes, tuple(local[:6]), near, inside, h, self.length, self.faces, planes)
+        columns = find_contacts(self.axes, tuple(local[:6]), near, inside, h, self.length, self.walls.faces, self.walls.planes)
         contacts = Contacts(*columns)
         self.found = None if crowd else Found(graph, for_these, contacts)
         return contacts
@@ -291,16 +268,12 @@ class PersistentContacts:
         """As `keep`, of rows that nothing but walls can hold: each by itself, to the end, so that nothing need be remembered."""
         if not len(rows):
             return
-        if self.law.rough:
-            graph = ContactGraph(self.ranks, p, rows, np.zeros(len(p)), 0.0, self.length, pairs=False)
-            local, inside = self.local(p, a, h, graph), np.ones(graph.size + 1, np.bool_)
-            self.solve(p, local, graph, inside, h, np.zeros((len(rows) * len(self.point), *self.law.columns)), False)
+        if not self.law.rough:
+            self.give_back(p, rows, *self.walls.settle(p, a, h, rows, self.length))
             return
-        fields = p.position, p.velocity, p.radius, p.mass, p.fixed, p["supported"]
-        v, held = settle_on_walls(
-            self.axes, rows, fields, a, h, self.length, self.faces, (self.point, self.normal), PRECISE
-        )  # fmt: skip
-        self.give_back(p, rows, v, held)
+        graph = ContactGraph(self.ranks, p, rows, np.zeros(len(p)), 0.0, self.length, pairs=False)
+        local, inside = self.local(p, a, h, graph), np.ones(graph.size + 1, np.bool_)
+        self.solve(p, local, graph, inside, h, np.zeros((len(rows) * len(self.walls), *self.law.columns)), False)
 
     def give_back(self, p: Particles, rows: Array, v: Array, held: Array) -> None:
         """To our particles: velocities v of `rows`, and which of them contacts hold."""
