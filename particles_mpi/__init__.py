@@ -14,7 +14,7 @@ forget_stale_kernels()
 __all__ = ["Particles", "Run", "Scene", "SceneError", "Simulation", "StoppedError"]
 __version__ = "0.1.0"
 
-_HOMES = {
+PUBLIC = {  # name → its module
     "Particles": "particles",
     "Run": "results.run",
     "Scene": "scene.schema",
@@ -26,8 +26,8 @@ _HOMES = {
 
 def __getattr__(name: str) -> Any:
     """Import on first use, so that `--help` and the checks of one module do not wait for numba and MPI."""
-    if name not in _HOMES:
+    if name not in PUBLIC:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
-    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    return getattr(import_module(f"{__name__}.{PUBLIC[name]}"), name)

@@ -126,9 +126,9 @@ def view(
     from particles_mpi.results.page import write_page
     from particles_mpi.results.run import Run
 
-    if not IS_ROOT:
+    path = Communicator().run_on_root(lambda: write_page(Run(folder)))
+    if not path:
         return
-    path = write_page(Run(folder))
     print(f"{path} ({path.stat().st_size / 1e6:.1f} MB)")
     if not no_open and (sys.platform in ("darwin", "win32") or {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys()):
         webbrowser.open(path.resolve().as_uri())

@@ -66,7 +66,6 @@ class Simulation(Saved):
         self.take_changes()
         done = 1
         with self.stepping():
-            self.particles.close()
             if self.many_steps and collisions:
                 done = self.many_steps.advance(self._h, self.steps_done, most)
             else:
@@ -107,7 +106,6 @@ class Simulation(Saved):
 
     def advance_to_collision(self) -> tuple[int, int] | None:
         """As `step_to_collision`, for a state that is taken and checked."""
-        self.particles.close()
         near, free = self.near, not (self.active.forces or self.active.on_velocities)
         search = LengthSearch(self.h)
         while True:

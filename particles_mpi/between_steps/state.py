@@ -102,14 +102,14 @@ class State:
         step = self.steps_done + 1
         with HeldInterrupt():
             try:
+                self.particles.close()
+                self.broken = (
+                    f"step {step} ended halfway: its particles belong to no moment; go on from an earlier copy or a checkpoint"
+                )
                 yield
+                self.broken = ""
             except StateError as error:
                 raise StateError(f"step {step}: {error}") from None
-            except BaseException:
-                self.broken = (
-                    f"step {step} was interrupted halfway: its particles belong to no moment; go on from a copy or a checkpoint"
-                )
-                raise
 
     def look_for_many_steps(self) -> None:
         """Can many steps be computed at once, with these effects?"""
@@ -236,9 +236,15 @@ class State:
         return np.arange(self.next_id - added, self.next_id)
 
     def remove(self, ids: Any) -> None:
-        """Take away particles that any rank names by id; ValueError, on all ranks, for ids that no particle has. Collective."""
+        """Take away particles that any rank names by id, integers; ValueError, on all ranks, for what no particle has.
+
+        Collective.
+        """
         self.take_changes()
-        named = np.unique(np.concatenate([np.asarray(of, np.int64).reshape(-1) for of in self.ranks.allgather(ids)]))
+        given = [np.asarray(of).reshape(-1) for of in self.ranks.allgather(ids)]
+        if not all(of.dtype.kind in "iu" for of in given if len(of)):
+            raise ValueError("remove: takes ids, which are integers; of a mask those are sim.particles.id[mask]")
+        named = np.unique(np.concatenate([of.astype(np.int64) for of in given]))
         here = np.isin(self.rows.id, named)
         if self.ranks.allreduce_sum(np.count_nonzero(here))[0] < len(named):
             known = np.concatenate(self.ranks.allgather(self.rows.id[here]))
@@ -254,8 +260,10 @@ class State:
         """
         values = np.asarray(values)
         taken = name in OWN or name in fields_of(self.scene)  # FIELDS also has columns of effects that this scene lacks
-        if taken or name in dir(ParticleView) or values.shape[:1] != (self.total,) or values.dtype.kind not in "biuf":
-            raise ValueError(f"attach: {name!r} must be a new name, with an array of numbers for {self.total} particles")
+        if taken or name in dir(ParticleView) or not name.isidentifier() or name.startswith("_"):
+            raise ValueError(f"attach: {name!r} must be a new name, of letters, digits and _, which is not the first of them")
+        if values.shape[:1] != (self.total,) or values.dtype.kind not in "biuf":
+            raise ValueError(f"attach: {name!r} must come with an array of numbers for {self.total} particles")
         self.take_changes()
         ids = np.sort(np.concatenate(self.ranks.allgather(self.rows.id)))
         self.rows.arrays[name] = values[np.searchsorted(ids, self.rows.id)]

@@ -19,7 +19,7 @@ What an effect needs stands in `needs`: a column of its own per particle (a char
 must have the same bits on any number of ranks.
 
 The other kinds are those of the program's own effects, which are computed together and not one after the other: `Damping`,
-`ConstantFriction`, `WallContacts` and `PairContacts`. A scene can have one of each.
+`ConstantFriction`, `RollingResistance`, `WallContacts` and `PairContacts`. A scene can have one of each.
 """
 
 from particles_mpi.kernels.jit import kernel

@@ -22,9 +22,10 @@ def lattice(count: int, radius: float, room: Container, first: int, last: int) -
 
 def thinned(sites: int, count: int, first: int, last: int) -> Array:
     """The numbers first ... last - 1 of `count` of the sites 0 ... sites - 1, evenly spread."""
-    number = np.arange(first, last, dtype=np.int64)
-    whole, rest = divmod(sites, max(count, 1))  # number * sites could be beyond 2^63
-    return number * whole + number * rest // max(count, 1)
+    if sites <= (2**63 - 1) // max(last, 1):
+        return np.arange(first, last, dtype=np.int64) * sites // max(count, 1)
+    numbers = (number * sites // count for number in range(first, last))  # Python's integers have no end
+    return np.fromiter(numbers, np.int64, last - first)
 
 
 def simple_cubic(count: int, diameter: float, room: Container, margin: float, first: int, last: int) -> Array | None:

@@ -75,6 +75,13 @@ def plain_table(table: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value for name, value in table.items()}
 
 
+def is_listed(scene: Scene, name: str, value: Any) -> bool:
+    """Is the value of a key of `[[particles]]` a list with an entry for each particle, and not one vector for all of them?"""
+    vectors = {"velocity", "acceleration", *(["spin"] if scene.dimension == 3 else [])}
+    one = name in vectors or (name in scene.columns and scene.columns[name].vector)
+    return isinstance(value, list) and not (one and not (value and isinstance(value[0], list)))
+
+
 class Populator:
     """Builds populations (by number) one quantity after the other, behind those that are `there`, with ids from `next_id` on.
 
@@ -169,9 +176,6 @@ class Populator:
     def count_of(self, number: int, population: Population, files: dict[str, Table]) -> int:
         """Particles of a population: `count`, or the length of its lists and `files`, which it reads, and which must agree."""
         given = {name: getattr(population, name) for name in PER_PARTICLE} | (population.model_extra or {})
-        vectors = {"velocity", "acceleration", *(["spin"] if self.scene.dimension == 3 else [])} | {
-            name for name, column in self.scene.columns.items() if column.vector
-        }
         lengths = {} if population.count is None else {"count": population.count}
         for name, value in given.items():
             if isinstance(value, dict) and "file" in value:
@@ -181,7 +185,7 @@ class Populator:
                     return 0
                 files[name] = table
                 lengths[name] = table.total
-            elif isinstance(value, list) and (name not in vectors or (value and isinstance(value[0], list))):
+            elif is_listed(self.scene, name, value):
                 lengths[name] = len(value)
         if not lengths:
             self.faults.add(f"particles[{number}].count: missing")

@@ -84,6 +84,8 @@ def load_json(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
                 arrays[name] = arrays[name].reshape(-1, width)
     except FileNotFoundError:
         raise SceneError(f"{path}: no such file") from None
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read ({error.strerror})") from None
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise SceneError(f"{path}: not a state saved by to_json ({str(error).splitlines()[0]})") from None
     return arrays, state

@@ -2,7 +2,8 @@
 
 In the order in which to read them:
 
-- `files`: what all writers share: errors on all ranks together, files that are replaced as a whole, the columns of a frame
+- `replacing`: files that are replaced as a whole
+- `files`: what all writers share: errors on all ranks together, the columns of a frame
 - `layout`: how frames lie in the HDF5 file that ParaView opens
 - `trajectory`: appends all frames of a run to that file
 - `read_frames`: reads frames back, also while a run writes them

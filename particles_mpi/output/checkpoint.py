@@ -22,7 +22,8 @@ import numpy as np
 
 from particles_mpi.contacts.warm_start import NOTHING, Memory
 from particles_mpi.errors import SceneError
-from particles_mpi.output.files import failing_together, mpi_io_errors, part_of, replacing, sync_folder
+from particles_mpi.output.files import failing_together, mpi_io_errors, sync_folder
+from particles_mpi.output.replacing import part_of, replacing
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, allgather_rows, in_id_order
 from particles_mpi.parallel.shared_file import SharedFile

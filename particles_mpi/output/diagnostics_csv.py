@@ -4,7 +4,8 @@ import csv
 from collections.abc import Mapping
 from pathlib import Path
 
-from particles_mpi.output.files import Continuing, check_last, failing_together, replacing
+from particles_mpi.output.files import Continuing, check_last, failing_together
+from particles_mpi.output.replacing import replacing
 from particles_mpi.parallel.communicator import Communicator
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.errors import SceneError, StoppedError
+from particles_mpi.output.replacing import replacing
 from particles_mpi.parallel.agreement import describe_unexpected, raise_first
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import FIELDS, Array
@@ -98,23 +99,6 @@ def check_last(steps: list[int], resume_step: int, last: int | None) -> None:
         raise ValueError(
             f"it should hold step {last}, and up to step {resume_step} " + (f"ends at {found}" if steps else "is empty")
         )
-
-
-def part_of(path: Path) -> Path:
-    """The temporary file that becomes `path` when it is whole."""
-    return path.with_name(path.name + ".tmp")
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Gives the name of a temporary file, which becomes `path` at the end: at any time `path` is the old file or the new one."""
-    part = part_of(path)
-    try:
-        yield part
-        os.replace(part, path)
-    except BaseException:
-        part.unlink(missing_ok=True)  # half a file is of no use
-        raise
 
 
 def _reason(error: Exception) -> str:

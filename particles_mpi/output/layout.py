@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import h5py
 import numpy as np
 
-from particles_mpi.output.files import replacing
+from particles_mpi.output.replacing import replacing
 
 KINDS = ("Vertices", "Lines", "Polygons", "Strips")  # of cells: particles are vertices, there are no others
 PARTS = ("NumberOfPoints", *(f"{kind}/{what}" for kind in KINDS for what in ("NumberOfCells", "NumberOfConnectivityIds")))

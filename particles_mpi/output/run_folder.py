@@ -8,7 +8,8 @@ from typing import Any
 
 from particles_mpi.errors import SceneError
 from particles_mpi.output.checkpoint import Checkpoint
-from particles_mpi.output.files import failing_together, replacing
+from particles_mpi.output.files import failing_together
+from particles_mpi.output.replacing import replacing
 from particles_mpi.parallel.agreement import differences
 from particles_mpi.parallel.communicator import Communicator
 

@@ -17,7 +17,8 @@ import meshio
 import numpy as np
 
 from particles_mpi.errors import StoppedError
-from particles_mpi.output.files import Continuing, check_last, failing_together, frame_arrays, replacing
+from particles_mpi.output.files import Continuing, check_last, failing_together, frame_arrays
+from particles_mpi.output.replacing import replacing
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
 from particles_mpi.particles import Array, field, rows_of

@@ -236,7 +236,8 @@ def require_finite(ranks: Communicator, p: Particles, values: Any, when: str) ->
         return
     with np.errstate(over="ignore", invalid="ignore"):
         bad = p.id[~np.isfinite((p.velocity**2).sum(axis=1) + p.position.sum(axis=1))]
-    found = [(int(ids.min()), rank) for rank, ids in enumerate(ranks.allgather(bad)) if len(ids)]
+    lowest = ranks.allgather(int(bad.min()) if len(bad) else None)
+    found = [(particle, rank) for rank, particle in enumerate(lowest) if particle is not None]
     if not found:
         raise StateError(f"{when}: velocities are too large for the sum of their squares")
     particle, rank = min(found)

@@ -10,6 +10,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows, by_destination, send_rows
 from particles_mpi.particles import MEETING, Array, Particles, field
 
+OWNER = "rank of the owner"  # a name that no field has
 AT_ONCE = 100_000  # rows that a rank sends away in one message to each other rank
 GROWTH = 1.2  # of the rows that are needed: how many new arrays have space for
 
@@ -77,13 +78,13 @@ class RowBuffers:
         if 0 < most <= AT_ONCE:
             self.send(ranks, leaving, owner[leaving])
         elif most:
-            self.buffers["owner"] = np.resize(owner, len(self.buffers["id"]))  # goes where its row goes
+            self.buffers[OWNER] = np.resize(owner, len(self.buffers["id"]))  # goes where its row goes
             self.show(len(owner))
             while ranks.allreduce_max(len(leaving))[0]:
                 leaving = leaving[:AT_ONCE]
-                self.send(ranks, leaving, self.buffers["owner"][leaving])
-                leaving = np.flatnonzero(self.particles.arrays["owner"] != ranks.rank)
-            del self.buffers["owner"]
+                self.send(ranks, leaving, self.buffers[OWNER][leaving])
+                leaving = np.flatnonzero(self.particles.arrays[OWNER] != ranks.rank)
+            del self.buffers[OWNER]
             self.show(self.count)
         return away
 

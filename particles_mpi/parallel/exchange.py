@@ -180,7 +180,12 @@ def id_range(ranks: Communicator, ids: Array) -> IdRange:
 
 def by_range(numbers: Array, ids: IdRange, writers: int, size: int) -> tuple[Array, Array]:
     """`by_destination` of rows with these ids, where the first `writers` of `size` ranks each own an even part of the range."""
-    return by_destination(((numbers - ids.first + 1) * writers - 1) // max(ids.end - ids.first, 1), size)
+    return by_destination(owners_by_range(numbers, ids, writers), size)
+
+
+def owners_by_range(numbers: Array, ids: IdRange, writers: int) -> Array:
+    """Which of `writers` ranks has each of these ids (n,), in the range, in its part of it."""
+    return ((numbers - ids.first + 1) * writers - 1) // max(ids.end - ids.first, 1)
 
 
 def own_range(rank: int, ids: IdRange, writers: int) -> tuple[int, int]:

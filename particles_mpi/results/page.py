@@ -8,7 +8,6 @@ base64.
 from __future__ import annotations
 
 import json
-import os
 import re
 from base64 import b64encode
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from particles_mpi.errors import SceneError
+from particles_mpi.output.replacing import replacing
 from particles_mpi.results.curves import curves
 from particles_mpi.results.scenery import in_space, scenery
 
@@ -61,10 +61,10 @@ class Column(NamedTuple):
 def write_page(run: Any, path: Path | None = None) -> Path:
     """Write the page of a `Run`, as view.html into its folder if no path is given. Raises SceneError for one without frames."""
     path = path or run.folder / "view.html"
-    text, part = page(run), path.with_name(path.name + ".tmp")
+    text = page(run)
     try:
-        part.write_text(text, encoding="utf-8")
-        os.replace(part, path)
+        with replacing(path) as part:
+            part.write_text(text, encoding="utf-8")
     except OSError as error:
         raise SceneError(f"{path}: cannot be written ({error.strerror})") from None
     return path

@@ -69,13 +69,17 @@ class Job:
         self.plan = plan(self.scene, sim.rows, sim.total, self.ranks.size)
         self.plan["fixed"] = int(self.ranks.allreduce_sum(self.plan["fixed"])[0])
         self.request = StopRequest(self.ranks, self.setup_began, wall_time)  # from here on a signal must not leave half a file
-        about = {"scene": self.scene.to_dict(), "plan": self.plan | {"not_run": [{"effect": n} for n in self.plan["not_run"]]}}
-        self.continues = run_folder.claim(folder, self.ranks, about, resumed, overwrite)
-        self.written = sim.written = sim.written if self.continues else {"row": -1, "frame": -1}
-        self._open()
+        try:
+            self._open(overwrite)
+        except BaseException:
+            self.request.close()
+            raise
 
-    def _open(self) -> None:
-        """The writers that the scene asks for; all have looked at their files before the first one changes its own."""
+    def _open(self, overwrite: bool) -> None:
+        """Claim the folder, and open the writers; all have looked at their files before the first one changes its own."""
+        about = {"scene": self.scene.to_dict(), "plan": self.plan | {"not_run": [{"effect": n} for n in self.plan["not_run"]]}}
+        self.continues = run_folder.claim(self.folder, self.ranks, about, self.resumed, overwrite)
+        self.written = self.sim.written = self.sim.written if self.continues else {"row": -1, "frame": -1}
         output, d, ranks = self.scene.output, self.scene.dimension, self.ranks
         step = self.sim.steps_done if self.continues else None
         frame, row, held = (self.written.get(name) for name in ("frame", "row", "frame_particles"))
@@ -91,10 +95,14 @@ class Job:
             self.frames.append(VtkSeries(self.folder, ranks, d, step, frame))
         names = columns(d, output.observables, "mutual_gravity" in self.scene.effects, "spin" in self.sim.rows.arrays)
         self.diagnostics = Diagnostics(self.folder / "diagnostics.csv", ranks, names, step, row)
-        for writer in (*self.frames, self.diagnostics):
-            writer.open()
-        if output.formats:
-            write_text(self.folder / "view_paraview.py", ranks, paraview_script(self.folder, self.scene.to_dict()))
+        try:
+            for writer in (*self.frames, self.diagnostics):
+                writer.open()
+            if output.formats:
+                write_text(self.folder / "view_paraview.py", ranks, paraview_script(self.folder, self.scene.to_dict()))
+        except (SceneError, StoppedError):  # on all ranks
+            self.close()
+            raise
 
     def _frame(self) -> dict[str, Array]:
         """The fields that a frame shows; `fixed` only where something is."""
@@ -104,17 +112,18 @@ class Job:
     def run(self) -> None:
         """To the last step, or to a signal."""
         sim, output = self.sim, self.scene.output
-        self.screen.plan(self.scene.title, self.plan, sim.warnings)
-        for note in self.notes:
-            self.screen.say(f"  {note}")
-        setup = perf_counter() - self.setup_began
-        begin, done = perf_counter(), sim.steps_done
-        pace = Forecaster(sim, self.last) if self.screen.loud or (self.rehearsal and self.ranks.is_root) else None
-        show = self.screen.start(done, self.last)
         row: dict[str, Any] = {}
-        stopped, shown = False, done
+        stopped, done = False, sim.steps_done
+        shown = done
         periods = output.every, output.diagnostics_every, output.checkpoint_every
         try:
+            self.screen.plan(self.scene.title, self.plan, sim.warnings)
+            for note in self.notes:
+                self.screen.say(f"  {note}")
+            setup = perf_counter() - self.setup_began
+            begin = perf_counter()
+            pace = Forecaster(sim, self.last) if self.screen.loud or (self.rehearsal and self.ranks.is_root) else None
+            show = self.screen.start(done, self.last)
             if not self.resumed:
                 row = self.report()
                 if pace:

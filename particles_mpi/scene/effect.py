@@ -192,4 +192,3 @@ class RollingResistance(Effect):
 
 
 ONE_OF_EACH = (Damping, ConstantFriction, RollingResistance, WallContacts, PairContacts)
-KINDS = (Force, VelocityFlow, Event, *ONE_OF_EACH)

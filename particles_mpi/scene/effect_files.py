@@ -7,9 +7,10 @@ from hashlib import sha256
 from pathlib import Path
 from types import ModuleType
 
-from particles_mpi.scene.effect import KINDS, EffectOptions
+from particles_mpi.scene.effect import ConstantFriction, Damping, EffectOptions, Event, Force, VelocityFlow
 
 PACKAGE = "particles_mpi.effects"
+FROM_FILES = (Force, VelocityFlow, Event, Damping, ConstantFriction)  # contacts are checked and planned by their names
 OUTSIDE = "particles_mpi_effect"  # modules of effects from outside the package are called so, with a digest of their path
 
 
@@ -39,7 +40,7 @@ def load_effect(name: str, file: Path | None) -> ModuleType:
         options, effect = getattr(module, "Options", None), getattr(module, "Effect", None)
         if not (isinstance(options, type) and issubclass(options, EffectOptions)):
             raise ValueError("needs a class Options(EffectOptions)")
-        if not (isinstance(effect, type) and issubclass(effect, KINDS)):
+        if not (isinstance(effect, type) and issubclass(effect, FROM_FILES)):
             raise ValueError("needs a class Effect that is a Force, a VelocityFlow or an Event")
         if not isinstance(getattr(effect, "formula", None), str):
             raise ValueError("its class Effect needs a formula, in one line")

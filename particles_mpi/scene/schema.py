@@ -5,7 +5,16 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError, ValidationInfo, model_validator
+from pydantic import (
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from particles_mpi.errors import SceneError
 from particles_mpi.particles import Array
@@ -85,6 +94,13 @@ class Output(Model):
     diagnostics_every: Annotated[int, Field(ge=1)] = 10
     observables: bool = False
     orientation: bool = False
+
+    @field_validator("formats")
+    @classmethod
+    def _once(cls, formats: list[str]) -> list[str]:
+        if len(set(formats)) < len(formats):
+            raise ValueError("names one of them twice")
+        return formats
 
     def running(self) -> Self:
         return self.model_copy()

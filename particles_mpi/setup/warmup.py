@@ -4,6 +4,7 @@ Very small scenes are run which together use every kernel with every combination
 and on two. The test suite fails at its end if a test has compiled something that these scenes had not: add a scene here then.
 """
 
+import shutil
 import tempfile
 from collections.abc import Callable
 from functools import partial
@@ -213,6 +214,7 @@ def main() -> None:
     tree(world)
     starts(world)
     if world.is_root:
+        shutil.rmtree(claims)
         Sources(PACKAGE).note()
         print(f"kernels compiled in {perf_counter() - begin:.0f} s")
 

@@ -13,7 +13,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Column, Table
 
-from particles_mpi.output.files import replacing
+from particles_mpi.output.replacing import replacing
 from particles_mpi.parallel.communicator import Communicator, mpi_library
 from particles_mpi.run.console import WIDE
 from particles_mpi.run.doctor import usable_cores
@@ -120,7 +120,7 @@ def csv_rows(found: Experiment) -> list[dict[str, Any]]:
 def plain(found: Experiment) -> dict[str, Any]:
     """An experiment for JSON: the errors are the same to the bit each time."""
     rows = [
-        {"setting": row.setting.curve, "knob": row.setting.parameter, "errors": row.errors}
+        {"setting": row.setting.curve, "parameter": row.setting.parameter, "errors": row.errors}
         | {"seconds": [row.seconds.low, row.seconds.median, row.seconds.high], "work": row.work}
         for row in found.rows
     ]

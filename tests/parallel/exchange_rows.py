@@ -19,7 +19,7 @@ def everyone(random, total, dimension):
     """Particles of all ranks, with values that show which row is which."""
     ids = random.permutation(total).astype(np.int64)
     x = ids[:, None] + np.linspace(0.0, 0.5, dimension)
-    return {"id": ids, "position": x, "velocity": -x, "radius": ids * 2.0, "mass": ids + 0.5, "fixed": (ids % 2).astype(np.uint8)}
+    return {"id": ids, "position": x, "velocity": -x, "radius": ids * 2.0, "mass": ids + 0.5, "owner": -ids}
 
 
 for seed, total, dimension, emptied in json.loads(Path(sys.argv[1]).read_text()):

@@ -42,4 +42,4 @@ def test_a_run_that_cannot_be_counted_ends_with_one_line(tmp_path, ranks, when, 
     assert done.returncode == code, done.stderr
     lines = done.stderr.splitlines()
     assert len(lines) == 1 and lines[0].startswith("particles-mpi: ") and lines[0].endswith(said), done.stderr
-    assert not list(tmp_path.glob("out/*.part"))  # nothing half-written
+    assert not list(tmp_path.glob("out/**/*.tmp"))  # nothing half-written

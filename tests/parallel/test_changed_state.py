@@ -175,9 +175,15 @@ def test_arrays_of_an_earlier_step_cannot_be_written_to_unnoticed():
     sim.step()
     with pytest.raises(ValueError, match="read-only"):
         whole *= 2.0
+    place = part[0]
     part[0] = 1.0
     with pytest.raises(StateError, match=r"step 2: particles\.position: an array of an earlier step was written to"):
         sim.step()
+    part[0] = place  # that step has not begun
+    sim.step()
+    other = Simulation(Scene.from_dict(SCENES["elastic"]))
+    other.steps(2)
+    assert sim == other
 
 
 @pytest.mark.parametrize(
@@ -201,6 +207,10 @@ def test_arrays_of_an_earlier_step_cannot_be_written_to_unnoticed():
         ("sim.effects['walls'].bounce = 2.0", AttributeError, "no option 'bounce'"),
         ("sim.scene.time.step = 0.5", AttributeError, r"set sim\.h"),
         ("sim.h = 0.0", ValueError, "above 0"),
+        ("sim.remove(sim.particles.mass > 2.5)", ValueError, r"integers; of a mask those are sim\.particles\.id\[mask\]"),
+        ("sim.remove([1.7])", ValueError, "takes ids, which are integers"),
+        ("sim.remove([-1, 10**9])", ValueError, r"remove: no particles -1 and 1000000000"),
+        *((f"sim.attach({name!r}, sim.particles.mass)", ValueError, "must be a new name") for name in ("a/b", "_mine", "")),
     ],
 )
 def test_what_cannot_be_changed_says_so(wrong, error, says):
@@ -255,5 +265,17 @@ def test_a_step_that_ended_halfway_is_not_gone_on_from(monkeypatch):
         sim.step()
     monkeypatch.undo()
     for use in (sim.step, sim.copy, sim.measure):
-        with pytest.raises(StateError, match="step 1 was interrupted"):
+        with pytest.raises(StateError, match="step 1 ended halfway"):
+            use()
+
+
+def test_a_step_that_was_stopped_is_not_gone_on_from():
+    """Two bodies meet head on in the middle of a step of `adaptive`: the third has moved by then, but the clock has not."""
+    bodies = {"position": [[0.0, 0.0], [1.0, 0.0], [50.0, 0.0]], "velocity": [[0.0, 0.0], [0.0, 0.0], [0.1, 0.0]], "mass": 1.0}
+    time = {"step": 3.0, "steps": 5, "integrator": "adaptive"}
+    sim = Simulation(Scene(dimension=2, G=1.0, time=time, particles=[bodies], effects={"mutual_gravity": {}}))
+    with pytest.raises(StateError, match=r"step 1: .* softening helps"):
+        sim.step()
+    for use in (sim.step, sim.copy, sim.measure):
+        with pytest.raises(StateError, match="step 1 ended halfway"):
             use()

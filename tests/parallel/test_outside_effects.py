@@ -210,6 +210,7 @@ def test_what_would_be_ignored_is_refused(tmp_path):
             "from particles_mpi.effects import EffectOptions as Options\nclass Effect: pass",
             "needs a class Effect that is",
         ),
+        ("hard", (OUTSIDE.parents[2] / "particles_mpi/effects/collisions.py").read_text(), "a Force, a VelocityFlow or an Event"),
         ("taken", (OUTSIDE / "gate.py").read_text().replace("crossings", "mass"), "column 'mass': the name is taken"),
     ]:
         (tmp_path / f"{name}.py").write_text(lines)

@@ -43,7 +43,7 @@ def test_errors_are_the_same_on_any_number_of_ranks(reports, only):
         for a, b in zip(one["rows"], two["rows"], strict=True):
             if one["key"] == "H":  # messages are between ranks
                 a["errors"].pop("messages"), b["errors"].pop("messages")
-            assert (a["setting"], a["knob"], a["errors"]) == (b["setting"], b["knob"], b["errors"])
+            assert (a["setting"], a["parameter"], a["errors"]) == (b["setting"], b["parameter"], b["errors"])
 
 
 def test_an_effect_alone_sends_nothing(reports):

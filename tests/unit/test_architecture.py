@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+import particles_mpi
+
 PACKAGE = Path(__file__).parents[2] / "particles_mpi"
 ALLOWED = {"mpi4py": ("parallel/", "cli.py"), "h5py": ("output/",), "meshio": ("output/",)}
 # Folders and files at the root, from the lowest floor to the highest: a module imports only from its own floor and those below.
@@ -35,13 +37,6 @@ FLOORS = (
     "cli",
     "__main__",
 )
-PUBLIC = {
-    "Particles": "particles",
-    "Run": "results.run",
-    "Scene": "scene.schema",
-    "SceneError": "errors",
-    "Simulation": "simulation",
-}
 
 
 def modules():
@@ -59,7 +54,7 @@ def imported():
             if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == PACKAGE.name:
                 base = node.module.partition(".")[2]
                 for alias in node.names:
-                    whole = f"{base}.{alias.name}" if base else PUBLIC.get(alias.name, alias.name)
+                    whole = f"{base}.{alias.name}" if base else particles_mpi.PUBLIC.get(alias.name, alias.name)
                     found[name].add(whole if whole in known else base)
     return found
 

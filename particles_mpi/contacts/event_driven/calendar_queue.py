@@ -14,11 +14,13 @@ from particles_mpi.kernels.jit import in_place, lean, lean_inner
 from particles_mpi.particles import Array
 
 PARTNER, PARTNER_COUNT, NEXT, PREVIOUS, BUCKET = range(5)  # columns of `node`
-NODE, TIME = 8, 3  # width of a node, half a line of the cache; column of `times`
-NO_EVENT = -(2**30)  # values of PARTNER: nothing happens before the end of the drift
+NODE = 8  # width of a node, half a line of the cache
+TIME = 3  # column of `times`
+# Values of PARTNER: a row, which is >= 0; -1 - w for wall w; or
+NO_EVENT = -(2**30)  # nothing happens before the end of the drift
+LIST_EXPIRY = NO_EVENT + 1  # it gets to its skin, where its neighbour list expires
 MANY = 64  # events in a bucket: to search it for each of them would take longer than to sort it
 EMPTY, UNSORTED = -1, -2  # what `find_first` returns for a bucket without events, and for one with MANY
-LIST_EXPIRY = NO_EVENT + 1  # it gets to its skin, where its neighbour list expires; -1 - w is wall w, and rows are >= 0
 
 
 class Queue(NamedTuple):

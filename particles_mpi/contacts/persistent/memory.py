@@ -6,7 +6,7 @@ from particles_mpi.contacts.persistent.graph import ContactGraph
 from particles_mpi.contacts.warm_start import Memory
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exchange import by_destination, id_range, send_rows
+from particles_mpi.parallel.exchange import by_destination, id_range, owners_by_range, send_rows
 from particles_mpi.particles import Array, Particles, rows_of
 
 
@@ -96,7 +96,7 @@ def send_home(ranks: Communicator, memory: Memory, p: Particles) -> Memory:
         return send_rows(ranks, columns, *by_destination(to, ranks.size))
 
     def middle(ids: Array) -> Array:
-        return (np.clip(ids, known.first, known.end - 1) - known.first) * ranks.size // max(known.end - known.first, 1)
+        return owners_by_range(np.clip(ids, known.first, known.end - 1), known, ranks.size)
 
     strays = {name: column[~here] for name, column in memory._asdict().items()}
     strays, _ = send(strays, middle(strays["id"]))

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.errors import SceneError
+from particles_mpi.output.replacing import replacing
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Particles
 from particles_mpi.run.console import Screen
@@ -172,7 +173,8 @@ def study(only: str | None, full: bool, into: Path | None, comm: Any = None) -> 
     bits = f", each with the bits of one rank on {ranks.size}" if ranks.size > 1 else ""
     screen.say(f"{held} of {len(found)} hold{bits}")
     if into and ranks.is_root:
-        into.write_text(json.dumps(found, indent=1) + "\n")
+        with replacing(into) as part:
+            part.write_text(json.dumps(found, indent=1) + "\n")
     return held == len(found)
 
 

@@ -8,6 +8,7 @@ from rich.table import Table
 
 from particles_mpi import Scene
 from particles_mpi.errors import SceneError, StoppedError
+from particles_mpi.output.replacing import replacing
 from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.run.console import Screen
 from particles_mpi.study.experiment import Benchmark, Errors
@@ -176,6 +177,7 @@ def save(found: Recommendation, source: Path, target: Path) -> None:
     )
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(written(found.tables, source, target, remark), encoding="utf-8")
+        with replacing(target) as part:
+            part.write_text(written(found.tables, source, target, remark), encoding="utf-8")
     except OSError as error:
         raise SceneError(f"{target}: cannot be written ({error.strerror})") from None

@@ -4,6 +4,7 @@ from math import prod
 from typing import Any
 
 from particles_mpi.errors import SceneError
+from particles_mpi.initial.populate import is_listed
 from particles_mpi.scene.schema import Scene
 
 
@@ -15,7 +16,9 @@ def scale_scene(scene: Scene, factor: float) -> Scene:
     """
     tables, stretch = scene.to_dict(), factor ** (1.0 / scene.dimension)
     origin = tables["box"]["lower"] if scene.box else [0.0] * scene.dimension
-    if faults := [fault for number, one in enumerate(tables["particles"]) for fault in listed(f"particles[{number}]", one)]:
+    if faults := [
+        fault for number, one in enumerate(tables["particles"]) for fault in listed(scene, f"particles[{number}]", one)
+    ]:
         raise SceneError(faults)
 
     def moved(point: list[float]) -> list[float]:
@@ -32,11 +35,11 @@ def scale_scene(scene: Scene, factor: float) -> Scene:
     return Scene.from_dict(tables, scene.folder)
 
 
-def listed(key: str, population: dict[str, Any]) -> list[str]:
+def listed(scene: Scene, key: str, population: dict[str, Any]) -> list[str]:
     """What of a population is given particle by particle, and so for no other number of them; a line each."""
     faults = []
     for name, value in population.items():
-        if isinstance(value, list) and (name not in ("velocity", "acceleration") or any(isinstance(row, list) for row in value)):
+        if is_listed(scene, name, value):
             faults.append(f"{key}.{name}: is listed, particle by particle")
         if isinstance(value, dict) and "file" in value:
             faults.append(f"{key}.{name}: comes from a file")

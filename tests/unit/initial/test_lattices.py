@@ -26,8 +26,8 @@ def test_every_second_point_of_a_grid(layers):
 def test_sites_are_thinned_evenly_and_beyond_64_bits():
     for sites, count in [(7, 3), (100, 99), (5, 5), (1, 1)]:
         assert thinned(sites, count, 0, count).tolist() == [k * sites // count for k in range(count)]
-    sites, count = 10**13 + 7, 10**13
-    assert thinned(sites, count, count - 3, count).tolist() == [k * sites // count for k in range(count - 3, count)]
+    for sites, count in [(10**13 + 7, 10**13), (8 * 10**9 - 1, 4 * 10**9), (2**62, 2**61 + 1)]:
+        assert thinned(sites, count, count - 3, count).tolist() == [k * sites // count for k in range(count - 3, count)]
 
 
 @pytest.mark.parametrize("periodic", [0.0, 1.0])

@@ -87,6 +87,8 @@ def test_other_files_are_one_clear_line(tmp_path, text):
         Simulation.from_json(path)
     with pytest.raises(SceneError, match="no such file"):
         Simulation.from_json(tmp_path / "missing.json")
+    with pytest.raises(SceneError, match="cannot be read"):
+        Simulation.from_json(tmp_path)
 
 
 def test_printed_as_a_table():

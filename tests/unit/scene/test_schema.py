@@ -94,6 +94,7 @@ def test_scene_survives_its_own_tables(path):
         ({"particles": [{"position": [[0.5, 0.5]], "acceleration": [0, 1]}]}, ["particles[0].acceleration"]),
         ({"output": {"every": 0}}, ["output.every"]),
         ({"output": {"formats": ["png"]}}, ["output.formats"]),
+        ({"output": {"formats": ["vtk", "vtk"]}}, ["output.formats"]),
         ({"seed": -1}, ["seed"]),
         ({"seed": 2**64}, ["seed"]),
         ({"folder": "/tmp"}, ["folder"]),

@@ -77,6 +77,9 @@ def test_what_is_listed_has_no_weak_scaling(population, key):
 def test_which_settings_are_measured():
     assert rank_counts(1) == [1] and rank_counts(6) == [1, 2, 4, 6] and rank_counts(8) == [1, 2, 4, 8]
     assert not unable_to_grow(gas(velocity=[0.0, 0.0, 1.0]))  # one vector for all
+    turning = {"count": 10, "position": "random", "radius": 0.1, "spin": [0.0, 0.0, 1.0]}
+    rough = Scene.from_dict(gas().to_dict() | {"particles": [turning], "effects": {"collisions": {"friction": 0.3}}})
+    assert not unable_to_grow(rough) and scale_scene(rough, 2).particles[0].spin == [0.0, 0.0, 1.0]
     assert settings(gas(), [1, 2], [1.0], True) == [(1.0, 1), (1.0, 2), (2.0, 2)]
     assert settings(Scene.load(HEADLINE), [1, 2], [1.0, 8.0], True)[-2:] == [(2.0, 2), (1 / 8, 1)]
 

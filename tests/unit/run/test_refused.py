@@ -1,0 +1,47 @@
+"""A run that does not begin leaves nothing behind in the process: signals mean what they meant, and no file is open."""
+
+import signal
+
+import pytest
+
+from particles_mpi import Scene, SceneError, Simulation, StoppedError
+from particles_mpi.output.diagnostics_csv import Diagnostics
+from particles_mpi.parallel.signals import SIGNALS
+from particles_mpi.run.console import Screen
+
+
+def simulation():
+    tables = {"time": {"step": 0.01, "steps": 3}, "particles": [{"position": [[0.0, 0.0]], "velocity": [1.0, 0.0]}]}
+    return Simulation(Scene.from_dict({"dimension": 2, "effects": {}} | tables))
+
+
+def another_run(folder, monkeypatch):
+    simulation().run(folder)
+
+
+def a_full_disk(folder, monkeypatch):
+    monkeypatch.setattr(Diagnostics, "prepare", refuse)
+
+
+def refuse(_):
+    raise OSError("No space left on device")
+
+
+def no_screen(folder, monkeypatch):
+    monkeypatch.setattr(Screen, "plan", lambda *_: 1 // 0)
+
+
+@pytest.mark.parametrize(
+    "hindrance, error",
+    [(another_run, SceneError), (a_full_disk, StoppedError), (no_screen, ZeroDivisionError)],
+)
+def test_a_refused_run_can_be_done_again(hindrance, error, tmp_path, monkeypatch):
+    before = [signal.getsignal(number) for number in SIGNALS]
+    hindrance(tmp_path / "out", monkeypatch)
+    sim = simulation()
+    with pytest.raises(error):
+        sim.run(tmp_path / "out")
+    assert [signal.getsignal(number) for number in SIGNALS] == before
+    monkeypatch.undo()
+    sim.run(tmp_path / "out", overwrite=True)
+    assert sim.steps_done == 3 and (tmp_path / "out/run.json").exists()
