@@ -111,21 +111,21 @@ class Simulation(Saved):
         while True:
             h, before = search.h, None if free else Trial(self)
             self.advance(h, stop=True)
-            reached, met = float(near.stopped[0]), near.stop[1] >= 0
+            reached, met = near.reached, near.met
             if not met and h == self.h:
                 self.particles.open()
                 self.steps_done += 1
                 return None
-            if before is None or search.ends_with(reached - h, met):
+            if before is None or search.ends_with(reached - h, met is not None):
                 break
             before.undo()
             if search.jump:
                 self.advance(search.h)
-                reached, met = search.h, False
+                reached, met = search.h, None
                 break
         self.moment = self.time + reached, self.steps_done
         self.particles.open()
-        return (int(near.stop[1]), int(near.stop[2])) if met else None
+        return met
 
     def run(self, output: str | Path | None = None, quiet: bool = True, **options: Any) -> None:
         """Step to the end of the scene; with `output` (a folder) write everything the scene asks for. Collective."""

@@ -92,9 +92,9 @@ class Drift:
             from particles_mpi.contacts.event_driven.operator import EventDriven
 
             duration = pairs.options.contact_duration
-            exact = EventDriven(self.rows, context.ranks, box, loss, law, duration, planes, context.timers)
-            if self.persistent and self.persistent.pairs:
-                exact.hold = lambda h: self.persistent.keep_crowds(self.rows, accelerations(), h)
+            keeps = self.persistent and self.persistent.pairs
+            hold = (lambda h: self.persistent.keep_crowds(self.rows, accelerations(), h)) if keeps else None
+            exact = EventDriven(self.rows, context.ranks, box, loss, law, duration, planes, context.timers, hold)
         if pairs.options.mode == "event":
             self.near = self.operator = exact
             return
@@ -113,9 +113,9 @@ class Drift:
         """
         p, context = self.rows, self.context
         wrapped = False
-        near = self.persistent.walls.near_faces if self.persistent else None
-        if near:
-            near.known = None
+        near_faces = self.persistent.walls.near_faces if self.persistent else None
+        if near_faces:
+            near_faces.known = None
         turns = "orientation" in p.arrays
         spin = p["spin"].copy() if turns and stop else None
         if turns and not stop:  # by the spins before hits for half of the time, and by those after them: off by little
@@ -125,13 +125,13 @@ class Drift:
             stopping = {"stop": True} if stop else {}
             found = self.operator.drift(h, time, rates, **stopping)
             if stop:
-                h = float(self.near.stopped[0])
+                h = self.near.reached
             happened = [*found, self.near.migrated - migrated]
             self.calls.update([*self.pair_names, *self.wall_names])
             wrapped = True  # ghosts too
         elif contacts and self.effects.walls:
             with context.timers("walls"):
-                happened = [0, self.effects.walls.drift(p, h, rates.of(p.arrays), near), 0, 0]
+                happened = [0, self.effects.walls.drift(p, h, rates.of(p.arrays), near_faces), 0, 0]
             self.calls.update(self.wall_names)
         else:
             with context.timers("drift"):
@@ -197,7 +197,7 @@ class Drift:
     def work(self) -> dict[str, int]:
         """Searches for neighbours, ghosts, tests of pairs and windows of time so far, of this rank."""
         near = self.near
-        windows = near.windows_redone if near and near.windows_redone else (0, 0)
+        windows = near.windows_redone if near else (0, 0)
         now = {
             "pair_tests": near.pair_tests if near else 0,
             "pair_searches": near.searches if near else 0,

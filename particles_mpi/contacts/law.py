@@ -102,7 +102,7 @@ def overlap(r2, one, other):
 
 
 @inner(inline="always")
-def exchange(axes, v, column, r, i, j, w_i, w_j, t, restitution, velocity_factor, rates):
+def apply_impulse(axes, v, column, r, i, j, w_i, w_j, t, restitution, velocity_factor, rates):
     """The law of a contact at time t: changes the velocities of rows i and j, which are r = x_i - x_j (d,) apart.
 
     The velocity of row i is v[i, column:], since the rows of mode event hold more than that. v_i -= (1+e) (w_i/(w_i+w_j))
@@ -119,7 +119,7 @@ def exchange(axes, v, column, r, i, j, w_i, w_j, t, restitution, velocity_factor
     if weight == 0.0:  # spheres smaller than round-off of their places: there is no normal
         return 0.0
     if len(rates.a) > 0:
-        change = exchange_at_contact(v, column, r, r2, i, j, w_i, w_j, t - rates.t_mid, restitution, velocity_factor, rates)
+        change = apply_impulse_at_contact(v, column, r, r2, i, j, w_i, w_j, t - rates.t_mid, restitution, velocity_factor, rates)
         if change != 0.0:
             return change
     change = (1.0 + restitution) * approach
@@ -131,8 +131,8 @@ def exchange(axes, v, column, r, i, j, w_i, w_j, t, restitution, velocity_factor
 
 
 @lean_inner
-def exchange_at_contact(v, column, r, r2, i, j, w_i, w_j, tau, restitution, velocity_factor, rates):
-    """`exchange` of the velocities at the moment of contact, a time tau after the middle of the step: see `velocity_flow`.
+def apply_impulse_at_contact(v, column, r, r2, i, j, w_i, w_j, tau, restitution, velocity_factor, rates):
+    """`apply_impulse` of the velocities at the moment of contact, a time tau after the middle of the step: see `velocity_flow`.
 
     An elastic contact under constant forces then changes no energy, wherever in the step it is: over the step the energy
     changes by the sum of m (V'-V).((V'+V)/2 + a tau) as the velocities of segments change from V to V'. Returns 0, and
@@ -193,5 +193,5 @@ def collide_pair(axes, segments, spheres, i, j, t, loss, length, rates, rough, r
         both = w[i], w[j], radius[i], radius[j]
         change = strike_pair(axes, v, column, rough, r, i, j, both, t, restitution, rates)
     else:
-        change = exchange(axes, v, column, r, i, j, w[i], w[j], t, restitution, velocity_factor, rates)
+        change = apply_impulse(axes, v, column, r, i, j, w[i], w[j], t, restitution, velocity_factor, rates)
     return -change / (w[i] + w[j])

@@ -32,7 +32,7 @@ class Rough(NamedTuple):
     """What contacts of rough spheres need to know of n particles; in a smooth scene no array has a row but `law` and scratch."""
 
     spin: Array  # (n, d(d-1)/2) angular velocities
-    turn: Array  # (n,) inverse moments of inertia, 0 for what does not turn
+    inverse_inertia: Array  # (n,) inverse moments of inertia, 0 for what does not turn
     law: Array  # (1 + walls, 2): FRICTION mu, 0 where contacts are smooth, and TANGENTIAL restitution beta_0
     normal: Array  # (d,) scratch
     impulse: Array  # (d,) scratch
@@ -56,8 +56,8 @@ def plane_of(axes, p, q):
 
 @lean_inner
 def strike_pair(axes, v, column, rough, r, i, j, spheres, t, restitution, rates):
-    """The law of a contact of the rows i and j, r = x_i - x_j (d,) apart, at time t; in place. As `law.exchange`: returns the
-    change of r.u; v and column as there. `spheres`: inverse masses and radii of i and j."""
+    """The law of a contact of the rows i and j, r = x_i - x_j (d,) apart, at time t; in place. As `law.apply_impulse` it
+    returns the change of r.u; v and column as there. `spheres`: inverse masses and radii of i and j."""
     w_i, w_j, radius_i, radius_j = spheres
     r2 = 0.0
     for k in range(len(axes)):
@@ -159,8 +159,8 @@ def speed2(axes, v, column, i):
 def to_impulse(axes, rough, which, i, j, bodies, approach, restitution):
     """rough.impulse (d,), which is v_i - v_j, becomes the impulse J on i; `approach`: u.k."""
     w_i, w_j, arm_i, arm_j = bodies
-    spin, turn, normal, u = rough.spin, rough.turn, rough.normal, rough.impulse
-    mobility = w_i + w_j + (arm_i * arm_i * turn[i] + (arm_j * arm_j * turn[j] if j >= 0 else 0.0))
+    spin, inverse_inertia, normal, u = rough.spin, rough.inverse_inertia, rough.normal, rough.impulse
+    mobility = w_i + w_j + (arm_i * arm_i * inverse_inertia[i] + (arm_j * arm_j * inverse_inertia[j] if j >= 0 else 0.0))
     for p in range(len(axes)):
         for q in range(p + 1, len(axes)):
             c, sign = plane_of(axes, p, q)
@@ -184,11 +184,11 @@ def to_impulse(axes, rough, which, i, j, bodies, approach, restitution):
 def turn_both(axes, rough, i, j, bodies):
     """The spins of i and j after the impulse `rough.impulse`."""
     _, _, arm_i, arm_j = bodies
-    spin, turn, normal, impulse = rough.spin, rough.turn, rough.normal, rough.impulse
+    spin, inverse_inertia, normal, impulse = rough.spin, rough.inverse_inertia, rough.normal, rough.impulse
     for p in range(len(axes)):
         for q in range(p + 1, len(axes)):
             c, sign = plane_of(axes, p, q)
             torque = sign * (normal[p] * impulse[q] - normal[q] * impulse[p])
-            spin[i, c] -= turn[i] * arm_i * torque
+            spin[i, c] -= inverse_inertia[i] * arm_i * torque
             if j >= 0:
-                spin[j, c] -= turn[j] * arm_j * torque
+                spin[j, c] -= inverse_inertia[j] * arm_j * torque

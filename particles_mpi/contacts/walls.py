@@ -56,7 +56,7 @@ def wall_contact(axes, x, v, column, start, i, radius, last_partner, h, planes):
 def bounce(axes, v, column, i, w, normal, restitution, velocity_factor, inverse_mass, t, rates):
     """The law of a contact with wall w at time t: v -= (1+e)(v.n) n, then v times `velocity_factor`.
 
-    `law.exchange` is the law of a pair.
+    `law.apply_impulse` is the law of a pair.
     """
     speed = 0.0
     for k in range(len(axes)):

@@ -54,7 +54,7 @@ def enter_cell(far, n, r, cell, mass_unit, moment_unit):
     entry[0, lane], entry[1, lane], entry[2, lane], entry[FAR_MASS, lane] = r[0], r[1], r[2], mass_unit * cell[MASS]
     for e in range(6):
         half = 0.5 if e == 0 or e == 3 or e == 5 else 1.0  # the others count twice
-        entry[4 + e, lane] = half * (moment_unit * cell[SECOND + e])
+        entry[FAR_MASS + 1 + e, lane] = half * (moment_unit * cell[SECOND + e])
     return n + 1
 
 

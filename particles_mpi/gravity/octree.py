@@ -160,7 +160,7 @@ def leaf_moments(cell, bound, x, mass):
             bound[k], bound[3 + k] = min(bound[k], x[p, k]), max(bound[3 + k], x[p, k])
     center_of_mass(cell, bound)
     for p in range(len(x)):
-        r2 = add_second_moments(cell, x[p, 0] - cell[1], x[p, 1] - cell[2], x[p, 2] - cell[3], mass[p])
+        r2 = add_second_moments(cell, x[p, 0] - cell[CENTER], x[p, 1] - cell[CENTER + 1], x[p, 2] - cell[CENTER + 2], mass[p])
         cell[RADIUS] = max(cell[RADIUS], sqrt(r2) * SAFE)
 
 
@@ -182,8 +182,9 @@ def combine_moments(i, skip, cells, bounds):
     center_of_mass(cell, bound)
     part = i + 1
     while part < skip[i]:
-        dx, dy, dz = cells[part, 1] - cell[1], cells[part, 2] - cell[2], cells[part, 3] - cell[3]
-        r2 = add_second_moments(cell, dx, dy, dz, cells[part, MASS])
+        sub = cells[part]
+        dx, dy, dz = sub[CENTER] - cell[CENTER], sub[CENTER + 1] - cell[CENTER + 1], sub[CENTER + 2] - cell[CENTER + 2]
+        r2 = add_second_moments(cell, dx, dy, dz, sub[MASS])
         for e in range(6):
             cell[SECOND + e] += cells[part, SECOND + e]
         cell[RADIUS] = max(cell[RADIUS], (sqrt(r2) + cells[part, RADIUS]) * SAFE)

@@ -36,7 +36,7 @@ class Units(NamedTuple):
     softening2: Any  # eps^2 in these units, as a number of this kind
 
 
-class Lists(NamedTuple):
+class SourceLists(NamedTuple):
     """Arrays of one kind of numbers, which all groups use, one after the other."""
 
     at: Any  # three arrays: coordinates of the targets, in whole blocks
@@ -48,10 +48,10 @@ class Lists(NamedTuple):
 
 @inner
 def new_lists(most, kind):
-    """Lists for groups of up to `most` targets, in numbers of this kind: np.float64 or np.float32."""
+    """SourceLists for groups of up to `most` targets, in numbers of this kind: np.float64 or np.float32."""
     at = np.empty(most, kind), np.empty(most, kind), np.empty(most, kind)
     sums = np.empty(most, kind), np.empty(most, kind), np.empty(most, kind), np.empty(most, kind)
-    return Lists(at, sums, np.empty((LIST, 4), kind), np.empty(LIST, np.int64), np.empty((LIST, RADIUS), kind))
+    return SourceLists(at, sums, np.empty((LIST, 4), kind), np.empty(LIST, np.int64), np.empty((LIST, RADIUS), kind))
 
 
 @adding

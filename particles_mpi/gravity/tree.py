@@ -72,7 +72,7 @@ class Tree:
         ends = ranks.allreduce_max(np.where(np.isnan(ends), np.inf, ends))
         lower, extent = -ends[3:6], float((ends[:3] + ends[3:6]).max())
         if not (extent < np.inf and ends[6] < 1.0):
-            return columns_of(np.full((len(x), RESULT), np.nan))
+            return named_columns(np.full((len(x), RESULT), np.nan))
         side = max(int(np.frexp(extent)[1]), SMALLEST)  # of the cube, as a power of two, so that cells are halved exactly
         unit = max(int(np.frexp(max(extent, self.law.softening2**0.5))[1]), SMALLEST)  # of length, as a power of two
         x, lower = np.ldexp(x, -unit), np.ldexp(lower, -unit)  # so that high powers of distances are never out of range
@@ -88,7 +88,7 @@ class Tree:
         low, high = [0, *cuts][ranks.rank], [*(cuts - 1), LAST_KEY][ranks.rank]
         found = self.attract_sorted(mine["key"], mine["position"], mine["mass"], low, high, unit)
         back, _ = send_rows(ranks, {"result": found}, rows_in_order(by_key), arriving)
-        return columns_of(back["result"].take(rows_in_order(order), axis=0))
+        return named_columns(back["result"].take(rows_in_order(order), axis=0))
 
     def cut(self, keys: Array, work: Array) -> Array:
         """The first key of every rank but the first, (ranks - 1,), from this rank's sorted keys. Collective."""
@@ -138,15 +138,15 @@ class Tree:
         their_nodes, nodes_arriving = send_rows(ranks, outgoing, np.arange(len(chosen)), node_numbers)
         their_rows, rows_arriving = send_rows(ranks, rows, chosen_rows, row_numbers)
         nodes_before, rows_before = (int(arriving[: ranks.rank].sum()) for arriving in (nodes_arriving, rows_arriving))
-        return insert(nodes, their_nodes, nodes_before), insert(rows, their_rows, rows_before), rows_before
+        return inserted(nodes, their_nodes, nodes_before), inserted(rows, their_rows, rows_before), rows_before
 
 
-def columns_of(result: Array) -> TreeResult:
+def named_columns(result: Array) -> TreeResult:
     """The columns of a result (n, RESULT)."""
     return TreeResult(result[:, :POTENTIAL], result[:, POTENTIAL], result[:, WORK])
 
 
-def insert(mine: dict[str, Array], theirs: dict[str, Array], place: int) -> dict[str, Array]:
+def inserted(mine: dict[str, Array], theirs: dict[str, Array], place: int) -> dict[str, Array]:
     """The rows of others with this rank's own inserted at `place`."""
     if not any(map(len, theirs.values())):
         return mine

@@ -23,7 +23,7 @@ from particles_mpi.gravity.sources import (
     BLOCK,
     LIST,
     POTENTIAL,
-    Lists,
+    SourceLists,
     Units,
     add_cells,
     add_points,
@@ -82,8 +82,8 @@ class Group(NamedTuple):
 class Room(NamedTuple):
     """What all groups use, one after the other."""
 
-    double: Lists  # in float64, for sources that are close
-    single: Lists  # in float32, for all others
+    double: SourceLists  # in float64, for sources that are close
+    single: SourceLists  # in float32, for all others
     total: Any  # four arrays in float64: acceleration and potential of each target
     far: Array  # (CELLS / CELL_LANES, FAR_WIDTH, CELL_LANES) float32: cells that wait for the expansion
     sums: Array  # (COEFFICIENTS CELL_LANES,) float32: of the expansion

@@ -59,7 +59,7 @@ def overlapping_ids(ranks: Communicator, columns: dict[str, Array], length: Arra
         columns = {name: np.concatenate([columns[name], ghosts[name]]) for name in columns}
     rows = in_contact(columns["position"], columns["radius"], length)
     columns = rows_of(columns, rows)
-    first, second, depth = overlapping(columns["position"], columns["radius"], columns["fixed"] != 0, columns["id"], length)
+    first, second, depth = overlapping_pairs(columns["position"], columns["radius"], columns["fixed"] != 0, columns["id"], length)
     mine = (rows[first] < owned) & ~((columns["old"][first] != 0) & (columns["old"][second] != 0))
     return columns["id"][first[mine]], columns["id"][second[mine]], depth[mine]
 
@@ -78,7 +78,7 @@ def in_contact(x: Array, radius: Array, length: Array) -> Array:
     return np.sort(order[~grid.open_points(grid.x[:last], grid.radius[:last], 1.0 - 0.1 * TOUCH, np.arange(first, last))])
 
 
-def overlapping(x: Array, radius: Array, fixed: Array, ids: Array, length: Array) -> tuple[Array, Array, Array]:
+def overlapping_pairs(x: Array, radius: Array, fixed: Array, ids: Array, length: Array) -> tuple[Array, Array, Array]:
     """(first, second, depth): pairs of rows that overlap and are not both fixed, by their ids, and how deep."""
     if len(x) < 2 or not radius.any():
         return np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0)
@@ -104,12 +104,12 @@ def push_apart(ranks: Communicator, particles: Particles, room: Container) -> li
     everyone = Particles(particles.dimension, all_)
     x, radius, w = everyone.position, everyone.radius, everyone.inverse_mass
     for _ in range(MOST_SWEEPS):
-        first, second, depth = overlapping(x, radius, everyone.fixed != 0, everyone.id, room.length)
+        first, second, depth = overlapping_pairs(x, radius, everyone.fixed != 0, everyone.id, room.length)
         if not len(first):
             break
         separate(x, radius, w, first, second, room.lower, room.upper, room.length, room.point, room.normal)
     else:
-        first, second, depth = overlapping(x, radius, everyone.fixed != 0, everyone.id, room.length)
+        first, second, depth = overlapping_pairs(x, radius, everyone.fixed != 0, everyone.id, room.length)
     particles.position[...] = x[np.searchsorted(everyone.id, particles.id)]
     if not len(first):
         return []

@@ -199,9 +199,9 @@ def points_of(key, number, throw, radius, room):
     x, clear = np.empty((n, d)), np.ones(n, np.bool_)
     for i in range(n):
         low, high = np.uint64(number[i]) & MASK, np.uint64(number[i]) >> np.uint64(32)
-        turn = np.uint64(throw[i if len(throw) > 1 else 0])
+        attempt = np.uint64(throw[i if len(throw) > 1 else 0])
         for k in range(0, d, 2):
-            pair = random_pair(key[0], key[1], turn, np.uint64(k), low, high)
+            pair = random_pair(key[0], key[1], attempt, np.uint64(k), low, high)
             for m in range(k, min(k + 2, d)):
                 margin = radius[i] if bounded and length[m] == 0.0 else 0.0
                 x[i, m] = lower[m] + margin + pair[m - k] * (upper[m] - lower[m] - 2.0 * margin)

@@ -78,7 +78,7 @@ class SphereGrid:
         self.x[first:last], self.radius[first:last], self.id[first:last] = x, radius, ids
         self.grids.level[first:last] = class_of(radius, self.largest)
         if enter:
-            insert(self.x, first, last, self.grids)
+            enter_spheres(self.x, first, last, self.grids)
         self.n = last
         return first, last
 
@@ -160,7 +160,7 @@ def list_of_each(x, level, grid):
 
 
 @kernel
-def insert(x, first, last, grid):
+def enter_spheres(x, first, last, grid):
     """Enter the rows first ... last - 1."""
     for i in range(first, last):
         c = list_of(x[i], grid.level[i], grid)
@@ -185,7 +185,7 @@ def keep(first, last, stays, x, radius, ids, grid):
                 x[n, k] = x[i, k]
             radius[n], ids[n], grid.level[n] = radius[i], ids[i], grid.level[i]
             n += 1
-    insert(x, first, n, grid)
+    enter_spheres(x, first, n, grid)
     return n
 
 
@@ -258,6 +258,6 @@ def first_come(first, last, who, placed, x, radius, ids, status, margin, grid):
     for i in range(first, last):
         sphere = who[i - first]
         if not placed[sphere] and verdict(x[i], radius[i], i, x, radius, ids, last, status, margin, grid) == FREE:
-            insert(x, i, i + 1, grid)
+            enter_spheres(x, i, i + 1, grid)
             stays[i - first] = placed[sphere] = True
     return stays

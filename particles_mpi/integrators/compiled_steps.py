@@ -48,7 +48,7 @@ class Forces(NamedTuple):
     any: bool
 
 
-class Losses(NamedTuple):
+class StepLosses(NamedTuple):
     """What happens in a kick besides forces: `Damping` and `ConstantFriction`."""
 
     decay: Array  # (kicks, n), no row without either

@@ -19,10 +19,10 @@ from particles_mpi.integrators.compiled_steps import (
     Bodies,
     Budget,
     Forces,
-    Losses,
     OnWalls,
     Scheme,
     Space,
+    StepLosses,
     Until,
     adaptive_steps,
     fixed_steps,
@@ -43,12 +43,12 @@ PAIR, ROW, BESIDES = 3.0, 8.0, 50.0  # ns of a pair, a row, and everything else 
 SUM = "sum of forces"  # a name that no field has
 
 
-class Block(NamedTuple):
+class RowsTogether(NamedTuple):
     """The arguments of the kernels for some rows."""
 
     bodies: Bodies
     forces: Forces
-    losses: Losses
+    losses: StepLosses
     space: Space
 
 
@@ -63,7 +63,7 @@ class ManySteps:
         self.rows, self.context, self.effects = rows, context, effects
         self.summed, self.drift, self.rule, self.persistent = summed, drift, rule, persistent
         self.known: tuple[int, int, float] | None = None
-        self.blocks: list[Block] = []
+        self.blocks: list[RowsTogether] = []
         self.direct = next((force.direct for force in summed.forces.values() if force.direct), None)
         self.together = self.direct is not None or isinstance(rule, Adaptive)  # all particles in the same kernel?
         self.own = context.ranks.size == 1 or not self.together  # are the rows here enough?
@@ -168,7 +168,7 @@ class ManySteps:
         parts = ({name: column[some] for name, column in every.items()} for some in slices)
         self.blocks = [self.block(Particles(p.dimension, part), h) for part in parts]
 
-    def block(self, p: Particles, h: float) -> Block:
+    def block(self, p: Particles, h: float) -> RowsTogether:
         """The arguments of the kernels, for the rows of p."""
         d, n, effects, forces = p.dimension, len(p), self.effects, self.summed.forces
         drag = p["drag"] if effects.damping else np.empty(0)
@@ -183,7 +183,7 @@ class ManySteps:
         reach = self.persistent.walls.reach(p.fixed, p[SUM], h) if on_walls.kept and n else 0.0
         smooth = no_spins(d, np.zeros((1 + len(planes.point), 2)))
         space = Space(tuple(planes), bool(effects.walls), a, own, *box, np.empty(n), smooth, reach, on_walls)
-        return Block(bodies, self.forces_on(p), self.losses_of(p, h), space)
+        return RowsTogether(bodies, self.forces_on(p), self.losses_of(p, h), space)
 
     def forces_on(self, p: Particles) -> Forces:
         """The forces on the rows of p."""
@@ -213,16 +213,16 @@ class ManySteps:
         room = nobody, nobody.copy(), np.empty((n, d)), nobody.copy()
         return OnWalls(persistent is not None, (0.0,) * d, supported, point, normal, faces, *room)
 
-    def losses_of(self, p: Particles, h: float) -> Losses:
+    def losses_of(self, p: Particles, h: float) -> StepLosses:
         """What happens in the kicks of a step of length h besides forces."""
         damping, friction, kicks = self.effects.damping, self.effects.friction, self.scheme.kicks.tolist()
         strength = friction.strength if friction else 0.0
         if not (damping or friction):
-            return Losses(np.empty((0, 0)), np.empty((0, 0)), False, strength, False)
+            return StepLosses(np.empty((0, 0)), np.empty((0, 0)), False, strength, False)
         n = len(p)
         factors = [damping.factors(p, part * h) if damping else (np.ones(n), np.full(n, part * h)) for part in kicks]
         decay, push = (np.array(of) for of in zip(*factors, strict=True))
-        return Losses(decay, push, friction is not None, strength, not (damping or self.summed.forces))
+        return StepLosses(decay, push, friction is not None, strength, not (damping or self.summed.forces))
 
     def give_back(self) -> None:
         """To this rank's rows what the kernels have changed."""

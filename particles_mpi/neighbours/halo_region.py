@@ -37,7 +37,7 @@ def everywhere(dimension: int) -> HaloRegion:
     return HaloRegion(own, np.empty((0, 2, dimension)), np.zeros(1, np.int32), np.empty(0, np.int32))
 
 
-def overlapping(one: Array, boxes: Array, length: Array) -> Array:
+def overlapping_boxes(one: Array, boxes: Array, length: Array) -> Array:
     """Which of the boxes (m, 2, d) overlap the box `one` (2, d), or an image of it; (m,)."""
     overlap = np.zeros(boxes.shape[::2], bool)
     for shift in (0.0, length, -length):
@@ -67,7 +67,7 @@ def build(
     d = boxes.shape[2]
     slack = horizon.slack * np.array([[-1.0] * d, [1.0] * d])
     wide = boxes + slack
-    others = overlapping(wide[rank], wide, length)
+    others = overlapping_boxes(wide[rank], wide, length)
     others[rank] = False
     places = np.flatnonzero(others)
     outer = wide + slack

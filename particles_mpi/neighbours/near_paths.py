@@ -10,6 +10,7 @@ import numpy as np
 
 from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import inner
+from particles_mpi.kernels.markers import RADIUS, START
 from particles_mpi.neighbours.cells import GRIDDED
 from particles_mpi.neighbours.search_index import ROUNDED
 from particles_mpi.particles import Array
@@ -20,14 +21,14 @@ MUCH = 1e4  # windows: times beyond are not told
 
 
 @inner(error_model="numpy", inline="always")
-def may_meet(axes, y, path, i, j, window, tolerance, length):
+def paths_may_meet(axes, y, path, i, j, window, tolerance, length):
     """Do the paths of i, at y at its start, and of j come nearer than R_i + R_j + 2 tolerance within `window` from then?
 
     With a margin for round-off. On the gridded axes y is the image that is meant. Returns (whether they do, r.u, u.u, r.r, the
     square of that distance); `time_near` goes on with these.
     """
     d = len(axes)
-    passed = path[i, 2 * d] - path[j, 2 * d]
+    passed = path[i, 2 * d + START] - path[j, 2 * d + START]
     r2 = 0.0
     ru = 0.0
     u2 = 0.0
@@ -42,7 +43,7 @@ def may_meet(axes, y, path, i, j, window, tolerance, length):
     t = -ru / (u2 + 1e-300)
     t = t if t > 0.0 else 0.0  # not max and min: those branch
     t = t if t < window else window
-    size = path[i, 2 * d + 1] + path[j, 2 * d + 1]
+    size = path[i, 2 * d + RADIUS] + path[j, 2 * d + RADIUS]
     cut = size + 2.0 * tolerance
     return (size > 0.0) & (r2 + t * (2.0 * ru + t * u2) <= cut * cut + 1e-12 * r2), ru, u2, r2, cut * cut
 
@@ -51,7 +52,7 @@ def may_meet(axes, y, path, i, j, window, tolerance, length):
 def time_near(ru, u2, r2, cut2, start, window):
     """(begin, end) of the time in which two paths are so near that their rows can touch; float32, with margins for what is lost.
 
-    ru, u2, r2, cut2: as `may_meet` returns them, at the time `start`.
+    ru, u2, r2, cut2: as `paths_may_meet` returns them, at the time `start`.
     """
     half = sqrt(max(ru * ru - u2 * (r2 - cut2), 0.0) + LOST * u2 * r2)
     begin, end = (-ru - half) / u2, (half - ru) / u2
@@ -92,7 +93,7 @@ def keep_pairs(axes, waiting, parts, holding, horizon, pairs, found):
         while p < until[part]:
             j = np.int64(around[p])
             p += 1
-            meet, ru, u2, r2, cut2 = may_meet(axes, y, path, i, np.uint64(j), window, tolerance, length)
+            meet, ru, u2, r2, cut2 = paths_may_meet(axes, y, path, i, np.uint64(j), window, tolerance, length)
             if meet and wanted(i, j, marked, bounding_radius, owned, ids, w):
                 if found < len(first):
                     first[found], second[found] = (i, j) if ids[i] < ids[j] else (j, i)

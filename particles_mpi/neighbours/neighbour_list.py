@@ -37,13 +37,13 @@ class Neighbourhood:
     """Ghosts and candidates of this rank: `prepare` renews them where a drift needs it, `follow` after contacts.
 
     `segments`, `spheres` and the arrays of `fields` hold the owned rows, then ghosts; x, v are those of `segments`, and `rows`
-    are both as plain tuples, for kernels. spin, turn: angular velocities and inverse moments of inertia, no row where spheres are
-    smooth. `active`: rows that changed in this pass. `candidates`: the pairs among all these that can touch. `planes`: as a plain
-    tuple. `kicked`: do forces or dissipation change velocities? If not, ghosts fly on by themselves, and only contacts
-    need a message.
+    are both as plain tuples, for kernels. `spin`, `inverse_inertia`: no row where spheres are smooth. `active`: rows that changed
+    in this pass. `candidates`: the pairs among all these that can touch. `planes`: as a plain tuple. `kicked`: do forces or
+    dissipation change velocities? If not, ghosts fly on by themselves, and only contacts need a message.
     """
 
-    windows_redone = None  # ranks compute windows of time in mode event only
+    divided = True  # each rank computes its part of space
+    windows_redone = 0, 0  # there are windows of time in mode event only
 
     def __init__(
         self,
@@ -123,7 +123,7 @@ class Neighbourhood:
         if self.searches:
             self.work = self.tuner.work(len(self.x), self.candidates.tests, self.candidates.asked)
             del self.candidates, self.segments, self.active, self.rows, self.spheres, self.fields, self.x, self.v
-            del self.spin, self.turn
+            del self.spin, self.inverse_inertia
         self.version = -1
 
     def horizon(self, h: float, at_least: float, extent: tuple[Array, Array]) -> Horizon:
@@ -178,7 +178,7 @@ class Neighbourhood:
         self.fields, self.x, self.v = everyone, everyone["position"], everyone["velocity"]
         known = Particles(d, everyone)
         self.spheres = Spheres(everyone["radius"], known.inverse_mass, everyone["id"], owned)
-        self.spin, self.turn = everyone.get("spin", np.empty((0, 1))), known.inverse_inertia
+        self.spin, self.inverse_inertia = everyone.get("spin", np.empty((0, 1))), known.inverse_inertia
         n = len(self.x)
         self.segments = Segments(self.x, self.v, np.zeros(n), np.full(n, NOBODY))
         self.active = Active(np.zeros(n, np.bool_), np.empty(n, np.int32), np.zeros(1, np.int64))

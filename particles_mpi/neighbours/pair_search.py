@@ -6,6 +6,7 @@ import numpy as np
 
 from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import inner, prefetch, spheres_within, trailing_zeros
+from particles_mpi.kernels.markers import RADIUS, START
 from particles_mpi.neighbours.cells import cell_along
 from particles_mpi.neighbours.near_paths import WAITING, Waiting, keep_pairs
 from particles_mpi.neighbours.search_index import AT_ONCE, FAST, OVERSIZE, ROUNDED, SLOW
@@ -151,8 +152,8 @@ def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found)
         if parts == 0:
             done, pairs_done, tests_done = m, found, tests
         i = np.int64(rows[m])
-        window = end - path[i, 2 * d]
-        base = path[i, 2 * d + 1] + tolerance
+        window = end - path[i, 2 * d + START]
+        base = path[i, 2 * d + RADIUS] + tolerance
         limit = bounding_radius[i] if everything else inf
         to_slow = base + min(limit, largest[SLOW])
         to_fast = base + min(limit, largest[FAST])
@@ -174,7 +175,7 @@ def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found)
                 for k in range(d):
                     place[parts, k] = path[i, k]
                 for k in range(g):
-                    r = path[i, k] - (path[other, k] + path[other, d + k] * (path[i, 2 * d] - path[other, 2 * d]))
+                    r = path[i, k] - (path[other, k] + path[other, d + k] * (path[i, 2 * d + START] - path[other, 2 * d + START]))
                     place[parts, k] = path[i, k] + nearest(r, length[k]) - r
                 around[listed] = other
                 listed += 1

@@ -16,6 +16,7 @@ import numpy as np
 
 from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import inner, kernel
+from particles_mpi.kernels.markers import RADIUS, START
 from particles_mpi.neighbours.rank_boxes import index_of, time_in_box, time_to_box
 from particles_mpi.particles import Array
 
@@ -103,8 +104,8 @@ def start_paths(axes, x, v, radius, horizon, owned, path):
             box[0, k] = box[0, k] if box[0, k] <= midpoint[i, k] else midpoint[i, k]
             box[1, k] = box[1, k] if box[1, k] >= midpoint[i, k] else midpoint[i, k]
             v2 += v[i, k] * v[i, k]
-        path[i, 2 * d] = 0.0
-        path[i, 2 * d + 1] = radius[i]
+        path[i, 2 * d + START] = 0.0
+        path[i, 2 * d + RADIUS] = radius[i]
         bounding_radius[i] = radius[i] + tolerance + sqrt(v2) * 0.5 * until
         total += bounding_radius[i]
     if owned == len(x):
@@ -118,7 +119,7 @@ def rows_leaving(axes, x, v, path, time, h, tolerance, length, rows):
     d = len(axes)
     found = 0
     for i in range(len(x)):
-        passed = time + h - path[i, 2 * d]
+        passed = time + h - path[i, 2 * d + START]
         r2 = 0.0
         for k in range(d):
             r = nearest(x[i, k] + v[i, k] * h - (path[i, k] + path[i, d + k] * passed), length[k])
@@ -144,7 +145,7 @@ def rows_turned(x, v, start, path, rows, time, horizon, length):
             r2 = 0.0
             for k in range(d):
                 at = x[i, k] + v[i, k] * (t - time - start[i])
-                r = nearest(at - (path[i, k] + path[i, d + k] * (t - path[i, 2 * d])), length[k])
+                r = nearest(at - (path[i, k] + path[i, d + k] * (t - path[i, 2 * d + START])), length[k])
                 r2 += r * r
             outside |= not r2 <= tolerance * tolerance
         if outside:
@@ -182,12 +183,12 @@ def renew_paths(rows, segments, owned, paths, region, horizon, length, time, h):
             soon += (r + v[i, k] * (time + h - start)) ** 2
             late += (r + v[i, k] * (end - start)) ** 2
             speed += v[i, k] * v[i, k]
-        path[i, 2 * d] = start
+        path[i, 2 * d + START] = start
         now, soon, late = sqrt(now) + tolerance, sqrt(soon) + tolerance, sqrt(late) + tolerance
         speed = sqrt(speed)
         until = max(time + h, start + (bound - now) / speed) if late > bound else inf
         if i < owned:
-            margin = path[i, 2 * d + 1] + tolerance
+            margin = path[i, 2 * d + RADIUS] + tolerance
             until = min(until, start + time_in_box(path, i, margin, own[0], own[1]))
             for p in range(len(others)):
                 if index_of(i, known[sent[p] : sent[p + 1]]) < 0:
@@ -198,7 +199,7 @@ def renew_paths(rows, segments, owned, paths, region, horizon, length, time, h):
         end = min(end, until)
         for k in range(d):
             midpoint[i, k] = path[i, k] + 0.5 * v[i, k] * (end - start)
-        bounding_radius[i] = path[i, 2 * d + 1] + tolerance + 0.5 * speed * (end - start)
+        bounding_radius[i] = path[i, 2 * d + RADIUS] + tolerance + 0.5 * speed * (end - start)
     return needed, end
 
 
@@ -218,8 +219,8 @@ def find_near_walls(rows, path, horizon, owned, planes, marked, near, count):
     for i in rows:
         if i >= owned:
             continue
-        window = until - path[i, 2 * d]
-        size = path[i, 2 * d + 1] + tolerance * 1.000001
+        window = until - path[i, 2 * d + START]
+        size = path[i, 2 * d + RADIUS] + tolerance * 1.000001
         inside = not oblique
         for k in range(d):
             way = path[i, d + k] * window

@@ -23,7 +23,7 @@ NOWHERE = -1  # in place of a cell
 MARGIN = 1.0 + 1e-9  # on distances between reference positions, far above round-off
 
 
-class Grid(NamedTuple):
+class VerletGrid(NamedTuple):
     """Cells of all levels; their numbers follow one another, level after level."""
 
     low: Array  # (3,) corner of the cells
@@ -33,7 +33,7 @@ class Grid(NamedTuple):
     largest: Array  # (levels,) size R + skin of the largest row in the level, -1 if the level is not used
 
 
-def make_grid(x: Array, size: Array, box: Box, share: float) -> tuple[Grid, Array]:
+def make_grid(x: Array, size: Array, box: Box, share: float) -> tuple[VerletGrid, Array]:
     """A grid for `share` times as many rows as these, of positions x (n, d) and sizes (n,), and the level of each row in it.
 
     Positions outside belong to the outermost cells, or to their image if the axis is periodic.
@@ -63,7 +63,7 @@ def make_grid(x: Array, size: Array, box: Box, share: float) -> tuple[Grid, Arra
         first[step + 1] = first[step] + cells[step].prod()
     corner = np.zeros(GRIDDED)
     corner[:g] = low
-    return Grid(corner, per_length, cells, first, largest), level
+    return VerletGrid(corner, per_length, cells, first, largest), level
 
 
 @inner

@@ -31,7 +31,7 @@ class Lists(NamedTuple):
     used: Array  # (1,) places of the pool that are in use
     head: Array  # (cells,) int32, first row in each cell, or -1
     nearby: Array  # (n + 2,) int32, scratch: rows that `find_nearby` found
-    grid: tuple[Array, ...]  # a `Grid`, as a plain tuple: see `jit.plain`
+    grid: tuple[Array, ...]  # a `VerletGrid`, as a plain tuple: see `jit.plain`
     box: tuple[Array, ...]  # a `Box`, as a plain tuple
     boxes_per_length: Array  # (d,) boxes in a unit of length on periodic axes, 0 on others
 

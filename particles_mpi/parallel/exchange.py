@@ -47,7 +47,7 @@ def send_rows(ranks: Communicator, arrays: dict[str, Array], rows: Array, counts
     first_words = starts(words_out)
     for p, begin, end in parts(counts):
         message = places[me] if p == me else outgoing[first_words[p] : first_words[p] + words_out[p]]
-        for name, part in columns_of(message, end - begin, arrays):
+        for name, part in unpacked(message, end - begin, arrays):
             arrays[name].take(rows[begin:end], axis=0, out=part, mode="clip")
         if p != me:
             requests += send(ranks, p, message, len(message))
@@ -57,7 +57,7 @@ def send_rows(ranks: Communicator, arrays: dict[str, Array], rows: Array, counts
         return {name: incoming.view(column.dtype).reshape(int(arriving.sum()), *column.shape[1:])}, arriving
     arrived = {name: np.empty((int(arriving.sum()), *column.shape[1:]), column.dtype) for name, column in arrays.items()}
     for p, begin, end in parts(arriving):
-        for name, part in columns_of(places[p], end - begin, arrays):
+        for name, part in unpacked(places[p], end - begin, arrays):
             arrived[name][begin:end] = part
     return arrived, arriving
 
@@ -90,7 +90,7 @@ def allgather_rows(ranks: Communicator, arrays: dict[str, Array]) -> dict[str, A
     row_size = sum(column.dtype.itemsize * prod(column.shape[1:]) for column in arrays.values())
     words = -(row_size * counts // -WORD)
     outgoing, incoming = np.empty(int(words[ranks.rank]), np.int64), np.empty(int(words.sum()), np.int64)
-    for name, part in columns_of(outgoing, n, arrays):
+    for name, part in unpacked(outgoing, n, arrays):
         part[:] = arrays[name]
     if len(incoming) <= MOST_WORDS:
         ranks.comm.Allgatherv(outgoing, [incoming, (words, starts(words))])
@@ -104,7 +104,7 @@ def allgather_rows(ranks: Communicator, arrays: dict[str, Array]) -> dict[str, A
     ranks.rows += int(counts.sum()) - n
     every = {name: np.empty((int(counts.sum()), *column.shape[1:]), column.dtype) for name, column in arrays.items()}
     for p, begin, end in parts(counts):
-        for name, part in columns_of(incoming[starts(words)[p] :], end - begin, arrays):
+        for name, part in unpacked(incoming[starts(words)[p] :], end - begin, arrays):
             every[name][begin:end] = part
     return every
 
@@ -133,7 +133,7 @@ def sendrecv(ranks: Communicator, others: Sequence[int], outgoing: Sequence[Arra
     return incoming
 
 
-def columns_of(words: Array, count: int, like: dict[str, Array]) -> Iterator[tuple[str, Array]]:
+def unpacked(words: Array, count: int, like: dict[str, Array]) -> Iterator[tuple[str, Array]]:
     """(name, view of `count` rows) for each column of one rank's part of a message, which begins at words[0].
 
     The columns of `like` stand one after the other, those with the widest numbers first so that each is aligned in memory.
@@ -250,7 +250,7 @@ def blocks(ranks: Communicator, columns: dict[str, Array], ids: IdRange) -> Iter
     def start(rank: int) -> tuple[dict[str, Array], list[MPI.Request]]:
         """Begin to send the block of a rank to all."""
         buffer = np.empty(int(counts[rank]) * width, np.int64)
-        block = dict(columns_of(buffer, int(counts[rank]), columns))
+        block = dict(unpacked(buffer, int(counts[rank]), columns))
         if rank == ranks.rank:
             ranks.messages += 1
             ranks.bytes["gathers"] += buffer.nbytes * (ranks.size - 1)

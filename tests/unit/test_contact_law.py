@@ -6,11 +6,10 @@ from numba import njit
 
 from particles_mpi.contacts import law
 from particles_mpi.contacts.event_driven import segments
-from particles_mpi.contacts.event_driven.rows import RADIUS, START
 from particles_mpi.contacts.rough import Rough
 from particles_mpi.contacts.velocity_flow import Rates, no_rates
 from particles_mpi.kernels.geometry import boxes_per_length
-from particles_mpi.kernels.markers import NEVER
+from particles_mpi.kernels.markers import NEVER, RADIUS, START
 from particles_mpi.kernels.motion import Segments, move_to
 from particles_mpi.neighbours.candidates import Spheres
 from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS

@@ -25,7 +25,6 @@ from particles_mpi.contacts.event_driven.rows import (
     ID,
     NOT_HERE,
     OWNERSHIP,
-    RADIUS,
     SHARED,
     TRAJECTORY_HASH,
     Log,
@@ -38,6 +37,7 @@ from particles_mpi.contacts.event_driven.rows import (
     spin_width,
 )
 from particles_mpi.kernels.jit import kernel, lean, prefetch
+from particles_mpi.kernels.markers import RADIUS
 from particles_mpi.neighbours.verlet_cells import level_of
 from particles_mpi.neighbours.verlet_kernels import (
     INVERSE_MASS,
@@ -186,9 +186,9 @@ def apply_moves(axes, rows, lists, queue, directory, regions, message, at, skin,
                         for k in range(d):
                             rows.acceleration[i, k] = numbers[begin + d + k]
                     if len(rows.drag) > 0:
-                        rows.drag[i] = numbers[begin + d + extra - 1 - (1 if len(rows.turn) > 0 else 0)]
-                    if len(rows.turn) > 0:
-                        rows.turn[i] = numbers[begin + d + extra - 1]
+                        rows.drag[i] = numbers[begin + d + extra - 1 - (1 if len(rows.inverse_inertia) > 0 else 0)]
+                    if len(rows.inverse_inertia) > 0:
+                        rows.inverse_inertia[i] = numbers[begin + d + extra - 1]
                     lists.level[i] = level_of(reference[i, d + SIZE], lists)
                 relist(axes, lists, i, kept, new)
                 stale[pending[0]] = i

@@ -21,7 +21,6 @@ from particles_mpi.contacts.event_driven.rows import (
     NOT_HERE,
     OWN,
     OWNERSHIP,
-    RADIUS,
     VIRIAL,
     Rows,
     end_drift,
@@ -33,6 +32,7 @@ from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.velocity_flow import Rates, no_rates
 from particles_mpi.errors import StateError
 from particles_mpi.kernels.geometry import Box
+from particles_mpi.kernels.markers import RADIUS
 from particles_mpi.kernels.memory import aligned, doubled, enlarged
 from particles_mpi.kernels.planes import Planes
 from particles_mpi.neighbours.verlet_lists import VerletLists
@@ -87,8 +87,8 @@ class Engine:
         fields = {name: enlarged(p[name], np.zeros((total, *p[name].shape[1:]))) for name in names}
         acceleration, drag = fields.get("total_acceleration", np.empty((0, d))), fields.get("drag", np.empty(0))
         spin = enlarged(p["spin"], np.zeros((total, p["spin"].shape[1]))) if "spin" in p.arrays else NO_SPIN
-        turn = enlarged(p.inverse_inertia, np.zeros(total * (len(spin) > 0)))
-        self.rows = Rows(segment, segment.view(np.int64), state, reals, acceleration, drag, spin, turn)
+        inverse_inertia = enlarged(p.inverse_inertia, np.zeros(total * (len(spin) > 0)))
+        self.rows = Rows(segment, segment.view(np.int64), state, reals, acceleration, drag, spin, inverse_inertia)
         segment[:n, :d], segment[:n, 2 * d + RADIUS] = p.position, p.radius
         state[:] = 0
         state[:n, ID], state[:n, OWNERSHIP] = p.id, GHOST
@@ -104,7 +104,7 @@ class Engine:
     def grow(self) -> Array:
         """Twice as many rows; returns the new ones, which are free."""
         n = len(self.rows.state)
-        rows = doubled(self.rows, "segment", "state", "acceleration", "drag", "spin", "turn")
+        rows = doubled(self.rows, "segment", "state", "acceleration", "drag", "spin", "inverse_inertia")
         self.rows = rows._replace(segment_bits=rows.segment.view(np.int64), reals=rows.state.view(np.float64))
         log = doubled(self.log, "changed", "mark", "saved", "moved", "is_moved", "border")
         self.log = log._replace(saved_bits=log.saved.view(np.int64))

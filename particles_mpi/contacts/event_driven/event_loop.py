@@ -31,10 +31,8 @@ from particles_mpi.contacts.event_driven.rows import (
     NOT_HERE,
     OWN,
     OWNERSHIP,
-    RADIUS,
     RAPID_EVENTS,
     SQUEEZED,
-    START,
     VIRIAL,
     ZERO_TIME_EVENT,
     Log,
@@ -55,7 +53,7 @@ from particles_mpi.contacts.rough import Rough
 from particles_mpi.contacts.walls import bounce, may_hit, meet_wall, wall_contact
 from particles_mpi.kernels.jit import in_place, inner, lean, lean_inner, prefetch, screening, trailing_zeros
 from particles_mpi.kernels.lanes import LANE_COUNT
-from particles_mpi.kernels.markers import NEVER
+from particles_mpi.kernels.markers import NEVER, RADIUS, START
 from particles_mpi.kernels.planes import Planes
 from particles_mpi.neighbours.verlet_kernels import (
     BEGIN,
@@ -235,7 +233,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
     _, _, length = lists.box
     (restitution, velocity_factor), law, contact_duration, crowded, planes, rates = rules
     planes = Planes(*planes)
-    rough = Rough(rows.spin, rows.turn, law, work.normal, work.impulse)
+    rough = Rough(rows.spin, rows.inverse_inertia, law, work.normal, work.impulse)
     h, moment, now, until, ahead = interval
     stale, counts, progress, node, times = work.stale, work.counts, work.progress, queue.node, queue.times
     d = len(axes)

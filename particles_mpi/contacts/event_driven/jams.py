@@ -12,14 +12,13 @@ from particles_mpi.contacts.event_driven.rows import (
     JAMMED,
     LAST_CONTACT,
     LAST_PARTNER,
-    RADIUS,
     RAPID_EVENTS,
     SQUEEZED,
-    START,
     ZERO_TIME_EVENT,
 )
 from particles_mpi.contacts.event_driven.segments import move_to
 from particles_mpi.kernels.jit import in_place, lean_inner
+from particles_mpi.kernels.markers import RADIUS, START
 
 QUICK = 0.01  # of a drift: a contact so soon after the last one is quick
 STANDING = 1e-9  # of a drift: time that does not count as passed

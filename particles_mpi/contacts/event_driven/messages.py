@@ -19,7 +19,6 @@ from particles_mpi.contacts.event_driven.rows import (
     ID,
     OWN,
     OWNERSHIP,
-    RADIUS,
     SHARED,
     Log,
     Rows,
@@ -29,6 +28,7 @@ from particles_mpi.contacts.event_driven.rows import (
     save_row,
 )
 from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch
+from particles_mpi.kernels.markers import RADIUS
 from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS
 from particles_mpi.particles import Array
 
@@ -77,7 +77,7 @@ def extra_width(rows):
     return (
         (rows.acceleration.shape[1] if len(rows.acceleration) > 0 else 0)
         + (1 if len(rows.drag) > 0 else 0)
-        + (1 if len(rows.turn) > 0 else 0)
+        + (1 if len(rows.inverse_inertia) > 0 else 0)
     )
 
 
@@ -137,8 +137,8 @@ def pack_changes(rows, reference, directory, log, moves, regions, bit, message):
             if len(rows.drag) > 0:
                 out[size] = rows.drag[i]
                 size += 1
-            if len(rows.turn) > 0:
-                out[size] = rows.turn[i]
+            if len(rows.inverse_inertia) > 0:
+                out[size] = rows.inverse_inertia[i]
                 size += 1
         if moves.owner[m] == rank:
             bits[size], bits[size + 1] = TRANSFER, state[i, ID]

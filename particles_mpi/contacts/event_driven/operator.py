@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from particles_mpi.contacts.event_driven.engine import MOST_EXPIRIES, NAMED, NEVER_CROWDED, Engine
-from particles_mpi.contacts.event_driven.event_loop import COLLISIONS, TC_ELASTIC, WALL_HITS
+from particles_mpi.contacts.event_driven.event_loop import COLLISIONS, HIGHER, LOWER, TC_ELASTIC, WALL_HITS
 from particles_mpi.contacts.event_driven.windows import Windows
 from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.velocity_flow import Rates
@@ -44,7 +44,7 @@ class EventDriven:
     """Drifts particles that collide with one another, and with walls if there are any."""
 
     migrated = ghost_rows = pair_tests = 0  # candidate pairs are tested in mode rewind only
-    windows_redone: tuple[int, int] | None = None  # windows so far, and how many were undone; None if space was never divided
+    windows_redone = 0, 0  # windows of time so far, and how many were undone
 
     def __init__(
         self,
@@ -56,7 +56,9 @@ class EventDriven:
         duration: float | None,
         planes: Planes | None,
         timers: Timers,
+        hold: Callable[[float], None] | None,
     ):
+        """`hold`: keeps the contacts of a crowd after a kick (`PersistentContacts.keep_crowds`), if contacts can last."""
         self.ranks, self.given_duration, self.contact_duration = ranks, duration, 0.0
         self.particles, self.box, self.timers = particles, box, timers
         self.rules = box, loss, law, planes or no_planes(particles.dimension)
@@ -66,26 +68,39 @@ class EventDriven:
         self.crowded_steps = 0
         self.pause, self.next_pause = 0, 1  # drifts that every rank computes as a whole, after windows that did not pay
         self.stop, self.stopped = np.array([0, -1, -1]), np.zeros(1)
-        self.hold: Callable[[float], None] | None = None  # keeps a crowd's contacts: `PersistentContacts.keep_crowds`
+        self.hold = hold
+        self.parts: list[Whole | Windows] = []  # what has been needed so far
 
     @cached_property
     def whole(self) -> Whole:
-        return Whole(self.particles, self.ranks, Engine(*self.rules), self.timers)
+        self.parts.append(whole := Whole(self.particles, self.ranks, Engine(*self.rules), self.timers))
+        return whole
 
     @cached_property
     def windows(self) -> Windows:
-        return Windows(self.particles, self.ranks, Engine(*self.rules), self.box, self.timers)
+        self.parts.append(windows := Windows(self.particles, self.ranks, Engine(*self.rules), self.box, self.timers))
+        return windows
 
     @property
     def searches(self) -> int:
-        return sum(part.searches for name, part in self.__dict__.items() if name in ("whole", "windows"))
+        return sum(part.searches for part in self.parts)
+
+    @property
+    def reached(self) -> float:
+        """How long the last drift with `stop` took."""
+        return float(self.stopped[0])
+
+    @property
+    def met(self) -> tuple[int, int] | None:
+        """The ids of the two that ended it, the lower one first, or None."""
+        lower, higher = int(self.stop[LOWER]), int(self.stop[HIGHER])
+        return (lower, higher) if lower >= 0 else None
 
     def drift(self, h: float, moment: float, rates: Rates, stop: bool = False) -> Array:
         """x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
 
         `moment`: the time at which the drift begins; `rates`: how velocities change in the step.
-        With `stop` it ends with the first collision of two particles, after `self.stopped[0]` (h if there is none), and
-        `self.stop[1:]` are their ids, the lower one first, or -1.
+        With `stop` it ends with the first collision of two particles, who `met`, after `reached`, h if there is none.
         """
         self.rates, self.contact_duration = rates, DURATION * h if self.given_duration is None else self.given_duration
         if self.hold is None or stop:

@@ -19,11 +19,10 @@ from particles_mpi.contacts.event_driven.rows import (
     OWNERSHIP,
     RAPID_EVENTS,
     SHARED,
-    START,
     TRAJECTORY_HASH,
 )
 from particles_mpi.kernels.geometry import Box, wrap
-from particles_mpi.kernels.markers import NOBODY
+from particles_mpi.kernels.markers import NOBODY, START
 from particles_mpi.kernels.memory import doubled, enlarged
 from particles_mpi.neighbours.cells import bounds, order_in_space
 from particles_mpi.neighbours.verlet_cells import MARGIN

@@ -5,9 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.contacts.event_driven.rows import OWN, OWNERSHIP, RADIUS, START, Log, record_width, spin_width
+from particles_mpi.contacts.event_driven.rows import OWN, OWNERSHIP, Log, record_width, spin_width
 from particles_mpi.kernels.geometry import some_nearest
 from particles_mpi.kernels.jit import in_place, inner, kernel, lean_inner, prefetch
+from particles_mpi.kernels.markers import RADIUS, START
 from particles_mpi.neighbours.verlet_cells import MARGIN, NEXT_ROW, first_in_cells
 from particles_mpi.neighbours.verlet_kernels import SIZE
 from particles_mpi.parallel.decomposition import owners

@@ -13,10 +13,9 @@ import numpy as np
 from particles_mpi.kernels.fingerprint import GOLDEN
 from particles_mpi.kernels.geometry import into_box
 from particles_mpi.kernels.jit import in_place, inner, lean
-from particles_mpi.kernels.markers import CROWD, NOBODY
+from particles_mpi.kernels.markers import CROWD, NOBODY, RADIUS, START
 from particles_mpi.particles import Array
 
-START, RADIUS = 0, 1  # columns of `segment`, after 2 d
 LAST_PARTNER, RAPID_EVENTS, TRAJECTORY_HASH, LAST_CONTACT, VIRIAL, ID, EVENT_COUNT, OWNERSHIP = range(8)  # columns of `state`
 SAVED = 5  # the first of these are in a record
 NOT_HERE, GHOST, OWN, SHARED = range(4)  # OWNERSHIP: a free row, another rank's particle, an own one, an own one others know
@@ -43,7 +42,7 @@ class Rows(NamedTuple):
     acceleration: Array  # (n, d), or no row where it is the same for all
     drag: Array  # (n,), or no row where it is the same for all
     spin: Array  # (n, d(d-1)/2), or no row where spheres are smooth
-    turn: Array  # (n,) inverse moments of inertia, likewise
+    inverse_inertia: Array  # (n,) inverse moments of inertia, likewise
 
 
 @inner

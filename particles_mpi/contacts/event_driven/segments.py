@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from particles_mpi.contacts.event_driven.rows import RADIUS, START
-from particles_mpi.contacts.law import exchange, may_come_near
+from particles_mpi.contacts.law import apply_impulse, may_come_near
 from particles_mpi.contacts.rough import FRICTION, PAIRS, strike_pair
 from particles_mpi.kernels.geometry import image_shift, some_nearest
 from particles_mpi.kernels.jit import in_place, inner, lean_inner, screening
 from particles_mpi.kernels.lanes import columns_of, eight
-from particles_mpi.kernels.markers import NEVER
+from particles_mpi.kernels.markers import NEVER, RADIUS, START
 from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS
 
 columns_of_segments: Any = columns_of(lambda d: 2 * d + RADIUS + 1)
@@ -120,10 +119,10 @@ def collide(axes, segment, reference, i, j, t, loss, length, rates, rough, smoot
         approach = r[0] * (segment[i, d] - segment[j, d])
         r[0] = 1.0 if segment[i, d] < segment[j, d] else -1.0
         nearing = r[0] * (segment[i, d] - segment[j, d])
-        take = exchange(axes, segment, np.int64(d), r, i, j, own, other, t, restitution, velocity_factor, rates)
+        take = apply_impulse(axes, segment, np.int64(d), r, i, j, own, other, t, restitution, velocity_factor, rates)
         return -((1.0 + restitution if len(rates.a) == 0 else take / nearing) * approach) / (own + other)
     if rough.law[PAIRS, FRICTION] > 0.0 and not smooth:
         both = own, other, segment[i, 2 * d + RADIUS], segment[j, 2 * d + RADIUS]
         change = strike_pair(axes, segment, np.int64(d), rough, r, i, j, both, t, restitution, rates)
         return -change / (own + other)
-    return -exchange(axes, segment, np.int64(d), r, i, j, own, other, t, restitution, velocity_factor, rates) / (own + other)
+    return -apply_impulse(axes, segment, np.int64(d), r, i, j, own, other, t, restitution, velocity_factor, rates) / (own + other)

@@ -119,7 +119,7 @@ class PersistentContacts:
                 return
             wide = slow_widths(p, a, h)
             zone = self.zone(p, wide, involved, bool(known))
-            graph = self.near(p, wide, zone)
+            graph = self.graph_of(p, wide, zone)
             local = self.local(p, a, h, graph)
             inside = inside_zone(local.x, widths(local.radius, local.push, HELD * h, NEAR), zone)
             self.taken[:] = self.solve(p, local, graph, inside, h, self.taken, bool(known))
@@ -156,7 +156,7 @@ class PersistentContacts:
         zone[:, self.length > 0.0] = everything[:, self.length > 0.0]
         return zone
 
-    def near(self, p: Particles, wide: Array, zone: Array) -> ContactGraph:
+    def graph_of(self, p: Particles, wide: Array, zone: Array) -> ContactGraph:
         """The graph of all who are near one another in the zone, new or as before. Collective."""
         good = self.graph is not None and self.graph.holds(p, ROUND_UP * wide, zone)
         if not self.ranks.allreduce_min(float(good))[0] or self.graph is None:

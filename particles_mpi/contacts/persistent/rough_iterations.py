@@ -48,11 +48,11 @@ def table_width(axes):
 
 
 @kernel
-def rough_table(axes, smooth, other, start, partner, arms, turn, w, which, bound, surfaces, slid):
+def rough_table(axes, smooth, other, start, partner, arms, inverse_inertia, w, which, bound, surfaces, slid):
     """The table of half-edges from that of smooth spheres (m, 5 + d), whose steps become those of `bound` (see `bound_rough`).
 
-    other (m,): which walls are partners, -1 for rows; arms, turn (size + 1,): radii and 1/I; surfaces (2, m): mu, resistance;
-    slid (m, d + s): what was taken across the normal, and the couple. What is not across the normal any longer is left out.
+    other (m,): which walls are partners, -1 for rows; arms (size + 1,): radii; surfaces (2, m): mu, resistance; slid (m, d + s):
+    what was taken across the normal, and the couple. What is not across the normal any longer is left out.
     """
     d, s = len(axes), spins_of(axes)
     table = np.zeros((len(partner), table_width(axes)))
@@ -65,13 +65,13 @@ def rough_table(axes, smooth, other, start, partner, arms, turn, w, which, bound
             arm, far = arms[i], arms[j] if other[e] < 0 else 0.0
             row[at + ARM], row[at + OTHER_ARM] = arm, far
             row[at + FRICTION], row[at + RESISTANCE] = surfaces[0, e], surfaces[1, e]
-            row[at + SPIN_SHARE] = turn[i] / both
+            row[at + SPIN_SHARE] = inverse_inertia[i] / both
             if not which[e]:
                 continue
-            mobility = both + (arm * arm * turn[i] + far * far * turn[j])
+            mobility = both + (arm * arm * inverse_inertia[i] + far * far * inverse_inertia[j])
             row[STEP] = both / (bound[i] + bound[j])
             row[at + SLIDE_STEP] = both / mobility * row[STEP]
-            turns = turn[i] + turn[j]
+            turns = inverse_inertia[i] + inverse_inertia[j]
             row[at + ROLL_STEP] = both / turns * row[STEP] if turns > 0.0 and surfaces[1, e] > 0.0 else 0.0
             along = 0.0
             for k in range(d):
@@ -84,7 +84,7 @@ def rough_table(axes, smooth, other, start, partner, arms, turn, w, which, bound
 
 
 @kernel
-def bound_rough(axes, start, partner, normal, other, arms, turn, w, which, resistance, bound):
+def bound_rough(axes, start, partner, normal, other, arms, inverse_inertia, w, which, resistance, bound):
     """Of each row a bound of the largest eigenvalue of what its contacts do to its velocity and spin: see `problem.bound_rows`.
 
     Steps across the normal are shorter by the part that translation has in what such an impulse moves, of couples too.
@@ -99,8 +99,8 @@ def bound_rough(axes, start, partner, normal, other, arms, turn, w, which, resis
                 continue
             j = partner[e]
             arm, far = arms[i], arms[j] if other[e] < 0 else 0.0
-            both, turns = w[i] + w[j], turn[i] + turn[j]
-            part = both / (both + (arm * arm * turn[i] + far * far * turn[j]))
+            both, turns = w[i] + w[j], inverse_inertia[i] + inverse_inertia[j]
+            part = both / (both + (arm * arm * inverse_inertia[i] + far * far * inverse_inertia[j]))
             lever[:] = 0.0  # what an impulse does to the spin: - arm n x
             for p in range(d):
                 for q in range(p + 1, d):
@@ -112,15 +112,15 @@ def bound_rough(axes, start, partner, normal, other, arms, turn, w, which, resis
                     along = normal[e, k] * normal[e, n]
                     m[k, n] += w[i] * (along + part * ((1.0 if k == n else 0.0) - along))
                 for c in range(s):  # levers are across the normal already
-                    cross = part * sqrt(w[i] * turn[i]) * lever[c, k]
+                    cross = part * sqrt(w[i] * inverse_inertia[i]) * lever[c, k]
                     m[k, d + c] += cross
                     m[d + c, k] += cross
             for b in range(s):
                 for c in range(s):
                     for k in range(d):
-                        m[d + b, d + c] += part * turn[i] * lever[b, k] * lever[c, k]
+                        m[d + b, d + c] += part * inverse_inertia[i] * lever[b, k] * lever[c, k]
                 if turns > 0.0 and resistance[e] > 0.0:
-                    m[d + b, d + b] += both * turn[i] / turns
+                    m[d + b, d + b] += both * inverse_inertia[i] / turns
         trace = 0.0
         for k in range(size):
             trace += m[k, k]

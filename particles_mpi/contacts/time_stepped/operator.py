@@ -112,7 +112,7 @@ class Rewind:
             spin = np.empty((owned * (len(near.spin) > 0), near.spin.shape[1]))
             vectors = np.empty((owned, d)), np.empty((owned, d)), spin
             self.log = UndoLog(np.empty(owned, np.int32), *vectors, np.zeros(1, np.int64))
-            self.rough = tuple(Rough(near.spin, near.turn, self.law, np.empty(d), np.empty(d)))
+            self.rough = tuple(Rough(near.spin, near.inverse_inertia, self.law, np.empty(d), np.empty(d)))
         self.rates = rates.of(near.fields)
         self.rules = self.loss, self.planes, self.rates, self.rough, near.length
         self.virial = near.particles.arrays.get("virial", NONE)

@@ -61,7 +61,7 @@ def binary(run: CaseRun, integrator: str, steps: int, apart: float, place: float
     rate = apart**-1.5
     step, looks = 2.0 * np.pi / rate / steps, FAR_ORBITS * LOOKS
     sim, changes = energy_changes(run, apart, rate * apart, place, 0.0, integrator, step, steps // LOOKS, looks)
-    return changes, getattr(sim.integrator, "substeps", sim.steps_done) * ROUNDINGS[integrator]
+    return changes, (sim.integrator.substeps if integrator == "adaptive" else sim.steps_done) * ROUNDINGS[integrator]
 
 
 def far(run: CaseRun, integrator: str, steps: int) -> Finding:

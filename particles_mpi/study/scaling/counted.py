@@ -19,7 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from particles_mpi.contacts.event_driven.operator import EventDriven
 from particles_mpi.errors import SceneError, StoppedError
+from particles_mpi.neighbours.neighbour_list import Neighbourhood
 from particles_mpi.output.files import failing_together, make_folder
 from particles_mpi.parallel.agreement import raise_first, raising_together
 from particles_mpi.parallel.communicator import KINDS, Communicator
@@ -153,8 +155,9 @@ def run_counted(scene: Scene, ranks: Communicator) -> tuple[tuple[int, bool], di
     """((number of particles, do ranks divide space), counts of a step on this rank, its seconds if it is alone). Collective."""
     tracemalloc.start()
     sim = Simulation(scene, comm=ranks.comm)
-    if hasattr(sim.near, "tuner"):
-        sim.near.tuner.next = lambda work, crossing: INTERVAL  # candidates always last so long
+    if isinstance(sim.near, Neighbourhood):
+        tuner: Any = sim.near.tuner
+        tuner.next = lambda work, crossing: INTERVAL  # candidates always last so long
     memory_start = tracemalloc.get_traced_memory()[1]
     to_search(sim, 1)
     tracemalloc.reset_peak()
@@ -165,7 +168,9 @@ def run_counted(scene: Scene, ranks: Communicator) -> tuple[tuple[int, bool], di
     steps, seconds = sim.steps_done - first, 0.0
     columns = {name: (value - before.get(name, 0)) / steps for name, value in counters(sim).items()}
     columns["bytes"] = sum(columns[name] for name in SENT)
-    holder = vars(sim.near).get("windows", sim.near) if sim.near else None  # of the ghosts: what divides space
+    holder = sim.near  # of the ghosts
+    if isinstance(holder, EventDriven) and holder.divided:
+        holder = holder.windows
     columns["ghosts"] = holder.ghost_rows / max(holder.searches, 1) if holder else 0.0
     columns |= {"memory": memory / 1e6, "memory_start": memory_start / 1e6}
     if ranks.size == 1:

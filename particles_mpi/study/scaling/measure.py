@@ -97,7 +97,7 @@ class RankSubsetTimer(StepTimer):
 
 def divides(sim: Simulation) -> bool:
     """Does each rank compute its part of space? Mode event puts all on every rank where that is no less work."""
-    return bool(getattr(sim.near, "divided", True))
+    return sim.near is None or bool(sim.near.divided)
 
 
 def counters(sim: Simulation) -> dict[str, float]:

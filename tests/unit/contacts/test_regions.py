@@ -6,9 +6,10 @@ from numba import njit
 
 from particles_mpi.contacts.event_driven.engine import Engine
 from particles_mpi.contacts.event_driven.regions import Regions, can_affect_owned
-from particles_mpi.contacts.event_driven.rows import OWNERSHIP, SHARED, START, Log, Rows, save_once
+from particles_mpi.contacts.event_driven.rows import OWNERSHIP, SHARED, Log, Rows, save_once
 from particles_mpi.contacts.law import Loss
 from particles_mpi.kernels.geometry import Box, image_shifts
+from particles_mpi.kernels.markers import START
 from particles_mpi.kernels.planes import no_planes
 from particles_mpi.neighbours.verlet_kernels import Lists, list_rows
 from particles_mpi.particles import Particles, default_values

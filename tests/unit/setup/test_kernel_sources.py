@@ -51,7 +51,7 @@ def test_all_kernels_are_known(whole):
     """Those of every decorator: with options, without, and those that are inlined."""
     kernels = Sources(whole).kernels
     names = (
-        "neighbours.near_paths.may_meet",
+        "neighbours.near_paths.paths_may_meet",
         "contacts.event_driven.event_loop.run",
         "gravity.sources.add_cells",
         "study.hard_cases.orbits.circle",
