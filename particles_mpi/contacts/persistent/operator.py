@@ -204,23 +204,14 @@ class PersistentContacts:
             p["supported"][graph.rows] = 0
             return np.zeros_like(took)
         effort = max(self.effort // count * (1 if known else UNKNOWN), self.law.least) if self.pairs else EXACT
-        borne = 2.0 * SLOW * before
-        if not known:  # else they bear what they bore
-            touch = contacts.gap <= contacts.widest * h
-            problem = self.law.problem(local, graph, contacts, touch, exactly(contacts), borne)
-            w, push = self.law.motion(local, graph, local.push, np.zeros_like(local.spin))
-            self.solver.solve(problem, w, push, graph.id, graph.exchange, effort, self.pairs)
-            borne = self.law.taken(problem)
-        pressed = self.pressed(local, contacts, borne, along_normals(2.0 * SLOW * before), graph.exchange)
-        closing = approach(self.axes, contacts.start, contacts.partner, contacts.normal, local.v)
-        chosen, *targets = slow(
-            tuple(contacts), closing, along_normals(before), (local.supported, local.radius), pressed, h,
-            self.tolerance, OUTLIER * (effort < EXACT), PRECISE, self.law.slight,
-        )  # fmt: skip
+        bore = 2.0 * SLOW * before
+        borne = bore if known else self.borne(local, graph, contacts, h, bore, effort)
+        pressed = self.pressed(local, contacts, borne, along_normals(bore), graph.exchange)
+        chosen, targets = self.chosen(local, contacts, before, pressed, h, effort)
         if again:  # the way back to a margin is in these velocities already; given twice it would lift spheres
-            np.maximum(targets[0], 0.0, out=targets[0])
+            np.maximum(targets.may_close, 0.0, out=targets.may_close)
         taken = np.where(chosen, (before if known else borne / (2.0 * SLOW)).T, 0.0).T * (not again)
-        problem = self.law.problem(local, graph, contacts, chosen, Targets(*targets), taken)
+        problem = self.law.problem(local, graph, contacts, chosen, targets, taken)
         w, v = self.law.motion(local, graph, local.v, local.spin)
         pile = Pile(contacts, local, self.tolerance / h if effort < EXACT else 0.0)
 
@@ -252,6 +243,25 @@ class PersistentContacts:
         contacts = Contacts(*columns)
         self.found = None if crowd else Found(graph, for_these, contacts)
         return contacts
+
+    def borne(self, local: Local, graph: ContactGraph, contacts: Contacts, h: float, bore: Array, effort: int) -> Array:
+        """What all contacts that touch bear if nothing but the pushes acts, beginning with what they `bore`. Collective."""
+        touch = contacts.gap <= contacts.widest * h
+        problem = self.law.problem(local, graph, contacts, touch, exactly(contacts), bore)
+        w, push = self.law.motion(local, graph, local.push, np.zeros_like(local.spin))
+        self.solver.solve(problem, w, push, graph.id, graph.exchange, effort, self.pairs)
+        return self.law.taken(problem)
+
+    def chosen(
+        self, local: Local, contacts: Contacts, before: Array, pressed: Array, h: float, effort: int
+    ) -> tuple[Array, Targets]:  # fmt: skip
+        """Which contacts are slow, and how fast each of them may close, of those that took `before` and are `pressed` now."""
+        closing = approach(self.axes, contacts.start, contacts.partner, contacts.normal, local.v)
+        which, *targets = slow(
+            tuple(contacts), closing, along_normals(before), (local.supported, local.radius), pressed, h,
+            self.tolerance, OUTLIER * (effort < EXACT), PRECISE, self.law.slight,
+        )  # fmt: skip
+        return which, Targets(*targets)
 
     def pressed(
         self, local: Local, contacts: Contacts, borne: Array, before: Array, exchange: Exchange
