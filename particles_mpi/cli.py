@@ -91,17 +91,17 @@ def check(scene: SceneFile) -> None:
     """
     from particles_mpi.run.console import Screen
     from particles_mpi.scene.plan import plan
+    from particles_mpi.simulation import Simulation
     from particles_mpi.study.experiment import Benchmark
     from particles_mpi.study.recommend.predict import predict
-    from particles_mpi.study.recommend.runs import Start
 
     described, screen = load(scene, quiet=False), Screen(IS_ROOT, False)
     try:
-        start = Start(Benchmark(), described)
+        sim = Simulation(described)
     except SceneError as error:
         raise SceneError([f"{scene}: {fault}" for fault in error.faults]) from None
-    screen.plan(described.title, plan(described, start.particles, start.total, MPI.COMM_WORLD.Get_size()), start.warnings)
-    found = predict(start)
+    screen.plan(described.title, plan(described, sim.rows, sim.ranks), sim.warnings)
+    found = predict(sim, Benchmark())
     if found.forecast:
         screen.forecast(found.forecast)
         screen.shares(found.forecast)

@@ -66,8 +66,7 @@ class Job:
         if sim.total > MOST_VTK and "vtk" in output.formats and "formats" not in output.model_fields_set:
             output.formats.remove("vtk")
             sim.warnings.append(f"output.formats: no VTK files of more than {MOST_VTK} particles, unless it asks for them")
-        self.plan = plan(self.scene, sim.rows, sim.total, self.ranks.size)
-        self.plan["fixed"] = int(self.ranks.allreduce_sum(self.plan["fixed"])[0])
+        self.plan = plan(self.scene, sim.rows, self.ranks)
         self.request = StopRequest(self.ranks, self.setup_began, wall_time)  # from here on a signal must not leave half a file
         try:
             self._open(overwrite)

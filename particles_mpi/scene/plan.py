@@ -1,16 +1,19 @@
 """What a scene will do and what it will not, before it runs; `run.forecast` tells how long it takes."""
 
+from math import inf, sqrt
 from typing import Any
 
 import numpy as np
 
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Particles
 from particles_mpi.scene.effect_files import effect_names
 from particles_mpi.scene.schema import Scene
 
 
-def plan(scene: Scene, particles: Particles, total: int, ranks: int) -> dict[str, Any]:
-    """The plan as plain data: for the screen, and for `run.json`. `particles`: some or all of the `total`."""
+def plan(scene: Scene, particles: Particles, ranks: Communicator) -> dict[str, Any]:
+    """The plan as plain data: for the screen, and for `run.json`. `particles`: this rank's. Collective, the same on all ranks."""
+    total, fixed = (int(n) for n in ranks.allreduce_sum(np.array([len(particles), np.count_nonzero(particles.fixed)])))
     runs = []
     for name, options in scene.effects.items():
         effect, how = options.effect_class(), options.described(scene, total)
@@ -19,42 +22,50 @@ def plan(scene: Scene, particles: Particles, total: int, ranks: int) -> dict[str
     ghosts = "particles that may meet those of another rank before the next search"
     if pairs and scene.effects["collisions"].mode == "event":
         ghosts = "about three layers of particles around each region, or all on every rank where that is no less work"
-    row_bytes = sum(column.nbytes for column in particles.arrays.values()) / max(len(particles), 1)
+    row_bytes = sum(column.itemsize * int(np.prod(column.shape[1:])) for column in particles.arrays.values())
     frame = 8 * (3 + 3 + 3) + 8
     frames = scene.steps // scene.output.every + 1
     return {
         "particles": total,
-        "fixed": int(np.count_nonzero(particles.fixed)),
+        "fixed": fixed,
         "dimension": scene.dimension,
         "steps": scene.steps,
         "step": scene.time.step,
         "integrator": scene.time.integrator,
         "effects": runs,
         "not_run": [name for name in effect_names() if name not in scene.effects],
-        "ghosts": ghosts if pairs and ranks > 1 else "none",
-        "ranks": ranks,
+        "ghosts": ghosts if pairs and ranks.size > 1 else "none",
+        "ranks": ranks.size,
         "memory_bytes": int(total * (row_bytes + (350 if pairs else 50))),
         "frames": frames,
         "output_bytes": int(frames * total * frame * len(scene.output.formats)),
         "predicted_seconds": None,  # of the loop, and between which two: known after the first steps
         "predicted_seconds_range": None,
-        "advice": advice(scene, particles),
+        "advice": advice(scene, particles, ranks),
     }
 
 
-def advice(scene: Scene, particles: Particles) -> list[str]:
-    """What an experienced user would say about the step."""
-    h, lines = scene.time.step, []
-    speed = float(np.sqrt((particles.velocity**2).sum(axis=1)).max(initial=0.0))
-    radius = particles.radius[particles.fixed == 0]
-    if "collisions" in scene.effects and len(radius) and radius.min() > 0.0 and speed > 0.0:
-        share = speed * h / (2.0 * float(radius.min()))
+def advice(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]:
+    """What an experienced user would say about the step. Collective."""
+    h, lines = scene.time.step, list[str]()
+    drag = particles["drag"] if "drag" in particles.arrays else np.empty(0)
+    square, k, minus_radius = ranks.allreduce_max(
+        np.array(
+            [
+                (particles.velocity**2).sum(axis=1).max(initial=0.0),
+                drag.max(initial=0.0),
+                (-particles.radius[particles.fixed == 0]).max(initial=-np.inf),
+            ]
+        )
+    ).tolist()
+    speed, radius = sqrt(square), -minus_radius  # of the fastest, and of the smallest that moves, if any does
+    if "collisions" in scene.effects and 0.0 < radius < inf and speed > 0.0:
+        share = speed * h / (2.0 * radius)
         crossed, event = f"crosses {share:.2g} of the smallest diameter in a step", scene.effects["collisions"].mode == "event"
         lines.append(f"the fastest particle {crossed}{', any number will do' if event else ' (at most 1)'}")
         if event:
             lines.append("mode event takes about 2 us a contact besides: longer steps cost less")
     if scene.time.integrator == "taylor" and "drag" in scene.effects:
-        k = float(particles.drag.max(initial=0.0))
         if k * h > 1.0:
             lines.append(f"taylor with drag * step = {k * h:.3g} > 1 will oscillate: shorten the step, or use leapfrog")
         lines.append("taylor is first order with drag; leapfrog is second order and exact in the velocity")

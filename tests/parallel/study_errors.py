@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from particles_mpi import Scene
+from particles_mpi import Scene, Simulation
 from particles_mpi.study.experiment import Benchmark
 from particles_mpi.study.recommend.methods import methods
 from particles_mpi.study.recommend.predict import predict
@@ -43,7 +43,7 @@ for name, tables in SCENES.items():
         continue
     result = recommend(lab, start.scene, 0.1, error, 20.0)
     assert result.best.errors[error] <= 0.1 and result.ranks == lab.ranks.size
-    same = lab.ranks.allgather((result.tables, result.best.timed, predict(start)))
+    same = lab.ranks.allgather((result.tables, result.best.timed, predict(Simulation(start.scene, comm=lab.comm), lab)))
     assert all(one == same[0] for one in same), "ranks disagree"
 few = {"dimension": 2, "particles": [{"position": [[0.0, 0.0]], "velocity": [1.0, 1.0]}], "time": {"step": 0.1, "steps": 10}}
 few["effects"] = {"drag": {"rate": 1.0}}

@@ -87,6 +87,37 @@ def test_run_and_resume_give_the_same_bits_on_any_ranks(scene, tmp_path):
     assert all(row["calls"] > 0 for row in told["plan"]["effects"])
 
 
+UNEVEN = """
+dimension = 1
+[box]
+lower = [0.0]
+upper = [10.0]
+[time]
+step = 0.001
+steps = 2
+[[particles]]
+position = [[1.0], [3.0], [5.0], [7.0], [9.0]]
+velocity = [[0.1], [0.0], [0.2], [0.0], [30.0]]
+radius = [0.2, 0.2, 0.2, 0.05, 0.1]
+fixed = [false, false, false, true, false]
+[effects.collisions]
+[effects.walls]
+"""
+
+
+def test_the_plan_is_that_of_all_ranks(tmp_path):
+    """The fastest, the smallest that moves, and the one that is fixed may be on any rank."""
+    (tmp_path / "scene.toml").write_text(UNEVEN)
+    plans = {}
+    for ranks in (1, 2, 3):
+        done = particles_mpi(ranks, "check", tmp_path / "scene.toml")
+        assert "the fastest particle crosses 0.15 of the smallest diameter in a step" in " ".join(done.stdout.split())
+        particles_mpi(ranks, "run", tmp_path / "scene.toml", "--output", tmp_path / str(ranks), "--quiet")
+        plans[ranks] = json.loads((tmp_path / str(ranks) / "run.json").read_text())["plan"]
+        plans[ranks] |= dict.fromkeys(("ranks", "ghosts"))
+    assert plans[1] == plans[2] == plans[3] and plans[1]["fixed"] == 1
+
+
 def test_counts_add_up(scene, tmp_path):
     particles_mpi(2, "run", scene, "--output", tmp_path / "o", "--quiet")
     table = list(csv.DictReader((tmp_path / "o" / "diagnostics.csv").read_text().splitlines()))

@@ -15,15 +15,16 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from particles_mpi import Scene
+from particles_mpi import Scene, Simulation
 from particles_mpi.errors import Interrupted, StoppedError
 from particles_mpi.integrators.gauss_radau import TOLERANCE
 from particles_mpi.output.files import failing_together
 from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.run.forecast import Forecast
 from particles_mpi.run.job import Job
 from particles_mpi.scene.schema import TOLERANCES
-from particles_mpi.study.experiment import total
+from particles_mpi.study.experiment import Benchmark, total
 from particles_mpi.study.recommend.error_metric import ROUND_OFF
 from particles_mpi.study.recommend.runs import LOOKS, Record, Start, follow, variant
 
@@ -40,21 +41,22 @@ class Prediction:
     errors: list[str]
 
 
-def predict(start: Start) -> Prediction:
-    """Try a scene on these ranks. Collective; the same on all of them."""
-    scene, ranks = start.scene, start.benchmark.ranks
-    if not start.total or not scene.steps:
+def predict(sim: Simulation, benchmark: Benchmark) -> Prediction:
+    """Try a simulation that has just begun, on its ranks, which are those of the benchmark. Collective; the same on all of them.
+
+    No rank holds more of it than its own share, unless steps are so short that errors can be measured.
+    """
+    scene, ranks = sim.scene, sim.ranks
+    if not sim.total or not scene.steps:
         return Prediction(None, ["predicted: nothing happens"])
     try:
-        sim = start.simulate(scene)
         with scratch(ranks) as folder:
             job = Job(sim, folder, rehearsal=True)
             job.run()
         forecast: Forecast | None = ranks.bcast(job.forecast)
         if forecast is None:
             raise Interrupted("stopped before anything could be predicted")
-        rate = 2.0 * total(sim, "collisions") / (max(int((start.particles.fixed == 0).sum()), 1) * sim.time)
-        errors = of_contacts(start, rate) if "collisions" in scene.effects else of_steps(start, forecast.step)
+        errors = of_contacts(sim) if "collisions" in scene.effects else of_steps(benchmark, scene, forecast.step)
     except StoppedError as error:
         return Prediction(None, [f"predicted: stops within the first steps: {str(error).splitlines()[0]}"])
     return Prediction(forecast, errors)
@@ -83,18 +85,23 @@ def lost(rate: float, step: float, packing: float, passes: int) -> float:
     return float(y / (1.0 + y))
 
 
-def of_contacts(start: Start, rate: float) -> list[str]:
-    """What to expect of rates of collisions, and of places after many of them."""
-    scene, options = start.scene, start.scene.effects["collisions"]
-    d, h, many = scene.dimension, scene.time.step, rate * start.duration
+def of_contacts(sim: Simulation) -> list[str]:
+    """What to expect of rates of collisions, and of places after many of them, from the first steps. Collective."""
+    scene, options, p = sim.scene, sim.scene.effects["collisions"], sim.rows
+    d, h = scene.dimension, scene.time.step
+    movable = int(sim.ranks.allreduce_sum(np.count_nonzero(p.fixed == 0))[0])
+    rate = 2.0 * total(sim, "collisions") / (max(movable, 1) * sim.time)
+    many = rate * scene.steps * h
     if rate == 0.0:
         return ["predicted error: nothing collides in the first steps"]
     if options.mode == "event":
-        what = "; forces between them are second order in the step" if start.forces or start.dissipates else ""
+        active = sim.active
+        forced = active.forces or active.on_velocities or active.events
+        what = "; forces between them are second order in the step" if forced else ""
         lines = [f"predicted error: contacts are exact in mode event{what}"]
     else:
         volume = np.prod(np.subtract(scene.box.upper, scene.box.lower)) if scene.box else np.inf
-        packing = float((start.particles.radius**d).sum() * pi ** (d / 2) / gamma(d / 2 + 1) / volume)
+        packing = exact_sums(sim.ranks, [p.radius**d])[0] * pi ** (d / 2) / gamma(d / 2 + 1) / float(volume)
         lines = [
             f"predicted error: about {lost(rate, h, packing, options.passes):.1g} of the rate of collisions (a particle has "
             f"{rate * h:.2g} in a step, packing {packing:.2g}, passes {options.passes}; fitted to a fluid)"
@@ -107,15 +114,15 @@ def of_contacts(start: Start, rate: float) -> list[str]:
     return lines
 
 
-def of_steps(start: Start, step: float) -> list[str]:
-    """Error of places and of the energy over as much of the run as there is time for, and its order."""
-    scene = start.scene
+def of_steps(benchmark: Benchmark, scene: Scene, step: float) -> list[str]:
+    """Error of places and of the energy over as much of the run as there is time for, and its order; `step`: seconds of one."""
     if scene.steps < LOOKS:
         return [f"predicted error: not measured, the run has fewer than {LOOKS} steps"]
     steps = LOOKS * max(1, int(ERRORS / (7.0 * LOOKS * 2.0 * step)))  # 1 + 2 + 4 runs; looks cost as much as steps
     steps = min(steps, LOOKS * (scene.steps // LOOKS))
     if 14.0 * steps * step > MOST:
         return ["predicted error: not measured, a step takes too long; study recommend tells"]
+    start = Start(benchmark, scene)
     records = [follow(start, start.simulate(finer(scene, steps, k))) for k in range(3)]
     return [by_differences(start, records, steps * scene.time.step)]
 

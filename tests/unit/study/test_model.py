@@ -2,11 +2,10 @@
 
 import pytest
 
-from particles_mpi import Scene
+from particles_mpi import Scene, Simulation
 from particles_mpi.scene.schema import TOLERANCES
 from particles_mpi.study.experiment import Benchmark
 from particles_mpi.study.recommend.predict import finer, lost, predict
-from particles_mpi.study.recommend.runs import Start
 
 PUBLISHED = [  # packing, Gamma dt, passes, share of collisions that is lost
     (0.30, 0.1, 10, 0.00), (0.30, 0.3, 10, 0.00), (0.30, 1.0, 10, 0.02), (0.30, 0.1, 1, 0.00), (0.30, 0.3, 1, 0.02),
@@ -30,14 +29,14 @@ def scene(integrator="leapfrog", **effects):
 
 @pytest.mark.parametrize(("integrator", "order"), [("leapfrog", "2.0"), ("taylor", "1.0")])
 def test_the_order_of_the_step_is_seen(integrator, order):
-    found = predict(Start(Benchmark(), scene(integrator, drag={"rate": 0.5})))
+    found = predict(Simulation(scene(integrator, drag={"rate": 0.5})), Benchmark())
     (error,) = found.errors
     assert "on 1 rank" in str(found.forecast) and "ms a step" in str(found.forecast)
     assert f"order {order}" in error
 
 
 def test_what_is_exact_is_said_to_be():
-    assert "round-off only" in predict(Start(Benchmark(), scene())).errors[0]
+    assert "round-off only" in predict(Simulation(scene()), Benchmark()).errors[0]
 
 
 def test_contacts_and_chaos():
@@ -46,7 +45,8 @@ def test_contacts_and_chaos():
     told = {}
     for mode in ("rewind", "event"):
         time, effects = {"step": 0.01, "steps": 1000}, {"collisions": {"mode": mode}}
-        told[mode] = predict(Start(Benchmark(), Scene(dimension=3, box=box, time=time, particles=[gas], effects=effects))).errors
+        sim = Simulation(Scene(dimension=3, box=box, time=time, particles=[gas], effects=effects))
+        told[mode] = predict(sim, Benchmark()).errors
     assert "of the rate of collisions" in told["rewind"][0] and "packing 0.29, passes 10" in told["rewind"][0]
     assert "contacts are exact in mode event" in told["event"][0]
     assert all("places mean nothing" in lines[1] for lines in told.values())
@@ -54,7 +54,7 @@ def test_contacts_and_chaos():
 
 def test_a_scene_without_steps_or_particles_has_nothing_to_predict():
     empty = Scene(dimension=2, time={"step": 0.1, "steps": 0}, particles=[{"position": [[0.0, 0.0]]}])
-    assert predict(Start(Benchmark(), empty)).errors == ["predicted: nothing happens"]
+    assert predict(Simulation(empty), Benchmark()).errors == ["predicted: nothing happens"]
 
 
 @pytest.mark.parametrize("tolerance", TOLERANCES)

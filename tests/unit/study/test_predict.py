@@ -4,10 +4,9 @@ import re
 
 import pytest
 
-from particles_mpi import Scene
+from particles_mpi import Scene, Simulation
 from particles_mpi.study.experiment import Benchmark
 from particles_mpi.study.recommend.predict import predict
-from particles_mpi.study.recommend.runs import Start
 
 ORBIT = {
     "dimension": 2,
@@ -19,7 +18,7 @@ ORBIT = {
 @pytest.mark.parametrize("steps", [1, 3, 4, 7, 1000])
 def test_errors_are_those_of_a_time_within_the_run(steps):
     scene = Scene.from_dict(ORBIT | {"time": {"step": 0.01, "steps": steps}})
-    (line,) = predict(Start(Benchmark(), scene)).errors
+    (line,) = predict(Simulation(scene), Benchmark()).errors
     if steps < 4:
         assert line == "predicted error: not measured, the run has fewer than 4 steps"
     else:
