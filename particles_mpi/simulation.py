@@ -77,12 +77,11 @@ class Simulation(Saved):
 
     def advance(self, h: float, contacts: bool = True, stop: bool = False) -> None:
         """One step of the integrator over h, with kicks and drifts in its order; `stop` ends its drift at a collision."""
-        self.drift.middle = 0.5 * h
         if self.persistent:
             self.persistent.awake = contacts
 
         def drift(part: float) -> None:
-            rates = self.drift.rates(self.g, self.accelerations.total)
+            rates = self.drift.rates(self.g, self.accelerations.total, 0.5 * h)
             self.drift.advance(self._h if stop else part, self.time, rates, contacts, stop)
 
         self.integrator.advance(self.rows, h, drift)

@@ -58,7 +58,7 @@ class Drift:
 
     persistent: keeps contacts that last; near: knows the neighbours; operator: does the contacts of pairs; each of them may be
     None. accelerations: called for the accelerations (n, d) of this moment. totals: counts of what happened, by
-    the names of COUNTS; calls: how often each effect was asked. middle: half of the step, as a time from its start.
+    the names of COUNTS; calls: how often each effect was asked.
     """
 
     def __init__(
@@ -71,7 +71,6 @@ class Drift:
         self.events = effects.events
         self.pair_names, self.wall_names = effects.names(PairContacts), effects.names(WallContacts)
         self.damping, self.strength = effects.names(Damping), effects.friction.strength if effects.friction else 0.0
-        self.middle = 0.0
         self.total: Array | None = None  # accelerations that `rates` wrote last
         self.known = -1, -1  # version and edition of the particles then
         self.pushed: Array = np.empty(0, np.int64)  # rows to which lasting contacts added more
@@ -160,12 +159,14 @@ class Drift:
         self.rows.version += changed > 0  # nothing that was known of neighbours holds any longer
         return changed > 0
 
-    def rates(self, g: Array, total: Array | None) -> Rates:
+    def rates(self, g: Array, total: Array | None, middle: float) -> Rates:
         """How velocities change between the contacts of this step.
 
-        g (d,): what all particles have in common; total (n, d): the sum of all forces, None without any. They stand in a field
-        of the particles where they differ from one to another. Other flows of velocities are left out: what their rate would be
-        after a contact is not known, and with that of before, what does no work, as a magnetic field, would change the energy.
+        g (d,): what all particles have in common; total (n, d): the sum of all forces, None without any; they stand in a field
+        of the particles where they differ from one to another. middle: half of the step, as a time from its start.
+
+        Other flows of velocities are left out: what their rate would be after a contact is not known, and with that of before,
+        what does no work, as a magnetic field, would change the energy.
         """
         p, none = self.rows, np.empty((0, self.rows.dimension))
         if "total_acceleration" in p.arrays:
@@ -177,9 +178,9 @@ class Drift:
             self.total, self.known, self.pushed = total, known, np.empty(0, np.int64)
         if self.persistent:  # contacts that last push too: what lies on something does not fall
             self.pushed, given = self.persistent.given
-            field[self.pushed] += given.reshape(len(given), p.dimension) / self.middle
+            field[self.pushed] += given.reshape(len(given), p.dimension) / middle
         kicked = self.effects.forces or self.damping or self.strength
-        return Rates(g[None, :] if kicked else none, np.zeros(len(self.damping)), self.strength, self.middle)
+        return Rates(g[None, :] if kicked else none, np.zeros(len(self.damping)), self.strength, middle)
 
     def continue_counts(self, before: Drift) -> None:
         """Count on from where the drift stood that this one replaces. Collective."""

@@ -43,7 +43,7 @@ class Frame:
 
     @property
     def speed(self) -> Array:
-        """(N,)"""
+        """Lengths of the velocities, (N,)."""
         speed: Array = np.linalg.norm(self.velocity, axis=1)
         return speed
 

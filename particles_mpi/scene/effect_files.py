@@ -20,7 +20,9 @@ def effect_names() -> list[str]:
 
 
 def load_effect(name: str, file: Path | None) -> ModuleType:
-    """The module of an effect of the program, or of a `file` of the user's, loaded once, with the sha256 of it as `digest`.
+    """The module of an effect of the program, by its name; or of a `file` of the user's, whatever it is called in the scene.
+
+    A file is loaded once; `digest` of its module is its sha256.
 
     Raises ValueError, one line without the key, for a file that cannot be read, fails, or does not hold the two classes.
     """
@@ -46,6 +48,6 @@ def load_effect(name: str, file: Path | None) -> ModuleType:
             raise ValueError("its class Effect needs a formula, in one line")
     except Exception as error:
         del sys.modules[title]
-        name = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
-        raise ValueError(f"{file}: {name}{' '.join(str(error).split())}") from error
+        kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
+        raise ValueError(f"{file}: {kind}{' '.join(str(error).split())}") from error
     return module

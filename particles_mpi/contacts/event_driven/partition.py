@@ -43,9 +43,9 @@ MOST_ON_ONE_RANK = 0.75  # of all particles on one rank, ghosts included: then e
 class Partition:
     """The rows of this rank in an engine, and who else holds them.
 
-    version: of the particles that the rows are of, or -1; own_rows (particles,): the row of each; near: the ranks that messages
-    go to; directory: who holds which row; skin: of the neighbour lists of all ranks, a length; depth: of the ghosts, in mean
-    diameters; crowded: does a rank hold nearly all?
+    version: of the particles that the rows are of, or -1; own_rows (particles,): the row of each; neighbours: the ranks that
+    messages go to; directory: who holds which row; skin: of the neighbour lists of all ranks, a length; depth: of the ghosts, in
+    mean diameters; crowded: does a rank hold nearly all?
     Counted: redistributions (`searches`), particles that came from other ranks (`migrated`), and ghosts.
     """
 
@@ -86,7 +86,7 @@ class Partition:
         mark_holders(reference, np.arange(n, dtype=np.int32), tuple(self.regions), holders)
         held = [np.flatnonzero(holders[:, k >> 6] >> (k & 63) & 1) for k in range(known - 1)]
         shared, counts = np.concatenate([*held, np.empty(0, np.int64)]).astype(np.int64), np.zeros(ranks.size, np.int32)
-        counts[self.near] = list(map(len, held))
+        counts[self.neighbours] = list(map(len, held))
         sent = {name: column for name, column in p.arrays.items() if field(name).ghost or name == "virial"}
         arrived, _ = send_rows(ranks, sent, shared, counts)
         here = Particles(d, {name: np.concatenate((column, arrived[name])) for name, column in sent.items()})
@@ -120,8 +120,8 @@ class Partition:
         for shift in (0.0, length, -length):
             apart = np.minimum(apart, np.maximum(np.maximum(low[me] + shift - high, low - high[me] - shift), 0.0))
         within = depth + largest + self.skin + 2.0 * self.skin + bound
-        self.near = [int(rank) for rank in np.flatnonzero((apart**2).sum(axis=1) <= within**2) if rank != me]
-        self.regions = Regions(low, high, tuple(self.box), me, np.array([*self.near, me]), reach, bound, depth)
+        self.neighbours = [int(rank) for rank in np.flatnonzero((apart**2).sum(axis=1) <= within**2) if rank != me]
+        self.regions = Regions(low, high, tuple(self.box), me, np.array([*self.neighbours, me]), reach, bound, depth)
 
     def locate_fields(self) -> None:
         """The fields of own particles are on this rank, in the order of the particles: so it is at the start of a drift."""
@@ -135,8 +135,8 @@ class Partition:
         numbers = [rows.state[shared, ID].view(float), rows.segment[shared, : 2 * d]]
         numbers += [column[shared] for column in (rows.acceleration, rows.spin) if len(column)]
         table = np.column_stack(numbers)
-        outgoing = [table[(holders[shared, k >> 6] >> (k & 63) & 1) == 1].ravel() for k in range(len(self.near))]
-        arrived = sendrecv(self.ranks, self.near, outgoing).reshape(-1, table.shape[1])
+        outgoing = [table[(holders[shared, k >> 6] >> (k & 63) & 1) == 1].ravel() for k in range(len(self.neighbours))]
+        arrived = sendrecv(self.ranks, self.neighbours, outgoing).reshape(-1, table.shape[1])
         ghosts = rows_of_ids(self.directory.table, arrived[:, 0].copy().view(np.int64))
         rows.segment[ghosts, : 2 * d], rows.segment[ghosts, 2 * d + START] = arrived[:, 1 : 2 * d + 1], 0.0
         rows.state[ghosts, LAST_PARTNER] = NOBODY
@@ -158,7 +158,9 @@ class Partition:
 
     def send_changes(self, moves: Moves) -> tuple[Array, Array]:
         """What happened in a window to rows that others hold goes to them; returns what came from others. Collective."""
-        return message_of(sendrecv(self.ranks, self.near, [self.changes_for(bit, moves) for bit in range(len(self.near))]))
+        return message_of(
+            sendrecv(self.ranks, self.neighbours, [self.changes_for(bit, moves) for bit in range(len(self.neighbours))])
+        )
 
     def changes_for(self, bit: int, moves: Moves) -> Array:
         """What happened in the window, for the known rank of a bit."""

@@ -179,5 +179,5 @@ def study(only: str | None, full: bool, into: Path | None, comm: Any = None) -> 
 
 
 def where(mode: str | None, dimension: int) -> str:
-    """`event 3D`"""
+    """A mode of collisions, if there is one, and the dimension, in words: `event 3D`."""
     return f"{mode or ''} {dimension}D".strip()
