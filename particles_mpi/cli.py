@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 from mpi4py import MPI
+from typer.core import TyperGroup
 
 from particles_mpi.errors import SceneError
 from particles_mpi.parallel.agreement import abort_all, same_on_all
@@ -17,7 +18,24 @@ from particles_mpi.run.scene_file import SceneFile, load
 from particles_mpi.study.commands import study
 
 STARTED = perf_counter()
+
+
+class Interruption(Exception):
+    """Carries a KeyboardInterrupt, its cause, past typer, which would make an exit code of it and lose what it says."""
+
+
+class Commands(TyperGroup):
+    """The commands; an interruption of one of them is an `Interruption`."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as error:
+            raise Interruption from error
+
+
 app = typer.Typer(
+    cls=Commands,
     name="particles-mpi",
     no_args_is_help=True,
     add_completion=False,
@@ -178,9 +196,9 @@ def main() -> None:
         collect_garbage()
     try:
         same_on_all(Communicator(), {"arguments": words(sys.argv[1:])})
-        app(standalone_mode=False, prog_name="particles-mpi")
-    except typer.Exit as error:
-        code = error.exit_code
+        code = app(standalone_mode=False, prog_name="particles-mpi") or 0
+    except Interruption as error:
+        code = abort_all(error.__cause__ or error)
     except SystemExit as error:
         code = error.code or 0
     except BaseException as error:

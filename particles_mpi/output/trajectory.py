@@ -119,8 +119,8 @@ class Trajectory(Continuing):
         first = self.points + int(counts[: self.ranks.rank].sum())
         actions: list[Callable[[], None]] = []
         if total != self.parts[-1]:
-            actions.append(partial(self._append_part, total))
             self.parts.append(total)
+            actions.append(partial(self._append_part, len(self.parts), total))
         actions += [partial(self._append, place, first, [f.columns[place] for f in frames]) for place in self.columns]
         actions.append(partial(self._append_steps, frames))
         self._do(frames[-1].step, actions)
@@ -219,10 +219,10 @@ class Trajectory(Continuing):
         if self.ranks.is_root and values is not None:
             dataset[before:] = values
 
-    def _append_part(self, count: int) -> None:
-        """From here on frames have `count` particles; the topology is extended if there were never so many."""
+    def _append_part(self, parts: int, count: int) -> None:
+        """From here on frames have `count` particles: the last of `parts`; the topology grows if there were never so many."""
         for place in layout.PARTS:
-            self._extend(place, len(self.parts) + 1, count if place.startswith(("Number", "Vertices")) else 0)
+            self._extend(place, parts, count if place.startswith(("Number", "Vertices")) else 0)
         for extra, what in enumerate(layout.CELLS):
             before, rows = len(self.datasets[f"Vertices/{what}"]), count + extra
             if rows > before:

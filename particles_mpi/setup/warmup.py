@@ -141,7 +141,7 @@ def windows(d: int, ranks: Communicator) -> None:
     divided, part = sim.near.windows, sim.near.windows.partition
     sim.near.divided = divided.always = True
     sim.step()
-    part.near = [0]
+    part.neighbours = [0]
     part.send_motion()
     part.changes_for(0, part.plan_moves())
     divided.undo(divided.engine.work.counts)

@@ -11,6 +11,8 @@ from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkIOHDF import vtkHDFReader
 from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridReader
 
+from particles_mpi import Run, Scene, Simulation
+
 pytestmark = pytest.mark.parallel
 COUNTS = [50, 50, 50, 58, 58, 55, 55]  # in frames 0, 5, ... 30
 
@@ -78,3 +80,39 @@ def test_runs_are_the_same_on_two_ranks_and_are_drawn(runs):
         [sys.executable, str(ROOT / "python_viz/plot_paths.py"), str(runs[1][0])], capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_numbers_that_change_again_and_again_within_one_run(tmp_path, seed):
+    """By a user's own `step`, between frames that wait to be written together and those that do not; nobody may be left, too."""
+    random, ids = np.random.default_rng(seed), []
+    gas = {"position": random.random((3, 2)).tolist(), "velocity": [1.0, 0.0]}
+    output = {"every": 1, "checkpoint_every": 3}
+    sim = Simulation(Scene(dimension=2, time={"step": 0.1, "steps": 20}, output=output, particles=[gas]))
+    ids.append(np.sort(sim.particles.id))
+    step = sim.step
+
+    def changing(*given):
+        step(*given)
+        if random.random() < 0.5:
+            sim.remove(sim.particles.id[random.random(sim.total) < random.choice([0.3, 1.0])])
+        if random.random() < 0.5:
+            sim.add({"position": random.random((random.integers(1, 4), 2)).tolist()})
+        ids.append(np.sort(sim.particles.id))
+
+    sim.step = changing
+    sim.run(tmp_path)
+    assert len({len(one) for one in ids}) > 3
+    for frame, there in zip(Run(tmp_path), ids, strict=True):
+        np.testing.assert_array_equal(frame.id, there)
+    reader = vtkHDFReader()
+    reader.SetFileName(str(tmp_path / "trajectory.vtkhdf"))
+    reader.UpdateInformation()
+    assert reader.GetNumberOfSteps() == len(ids)
+    for k, there in enumerate(ids):
+        reader.SetStep(k)
+        reader.Update()
+        data = reader.GetOutputDataObject(0)
+        assert data.GetNumberOfPoints() == len(there)
+        if len(there):
+            np.testing.assert_array_equal(vtk_to_numpy(data.GetPointData().GetArray("id")), there)
