@@ -134,12 +134,29 @@ WELL_INTO = 1.0  # seconds of a core, after which a process is in its long step:
 LONG = """
 import signal
 signal.signal(signal.SIGINT, signal.default_int_handler)  # the tests may be a job in the background, which is to ignore it
+import sys
 from particles_mpi import Scene, Simulation
-sim = Simulation(Scene(dimension=2, time={"step": 1e4, "steps": 1}, box={"lower": [0, 0], "upper": [100, 100]},
-    particles=[{"count": 1000, "position": "random", "velocity": {"speed": 50.0}, "radius": 0.5}],
-    effects={"collisions": {"mode": "event"}, "walls": {}}))
+from particles_mpi.cli import main
 print("begins", flush=True)
-sim.run(%s)
+"""
+SCRIPT = LONG + "Simulation(Scene.load(sys.argv[1])).run()"
+COMMAND = LONG + "sys.argv[1:] = ['run', sys.argv[1], '--output', sys.argv[1] + '.out']\nmain()"
+SCENE = """
+dimension = 2
+[box]
+lower = [0, 0]
+upper = [100, 100]
+[time]
+step = 1e4
+steps = 1
+[[particles]]
+count = 1000
+position = "random"
+velocity = {speed = 50.0}
+radius = 0.5
+[effects.collisions]
+mode = "event"
+[effects.walls]
 """
 
 
@@ -151,13 +168,11 @@ def seconds_of(process):
 
 @pytest.fixture(scope="module")
 def interrupted(tmp_path_factory):
-    """(process, exit code that is due) of a user's script and of a run with files, well into a step of very many contacts."""
-    plain = LONG % ""
-    run = LONG % repr(str(tmp_path_factory.mktemp("long") / "o"))
-    run = run.replace("sim.run", "from particles_mpi.parallel.agreement import abort_all\ntry:\n    sim.run")
-    run += "except BaseException as error:\n    raise SystemExit(abort_all(error))\n"
+    """(process, exit code due, what it says) of a user's script and of a command, well into a step of very many contacts."""
+    scene = tmp_path_factory.mktemp("long") / "long.toml"
+    scene.write_text(SCENE)
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    processes = [subprocess.Popen([sys.executable, "-c", script], cwd=ROOT, **pipes) for script in (plain, run)]
+    processes = [subprocess.Popen([sys.executable, "-c", script, scene], cwd=ROOT, **pipes) for script in (SCRIPT, COMMAND)]
     try:
         for process in processes:
             assert process.stdout.readline() == "begins\n"
@@ -165,17 +180,18 @@ def interrupted(tmp_path_factory):
         while any(seconds_of(process) < begin + WELL_INTO for process, begin in zip(processes, begun, strict=True)):
             assert all(process.poll() is None for process in processes)
             sleep(0.02)
-        yield dict(zip(("script", "run with files"), zip(processes, (-signal.SIGINT, 130), strict=True), strict=True))
+        ends = (-signal.SIGINT, "KeyboardInterrupt"), (130, "particles-mpi: stopped within a step that takes long")
+        yield {what: (process, *end) for what, process, end in zip(("script", "command"), processes, ends, strict=True)}
     finally:
         for process in processes:
             process.kill()
             process.wait()
 
 
-@pytest.mark.parametrize("what", ["script", "run with files"])
+@pytest.mark.parametrize("what", ["script", "command"])
 def test_ctrl_c_is_heard_within_a_step(interrupted, what):
-    process, code = interrupted[what]
+    process, code, text = interrupted[what]
     assert process.poll() is None
     os.kill(process.pid, signal.SIGINT)
     said = process.communicate(timeout=20)[1]  # a second, on a machine that is not busy with something else; the step takes days
-    assert process.returncode == code, said
+    assert process.returncode == code and text in said, said
