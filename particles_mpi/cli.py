@@ -83,7 +83,8 @@ def run(
         resume = to_go_on(folder, Communicator(), described.to_dict())
         overwrite = resume is None  # a run that was ended before its first checkpoint
     if resume:
-        sim = Simulation.resume(resume)
+        files = {name: options.file for name, options in described.effects.items() if options.file}
+        sim = Simulation.resume(resume, files=files)
         other = [f"{scene}: {key}: not as in {resume}, which goes on with the scene that it began with"
                  for key in changed(sim.scene.to_dict(), described.to_dict())]  # fmt: skip
         if other:

@@ -116,6 +116,8 @@ def main() -> None:
     b = others[0]
     if not len(a) or not len(b):
         stop("a run has no frame yet")
+    if a.dimension != b.dimension:
+        stop(f"the runs are in {a.dimension} and in {b.dimension} dimensions")
     pairs, period = matching(a, b), periods(a)
     if not pairs:
         stop("the two runs have no frame at the same time")

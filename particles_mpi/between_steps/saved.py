@@ -9,6 +9,7 @@ import numpy as np
 from particles_mpi.between_steps.state import State
 from particles_mpi.contacts.drift import COUNTS
 from particles_mpi.contacts.warm_start import NOTHING, Memory
+from particles_mpi.errors import SceneError
 from particles_mpi.measure import snapshot
 from particles_mpi.output.checkpoint import Checkpoint
 from particles_mpi.parallel.agreement import raising_together, same_on_all
@@ -47,17 +48,25 @@ class Saved(State):
         return sim
 
     @classmethod
-    def resume(cls, path: str | Path, comm: Any = None) -> Self:
+    def resume(cls, path: str | Path, comm: Any = None, files: dict[str, str] | None = None) -> Self:
         """The run that wrote the checkpoint, where it stood, on any number of ranks; the same bits from there on.
 
         Each rank reads its share of the particles, and of the contacts, which then go to the ranks that have their particles.
+        `files`: where the files of effects from outside the program are now, by effect, if not where they were; SceneError if
+        what is in them has changed.
         """
         ranks = Communicator(comm)
         with raising_together(ranks):
             file = Checkpoint(Path(path))
             saved = file.attributes
             metadata = {name: json.loads(str(saved[name])) for name in snapshot.METADATA}
+            for name, place in (files or {}).items():
+                if name in metadata["scene"]["effects"]:
+                    metadata["scene"]["effects"][name]["file"] = place
             scene = Scene.from_dict(metadata["scene"])
+            known, now = json.loads(str(saved.get("effect_files", "{}"))), scene.digests()
+            if other := [name for name in known if known[name] != now.get(name)]:
+                raise SceneError([f"effects.{name}.file: is not what it was when {path} was written" for name in other])
             rows = Particles(scene.dimension, file.rows(*ranks.share(file.total)))
             contacts = file.contacts(*ranks.share(file.number_of_contacts))._asdict()
         same_on_all(ranks, metadata)

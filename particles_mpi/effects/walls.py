@@ -65,6 +65,8 @@ class Effect(WallContacts):
             ]
         point = np.array([p.point for p in planes], float).reshape(-1, d)
         normal = np.array([p.normal for p in planes], float).reshape(-1, d)
+        size = np.frexp(np.abs(normal).max(axis=1, initial=0.0, keepdims=True))[1]
+        normal = np.ldexp(normal, -size)  # by a power of two, so that squares are never out of range
         normal /= np.sqrt((normal**2).sum(axis=1, keepdims=True))
         losses = [plane.within(options) for plane in planes]
         e, factor = np.array([loss(of.restitution, of.damping) for of in losses], float).reshape(-1, 2).T.copy()

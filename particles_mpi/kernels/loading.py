@@ -65,8 +65,9 @@ def load_overload(cache: Any, signature: Any, context: Any) -> Any:
     A compiler imports that itself. What kernels call at run time, numba's own functions in C, is made known here.
     """
     rtsys.initialize(context)
-    with cache._guard_against_spurious_io_errors():
+    with cache._guard_against_spurious_io_errors(), suppress(ModuleNotFoundError):  # the file of an effect has been moved since
         return cache._load_overload(signature, context)
+    return None
 
 
 def save_alone(files: Any, key: Any, data: Any) -> None:

@@ -1,6 +1,7 @@
 """The folder of a run: may a run write into it, and from which checkpoint in it does it go on?"""
 
 import json
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,12 +17,16 @@ from particles_mpi.parallel.communicator import Communicator
 STATE = ("trajectory.vtkhdf", "particles.pvd", "vtk", "checkpoint.h5", "diagnostics.csv", "run.json", "stopped.h5")
 OURS = (*STATE, "plots", "view.html", "view_paraview.py")  # what a run leaves, or what is made of it
 INTERVALS = {f"output.{name}" for name in ("every", "formats", "checkpoint_every", "diagnostics_every")}
+EFFECT_FILE = re.compile(r"effects\.\w+\.file")
 FREE = {"title", "time.end", "time.steps"} | INTERVALS  # keys of a scene that may change when a run is continued
 
 
 def changed(one: dict[str, Any], two: dict[str, Any]) -> Iterator[str]:
-    """The keys in which two scenes, as tables, differ so that they are different runs: all but those in FREE."""
-    return (key for key, _, _ in differences(one, two) if key not in FREE)
+    """The keys in which two scenes, as tables, differ so that they are different runs: all but those in FREE.
+
+    Nor does it matter where the file of an effect is: what is in it is compared when a run goes on.
+    """
+    return (key for key, _, _ in differences(one, two) if key not in FREE and not EFFECT_FILE.fullmatch(key))
 
 
 def to_go_on(folder: Path, ranks: Communicator, scene: dict[str, Any]) -> Path | None:

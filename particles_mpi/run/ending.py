@@ -4,6 +4,7 @@ import json
 import platform
 from importlib.metadata import version
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -32,13 +33,13 @@ def tell_end(sim: Any, plan: dict[str, Any], folder: Path, screen: Screen, secon
         say(remark)
     about = about_run(sim, plan) | {"timers": timers, "remarks": remarks, "counts": {"steps": sim.steps_done, **counts}}
     write_text(folder / "run.json", sim.ranks, json.dumps(about, indent=2) + "\n")
-    formats = sim.scene.output.formats
+    formats, shown = sim.scene.output.formats, quote(str(folder))
     if formats:
-        say(f"ParaView: paraview {folder}/view_paraview.py")
+        say(f"ParaView: paraview {quote(str(folder / 'view_paraview.py'))}")
     if "vtk" in formats:
         say(f"VisIt: {folder}/vtk/particles_*.vtu database")
-    say(f"view: {PROGRAM} view {folder}")
-    say(f"plots: python python_viz/plot_frame.py {folder}   (and plot_diagnostics.py, plot_phases.py, animate.py)")
+    say(f"view: {PROGRAM} view {shown}")
+    say(f"plots: python python_viz/plot_frame.py {shown}   (and plot_diagnostics.py, plot_phases.py, animate.py)")
 
 
 def spread(sim: Any, seconds: dict[str, float]) -> dict[str, dict[str, float]]:

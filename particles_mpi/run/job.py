@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from shlex import quote
 from time import perf_counter
 from typing import Any
 
@@ -171,10 +172,9 @@ class Job:
             self.screen.stop()
             self.request.close()
         if stopped:
-            saved = (
-                f"stopped at step {sim.steps_done} of {self.last}, saved; continue with --resume {self.folder / 'checkpoint.h5'}"
-            )
-            command = f", as {PROGRAM} run {self.scene_file} --output {self.folder} --resume auto" if self.scene_file else ""
+            folder, scene = quote(str(self.folder)), quote(str(self.scene_file))
+            saved = f"stopped at step {sim.steps_done} of {self.last}, saved; continue with --resume {folder}/checkpoint.h5"
+            command = f", as {PROGRAM} run {scene} --output {folder} --resume auto" if self.scene_file else ""
             raise Interrupted(saved + command)
 
     def foretell(self, forecast: Forecast) -> None:
@@ -224,6 +224,7 @@ class Job:
             metadata = sim.metadata()
             kept = {name: metadata[name] for name in METADATA} | {"reported": self.since.tolist(), "written": self.written}
             state = {name: json.dumps(value) for name, value in kept.items()} | {"step": metadata["step"], "time": sim.time}
+            state["effect_files"] = json.dumps(sim.scene.digests())
             contacts = sim.lasting_contacts()
             path, d = self.folder / "checkpoint.h5", self.scene.dimension
             checkpoint.save(path, self.ranks, sim.rows.arrays, sim.ids, d, state, contacts)

@@ -46,7 +46,7 @@ def load_effect(name: str, file: Path | None) -> ModuleType:
             raise ValueError("needs a class Effect that is a Force, a VelocityFlow or an Event")
         if not isinstance(getattr(effect, "formula", None), str):
             raise ValueError("its class Effect needs a formula, in one line")
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         del sys.modules[title]
         kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
         raise ValueError(f"{file}: {kind}{' '.join(str(error).split())}") from error

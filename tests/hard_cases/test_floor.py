@@ -159,6 +159,35 @@ def test_only_walls_are_lossy(mode, speed):
     assert sim.particles.position[0, 1] == R
 
 
+@pytest.mark.parametrize("mode", [None, *MODES])
+@pytest.mark.parametrize("faces", [True, False])
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_a_point_comes_to_rest(d, faces, mode):
+    """As a ball does: no bounces after a while, and no speed."""
+    up = [0.0] * (d - 1) + [1.0]
+    for e in (0.0, 0.9):
+        walls = {"restitution": e} if faces else {"restitution": e, "planes": [{"point": [0.0] * d, "normal": up}]}
+        effects = {"uniform_gravity": {"acceleration": [-9.81 * x for x in up]}, "walls": walls}
+        effects |= {"collisions": {"mode": mode, "restitution": e}} if mode else {}
+        box = {"box": {"lower": [0.0] * d, "upper": [2.0] * d}} if faces else {}
+        ball = [{"position": [[1.0] * d]}]
+        sim = Simulation(Scene(dimension=d, time={"step": 0.02, "steps": 1}, particles=ball, effects=effects, **box))
+        sim.steps(500)
+        hits = sim.totals["wall_hits"]
+        sim.steps(50)
+        assert sim.totals["wall_hits"] == hits and np.abs(sim.particles.velocity).max() < 1e-12, e
+
+
+@pytest.mark.parametrize("size", [1e-300, 1e-160, 1e-8, 1e8, 1e90])
+def test_normals_have_any_length(size):
+    planes = [{"point": [0.0, 0.0], "normal": [0.0, size]}]
+    ball = [{"position": [[2.0, 2.0]], "velocity": [-1.0, -1.0], "radius": 0.5}]
+    sim = Simulation(Scene(dimension=2, time={"step": 0.1, "steps": 30}, particles=ball, effects={"walls": {"planes": planes}}))
+    sim.run()
+    assert sim.totals["wall_hits"] == 1
+    np.testing.assert_allclose(sim.particles.position, [[-1.0, 2.0]], atol=1e-12)
+
+
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("step", [0.01, 0.0005])

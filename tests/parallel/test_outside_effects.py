@@ -205,6 +205,7 @@ def test_what_would_be_ignored_is_refused(tmp_path):
     for name, lines, why in [
         ("broken", "1 / 0", "ZeroDivisionError"),
         ("empty", "", r"needs a class Options"),
+        ("ending", "import sys\nsys.exit(5)", "SystemExit: 5"),
         (
             "kind",
             "from particles_mpi.effects import EffectOptions as Options\nclass Effect: pass",
@@ -240,3 +241,30 @@ def test_a_column_keeps_its_bound_between_steps():
     sim.particles.mass = 0.0
     with pytest.raises(StoppedError, match=r"particles\.mass: particle 0 on rank 0 was given 0, which it cannot have"):
         sim.step()
+
+
+@pytest.mark.parallel
+def test_a_run_goes_on_where_its_folder_has_been_moved_to_and_not_with_another_effect(tmp_path):
+    """The kernels that numba has kept beside the file were made for a module of another name."""
+    here, there = tmp_path / "here", tmp_path / "there"
+    here.mkdir()
+    shutil.copy(OUTSIDE / "magnetic.py", here)
+    (here / "scene.toml").write_text(text("event", "magnetic_field"))
+
+    def run(folder, output, *more):
+        words = ("run", folder / "scene.toml", "--output", folder / output, "--quiet", *more)
+        return run_ranks(1, "-m", "particles_mpi", *words, fresh=True)
+
+    assert run(here, "whole").returncode == run(here, "parts", "--steps", 20).returncode == 0
+    here.rename(there)
+    done = run(there, "parts", "--steps", 40, "--resume", "auto")
+    assert done.returncode == 0, done.stderr
+    done = run(there, "parts", "--resume", there / "parts" / "checkpoint.h5")
+    assert done.returncode == 0, done.stderr
+    with h5py.File(there / "whole/checkpoint.h5") as one, h5py.File(there / "parts/checkpoint.h5") as other:
+        for name in one["particles"]:
+            assert one["particles"][name][:].tobytes() == other["particles"][name][:].tobytes(), name
+    file = there / "magnetic.py"
+    file.write_text(file.read_text() + "\n# changed")
+    done = run(there, "parts", "--resume", "auto")
+    assert done.returncode == 2 and "effects.magnetic_field.file: is not what it was when " in done.stderr, done.stderr

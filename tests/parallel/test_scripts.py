@@ -106,3 +106,12 @@ def test_rewind_against_event(tmp_path):
     assert lost[0] > 0.2 and abs(lost[1]) < 0.2 * lost[0]
     assert missed[0] > 5 * missed[1]
     assert (event / "plots" / "compare_runs.png").stat().st_size > 10_000
+
+
+def test_runs_of_other_dimensions_cannot_be_compared(tmp_path):
+    folders = []
+    for d in (2, 3):
+        folders.append(tmp_path / str(d))
+        Simulation(Scene(dimension=d, time={"step": 0.1, "steps": 1}, particles=[{"position": [[0.0] * d]}])).run(folders[-1])
+    done = script("compare_runs.py", *folders)
+    assert done.returncode == 2 and done.stderr == "compare_runs.py: the runs are in 2 and in 3 dimensions\n"

@@ -6,6 +6,8 @@ slow below that speed, or below HELD times it where one partner is held already.
 one, or a wall, at any speed: the floor bears nothing along that normal.
 """
 
+from math import inf
+
 import numpy as np
 
 from particles_mpi.contacts.persistent.detection import HELD
@@ -86,7 +88,8 @@ def slow(contacts, closing, took, of_rows, pressed, h, tolerance, margin, precis
             speed = min((HELD if held else 1.0) * pressed[e], most)
             if crowd[e] or (speed > 0.0 and gap[e] <= speed * h and abs(closing[e]) <= speed):
                 one, other = radius[i], radius[j]
-                allowed = tolerance * (min(one, other) if one > 0.0 and other > 0.0 else max(one, other))
+                size = min(one, other) if one > 0.0 and other > 0.0 else max(one, other)
+                allowed = tolerance * size if size < inf else 0.0  # else a point is on a wall
                 apart = margin * allowed
                 room = gap[e] - apart - MARGIN * most * h
                 if apart > 0.0:
