@@ -10,6 +10,7 @@ problem     the contacts as a table, one row for each half-edge
 surfaces    what such a table says of smooth and of rough spheres
 solver      velocities at which none of these closes, solved by all ranks together
 iterations  its compiled loops; smooth_iterations, rough_iterations: what they do with the rows of smooth and of rough spheres
+direct      few contacts of smooth spheres of very different masses
 together    few contacts, which every rank solves for by itself
 walls       which rows the walls concern; on_walls: the same as the solver for those that touch nothing else, in one kernel
 memory      what contacts took last, which goes with the rows

@@ -13,9 +13,11 @@ p (w_i + w_j) is kept, the approach that it takes from its partners. A half-edge
 velocities that ranks exchange in each iteration; all sums are in the order of half-edges (`graph`). So the bits are the same on
 any number of ranks. For rough spheres, max(., 0) is followed by a cut of what is taken across the normal: `rough_iterations`.
 
-With friction the problem is no minimum, and work past one says less: there, momentum is given up where errors grow, and in
-solutions that end at round-off where errors do work, or are more than GROWN times the least so far. What does not get to errors
-that are allowed is multiplied by the factor below, if that is less than 1: so it adds no energy.
+Where masses are very different, iterations do not come to an end; few contacts are solved directly then (`direct`): rough ones
+without friction, if iterations that begin there do not lead to a solution with it, for they must bear what lies on them. With
+friction the problem is no minimum, and work past one says less: there, momentum is given up where errors grow, and in solutions
+that end at round-off where errors do work, or are more than GROWN times the least so far. What does not get to errors that are
+allowed is multiplied by the factor below, if that is less than 1: so it adds no energy.
 
 Large piles are solved to a tolerance only. There p is multiplied by the factor that makes p A p/2 + p (N v + c) least, before the
 iterations and after them: then errors do no work in sum over all contacts. Rough piles whose errors are far below that (CALM)
@@ -26,6 +28,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from particles_mpi.contacts.persistent.direct import solve_directly
 from particles_mpi.contacts.persistent.iterations import FINE, MOST, begin, iterations, solve_each, whole_numbers, works
 from particles_mpi.contacts.persistent.problem import NORMAL, STEP, TAKEN, Problem
 from particles_mpi.contacts.persistent.rough_iterations import SLID
@@ -42,6 +45,9 @@ CALM = 1e-3  # of the allowed errors, root mean square: below it at least MORE i
 MORE = 150  # iterations in such a pile: fewer do not show what else has to fall
 GROWN = 3.0  # mean square errors
 EXACT = 100  # iterations: a solution that always gets so many ends at round-off
+DIRECT = 200  # half-edges of smooth spheres: if so many are not solved after TRIED iterations, they are solved directly
+TRIED = 1000
+DIFFERENT = 1e4  # times the least inverse mass of rough spheres: if the largest is more, friction is given up where need be
 EFFORT = 200_000  # half-edges times iterations that are always spent, as long as it is no waste: small piles are exact
 
 
@@ -110,9 +116,9 @@ class Iteration:
             self.multiply(factor)
 
     def until_good(
-        self, ranks: Communicator, count: int, least: int, asleep: Callable[[Array], bool] | None = None
+        self, ranks: Communicator, count: int, least: int, asleep: Callable[[Array], bool] | None = None, limit: int = MOST
     ) -> tuple[bool, int]:  # fmt: skip
-        """Iterate until errors are allowed and `least` iterations are done, or nothing but round-off is left, or MOST are done.
+        """Iterate until errors are allowed and `least` iterations are done, or only round-off is left, or `limit` are done.
 
         `count`: half-edges of all ranks that may take something; `asleep`: if given, asked whether a pile that begins with
         errors that are allowed moves at all; if not, it is left like that. Returns whether errors are allowed, and the
@@ -127,7 +133,7 @@ class Iteration:
             squares, work = ranks.allreduce_sum(np.array(whole_numbers(self.sums, (1.0, most if most > 0.0 else 1.0))))
             good, calm = worst <= OUTLIER and squares <= count * FINE, self.rough and squares <= count * FINE * CALM**2
             enough = done >= (max(MORE, least) if calm else least)
-            if left <= 1.0 or (good and enough) or done >= MOST:
+            if left <= 1.0 or (good and enough) or done >= limit:
                 break
             if asleep and done == 1 and good:
                 self.restart()
@@ -149,6 +155,32 @@ class Iteration:
         elif not exact and not calm:  # errors of one sign, however small, would lift a bed, or let it sink
             self.balance(ranks, 0.5, 1.0 if self.rough else 2.0)
         return bool(good), done
+
+    def solve_directly(self) -> bool:
+        """Impulses along the normals by `direct`, of smooth spheres, or of rough ones of very different masses, without friction.
+
+        All rows are here, in the order of ids. Returns whether that was done.
+        """
+        w, table = (self.w[:, 0].copy(), self.problem[2]) if self.rough else (self.w, self.problem[2])
+        movable = w[w > 0.0]
+        if self.rough and not movable.max(initial=0.0) > DIFFERENT * movable.min(initial=np.inf):
+            return False
+        before = table[:, self.taken]
+        table[:, self.taken] = 0.0
+        if not solve_directly(self.axes, self.problem, w, self.v0[:, : len(self.axes)].copy()):
+            table[:, self.taken] = before
+            return False
+        self.restart()
+        return True
+
+    def improve(self, count: int, least: int) -> bool:
+        """Iterate from what is taken; if that leads to no errors that are allowed, go back. Returns whether it does."""
+        before = self.problem[2][:, self.taken]
+        good, _ = self.until_good(Communicator.alone(), count, least, limit=TRIED)
+        if not good:
+            self.problem[2][:, self.taken] = before
+            self.restart()
+        return good
 
 
 class Solver:
@@ -177,6 +209,8 @@ class Solver:
         count, every = ranks.allreduce_sum(np.array([(problem.table[:, STEP] > 0.0).sum(), len(problem.partner)])).tolist()
         if not count:
             return v[: len(problem.start) - 1], True, False
+        few = count <= DIRECT and every <= FEW
+        limit = TRIED if few and w.ndim == 1 else MOST
         if ranks.size > 1 and every <= FEW:
             together = Together(ranks, ids, problem, w, v)
             run = Iteration(self.axes, together.problem, together.w, together.v, None)
@@ -184,11 +218,17 @@ class Solver:
             def ours_asleep(result: Array) -> bool:
                 return asleep is not None and asleep(together.ours(result, v, problem.table, run.taken))
 
-            good, done = run.until_good(Communicator.alone(), count, least, asleep and ours_asleep)
+            good, done = run.until_good(Communicator.alone(), count, least, asleep and ours_asleep, limit)
             result = together.ours(run.result, v, problem.table, run.taken)
         else:
             run = Iteration(self.axes, problem, w, v, exchange if ranks.size > 1 else None)
-            good, done = run.until_good(ranks, count, least, asleep)
+            good, done = run.until_good(ranks, count, least, asleep, limit)
             result = run.result
+        if few and not good:
+            together = Together(ranks, ids, problem, w, v)  # of one rank alone, too: in the order of ids
+            run = Iteration(self.axes, together.problem, together.w, together.v, None)
+            if run.solve_directly():
+                good = not run.rough or run.improve(count, least)
+                result = together.ours(run.result, v, problem.table, run.taken)
         self.iterations += done
         return result, good, done == 0

@@ -1,0 +1,193 @@
+"""Few contacts of smooth spheres, solved directly: for masses so different that iterations would not come to an end.
+
+The minimum of p A p/2 + p b for p >= 0 (see `solver`) is found by the method of active sets (C. Lawson and R. Hanson, Solving
+Least Squares Problems, 1974, chapter 23): contacts that bear something are chosen one after the other, the equations of those
+chosen are solved by Cholesky's method, and what would pull is let go.
+"""
+
+from math import sqrt
+
+import numpy as np
+
+from particles_mpi.contacts.persistent.problem import MAY_CLOSE, NORMAL, STEP, TAKEN
+from particles_mpi.kernels.jit import inner, kernel
+
+DEPENDENT = 1e-14  # of its diagonal element: below it a contact can do nothing that those chosen do not
+ROUNDED = 1e-14  # of the impulses times the inverse masses: errors below it are round-off
+REFINED = 3  # times that what is left of the equations is solved for
+
+
+@inner
+def factorize(matrix, chosen, size, lower):
+    """Cholesky's factor of the rows and columns `chosen` (size,) of a matrix; False if these depend on one another."""
+    for r in range(size):
+        for c in range(r + 1):
+            total = matrix[chosen[r], chosen[c]]
+            for k in range(c):
+                total -= lower[r, k] * lower[c, k]
+            if c < r:
+                lower[r, c] = total / lower[c, c]
+            elif total > DEPENDENT * matrix[chosen[r], chosen[r]]:
+                lower[r, r] = sqrt(total)
+            else:
+                return False
+    return True
+
+
+@inner
+def solve_factorized(lower, size, x):
+    """x (size,) becomes the solution for the right side x."""
+    for r in range(size):
+        for k in range(r):
+            x[r] -= lower[r, k] * x[k]
+        x[r] /= lower[r, r]
+    for r in range(size - 1, -1, -1):
+        for k in range(r + 1, size):
+            x[r] -= lower[k, r] * x[k]
+        x[r] /= lower[r, r]
+
+
+@inner
+def approaches(axes, edges, rows, table, velocity, speeds):
+    """Of each contact how much faster its partners part than they must, at these velocities."""
+    for c in range(len(rows)):
+        e, i, j = edges[c, 0], rows[c, 0], rows[c, 1]
+        speeds[c] = table[e, MAY_CLOSE]
+        for k in range(len(axes)):
+            speeds[c] += (velocity[i, k] - velocity[j, k]) * table[e, NORMAL + k]
+
+
+@inner
+def moved(axes, edges, rows, table, w, impulse, v0, velocity):
+    """Velocities (size + 1, d) after the impulses (m,)."""
+    velocity[:] = v0
+    for c in range(len(rows)):
+        e, i, j = edges[c, 0], rows[c, 0], rows[c, 1]
+        for k in range(len(axes)):
+            velocity[i, k] += w[i] * impulse[c] * table[e, NORMAL + k]
+            velocity[j, k] -= w[j] * impulse[c] * table[e, NORMAL + k]
+
+
+@inner
+def contacts_of(axes, problem):
+    """(half-edges (m, 2) of each contact, the second -1 for a wall; their rows (m, 2)) of those that may take something."""
+    start, partner, table = problem[0], problem[1], problem[2]
+    n, m = len(start) - 1, 0
+    edges, rows = np.empty((len(partner), 2), np.int64), np.empty((len(partner), 2), np.int64)
+    for i in range(n):
+        for e in range(start[i], start[i + 1]):
+            j = np.int64(partner[e])
+            if not table[e, STEP] > 0.0 or j < i:
+                continue
+            edges[m, 0], edges[m, 1], rows[m, 0], rows[m, 1] = e, -1, i, j
+            nearest = 0.0
+            for other in range(start[j] if j < n else 0, start[j + 1] if j < n else 0):
+                against = 0.0
+                for k in range(len(axes)):
+                    against -= table[e, NORMAL + k] * table[other, NORMAL + k]
+                if partner[other] == i and against > nearest:  # of two images the one with the opposite normal
+                    nearest, edges[m, 1] = against, other
+            m += 1
+    return edges[:m], rows[:m]
+
+
+@inner
+def matrix_of(axes, edges, rows, table, w):
+    """A (m, m): what an impulse at one contact does to the approach at another."""
+    m = len(rows)
+    matrix = np.zeros((m, m))
+    for c in range(m):
+        for o in range(m):
+            along = 0.0
+            for k in range(len(axes)):
+                along += table[edges[c, 0], NORMAL + k] * table[edges[o, 0], NORMAL + k]
+            for side in range(2):
+                for other in range(2):
+                    if rows[c, side] == rows[o, other]:
+                        matrix[c, o] += (1.0 if side == other else -1.0) * w[rows[c, side]] * along
+    return matrix
+
+
+@inner
+def round_off(c, matrix, impulse):
+    """Of the approach at contact c: what rounding of all impulses that act on it does."""
+    total = 0.0
+    for o in range(len(impulse)):
+        total += abs(matrix[c, o]) * impulse[o]
+    return ROUNDED * total
+
+
+@kernel
+def solve_directly(axes, problem, w, v0):
+    """To the table what contacts have taken in the solution for velocities v0 (size + 1, d); returns whether one was found.
+
+    problem, w: see `Problem`; rows in the order of ids, and a last one for walls, whose inverse mass is 0. If none is found,
+    nothing has changed.
+    """
+    table = problem[2]
+    edges, rows = contacts_of(axes, problem)
+    m = len(rows)
+    matrix = matrix_of(axes, edges, rows, table, w)
+    impulse, speeds, x, lower = np.zeros(m), np.empty(m), np.empty(m), np.empty((m, m))
+    velocity, chosen, size = np.empty_like(v0), np.empty(m, np.int64), 0
+    inside, idle = np.zeros(m, np.bool_), np.zeros(m, np.bool_)
+    for _ in range(10 * m + 10):
+        moved(axes, edges, rows, table, w, impulse, v0, velocity)
+        approaches(axes, edges, rows, table, velocity, speeds)
+        worst, new = 0.0, -1
+        for c in range(m):
+            scale = sqrt(matrix[c, c])
+            if not inside[c] and not idle[c] and speeds[c] < worst * scale and -speeds[c] > round_off(c, matrix, impulse):
+                worst, new = speeds[c] / scale, c
+        if new < 0:
+            break
+        chosen[size], inside[new] = new, True
+        if not factorize(matrix, chosen, size + 1, lower):
+            inside[new], idle[new] = False, True
+            continue
+        size += 1
+        while size > 0:
+            if not factorize(matrix, chosen, size, lower):
+                return False
+            for r in range(size):
+                x[r] = -speeds[chosen[r]]
+            solve_factorized(lower, size, x)
+            part = 1.0
+            for r in range(size):
+                if impulse[chosen[r]] + x[r] <= 0.0 and x[r] < 0.0:
+                    part = min(part, impulse[chosen[r]] / -x[r])
+            left = 0
+            for r in range(size):
+                c = chosen[r]
+                pulls = impulse[c] + x[r] <= 0.0 and x[r] < 0.0 and impulse[c] / -x[r] <= part
+                impulse[c] = 0.0 if pulls else impulse[c] + part * x[r]
+                inside[c] = not pulls
+                if not pulls:
+                    chosen[left] = c
+                    left += 1
+            let_go, size = left < size, left
+            if let_go:
+                idle[:] = False
+            moved(axes, edges, rows, table, w, impulse, v0, velocity)
+            approaches(axes, edges, rows, table, velocity, speeds)
+            if not let_go and part == 1.0:
+                break
+    for _ in range(REFINED if size > 0 and factorize(matrix, chosen, size, lower) else 0):
+        for r in range(size):
+            x[r] = -speeds[chosen[r]]
+        solve_factorized(lower, size, x)
+        for r in range(size):
+            impulse[chosen[r]] = max(impulse[chosen[r]] + x[r], 0.0)
+        moved(axes, edges, rows, table, w, impulse, v0, velocity)
+        approaches(axes, edges, rows, table, velocity, speeds)
+    tight = problem[4]
+    for c in range(m):
+        error = abs(speeds[c]) if inside[c] else max(-speeds[c], 0.0)
+        if not error * tight[edges[c, 0]] <= 1.0 and not error <= round_off(c, matrix, impulse):
+            return False
+    for c in range(m):
+        taken = impulse[c] * (w[rows[c, 0]] + w[rows[c, 1]])
+        table[edges[c, 0], TAKEN] = taken
+        if edges[c, 1] >= 0:
+            table[edges[c, 1], TAKEN] = taken
+    return True
