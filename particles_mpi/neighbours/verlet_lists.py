@@ -39,9 +39,10 @@ class VerletLists:
         `way`: the longest one of a particle in a step, the only length that a single point knows.
         """
         n, d = x.shape
-        widest = self.widest_skin(distance)
+        low, high = (x.min(axis=0), x.max(axis=0)) if n else (np.zeros(d), np.ones(d))
+        everything = float((high - low).max()) + distance + way  # in so wide a skin is everybody: few rows would want ever more
+        widest = min(self.widest_skin(distance), everything or np.inf)
         if not self.width:
-            low, high = (x.min(axis=0), x.max(axis=0)) if n else (np.zeros(d), np.ones(d))
             self.width = max(0.5 * spacing(low, high, n), 0.05 * float(radius.mean()) if n else 0.0) or way or 1.0  # any, at rest
         wanted = WANTED.get(d, MANY)
         wider, longest = 0.0, np.inf  # the width before, if it was wider, and the mean length of lists with it

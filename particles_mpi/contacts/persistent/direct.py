@@ -5,7 +5,7 @@ Least Squares Problems, 1974, chapter 23): contacts that bear something are chos
 chosen are solved by Cholesky's method, and what would pull is let go.
 """
 
-from math import sqrt
+from math import inf, sqrt
 
 import numpy as np
 
@@ -45,6 +45,33 @@ def solve_factorized(lower, size, x):
         for k in range(r + 1, size):
             x[r] -= lower[k, r] * x[k]
         x[r] /= lower[r, r]
+
+
+@inner
+def replace_one(matrix, chosen, size, lower, new, impulse, inside, x):
+    """A new contact takes over from one of those chosen (size,), on which it depends; returns how many are left, -1 if none can.
+
+    What it does along with them moves nothing: so it bears more and they less, until one of them bears nothing and is let go.
+    """
+    for r in range(size):
+        x[r] = -matrix[chosen[r], new]
+    solve_factorized(lower, size, x)
+    most = inf
+    for r in range(size):
+        if x[r] < 0.0:
+            most = min(most, impulse[chosen[r]] / -x[r])
+    if not most < inf:
+        return -1
+    left, impulse[new] = 0, most
+    for r in range(size):
+        c = chosen[r]
+        lets_go = x[r] < 0.0 and impulse[c] / -x[r] <= most
+        impulse[c] = 0.0 if lets_go else impulse[c] + most * x[r]
+        inside[c] = not lets_go
+        if not lets_go:
+            chosen[left] = c
+            left += 1
+    return left
 
 
 @inner
@@ -130,21 +157,24 @@ def solve_directly(axes, problem, w, v0):
     matrix = matrix_of(axes, edges, rows, table, w)
     impulse, speeds, x, lower = np.zeros(m), np.empty(m), np.empty(m), np.empty((m, m))
     velocity, chosen, size = np.empty_like(v0), np.empty(m, np.int64), 0
-    inside, idle = np.zeros(m, np.bool_), np.zeros(m, np.bool_)
+    inside = np.zeros(m, np.bool_)
     for _ in range(10 * m + 10):
         moved(axes, edges, rows, table, w, impulse, v0, velocity)
         approaches(axes, edges, rows, table, velocity, speeds)
         worst, new = 0.0, -1
         for c in range(m):
             scale = sqrt(matrix[c, c])
-            if not inside[c] and not idle[c] and speeds[c] < worst * scale and -speeds[c] > round_off(c, matrix, impulse):
+            if not inside[c] and speeds[c] < worst * scale and -speeds[c] > round_off(c, matrix, impulse):
                 worst, new = speeds[c] / scale, c
         if new < 0:
             break
-        chosen[size], inside[new] = new, True
+        chosen[size] = new
         if not factorize(matrix, chosen, size + 1, lower):
-            inside[new], idle[new] = False, True
-            continue
+            size = replace_one(matrix, chosen, size, lower, new, impulse, inside, x)
+            if size < 0:
+                return False
+        inside[new] = True
+        chosen[size] = new
         size += 1
         while size > 0:
             if not factorize(matrix, chosen, size, lower):
@@ -166,8 +196,6 @@ def solve_directly(axes, problem, w, v0):
                     chosen[left] = c
                     left += 1
             let_go, size = left < size, left
-            if let_go:
-                idle[:] = False
             moved(axes, edges, rows, table, w, impulse, v0, velocity)
             approaches(axes, edges, rows, table, velocity, speeds)
             if not let_go and part == 1.0:

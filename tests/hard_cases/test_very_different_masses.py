@@ -1,0 +1,83 @@
+"""Heavy spheres on light ones come to rest on them, and stay: iterations alone do not get there."""
+
+import numpy as np
+import pytest
+
+from particles_mpi import Scene, Simulation
+from particles_mpi.contacts.persistent import solver
+from particles_mpi.contacts.persistent.problem import AHEAD, TAKEN, Problem
+from particles_mpi.contacts.persistent.solver import EXACT, Iteration
+from particles_mpi.parallel.communicator import Communicator
+
+R = 0.3
+COLUMNS = {
+    "heavy on light": lambda ratio: [1.0, ratio],
+    "by turns": lambda ratio: [1.0, ratio] * 3,
+    "heavier and heavier": lambda ratio: (ratio ** np.linspace(0.0, 1.0, 6)).tolist(),
+}
+
+
+def column(d, masses, mode, more, push=0.0, step=0.02):
+    surfaces = {"restitution": 0.5} | more
+    return Simulation(
+        Scene(
+            dimension=d,
+            box={"lower": [0.0] * d, "upper": [4.0] * (d - 1) + [8.0]},
+            time={"step": step, "steps": 1},
+            particles=[
+                {"position": [[2.0] * (d - 1) + [R + 2.0 * R * k] for k in range(len(masses))], "radius": R, "mass": masses}
+            ],
+            effects={
+                "collisions": surfaces | {"mode": mode},
+                "walls": surfaces,
+                "uniform_gravity": {"acceleration": [push] * (d - 1) + [-9.81]},
+            },
+        )
+    )
+
+
+@pytest.mark.parametrize("mode", ["rewind", "event"])
+@pytest.mark.parametrize("more", [{}, {"friction": 0.3}], ids=["smooth", "rough"])
+@pytest.mark.parametrize("kind", COLUMNS)
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_a_column_stands_still(d, kind, more, mode):
+    """Speeds are round-off, for the light ones between heavy ones of what these would do to them."""
+    if d == 1 and more:
+        return
+    for ratio in (1e2, 1e4, 1e6, 1e8, 1e12):
+        masses = COLUMNS[kind](ratio)
+        sim = column(d, masses, mode, more)
+        start = sim.particles.position.copy()
+        sim.steps(60)
+        speeds, mass = np.abs(sim.particles.velocity).max(axis=1), np.array(masses)
+        assert np.abs(sim.particles.position - start).max() < 1e-7 * R, ratio
+        assert (speeds <= 1e-11 + 1e-14 * mass.max() / mass).all(), (ratio, speeds)
+        assert sim.totals["unconverged"] == 0, ratio
+
+
+@pytest.mark.parametrize(("d", "seed"), [(2, 4), (2, 5), (3, 4), (3, 5)])
+def test_what_is_solved_directly_is_what_iterations_lead_to(d, seed, monkeypatch):
+    """Velocities of a few spheres that fall, meet and come to rest: there is one solution, whatever the contacts take."""
+    random, found = np.random.default_rng(seed), []
+    grid = [[0.6 + 1.1 * (k % 4), *[0.8] * (d - 2), 0.6 + 1.1 * (k // 4)] for k in range(8)]
+    pile = [{"position": (grid + 0.2 * random.random((8, d))).tolist(), "radius": 0.4, "mass": {"min": 0.5, "max": 2.0}}]
+    effects = {"collisions": {"restitution": 0.0}, "walls": {"restitution": 0.0}}
+    effects["uniform_gravity"] = {"acceleration": [1.0] * (d - 1) + [-9.81]}
+    box = {"lower": [0.0] * d, "upper": [5.0] + [1.6] * (d - 2) + [9.0]}
+
+    def both(axes, problem, w, v):
+        iterated = Problem(*(column.copy() for column in problem))
+        iterated.table[:, [TAKEN, AHEAD]] = 0.0
+        done = direct(axes, problem, w, v)
+        result = Iteration(axes, Problem(*problem), w, v, None).result
+        iteration = Iteration(axes, iterated, w, v, None)
+        good, _ = iteration.until_good(Communicator.alone(), len(iterated.partner), EXACT)
+        found.append((done and good, np.abs(iteration.result - result).max()))
+        return done
+
+    direct = solver.solve_directly
+    monkeypatch.setattr(solver, "solve_directly", both)
+    monkeypatch.setattr(solver, "TRIED", 0)
+    Simulation(Scene(dimension=d, box=box, time={"step": 0.01, "steps": 150}, particles=pile, effects=effects)).run()
+    done, apart = np.array(found).T
+    assert len(found) > 90 and done.all() and apart.max() < 1e-9
