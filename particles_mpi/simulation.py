@@ -27,6 +27,7 @@ class Simulation(Saved):
     `sim.particles` (this rank's rows, see `ParticleView`), `sim.time`, `sim.h`, the options of `sim.effects[name]`; `sim.add`
     and `sim.remove` change who is there. Going on is then the same, to the bit, as a new simulation of that state (`State`).
     Raises SceneError for a scene that cannot be run and StoppedError when a state has lost its meaning, on all ranks.
+    What a script writes into `particles` and cannot be is told on the rank where it was written; not caught, it ends all ranks.
     """
 
     def __init__(self, scene: Scene, comm: Any = None, start: Particles | None = None):

@@ -86,8 +86,11 @@ def event(d: int, ranks: Communicator) -> None:
 
 
 def losses(d: int, ranks: Communicator) -> None:
-    """Mode event where spheres come to rest."""
-    run(ranks, d, {"collisions": LOSSY | {"mode": "event"}, "walls": LOSSY, "uniform_gravity": down(d)})
+    """Mode event where spheres come to rest, one on another of very different mass, too."""
+    lossy = {"collisions": LOSSY | {"mode": "event"}, "walls": LOSSY, "uniform_gravity": down(d)}
+    run(ranks, d, lossy)
+    heavy = [{"position": [[2.0] * (d - 1) + [0.2 + 0.4 * k] for k in range(2)], "radius": 0.2, "mass": [1.0, 1e8]}]
+    run(ranks, d, lossy, particles=heavy)
 
 
 def rewind(d: int, ranks: Communicator) -> None:

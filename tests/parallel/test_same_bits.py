@@ -199,8 +199,12 @@ SCENES = {
         box={"lower": [0.0, 0.0], "upper": [4.0, 4.0]},
         particles=[{"position": [[0.5 + k // 4, 0.3 + 0.6 * (k % 4)] for k in range(16)], "radius": 0.3,
                     "mass": [[1.0, 1e6, 1e2, 1e8][(k + k // 4) % 4] for k in range(16)]},
-                   {"position": [[3.9, 2.0]], "velocity": [-20.0, 0.0], "radius": 0.05, "mass": 1e3}],
-        effects={"uniform_gravity": {"acceleration": [0.5, -9.81]}, "collisions": {"restitution": 0.5}, "walls": {"restitution": 0.5}},
+                   {"position": [[3.9, 2.0]], "velocity": [-9.0, 0.0], "radius": 0.05, "mass": 1e3}],
+        effects={
+            "uniform_gravity": {"acceleration": [0.5, -9.81]},
+            "collisions": {"restitution": 0.5},
+            "walls": {"restitution": 0.5},
+        },
     ),
     "balls that collide on a floor, and lean on a wall in the end": dict(
         dimension=3,
