@@ -58,6 +58,7 @@ def claim(folder: Path, ranks: Communicator, about: dict[str, Any], resumed: boo
     continues = False
     with failing_together(ranks, f"cannot use {folder}"):
         if ranks.is_root:
+            refuse_what_is_no_folder(folder)
             held = [name for name in OURS if (folder / name).exists()]
             continues = resumed and _is_of(folder / "checkpoint.h5", about["scene"])
             if held and not continues and not overwrite:
@@ -74,6 +75,16 @@ def claim(folder: Path, ranks: Communicator, about: dict[str, Any], resumed: boo
                 with replacing(record) as part:
                     part.write_text(json.dumps(about, indent=2) + "\n")
     return bool(ranks.bcast(continues))
+
+
+def refuse_what_is_no_folder(folder: Path) -> None:
+    """Raise a SceneError if this is a file, or in one, or no name that a folder can have."""
+    try:
+        files = [part for part in (folder, *folder.parents) if part.exists() and not part.is_dir()]
+    except OSError as error:
+        raise SceneError(f"--output: {folder}: {error.strerror}") from None
+    if files:
+        raise SceneError(f"--output: {files[0]} is not a folder")
 
 
 def _is_of(path: Path, scene: dict[str, Any]) -> bool:

@@ -123,10 +123,15 @@ def same_on_all(ranks: Communicator, tables: dict[str, Any], arrays: dict[str, A
 
 
 def differences(one: Any, two: Any, key: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """The keys in which two nested tables of plain data differ, "a.b.c", and both values; None where one has no such key."""
+    """The keys in which two nested tables of plain data differ, "a.b[0].c", and both values; None where one has no such key."""
     if isinstance(one, dict) and isinstance(two, dict):
         for name in sorted(one.keys() | two.keys()):
             yield from differences(one.get(name), two.get(name), f"{key}.{name}" if key else name)
+    elif all(isinstance(side, list) and all(isinstance(row, dict) for row in side) for side in (one, two)) and len(one) == len(
+        two
+    ):
+        for number, rows in enumerate(zip(one, two, strict=True)):
+            yield from differences(*rows, f"{key}[{number}]")
     elif one != two:
         yield key, one, two
 

@@ -6,6 +6,7 @@ import pytest
 
 from particles_mpi import Scene, SceneError, Simulation, StoppedError
 from particles_mpi.output.diagnostics_csv import Diagnostics
+from particles_mpi.output.run_folder import changed
 from particles_mpi.parallel.signals import SIGNALS
 from particles_mpi.run.console import Screen
 
@@ -45,3 +46,19 @@ def test_a_refused_run_can_be_done_again(hindrance, error, tmp_path, monkeypatch
     monkeypatch.undo()
     sim.run(tmp_path / "out", overwrite=True)
     assert sim.steps_done == 3 and (tmp_path / "out/run.json").exists()
+
+
+@pytest.mark.parametrize("place", ["file", "file/under", "n" * 300])
+def test_what_is_no_folder_is_refused(place, tmp_path):
+    (tmp_path / "file").write_text("something")
+    with pytest.raises(SceneError, match="^--output: "):
+        simulation().run(tmp_path / place)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"] and (tmp_path / "file").read_text() == "something"
+
+
+def test_keys_that_differ_are_named():
+    """Within a population, too; not where the file of an effect is."""
+    one = {"particles": [{"radius": 0.5}, {"radius": 0.5, "mass": 1.0}], "effects": {"mine": {"file": "here", "size": 1.0}}}
+    two = {"particles": [{"radius": 0.5}, {"radius": 0.4, "mass": 1.0}], "effects": {"mine": {"file": "there", "size": 1.0}}}
+    assert list(changed(one, two)) == ["particles[1].radius"]
+    assert list(changed(one, two | {"particles": []})) == ["particles"]
