@@ -51,7 +51,7 @@ def test_a_refused_run_can_be_done_again(hindrance, error, tmp_path, monkeypatch
 @pytest.mark.parametrize("place", ["file", "file/under", "n" * 300])
 def test_what_is_no_folder_is_refused(place, tmp_path):
     (tmp_path / "file").write_text("something")
-    with pytest.raises(SceneError, match="^--output: "):
+    with pytest.raises(SceneError, match=r"^--output: "):
         simulation().run(tmp_path / place)
     assert [path.name for path in tmp_path.iterdir()] == ["file"] and (tmp_path / "file").read_text() == "something"
 
