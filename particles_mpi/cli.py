@@ -124,6 +124,8 @@ def check(scene: SceneFile) -> None:
     if found.forecast:
         screen.forecast(found.forecast)
         screen.shares(found.forecast)
+    if found.costs:
+        screen.say(f"  each effect costs, by what a step takes less without it: {found.costs}")
     for line in (*(f"  {error}" for error in found.errors), "valid"):
         screen.say(line)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -52,6 +53,7 @@ class State:
         self.moment = 0.0, 0  # (time, steps done) that the clock counts from
         self.reported = [0] * len(COUNTS)
         self.written: dict[str, int] = {}
+        self.saved: tuple[Path, int] | None = None  # folder and step of its last checkpoint
         self.views: list[Any] = []  # in a notebook
         self.observed = [0.0, 0.0, 0.0]
         self.additions = 0  # populations added while it ran

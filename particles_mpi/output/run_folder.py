@@ -50,17 +50,20 @@ def to_go_on(folder: Path, ranks: Communicator, scene: dict[str, Any]) -> Path |
     return ranks.bcast(found)
 
 
-def claim(folder: Path, ranks: Communicator, about: dict[str, Any], resumed: bool, overwrite: bool) -> bool:
+def claim(
+    folder: Path, ranks: Communicator, about: dict[str, Any], resumed: bool, overwrite: bool, own: bool = False
+) -> bool:  # fmt: skip
     """Take the folder for a run of about["scene"]; True if a resumed run continues there, where its checkpoint is. Collective.
 
-    Otherwise files of an earlier run are a SceneError, or are deleted with `overwrite`.
+    `own`: this simulation wrote the checkpoint there, and has taken no step since; its user may have changed the scene. Otherwise
+    files of an earlier run are a SceneError, or are deleted with `overwrite`.
     """
     continues = False
     with failing_together(ranks, f"cannot use {folder}"):
         if ranks.is_root:
             refuse_what_is_no_folder(folder)
             held = [name for name in OURS if (folder / name).exists()]
-            continues = resumed and _is_of(folder / "checkpoint.h5", about["scene"])
+            continues = resumed and ((own and "checkpoint.h5" in held) or _is_of(folder / "checkpoint.h5", about["scene"]))
             if held and not continues and not overwrite:
                 what = "another run than the one to be resumed" if resumed else "a run"
                 way = "--overwrite to replace it, or another folder" if resumed else "--overwrite or --resume"

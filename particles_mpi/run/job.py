@@ -78,7 +78,8 @@ class Job:
     def _open(self, overwrite: bool) -> None:
         """Claim the folder, and open the writers; all have looked at their files before the first one changes its own."""
         about = {"scene": self.scene.to_dict(), "plan": self.plan | {"not_run": [{"effect": n} for n in self.plan["not_run"]]}}
-        self.continues = run_folder.claim(self.folder, self.ranks, about, self.resumed, overwrite)
+        own = self.sim.saved == (self.folder.resolve(), self.sim.steps_done)
+        self.continues = run_folder.claim(self.folder, self.ranks, about, self.resumed, overwrite, own)
         self.written = self.sim.written = self.sim.written if self.continues else {"row": -1, "frame": -1}
         output, d, ranks = self.scene.output, self.scene.dimension, self.ranks
         step = self.sim.steps_done if self.continues else None
@@ -228,6 +229,7 @@ class Job:
             contacts = sim.lasting_contacts()
             path, d = self.folder / "checkpoint.h5", self.scene.dimension
             checkpoint.save(path, self.ranks, sim.rows.arrays, sim.ids, d, state, contacts)
+        sim.saved = self.folder.resolve(), sim.steps_done
         self.request.reserve = max(self.request.reserve, SAFETY * (perf_counter() - began))
 
     def close(self) -> None:

@@ -8,6 +8,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from math import gamma, isfinite, log2, pi
 from pathlib import Path
@@ -16,7 +17,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from particles_mpi import Scene, Simulation
-from particles_mpi.errors import Interrupted, StoppedError
+from particles_mpi.errors import Interrupted, SceneError, StoppedError
 from particles_mpi.integrators.gauss_radau import TOLERANCE
 from particles_mpi.output.files import failing_together
 from particles_mpi.parallel.communicator import Communicator
@@ -27,18 +28,26 @@ from particles_mpi.scene.schema import TOLERANCES
 from particles_mpi.study.experiment import Benchmark, total
 from particles_mpi.study.recommend.error_metric import ROUND_OFF
 from particles_mpi.study.recommend.runs import LOOKS, Record, Start, follow, variant
+from particles_mpi.study.timing import StepTimer, time_in_turns
 
 ERRORS = 0.8  # seconds for errors, about
 MOST = 3.0  # seconds that errors may take where steps take long; more is not tried
+LONGEST = 0.1  # seconds of a step: of longer ones it is not measured what each effect costs, which takes copies and time
+SAMPLES, SAMPLE = 3, 0.02  # of each effect, and least seconds of one
+LEAST = 0.03  # of a step: less is not told from the noise
 LOST = 15.0  # collisions of a particle, after which its place means nothing: round-off has grown to the size of it
 
 
 @dataclass
 class Prediction:
-    """How long a run takes (None if nothing happens in it, or it stops at once), and how wrong it will be, line by line."""
+    """How long a run takes (None if nothing happens in it, or it stops at once), and how wrong it will be, line by line.
+
+    costs: the share of a step that each effect takes, in words; "" where steps take too long to find out.
+    """
 
     forecast: Forecast | None
     errors: list[str]
+    costs: str = ""
 
 
 def predict(sim: Simulation, benchmark: Benchmark) -> Prediction:
@@ -56,10 +65,44 @@ def predict(sim: Simulation, benchmark: Benchmark) -> Prediction:
         forecast: Forecast | None = ranks.bcast(job.forecast)
         if forecast is None:
             raise Interrupted("stopped before anything could be predicted")
+        costs = costs_of(sim, forecast.step)
         errors = of_contacts(sim) if "collisions" in scene.effects else of_steps(benchmark, scene, forecast.step)
     except StoppedError as error:
         return Prediction(None, [f"predicted: stops within the first steps: {str(error).splitlines()[0]}"])
-    return Prediction(forecast, errors)
+    return Prediction(forecast, errors, costs)
+
+
+def costs_of(sim: Simulation, step: float) -> str:
+    """What a step takes less without each effect, in words, measured by turns from the state of now; `step`: its seconds.
+
+    Effects share some work (walls are looked for with collisions, for instance), so shares need not add up. Collective.
+    """
+    if step > LONGEST:
+        return ""
+    timers = {}
+    for name in ("", *(name for name, options in sim.scene.effects.items() if options.active)):
+        begin = partial(without, sim, name)
+        try:
+            begin().step()
+        except (SceneError, StoppedError):  # nothing can be without it
+            continue
+        timers[name] = StepTimer(sim.ranks, begin, int(SAMPLE / max(step, 1e-9)) + 1)
+    time_in_turns(list(timers.values()), SAMPLES, SAMPLE)
+    seconds = {name: timer.seconds.median for name, timer in timers.items()}
+    whole = seconds.pop("", 0.0)
+    shares = {name: 1.0 - less / whole for name, less in seconds.items()}
+    return ", ".join(
+        f"{name} {1e3 * whole * share:.2g} ms ({share:.0%})" if share > LEAST else f"{name} less than {LEAST:.0%}"
+        for name, share in sorted(shares.items(), key=lambda item: -item[1])
+    )
+
+
+def without(sim: Simulation, name: str) -> Simulation:
+    """A copy in which this effect is switched off, if one is named. Collective."""
+    twin = sim.copy()
+    if name:
+        twin.effects[name].active = False
+    return twin
 
 
 @contextmanager

@@ -35,6 +35,20 @@ def test_the_order_of_the_step_is_seen(integrator, order):
     assert f"order {order}" in error
 
 
+@pytest.mark.parametrize("mode", ["rewind", "event"])
+def test_what_each_effect_costs_is_told(mode):
+    """Collisions are most of a step here; an effect that is switched off costs nothing, and is not named."""
+    box = {"lower": [0.0] * 3, "upper": [9.0] * 3}
+    gas = {"count": 200, "position": "random", "velocity": {"temperature": 1.0}, "radius": 0.4, "mass": 1.0}
+    effects = {"collisions": {"mode": mode}, "walls": {}, "drag": {"rate": 0.1}, "uniform_gravity": {"acceleration": [0, 0, -1]}}
+    effects["uniform_gravity"]["active"] = False
+    time = {"step": 0.01, "steps": 100}
+    sim = Simulation(Scene(dimension=3, box=box, time=time, particles=[gas], effects=effects))
+    costs = dict(part.split(maxsplit=1) for part in predict(sim, Benchmark()).costs.split(", "))
+    assert costs.keys() == {"collisions", "walls", "drag"}
+    assert " ms (" in costs["collisions"]
+
+
 def test_what_is_exact_is_said_to_be():
     assert "round-off only" in predict(Simulation(scene()), Benchmark()).errors[0]
 
