@@ -18,9 +18,12 @@ REFINED = 3  # times that what is left of the equations is solved for
 
 
 @inner
-def factorize(matrix, chosen, size, lower):
-    """Cholesky's factor of the rows and columns `chosen` (size,) of a matrix; False if these depend on one another."""
-    for r in range(size):
+def factorize(matrix, chosen, first, size, lower):
+    """Cholesky's factor of the rows and columns `chosen` (size,) of a matrix; False if these depend on one another.
+
+    Its first rows, up to `first`, are there already.
+    """
+    for r in range(first, size):
         for c in range(r + 1):
             total = matrix[chosen[r], chosen[c]]
             for k in range(c):
@@ -156,7 +159,7 @@ def solve_directly(axes, problem, w, v0):
     m = len(rows)
     matrix = matrix_of(axes, edges, rows, table, w)
     impulse, speeds, x, lower = np.zeros(m), np.empty(m), np.empty(m), np.empty((m, m))
-    velocity, chosen, size = np.empty_like(v0), np.empty(m, np.int64), 0
+    velocity, chosen, size, known = np.empty_like(v0), np.empty(m, np.int64), 0, 0  # so many rows of the factor are known
     inside = np.zeros(m, np.bool_)
     for _ in range(10 * m + 10):
         moved(axes, edges, rows, table, w, impulse, v0, velocity)
@@ -169,16 +172,18 @@ def solve_directly(axes, problem, w, v0):
         if new < 0:
             break
         chosen[size] = new
-        if not factorize(matrix, chosen, size + 1, lower):
+        if not factorize(matrix, chosen, known, size + 1, lower):
             size = replace_one(matrix, chosen, size, lower, new, impulse, inside, x)
+            known = 0
             if size < 0:
                 return False
         inside[new] = True
         chosen[size] = new
         size += 1
         while size > 0:
-            if not factorize(matrix, chosen, size, lower):
+            if not factorize(matrix, chosen, known, size, lower):
                 return False
+            known = size
             for r in range(size):
                 x[r] = -speeds[chosen[r]]
             solve_factorized(lower, size, x)
@@ -189,18 +194,20 @@ def solve_directly(axes, problem, w, v0):
             left = 0
             for r in range(size):
                 c = chosen[r]
+                if left == r:
+                    known = r  # as long as nobody has been let go, the factor stays
                 pulls = impulse[c] + x[r] <= 0.0 and x[r] < 0.0 and impulse[c] / -x[r] <= part
                 impulse[c] = 0.0 if pulls else impulse[c] + part * x[r]
                 inside[c] = not pulls
                 if not pulls:
                     chosen[left] = c
                     left += 1
-            let_go, size = left < size, left
+            let_go, known, size = left < size, known if left < size else size, left
             moved(axes, edges, rows, table, w, impulse, v0, velocity)
             approaches(axes, edges, rows, table, velocity, speeds)
             if not let_go and part == 1.0:
                 break
-    for _ in range(REFINED if size > 0 and factorize(matrix, chosen, size, lower) else 0):
+    for _ in range(REFINED if size > 0 and factorize(matrix, chosen, known, size, lower) else 0):
         for r in range(size):
             x[r] = -speeds[chosen[r]]
         solve_factorized(lower, size, x)
