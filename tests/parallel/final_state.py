@@ -38,4 +38,4 @@ for name, tables in json.loads(Path(sys.argv[1]).read_text()).items():
         assert (frame["id"] == np.arange(sim.total)).all()  # a permutation: nobody lost, nobody twice
         about = {"counts": counts, "rows": np.array(rows), "traffic": traffic, "windows": windows, "interactions": interactions}
         np.savez(folder / f"{name}.{sim.ranks.size}.npz", **about, **frame)
-exchange.FEW = FEW
+exchange.FEW, solver.FEW = FEW, FEW_CONTACTS

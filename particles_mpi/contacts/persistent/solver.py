@@ -224,11 +224,14 @@ class Solver:
             run = Iteration(self.axes, problem, w, v, exchange if ranks.size > 1 else None)
             good, done = run.until_good(ranks, count, least, asleep, limit)
             result = run.result
-        if few and not good:
+        if few and (not good or (w.ndim == 1 and done >= limit)):
             together = Together(ranks, ids, problem, w, v)  # of one rank alone, too: in the order of ids
             run = Iteration(self.axes, together.problem, together.w, together.v, None)
             if run.solve_directly():
                 good = not run.rough or run.improve(count, least)
+                result = together.ours(run.result, v, problem.table, run.taken)
+            elif not run.rough:  # then it takes as many iterations as it takes
+                good, _ = run.until_good(Communicator.alone(), count, least, limit=MOST)
                 result = together.ours(run.result, v, problem.table, run.taken)
         self.iterations += done
         return result, good, done == 0
