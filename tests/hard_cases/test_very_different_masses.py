@@ -42,7 +42,8 @@ def column(d, masses, mode, more, push=0.0, step=0.02):
 @pytest.mark.parametrize("kind", COLUMNS)
 @pytest.mark.parametrize("d", [1, 2, 3])
 def test_a_column_stands_still(d, kind, more, mode):
-    """Speeds are round-off, for the light ones between heavy ones of what these would do to them."""
+    """Speeds are below 1e-8 of what gravity does in two steps; of the light ones between heavy ones, and round-off of what these
+    would do to them."""
     if d == 1 and more:
         return
     for ratio in (1e2, 1e4, 1e6, 1e8, 1e12):
@@ -52,7 +53,7 @@ def test_a_column_stands_still(d, kind, more, mode):
         sim.steps(60)
         speeds, mass = np.abs(sim.particles.velocity).max(axis=1), np.array(masses)
         assert np.abs(sim.particles.position - start).max() < 1e-7 * R, ratio
-        assert (speeds <= 1e-11 + 1e-14 * mass.max() / mass).all(), (ratio, speeds)
+        assert (speeds <= 1e-8 * 2.0 * 9.81 * 0.02 + 1e-14 * mass.max() / mass).all(), (ratio, speeds)
         assert sim.totals["unconverged"] == 0, ratio
 
 
