@@ -29,6 +29,17 @@ def runs(tmp_path_factory):
     return told
 
 
+def hdf_frames(folder):
+    """The frames of a trajectory, one after the other, as the reader of ParaView gives them."""
+    reader = vtkHDFReader()
+    reader.SetFileName(str(folder / "trajectory.vtkhdf"))
+    reader.UpdateInformation()
+    for step in range(reader.GetNumberOfSteps()):
+        reader.SetStep(step)
+        reader.Update()
+        yield reader.GetOutputDataObject(0)
+
+
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_ids_counts_and_states(runs, ranks):
     said = runs[ranks][1]
@@ -50,14 +61,7 @@ def test_what_cannot_be_is_refused_by_name(runs, ranks):
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_frames_are_read_by_the_readers_of_paraview(runs, ranks):
     folder = runs[ranks][0]
-    reader = vtkHDFReader()
-    reader.SetFileName(str(folder / "trajectory.vtkhdf"))
-    reader.UpdateInformation()
-    assert reader.GetNumberOfSteps() == len(COUNTS)
-    for frame, count in enumerate(COUNTS):
-        reader.SetStep(frame)
-        reader.Update()
-        data = reader.GetOutputDataObject(0)
+    for frame, (data, count) in enumerate(zip(hdf_frames(folder), COUNTS, strict=True)):
         assert data.GetNumberOfPoints() == data.GetNumberOfVerts() == data.GetNumberOfCells() == count
         assert [data.GetCell(i).GetPointId(0) for i in range(count)] == list(range(count))
         ids = vtk_to_numpy(data.GetPointData().GetArray("id"))
@@ -105,14 +109,7 @@ def test_numbers_that_change_again_and_again_within_one_run(tmp_path, seed):
     assert len({len(one) for one in ids}) > 3
     for frame, there in zip(Run(tmp_path), ids, strict=True):
         np.testing.assert_array_equal(frame.id, there)
-    reader = vtkHDFReader()
-    reader.SetFileName(str(tmp_path / "trajectory.vtkhdf"))
-    reader.UpdateInformation()
-    assert reader.GetNumberOfSteps() == len(ids)
-    for k, there in enumerate(ids):
-        reader.SetStep(k)
-        reader.Update()
-        data = reader.GetOutputDataObject(0)
+    for data, there in zip(hdf_frames(tmp_path), ids, strict=True):
         assert data.GetNumberOfPoints() == len(there)
         if len(there):
             np.testing.assert_array_equal(vtk_to_numpy(data.GetPointData().GetArray("id")), there)
