@@ -78,24 +78,27 @@ def replace_one(matrix, chosen, size, lower, new, impulse, inside, x):
 
 
 @inner
-def approaches(axes, edges, rows, table, velocity, speeds):
-    """Of each contact how much faster its partners part than they must, at these velocities."""
-    for c in range(len(rows)):
-        e, i, j = edges[c, 0], rows[c, 0], rows[c, 1]
-        speeds[c] = table[e, MAY_CLOSE]
-        for k in range(len(axes)):
-            speeds[c] += (velocity[i, k] - velocity[j, k]) * table[e, NORMAL + k]
+def solve_for_chosen(lower, chosen, size, speeds, x):
+    """To x (size,) how much more the chosen contacts have to bear for their approaches, whose speeds (m,) these are, to be 0."""
+    for r in range(size):
+        x[r] = -speeds[chosen[r]]
+    solve_factorized(lower, size, x)
 
 
 @inner
-def moved(axes, edges, rows, table, w, impulse, v0, velocity):
-    """Velocities (size + 1, d) after the impulses (m,)."""
+def approaches(axes, edges, rows, table, w, impulse, v0, velocity, speeds):
+    """To velocity (size + 1, d) v0 after the impulses (m,), and to speeds (m,) how much faster partners part than they must."""
     velocity[:] = v0
     for c in range(len(rows)):
         e, i, j = edges[c, 0], rows[c, 0], rows[c, 1]
         for k in range(len(axes)):
             velocity[i, k] += w[i] * impulse[c] * table[e, NORMAL + k]
             velocity[j, k] -= w[j] * impulse[c] * table[e, NORMAL + k]
+    for c in range(len(rows)):
+        e, i, j = edges[c, 0], rows[c, 0], rows[c, 1]
+        speeds[c] = table[e, MAY_CLOSE]
+        for k in range(len(axes)):
+            speeds[c] += (velocity[i, k] - velocity[j, k]) * table[e, NORMAL + k]
 
 
 @inner
@@ -162,8 +165,7 @@ def solve_directly(axes, problem, w, v0):
     velocity, chosen, size, known = np.empty_like(v0), np.empty(m, np.int64), 0, 0  # so many rows of the factor are known
     inside = np.zeros(m, np.bool_)
     for _ in range(10 * m + 10):
-        moved(axes, edges, rows, table, w, impulse, v0, velocity)
-        approaches(axes, edges, rows, table, velocity, speeds)
+        approaches(axes, edges, rows, table, w, impulse, v0, velocity, speeds)
         worst, new = 0.0, -1
         for c in range(m):
             scale = sqrt(matrix[c, c])
@@ -184,9 +186,7 @@ def solve_directly(axes, problem, w, v0):
             if not factorize(matrix, chosen, known, size, lower):
                 return False
             known = size
-            for r in range(size):
-                x[r] = -speeds[chosen[r]]
-            solve_factorized(lower, size, x)
+            solve_for_chosen(lower, chosen, size, speeds, x)
             part = 1.0
             for r in range(size):
                 if impulse[chosen[r]] + x[r] <= 0.0 and x[r] < 0.0:
@@ -203,18 +203,14 @@ def solve_directly(axes, problem, w, v0):
                     chosen[left] = c
                     left += 1
             let_go, known, size = left < size, known if left < size else size, left
-            moved(axes, edges, rows, table, w, impulse, v0, velocity)
-            approaches(axes, edges, rows, table, velocity, speeds)
+            approaches(axes, edges, rows, table, w, impulse, v0, velocity, speeds)
             if not let_go and part == 1.0:
                 break
     for _ in range(REFINED if size > 0 and factorize(matrix, chosen, known, size, lower) else 0):
-        for r in range(size):
-            x[r] = -speeds[chosen[r]]
-        solve_factorized(lower, size, x)
+        solve_for_chosen(lower, chosen, size, speeds, x)
         for r in range(size):
             impulse[chosen[r]] = max(impulse[chosen[r]] + x[r], 0.0)
-        moved(axes, edges, rows, table, w, impulse, v0, velocity)
-        approaches(axes, edges, rows, table, velocity, speeds)
+        approaches(axes, edges, rows, table, w, impulse, v0, velocity, speeds)
     tight = problem[4]
     for c in range(m):
         error = abs(speeds[c]) if inside[c] else max(-speeds[c], 0.0)
