@@ -51,30 +51,27 @@ def solve_factorized(lower, size, x):
 
 
 @inner
-def replace_one(matrix, chosen, size, lower, new, impulse, inside, x):
-    """A new contact takes over from one of those chosen (size,), on which it depends; returns how many are left, -1 if none can.
+def change_impulses(chosen, size, x, most, impulse, inside):
+    """The chosen contacts (size,) come to bear `most` times x (size,) more, or less: until one bears nothing, and is let go.
 
-    What it does along with them moves nothing: so it bears more and they less, until one of them bears nothing and is let go.
+    Returns (how many times x was added, how many contacts are left, how many of the first ones were there before). Nothing
+    changes if `most` is infinite and no contact comes to bear nothing.
     """
-    for r in range(size):
-        x[r] = -matrix[chosen[r], new]
-    solve_factorized(lower, size, x)
-    most = inf
+    part = most
     for r in range(size):
         if x[r] < 0.0:
-            most = min(most, impulse[chosen[r]] / -x[r])
-    if not most < inf:
-        return -1
-    left, impulse[new] = 0, most
-    for r in range(size):
+            part = min(part, impulse[chosen[r]] / -x[r])
+    left, same = 0, size
+    for r in range(size if part < inf else 0):
         c = chosen[r]
-        lets_go = x[r] < 0.0 and impulse[c] / -x[r] <= most
-        impulse[c] = 0.0 if lets_go else impulse[c] + most * x[r]
-        inside[c] = not lets_go
-        if not lets_go:
+        inside[c] = not (x[r] < 0.0 and impulse[c] / -x[r] <= part)
+        impulse[c] = impulse[c] + part * x[r] if inside[c] else 0.0
+        if inside[c]:
             chosen[left] = c
             left += 1
-    return left
+        else:
+            same = min(same, r)
+    return part, left, same
 
 
 @inner
@@ -175,9 +172,12 @@ def solve_directly(axes, problem, w, v0):
             break
         chosen[size] = new
         if not factorize(matrix, chosen, known, size + 1, lower):
-            size = replace_one(matrix, chosen, size, lower, new, impulse, inside, x)
-            known = 0
-            if size < 0:
+            # The new one takes over from one of those on which it depends: what it does along with them moves nothing.
+            for r in range(size):
+                x[r] = -matrix[chosen[r], new]
+            solve_factorized(lower, size, x)
+            impulse[new], size, known = change_impulses(chosen, size, x, inf, impulse, inside)
+            if not impulse[new] < inf:
                 return False
         inside[new] = True
         chosen[size] = new
@@ -187,24 +187,10 @@ def solve_directly(axes, problem, w, v0):
                 return False
             known = size
             solve_for_chosen(lower, chosen, size, speeds, x)
-            part = 1.0
-            for r in range(size):
-                if impulse[chosen[r]] + x[r] <= 0.0 and x[r] < 0.0:
-                    part = min(part, impulse[chosen[r]] / -x[r])
-            left = 0
-            for r in range(size):
-                c = chosen[r]
-                if left == r:
-                    known = r  # as long as nobody has been let go, the factor stays
-                pulls = impulse[c] + x[r] <= 0.0 and x[r] < 0.0 and impulse[c] / -x[r] <= part
-                impulse[c] = 0.0 if pulls else impulse[c] + part * x[r]
-                inside[c] = not pulls
-                if not pulls:
-                    chosen[left] = c
-                    left += 1
-            let_go, known, size = left < size, known if left < size else size, left
+            before = size
+            _, size, known = change_impulses(chosen, size, x, 1.0, impulse, inside)
             approaches(axes, edges, rows, table, w, impulse, v0, velocity, speeds)
-            if not let_go and part == 1.0:
+            if size == before:
                 break
     for _ in range(REFINED if size > 0 and factorize(matrix, chosen, known, size, lower) else 0):
         solve_for_chosen(lower, chosen, size, speeds, x)
