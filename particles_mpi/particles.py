@@ -174,6 +174,13 @@ def rows_of(arrays: dict[str, Array], rows: Array) -> dict[str, Array]:
     return {name: array.take(rows, axis=0) for name, array in arrays.items()}
 
 
+def rows_with(ids: Array, wanted: Array) -> Array:
+    """Which of the rows with these ids (n,), all different, have the `wanted` ids, which are among them."""
+    order = np.argsort(ids)
+    rows: Array = order[np.searchsorted(ids, wanted, sorter=order)]
+    return rows
+
+
 def row_dot(rows: Array, vectors: Array) -> Array:
     """Row by row, axes summed in order: the same bits whatever the number of rows (a BLAS product promises no such thing)."""
     total = rows[:, 0] * vectors[..., 0]

@@ -148,18 +148,22 @@ class Simulation(Saved):
         with self.timers("watchdog"):
             self.watchdog.look(self.rows, self.steps_done)
 
-    def measure(self) -> dict[str, float]:
-        """Energies, momentum, largest speed of all particles, and observables if the scene has them. Collective."""
+    def measure(self, row: bool = False) -> dict[str, float]:
+        """Energies, momentum, largest speed of all particles, and observables if the scene has them. Collective.
+
+        Rates of observables are since the last call; for a `row` of diagnostics.csv, since the row before.
+        """
         self.take_changes()
         p = self.rows
         with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is told below
-            row = measure(self.ranks, p, self.accelerations.potentials(p))
+            measured = measure(self.ranks, p, self.accelerations.potentials(p))
             if self.scene.output.observables:
                 collisions = int(self.ranks.allreduce_sum(self.totals["collisions"])[0])
                 volume = float(np.prod(self.upper - self.lower)) if self.scene.box else np.nan
-                row |= observe(self.ranks, p, volume, self.time, collisions, self.observed)
-        require_finite(self.ranks, p, row["kinetic"], f"step {self.steps_done}")
-        return row
+                since = self.observed["row" if row else "call"]
+                measured |= observe(self.ranks, p, volume, self.time, collisions, since)
+        require_finite(self.ranks, p, measured["kinetic"], f"step {self.steps_done}")
+        return measured
 
     def counted(self) -> dict[str, int]:
         """Work of this rank so far: searches for neighbours, ghosts, tests of pairs, interactions, windows of time."""

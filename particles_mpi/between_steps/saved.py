@@ -40,7 +40,7 @@ class Saved(State):
         sim.begin(scene, ranks, rows, metadata["next_id"])
         sim.steps_done, sim._h, sim.additions = metadata["step"], metadata["h"], metadata["additions"]
         sim.moment = metadata["moment"][0], metadata["moment"][1]
-        sim.observed = list(metadata["observed"])
+        sim.observed = {reader: list(since) for reader, since in metadata["observed"].items()}
         if sim.persistent:
             sim.persistent.restore(contacts)
         if ranks.is_root:  # counts are sums over ranks: one rank carries those from before

@@ -18,6 +18,7 @@ from particles_mpi.kernels.planes import no_planes
 from particles_mpi.measure.watchdog import Watchdog
 from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.parallel.exchange import id_range
 from particles_mpi.parallel.signals import HeldInterrupt
 from particles_mpi.particles import OWN, Array, Particles, default_values, moment_of_sphere
@@ -33,9 +34,9 @@ class State:
     scene: what it goes by; ranks; rows: this rank's particles (`particles` is what a user sees of them); ids: where the ids of
     all lie; total: how many there are on all ranks; steps_done; warnings: of the start; next_id: of a particle that is added;
     reported, written: counts and steps at the last row of diagnostics and the last frame; observed: time, collisions and virial
-    when the observables were last looked at. Of this rank, since the start: totals: collisions, wall hits, missed contacts and
-    exchanges; calls: how often each effect was asked. forces: those that are switched on, by name; g (d,): the acceleration
-    that all particles have in common; near: whoever knows the neighbours, or None.
+    at the last row of diagnostics with observables, and when `measure` was last called for them. Of this rank, since the start:
+    totals: the COUNTS of what happened; calls: how often each effect was asked. forces: those that are switched on, by name;
+    g (d,): the acceleration that all particles have in common; near: whoever knows the neighbours, or None.
     """
 
     broken = ""  # why the state cannot be used any more
@@ -55,7 +56,7 @@ class State:
         self.written: dict[str, int] = {}
         self.saved: tuple[Path, int] | None = None  # folder and step of its last checkpoint
         self.views: list[Any] = []  # in a notebook
-        self.observed = [0.0, 0.0, 0.0]
+        self.observed = {"row": [0.0, 0.0, 0.0], "call": [0.0, 0.0, 0.0]}
         self.additions = 0  # populations added while it ran
         self.rows = rows
         self.rows.hold_fixed()
@@ -168,7 +169,8 @@ class State:
         if not np.isfinite(value):
             raise ValueError(f"time: {value} is not finite")
         same_on_all(self.ranks, {"time": value})
-        self.observed[0] += value - self.time
+        for since in self.observed.values():
+            since[0] += value - self.time
         self.moment = float(value), self.steps_done
         self.forget_contacts()
 
@@ -251,6 +253,10 @@ class State:
         if self.ranks.allreduce_sum(np.count_nonzero(here))[0] < len(named):
             known = np.concatenate(self.ranks.allgather(self.rows.id[here]))
             raise ValueError(f"remove: no {listed(np.setdiff1d(named, known))}")
+        if "virial" in self.rows.arrays:  # of the collisions of those who stay, and of those only, from here on
+            gone = exact_sums(self.ranks, [self.rows.virial[here]])[0]
+            for since in self.observed.values():
+                since[2] -= gone
         self.rows.replace(self.rows.select(np.flatnonzero(~here)).arrays)
         self.particles.close()
         self.build()

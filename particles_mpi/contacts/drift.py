@@ -19,7 +19,7 @@ from particles_mpi.kernels.jit import plain
 from particles_mpi.kernels.motion import free_drift
 from particles_mpi.kernels.planes import no_planes
 from particles_mpi.kernels.turning import turn
-from particles_mpi.particles import Array, Particles
+from particles_mpi.particles import Array, Particles, rows_with
 from particles_mpi.scene.active import ActiveEffects
 from particles_mpi.scene.effect import Context, Damping, Event, PairContacts, WallContacts
 
@@ -116,7 +116,7 @@ class Drift:
         if near_faces:
             near_faces.known = None
         turns = "orientation" in p.arrays
-        spin = p["spin"].copy() if turns and stop else None
+        before = (p.id.copy(), p["spin"].copy()) if turns and stop else None
         if turns and not stop:  # by the spins before hits for half of the time, and by those after them: off by little
             turn(p["orientation"], p["spin"], 0.5 * h)
         if contacts and self.effects.pairs:
@@ -137,8 +137,9 @@ class Drift:
                 free_drift(p.position, p.velocity, h)
             happened = [0, 0, 0, 0]
             p.version += self.effects.pairs is not None  # what is known of neighbours does not hold any longer
-        if spin is not None:  # the first hit of two particles is at the end
-            turn(p["orientation"], spin, h)
+        if before:  # the first hit of two particles is at the end; rows may have been put in another order
+            ids, spin = before
+            turn(p["orientation"], spin[rows_with(ids, p.id)], h)
         elif turns:
             turn(p["orientation"], p["spin"], 0.5 * h)
         for name, number in zip(HAPPENED, happened, strict=True):
@@ -187,13 +188,17 @@ class Drift:
         self.totals, self.calls = before.totals, before.calls
         if self.persistent:
             self.persistent.totals = self.totals
-        self.past_work, self.past_remarks = before.work(), before.remarks()
+        self.past_work, self.past_remarks = before.work(), before.remarks_of_operators()
 
     def remarks(self) -> list[str]:
         """What happened that a user should know of, a line each. Collective."""
         unsolved = int(self.context.ranks.allreduce_sum(self.totals["unconverged"])[0])
         more = [f"contacts that last: {unsolved} solutions ended above contact_tolerance"] if unsolved else []
-        return [*self.past_remarks, *more, *([] if self.operator is None else self.operator.remarks())]
+        return [*more, *self.remarks_of_operators()]
+
+    def remarks_of_operators(self) -> list[str]:
+        """Those of the present operator, and of operators that are no longer there. Collective."""
+        return [*self.past_remarks, *(self.operator.remarks() if self.operator else [])]
 
     def work(self) -> dict[str, int]:
         """Searches for neighbours, ghosts, tests of pairs and windows of time so far, of this rank."""

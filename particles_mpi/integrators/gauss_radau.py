@@ -39,8 +39,7 @@ class Adaptive:
                     force = self.accelerations(particles).reshape(-1)
                 need = go_on(x, v, particles.dimension, force, work, self.tables)
         self.substeps += int(work.progress["substeps"][0])
-        with self.timers("drift"):
-            drift(0.0)  # whatever belongs to the end of a drift
+        drift(0.0)  # whatever belongs to the end of a drift
 
     def reduce(self, work: Work) -> None:
         """What decides on the next iteration, over all ranks. Collective."""

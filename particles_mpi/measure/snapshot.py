@@ -13,7 +13,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows, id_range, in_id_order
 from particles_mpi.particles import FIELDS, Array, Particles, components, rows_of
 
-FORMAT = "particles_mpi state 2"
+FORMAT = "particles_mpi state 3"
 METADATA = ("step", "moment", "h", "observed", "totals", "next_id", "additions", "scene")  # what `metadata` tells
 SHOWN = 20  # rows of a printed table
 MANY = 1_000_000  # particles: with more a user is told what a text with all of them costs

@@ -29,7 +29,7 @@ from particles_mpi.parallel.exchange import IdRange, allgather_rows, in_id_order
 from particles_mpi.parallel.shared_file import SharedFile
 from particles_mpi.particles import FIELDS, Array, rows_of, shape
 
-MARK, FORMAT = "particles_mpi_checkpoint", 5
+MARK, FORMAT = "particles_mpi_checkpoint", 6
 TAIL = f"\n{MARK} {{:20d}} {{:20d}} {{:08x}}\n"  # the last line: lengths of the HDF5 file and of the seal, CRC-32 of the seal
 PIECE = 2**17  # rows that have a checksum together
 

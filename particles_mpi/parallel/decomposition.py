@@ -160,11 +160,13 @@ class LoadBalance:
 
     def update(self, particles: Particles, searches: int) -> None:
         """Cut space for the first time, or again if that saves time; `searches`: for neighbours, so far. Collective."""
+        if self.cuts and (self.ranks.size == 1 or searches % LOOK_EVERY):
+            return
+        worked = sum(self.timers.seconds.get(phase, 0.0) for phase in WORK)
+        mine, self.worked = worked - self.worked, worked
         if self.cuts == 0:
             self.cut(particles.position, 1.0)
-        elif self.ranks.size > 1 and searches % LOOK_EVERY == 0:
-            worked = sum(self.timers.seconds.get(phase, 0.0) for phase in WORK)
-            mine, self.worked = worked - self.worked, worked
+        else:
             longest, (total, count) = self.ranks.allreduce_max(mine)[0], self.ranks.allreduce_sum([mine, float(len(particles))])
             self.lost = max(self.lost + float(longest - (1.0 + NOISE) * total / self.ranks.size), 0.0)
             if self.lost > self.cost:

@@ -28,6 +28,7 @@ PHASES = {
     "exchange": "all particles to all ranks",
     "walls": "drift with walls",
     "drift": "drift",
+    "events": "events of effects",
     "diagnostics": "diagnostics",
     "output": "frames",
     "checkpoint": "checkpoints",

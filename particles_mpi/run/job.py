@@ -195,13 +195,14 @@ class Job:
         """One row of diagnostics.csv: the state, and what happened since the row before."""
         sim = self.sim
         with sim.timers("diagnostics"):
-            state = sim.measure()
+            state = sim.measure(row=True)
             totals = self.ranks.allreduce_sum(np.array([sim.totals[name] for name in COUNTS]))
             held = float(self.ranks.allreduce_max(float(len(sim.rows)))[0])
             row = {"step": sim.steps_done, "time": sim.time, "particles": sim.total, **state}
             row |= zip(COUNTS, (totals - self.since).tolist())
             row["imbalance"] = held * self.ranks.size / sim.total if sim.total else 1.0
             self.since = totals
+            sim.reported = totals.tolist()
             self.diagnostics.write(row)
             self.written["row"] = sim.steps_done
         return {**row, "collisions_so_far": int(totals[0]), "missed_so_far": int(totals[COUNTS.index("missed")])}

@@ -7,10 +7,10 @@ from hashlib import sha256
 from pathlib import Path
 from types import ModuleType
 
-from particles_mpi.scene.effect import ConstantFriction, Damping, EffectOptions, Event, Force, VelocityFlow
+from particles_mpi.scene.effect import EffectOptions, Event, Force, VelocityFlow
 
 PACKAGE = "particles_mpi.effects"
-FROM_FILES = (Force, VelocityFlow, Event, Damping, ConstantFriction)  # contacts are checked and planned by their names
+FROM_FILES = (Force, VelocityFlow, Event)  # other kinds are planned, and computed, by their names
 OUTSIDE = "particles_mpi_effect"  # modules of effects from outside the package are called so, with a digest of their path
 
 

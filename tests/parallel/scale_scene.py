@@ -1,4 +1,4 @@
-"""`study scaling` of a scene of a few particles: scale_scene.py FOLDER gas|listed|cluster [counts], quick."""
+"""`study scaling` of a scene of a few particles: scale_scene.py FOLDER gas|events|listed|cluster [counts], quick."""
 
 import sys
 from pathlib import Path
@@ -12,6 +12,11 @@ SCENES = {
         "particles": [{"count": 2000, "position": "random", "velocity": {"speed": 0.5}, "radius": 0.01, "mass": 1.0}],
         "box": {"lower": [0, 0, 0], "upper": [1, 1, 1]},
         "effects": {"collisions": {}, "walls": {}},
+    },
+    "events": {
+        "particles": [{"count": 2000, "position": "random", "velocity": {"speed": 0.5}, "radius": 0.01, "mass": 1.0}],
+        "box": {"lower": [0, 0, 0], "upper": [1, 1, 1]},
+        "effects": {"collisions": {"mode": "event"}, "walls": {}},
     },
     "listed": {
         "particles": [{"position": [[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], "mass": 1.0}],

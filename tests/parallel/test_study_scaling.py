@@ -116,6 +116,12 @@ def test_counts(tmp_path):
     assert "which columns are flat, is judged past 8 ranks" in said
 
 
+def test_counts_in_mode_event(tmp_path):
+    scaled(2, tmp_path, "events", "counts")
+    rows = {(row["curve"].split(",")[0], row["ranks"]): row for row in table(tmp_path / "counts.csv")}
+    assert float(rows["strong", "1"]["ghosts"]) == 0.0 < float(rows["strong", "2"]["ghosts"]) < 2000
+
+
 def test_what_is_listed_is_counted_too(tmp_path):
     said = scaled(2, tmp_path, "listed", "counts")
     assert {row["curve"] for row in table(tmp_path / "counts.csv")} == {"strong, N = 3"} and "weak" not in said

@@ -85,3 +85,29 @@ def test_rates_are_since_the_last_call():
     assert np.isnan(rows[0]["collision_rate"])
     expected = 2.0 * np.diff(counts) / (300 * 0.5)
     np.testing.assert_allclose([row["collision_rate"] for row in rows[1:]], expected, rtol=1e-12)
+
+
+def test_a_look_does_not_change_what_a_run_writes(tmp_path):
+    scene = fluid(0.3, 0.05, 300, mode="event").to_dict()
+    scene["time"]["steps"], scene["output"] = 20, scene["output"] | {"diagnostics_every": 10}
+    for name in ("looked_at", "alone"):
+        sim = Simulation(Scene.from_dict(scene))
+        sim.run(tmp_path / name, steps=10)
+        sim.steps(5)
+        if name == "looked_at":
+            sim.measure()
+        sim.run(tmp_path / name, steps=20, resumed=True)
+    assert (tmp_path / "alone" / "diagnostics.csv").read_text() == (tmp_path / "looked_at" / "diagnostics.csv").read_text()
+
+
+def test_pressure_after_some_were_removed():
+    """The virial of an interval is that of the collisions in it, whoever was there before."""
+    sim = Simulation(fluid(0.3, 0.05, 300, mode="event"))
+    sim.steps(40)
+    sim.measure()
+    sim.remove(np.arange(0, 300, 2))
+    before = sim.rows.virial.sum()
+    sim.steps(40)
+    row = sim.measure()
+    wanted = 1.0 + (sim.rows.virial.sum() - before) / (3 * 150 * row["temperature"] * 40 * sim.h)
+    assert row["z_virial"] == pytest.approx(wanted, rel=1e-12) and 1.0 < wanted < 3.0

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import particles_mpi
+from particles_mpi.run.console import PHASES
 
 PACKAGE = Path(__file__).parents[2] / "particles_mpi"
 ALLOWED = {"mpi4py": ("parallel/", "cli.py"), "h5py": ("output/",), "meshio": ("output/",)}
@@ -148,3 +149,11 @@ for operator in ("contacts.time_stepped.operator", "contacts.event_driven.operat
     assert f"particles_mpi.{operator}" not in sys.modules
 """
     subprocess.run([sys.executable, "-c", script], check=True, timeout=100)
+
+
+def test_every_phase_has_a_line_in_the_table_of_phases():
+    nodes = [node for path in PACKAGE.rglob("*.py") for node in ast.walk(ast.parse(path.read_text()))]
+    calls = [node for node in nodes if isinstance(node, ast.Call)]
+    timed = [call for call in calls if "timers" in (getattr(call.func, "attr", ""), getattr(call.func, "id", ""))]
+    phases = {call.args[0].value for call in timed if call.args and isinstance(call.args[0], ast.Constant)}
+    assert len(phases) > 10 and phases <= set(PHASES)

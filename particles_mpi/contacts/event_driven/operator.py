@@ -28,7 +28,7 @@ from particles_mpi.parallel.agreement import require_finite
 from particles_mpi.parallel.buffers import Replica, RowBuffers
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows
-from particles_mpi.particles import Array, Particles, row_dot, rows_of
+from particles_mpi.particles import Array, Particles, row_dot, rows_of, rows_with
 from particles_mpi.timers import Timers
 
 LEAST = 2000  # particles a rank; with fewer, space is not divided
@@ -105,10 +105,12 @@ class EventDriven:
         self.rates, self.contact_duration = rates, DURATION * h if self.given_duration is None else self.given_duration
         if self.hold is None or stop:
             return self.drift_once(h, moment, stop, NEVER_CROWDED)
+        p = self.particles
+        undone = ["id", *(name for name in CHANGING if name in p.arrays and name != "supported")]
         for left in range(ROUNDS, -1, -1):
-            before, tc_elastic_before = self.particles.copy(), self.tc_elastic
+            before, tc_elastic_before = {name: p[name].copy() for name in undone}, self.tc_elastic
             happened = self.drift_once(h, moment, False, CROWDED if left else NEVER_CROWDED)
-            if not left or not self.ranks.allreduce_max(float((self.particles["supported"] == CROWD).any()))[0]:
+            if not left or not self.ranks.allreduce_max(float((p["supported"] == CROWD).any()))[0]:
                 break
             self.undo(before)
             self.tc_elastic = tc_elastic_before
@@ -116,18 +118,14 @@ class EventDriven:
             self.crowded_steps += left == ROUNDS
         return happened
 
-    def undo(self, before: Particles) -> None:
-        """Everyone as before the drift. Collective."""
+    def undo(self, rows: dict[str, Array]) -> None:
+        """Everyone as in `rows`, columns of all that a drift may change, from before it. Collective."""
         p = self.particles
-        moved = self.ranks.allreduce_max(float(not np.array_equal(p.id, before.id)))[0]
-        names = ["id", *(name for name in CHANGING if name in p.arrays and name != "supported")]
-        rows = {name: before[name] for name in names}
-        if moved:
+        if self.ranks.allreduce_max(float(not np.array_equal(p.id, rows["id"])))[0]:
             rows = allgather_rows(self.ranks, rows)
-            order = np.argsort(rows["id"])
-            rows = rows_of(rows, order[np.searchsorted(rows["id"], p.id, sorter=order)])
-        for name in names:
-            p[name][:] = rows[name]
+            rows = rows_of(rows, rows_with(rows["id"], p.id))
+        for name, values in rows.items():
+            p[name][:] = values
 
     def drift_once(self, h: float, moment: float, stop: bool, crowded: int) -> Array:
         """The same; particles with `crowded` quick contacts have no more."""

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.errors import SceneError
-from particles_mpi.output.replacing import replacing
+from particles_mpi.output.files import make_folder, write_text
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Particles
 from particles_mpi.run.console import Screen
@@ -172,9 +172,9 @@ def study(only: str | None, full: bool, into: Path | None, comm: Any = None) -> 
     held = sum(one["holds"] and one["same_bits"] for one in found)
     bits = f", each with the bits of one rank on {ranks.size}" if ranks.size > 1 else ""
     screen.say(f"{held} of {len(found)} hold{bits}")
-    if into and ranks.is_root:
-        with replacing(into) as part:
-            part.write_text(json.dumps(found, indent=1) + "\n")
+    if into:
+        make_folder(ranks, into.parent)
+        write_text(into, ranks, json.dumps(found, indent=1) + "\n")
     return held == len(found)
 
 

@@ -89,7 +89,9 @@ def costs_of(sim: Simulation, step: float) -> str:
         timers[name] = StepTimer(sim.ranks, begin, int(SAMPLE / max(step, 1e-9)) + 1)
     time_in_turns(list(timers.values()), SAMPLES, SAMPLE)
     seconds = {name: timer.seconds.median for name, timer in timers.items()}
-    whole = seconds.pop("", 0.0)
+    if "" not in seconds:
+        return ""
+    whole = seconds.pop("")
     shares = {name: 1.0 - less / whole for name, less in seconds.items()}
     return ", ".join(
         f"{name} {1e3 * whole * share:.2g} ms ({share:.0%})" if share > LEAST else f"{name} less than {LEAST:.0%}"

@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from particles_mpi.contacts.event_driven.operator import EventDriven
 from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.neighbours.neighbour_list import Neighbourhood
 from particles_mpi.output.files import failing_together, make_folder
@@ -168,10 +167,7 @@ def run_counted(scene: Scene, ranks: Communicator) -> tuple[tuple[int, bool], di
     steps, seconds = sim.steps_done - first, 0.0
     columns = {name: (value - before.get(name, 0)) / steps for name, value in counters(sim).items()}
     columns["bytes"] = sum(columns[name] for name in SENT)
-    holder = sim.near  # of the ghosts
-    if isinstance(holder, EventDriven) and holder.divided:
-        holder = holder.windows
-    columns["ghosts"] = holder.ghost_rows / max(holder.searches, 1) if holder else 0.0
+    columns["ghosts"] = sim.near.ghost_rows / max(sim.near.searches, 1) if sim.near else 0.0
     columns |= {"memory": memory / 1e6, "memory_start": memory_start / 1e6}
     if ranks.size == 1:
         begin = perf_counter()

@@ -49,6 +49,19 @@ def test_a_step_to_a_collision_turns_until_then(gravity):
     assert sim.rows["spin"][sim.rows.id == 1, 0][0] != 3.0
 
 
+def test_each_turns_by_its_own_spin_until_a_collision():
+    """Whatever order they are given in, and lie in: three turn freely while two others meet; and again after a change."""
+    places = [[5.0, 5.0], [-3.0, 4.0], [4.0, -5.0], [0.0, 0.0], [2.0, 0.0]]
+    balls = [
+        {"position": [place], "velocity": [float(k == 3), 0.0], "radius": 0.5, "spin": float(k + 1)}
+        for k, place in enumerate(places)
+    ]
+    sim = simulation(2, balls, FREE, step=2.0, output={"orientation": True})
+    assert sim.step_to_collision() == (3, 4) and sim.time == pytest.approx(1.0)
+    for k in range(5):
+        assert sim.rows.orientation[sim.rows.id == k, 0][0] == pytest.approx((k + 1) * sim.time, abs=1e-12)
+
+
 def test_only_where_a_scene_asks_for_it():
     assert "orientation" not in slope(3, 0.3, 0.5).rows.arrays
     with pytest.raises(SceneError, match=r"output\.orientation: nothing turns"):

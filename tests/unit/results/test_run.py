@@ -104,6 +104,7 @@ def test_a_run_goes_on_in_its_folder_whatever_was_changed(tmp_path):
     found = Run(tmp_path / "run")
     assert found.diagnostics["step"].tolist() == list(range(13)) and [f.step for f in found] == list(range(0, 13, 2))
     assert found.about["scene"]["effects"]["walls"]["restitution"] == 0.5
+    assert sum(found.diagnostics["wall_hits"]) == sim.totals["wall_hits"] > 0  # each is told once
     sim.effects["walls"].restitution = 0.6
     sim.step()
     with pytest.raises(SceneError, match="already holds another run"):
