@@ -112,9 +112,6 @@ class Drift:
         """
         p, context = self.rows, self.context
         wrapped = False
-        near_faces = self.persistent.walls.near_faces if self.persistent else None
-        if near_faces:
-            near_faces.known = None
         turns = "orientation" in p.arrays
         before = (p.id.copy(), p["spin"].copy()) if turns and stop else None
         if turns and not stop:  # by the spins before hits for half of the time, and by those after them: off by little
@@ -130,7 +127,7 @@ class Drift:
             wrapped = True  # ghosts too
         elif contacts and self.effects.walls:
             with context.timers("walls"):
-                happened = [0, self.effects.walls.drift(p, h, rates.of(p.arrays), near_faces), 0, 0]
+                happened = [0, self.effects.walls.drift(p, h, rates.of(p.arrays)), 0, 0]
             self.calls.update(self.wall_names)
         else:
             with context.timers("drift"):

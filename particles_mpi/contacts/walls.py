@@ -10,7 +10,6 @@ from particles_mpi.contacts.velocity_flow import change_of, row_of
 from particles_mpi.kernels.jit import lean, lean_inner
 from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.kernels.motion import move_to
-from particles_mpi.particles import Array, Particles
 
 MOST_BOUNCES = 1000  # of one particle in one step; past it (a wedge without end) it waits where it is for the next step
 
@@ -128,20 +127,6 @@ def bounce_until(axes, x, v, start, last_partner, i, radius, inverse_mass, h, pl
         last_partner = -1 - w
     start[i] = h  # stays inside, at the last contact
     return MOST_BOUNCES
-
-
-class NearFaces:
-    """The `rows` that may have ended the last drift within `reach` of a wall, as long as nobody has moved any row since."""
-
-    def __init__(self) -> None:
-        self.reach = 0.0  # wanted of the next drift, at least 0
-        self.rows: Array = np.empty(0, np.int64)
-        self.known: tuple[float, int, int] | None = None  # reach, and version and edition of the particles
-
-    def within(self, reach: float, p: Particles) -> Array | None:
-        """Those rows, or None if they are not known for so long a reach."""
-        good = self.known is not None and self.known[0] >= reach and self.known[1:] == (p.version, p.edition)
-        return self.rows if good else None
 
 
 @lean

@@ -18,8 +18,8 @@ What an effect needs stands in `needs`: a column of its own per particle (a char
 `kernel` compiles a function with a loop over rows. Decide by data and ids of particles, never by the order of rows: results
 must have the same bits on any number of ranks.
 
-The other kinds are those of the program's own effects, which are computed together and not one after the other: `Damping`,
-`ConstantFriction`, `RollingResistance`, `WallContacts` and `PairContacts`. A scene can have one of each.
+The other kinds, `Damping`, `ConstantFriction`, `RollingResistance`, `WallContacts` and `PairContacts`, are for the program's own
+effects, one of each, which are computed together and not one after the other.
 """
 
 from particles_mpi.kernels.jit import kernel

@@ -7,7 +7,7 @@ import numpy as np
 from particles_mpi.contacts.law import loss
 from particles_mpi.contacts.rough import Rough, takes_energy
 from particles_mpi.contacts.velocity_flow import Rates
-from particles_mpi.contacts.walls import NearFaces, drift_with_walls
+from particles_mpi.contacts.walls import drift_with_walls
 from particles_mpi.kernels.planes import Planes
 from particles_mpi.particles import Particles
 from particles_mpi.scene.effect import FORWARD, EffectOptions, Needs, WallContacts
@@ -79,14 +79,12 @@ class Effect(WallContacts):
         self.lossy = bool(self.taking.any())
         self.law = np.array([(0.0, 0.0), *self.surfaces])
 
-    def drift(self, particles: Particles, h: float, rates: Rates, near: NearFaces | None = None) -> int:
+    def drift(self, particles: Particles, h: float, rates: Rates) -> int:
         p, axes = particles, (0,) * particles.dimension
         w = p.inverse_mass if rates.alpha or self.law.any() else np.empty(0)
-        reach, rows = (near.reach, np.empty(len(p), np.int64)) if near else (0.0, np.empty(0, np.int64))
         fields = p.position, p.velocity, p.radius, w
         d, spin = p.dimension, p.arrays.get("spin", np.empty((0, 1)))
         rough = Rough(spin, p.inverse_inertia, self.law, np.empty(d), np.empty(d))
-        hits, found = drift_with_walls(axes, *fields, np.empty(len(p)), h, tuple(self.planes), rates, rough, reach, rows)
-        if near:
-            near.rows, near.known = rows[:found], (reach, p.version, p.edition)
+        nobody = np.empty(0, np.int64)  # who ends near walls is not asked
+        hits, _ = drift_with_walls(axes, *fields, np.empty(len(p)), h, tuple(self.planes), rates, rough, 0.0, nobody)
         return hits

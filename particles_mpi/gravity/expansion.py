@@ -66,7 +66,7 @@ def contract(start, s, xx, xy, xz, yy, yz, zz):
 
 @formula
 def add_cell(far, lane, softening2, sums):
-    """Cell c of a list of far cells (FAR_WIDTH, .) adds its part to the sums (COEFFICIENTS, CELL_LANES), in one lane."""
+    """The cell in one lane of a list of far cells (FAR_WIDTH, .) adds its part to the sums (COEFFICIENTS, CELL_LANES)."""
     x, y, z, mass = far[0, lane], far[1, lane], far[2, lane], far[FAR_MASS, lane]
     s = far[4, lane], far[5, lane], far[6, lane], far[7, lane], far[8, lane], far[9, lane]
     xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z

@@ -1,4 +1,4 @@
-"""TreeResult by a tree that all ranks share: each builds its part of it and receives the nodes of others that it needs.
+"""Attraction by a tree that all ranks share: each builds its part of it and receives the nodes of others that it needs.
 
 Particles are sent to the rank that owns their Morton key, in equal shares of the work of the last evaluation, and the results are
 sent back; which rank holds a particle otherwise does not matter. A cut between ranks never divides a group, so every list of

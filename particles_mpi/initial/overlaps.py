@@ -149,7 +149,7 @@ def separate(x, radius, w, first, second, lower, upper, length, point, normal):
         push = diameter - distance
         if push <= 0.0:
             continue
-        if distance < 1e-9 * diameter:  # coincident centres have no direction: take one from the ids
+        if distance < 1e-9 * diameter:  # coincident centres have no direction: take one from their numbers
             r2 = 0.0
             for k in range(d):
                 r[k] = (i * 7919 + j * 104729 + (k + 1) * 1299709) % 1021 - 510.5

@@ -130,7 +130,7 @@ def sum_forces(axes, x, mass, fixed, forces, total):
 
 @kernel(_nrt=True)  # also where a @lean kernel calls it
 def keep_on_walls(axes, bodies, space, h, near):
-    """As `PersistentContacts.keep`, of rows of which the first `near` of `on_walls.near` are near walls; -1 if that is not known.
+    """As `PersistentContacts.keep`. near: how many rows of `on_walls.near` are filled, with the rows near walls; -1 if it is not.
 
     Returns (how many rows contacts push, how many rows contacts were solved for).
     """

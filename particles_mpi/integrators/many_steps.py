@@ -74,7 +74,9 @@ class ManySteps:
     @staticmethod
     def suit(effects: ActiveEffects, total: int, persistent: Any) -> bool:
         """Do these kernels compute all that there is, for so many particles?"""
-        if effects.pairs or effects.flows or effects.events or effects.rough or (persistent and not persistent.walls.near_faces):
+        if effects.pairs or effects.flows or effects.events or effects.rough:
+            return False
+        if persistent and not (effects.uniform and persistent.walls.straight):
             return False
         forces = effects.forces.values()
         together = effects.integrator == "adaptive" or any(force.direct for force in forces)
@@ -104,8 +106,6 @@ class ManySteps:
             drift.calls.update(dict.fromkeys(drift.wall_names, done))
             drift.totals["wall_hits"] += hits if self.own or self.context.ranks.is_root else 0
         drift.total = None
-        if self.persistent:
-            self.persistent.walls.near_faces.known = None
         drift.calls.update(dict.fromkeys(self.effects.on_velocities, 2 * done))
         return done
 

@@ -17,7 +17,7 @@ from particles_mpi.particles import Array
 
 LOST = 1e-10  # of what is subtracted in `time_near`: more than double precision loses
 WAITING = 64  # rows are listed, or parts of a list, before the paths of all are tested
-MUCH = 1e4  # windows: times beyond are not told
+MUCH = 1e4  # times `window`: where paths are near one another for longer, it is not computed from when to when
 
 
 @inner(error_model="numpy", inline="always")

@@ -1,8 +1,9 @@
 """By what rows are found: cells of their midpoints, on three levels of bounding radius. See `trajectories` for both.
 
 Most rows need not look as far as the few fast ones get: SLOW ones are held in sorted cells, FAST ones in coarser cells of linked
-lists, and a few OVERSIZE ones one by one. A SLOW row with a new path keeps its place among the sorted ones, RENEWED, if all of
-the path is where the first one could have been; otherwise, and when it gets a third one, it becomes FAST.
+lists, and a few OVERSIZE ones one by one. A SLOW row whose path changes stays in its cell, RENEWED, if the new path lies within
+the largest bounding radius of SLOW ones from the midpoint of its first path; otherwise, and when it changes again, it becomes
+FAST.
 """
 
 from math import inf, nan, sqrt

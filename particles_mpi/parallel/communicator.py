@@ -1,4 +1,4 @@
-"""The ranks of a run: an MPI communicator with the collective calls that the program needs, which are counted."""
+"""The ranks of a run: an MPI communicator with the collective calls that the program needs; those on arrays are counted."""
 
 from __future__ import annotations
 

@@ -164,11 +164,8 @@ class WallContacts(Effect):
     taking: Any
     surfaces: list[tuple[float, float]]
 
-    def drift(self, particles: Particles, h: float, rates: Any, near: Any = None) -> int:
-        """Drift over h with walls alone, while velocities change by `rates`; returns the number of wall hits. Purely local.
-
-        To `near`, if given, the rows that end near walls.
-        """
+    def drift(self, particles: Particles, h: float, rates: Any) -> int:
+        """Drift over h with walls alone, while velocities change by `rates`; returns the number of wall hits. Purely local."""
         raise NotImplementedError
 
 
@@ -189,6 +186,3 @@ class RollingResistance(Effect):
 
     role = "dissipation"
     resistance: float
-
-
-ONE_OF_EACH = (Damping, ConstantFriction, RollingResistance, WallContacts, PairContacts)

@@ -18,7 +18,6 @@ from pydantic import (
 
 from particles_mpi.errors import SceneError
 from particles_mpi.particles import Array
-from particles_mpi.scene.effect import ONE_OF_EACH
 from particles_mpi.scene.effect_files import effect_names, load_effect
 from particles_mpi.scene.losses import Losses
 from particles_mpi.scene.model import (
@@ -229,17 +228,14 @@ class Scene(Model):
         return self
 
     def effect_faults(self) -> list[str]:
-        """Effects with options that cannot be here, those that the integrator cannot compute, and a second one of a kind."""
-        integrator, faults, names = self.time.integrator, [], dict[Any, str]()
+        """Effects with options that cannot be here, and those that the integrator cannot compute."""
+        integrator, faults = self.time.integrator, []
         reason = {"order4": "goes back in time between kicks", "adaptive": "needs smooth paths"}.get(integrator)
         for name, options in self.effects.items():
             effect = options.effect_class()
             if integrator not in effect.needs.integrators:
                 why = f"{reason}, which {name} does not allow" if reason else f"knows no {name}"
                 faults.append(f'time.integrator: "{integrator}" {why}; use "leapfrog"')
-            for kind in (kind for kind in ONE_OF_EACH if issubclass(effect, kind)):
-                if names.setdefault(kind, name) != name:
-                    faults.append(f"effects.{name}: would be ignored beside {names[kind]}, an effect of the same kind")
             faults += [f"effects.{name}.{fault}" for fault in options.faults(self)]
         return faults
 

@@ -16,7 +16,7 @@ SLOW = pytest.mark.slow
 )
 def test_the_bits_of_one_rank(tmp_path, ranks, only):
     """The command on several ranks runs each case on all and on one, and compares."""
-    file = tmp_path / "outcomes.json"
+    file = tmp_path / "new" / "outcomes.json"
     done = run_ranks(ranks, "-m", "particles_mpi", "study", "hard-cases", "--only", only, "--output", file, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
     outcomes = json.loads(file.read_text())

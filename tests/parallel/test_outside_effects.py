@@ -199,9 +199,6 @@ def test_what_would_be_ignored_is_refused(tmp_path):
         scene({"gate": {"file": "gate.py", "place": 0.0}}, time={"integrator": "taylor"})
     with pytest.raises(SceneError, match=r"effects\.drag\.file: drag is an effect of the program"):
         scene({"drag": {"file": "magnetic.py"}})
-    (tmp_path / "thick.py").write_text((OUTSIDE.parents[2] / "particles_mpi/effects/drag.py").read_text())
-    with pytest.raises(SceneError, match=r"effects\.thick: would be ignored beside drag"):
-        scene({"drag": {"rate": 1.0}, "thick": {"file": str(tmp_path / "thick.py"), "rate": 1.0}})
     for name, lines, why in [
         ("broken", "1 / 0", "ZeroDivisionError"),
         ("empty", "", r"needs a class Options"),
@@ -211,7 +208,10 @@ def test_what_would_be_ignored_is_refused(tmp_path):
             "from particles_mpi.effects import EffectOptions as Options\nclass Effect: pass",
             "needs a class Effect that is",
         ),
-        ("hard", (OUTSIDE.parents[2] / "particles_mpi/effects/collisions.py").read_text(), "a Force, a VelocityFlow or an Event"),
+        *(
+            (name, (OUTSIDE.parents[2] / f"particles_mpi/effects/{like}.py").read_text(), "a Force, a VelocityFlow or an Event")
+            for name, like in (("hard", "collisions"), ("thick", "drag"), ("sticky", "friction"))
+        ),
         ("taken", (OUTSIDE / "gate.py").read_text().replace("crossings", "mass"), "column 'mass': the name is taken"),
     ]:
         (tmp_path / f"{name}.py").write_text(lines)

@@ -6,11 +6,30 @@ from random_scenes import random_scenes
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.integrators.length_search import SHORT
+from particles_mpi.timers import Stopwatch
 
 COUNT = 25
 OVERLAP, UNTOLD = 1e-9, 1e-6  # of the smaller radius
 TOUCHING = 1e-9
 MORE = [pytest.param(seed, 4, marks=pytest.mark.slow) for seed in range(3, 12)]
+
+
+@pytest.fixture(autouse=True)
+def phases_are_not_nested(monkeypatch):
+    """Seconds of a phase within another would be counted twice."""
+    running, enter, leave = [], Stopwatch.__enter__, Stopwatch.__exit__
+
+    def begin(phase):
+        assert not running, "a phase begins within another"
+        running.append(phase)
+        enter(phase)
+
+    def end(phase, *error):
+        running.pop()
+        leave(phase, *error)
+
+    monkeypatch.setattr(Stopwatch, "__enter__", begin)
+    monkeypatch.setattr(Stopwatch, "__exit__", end)
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,7 @@ class ContactGraph:
         self, ranks: Communicator, p: Particles, rows: Array, wide: Array, skin: float, length: Array, pairs: bool = True,
         points: bool = False,
     ):  # fmt: skip
-        """`wide` (len(p),): half of the distance up to which two rows of the same kind are near; with no `pairs` none is.
+        """`wide` (len(p),): two rows are near up to a distance that is the sum of theirs; with no `pairs` none is.
 
         Unless `points` touch one another, no two of them are near.
 

@@ -75,7 +75,7 @@ class PersistentContacts:
         self.axes = (0.0,) * len(length)
         surfaces = surfaces._replace(walls=surfaces.walls[taking])
         self.law = RoughContacts(self.axes, surfaces) if surfaces.rough else SmoothContacts(self.axes)
-        self.walls = Walls(planes, taking, screens=uniform and not pairs)
+        self.walls = Walls(planes, taking)
         self.nothing = nothing(self.law.columns)
         self.memory = self.nothing  # of contacts that the graph does not hold
         self.graph: ContactGraph | None = None

@@ -10,7 +10,7 @@ from particles_mpi.particles import Array
 
 # Columns of the table of half-edges. It has one row for each, 64 bytes long in space: arrays of their own would be in one
 # another's way in the cache, all being read at the same pace.
-SHARE = 0  # the part of what the contact takes that this row gives
+SHARE = 0  # the part of the approach taken by the contact that this row gives, w_i/(w_i + w_j)
 STEP = 1  # length of a gradient step, (w_i + w_j)/D, and 0 for contacts that take nothing
 MAY_CLOSE = 2  # the speed at which it may close
 TAKEN = 3  # the approach that it has taken

@@ -32,7 +32,9 @@ from particles_mpi.kernels.jit import in_place, inner, kernel, with_item
 
 # Columns behind the d components of the normal
 ARM, OTHER_ARM, FRICTION, RESISTANCE, SPIN_SHARE, SLIDE_STEP, ROLL_STEP, SLID = range(8)
-WIDTH = 7  # numbers besides the four vectors SLID, what it was moved on to, and the same of the couple
+# From SLID on stand four vectors: what the contact has taken across its normal, and the same moved on along the last change; the
+# couple that it has taken, and the same moved on.
+WIDTH = 7  # columns before these
 
 
 @inner(inline="always")

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi import Simulation
+from particles_mpi.kernels.geometry import image_shifts
 from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, everyone, slope
 
 G, MU = 9.81, 0.2
@@ -99,7 +100,7 @@ def creeping(benchmark: Benchmark) -> list[Experiment]:
         sim.run()
         after, side = everyone(sim), box.upper[0]
         way = after.position - before.position
-        way[:, :2] -= side * np.rint(way[:, :2] / side)
+        way[:, :2] -= image_shifts(way[:, :2], side)
         moved, speeds2 = np.sqrt((way**2).sum(axis=1)), (after.velocity**2).sum(axis=1)
         won = 0.5 * speeds2.mean() - G * (sin(LEAN) * way[:, 0] - cos(LEAN) * way[:, 2]).mean()
         found = float(np.median(moved)), float(np.mean(moved > LOOSE * R)), abs(float(won)) / G

@@ -10,7 +10,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from math import gamma, isfinite, log2, pi
+from math import isfinite, log2
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -18,10 +18,10 @@ import numpy as np
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.errors import Interrupted, SceneError, StoppedError
+from particles_mpi.initial.container import packing_fraction, room_of
 from particles_mpi.integrators.gauss_radau import TOLERANCE
 from particles_mpi.output.files import failing_together
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.run.forecast import Forecast
 from particles_mpi.run.job import Job
 from particles_mpi.scene.schema import TOLERANCES
@@ -133,7 +133,7 @@ def lost(rate: float, step: float, packing: float, passes: int) -> float:
 def of_contacts(sim: Simulation) -> list[str]:
     """What to expect of rates of collisions, and of places after many of them, from the first steps. Collective."""
     scene, options, p = sim.scene, sim.scene.effects["collisions"], sim.rows
-    d, h = scene.dimension, scene.time.step
+    h = scene.time.step
     movable = int(sim.ranks.allreduce_sum(np.count_nonzero(p.fixed == 0))[0])
     rate = 2.0 * total(sim, "collisions") / (max(movable, 1) * sim.time)
     many = rate * scene.steps * h
@@ -145,8 +145,7 @@ def of_contacts(sim: Simulation) -> list[str]:
         what = "; forces between them are second order in the step" if forced else ""
         lines = [f"predicted error: contacts are exact in mode event{what}"]
     else:
-        volume = np.prod(np.subtract(scene.box.upper, scene.box.lower)) if scene.box else np.inf
-        packing = exact_sums(sim.ranks, [p.radius**d])[0] * pi ** (d / 2) / gamma(d / 2 + 1) / float(volume)
+        packing = packing_fraction(sim.ranks, p.radius, room_of(scene))
         lines = [
             f"predicted error: about {lost(rate, h, packing, options.passes):.1g} of the rate of collisions (a particle has "
             f"{rate * h:.2g} in a step, packing {packing:.2g}, passes {options.passes}; fitted to a fluid)"

@@ -12,6 +12,7 @@ import numpy as np
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.errors import SceneError, StoppedError
+from particles_mpi.kernels.geometry import image_shifts
 from particles_mpi.particles import Array
 from particles_mpi.study.recommend.error_metric import ROUND_OFF, ErrorMetric
 from particles_mpi.study.recommend.methods import DIRECT, EVENT
@@ -146,10 +147,7 @@ def by_what(start: Start) -> str:
 
 def packed(record: Record, first: Record, length: Array) -> Array:
     """Places and energies in a row; on periodic axes the image that is nearest to the first."""
-    x = record.places.copy()
-    periodic = length > 0.0
-    turns = np.round((x - first.places)[..., periodic] / length[periodic])
-    x[..., periodic] -= turns * length[periodic]
+    x = record.places - image_shifts(record.places - first.places, length)
     return np.concatenate([x.ravel(), record.energy])
 
 

@@ -16,6 +16,7 @@ from particles_mpi.initial.checks import check_start, endless_falls
 from particles_mpi.initial.container import room_of
 from particles_mpi.initial.faults import Faults
 from particles_mpi.initial.populate import populate
+from particles_mpi.kernels.geometry import image_shifts
 from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles, default_values
@@ -111,8 +112,7 @@ class Start:
     def apart(self, one: Array, other: Array) -> float:
         """The largest distance of any particle in one from itself in the other, over all looks; the shorter way round."""
         away = one - other
-        periodic = self.length > 0.0
-        away[..., periodic] -= self.length[periodic] * np.round(away[..., periodic] / self.length[periodic])
+        away -= image_shifts(away, self.length)
         return float(np.sqrt((away**2).sum(axis=-1)).max(initial=0.0))
 
     def motion(self, record: Record) -> float:
