@@ -1,4 +1,7 @@
-"""The contact law is written twice, for arrays of positions and velocities and for rows of mode event: the same bits."""
+"""The contact law is written twice, for arrays of positions and velocities and for rows of mode event: the same bits.
+
+And for smooth and for rough spheres, pairs and walls: the same but for round-off.
+"""
 
 import numpy as np
 import pytest
@@ -6,8 +9,9 @@ from numba import njit
 
 from particles_mpi.contacts import law
 from particles_mpi.contacts.event_driven import segments
-from particles_mpi.contacts.rough import Rough
+from particles_mpi.contacts.rough import Rough, strike_pair, strike_wall
 from particles_mpi.contacts.velocity_flow import Rates, no_rates
+from particles_mpi.contacts.walls import bounce
 from particles_mpi.kernels.geometry import boxes_per_length
 from particles_mpi.kernels.markers import NEVER, RADIUS, START
 from particles_mpi.kernels.motion import Segments, move_to
@@ -96,6 +100,32 @@ def test_what_a_contact_does(d, surface, changing):
         else:
             assert np.allclose(segment[:, d : 2 * d], v, rtol=1e-12, atol=1e-14) and np.isclose(other, virial, rtol=1e-12, atol=0)
     assert collided > 20
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+@pytest.mark.parametrize("changing", [False, True])
+def test_smooth_contacts_are_rough_ones_without_friction(d, changing):
+    """The law stands in three places for the velocities of the moment of a contact: for pairs, for walls, and for rough spheres."""
+    changed = 0
+    for (_, v, _, _), radius, w, _, _, _, random in pairs(d, 1000):
+        axes, r, at, t = (0,) * d, random.normal(size=d), np.int64(0), random.uniform(0.0, 2.0)
+        rates = Rates(random.normal(size=(2, d)), random.uniform(0.0, 0.3, 2), 0.1, 1.0) if changing else no_rates(d)
+        e, rough = random.choice([1.0, 0.5, 0.0]), spinning(d, w, random, (0.0, 0.0))
+        smooth, like = v.copy(), v.copy()
+        approach = r @ (v[0] - v[1])
+        if approach < 0.0:
+            bodies = w[0], w[1], radius[0], radius[1]
+            change = law.apply_impulse(axes, smooth, at, r, 0, 1, w[0], w[1], t, e, 1.0, rates)
+            assert change == pytest.approx(strike_pair(axes, like, at, rough, r, 0, 1, bodies, t, e, rates), rel=1e-12)
+            np.testing.assert_allclose(smooth, like, rtol=1e-12, atol=1e-13)
+            changed += change != (1.0 + e) * approach
+        if w[0] > 0.0 and v[0] @ r < 0.0:
+            normal, smooth, like = (r / np.linalg.norm(r))[None, :], v.copy(), v.copy()
+            bounce(axes, smooth, at, 0, 0, normal, e, 1.0, w[0], t, rates)
+            strike_wall(axes, like, at, rough, 0, 0, normal, w[0], radius[0], t, e, rates)
+            np.testing.assert_allclose(smooth, like, rtol=1e-12, atol=1e-13)
+            assert normal[0] @ smooth[0] > -1e-13
+    assert not changing or changed > 100
 
 
 def test_the_way_along_a_segment():
