@@ -31,6 +31,7 @@ class Mutation(NamedTuple):
 
 CHANGE = "            return change\n    change = (1.0 + restitution) * approach\n    impulse = change / weight"
 OTHER = "        v[j, column + k] = velocity_factor * (v[j, column + k] + impulse * w_j * r[k])\n"
+WRONG = "            wrong = wrong or can_affect_owned(rows, lists, log, regions, i, begin, place)\n"
 MUTATIONS = (
     Mutation(
         "what contacts took is lost where rows change their rank",
@@ -109,6 +110,41 @@ MUTATIONS = (
         "parallel/exchange.py",
         'yield rows if (rows["id"][1:] > rows["id"][:-1]).all() else rows_of(rows, rows_in_order(rows["id"]))',
         "yield rows",
+        ("tests/parallel/test_nothing_lost.py", "-k", "every_effect"),
+    ),
+    Mutation(
+        "a window is not wrong where a ghost had a contact that its owner does not know",
+        "contacts/event_driven/arrivals.py",
+        f"{WRONG}            differing[found, 0], differing[found, 1] = i, len(numbers)",
+        "            differing[found, 0], differing[found, 1] = i, len(numbers)",
+        ("tests/parallel/test_same_bits.py", "-k", "windows and -2"),
+    ),
+    Mutation(
+        "a window is not wrong where owned rows were near a ghost, but not very near",
+        "contacts/event_driven/regions.py",
+        "within = regions.reach + radius",
+        "within = 0.2 * regions.reach + radius",
+        ("tests/unit/contacts", "tests/parallel/test_same_bits.py", "-k", "regions or (windows and -2)"),
+    ),
+    Mutation(
+        "at one time walls come before pairs",
+        "contacts/event_driven/calendar_queue.py",
+        "            return partner_i >= 0",
+        "            return partner_i < 0",
+        ("tests/unit/contacts", "tests/physics/test_event_driven.py", "tests/hard_cases"),
+    ),
+    Mutation(
+        "no contact takes over from those on which it depends",
+        "contacts/persistent/direct.py",
+        "if not impulse[new] < inf:",
+        "if impulse[new] > 0.0:",
+        ("tests/hard_cases/test_very_different_masses.py",),
+    ),
+    Mutation(
+        "the interval of observables is not in a checkpoint",
+        "between_steps/saved.py",
+        'since in metadata["observed"].items()}',
+        "since in sim.observed.items()}",
         ("tests/parallel/test_nothing_lost.py", "-k", "every_effect"),
     ),
     Mutation(

@@ -105,7 +105,7 @@ def test_what_a_contact_does(d, surface, changing):
 @pytest.mark.parametrize("d", [1, 2, 3])
 @pytest.mark.parametrize("changing", [False, True])
 def test_smooth_contacts_are_rough_ones_without_friction(d, changing):
-    """The law stands in three places for the velocities of the moment of a contact: for pairs, for walls, and for rough spheres."""
+    """The law stands in three places for velocities of the moment of a contact: for pairs, for walls, and for rough spheres."""
     changed = 0
     for (_, v, _, _), radius, w, _, _, _, random in pairs(d, 1000):
         axes, r, at, t = (0,) * d, random.normal(size=d), np.int64(0), random.uniform(0.0, 2.0)
