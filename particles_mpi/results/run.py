@@ -17,6 +17,7 @@ from particles_mpi.results.frame import Frame
 if TYPE_CHECKING:  # particles brings numba, which takes longer to import than a frame to read
     from particles_mpi.particles import Array
 
+ROTATION = "spin"  # the field with a component for each plane of two axes
 FILES = ("trajectory.vtkhdf", "diagnostics.csv", "run.json")
 
 
@@ -60,12 +61,18 @@ class Run:
         return Frame(k, *place, fields, lambda name: self._column(name, k))
 
     def _column(self, name: str, k: int) -> Array:
-        """(N,) or (N, d) of a field: files have three axes, and beyond these a second column with all of them."""
+        """A field as the simulation has it: (N,), or with components (N, .), those of a vector being d.
+
+        In files vectors have three components, and beyond three axes a second column with all of them; a spin in the plane is
+        the third of three components. An orientation in the plane is an angle, (N,).
+        """
         stored = self.frames.index().fields
         whole = name if name == "position" else f"{name}_full"
         shown = "Points" if name == "position" else name
         values = self.frames.column(whole if whole in stored else shown, k)
-        return np.ascontiguousarray(values[:, : self.dimension]) if values.ndim > 1 else values
+        if values.ndim == 1 or self.dimension > 2:
+            return values
+        return np.ascontiguousarray(values[:, 2:] if name == ROTATION else values[:, : self.dimension])
 
     def view(self) -> Any:
         """The page of `particles-mpi view` in a notebook: the last expression of a cell is shown."""
@@ -125,6 +132,7 @@ class Run:
     def to_xarray(self, *fields: str) -> Any:
         """Frames as an xarray.Dataset over time and id (all ids there ever were), vectors over axis too; of these fields, or all.
 
+        What has other components than the axes, as the orientations of rough spheres in space, is over those, "NAME_component".
         Where a particle is not there at a time, its numbers are NaN. Everything is held in memory. ImportError without xarray.
         """
         xarray, frames = _library("xarray"), self[:]
@@ -140,10 +148,11 @@ class Run:
             values = np.full((len(frames), len(ids), *first.shape[1:]), 0 if constant else np.nan, kind)
             for k, frame in enumerate(frames):
                 values[k, np.searchsorted(ids, frame.id)] = frame[name]
-            variables[name] = ("time", "id", "axis")[: values.ndim], values
+            along = "axis" if first.shape[1:] == (self.dimension,) else f"{name}_component"
+            variables[name] = ("time", "id", along)[: values.ndim], values
         axis = list("xyz")[: self.dimension] if self.dimension <= 3 else list(range(self.dimension))
-        along = {"axis": axis} if any("axis" in dims for dims, _ in variables.values()) else {}
-        coordinates = {"time": [frame.time for frame in frames], "id": ids, **along}
+        axes = {"axis": axis} if any("axis" in dims for dims, _ in variables.values()) else {}
+        coordinates = {"time": [frame.time for frame in frames], "id": ids, **axes}
         return xarray.Dataset(variables, coordinates, {"title": self.title})
 
     def __repr__(self) -> str:

@@ -52,6 +52,24 @@ def test_every_field_of_every_frame_has_the_bits_of_the_simulation(tmp_path, d):
     assert run.diagnostics.particles.tolist() == [4] * 4 and run.columns["step"].dtype == np.int64
 
 
+@pytest.mark.parametrize("d", [2, 3])
+def test_fields_of_rough_spheres(tmp_path, d):
+    """Spins have a component for each plane, orientations are an angle or a quaternion."""
+    planes, spin = d * (d - 1) // 2, {2: [2.0, -3.0], 3: [[2.0, 1.0, 4.0], [0.0, 0.0, -3.0]]}
+    ball = {"position": [[0.0] * d, [3.0] * d], "radius": 0.5, "spin": spin[d]}
+    effects, output = {"collisions": {"friction": 0.3}}, {"every": 1, "orientation": True}
+    sim, folder = drifting(d, tmp_path, particles=[ball], effects=effects, output=output)
+    sim.run(folder)
+    frame, data = Run(folder)[-1], Run(folder).to_xarray()
+    assert set(frame.fields) > {"spin", "orientation", "moment_of_inertia", "velocity"}
+    for name in frame.fields:
+        assert frame[name].reshape(2, -1).tolist() == sim.particles[name].reshape(2, -1).tolist(), name
+    assert frame.spin.shape == (2, planes) and frame.orientation.shape == ((2,) if d == 2 else (2, 4))
+    assert data.spin.dims == ("time", "id", "axis" if d == 3 else "spin_component") and data.velocity.dims[-1] == "axis"
+    assert data.orientation.dims[2:] == (("orientation_component",) if d == 3 else ())
+    np.testing.assert_array_equal(data.spin[-1], frame.spin)
+
+
 def test_fields_that_only_some_runs_have(tmp_path):
     particles = [{"position": [[0.0, 0.0]], "drag": 2.0}, {"position": [[1.0, 0.0]], "fixed": True}]
     sim, folder = drifting(2, tmp_path, effects={"drag": {"rate": 0.5}}, particles=particles)
