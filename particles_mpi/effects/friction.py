@@ -14,7 +14,7 @@ class Options(EffectOptions):
 
 
 class Effect(ConstantFriction):
-    """friction(h/2) . force(h) . friction(h/2), with the stick rule: |v + h a| <= alpha h/m comes to rest exactly."""
+    """friction(h/2) . force(h) . friction(h/2); what comes to rest within h, by a force below alpha, does so exactly."""
 
     formula = "m dv/dt = -alpha v/|v|"
     needs = Needs(divides_by_mass=True, integrators=("leapfrog",))

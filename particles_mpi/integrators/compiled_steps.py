@@ -16,7 +16,7 @@ from particles_mpi.integrators.collocation import END, FORCES, STUCK, begin, cop
 from particles_mpi.kernels.geometry import wrap
 from particles_mpi.kernels.jit import in_place, kernel, lean, lean_inner
 from particles_mpi.kernels.motion import free_drift, kick, kick_with_drag
-from particles_mpi.kernels.sliding import kick_with_friction
+from particles_mpi.kernels.sliding import kick_with_friction, press, release
 from particles_mpi.kernels.validity import WATCH_EVERY, find_invalid
 from particles_mpi.particles import Array
 
@@ -71,6 +71,7 @@ class OnWalls(NamedTuple):
     pushed: Array  # (n,): rows that contacts push
     given: Array  # (n, d): velocities given to them
     had: Array  # (n,): rows whose rates have that in them
+    alone: Array  # (n, d): accelerations of rows without what contacts give
 
 
 class Space(NamedTuple):
@@ -186,15 +187,19 @@ def move(axes, bodies, space, strength, h, t_mid):
 
 
 @in_place
-def kick_bodies(bodies, forces, losses, part, h, drift):
+def kick_bodies(bodies, forces, losses, space, part, h, drift):
     """The kick of `Kick.force_and_losses`, number `part` of a step; `drift`: length of the drift that follows."""
     if len(losses.decay) == 0:
         if forces.any:
             kick(bodies.v, bodies.total, h)
     elif losses.friction:
         coast = drift if losses.coasts else 0.0
-        decay, push = losses.decay[part], losses.push[part]
+        decay, push, on_walls = losses.decay[part], losses.push[part], space.on_walls
+        if on_walls.kept:
+            press(bodies.total, on_walls.supported, space.rates, on_walls.alone)
         kick_with_friction(bodies.v, bodies.total, bodies.mass, decay, push, losses.strength, h, coast)
+        if on_walls.kept:
+            release(bodies.v, bodies.total, on_walls.supported, space.rates, on_walls.alone, push)
     else:
         kick_with_drag(bodies.v, bodies.total, losses.decay[part], losses.push[part])
 
@@ -232,7 +237,7 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
                             rate[i, k] -= bodies.drag[i] * bodies.v[i, k]
                 kick(bodies.v, rate, kicked)
             else:
-                kick_bodies(bodies, forces, losses, part, kicked, drifted)
+                kick_bodies(bodies, forces, losses, space, part, kicked, drifted)
                 if space.on_walls.kept:
                     pushed, rows = keep_on_walls(axes, bodies, space, h, near)
                     resting += rows

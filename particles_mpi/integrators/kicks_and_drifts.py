@@ -10,6 +10,7 @@ import numpy as np
 
 from particles_mpi.integrators.gauss_radau import TOLERANCE, Adaptive
 from particles_mpi.kernels.motion import kick, kick_with_drag
+from particles_mpi.kernels.sliding import press, release
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles, places_of
 from particles_mpi.scene.active import ActiveEffects
@@ -99,11 +100,13 @@ class Kick:
 
     Force and damping are advanced together, exactly, and friction with them. Other flows act one after the other for h/2
     before, and in reverse order for h/2 after (Strang splitting), so that the whole is symmetric and of second order.
+    Friction and flows act on the velocities that contacts that last leave, not on those that forces alone would give.
     """
 
     def __init__(self, effects: ActiveEffects, forces: Callable[[], Array | None], timers: Timers):
         self.damping, self.friction, self.flows = effects.damping, effects.friction, list(effects.flows.values())
         self.forces, self.timers = forces, timers
+        self.presses = effects.keeps_contacts and bool(self.friction or self.flows)
         self.known: tuple[int, int, float] | None = None
 
     def advance(self, particles: Particles, h: float, drift: float = 0.0) -> Array | None:
@@ -111,11 +114,17 @@ class Kick:
         with self.timers("forces"):
             a = self.forces()
         with self.timers("kick"):
+            if self.presses and a is not None:
+                contacts = particles["supported"], particles["total_acceleration"], np.empty_like(a)
+                press(a, *contacts)
             for flow in self.flows:
                 flow.advance(particles, 0.5 * h)
             self.force_and_losses(particles, a, h, drift if a is None and not self.damping and not self.flows else 0.0)
             for flow in reversed(self.flows):
                 flow.advance(particles, 0.5 * h)
+            if self.presses and a is not None:
+                lossless = self.damping is None and self.friction is None
+                release(particles.velocity, a, *contacts, np.full(len(a), h) if lossless else self.factors[1])
             if self.flows:
                 particles.velocity[particles.fixed != 0] = 0.0
         return a

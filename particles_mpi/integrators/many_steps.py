@@ -210,7 +210,7 @@ class ManySteps:
         point, normal, faces = planes.point, planes.normal, (planes.lower, planes.upper, planes.oblique)
         if persistent:
             (point, normal), faces = persistent.walls.planes, persistent.walls.faces
-        room = nobody, nobody.copy(), np.empty((n, d)), nobody.copy()
+        room = nobody, nobody.copy(), np.empty((n, d)), nobody.copy(), np.empty((n, d))
         return OnWalls(persistent is not None, (0.0,) * d, supported, point, normal, faces, *room)
 
     def losses_of(self, p: Particles, h: float) -> StepLosses:

@@ -6,6 +6,7 @@ from particles_mpi.kernels.jit import lean, lean_inner
 
 NEAR = 8.0  # times what force and friction do in a step: a standstill
 MOST_ROUNDS = 100
+MOST = 1e4  # of y in `slide`: e^-y is 0 long before
 
 
 @lean_inner
@@ -18,12 +19,29 @@ def slowed(speed: float, loss: float) -> float:
 def sliding_time(y, steep, away2):
     """Time in which tan(phi/2) falls by the factor e^-y, and its derivative; see `slide`."""
     slower, faster = 1.0 - steep, 1.0 + steep
-    return expm1(slower * y) / slower - away2 * expm1(-faster * y) / faster, exp(slower * y) + away2 * exp(-faster * y)
+    along = expm1(slower * y) / slower if slower != 0.0 else y
+    return along - away2 * expm1(-faster * y) / faster, exp(slower * y) + away2 * exp(-faster * y)
+
+
+@lean_inner
+def stops(v, a, i, b, decay, h):
+    """Does dv/dt = a - b v/|v| bring row i, with v decay, to rest within h? Then it stays there, since b > |a|.
+
+    b |v| + v.a falls at the rate b^2 - a^2, so that 0 is reached at the time (b |v| + v.a)/(b^2 - a^2).
+    """
+    a2, speed2, along = 0.0, 0.0, 0.0
+    for k in range(v.shape[1]):
+        a2 += a[i, k] ** 2
+        speed2 += v[i, k] ** 2
+        along += v[i, k] * a[i, k]
+    return b * b > a2 and decay * (b * sqrt(speed2) + along) <= (b * b - a2) * h
 
 
 @lean_inner
 def slide(v, a, i, pull, b, decay, h):
-    """dv/dt = a - b v/|v| with b < |a| = `pull`, exactly over h, between two halves of drag, each a factor `decay`. In place.
+    """dv/dt = a - b v/|v| with |a| = `pull`, exactly over h, between two halves of drag, each a factor `decay`. In place.
+
+    For friction that does not bring the row to rest within h, see `stops`.
 
     Along a the problem has one dimension. Else let phi be the angle between v and a, u = tan(phi/2), mu = b/|a|: from
     d|v|/dt = |a| cos(phi) - b and |v| dphi/dt = -|a| sin(phi) follows |v| = C u^(mu-1) (1 + u^2), and with y = ln(u_0/u)
@@ -48,7 +66,12 @@ def slide(v, a, i, pull, b, decay, h):
     else:
         u = across / (speed + along) if along >= 0.0 else (speed - along) / across
         steep, unit = b / pull, pull * (1.0 + u * u) / speed
-        y = log1p(h * unit) / (1.0 - steep)  # too long: the first part alone takes more than h
+        if steep < 1.0:
+            y = log1p(h * unit) / (1.0 - steep)  # too long: the first part alone takes more than h
+        else:
+            y = 1.0
+            while y < MOST and sliding_time(y, steep, u * u)[0] < h * unit:
+                y *= 2.0
         low, high = 0.0, y
         for _ in range(MOST_ROUNDS):
             time, rate = sliding_time(y, steep, u * u)
@@ -68,23 +91,21 @@ def slide(v, a, i, pull, b, decay, h):
 
 @lean
 def kick_with_friction(v, a, mass, decay, push, strength, h, coast):
-    """friction(h/2) . force(h) . friction(h/2), with the stick rule, in place on v (n, d).
+    """friction(h/2) . force(h) . friction(h/2), in place on v (n, d); what friction brings to rest stays at rest.
 
     The factors of half a step are exact, their composition is of second order.
 
     A free particle that will stop within the coming drift of length `coast` = dt, i.e. |v| <= alpha dt/m, is given its
     mean velocity over that drift, v t/(2 dt) with t = m |v|/alpha: it covers exactly its stopping distance m v^2/(2 alpha),
-    and the closing half-step then brings it to rest. Near a standstill, where the direction of a friction weaker than the
-    force turns within the step, see `slide`.
+    and the closing half-step then brings it to rest. Near a standstill, where the direction of the friction turns within the
+    step, it is brought to rest or not as `stops` says, and else moved by `slide`.
     """
     d = v.shape[1]
     for i in range(v.shape[0]):
         loss = strength * h / mass[i]
         before = 0.0
-        pushed = 0.0
         for k in range(d):
             before += v[i, k] ** 2
-            pushed += (v[i, k] * decay[i] + a[i, k] * push[i]) ** 2
         before = sqrt(before)
         if coast > 0.0 and before * mass[i] <= strength * coast:
             mean = 0.5 * before * mass[i] / (strength * coast) if before > 0.0 else 0.0
@@ -94,13 +115,14 @@ def kick_with_friction(v, a, mass, decay, push, strength, h, coast):
         a2 = 0.0
         for k in range(d):
             a2 += a[i, k] ** 2
-        if loss > 0.0 and inf > a2 * h * h > loss * loss and before < NEAR * (sqrt(a2) * h + loss):
-            slide(v, a, i, sqrt(a2), loss / h, sqrt(decay[i]), h)
-            continue
-        if pushed <= loss * loss:
-            for k in range(d):
-                v[i, k] = 0.0
-            continue
+        if loss > 0.0 and a2 * h * h < inf and before < NEAR * (sqrt(a2) * h + loss):
+            if stops(v, a, i, loss / h, sqrt(decay[i]), h):
+                for k in range(d):
+                    v[i, k] = 0.0
+                continue
+            if a2 > 0.0:
+                slide(v, a, i, sqrt(a2), loss / h, sqrt(decay[i]), h)
+                continue
         first = slowed(before, 0.5 * loss)
         after = 0.0
         for k in range(d):
@@ -109,3 +131,29 @@ def kick_with_friction(v, a, mass, decay, push, strength, h, coast):
         second = slowed(sqrt(after), 0.5 * loss)
         for k in range(d):
             v[i, k] *= second
+
+
+@lean
+def press(a, held, pressed, alone):
+    """Accelerations a (n, d) of `held` rows become those by forces and contacts, `pressed`; `alone` (n, d) keeps what they were.
+
+    What lies on something neither falls nor is pulled along by friction in the direction in which it would fall.
+    """
+    for i in range(len(held)):
+        if held[i] != 0:
+            for k in range(a.shape[1]):
+                alone[i, k] = a[i, k]
+                a[i, k] = pressed[i, k]
+
+
+@lean
+def release(v, a, held, pressed, alone, push):
+    """The end of `press`: velocities v (n, d) lose what contacts gave in the kick, for that is found anew after it.
+
+    push (n,): the times that accelerations acted.
+    """
+    for i in range(len(held)):
+        if held[i] != 0:
+            for k in range(a.shape[1]):
+                v[i, k] -= (pressed[i, k] - alone[i, k]) * push[i]
+                a[i, k] = alone[i, k]

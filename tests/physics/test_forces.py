@@ -47,6 +47,31 @@ def test_friction_at_rest_stays_at_rest_under_a_weak_force():
     assert x.tolist() == [0.0, 0.0] and v.tolist() == [0.0, 0.0]
 
 
+@pytest.mark.parametrize("ratio", [0.3, 0.55, 0.8, 0.99])
+@pytest.mark.parametrize("angle", [0.0, 1.0, 2.5, np.pi])
+@pytest.mark.parametrize("drag", [False, True])
+def test_friction_that_is_stronger_than_the_force_stops_at_the_exact_time(ratio, angle, drag):
+    """d/dt (b |v| + v.a) = a^2 - b^2, so v is 0 from t = (b |v| + v.a)/(b^2 - a^2) on, and not before; at any step."""
+    a, b, v = ratio * np.array([np.cos(angle), np.sin(angle)]), 1.0, np.array([2.0, 0.0])
+    stop = (b * 2.0 + v @ a) / (b**2 - a @ a)
+    effects = {"friction": {"strength": b}, "uniform_gravity": {"acceleration": a.tolist()}}
+    effects |= {"drag": {"rate": 1e-9}} if drag else {}
+    for steps in (7, 50, 400):
+        h = stop / (steps + 0.4)
+        scene = Scene(
+            dimension=2,
+            time={"step": h, "steps": 2 * steps},
+            particles=[{"position": [[0.0, 0.0]], "velocity": v.tolist()}],
+            effects=effects,
+        )
+        sim, speed = Simulation(scene), []
+        for _ in range(2 * steps):
+            sim.step()
+            speed.append(float(np.linalg.norm(sim.particles.velocity)))
+        moving = np.count_nonzero(speed)
+        assert abs(moving - steps) <= (1 if steps > 7 else 2) and not any(speed[moving:])
+
+
 def test_friction_with_gravity_reaches_half_the_launch_speed():
     """alpha = m g, horizontal launch: terminal speed v0/2; second order in the step."""
     effects = {"friction": {"strength": 9.81}, "uniform_gravity": {"acceleration": [0.0, -9.81]}}
