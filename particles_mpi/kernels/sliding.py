@@ -6,7 +6,7 @@ from particles_mpi.kernels.jit import lean, lean_inner
 
 NEAR = 8.0  # times what force and friction do in a step: a standstill
 MOST_ROUNDS = 100
-MOST = 1e4  # of y in `slide`: e^-y is 0 long before
+MOST = 1e20  # of y in `slide`: (steep - 1) y is below 50 and steep - 1, if not 0, above 1e-16
 
 
 @lean_inner
@@ -77,7 +77,7 @@ def slide(v, a, i, pull, b, decay, h):
             time, rate = sliding_time(y, steep, u * u)
             late = time - h * unit
             low, high = (low, y) if late > 0.0 else (y, high)
-            step = y - late / rate
+            step = y - late / rate if rate > 0.0 else low  # far out it is below the range of numbers
             step = step if low < step < high else 0.5 * (low + high)
             if abs(step - y) <= 1e-15 * high:
                 break

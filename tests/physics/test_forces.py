@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from particles_mpi import Scene, Simulation
+from particles_mpi.kernels.sliding import kick_with_friction
 
 FIGURES = Path(__file__).parent / "figures"
 
@@ -70,6 +71,28 @@ def test_friction_that_is_stronger_than_the_force_stops_at_the_exact_time(ratio,
             speed.append(float(np.linalg.norm(sim.particles.velocity)))
         moving = np.count_nonzero(speed)
         assert abs(moving - steps) <= (1 if steps > 7 else 2) and not any(speed[moving:])
+
+
+def test_friction_and_a_force_near_a_standstill_are_exact():
+    """b |v| + v.a falls at the rate b^2 - a^2 as long as it moves: one kick, for forces of any direction and size."""
+    rng, moved = np.random.default_rng(0), 0
+    for _ in range(3000):
+        d, b, h = rng.integers(1, 4), 10.0 ** rng.uniform(-3, 3), 10.0 ** rng.uniform(-3, 3)
+        near = 10.0 ** rng.uniform(-15, -1)
+        along = rng.normal(size=d)
+        a = b * rng.choice([rng.uniform(0.0, 3.0), 1.0, 1.0 + near, 1.0 - near]) * along / np.linalg.norm(along)
+        v = rng.choice([rng.normal(size=d), a / b, -a / b, 0.0 * a]) * 10.0 ** rng.uniform(-3, 3)
+        after = v[None, :].copy()
+        kick_with_friction(after, a[None, :], np.ones(1), np.ones(1), np.full(1, h), b, h, 0.0)
+        size, pull = np.linalg.norm(v), np.linalg.norm(a)
+        before, left = b * size + v @ a - (b * b - a @ a) * h, b * np.linalg.norm(after) + after[0] @ a
+        scale = b * size + (b * b + a @ a) * h
+        if after.any() and size < 8.0 * (b + pull) * h:
+            moved += 1
+            assert left == pytest.approx(before, abs=1e-12 * scale)
+        elif not after.any():
+            assert before <= 1e-12 * scale and b >= pull * (1.0 - 1e-15)
+    assert moved > 1000
 
 
 def test_friction_with_gravity_reaches_half_the_launch_speed():
