@@ -25,6 +25,7 @@ from particles_mpi.scene.effect import Context, Damping, Event, PairContacts, Wa
 
 HAPPENED = ("collisions", "wall_hits", "missed", "exchanges")  # in a drift
 COUNTS = (*HAPPENED, "unconverged")
+MISSED = "a particle had no room, or more contacts in a step than could be put in order; diagnostics.csv tells when"
 
 
 def keeper_of_contacts(effects: ActiveEffects, context: Context, dimension: int) -> Any:
@@ -127,7 +128,7 @@ class Drift:
             wrapped = True  # ghosts too
         elif contacts and self.effects.walls:
             with context.timers("walls"):
-                happened = [0, self.effects.walls.drift(p, h, rates.of(p.arrays)), 0, 0]
+                happened = [0, *self.effects.walls.drift(p, h, rates.of(p.arrays)), 0]
             self.calls.update(self.wall_names)
         else:
             with context.timers("drift"):
@@ -189,8 +190,10 @@ class Drift:
 
     def remarks(self) -> list[str]:
         """What happened that a user should know of, a line each. Collective."""
-        unsolved = int(self.context.ranks.allreduce_sum(self.totals["unconverged"])[0])
+        counts = np.array([self.totals["missed"], self.totals["unconverged"]])
+        missed, unsolved = self.context.ranks.allreduce_sum(counts).tolist()
         more = [f"contacts that last: {unsolved} solutions ended above contact_tolerance"] if unsolved else []
+        more += [f"missed: {missed} times {MISSED}"] if missed else []
         return [*more, *self.remarks_of_operators()]
 
     def remarks_of_operators(self) -> list[str]:

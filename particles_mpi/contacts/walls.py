@@ -11,7 +11,8 @@ from particles_mpi.kernels.jit import lean, lean_inner
 from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.kernels.motion import move_to
 
-MOST_BOUNCES = 1000  # of one particle in one step; past it (a wedge without end) it waits where it is for the next step
+# Where so many bounces of one particle take less than that part of a step, it has no room, or bounces in a wedge without end.
+BOUNCES, LEAST = 1000, 1e-4
 
 
 @lean_inner
@@ -115,28 +116,37 @@ def meet_wall(axes, v, column, i, w, radius, inverse_mass, t, loss, normal, rate
 
 @lean_inner
 def bounce_until(axes, x, v, start, last_partner, i, radius, inverse_mass, h, planes, rates, rough):
-    """Take row i through all its wall contacts up to time h, at most MOST_BOUNCES; returns their number."""
+    """Take row i through all its wall contacts up to time h.
+
+    Returns (their number, 1 if it gets nowhere, or 0): then it stays where it is until h, at its last contact.
+    """
     _, normal, restitution, velocity_factor, _, _, _ = planes
-    for hits in range(MOST_BOUNCES):
+    hits, before = 0, start[i]
+    while True:
         t, w = wall_contact(axes, x, v, np.int64(0), start[i], i, radius, last_partner, h, planes)
         if w < 0:
-            return hits
+            return hits, 0
+        hits += 1
+        if hits % BOUNCES == 0:
+            if t - before < LEAST * h:
+                start[i] = h
+                return hits, 1
+            before = t
         move_to(axes, x, v, start, i, t)
         loss = restitution[w], velocity_factor[w]
         meet_wall(axes, v, np.int64(0), i, w, radius, inverse_mass, t, loss, normal, rates, rough)
         last_partner = -1 - w
-    start[i] = h  # stays inside, at the last contact
-    return MOST_BOUNCES
 
 
 @lean
 def drift_with_walls(axes, x, v, radius, inverse_mass, start, h, planes, rates, rough, reach, near):
-    """x += v h, reflected by walls on the way. In place on x, v (n, d); returns the number of hits, and of rows in `near`.
+    """x += v h, reflected by walls on the way. In place on x, v (n, d).
 
+    Returns how many hits there were, how many rows got nowhere, and how many are in `near`.
     `inverse_mass` (n,), or no row where nothing depends on it. start (n,): room for the starts of the last segments. To `near`
     (n,), if it has room, the rows that may be within `reach` of a wall at the end.
     """
-    hits, found = 0, 0
+    hits, missed, found = 0, 0, 0
     for i in range(len(x)):
         if not may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i] + reach, h, planes):  # far from all walls, as most are
             for k in range(len(axes)):
@@ -145,10 +155,11 @@ def drift_with_walls(axes, x, v, radius, inverse_mass, start, h, planes, rates, 
         start[i] = 0.0
         if may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i], h, planes):
             w = inverse_mass[i] if len(inverse_mass) > 0 else 1.0
-            hits += bounce_until(axes, x, v, start, np.int64(NOBODY), i, radius[i], w, h, planes, rates, rough)
+            more, stuck = bounce_until(axes, x, v, start, np.int64(NOBODY), i, radius[i], w, h, planes, rates, rough)
+            hits, missed = hits + more, missed + stuck
         for k in range(len(axes)):
             x[i, k] += v[i, k] * (h - start[i])
         if len(near) > 0:
             near[found] = i
             found += 1
-    return hits, found
+    return hits, missed, found

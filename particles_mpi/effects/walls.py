@@ -79,12 +79,12 @@ class Effect(WallContacts):
         self.lossy = bool(self.taking.any())
         self.law = np.array([(0.0, 0.0), *self.surfaces])
 
-    def drift(self, particles: Particles, h: float, rates: Rates) -> int:
+    def drift(self, particles: Particles, h: float, rates: Rates) -> tuple[int, int]:
         p, axes = particles, (0,) * particles.dimension
         w = p.inverse_mass if rates.alpha or self.law.any() else np.empty(0)
         fields = p.position, p.velocity, p.radius, w
         d, spin = p.dimension, p.arrays.get("spin", np.empty((0, 1)))
         rough = Rough(spin, p.inverse_inertia, self.law, np.empty(d), np.empty(d))
         nobody = np.empty(0, np.int64)  # who ends near walls is not asked
-        hits, _ = drift_with_walls(axes, *fields, np.empty(len(p)), h, tuple(self.planes), rates, rough, 0.0, nobody)
-        return hits
+        hits, missed, _ = drift_with_walls(axes, *fields, np.empty(len(p)), h, tuple(self.planes), rates, rough, 0.0, nobody)
+        return hits, missed

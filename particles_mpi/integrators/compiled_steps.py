@@ -172,18 +172,18 @@ def set_rates(axes, bodies, space, before, pushed, t_mid):
 
 @in_place
 def move(axes, bodies, space, strength, h, t_mid):
-    """The drift of `Drift.advance`, without pairs; returns the number of wall hits, and of rows in `on_walls.near`."""
-    hits, near = 0, 0
+    """The drift of `Drift.advance`, without pairs; returns what `drift_with_walls` does, of rows in `on_walls.near`."""
+    hits, missed, near = 0, 0, 0
     if space.bounded:
         rates = Rates(space.rates, bodies.drag, strength, t_mid)
         fields = bodies.x, bodies.v, bodies.radius, bodies.inverse_mass
-        hits, near = drift_with_walls(
+        hits, missed, near = drift_with_walls(
             axes, *fields, space.start, h, space.planes, rates, space.smooth, space.reach, space.on_walls.near
         )
     else:
         free_drift(bodies.x, bodies.v, h)
     wrap(bodies.x, space.lower, space.upper, space.length)
-    return hits, near
+    return hits, missed, near
 
 
 @in_place
@@ -217,9 +217,10 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
 
     Fewer steps where they are more work than `budget` allows: what rests on walls takes a hundred times as long as what flies.
 
-    Returns (steps done, wall hits, sums of forces, are the forces in `bodies.total` those of the present places?).
+    Returns (steps done, wall hits, how often a row had no room, sums of forces, are the forces in `bodies.total` those of the
+    present places?).
     """
-    hits, sums, known = 0, 0, True
+    hits, missed, sums, known = 0, 0, 0, True
     before, near, pushed = -1, -1, 0
     resting = 0
     for step in range(1, steps + 1):
@@ -245,15 +246,15 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
                 if space.own_rates:
                     set_rates(axes, bodies, space, before, pushed, 0.5 * h)
                     before = pushed
-                hit, near = move(axes, bodies, space, losses.strength, drifted, 0.5 * h)
-                hits += hit
+                hit, stuck, near = move(axes, bodies, space, losses.strength, drifted, 0.5 * h)
+                hits, missed = hits + hit, missed + stuck
                 known = not forces.attracts
             if scheme.taylor:
                 kick(bodies.v, rate, kicked)
         spent = budget.step * step + HIT * hits + ON_WALLS * resting
         if spent >= budget.most or (step >= watch and (step - watch) % WATCH_EVERY == 0 and invalid(axes, bodies, space)):
-            return step, hits, sums, known
-    return steps, hits, sums, known
+            return step, hits, missed, sums, known
+    return steps, hits, missed, sums, known
 
 
 @lean

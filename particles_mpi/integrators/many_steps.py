@@ -92,9 +92,9 @@ class ManySteps:
             watch = WATCH_EVERY - steps_done % WATCH_EVERY
             if adaptive:
                 done, sums = self.adaptive_steps(h, most, watch)
-                hits, known = 0, False
+                hits, missed, known = 0, 0, False
             else:
-                done, hits, sums, known = self.fixed_steps(h, most, watch)
+                done, hits, missed, sums, known = self.fixed_steps(h, most, watch)
             self.give_back()
             if known and sums:
                 summed.total, summed.known = self.blocks[0].bodies.total[self.mine], places_of(self.rows)
@@ -103,14 +103,16 @@ class ManySteps:
                 summed.calls[name] += sums
             self.direct.interactions += len(self.rows) * self.context.ids.total * sums
         if self.effects.walls:
+            counted = self.own or self.context.ranks.is_root
             drift.calls.update(dict.fromkeys(drift.wall_names, done))
-            drift.totals["wall_hits"] += hits if self.own or self.context.ranks.is_root else 0
+            drift.totals["wall_hits"] += hits * counted
+            drift.totals["missed"] += missed * counted
         drift.total = None
         drift.calls.update(dict.fromkeys(self.effects.on_velocities, 2 * done))
         return done
 
-    def fixed_steps(self, h: float, most: int, watch: int) -> tuple[int, int, int, bool]:
-        """Steps of `Composition` or `Taylor`: (how many, wall hits, sums of forces, are those of the present places?)."""
+    def fixed_steps(self, h: float, most: int, watch: int) -> tuple[int, int, int, int, bool]:
+        """Steps of `Composition` or `Taylor`: what `fixed_steps` returns, of all blocks."""
         n, parts = self.context.ids.total, len(self.scheme.kicks)
         cost = BESIDES + ROW * n + (PAIR * n * n * parts if self.direct else 0.0)
         budget = Budget(cost, LONGEST)
@@ -118,11 +120,11 @@ class ManySteps:
         if len(self.blocks) > 1 or (self.own and self.context.ranks.size > 1):  # what stops one block must stop all
             most = min(most, watch)  # the watchdog of all looks then
             watch, budget = most + 1, Budget(cost, inf)
-        hits = 0
+        hits = missed = 0
         for block in self.blocks:
-            done, hit, sums, known = fixed_steps(self.axes, *block, self.scheme, h, most, watch, budget)
-            hits += hit
-        return done, hits, sums, known
+            done, hit, stuck, sums, known = fixed_steps(self.axes, *block, self.scheme, h, most, watch, budget)
+            hits, missed = hits + hit, missed + stuck
+        return done, hits, missed, sums, known
 
     def adaptive_steps(self, h: float, steps: int, watch: int) -> tuple[int, int]:
         """Steps of `Adaptive`: (how many, sums of forces). StateError if the first one gets stuck."""

@@ -164,8 +164,11 @@ class WallContacts(Effect):
     taking: Any
     surfaces: list[tuple[float, float]]
 
-    def drift(self, particles: Particles, h: float, rates: Any) -> int:
-        """Drift over h with walls alone, while velocities change by `rates`; returns the number of wall hits. Purely local."""
+    def drift(self, particles: Particles, h: float, rates: Any) -> tuple[int, int]:
+        """Drift over h with walls alone, while velocities change by `rates`. Purely local.
+
+        Returns the number of wall hits, and of particles that had no room to move.
+        """
         raise NotImplementedError
 
 

@@ -5,7 +5,7 @@ from math import sqrt
 import numpy as np
 import pytest
 
-from particles_mpi import Scene, Simulation
+from particles_mpi import Scene, SceneError, Simulation
 
 MODES = ("rewind", "event")
 SPEEDS = (0.6, 0.4, 0.1, 0.01)
@@ -300,3 +300,33 @@ def test_rows_that_a_drift_tells_near_walls_are_those_that_are_found_by_looking(
         np.testing.assert_array_equal(told.rows["supported"], looking.rows["supported"])
         rested += int(told.rows["supported"].sum())
     assert rested > 500
+
+
+@pytest.mark.parametrize("mode", [None, "event", "rewind"])
+@pytest.mark.parametrize(("gap", "speed", "h", "steps"), [(1.0, 1500.0, 1.0, 1), (1.0, 9000.0, 1.0, 1), (5e-4, 1.0, 0.2, 5)])
+def test_any_number_of_bounces_between_two_plates_in_a_step(mode, gap, speed, h, steps):
+    """The way along the plates is v t, and hits across are counted; where there is no gap at all the run says so."""
+    planes = [{"point": [0.0, 0.0], "normal": [0.0, 1.0]}, {"point": [0.0, 1.0 + gap], "normal": [0.0, -1.0]}]
+    effects = {"walls": {"planes": planes}} | ({"collisions": {"mode": mode}} if mode else {})
+    ball = {"position": [[0.0, 0.5 + 0.3 * gap]], "velocity": [0.7, speed], "radius": 0.5}
+    scene = {"dimension": 2, "time": {"step": h, "steps": steps}, "particles": [ball], "effects": effects}
+    if mode == "rewind" and speed > 1.0:
+        with pytest.raises(SceneError, match=r"time\.step"):  # it would cross more than its diameter
+            Simulation(Scene(**scene))
+        return
+    sim = Simulation(Scene(**scene))
+    sim.run()
+    assert sim.particles.position[0, 0] == pytest.approx(0.7 * h * steps, rel=1e-9)
+    assert sim.totals["wall_hits"] == pytest.approx(speed * h * steps / gap, abs=1.5)
+    assert sim.totals["missed"] == 0 and not sim.remarks()
+
+
+@pytest.mark.parametrize("mode", [None, "event", "rewind"])
+def test_a_sphere_without_room_is_told(mode):
+    planes = [{"point": [0.0, 0.0], "normal": [0.0, 1.0]}, {"point": [0.0, 1.0], "normal": [0.0, -1.0]}]
+    effects = {"walls": {"planes": planes}} | ({"collisions": {"mode": mode}} if mode else {})
+    ball = {"position": [[0.0, 0.5]], "velocity": [0.7, 1.0], "radius": 0.5}
+    sim = Simulation(Scene(dimension=2, time={"step": 0.1, "steps": 5}, particles=[ball], effects=effects))
+    sim.run()
+    assert sim.totals["missed"] > 0 and "had no room" in sim.remarks()[0]
+    assert sim.measure()["kinetic"] == pytest.approx(0.5 * 1.49) and abs(sim.particles.position[0, 1] - 0.5) < 1e-12

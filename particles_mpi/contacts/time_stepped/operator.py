@@ -229,14 +229,14 @@ class Rewind:
     def finish(self, hits: Hits, h: float, counts: Array, concerned: int) -> float:
         """After the last pass particles still may not leave through walls: they meet those, and nobody else.
 
-        Counts the pairs that are left then as missed. Returns 0, or how far a row needs candidates to reach.
+        Counts the pairs that are left then, and who has no room between walls, as missed. Returns 0, or how far a row needs
+        candidates to reach.
         """
         near = self.near
         with self.timers("collide"):
             near.deactivate()
-            counts[WALL_HITS] += finish_walls(
-                near.axes, *near.rows, tuple(hits), h, self.rules, tuple(near.active), tuple(self.log)
-            )
+            bounces, stuck = finish_walls(near.axes, *near.rows, tuple(hits), h, self.rules, tuple(near.active), tuple(self.log))
+            counts[WALL_HITS] += bounces
         if concerned != OWN_ONLY:
             with self.timers("ghosts"):
                 exchange_segments(near.halo, near.active, near.segments, near.spin)
@@ -244,7 +244,7 @@ class Rewind:
             needed = near.follow(h)
         with self.timers("search"):
             left = self.find(h, False)
-        counts[MISSED] = np.count_nonzero((left.second >= 0) & (left.first < near.spheres.owned))
+        counts[MISSED] = stuck + np.count_nonzero((left.second >= 0) & (left.first < near.spheres.owned))
         return needed
 
     def undo(self) -> None:

@@ -155,9 +155,10 @@ def note_start(segments, spin, i, owned, log):
 
 @lean
 def finish_walls(axes, segments, spheres, hits, h, rules, active, log):
-    """Take the rows of the wall hits through all their wall contacts until h, blind to other particles; returns the number.
+    """Take the rows of the wall hits through all their wall contacts until h, blind to other particles.
 
-    `rules`, `active`, `log`: as in `apply_contacts`. All rows with a hit are active then.
+    Returns how many contacts there were, and how many of these rows got nowhere. `rules`, `active`, `log`: as in
+    `apply_contacts`. All rows with a hit are active then.
     """
     x, v, start, last_partner = segments
     radius, w, _, owned = spheres
@@ -165,7 +166,7 @@ def finish_walls(axes, segments, spheres, hits, h, rules, active, log):
     _, planes, rates, rough, _ = rules
     rough = Rough(*rough)
     is_active, active_rows, active_number = active
-    count = found = 0
+    count = missed = found = 0
     for p in range(len(a)):
         i = np.int64(a[p])
         found = activate(i, is_active, active_rows, found)
@@ -173,7 +174,8 @@ def finish_walls(axes, segments, spheres, hits, h, rules, active, log):
             found = activate(np.int64(b[p]), is_active, active_rows, found)
             continue
         note_start(segments, rough.spin, i, owned, log)
-        count += bounce_until(axes, x, v, start, last_partner[i], i, radius[i], w[i], h, planes, rates, rough)
+        more, stuck = bounce_until(axes, x, v, start, last_partner[i], i, radius[i], w[i], h, planes, rates, rough)
+        count, missed = count + more, missed + stuck
         last_partner[i] = b[p]
     active_number[0] = found
-    return count
+    return count, missed
