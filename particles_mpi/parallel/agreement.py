@@ -32,7 +32,7 @@ PATIENCE = 1.0  # seconds in which other ranks may fail as this one did, before 
 ABORT_SECONDS = 10  # in which MPI_Abort must have ended this process
 SETUP_PATIENCE = 3.0  # seconds in which the other ranks must end a phase of the set-up in which this one failed
 TAG = 1664  # of the messages between ranks that fail; messages with rows have tag 0
-FRAMES = 5  # innermost calls that the message of an unexpected error names
+FRAMES = 6  # innermost calls that the message of an unexpected error names
 LENGTH = 2000  # characters of a message between ranks that fail: MPI sends short ones before the receiver asks for them
 SHORT = 60  # characters of the longest value that a message repeats
 PACKAGE = Path(__file__).parents[1]
@@ -142,11 +142,17 @@ def _beside(one: Any, two: Any) -> str:
     return "not as on rank 0" if max(map(len, texts)) > SHORT else f"{texts[0]}, but {texts[1]} on rank 0"
 
 
+def is_own(file: Path) -> bool:
+    """Is a file of code one of this package or of a user's, and not of Python or of a library?"""
+    libraries = {Path(sys.prefix), Path(sys.base_prefix)} & {*file.parents}
+    return PACKAGE in file.parents or (file.is_absolute() and not libraries)
+
+
 def describe_unexpected(error: BaseException) -> str:
-    """One line: the exception and the calls of this package that led to it; other calls if none of them is in the package."""
+    """One line: the exception and the calls of this package and of a user's files that led to it; any calls if there are none."""
     said = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
     frames = traceback.extract_tb(error.__traceback__)
-    ours = [f for f in frames if PACKAGE in Path(f.filename).parents and f.filename != __file__] or frames
+    ours = [f for f in frames if is_own(Path(f.filename)) and f.filename != __file__] or frames
     calls = " > ".join(f"{Path(f.filename).name}:{f.lineno} {f.name}" for f in ours[-FRAMES:])
     name = "not enough memory" if isinstance(error, MemoryError) else f"unexpected {type(error).__name__}"
     return name + (f": {said}" if said else "") + (f" (at {calls})" if calls else "")

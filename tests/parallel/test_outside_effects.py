@@ -219,6 +219,16 @@ def test_what_would_be_ignored_is_refused(tmp_path):
             scene({name: {"file": str(tmp_path / f"{name}.py")}})
 
 
+def test_an_error_in_a_file_names_its_line(tmp_path):
+    lines = (OUTSIDE / "springs.py").read_text().splitlines()
+    at = next(k for k, line in enumerate(lines) if "def add" in line)
+    lines.insert(at + 1, "        [][len(acceleration)]" if "acceleration" in lines[at] else "        [][0]")
+    (tmp_path / "springs.py").write_text("\n".join(lines))
+    (tmp_path / "box.toml").write_text(text("event", "springs"))
+    done = run_ranks(1, "-m", "particles_mpi", "run", tmp_path / "box.toml", "--output", tmp_path / "out")
+    assert done.returncode == 3 and f"springs.py:{at + 2} add)" in done.stderr, done.stderr
+
+
 def test_only_what_a_scene_names_is_loaded():
     script = """
 import sys

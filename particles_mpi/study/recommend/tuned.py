@@ -55,7 +55,10 @@ def moved(tables: Tables, old: Path, new: Path) -> Tables:
     for table in populations:
         named = {key: value["file"] for key, value in table.items() if isinstance(value, dict) and "file" in value}
         table |= {key: {"file": os.path.relpath(old / file, new)} for key, file in named.items()}
-    return tables | {"particles": populations}
+    effects = {name: dict(table) for name, table in tables["effects"].items()}
+    for table in (table for table in effects.values() if "file" in table):
+        table["file"] = os.path.relpath(old / table["file"], new)
+    return tables | {"particles": populations, "effects": effects}
 
 
 def enter(document: Any, old: Tables, new: Tables) -> None:

@@ -37,6 +37,14 @@ def test_every_setting_of_a_shipped_scene_can_be_written(path, tmp_path):
             assert np.array_equal(populate(loaded)[0][name], start.particles[name])
 
 
+PULL = """
+from particles_mpi.effects import EffectOptions, Force
+class Options(EffectOptions): pass
+class Effect(Force):
+    formula = "dv/dt = e_x"
+    def __init__(self, options, scene): pass
+    def add(self, p, total): total[:, 0] += 1.0
+"""
 SCENE = """
 dimension = 2
 particles = [{position = {file = "start.csv"}, velocity = [1.0, 0.0], mass = 1e-3}]
@@ -48,15 +56,17 @@ time = {step = 0.1, end = 2.0}
 
 def test_a_scene_of_another_make_finds_its_files(tmp_path):
     (tmp_path / "start.csv").write_text("x,y\n0.5,0.25\n")
+    (tmp_path / "pull.py").write_text(PULL)
     path, target = tmp_path / "scene.toml", tmp_path / "deep" / "scene.tuned.toml"
     target.parent.mkdir()
-    path.write_text(SCENE)
+    path.write_text(SCENE + '[effects.pull]\nfile = "pull.py"\n')
     scene = Scene.load(path)
     (method,) = methods(Start(Benchmark(), scene))
     target.write_text(written(tuned(scene, method.scene(40, 1.0), 40), path, target, "tuned"))
     loaded = Scene.load(target)
     assert loaded.time.end == 2.0 and loaded.steps == 40 and loaded.time.step == 0.05
     assert populate(loaded)[0].position.tolist() == [[0.5, 0.25]]
+    assert 'file = "../pull.py"' in target.read_text() and loaded.effects == scene.effects
 
 
 def test_remarks_and_forms_of_the_author_stay(tmp_path):
