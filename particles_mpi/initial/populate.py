@@ -179,7 +179,7 @@ class Populator:
         lengths = {} if population.count is None else {"count": population.count}
         for name, value in given.items():
             if isinstance(value, dict) and "file" in value:
-                table = read_table(self.ranks, self.scene.folder / value["file"], self.scene.dimension)
+                table = read_table(self.ranks, self.scene.folder / value["file"], name, self.scene.dimension)
                 if isinstance(table, str):
                     self.faults.add(f"particles[{number}].{name}: {table}")
                     return 0

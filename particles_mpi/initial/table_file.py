@@ -12,6 +12,8 @@ from particles_mpi.errors import listed
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
 
+NAMES = {"position": ("x", "y", "z"), "velocity": ("vx", "vy", "vz")}  # of columns in a header
+
 
 class Table(NamedTuple):
     """The rows `first` ... first + len(values) - 1 of a file with `total` rows; values (n, columns)."""
@@ -21,11 +23,12 @@ class Table(NamedTuple):
     total: int
 
 
-def read_table(ranks: Communicator, path: Path, columns: int) -> Table | str:
-    """The first columns of a CSV file, or what is wrong with it, the same on all ranks. Collective.
+def read_table(ranks: Communicator, path: Path, quantity: str, dimension: int) -> Table | str:
+    """The d columns of a quantity in a CSV file, or what is wrong with it, the same on all ranks. Collective.
 
-    A first line that begins with no number is a header. Files that are not the same on all ranks are refused: each rank also
-    looks at what the next one reads.
+    A first line that begins with no number is a header: columns with the names of the quantity's components (NAMES) are taken,
+    or, if none has such a name, the first ones. Files that are not the same on all ranks are refused: each rank also looks at
+    what the next one reads.
     """
     fault, block, seen = "", b"", (0, 0)
     try:
@@ -42,7 +45,10 @@ def read_table(ranks: Communicator, path: Path, columns: int) -> Table | str:
     lines = block.count(b"\n") + (not block.endswith(b"\n") and len(block) > 0)
     line = 1 + sum(ranks.allgather(lines)[: ranks.rank])  # the number of the first line of this rank
     header = line == 1 and lines > 0 and not begins_with_number(block)
-    values = np.empty((0, columns))
+    columns = columns_of(ranks.bcast(block.partition(b"\n")[0] if header else b""), quantity, dimension)
+    if isinstance(columns, str):
+        return f"{path}: {columns}"
+    values = np.empty((0, dimension))
     try:
         values = parsed(block, columns, header)
     except ValueError:
@@ -55,6 +61,18 @@ def read_table(ranks: Communicator, path: Path, columns: int) -> Table | str:
         return first
     counts = ranks.allgather(len(values))
     return Table(values, sum(counts[: ranks.rank]), sum(counts)) if sum(counts) else f"{path} holds no rows"
+
+
+def columns_of(header: bytes, quantity: str, dimension: int) -> list[int] | str:
+    """Numbers of the columns that a header gives to a quantity, or what is wrong with it."""
+    given = [cell.strip().strip('"').lower() for cell in header.decode("utf-8", "replace").split(",")]
+    names = NAMES.get(quantity, ())[:dimension]
+    missing = [name for name in names if name not in given]
+    if dimension > 3 or len(missing) == len(names):
+        return list(range(dimension))
+    if missing:
+        return f"its header has {', '.join(name for name in names if name in given)} and no {missing[0]}"
+    return [given.index(name) for name in names]
 
 
 def first_of(ranks: Communicator, fault: str, name_rank: bool = True) -> str:
@@ -91,17 +109,16 @@ def begins_with_number(block: bytes) -> bool:
     return True
 
 
-def parsed(block: bytes, columns: int, header: bool) -> Array:
+def parsed(block: bytes, columns: list[int], header: bool) -> Array:
     """The numbers (n, columns) of some lines; ValueError if one has none."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # no line at all: an empty array
         text = BytesIO(block)
-        return np.loadtxt(text, delimiter=",", skiprows=int(header), usecols=range(columns), ndmin=2, encoding="utf-8").reshape(
-            -1, columns
-        )
+        table = np.loadtxt(text, delimiter=",", skiprows=int(header), usecols=columns, ndmin=2, encoding="utf-8")
+        return table.reshape(-1, len(columns))
 
 
-def wrong_line(block: bytes, columns: int, header: bool, first: int) -> str:
+def wrong_line(block: bytes, columns: list[int], header: bool, first: int) -> str:
     """Which of the lines, of which the first has this number, cannot be read."""
     for number, line in enumerate(block.split(b"\n")[int(header) :], first + header):
         try:

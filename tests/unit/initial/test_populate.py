@@ -133,6 +133,17 @@ def test_the_same_seed_gives_the_same_bits_and_streams_are_independent():
     assert not np.array_equal(a.velocity[:50], a.velocity[50:])
 
 
+def test_a_header_tells_which_columns_are_meant(tmp_path):
+    """One file for places and velocities, in any order; what is named by halves is refused."""
+    (tmp_path / "a.csv").write_text('mass,Y, x,"vy",vx\n7,0.2,0.1,-2,1\n8,0.6,0.5,4,3\n')
+    sim, _ = start({"position": {"file": "a.csv"}, "velocity": {"file": "a.csv"}, "radius": 0.01}, folder=tmp_path)
+    assert sim.position.tolist() == [[0.1, 0.2], [0.5, 0.6]] and sim.velocity.tolist() == [[1.0, -2.0], [3.0, 4.0]]
+    (tmp_path / "b.csv").write_text("x,vx,z\n1,2,3\n")
+    for name, says in (("position", "x and no y"), ("velocity", "vx and no vy")):
+        told = faults({"position": [[0.0, 0.0]], name: {"file": "b.csv"}}, folder=tmp_path)
+        assert told == f"particles[0].{name}: {tmp_path / 'b.csv'}: its header has {says}"
+
+
 def test_csv_with_and_without_header(tmp_path):
     (tmp_path / "a.csv").write_text("x,y,note\n0.1,0.2,7\n0.5,0.6,8\n")
     (tmp_path / "b.csv").write_text("1.0,2.0\n3.0,4.0\n")
