@@ -85,8 +85,9 @@ class Population(Model):
 
 
 class Output(Model):
-    """What is written, and how often (in steps); may be changed while a simulation goes by it."""
+    """What is written, and how often (in steps); may be changed while a simulation goes by it, and is checked then too."""
 
+    model_config = ConfigDict(validate_assignment=True)
     every: Annotated[int, Field(ge=1)] = 100
     formats: list[Literal["hdf5", "vtk"]] = Field(default=["hdf5", "vtk"])
     checkpoint_every: Annotated[int, Field(ge=1)] = 1000
@@ -100,6 +101,12 @@ class Output(Model):
         if len(set(formats)) < len(formats):
             raise ValueError("names one of them twice")
         return formats
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        try:
+            super().__setattr__(name, value)
+        except ValidationError as error:
+            raise SceneError(faults_of(error, type(self), ("output",))) from None
 
     def running(self) -> Self:
         return self.model_copy()

@@ -130,3 +130,17 @@ def test_a_periodic_box_of_two_diameters_is_refused(mode):
     with pytest.raises(SceneError, match=r"box: periodic axis 0 is 0\.8 long, but collisions need more than"):
         Simulation(scene(0.8))
     Simulation(scene(0.81)).steps(3)
+
+
+def test_output_that_is_changed_is_checked_as_in_a_scene_file():
+    output = Simulation(falling(True, [0.0, 0.0, -2.0])).scene.output
+    for name, value, says in [
+        ("every", 0, "must be greater than or equal to 1"),
+        ("diagnostics_every", 2.5, "must be a valid integer"),
+        ("formats", ["foo"], "must be 'hdf5' or 'vtk'"),
+        ("evry", 5, "evry"),
+    ]:
+        with pytest.raises(SceneError, match=rf"output\.{name}.*{says}|{says}"):
+            setattr(output, name, value)
+    output.every, output.formats = 7, ["vtk"]
+    assert output.every == 7
