@@ -76,7 +76,7 @@ class FrameReader:
                 sleep(pause)
             before = self._stamp()
             try:
-                with h5py.File(self.path, "r", locking=False) as file:
+                with opened(self.path) as file:
                     found = read(file["VTKHDF"])
             except (OSError, RuntimeError, ValueError, KeyError) as error:  # h5py raises all four for what is wrong with a file
                 failure = (str(error) or type(error).__name__).splitlines()[0]
@@ -86,6 +86,16 @@ class FrameReader:
         if found is None:
             raise SceneError(f"{self.path}: cannot be read: {failure}")
         return found
+
+
+def opened(path: Path) -> h5py.File:
+    """The file to read, without a lock, for it may be written to; with one if a user has it open so in this process."""
+    try:
+        return h5py.File(path, "r", locking=False)
+    except OSError as error:
+        if "lock" not in str(error):
+            raise
+        return h5py.File(path, "r")
 
 
 def _index(group: Any) -> Index:

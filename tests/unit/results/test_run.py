@@ -3,6 +3,7 @@
 import subprocess
 import sys
 
+import h5py
 import numpy as np
 import pytest
 
@@ -68,6 +69,13 @@ def test_fields_of_rough_spheres(tmp_path, d):
     assert data.spin.dims == ("time", "id", "axis" if d == 3 else "spin_component") and data.velocity.dims[-1] == "axis"
     assert data.orientation.dims[2:] == (("orientation_component",) if d == 3 else ())
     np.testing.assert_array_equal(data.spin[-1], frame.spin)
+
+
+def test_a_file_that_is_open_is_read(tmp_path):
+    sim, folder = drifting(2, tmp_path)
+    sim.run(folder)
+    with h5py.File(folder / "trajectory.vtkhdf", "r"):
+        assert Run(folder)[-1].position.tolist() == sim.particles.position.tolist()
 
 
 def test_fields_that_only_some_runs_have(tmp_path):
