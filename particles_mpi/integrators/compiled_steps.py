@@ -196,10 +196,10 @@ def kick_bodies(bodies, forces, losses, space, part, h, drift):
         coast = drift if losses.coasts else 0.0
         decay, push, on_walls = losses.decay[part], losses.push[part], space.on_walls
         if on_walls.kept:
-            press(bodies.total, on_walls.supported, space.rates, on_walls.alone)
+            press(bodies.total, bodies.fixed, on_walls.supported, space.rates, on_walls.alone)
         kick_with_friction(bodies.v, bodies.total, bodies.mass, decay, push, losses.strength, h, coast)
         if on_walls.kept:
-            release(bodies.v, bodies.total, on_walls.supported, space.rates, on_walls.alone, push)
+            release(bodies.v, bodies.total, bodies.fixed, on_walls.supported, space.rates, on_walls.alone, push)
     else:
         kick_with_drag(bodies.v, bodies.total, losses.decay[part], losses.push[part])
 

@@ -115,7 +115,7 @@ class Kick:
             a = self.forces()
         with self.timers("kick"):
             if self.presses and a is not None:
-                contacts = particles["supported"], particles["total_acceleration"], np.empty_like(a)
+                contacts = particles.fixed, particles["supported"], particles["total_acceleration"], np.empty_like(a)
                 press(a, *contacts)
             for flow in self.flows:
                 flow.advance(particles, 0.5 * h)

@@ -66,3 +66,23 @@ def test_a_magnetic_field_that_presses_a_charge_onto_a_floor_does_no_work(mode):
         assert np.abs(sim.particles.velocity[0, 1:]).max() < 1e-9
         errors.append(abs(sim.particles.velocity[0, 0] - 1.0))
     assert errors[0] < 1e-3 and errors[1] < errors[0] / 12.0
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_ball_that_is_nailed_where_it_lies_stays(mode):
+    """What its contacts gave it before is not taken from one that is fixed between two steps; freed, it goes on to lie there."""
+    effects = {
+        "uniform_gravity": {"acceleration": [0.0, -G]},
+        "walls": {"planes": [{"point": [0.0, 0.0], "normal": [0.0, 1.0]}], "restitution": 0.5},
+        "friction": {"strength": 3.0},
+    }
+    effects |= {"collisions": {"mode": mode, "restitution": 0.5}} if mode else {}
+    ball = {"position": [[0.0, R]], "velocity": [1.0, 0.0], "radius": R}
+    sim = Simulation(Scene(dimension=2, time={"step": 0.01, "steps": 100}, particles=[ball], effects=effects))
+    sim.steps(10)
+    place = sim.particles.position.copy()
+    for fixed in (1, 0):
+        sim.particles.fixed[0] = fixed
+        for _ in range(5):
+            sim.step()
+        assert not sim.particles.velocity.any() and np.abs(sim.particles.position - place).max() < 1e-12
