@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -196,9 +197,9 @@ class State:
         return self.scene.steps if end is None else steps + max(0, round((end - since) / self._h))
 
     @property
-    def effects(self) -> dict[str, RunningEffect]:
+    def effects(self) -> Mapping[str, RunningEffect]:
         """The effects of the scene by name; setting an option of one changes the run. See `RunningEffect`."""
-        return {name: RunningEffect(self, name) for name in self.scene.effects}
+        return MappingProxyType({name: RunningEffect(self, name) for name in self.scene.effects})
 
     def change_effect(self, name: str, key: str, value: Any) -> None:
         """Give an option of an effect another value, from the next step on; checked as in a scene file. Collective."""

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from particles_mpi import Scene
+from particles_mpi import Scene, SceneError
 from particles_mpi.initial.populate import populate
 from particles_mpi.study.experiment import Benchmark
 from particles_mpi.study.recommend.methods import methods
+from particles_mpi.study.recommend.recommend import recommend_scene
 from particles_mpi.study.recommend.runs import Start
 from particles_mpi.study.recommend.tuned import tuned, written
 
@@ -81,3 +82,10 @@ def test_remarks_and_forms_of_the_author_stay(tmp_path):
     assert text.startswith("# tuned\n# A fall.\n") and "time = {step = 0.05, end = 2.0} # short" in text
     assert tomllib.loads(text)["particles"] == tomllib.loads(path.read_text())["particles"]
     assert [line for line in path.read_text().splitlines() if line not in text] == ["time = {step = 0.1, end = 2.0} # short"]
+
+
+def test_a_scene_is_not_replaced_by_what_is_found_for_it(tmp_path):
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE.replace('{file = "start.csv"}', "[[0.5, 0.25]]"))
+    with pytest.raises(SceneError, match="is the scene itself"):
+        recommend_scene(path, 1e-3, output=tmp_path / ".." / tmp_path.name / "scene.toml")
