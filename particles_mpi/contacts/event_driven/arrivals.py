@@ -15,6 +15,7 @@ from particles_mpi.contacts.event_driven.messages import (
     Directory,
     add_holder,
     extra_width,
+    load_extra,
     ownership,
     part_width,
 )
@@ -182,13 +183,7 @@ def apply_moves(axes, rows, lists, queue, directory, regions, message, at, skin,
                     put(table, name, i)
                     state[i, ID], state[i, OWNERSHIP] = name, GHOST
                     load_row(d, rows, i, numbers, bits, at + HEAD)
-                    if len(rows.acceleration) > 0:
-                        for k in range(d):
-                            rows.acceleration[i, k] = numbers[begin + d + k]
-                    if len(rows.drag) > 0:
-                        rows.drag[i] = numbers[begin + d + extra - 1 - (1 if len(rows.inverse_inertia) > 0 else 0)]
-                    if len(rows.inverse_inertia) > 0:
-                        rows.inverse_inertia[i] = numbers[begin + d + extra - 1]
+                    load_extra(d, rows, i, numbers, begin + d)
                     lists.level[i] = level_of(reference[i, d + SIZE], lists)
                 relist(axes, lists, i, kept, new)
                 stale[pending[0]] = i

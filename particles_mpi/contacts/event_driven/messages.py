@@ -82,6 +82,36 @@ def extra_width(rows):
 
 
 @lean_inner
+def save_extra(d, rows, i, out, at):
+    """Write what changes the velocity of row i, and its 1/I, to `out` from place `at` on; returns where it ends."""
+    if len(rows.acceleration) > 0:
+        for k in range(d):
+            out[at + k] = rows.acceleration[i, k]
+        at += d
+    if len(rows.drag) > 0:
+        out[at] = rows.drag[i]
+        at += 1
+    if len(rows.inverse_inertia) > 0:
+        out[at] = rows.inverse_inertia[i]
+        at += 1
+    return at
+
+
+@lean_inner
+def load_extra(d, rows, i, numbers, at):
+    """What `save_extra` wrote."""
+    if len(rows.acceleration) > 0:
+        for k in range(d):
+            rows.acceleration[i, k] = numbers[at + k]
+        at += d
+    if len(rows.drag) > 0:
+        rows.drag[i] = numbers[at]
+        at += 1
+    if len(rows.inverse_inertia) > 0:
+        rows.inverse_inertia[i] = numbers[at]
+
+
+@lean_inner
 def holds(masks, i, bit):
     """Is this bit set in row i?"""
     return (masks[i, bit >> 6] >> (bit & 63)) & 1 == 1
@@ -109,7 +139,7 @@ def pack_changes(rows, reference, directory, log, moves, regions, bit, message):
     rows, directory, log, moves = Rows(*rows), Directory(*directory), Log(*log), Moves(*moves)
     rank, me = Regions(*regions).known[bit], Regions(*regions).rank
     out, bits = message
-    segment, state, acceleration, holders = rows.segment, rows.state, rows.acceleration, directory.holders
+    segment, state, holders = rows.segment, rows.state, directory.holders
     d = dimension(rows)
     size = 0
     for p in log.border[: log.border_count[0]]:
@@ -129,17 +159,7 @@ def pack_changes(rows, reference, directory, log, moves, regions, bit, message):
             out[size], out[size + 1] = segment[i, 2 * d + RADIUS], reference[i, d + INVERSE_MASS]
             for k in range(d):
                 out[size + 2 + k] = reference[i, k]
-            size += 2 + d
-            if len(acceleration) > 0:
-                for k in range(d):
-                    out[size + k] = acceleration[i, k]
-                size += d
-            if len(rows.drag) > 0:
-                out[size] = rows.drag[i]
-                size += 1
-            if len(rows.inverse_inertia) > 0:
-                out[size] = rows.inverse_inertia[i]
-                size += 1
+            size = save_extra(d, rows, i, out, size + 2 + d)
         if moves.owner[m] == rank:
             bits[size], bits[size + 1] = TRANSFER, state[i, ID]
             size += HEAD
