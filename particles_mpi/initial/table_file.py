@@ -45,7 +45,8 @@ def read_table(ranks: Communicator, path: Path, quantity: str, dimension: int) -
     lines = block.count(b"\n") + (not block.endswith(b"\n") and len(block) > 0)
     line = 1 + sum(ranks.allgather(lines)[: ranks.rank])  # the number of the first line of this rank
     header = line == 1 and lines > 0 and not begins_with_number(block)
-    columns = columns_of(ranks.bcast(block.partition(b"\n")[0] if header else b""), quantity, dimension)
+    headers = ranks.allgather(block.partition(b"\n")[0] if header else b"")  # of the rank that has the first line
+    columns = columns_of(max(headers), quantity, dimension)
     if isinstance(columns, str):
         return f"{path}: {columns}"
     values = np.empty((0, dimension))

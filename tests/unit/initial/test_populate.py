@@ -1,6 +1,8 @@
 """Initial particles: places, velocities, and the faults of a start."""
 
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from scipy.spatial import KDTree
 from particles_mpi import Simulation
 from particles_mpi.errors import SceneError
 from particles_mpi.initial.populate import populate
+from particles_mpi.initial.table_file import read_table
 from particles_mpi.scene.schema import Scene
 
 
@@ -142,6 +145,28 @@ def test_a_header_tells_which_columns_are_meant(tmp_path):
     for name, says in (("position", "x and no y"), ("velocity", "vx and no vy")):
         told = faults({"position": [[0.0, 0.0]], name: {"file": "b.csv"}}, folder=tmp_path)
         assert told == f"particles[0].{name}: {tmp_path / 'b.csv'}: its header has {says}"
+
+
+@pytest.mark.filterwarnings("ignore")  # `catch_warnings` is one for all threads
+def test_a_header_counts_wherever_it_is_read(tmp_path):
+    """Of a file with fewer bytes than there are ranks the first ones have no line, rank 0 neither."""
+    (tmp_path / "a.csv").write_text("vx,x\n1,2\n")
+    size, told, barrier = 12, {}, threading.Barrier(12)
+
+    class Rank:
+        def __init__(self, rank):
+            self.rank, self.size, self.calls = rank, size, 0
+
+        def allgather(self, value):
+            self.calls += 1
+            told.setdefault(self.calls, {})[self.rank] = value
+            barrier.wait()
+            return [told[self.calls][rank] for rank in range(size)]
+
+    with ThreadPoolExecutor(size) as pool:
+        read = list(pool.map(lambda rank: read_table(Rank(rank), tmp_path / "a.csv", "position", 1), range(size)))
+    assert [table.total for table in read] == [1] * size
+    assert np.concatenate([table.values for table in read]).tolist() == [[2.0]]
 
 
 def test_csv_with_and_without_header(tmp_path):
