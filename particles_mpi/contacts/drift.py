@@ -25,7 +25,6 @@ from particles_mpi.scene.effect import Context, Damping, Event, PairContacts, Wa
 
 HAPPENED = ("collisions", "wall_hits", "missed", "exchanges")  # in a drift
 COUNTS = (*HAPPENED, "unconverged")
-MISSED = "a particle had no room, or more contacts in a step than could be put in order; diagnostics.csv tells when"
 
 
 def keeper_of_contacts(effects: ActiveEffects, context: Context, dimension: int) -> Any:
@@ -193,7 +192,9 @@ class Drift:
         counts = np.array([self.totals["missed"], self.totals["unconverged"]])
         missed, unsolved = self.context.ranks.allreduce_sum(counts).tolist()
         more = [f"contacts that last: {unsolved} solutions ended above contact_tolerance"] if unsolved else []
-        more += [f"missed: {missed} times {MISSED}"] if missed else []
+        if missed:
+            crowded = "a particle had no room, or more contacts in a step than could be put in order"
+            more.append(f"missed: {missed} times {crowded}; diagnostics.csv tells when")
         return [*more, *self.remarks_of_operators()]
 
     def remarks_of_operators(self) -> list[str]:

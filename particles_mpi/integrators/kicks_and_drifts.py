@@ -114,7 +114,8 @@ class Kick:
         with self.timers("forces"):
             a = self.forces()
         with self.timers("kick"):
-            if self.presses and a is not None:
+            if self.presses:
+                assert a is not None  # contacts last only where there are forces
                 contacts = particles.fixed, particles["supported"], particles["total_acceleration"], np.empty_like(a)
                 press(a, *contacts)
             for flow in self.flows:
@@ -122,9 +123,8 @@ class Kick:
             self.force_and_losses(particles, a, h, drift if a is None and not self.damping and not self.flows else 0.0)
             for flow in reversed(self.flows):
                 flow.advance(particles, 0.5 * h)
-            if self.presses and a is not None:
-                lossless = self.damping is None and self.friction is None
-                release(particles.velocity, a, *contacts, np.full(len(a), h) if lossless else self.factors[1])
+            if self.presses:
+                release(particles.velocity, a, *contacts, self.factors_of(particles, h)[1])
             if self.flows:
                 particles.velocity[particles.fixed != 0] = 0.0
         return a
@@ -135,16 +135,20 @@ class Kick:
             if a is not None:
                 kick(particles.velocity, a, h)
             return
-        if self.known != (particles.version, particles.edition, h):
-            self.known = particles.version, particles.edition, h
-            n = len(particles)
-            self.factors = self.damping.factors(particles, h) if self.damping else (np.ones(n), np.full(n, h))
-        decay, push = self.factors
+        decay, push = self.factors_of(particles, h)
         a = np.zeros_like(particles.velocity) if a is None else a
         if self.friction:
             self.friction.kick(particles, a, decay, push, h, coast)
         else:
             kick_with_drag(particles.velocity, a, decay, push)
+
+    def factors_of(self, particles: Particles, h: float) -> tuple[Array, Array]:
+        """(decay, push), (n,) each: by drag, v becomes v decay + a push over h; kept until the particles or h change."""
+        if self.known != (particles.version, particles.edition, h):
+            self.known = particles.version, particles.edition, h
+            n = len(particles)
+            self.factors = self.damping.factors(particles, h) if self.damping else (np.ones(n), np.full(n, h))
+        return self.factors
 
     def rate(self, particles: Particles) -> Array | None:
         """dv/dt (n, d) by the other flows at the present velocities, or None without any."""

@@ -59,7 +59,6 @@ class Job:
         self.setup_began = perf_counter() if setup_began is None else setup_began
         options = {"output": str(folder), "steps": self.last, "overwrite": overwrite, "resume": resumed, "wall-time": wall_time}
         same_on_all(self.ranks, {f"--{name}": value for name, value in options.items()})
-        self.since = np.array(sim.reported, np.int64)
         self.rehearsal, self.notes, self.scene_file = rehearsal, notes, scene_file
         self.forecast: Forecast | None = None
         self.screen = Screen(self.ranks.is_root, quiet or rehearsal)
@@ -199,9 +198,8 @@ class Job:
             totals = self.ranks.allreduce_sum(np.array([sim.totals[name] for name in COUNTS]))
             held = float(self.ranks.allreduce_max(float(len(sim.rows)))[0])
             row = {"step": sim.steps_done, "time": sim.time, "particles": sim.total, **state}
-            row |= zip(COUNTS, (totals - self.since).tolist())
+            row |= zip(COUNTS, (totals - np.array(sim.reported)).tolist())
             row["imbalance"] = held * self.ranks.size / sim.total if sim.total else 1.0
-            self.since = totals
             sim.reported = totals.tolist()
             self.diagnostics.write(row)
             self.written["row"] = sim.steps_done
@@ -224,7 +222,7 @@ class Job:
                 writer.show()  # a run that goes on from here counts on all frames up to here
         with sim.timers("checkpoint"):
             metadata = sim.metadata()
-            kept = {name: metadata[name] for name in METADATA} | {"reported": self.since.tolist(), "written": self.written}
+            kept = {name: metadata[name] for name in METADATA} | {"reported": sim.reported, "written": self.written}
             state = {name: json.dumps(value) for name, value in kept.items()} | {"step": metadata["step"], "time": sim.time}
             state["effect_files"] = json.dumps(sim.scene.digests())
             contacts = sim.lasting_contacts()

@@ -81,12 +81,13 @@ def costs_of(sim: Simulation, step: float) -> str:
         return ""
     timers = {}
     for name in ("", *(name for name, options in sim.scene.effects.items() if options.active)):
-        begin = partial(without, sim, name)
+        begin, steps = partial(without, sim, name), int(SAMPLE / max(step, 1e-9)) + 1
         try:
-            begin().step()
+            twin = begin()
+            twin.step()
         except (SceneError, StoppedError):  # nothing can be without it
             continue
-        timers[name] = StepTimer(sim.ranks, begin, int(SAMPLE / max(step, 1e-9)) + 1)
+        timers[name] = StepTimer(sim.ranks, begin, steps, sim=twin, left=steps)
     time_in_turns(list(timers.values()), SAMPLES, SAMPLE)
     seconds = {name: timer.seconds.median for name, timer in timers.items()}
     if "" not in seconds:
