@@ -2,7 +2,8 @@
 
 With the machine code of a kernel numba keeps its bitcode, for kernels that are compiled later and call it. It reads this, and all
 names in it, whenever a kernel is loaded, which takes longer than all else. Before it loads the first one it also imports all that
-it knows of Python and numpy, and SciPy, which takes as long as a hundred kernels. Nearly always that is for nothing.
+it knows of Python and numpy, and SciPy, which takes as long as a hundred kernels. And for each function of its own that a kernel
+calls it imports the module where that was written: for `np.searchsorted` a fifth of a second. Nearly always that is for nothing.
 
 And kernels are kept one at a time: of two processes that have compiled the same function for other arguments at the same moment,
 as the ranks of set-up do, numba would forget the one, or take its code for that of the other. All this is about private matters
@@ -10,21 +11,24 @@ of numba: other versions than those that it was written for go on as they do.
 """
 
 import fcntl
+import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import llvmlite.binding as llvm
 from numba import version_info
-from numba.core import caching, codegen
+from numba.core import caching, codegen, environment
 from numba.core.runtime.nrt import rtsys
 
 KNOWN = {(0, 68)}  # versions of numba
+IMPORTED = {"numba.cpython.hashing"}  # of numba's modules those that must be: they make C functions known
 
 library_class: Any = codegen.JITCodeLibrary
 cache_class: Any = caching.Cache
 files_class: Any = caching.IndexDataCacheFile
 save_to_files = files_class.save
+import_environment: Any = environment._rebuild_env
 
 
 class Library(library_class):  # type: ignore[misc]
@@ -70,6 +74,20 @@ def load_overload(cache: Any, signature: Any, context: Any) -> Any:
     return None
 
 
+def environment_of(module: str, constants: list[Any], name: str) -> Any:
+    """The constants of a compiled function, by name; as `_rebuild_env`, but without an import of the numba module it is from.
+
+    The names in that module are for functions in which objects of Python are left as they are: kernels are none of these.
+    """
+    own = module.startswith("numba.") and module not in sys.modules and module not in IMPORTED
+    if not own or environment.lookup_environment(name) is not None:
+        return import_environment(module, constants, name)
+    found = environment.Environment({"__name__": module})
+    found.consts[:], found.env_name = constants, name
+    environment.Environment._memo[name] = found
+    return found
+
+
 def save_alone(files: Any, key: Any, data: Any) -> None:
     """As `IndexDataCacheFile.save`, which reads an index file, adds a line and writes it, while no other process does so."""
     with open(Path(files._cache_path) / "kernels.lock", "w") as lock:
@@ -83,4 +101,6 @@ def load_and_keep_kernels() -> None:
     if version_info[:2] in KNOWN:
         codegen.JITCPUCodegen._library_class = Library
         cache_class.load_overload = load_overload
+        environment_of.__module__, environment_of.__qualname__ = import_environment.__module__, import_environment.__qualname__
+        environment._rebuild_env = environment_of  # under the name that kept kernels have it by
         files_class.save = save_alone

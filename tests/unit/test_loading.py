@@ -42,6 +42,28 @@ def test_what_a_compiler_needs_is_read_when_another_kernel_is_compiled():
     assert done.returncode == 0, done.stderr
 
 
+SCENES = """
+import sys
+from particles_mpi import Scene, Simulation
+
+for name in sys.argv[1:]:
+    sim = Simulation(Scene.load(f"particles_mpi/scenes/{name}.toml"))
+    imported = set(sys.modules)
+    sim.steps(2)
+    sim.measure()
+    print(name, sorted(module for module in sys.modules.keys() - imported if module.startswith(("numba.", "scipy."))))
+"""
+
+
+@pytest.mark.skipif(version_info[:2] not in KNOWN, reason="another version of numba loads kernels its own way")
+def test_steps_import_nothing_that_only_a_compiler_needs():
+    """Whatever numba has of its own in a kernel: bodies in one loop, a tree, lasting contacts, both operators."""
+    scenes = ["solar_system", "plummer", "hourglass", "rubble_pile", "marbles", "headline"]
+    done = subprocess.run([sys.executable, "-c", SCENES, *scenes], cwd=ROOT, capture_output=True, text=True, timeout=100)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "".join(f"{name} []\n" for name in scenes)
+
+
 KEEPING = """
 import sys
 from numba.core.caching import IndexDataCacheFile
