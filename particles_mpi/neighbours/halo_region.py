@@ -1,10 +1,10 @@
 """How far ranks must look into one another's space, and where their particles may go until the next search.
 
-Each rank has a box around all that its own rows may cover. It gets as ghosts all rows whose paths come within 2 `slack` of that
-box. Until the horizon its rows stay within `slack` of it, whatever turns them, and rows that it does not hold stay out of
-there: so no row can meet one that its rank does not know. A row that would break this brings the horizon nearer
-(`trajectories.renew_paths`). The boxes are those of straight paths, which only rows near the border stretch; the slack is for
-those that are turned there.
+Each rank has a box around all that its own rows may cover. Until the horizon its rows stay within `slack` of it, whatever turns
+them, and rows that it does not hold stay out of there: so no row can meet one that its rank does not know. It gets as ghosts all
+rows whose paths come within `clearance` of this space; those further away would have to be turned to get there. A row that would
+break this brings the horizon nearer (`trajectories.renew_paths`). The boxes are those of straight paths, and the fastest row near
+a border stretches them: so a turned one rarely leaves the box of its rank, and the slack can be smaller than the clearance.
 """
 
 from typing import NamedTuple
@@ -16,6 +16,19 @@ from particles_mpi.neighbours.trajectories import Horizon
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import send_rows, starts
 from particles_mpi.particles import Array
+
+
+class Margins(NamedTuple):
+    """Of the boxes of ranks until the horizon.
+
+    slack: how far rows may get out of their rank's box; clearance: how near to that space rows come that the rank does not hold.
+    """
+
+    slack: float
+    clearance: float
+
+
+AT_THE_BORDER = Margins(0.0, 0.0)
 
 
 class HaloRegion(NamedTuple):
@@ -46,31 +59,41 @@ def overlapping_boxes(one: Array, boxes: Array, length: Array) -> Array:
 
 
 def fetch_near_rows(
-    ranks: Communicator, arrays: dict[str, Array], state: tuple[Array, Array, Array], horizon: Horizon, length: Array
+    ranks: Communicator,
+    arrays: dict[str, Array],
+    state: tuple[Array, Array, Array],
+    horizon: Horizon,
+    length: Array,
+    margins: Margins = AT_THE_BORDER,
 ) -> tuple[HaloRegion, Array, Array, dict[str, Array], Array]:
     """(region, our rows that others need, how many each, theirs that we need, how many of each rank). Collective.
 
     `arrays`: what is sent of a row; `state` = (x, v, radius) of the owned rows, which start now.
     """
     boxes = ranks.allgather_array(swept_box(*state, horizon))
-    region, rows, counts = build(boxes, ranks.rank, state, horizon, length)
+    region, rows, counts = build(boxes, ranks.rank, state, horizon, length, margins)
     return region, rows, counts, *send_rows(ranks, arrays, rows, counts)
 
 
 def build(
-    boxes: Array, rank: int, state: tuple[Array, Array, Array], horizon: Horizon, length: Array
+    boxes: Array,
+    rank: int,
+    state: tuple[Array, Array, Array],
+    horizon: Horizon,
+    length: Array,
+    margins: Margins = AT_THE_BORDER,
 ) -> tuple[HaloRegion, Array, Array]:
     """(region, rows to send sorted by rank, how many to each rank) from the boxes (ranks, 2, d) that all ranks' rows may cover.
 
     `state` = (x, v, radius) of the owned rows; boxes of ranks without rows are (inf, -inf), and overlap nothing.
     """
     d = boxes.shape[2]
-    slack = horizon.slack * np.array([[-1.0] * d, [1.0] * d])
-    wide = boxes + slack
-    others = overlapping_boxes(wide[rank], wide, length)
+    outwards = np.array([[-1.0] * d, [1.0] * d])
+    wide = boxes + margins.slack * outwards
+    outer = wide + margins.clearance * outwards
+    others = overlapping_boxes(wide[rank], outer, length)
     others[rank] = False
     places = np.flatnonzero(others)
-    outer = wide + slack
     sent = [rows_near_box(*state, horizon, outer[p, 0], outer[p, 1], length) for p in places]
     rows = np.concatenate([*sent, np.empty(0, np.int32)])
     counts = np.zeros(len(boxes), np.int32)

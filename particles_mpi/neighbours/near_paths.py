@@ -80,7 +80,7 @@ def keep_pairs(axes, waiting, parts, holding, horizon, pairs, found):
     around, asking, until, place = waiting.around, waiting.asking, waiting.until, waiting.place
     paths, _, spheres, _, _, length, marked, _, _ = holding
     path, _, bounding_radius, _, _ = paths
-    end, tolerance, _, _ = horizon
+    end, tolerance, _ = horizon
     _, w, ids, owned = spheres
     first, second, near_from, near_until = pairs
     y = np.empty(len(axes))

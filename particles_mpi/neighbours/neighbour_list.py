@@ -15,7 +15,7 @@ from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.kernels.motion import Segments, end_segments
 from particles_mpi.neighbours.candidates import Candidates, Hits
 from particles_mpi.neighbours.cells import GRIDDED, bounds, order_in_space, spacing
-from particles_mpi.neighbours.halo_region import HaloRegion, everywhere, fetch_near_rows
+from particles_mpi.neighbours.halo_region import HaloRegion, Margins, everywhere, fetch_near_rows
 from particles_mpi.neighbours.pass_messages import OWN_ONLY, Active, message_width, who_is_concerned
 from particles_mpi.neighbours.rebuild_interval import RebuildTuner
 from particles_mpi.neighbours.replacement import LEAVING, TURNED
@@ -29,7 +29,7 @@ from particles_mpi.particles import Array, Particles, field
 from particles_mpi.timers import Timers
 
 SORT_EVERY = 2  # searches; between two sorts in space the rows keep their order, which changes slowly
-SLACK = 0.3  # how far rows may get over the border of their rank's box, in paths of the fastest one
+CLEARANCE = 0.3  # how near rows may be to the space of a rank that does not hold them, in paths of the fastest one
 TOO_MANY = 0.1  # of the rows left their paths at once: a search of all is cheaper than one for each
 
 
@@ -107,12 +107,12 @@ class Neighbourhood:
             self.migrated += self.row_buffers.migrate(self.ranks, self.balance.decomposition.owner(particles.position))
         with self.timers("agree"):
             extent = bounds(particles.position)
-            horizon = self.horizon(h, at_least, extent)
+            horizon, margins = self.horizon(h, at_least, extent)
         with self.timers("pairs"):
             if self.searches % SORT_EVERY == 0 and len(particles) > 1:
                 self.row_buffers.sort(order_in_space(particles.position, extent))
         with self.timers("ghosts"):
-            region = self.fetch_ghosts(horizon)
+            region = self.fetch_ghosts(horizon, margins)
         with self.timers("pairs"):
             self.candidates = Candidates(self.x, self.v, self.spheres, self.length, self.planes, horizon, region, self.expected)
             self.expected = self.candidates.pair_count
@@ -126,8 +126,8 @@ class Neighbourhood:
             del self.spin, self.inverse_inertia
         self.version = -1
 
-    def horizon(self, h: float, at_least: float, extent: tuple[Array, Array]) -> Horizon:
-        """That of the next candidates, the same on all ranks; `extent`: bounds of this rank's particles."""
+    def horizon(self, h: float, at_least: float, extent: tuple[Array, Array]) -> tuple[Horizon, Margins]:
+        """Those of the next candidates, the same on all ranks; `extent`: bounds of this rank's particles."""
         particles = self.particles
         d, x, n = particles.dimension, particles.position, len(particles)
         radius = particles.radius
@@ -141,7 +141,6 @@ class Neighbourhood:
         tolerance = 0.5 * max(0.25 * mean, 0.05 * apart)
         travel = float(speed) * h
         steps = self.tuner.next(float(work), 0.5 * apart / travel if travel > 0.0 else 50.0)
-        slack = max(SLACK * travel * steps + travel + 2.0 * tolerance, 1.01 * at_least)
         bound = np.inf
         # Relative paths up to 4 bound long: on a gridded axis of length L one image of a pair at most may meet, on the
         # others it must be the nearest one all the time.
@@ -159,9 +158,11 @@ class Neighbourhood:
             bound = widest - tolerance
             if travel > 0.0:
                 steps = max(1, min(steps, floor((bound - tolerance) / travel)))
-        return Horizon(steps * h * (1.0 + 1e-9), tolerance, bound, slack)
+        slack = max(travel + 2.0 * tolerance, 1.01 * at_least)  # what a turned row may take in one drift
+        margins = Margins(slack, slack + CLEARANCE * travel * steps)
+        return Horizon(steps * h * (1.0 + 1e-9), tolerance, bound), margins
 
-    def fetch_ghosts(self, horizon: Horizon) -> HaloRegion:
+    def fetch_ghosts(self, horizon: Horizon, margins: Margins) -> HaloRegion:
         """Copies of all particles that may meet this rank's, behind the owned rows. Collective."""
         particles = self.particles
         ranks, d, owned = self.ranks, particles.dimension, len(particles)
@@ -169,7 +170,7 @@ class Neighbourhood:
         self.halo, region = None, everywhere(d)
         if ranks.size > 1:
             state = particles.position, particles.velocity, particles.radius
-            region, rows, counts, arrived, arriving = fetch_near_rows(ranks, everyone, state, horizon, self.length)
+            region, rows, counts, arrived, arriving = fetch_near_rows(ranks, everyone, state, horizon, self.length, margins)
             self.halo = Halo(ranks, rows, counts, arriving, owned, message_width(d))
             self.shared = np.zeros(owned + int(arriving.sum()), np.bool_)
             self.shared[rows] = self.shared[owned:] = True

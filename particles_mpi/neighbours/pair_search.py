@@ -133,7 +133,7 @@ def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found)
     """
     paths, index, spheres, _, _, length, _, around, _ = holding
     path, midpoint, bounding_radius, level, _ = paths
-    end, tolerance, _, _ = horizon
+    end, tolerance, _ = horizon
     sorted_, linked, oversize, number, largest, _, lowest, highest, own_low, own_high = index
     _, _, _, _, scale, (origin, per, cells) = sorted_
     head, after, _, _, (linked_origin, linked_per, linked_cells) = linked

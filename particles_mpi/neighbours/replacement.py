@@ -41,7 +41,7 @@ def replace_candidates(axes, rows, begin, why, segments, drift, horizon, holding
                 return needed, until, found, walls, 0, count, 0
             move_rows(asking, paths, owned, cells)
         found = drop_pairs(asking, marked, pairs, found)
-    valid = (until, horizon[1], horizon[2], horizon[3])
+    valid = (until, horizon[1], horizon[2])
     found, tests, done = find_partners(axes, asking, begin, why == ALL, valid, holding, pairs, found)
     if done == count:
         if len(planes[0]) > 0:

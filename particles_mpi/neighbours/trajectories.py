@@ -25,16 +25,15 @@ class Horizon(NamedTuple):
     """What candidates are good for.
 
     valid_until: the time until which they hold. tolerance: how far a row may be from its path. bound: how far it may get from
-    the midpoint of its first path, tolerance included. slack: how far rows may get out of their rank's box (`halo_region`).
+    the midpoint of its first path, tolerance included.
     """
 
     valid_until: float
     tolerance: float
     bound: float
-    slack: float
 
 
-AT_REST = Horizon(0.0, 0.0, 0.0, 0.0)
+AT_REST = Horizon(0.0, 0.0, 0.0)
 
 
 class Spheres(NamedTuple):
@@ -137,7 +136,7 @@ def rows_turned(x, v, start, path, rows, time, horizon, length):
     To the front of `rows`; returns how many. Segment and path are straight: where they end decides.
     """
     d = x.shape[1]
-    until, tolerance, _, _ = horizon
+    until, tolerance, _ = horizon
     found = 0
     for i in rows:
         outside = False
@@ -164,7 +163,7 @@ def renew_paths(rows, segments, owned, paths, region, horizon, length, time, h):
     """
     x, v, starts, _ = segments
     path, midpoint, bounding_radius, _, first_midpoint = paths
-    end, tolerance, bound, _ = horizon
+    end, tolerance, bound = horizon
     own, others, sent, known = region
     d = x.shape[1]
     needed = 0.0
@@ -211,7 +210,7 @@ def find_near_walls(rows, path, horizon, owned, planes, marked, near, count):
     """
     point, normal, _, _, lower, upper, oblique = planes
     d = normal.shape[1]
-    until, tolerance, _, _ = horizon
+    until, tolerance, _ = horizon
     kept = 0
     for p in range(count):
         near[kept] = near[p]

@@ -75,7 +75,7 @@ def test_every_pair_whose_paths_come_near_is_listed_once(seed, d, n, periodic, g
     if periodic and 4.0 * (radius.max() + bound + half) > side:  # what the caller sees to
         assume(4.0 * radius.max() < side)
         end = bound = half = 0.0
-    horizon = Horizon(end, half, bound, 0.0)
+    horizon = Horizon(end, half, bound)
     c = Candidates(x, v, Spheres(radius, w, ids, owned), length, tuple(no_planes(d)), horizon, everywhere(d), 0)
 
     def check(x, v, start):
@@ -114,7 +114,7 @@ def test_a_row_that_turns_is_found_where_it_goes(speed):
     x, v = random.random((n, 2)) * 10.0, random.normal(size=(n, 2)) * 0.05
     x[:2] = (2.0, 5.0), (2.0 + 0.45 * speed, 5.0)
     v[1] = 0.0
-    horizon = Horizon(0.5, 0.02, np.inf, 0.0)
+    horizon = Horizon(0.5, 0.02, np.inf)
     spheres = Spheres(np.full(n, 1e-3), np.ones(n), np.arange(n), n)
     c = Candidates(x, v, spheres, np.zeros(2), tuple(no_planes(2)), horizon, everywhere(2), 0)
     for now, row, turned in ((0.05, 0, (speed, 0.0)), (0.1, 1, (0.0, 0.01))):
@@ -132,7 +132,7 @@ def test_a_search_that_needs_more_room_goes_on_where_it_stopped():
     random = np.random.default_rng(5)
     x, v, n = random.random((900, 3)), random.normal(size=(900, 3)), 900
     spheres = Spheres(np.full(n, 0.05), np.ones(n), np.arange(n), n)
-    horizon = Horizon(0.05, 0.01, np.inf, 0.0)
+    horizon = Horizon(0.05, 0.01, np.inf)
     small, large = (
         Candidates(x, v, spheres, np.zeros(3), tuple(no_planes(3)), horizon, everywhere(3), room) for room in (0, 100_000)
     )
@@ -150,7 +150,7 @@ def test_points_at_one_place_have_cells(n):
 @pytest.mark.parametrize("why", [LEAVING, TURNED])
 def test_no_room_for_the_first_pair(why):
     """A row that is turned towards another, when there is room for no pair at all: its way begins once, and the pair is found."""
-    x, v, horizon = np.array([[0.0, 0.0], [1.0, 0.0]]), np.zeros((2, 2)), Horizon(1.0, 0.01, np.inf, 0.0)
+    x, v, horizon = np.array([[0.0, 0.0], [1.0, 0.0]]), np.zeros((2, 2)), Horizon(1.0, 0.01, np.inf)
     spheres = Spheres(np.full(2, 0.1), np.ones(2), np.arange(2), 2)
     c = Candidates(x, v, spheres, np.zeros(2), tuple(no_planes(2)), horizon, everywhere(2), 0)
     assert c.pair_count == 0
@@ -195,7 +195,7 @@ def test_only_rows_near_a_wall_are_listed(wall):
     x = np.array([[0.5, 5.0], [5.0, 5.0], [9.8, 5.0], [5.0, 0.1]])
     v = np.array([[-1.0, 0.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
     point, normal = np.array([[0.0, 0.0], [10.0, 10.0]]), np.array([[1.0, 0.0], [-1.0, 0.0]])
-    spheres, horizon = Spheres(np.full(4, 0.1), np.ones(4), np.arange(4), 4), Horizon(0.5, 0.01, 2.0, 0.0)
+    spheres, horizon = Spheres(np.full(4, 0.1), np.ones(4), np.arange(4), 4), Horizon(0.5, 0.01, 2.0)
     lower, upper = np.array([[0.0, -np.inf], [-np.inf, -np.inf]]), np.array([[np.inf, np.inf], [10.0, np.inf]])
     planes = (point[[wall]], normal[[wall]], np.ones(1), np.ones(1), lower[wall], upper[wall], False)
     c = Candidates(x, v, spheres, np.zeros(2), planes, horizon, everywhere(2), 0)

@@ -7,7 +7,7 @@ from test_candidates import at_start, closest, listed
 
 from particles_mpi.kernels.planes import no_planes
 from particles_mpi.neighbours.candidates import Candidates
-from particles_mpi.neighbours.halo_region import build
+from particles_mpi.neighbours.halo_region import Margins, build
 from particles_mpi.neighbours.rank_boxes import swept_box
 from particles_mpi.neighbours.replacement import LEAVING
 from particles_mpi.neighbours.trajectories import Horizon, Spheres
@@ -21,8 +21,9 @@ from particles_mpi.neighbours.trajectories import Horizon, Spheres
     n=st.sampled_from([3, 80, 160]),
     periodic=st.booleans(),
     slack=st.sampled_from([0.05, 0.2, 1.0]),
+    clearance=st.sampled_from([0.05, 0.2, 1.0]),
 )
-def test_turned_rows_meet_only_rows_that_their_rank_holds(seed, d, ranks, n, periodic, slack):
+def test_turned_rows_meet_only_rows_that_their_rank_holds(seed, d, ranks, n, periodic, slack, clearance):
     random = np.random.default_rng(seed)
     side, end, half, now, h = (5.0 if d == 2 else 3.0) * (n / 40) ** (1 / d), 0.5, 0.02, 0.2, 1e-9
     x, v = random.random((n, d)) * side, random.normal(size=(n, d))
@@ -33,9 +34,9 @@ def test_turned_rows_meet_only_rows_that_their_rank_holds(seed, d, ranks, n, per
         v *= min(1.0, 0.5 * bound / (end * np.sqrt((v**2).sum(axis=1)).max()))
     owner = np.minimum((x[:, 0] / side * ranks).astype(int), ranks - 1)
     mine = [np.flatnonzero(owner == p) for p in range(ranks)]
-    horizon = Horizon(end, half, bound, slack)
+    horizon, margins = Horizon(end, half, bound), Margins(slack, clearance)
     boxes = np.array([swept_box(x[m], v[m], radius[m], horizon) for m in mine])
-    fences = [build(boxes, p, (x[m], v[m], radius[m]), horizon, length) for p, m in enumerate(mine)]
+    fences = [build(boxes, p, (x[m], v[m], radius[m]), horizon, length, margins) for p, m in enumerate(mine)]
 
     turning = random.random(n) < 0.2
     after = np.where(turning[:, None], 6.0 * random.permutation(v), v)
@@ -67,10 +68,10 @@ def test_a_turned_row_does_not_leave_the_space_that_its_rank_knows():
     x, v = np.array([[-0.1, 0.0], [5.0, 0.0], [9.0, 0.0]]), np.zeros((3, 2))
     radius, w, ids, length, end, half = np.full(3, 0.2), np.ones(3), np.arange(3), np.zeros(2), 1.0, 0.01
     a, b = np.array([0]), np.array([1, 2])
-    horizon = Horizon(end, half, np.inf, 0.1)
+    horizon, margins = Horizon(end, half, np.inf), Margins(0.1, 0.1)
     boxes = np.array([swept_box(x[m], v[m], radius[m], horizon) for m in (a, b)])
     boxes[1, 0, 0] = -0.05  # some other row of the rank of B reaches there
-    fence, rows, _ = build(boxes, 0, (x[a], v[a], radius[a]), horizon, length)
+    fence, rows, _ = build(boxes, 0, (x[a], v[a], radius[a]), horizon, length, margins)
     assert rows.tolist() == [0]
     c = Candidates(x[a], v[a], Spheres(radius[a], w[a], ids[a], 1), length, tuple(no_planes(2)), horizon, fence, 0)
     c.v[0] = 8.0, 0.0
