@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from particles_mpi.kernels.jit import kernel, lean_inner
+from particles_mpi.kernels.jit import kernel, lean_inner, prefetch
 from particles_mpi.neighbours.cells import Grid, LinkedCells, cell_at, link, unlink
+from particles_mpi.neighbours.trajectories import AHEAD
 from particles_mpi.particles import Array
 
 SLOW, FAST, OVERSIZE, RENEWED = 0, 1, 2, 3
@@ -144,10 +145,22 @@ def move_rows(rows, paths, owned, index):
     _, midpoint, bounding_radius, level, _ = paths
     sorted_, linked, oversize, number, largest, limit, low, high, own_low, own_high = index
     _, _, place, entry, scale, (origin, _, _) = sorted_
-    _, _, _, _, grid = linked
+    _, after, before, cell_of, grid = linked
     g = len(entry) - 1
     for r in range(len(rows)):
         i = np.int64(rows[r])
+        if r + 2 * AHEAD < len(rows):
+            prefetch(place, rows[r + 2 * AHEAD])
+            prefetch(level, rows[r + 2 * AHEAD])
+        if r + AHEAD < len(rows):
+            ahead = rows[r + AHEAD]
+            if level[ahead] == FAST:
+                prefetch(before, ahead)
+                prefetch(after, ahead)
+                prefetch(cell_of, ahead)
+            else:
+                for k in range(len(entry)):
+                    prefetch(entry[k], place[ahead])
         for k in range(midpoint.shape[1]):
             low[k] = min(low[k], midpoint[i, k])
             high[k] = max(high[k], midpoint[i, k])

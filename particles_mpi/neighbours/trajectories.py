@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.kernels.geometry import nearest
-from particles_mpi.kernels.jit import inner, kernel
+from particles_mpi.kernels.jit import inner, kernel, prefetch
 from particles_mpi.kernels.markers import RADIUS, START
 from particles_mpi.neighbours.rank_boxes import index_of, time_in_box, time_to_box
 from particles_mpi.particles import Array
@@ -34,6 +34,7 @@ class Horizon(NamedTuple):
 
 
 AT_REST = Horizon(0.0, 0.0, 0.0)
+AHEAD = 16  # rows: a loop over some that are anywhere in memory asks for what it needs of the one so far behind
 
 
 class Spheres(NamedTuple):
@@ -138,7 +139,14 @@ def rows_turned(x, v, start, path, rows, time, horizon, length):
     d = x.shape[1]
     until, tolerance, _ = horizon
     found = 0
-    for i in rows:
+    for p in range(len(rows)):
+        i = rows[p]
+        if p + AHEAD < len(rows):
+            ahead = rows[p + AHEAD]
+            prefetch(x, ahead)
+            prefetch(v, ahead)
+            prefetch(start, ahead)
+            prefetch(path, ahead)
         outside = False
         for t in (time + start[i], until):
             r2 = 0.0
@@ -167,7 +175,12 @@ def renew_paths(rows, segments, owned, paths, region, horizon, length, time, h):
     own, others, sent, known = region
     d = x.shape[1]
     needed = 0.0
-    for i in rows:
+    for p in range(len(rows)):
+        i = rows[p]
+        if p + AHEAD < len(rows):
+            prefetch(path, rows[p + AHEAD])
+            prefetch(midpoint, rows[p + AHEAD])
+            prefetch(bounding_radius, rows[p + AHEAD])
         start = time + starts[i]
         now = 0.0
         soon = 0.0
@@ -189,9 +202,9 @@ def renew_paths(rows, segments, owned, paths, region, horizon, length, time, h):
         if i < owned:
             margin = path[i, 2 * d + RADIUS] + tolerance
             until = min(until, start + time_in_box(path, i, margin, own[0], own[1]))
-            for p in range(len(others)):
-                if index_of(i, known[sent[p] : sent[p + 1]]) < 0:
-                    until = min(until, start + time_to_box(path, i, margin, others[p, 0], others[p, 1], length))
+            for o in range(len(others)):
+                if index_of(i, known[sent[o] : sent[o + 1]]) < 0:
+                    until = min(until, start + time_to_box(path, i, margin, others[o, 0], others[o, 1], length))
         if not (now <= bound and soon <= bound and until >= time + h):  # not a number is not <= anything
             needed = max(needed, now, soon) if soon == soon else inf
             continue
