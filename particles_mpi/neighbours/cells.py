@@ -16,6 +16,7 @@ from particles_mpi.particles import Array
 GRIDDED = 3  # axes with cells; more would cost 3^d cells to visit, and the others are tested by distance anyway
 FINE = 6  # cells to a side on the last axis of a sorted grid: runs along it can be any length, so that they may be tight
 SMALLEST = 1e-300  # side of a cell, of points that are all at one place: a million of them in it, and its inverse, are numbers
+SLAB, MOST_SLABS = 32, 60_000  # cells on the second axis
 SAMPLE = 512  # rows that tell where the bulk of the particles is
 
 
@@ -125,9 +126,17 @@ def sort_rows(x, level, wanted, grid):
 
 
 def order_in_space(x: Array, box: tuple[Array, Array]) -> Array:
-    """Rows of x (n, d) in `box`, those that are near in space near one another; n > 0."""
-    order, _ = sort_rows(x, np.zeros(len(x), np.int8), 0, grid(x, box, spacing(*box, len(x)), 1))
-    return order
+    """Rows of x (n, d) in `box`, those that are near in space near one another; n > 0.
+
+    By cells; where there are many on the second axis by slabs of them, so that a row and its neighbours on the first axis are
+    not further apart in memory than the caches reach.
+    """
+    cells = grid(x, box, spacing(*box, len(x)), 1)
+    order, _ = sort_rows(x, np.zeros(len(x), np.int8), 0, cells)
+    if x.shape[1] < GRIDDED or cells.cells[1] <= SLAB:
+        return order
+    slab = ((x[:, 1] - cells.origin[1]) * (cells.per[1] / SLAB)).clip(0.0, MOST_SLABS).astype(np.uint16)
+    return order[np.argsort(slab[order], kind="stable")]
 
 
 @in_place
