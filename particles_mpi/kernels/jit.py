@@ -99,29 +99,35 @@ def repeated(builder: Any, value: Any, count: int) -> Any:
 def _spheres_within(typing: Any, axes: Any, middle: Any, own: Any, limit: Any, spheres: Any, first: Any) -> Any:
     """Which of eight spheres are within reach of one: bit p for sphere first + p, as int64.
 
-    middle (g,) and own: place and radius of the one. spheres (g + 1, n): coordinates and radii, all float32. g: the number of
-    axes, at most 3. Spheres with radii above limit are out of reach. Vectors of eight on every processor: the same bits.
+    middle (g,) and own: place and radius of the one. spheres (n, 4): g coordinates, and last the radius, all float32. g: the
+    number of axes, at most 3. Spheres with radii above limit are out of reach. Vectors of eight on every processor: the same bits.
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         float32, number = ir.FloatType(), ir.IntType(64)
-        eight = ir.VectorType(float32, 8)
         one, all_ = (context.make_array(signature.args[k])(context, builder, arguments[k]) for k in (1, 4))
 
-        def row(k: int) -> Any:
-            """Eight numbers of row k of `spheres`."""
-            place = [ir.Constant(number, k), arguments[5]]
-            address = cgutils.get_item_pointer(context, builder, signature.args[4], all_, place, wraparound=False)
-            return builder.load(builder.bitcast(address, eight.as_pointer()), align=4)
+        address = cgutils.get_item_pointer(
+            context, builder, signature.args[4], all_, [arguments[5], ir.Constant(number, 0)], wraparound=False
+        )
+        together = ir.VectorType(float32, 32)
+        spheres = builder.load(builder.bitcast(address, together.as_pointer()), align=4)
+
+        def column(k: int) -> Any:
+            """Column k of the eight rows of `spheres`."""
+            places = [4 * sphere + k for sphere in range(8)]
+            return builder.shuffle_vector(
+                spheres, ir.Constant(together, ir.Undefined), ir.Constant(ir.VectorType(ir.IntType(32), 8), places)
+            )
 
         g = min(len(signature.args[0]), 3)
         square = None
         for k in range(g):
             place = [ir.Constant(number, k)]
             address = cgutils.get_item_pointer(context, builder, signature.args[1], one, place, wraparound=False)
-            r = builder.fsub(repeated(builder, builder.load(address), 8), row(k))
+            r = builder.fsub(repeated(builder, builder.load(address), 8), column(k))
             square = builder.fmul(r, r) if square is None else builder.fadd(square, builder.fmul(r, r))
-        radii = row(g)
+        radii = column(3)
         reach = builder.fadd(repeated(builder, arguments[2], 8), radii)
         within = builder.fcmp_ordered("<=", square, builder.fmul(reach, reach))
         small = builder.fcmp_ordered("<=", radii, repeated(builder, arguments[3], 8))

@@ -24,8 +24,8 @@ ROUNDED = 1e-6  # of the sum of the numbers that are compared: more than what fl
 class SortedCells(NamedTuple):
     """SLOW rows in the order of their cells: rows `order` (m,) by place, and places where each cell starts (cells + 1 or more).
 
-    place (n,): where a row is in `order`. entry (g + 1, m + AT_ONCE) float32: by place, midpoint on the g gridded axes, from the
-    grid's origin, and bounding radius, both times `scale`, with which no coordinate was above 1 at the search.
+    place (n,): where a row is in `order`. entry (m + AT_ONCE, 4) float32: by place, midpoint on the g gridded axes, from the
+    grid's origin, and in the last column bounding radius, both times `scale`, with which no coordinate was above 1 at the search.
     """
 
     order: Array
@@ -110,10 +110,9 @@ def levels(midpoint, bounding_radius, slow, fast, most):
 @lean_inner
 def write_entry(i, e, midpoint, bounding_radius, origin, scale, entry):
     """Row i at place e of `SortedCells.entry`."""
-    g = len(entry) - 1
-    for k in range(g):
-        entry[k, e] = (midpoint[i, k] - origin[3 - g + k]) * scale
-    entry[g, e] = bounding_radius[i] * scale
+    for k in range(min(midpoint.shape[1], 3)):
+        entry[e, k] = (midpoint[i, k] - origin[max(3 - midpoint.shape[1], 0) + k]) * scale
+    entry[e, 3] = bounding_radius[i] * scale
 
 
 @kernel
@@ -123,9 +122,10 @@ def fill_cells(paths, order, origin, scale, grid):
     origin and scale: of the `SortedCells`; grid: of the `LinkedCells`.
     """
     _, midpoint, bounding_radius, level, _ = paths
-    n, g = len(midpoint), min(midpoint.shape[1], 3)
+    n = len(midpoint)
     place = np.empty(n, np.int32)
-    entry = np.full((g + 1, len(order) + AT_ONCE), np.float32(np.nan))
+    entry = np.empty((len(order) + AT_ONCE, 4), np.float32)
+    entry[len(order) :] = nan
     for e in range(len(order)):
         i = order[e]
         place[i] = e
@@ -146,7 +146,7 @@ def move_rows(rows, paths, owned, index):
     sorted_, linked, oversize, number, largest, limit, low, high, own_low, own_high = index
     _, _, place, entry, scale, (origin, _, _) = sorted_
     _, after, before, cell_of, grid = linked
-    g = len(entry) - 1
+    g = min(midpoint.shape[1], 3)
     for r in range(len(rows)):
         i = np.int64(rows[r])
         if r + 2 * AHEAD < len(rows):
@@ -159,8 +159,7 @@ def move_rows(rows, paths, owned, index):
                 prefetch(after, ahead)
                 prefetch(cell_of, ahead)
             else:
-                for k in range(len(entry)):
-                    prefetch(entry[k], place[ahead])
+                prefetch(entry, place[ahead])
         for k in range(midpoint.shape[1]):
             low[k] = min(low[k], midpoint[i, k])
             high[k] = max(high[k], midpoint[i, k])
@@ -175,13 +174,13 @@ def move_rows(rows, paths, owned, index):
             e = place[i]
             away = 0.0
             for k in range(g):
-                away += ((midpoint[i, k] - origin[3 - g + k]) * scale - entry[k, e]) ** 2
+                away += ((midpoint[i, k] - origin[3 - g + k]) * scale - entry[e, k]) ** 2
             reach = bounding_radius[i] * scale + sqrt(away)
             if level[i] == SLOW and reach <= largest[SLOW] * scale - ROUNDED:  # searches look that far from its cell
                 level[i] = RENEWED
                 write_entry(i, e, midpoint, bounding_radius, origin, scale, entry)
                 continue
-            entry[g, e] = nan  # no one meets it there
+            entry[e, 3] = nan  # no one meets it there
         if bounding_radius[i] > limit:
             level[i] = OVERSIZE
             oversize[number[0]] = i
