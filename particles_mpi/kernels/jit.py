@@ -100,7 +100,7 @@ def _spheres_within(typing: Any, axes: Any, middle: Any, own: Any, limit: Any, s
     """Which of eight spheres are within reach of one: bit p for sphere first + p, as int64.
 
     middle (g,) and own: place and radius of the one. spheres (n, 4): g coordinates, and last the radius, all float32. g: the
-    number of axes, at most 3. Spheres with radii above limit are out of reach. Vectors of eight on every processor: the same bits.
+    number of axes, at most 3. Radii above limit are out of reach. Vectors of eight on every processor: the same bits.
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

@@ -199,14 +199,10 @@ class Neighbourhood:
         rows = self.active.rows[: self.active.number[0]].copy()
         return self.candidates.follow(rows, TURNED, self.segments, h)
 
-    def deactivate(self) -> None:
-        """No row is active."""
+    def forget_segments(self, changed: Array) -> None:
+        """All segments begin at time 0, no row is active, and no one has met anyone; `changed`: the owned rows that had."""
         self.active.flag[self.active.rows[: self.active.number[0]]] = False
         self.active.number[0] = 0
-
-    def forget_segments(self, changed: Array) -> None:
-        """All segments begin at time 0, and no one has met anyone; `changed`: the owned rows that had."""
-        self.deactivate()
         for rows in (changed, slice(self.spheres.owned, None)):
             self.segments.start[rows] = 0.0
             self.segments.last_partner[rows] = NOBODY

@@ -214,7 +214,6 @@ class Rewind:
             with self.timers("ghosts"):
                 exchange_selections(near.halo, selected, hits.first, hits.second, near.candidates.marked)
         with self.timers("collide"):
-            near.deactivate()
             apply_contacts(
                 near.axes, *near.rows, tuple(hits), selected, self.rules, tuple(near.active), tuple(self.log), counts,
                 self.virial,
@@ -234,7 +233,6 @@ class Rewind:
         """
         near = self.near
         with self.timers("collide"):
-            near.deactivate()
             bounces, stuck = finish_walls(near.axes, *near.rows, tuple(hits), h, self.rules, tuple(near.active), tuple(self.log))
             counts[WALL_HITS] += bounces
         if concerned != OWN_ONLY:

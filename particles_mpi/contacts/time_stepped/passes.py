@@ -67,9 +67,9 @@ def select_contacts(ids, owned, hits, selection):
 def apply_contacts(axes, segments, spheres, hits, selected_partner, rules, active, log, counts, virial):
     """Apply the hits that both partners selected; `rules`: loss of a pair, planes, `Rates`, `Rough`, periodic lengths (d,).
 
-    Rows that changed, and rows with a hit that has to wait, are active in the next pass. `log` gets the owned rows of which
-    this was the first contact. `counts` (4,) += collisions, wall hits and collisions that came late, each collision counted
-    by the owner of the lower id; so is its virial -r.dp, where that is wanted: else `virial` (owned,) is empty.
+    Rows that changed, and rows with a hit that has to wait, are active in the next pass, and no others. `log` gets the owned rows
+    of which this was the first contact. `counts` (4,) += collisions, wall hits and collisions that came late, each collision
+    counted by the owner of the lower id; so is its virial -r.dp, where that is wanted: else `virial` (owned,) is empty.
     """
     x, v, start, last_partner = segments
     radius, w, ids, owned = spheres
@@ -79,6 +79,7 @@ def apply_contacts(axes, segments, spheres, hits, selected_partner, rules, activ
     _, normal, wall_restitution, wall_factor, _, _, _ = planes
     is_active, active_rows, active_number = active
     r = np.empty(len(axes))
+    deactivate(is_active, active_rows, active_number)
     found = 0
     for p in range(len(a)):
         i = np.int64(a[p])
@@ -126,6 +127,14 @@ def is_late(t, r, one, other):
 
 
 @in_place
+def deactivate(is_active, active_rows, active_number):
+    """No row is active."""
+    for p in range(active_number[0]):
+        is_active[active_rows[p]] = False
+    active_number[0] = 0
+
+
+@in_place
 def activate(i, is_active, active_rows, found):
     """Make row i active, and list it once behind the first `found`; returns how many are listed."""
     if not is_active[i]:
@@ -166,6 +175,7 @@ def finish_walls(axes, segments, spheres, hits, h, rules, active, log):
     _, planes, rates, rough, _ = rules
     rough = Rough(*rough)
     is_active, active_rows, active_number = active
+    deactivate(is_active, active_rows, active_number)
     count = missed = found = 0
     for p in range(len(a)):
         i = np.int64(a[p])
