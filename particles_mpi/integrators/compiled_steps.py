@@ -130,9 +130,10 @@ def sum_forces(axes, x, mass, fixed, forces, total):
 
 
 @kernel(_nrt=True)  # also where a @lean kernel calls it
-def keep_on_walls(axes, bodies, space, h, near):
-    """As `PersistentContacts.keep`. near: how many rows of `on_walls.near` are filled, with the rows near walls; -1 if it is not.
+def keep_on_walls(axes, bodies, losses, part, space, h, kicked, near):
+    """As `PersistentContacts.keep`, after kick number `part` over a time `kicked`.
 
+    near: how many rows of `on_walls.near` are filled, with the rows near walls; -1 if it is not.
     Returns (how many rows contacts push, how many rows contacts were solved for).
     """
     on_walls = space.on_walls
@@ -148,8 +149,9 @@ def keep_on_walls(axes, bodies, space, h, near):
     changed, by = hand_over(rows, settled, held, v, supported)
     for r in range(len(changed)):
         on_walls.pushed[r] = changed[r]
+        undamped = losses.push[part][changed[r]] / kicked if len(losses.push) > 0 else 1.0
         for k in range(len(axes)):
-            on_walls.given[r, k] = by[r, k]
+            on_walls.given[r, k] = by[r, k] / undamped
     return len(changed), len(rows)
 
 
@@ -240,7 +242,7 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
             else:
                 kick_bodies(bodies, forces, losses, space, part, kicked, drifted)
                 if space.on_walls.kept:
-                    pushed, rows = keep_on_walls(axes, bodies, space, h, near)
+                    pushed, rows = keep_on_walls(axes, bodies, losses, part, space, h, kicked, near)
                     resting += rows
             if drifted != 0.0:
                 if space.own_rates:

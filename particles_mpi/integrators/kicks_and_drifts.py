@@ -150,6 +150,10 @@ class Kick:
             self.factors = self.damping.factors(particles, h) if self.damping else (np.ones(n), np.full(n, h))
         return self.factors
 
+    def undamped(self, particles: Particles, h: float) -> Array | None:
+        """What drag leaves of a velocity that a constant force gives in a time h, as a part of it (n,); None if it is all."""
+        return self.factors_of(particles, h)[1] / h if self.damping and h else None
+
     def rate(self, particles: Particles) -> Array | None:
         """dv/dt (n, d) by the other flows at the present velocities, or None without any."""
         if not self.flows:
@@ -175,7 +179,7 @@ class Composition:
         for kicked, drifted in self.parts:
             a = self.kick.advance(particles, kicked * h, drifted * h)
             if self.persistent:
-                self.persistent.keep(particles, a, h)
+                self.persistent.keep(particles, a, h, self.kick.undamped(particles, kicked * h))
             if drifted:
                 drift(drifted * h)
 

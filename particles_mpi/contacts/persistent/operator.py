@@ -82,7 +82,8 @@ class PersistentContacts:
         self.taken: Array = np.empty((0, *self.law.columns))  # by half-edges of the graph
         self.solver = Solver(self.ranks, self.axes)
         self.found: Found | None = None
-        self.given: tuple[Array, Array] = np.empty(0, np.int64), np.empty(0)  # our rows, velocities given to them
+        self.given: tuple[Array, Array] = np.empty(0, np.int64), np.empty(0)  # our rows, velocities given to them, but for drag
+        self.undamped: Array | None = None  # see `keep`
         self.awake = True  # else particles pass through one another and through walls
         self.totals = {"unconverged": 0}  # of this rank, which are counted for all by rank 0
         self.effort = EFFORT  # see there; with 0 any pile is solved as a large one
@@ -102,9 +103,13 @@ class PersistentContacts:
         """Begin with what contacts of our rows took."""
         self.memory, self.graph = (memory if len(memory.id) else self.nothing), None
 
-    def keep(self, p: Particles, a: Array, h: float) -> None:
-        """After a kick by accelerations a (n, d) in a step of h: velocities that keep slow contacts. Collective with pairs."""
-        self.given = self.given[0][:0], self.given[1][:0]
+    def keep(self, p: Particles, a: Array, h: float, undamped: Array | None = None) -> None:
+        """After a kick by accelerations a (n, d) in a step of h: velocities that keep slow contacts. Collective with pairs.
+
+        undamped (n,): which part drag has left of what constant forces gave in the kick (`Kick.undamped`). Contacts push all
+        through the kick, as those do: so drag takes as much of what they give, as if masses were larger.
+        """
+        self.given, self.undamped = (self.given[0][:0], self.given[1][:0]), undamped
         if not self.awake:
             return
         with self.timers("rest"):
@@ -126,6 +131,7 @@ class PersistentContacts:
 
     def keep_crowds(self, p: Particles, a: Array, h: float) -> None:
         """As `keep`, but contacts with those that are CROWD, and with all who touch them, are kept at any speed. Collective."""
+        self.undamped = None
         with self.timers("rest"):
             touch = slow_widths(p, a, h)
             wide = np.maximum(touch, widths(p.radius, p.velocity, h, NEAR_IN_CROWDS))
@@ -185,8 +191,11 @@ class PersistentContacts:
         size, d = graph.size + 1, p.dimension
         x, v, push, supported = np.empty((size, d)), np.empty((size, d)), np.empty((size, d)), np.empty(size)
         gather(graph.rows, p.position, p.velocity, a, p["supported"], SLOW * h, x, v, push, supported)
-        w, spin = graph.inverse_mass, self.law.spins(p, graph)
-        graph.exchange(x, v, push, supported, *([spin] if self.law.rough else []))
+        undamped, spin = np.ones(size), self.law.spins(p, graph)
+        if self.undamped is not None:
+            undamped[: len(graph.rows)] = self.undamped[graph.rows]
+        graph.exchange(x, v, push, supported, undamped, *([spin] if self.law.rough else []))
+        w = graph.inverse_mass * undamped
         return Local(x, v, push, graph.radius, w, supported == CROWD, (supported != 0) & (w > 0.0), spin)
 
     def solve(
@@ -288,7 +297,8 @@ class PersistentContacts:
     def give_back(self, p: Particles, rows: Array, v: Array, held: Array) -> None:
         """To our particles: velocities v of `rows`, and which of them contacts hold."""
         d = p.dimension
-        self.given = hand_over(rows, np.ascontiguousarray(v[:, :d]), held, p.velocity, p["supported"])
+        changed, by = hand_over(rows, np.ascontiguousarray(v[:, :d]), held, p.velocity, p["supported"])
+        self.given = changed, by if self.undamped is None else by / self.undamped[changed, None]
         if v.shape[1] > d:
             p["spin"][rows] = v[:, d:]
 
