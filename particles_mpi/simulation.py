@@ -160,8 +160,9 @@ class Simulation(Saved):
             if self.scene.output.observables:
                 collisions = int(self.ranks.allreduce_sum(self.totals["collisions"])[0])
                 volume = float(np.prod(self.upper - self.lower)) if self.scene.box else np.nan
-                since = self.observed["row" if row else "call"]
-                measured |= observe(self.ranks, p, volume, self.time, collisions, since)
+                since, pairs = self.observed["row" if row else "call"], self.active.pairs
+                elastic = pairs is None or not pairs.lossy
+                measured |= observe(self.ranks, p, volume, self.time, collisions, since, elastic)
         require_finite(self.ranks, p, measured["kinetic"], f"step {self.steps_done}")
         return measured
 

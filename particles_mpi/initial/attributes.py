@@ -45,6 +45,7 @@ def fill_spins(columns: Columns, block: Block) -> None:
     if population.moment_of_inertia is not None:
         columns.fill(block, "moment_of_inertia", population.moment_of_inertia)
         columns.refuse(block, "moment_of_inertia", moment < 0.0, "negative for")
+        columns.refuse(block, "moment_of_inertia", (moment == 0.0) & (mass > 0.0) & (radius > 0.0) & (fixed == 0), "0 for")
     value = population.spin
     if value is None:
         return

@@ -5,9 +5,11 @@ Observables of a gas of spheres: D axes, N movable particles, T in units of ener
 - temperature: sum m (v - V)^2 / (D (N - 1)), with V the velocity of the centre of mass
 - moment_ratio: <v^4>/<v^2>^2 of v - V; Maxwell-Boltzmann gives (1 + 2/D) n/(n + 2), n = D (N - 1)
 - packing: volume of all spheres over that of the box
-- collision_rate: Gamma = 2 C/(N t), collisions of a particle in unit time; free_time 1/Gamma, free_path <|v - V|>/Gamma
-- z_virial: p V/(N T) = 1 + sum(-r.dp)/(D N T t) over the collisions, r from partner to partner, dp the momentum it gives
-- z_rate: 1 + sigma Gamma sqrt(pi m/T)/(2 D), for equal spheres of diameter sigma and mass m; nan for others
+- collision_rate: Gamma = 2 C/(N t), collisions of a particle in unit time; free_time 1/Gamma, free_path <|v - V|>/Gamma; these
+  and the following are nan where some are fixed, for a collision with these is not of two particles
+- z_virial: p V/(N T) = 1 + sum(-r.dp)/(D N T t) over the collisions, r from partner to partner, dp the momentum it gives; T is
+  that of the end of the interval
+- z_rate: 1 + sigma Gamma sqrt(pi m/T)/(2 D), for equal elastic spheres of diameter sigma and mass m; nan for others
   (Enskog; M. P. Allen and D. J. Tildesley, Computer Simulation of Liquids, 1987, for both)
 """
 
@@ -102,16 +104,18 @@ def columns(dimension: int, observables: bool = False, gravity: bool = False, sp
 
 
 def observe(
-    ranks: Communicator, p: Particles, volume: float, time: float, collisions: int, since: list[float]
+    ranks: Communicator, p: Particles, volume: float, time: float, collisions: int, since: list[float], elastic: bool
 ) -> dict[str, float]:
     """The observables, with rates over the interval since `since` = [time, collisions, virial], which is updated. Collective.
 
-    `collisions`: of all ranks since the start; `volume`: of the box, nan without one. What is not defined is nan.
+    `collisions`: of all ranks since the start; `volume`: of the box, nan without one; `elastic`: do all collisions keep the
+    energy? What is not defined is nan.
     """
     d, movable = p.dimension, p.fixed == 0
     m = p.mass * movable
-    columns = [m, movable.astype(float), *[m * p.velocity[:, k] for k in range(d)], p.virial, p.radius**d]
-    mass, count, *momentum, virial, balls = exact_sums(ranks, columns)
+    numbers = movable.astype(float), (~movable).astype(float)
+    columns = [m, *numbers, *[m * p.velocity[:, k] for k in range(d)], p.virial, p.radius**d]
+    mass, count, fixed, *momentum, virial, balls = exact_sums(ranks, columns)
     whole = np.array(momentum) / mass if mass > 0.0 else np.zeros(d)
     own = p.velocity - whole
     square = row_dot(own, own)
@@ -130,13 +134,13 @@ def observe(
     temperature = row["temperature"] = heat / (d * (count - 1.0))
     if fourth > 0.0:  # else it is below the range of numbers
         row["moment_ratio"] = fourth / second * count / second
-    if not lasted > 0.0:
+    if not lasted > 0.0 or fixed:
         return row
     rate = row["collision_rate"] = 2.0 * happened / (count * lasted)
     if (pressed := d * count * temperature * lasted) > 0.0:
         row["z_virial"] = 1.0 + given / pressed
     if rate > 0.0:
         row["free_time"], row["free_path"] = 1.0 / rate, speed / count / rate
-    if largest == -minus_smallest and heaviest == -minus_lightest:
+    if elastic and largest == -minus_smallest and heaviest == -minus_lightest:
         row["z_rate"] = 1.0 + 2.0 * float(largest) * rate * sqrt(pi * float(heaviest) / temperature) / (2.0 * d)
     return row

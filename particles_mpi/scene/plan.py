@@ -7,6 +7,7 @@ import numpy as np
 
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Particles
+from particles_mpi.scene.active import ActiveEffects
 from particles_mpi.scene.effect_files import effect_names
 from particles_mpi.scene.schema import Scene
 
@@ -69,6 +70,9 @@ def advice(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]
         if k * h > 1.0:
             lines.append(f"taylor with drag * step = {k * h:.3g} > 1 will oscillate: shorten the step, or use leapfrog")
         lines.append("taylor is first order with drag; leapfrog is second order and exact in the velocity")
+    effects = ActiveEffects(scene, switched_off=True)
+    if scene.time.integrator == "taylor" and effects.forces and effects.lossy:
+        lines.append("with taylor nothing comes to rest on anything: it bounces on; with leapfrog it does")
     return lines
 
 

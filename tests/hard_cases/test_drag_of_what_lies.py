@@ -1,4 +1,4 @@
-"""Drag of what other things hold: contacts push through the whole kick, as forces do, and drag takes as much of what they give."""
+"""Drag of what other things hold: contacts push through the whole kick, as forces do, and drag acts on what they give."""
 
 import numpy as np
 import pytest

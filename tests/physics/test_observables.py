@@ -111,3 +111,17 @@ def test_pressure_after_some_were_removed():
     row = sim.measure()
     wanted = 1.0 + (sim.rows.virial.sum() - before) / (3 * 150 * row["temperature"] * 40 * sim.h)
     assert row["z_virial"] == pytest.approx(wanted, rel=1e-12) and 1.0 < wanted < 3.0
+
+
+def test_what_has_no_meaning_is_not_a_number():
+    """A hit of a fixed sphere is one collision of one particle, not of two; and z_rate is that of elastic spheres."""
+    lossy = Simulation(fluid(0.3, 0.05, 300, mode="event", restitution=0.9))
+    scene = fluid(0.3, 0.05, 300, mode="event").to_dict()
+    scene["particles"].append({"position": [[0.0, 0.0, 0.0]], "radius": 0.1, "fixed": True})
+    scene["particles"][0]["radius"] = 0.4
+    rows = []
+    for sim in (lossy, Simulation(Scene.from_dict(scene))):
+        sim.measure()
+        sim.steps(10)
+        rows.append({name for name, value in sim.measure().items() if np.isnan(value)})
+    assert rows == [{"z_rate"}, {"collision_rate", "free_time", "free_path", "z_virial", "z_rate"}]

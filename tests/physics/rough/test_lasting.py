@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from scenes import G, simulation, slope
 
+from particles_mpi.errors import SceneError
+
 FLOOR = {"point": [0.0] * 3, "normal": [0.0, 0.0, 1.0]}
 MODES = (None, "rewind", "event")  # None: walls alone
 
@@ -168,3 +170,8 @@ def test_a_bed_comes_to_rest_and_then_takes_no_work(count, large):
     assert row["kinetic"] == row["rotational"] == 0.0
     assert iterations[-1] == iterations[-50]
     assert rise <= 1e-5 * most
+
+
+def test_a_sphere_that_turns_has_a_moment_of_inertia():
+    with pytest.raises(SceneError, match=r"particles\[0\]\.moment_of_inertia: 0 for particle 0"):
+        slope(2, 0.3, 0.5, moment_of_inertia=0.0)
