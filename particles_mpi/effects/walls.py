@@ -36,8 +36,6 @@ class Options(Losses, EffectOptions):
             faults += wrong_length(f"{key}.point", plane.point, d) + wrong_length(f"{key}.normal", plane.normal, d)
             if not any(plane.normal):
                 faults.append(f"{key}.normal: has no length")
-            across = [k for k, part in enumerate(plane.normal[:d]) if scene.box and scene.periodic[k] and part]
-            faults += [f"{key}.normal: has a part along axis {k}, on which space is periodic" for k in across]
         if self.planes is None and scene.box is None:
             faults.append("planes: needed where there is no [box]")
         return faults

@@ -81,13 +81,6 @@ def test_scene_survives_its_own_tables(path):
         ({"effects": {"collisions": {"tangential_restitution": 2}}}, ["collisions.tangential_restitution", "equal to 1 (got 2)"]),
         ({"effects": {"collisions": {"friction": 0.5, "damping": 0.1}}}, ["effects.collisions.friction", "give restitution"]),
         ({"effects": {"walls": {"planes": [{"point": [0, 0], "normal": [0, 1], "friction": -1}]}}}, ["walls.planes[0].friction"]),
-        (
-            {
-                "box": {"lower": [0, 0], "upper": [1, 1], "periodic": [True, False]},
-                "effects": {"walls": {"planes": [{"point": [0, 0], "normal": [0.2, 1]}]}},
-            },
-            ["effects.walls.planes[0].normal: has a part along axis 0, on which space is periodic"],
-        ),
         ({"effects": {"rolling": {"resistance": 0.01}}}, ["effects.rolling.resistance", "without friction"]),
         ({"effects": {"collisions": {"friction": 0.5}, "rolling": {}}}, ["effects.rolling.resistance: missing"]),
         ({"particles": [{"position": [[0.5, 0.5]], "spin": 1.0}]}, ["particles[0].spin", "without friction"]),

@@ -1,0 +1,32 @@
+"""What the plan says of a scene that is valid and will surprise."""
+
+import pytest
+
+from particles_mpi import Scene
+from particles_mpi.initial.populate import populate
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.scene.plan import advice
+
+FLOOR = {"point": [0.0, 0.0], "normal": [0.0, 1.0]}
+ACROSS = {"point": [0.0, 0.0], "normal": [0.2, 1.0]}
+
+
+@pytest.mark.parametrize(
+    "planes, restitution, integrator, words",
+    [
+        ([FLOOR], 0.5, "leapfrog", []),
+        ([FLOOR], 1.0, "taylor", []),
+        ([FLOOR], 0.5, "taylor", ["nothing comes to rest"]),
+        ([FLOOR, ACROSS], 0.5, "leapfrog", ["periodic axis"]),
+    ],
+)
+def test_advice(planes, restitution, integrator, words):
+    scene = Scene(
+        dimension=2,
+        box={"lower": [0, 0], "upper": [4, 4], "periodic": [True, False]},
+        time={"step": 0.01, "steps": 1, "integrator": integrator},
+        particles=[{"position": [[1.0, 2.0]], "radius": 0.1}],
+        effects={"walls": {"planes": planes, "restitution": restitution}, "uniform_gravity": {"acceleration": [0.0, -1.0]}},
+    )
+    lines = advice(scene, populate(scene)[0], Communicator.alone())
+    assert len(lines) == len(words) and all(word in line for word, line in zip(words, lines))
