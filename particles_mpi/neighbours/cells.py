@@ -16,7 +16,8 @@ from particles_mpi.particles import Array
 GRIDDED = 3  # axes with cells; more would cost 3^d cells to visit, and the others are tested by distance anyway
 FINE = 6  # cells to a side on the last axis of a sorted grid: runs along it can be any length, so that they may be tight
 SMALLEST = 1e-300  # side of a cell, of points that are all at one place: a million of them in it, and its inverse, are numbers
-SLAB, MOST_SLABS = 32, 60_000  # cells on the second axis
+SLAB = 32  # cells on the second axis; see `order_in_space`
+MOST_SLABS = 60_000  # their numbers are sorted as uint16
 SAMPLE = 512  # rows that tell where the bulk of the particles is
 
 

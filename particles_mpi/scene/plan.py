@@ -70,7 +70,7 @@ def advice(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]
         if k * h > 1.0:
             lines.append(f"taylor with drag * step = {k * h:.3g} > 1 will oscillate: shorten the step, or use leapfrog")
         lines.append("taylor is first order with drag; leapfrog is second order and exact in the velocity")
-    effects = ActiveEffects(scene, switched_off=True)
+    effects = ActiveEffects(scene)
     if effects.walls and (effects.walls.planes.normal[:, scene.periodic] != 0.0).any():
         lines.append("effects.walls.planes: one is not along a periodic axis: what goes round on that may come out behind it")
     if scene.time.integrator == "taylor" and effects.forces and effects.lossy:

@@ -191,11 +191,13 @@ class PersistentContacts:
         size, d = graph.size + 1, p.dimension
         x, v, push, supported = np.empty((size, d)), np.empty((size, d)), np.empty((size, d)), np.empty(size)
         gather(graph.rows, p.position, p.velocity, a, p["supported"], SLOW * h, x, v, push, supported)
-        undamped, spin = np.ones(size), self.law.spins(p, graph)
+        w, spin = graph.inverse_mass, self.law.spins(p, graph)
+        columns = [x, v, push, supported, *([spin] if self.law.rough else [])]
         if self.undamped is not None:
-            undamped[: len(graph.rows)] = self.undamped[graph.rows]
-        graph.exchange(x, v, push, supported, undamped, *([spin] if self.law.rough else []))
-        w = graph.inverse_mass * undamped
+            w = w.copy()
+            w[: len(graph.rows)] *= self.undamped[graph.rows]
+            columns.append(w)
+        graph.exchange(*columns)
         return Local(x, v, push, graph.radius, w, supported == CROWD, (supported != 0) & (w > 0.0), spin)
 
     def solve(
