@@ -34,8 +34,8 @@ AT_THE_BORDER = Margins(0.0, 0.0)
 class HaloRegion(NamedTuple):
     """Where rows may go without meeting anyone that their rank does not know.
 
-    own (2, d): the rank's box with its slack, which owned rows stay in. others (m, 2, d): those of the ranks that are
-    within the clearance; rank p of them holds our rows known[sent[p] : sent[p + 1]], ascending, as ghosts, and no other enters there.
+    own (2, d): the rank's box with its slack, which owned rows stay in. others (m, 2, d): those of the ranks that are within the
+    clearance; rank p of them holds our rows known[sent[p] : sent[p + 1]], ascending, as ghosts, and no other enters there.
     """
 
     own: Array
