@@ -308,11 +308,15 @@ for smooth, rough, surfaces, steps, count, top in (  # friction takes longer tha
     box, time = {"lower": [0] * len(top), "upper": top}, SCENES[smooth]["time"] | {"steps": steps}
     particles = [population | {"count": count} for population in SCENES[smooth]["particles"]]
     SCENES[rough] = SCENES[smooth] | {"box": box, "time": time, "particles": particles, "effects": effects | with_friction | more}
-LEANING = SCENES["balls that collide on a floor, and lean on a wall in the end"]
-SCENES["balls of different drag that lean on one another"] = LEANING | {
-    "particles": [population | {"drag": {"min": 0.0, "max": 5.0}} for population in LEANING["particles"]],
-    "effects": LEANING["effects"] | {"drag": {}},
-}
+SCENES["a sphere that pushes another one, which drag holds back"] = dict(
+    dimension=2,
+    time={"step": 0.05, "steps": 60},
+    particles=[
+        {"position": [[0.2, 0.0], [-0.1, 0.0]], "radius": 0.1, "mass": [1.0, 2.0], "drag": [2.0, 0.3],
+         "acceleration": [[0.0, 0.0], [1.0, 0.0]]},
+    ],
+    effects={"user_acceleration": {}, "drag": {}, "collisions": {"restitution": 0.5}},
+)  # fmt: skip
 IN_ORDER, IN_WINDOWS = ": in order of time", ": in windows"
 EVENTS = (
     "balls that collide on a floor, and lean on a wall in the end",
