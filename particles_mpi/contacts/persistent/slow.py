@@ -103,6 +103,16 @@ def slow(contacts, closing, took, of_rows, pressed, h, tolerance, margin, precis
 
 
 @kernel
+def widest_push(start, widest, own):
+    """The largest of the pushes (m,) at the contacts of each row, or its `own` (n,) if that is more."""
+    found = own.copy()
+    for i in range(len(start) - 1):
+        for e in range(start[i], start[i + 1]):
+            found[i] = max(found[i], widest[e])
+    return found
+
+
+@kernel
 def carried(start, taken):
     """Which rows have a half-edge that took something; (n,) uint8."""
     rows = np.zeros(len(start) - 1, np.uint8)

@@ -8,18 +8,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.detection import Contacts
+from particles_mpi.contacts.persistent.detection import HELD, PRECISE, Contacts
 from particles_mpi.contacts.persistent.graph import ContactGraph
 from particles_mpi.contacts.persistent.memory import along_normals
 from particles_mpi.contacts.persistent.problem import Problem, Targets, bound_rows, table_of
 from particles_mpi.contacts.persistent.rough_iterations import bound_rough, rough_table, slide_loads
 from particles_mpi.contacts.persistent.rows import Local
-from particles_mpi.contacts.persistent.slow import SLIGHT, carried
+from particles_mpi.contacts.persistent.slow import SLIGHT, carried, widest_push
 from particles_mpi.contacts.persistent.solver import QUIET, taken_columns
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles, row_dot
 
 STEADY = 45  # iterations that rough spheres always get: with fewer a pile creeps by what is left of errors, and never rests
+ROUND_OFF = 2.0 * HELD * PRECISE  # of that speed: what a solution may leave a smooth sphere between two others
 STILL = 1e-6  # of the speed that forces give in two steps: slower rough spheres that are held stand still
 
 
@@ -43,11 +44,15 @@ class Pile(NamedTuple):
     local: Local
     allowed: float
 
+    def pushes(self) -> Array:
+        """The largest push (n,) of a row and those that it touches: one in the middle of a pile may have none itself."""
+        start, push = self.contacts.start, self.local.push[: len(self.contacts.start) - 1]
+        return np.asarray(widest_push(start, self.contacts.widest, np.sqrt(row_dot(push, push))))
+
     def quick(self, v: Array) -> Array:
         """Which rows (n,) with velocities and spins v (n, columns) are faster than what errors leave."""
-        n, d = self.local.push[: len(v)].shape
-        push, radius = self.local.push[:n], self.local.radius[:n]
-        most = np.maximum(STILL**2 * row_dot(push, push), (QUIET * self.allowed * radius) ** 2)
+        radius, d = self.local.radius[: len(v)], self.local.push.shape[1]
+        most = np.maximum(STILL * self.pushes(), QUIET * self.allowed * radius) ** 2
         rim = radius[:, None] * v[:, d:]
         return np.asarray((row_dot(v[:, :d], v[:, :d]) > most) | (row_dot(rim, rim) > most))
 
@@ -105,8 +110,13 @@ class SmoothContacts:
         return False
 
     def at_rest(self, ranks: Communicator, pile: Pile, bears: Array, held: Array, v: Array) -> Array:
-        """Velocities and spins v (n, columns), where those that are `held` and all but at rest stand still. Collective."""
-        return v
+        """Velocities and spins v (n, columns), where those that are `held` and all but at rest stand still. Collective.
+
+        In piles, what is below the round-off of a solution is no motion: left to the drift, it would be hundreds of collisions in
+        a step where spheres touch with no gap at all.
+        """
+        rests = pile.piled(bears) & (row_dot(v, v) <= (ROUND_OFF * pile.pushes()) ** 2)
+        return np.asarray(np.where(rests[:, None], 0.0, v))
 
 
 class RoughContacts(SmoothContacts):
