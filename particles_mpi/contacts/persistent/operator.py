@@ -41,12 +41,13 @@ from particles_mpi.contacts.warm_start import Memory, nothing
 from particles_mpi.kernels.markers import CROWD
 from particles_mpi.kernels.planes import Planes
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.particles import Array, Particles
+from particles_mpi.particles import Array, Particles, same_bits
 from particles_mpi.timers import Timers
 
 SKIN = 0.3  # of the smallest radius: so far rows may move, two together, before the graph is made anew
 DILUTE = 1.0  # the same, in a gas: few pairs come near, but rows move far
 ROUND_UP = 1.000001  # times a width: so the graph has all that `inside_zone` finds, whatever is rounded
+OUTWARDS = np.array([[-1.0], [1.0]])  # the signs of the ends of a box
 UNKNOWN = 10  # times the effort where nothing is remembered
 
 
@@ -56,6 +57,16 @@ class Found(NamedTuple):
     graph: ContactGraph
     for_these: tuple[Array, ...]
     contacts: Contacts
+
+
+class Solution(NamedTuple):
+    """What contacts and rows as in `for_these` come to: velocities (n, columns), who is held, what half-edges of a graph took."""
+
+    contacts: Contacts
+    for_these: tuple[Array, ...]
+    v: Array
+    held: Array
+    taken: Array
 
 
 class PersistentContacts:
@@ -73,6 +84,7 @@ class PersistentContacts:
         self.pairs, self.uniform, self.tolerance, self.timers = pairs, uniform, tolerance, timers
         self.points = points
         self.axes = (0.0,) * len(length)
+        self.everywhere = OUTWARDS * np.full((2, len(length)), np.inf)
         surfaces = surfaces._replace(walls=surfaces.walls[taking])
         self.law = RoughContacts(self.axes, surfaces) if surfaces.rough else SmoothContacts(self.axes)
         self.walls = Walls(planes, taking)
@@ -82,6 +94,7 @@ class PersistentContacts:
         self.taken: Array = np.empty((0, *self.law.columns))  # by half-edges of the graph
         self.solver = Solver(self.ranks, self.axes)
         self.found: Found | None = None
+        self.solution: Solution | None = None  # the last one, if its errors are allowed
         self.given: tuple[Array, Array] = np.empty(0, np.int64), np.empty(0)  # our rows, velocities given to them, but for drag
         self.undamped: Array | None = None  # see `keep`
         self.awake = True  # else particles pass through one another and through walls
@@ -153,14 +166,10 @@ class PersistentContacts:
 
     def zone(self, p: Particles, wide: Array, involved: Array, known: bool) -> Array:
         """The box (2, d) in which contacts are sought: around those involved, or all space. Collective."""
-        d = p.dimension
-        everything = np.array([[-np.inf] * d, [np.inf] * d])
         if not self.uniform or not known:
-            return everything
+            return self.everywhere
         ends = self.ranks.allreduce_max(zone_around(p.position, wide, involved))
-        zone = np.stack((-ends[:d], ends[d:]))
-        zone[:, self.length > 0.0] = everything[:, self.length > 0.0]
-        return zone
+        return np.where(self.length > 0.0, self.everywhere, ends.reshape(self.everywhere.shape) * OUTWARDS)
 
     def graph_of(self, p: Particles, wide: Array, zone: Array) -> ContactGraph:
         """The graph of all who are near one another in the zone, new or as before. Collective."""
@@ -209,11 +218,24 @@ class PersistentContacts:
         `again`: these velocities have been through it since the last kick, so that contacts take little more.
         """
         contacts = self.contacts(local, graph, inside, h)
-        before = took[contacts.slot]
-        count = int(self.ranks.allreduce_sum(len(before))[0])
+        before, last = took[contacts.slot], self.solution
+        for_these = before, local.v, local.w, local.supported, local.spin, np.array(known)
+        same = last and not again and last.contacts is contacts and all(map(same_bits, last.for_these, for_these))
+        count, new = self.ranks.allreduce_sum(np.array([len(before), not same])).tolist()
         if not count:
             p["supported"][graph.rows] = 0
             return np.zeros_like(took)
+        if new or not last:  # else it is that of the kick before: a pile at rest
+            last = self.solved(local, graph, contacts, for_these, h, took, count, again)
+        self.give_back(p, graph.rows, last.v, last.held)
+        return last.taken
+
+    def solved(
+        self, local: Local, graph: ContactGraph, contacts: Contacts, for_these: tuple[Array, ...], h: float, took: Array,
+        count: int, again: bool,
+    ) -> Solution:  # fmt: skip
+        """See `solve`. `count`: half-edges of all ranks."""
+        before, known = for_these[0], bool(for_these[-1])
         effort = max(self.effort // count * (1 if known else UNKNOWN), self.law.least) if self.pairs else EXACT
         bore = 2.0 * SLOW * before
         borne = bore if known else self.borne(local, graph, contacts, h, bore, effort)
@@ -229,16 +251,18 @@ class PersistentContacts:
         def asleep(v: Array) -> bool:
             return self.law.asleep(self.ranks, pile, along_normals(self.law.taken(problem)), v)
 
-        look = asleep if self.law.rough and not again else None
+        look = None if again else asleep
         v, good, sleeps = self.solver.solve(problem, w, v, graph.id, graph.exchange, effort, self.pairs, look)
         self.totals["unconverged"] += self.ranks.is_root and not good
         taken = taken if sleeps else self.law.taken(problem)  # who is asleep bears what they bore
         bears = along_normals(np.maximum(taken, before) if again else taken)
         held = carried(contacts.start, bears)
-        self.give_back(p, graph.rows, self.law.at_rest(self.ranks, pile, bears, held, v), held)
         all_taken = np.zeros_like(took)
         all_taken[contacts.slot] = np.where(along_normals(taken) != 0.0, taken.T, 0.0).T  # all that `remember` keeps
-        return all_taken
+        at_rest = self.law.at_rest(self.ranks, pile, bears, held, v)
+        solution = Solution(contacts, for_these, at_rest, held, all_taken)
+        self.solution = solution if good else None
+        return solution
 
     def contacts(self, local: Local, graph: ContactGraph, inside: Array, h: float) -> Contacts:
         """The half-edges of rows `inside` that may be slow: as last time, where nothing but velocities has changed since.
@@ -247,7 +271,7 @@ class PersistentContacts:
         """
         for_these = local.x, local.push, inside, np.array(h)
         crowd, found = bool(local.crowd.any()), self.found  # velocities decide what contacts a crowd has
-        if found and not crowd and found.graph is graph and all(map(np.array_equal, found.for_these, for_these)):
+        if found and not crowd and found.graph is graph and all(map(same_bits, found.for_these, for_these)):
             return found.contacts
         near = graph.start, graph.other
         columns = find_contacts(self.axes, tuple(local[:6]), near, inside, h, self.length, self.walls.faces, self.walls.planes)

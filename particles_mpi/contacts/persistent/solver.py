@@ -120,9 +120,9 @@ class Iteration:
     ) -> tuple[bool, int]:  # fmt: skip
         """Iterate until errors are allowed and `least` iterations are done, or only round-off is left, or `limit` are done.
 
-        `count`: half-edges of all ranks that may take something; `asleep`: if given, asked whether a pile that begins with
-        errors that are allowed moves at all; if not, it is left like that. Returns whether errors are allowed, and the
-        iterations done, 0 for a pile that is asleep. Collective.
+        `count`: half-edges of all ranks that may take something; `asleep`: if given, asked whether a pile moves at all that
+        begins with errors that are allowed, or, of smooth spheres, with round-off; if not, it is left like that. Returns whether
+        errors are allowed, and the iterations done, 0 for a pile that is asleep. Collective.
         """
         done, exact, before, best = 1, least >= EXACT, np.inf, np.inf
         if not exact and not self.rough:
@@ -133,15 +133,16 @@ class Iteration:
             squares, work = ranks.allreduce_sum(np.array(whole_numbers(self.sums, (1.0, most if most > 0.0 else 1.0))))
             good, calm = worst <= OUTLIER and squares <= count * FINE, self.rough and squares <= count * FINE * CALM**2
             enough = done >= (max(MORE, least) if calm else least)
-            if left <= 1.0 or (good and enough) or done >= limit:
-                break
-            if asleep and done == 1 and good:
+            looked = asleep is not None and done == 1 and (left <= 1.0 or (self.rough and good))
+            if asleep and looked:
                 self.restart()
                 if asleep(self.result):
                     return True, 0
-            elif self.rough and done == 1 and not (exact or calm):
+            if left <= 1.0 or (good and enough) or done >= limit:
+                break
+            if self.rough and done == 1 and not (exact or calm or looked):
                 self.balance(ranks, 1.0 - NEAR, 1.0 + NEAR)
-            else:
+            elif not looked:
                 grown = self.rough and squares > (GROWN * best if exact else before)
                 if grown or (work > 0.0 and (exact or not self.rough)):
                     self.restart()

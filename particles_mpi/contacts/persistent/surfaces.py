@@ -49,13 +49,6 @@ class Pile(NamedTuple):
         start, push = self.contacts.start, self.local.push[: len(self.contacts.start) - 1]
         return np.asarray(widest_push(start, self.contacts.widest, np.sqrt(row_dot(push, push))))
 
-    def quick(self, v: Array) -> Array:
-        """Which rows (n,) with velocities and spins v (n, columns) are faster than what errors leave."""
-        radius, d = self.local.radius[: len(v)], self.local.push.shape[1]
-        most = np.maximum(STILL * self.pushes(), QUIET * self.allowed * radius) ** 2
-        rim = radius[:, None] * v[:, d:]
-        return np.asarray((row_dot(v[:, :d], v[:, :d]) > most) | (row_dot(rim, rim) > most))
-
     def piled(self, bears: Array) -> Array:
         """Which rows (n,) bear other rows, where half-edges bear `bears` (m,)."""
         walls = self.contacts.partner == len(self.local.w) - 1
@@ -107,7 +100,12 @@ class SmoothContacts:
 
     def asleep(self, ranks: Communicator, pile: Pile, bears: Array, v: Array) -> bool:
         """Do all who bear anything move by no more than what errors leave? Collective."""
-        return False
+        held = carried(pile.contacts.start, bears) != 0
+        return not ranks.allreduce_max(float((self.quick(pile, v) & held).any()))[0]
+
+    def quick(self, pile: Pile, v: Array) -> Array:
+        """Which rows (n,) with velocities and spins v (n, columns) are faster than what errors leave."""
+        return np.asarray(row_dot(v, v) > (ROUND_OFF * pile.pushes()) ** 2)
 
     def at_rest(self, ranks: Communicator, pile: Pile, bears: Array, held: Array, v: Array) -> Array:
         """Velocities and spins v (n, columns), where those that are `held` and all but at rest stand still. Collective.
@@ -115,7 +113,7 @@ class SmoothContacts:
         In piles, what is below the round-off of a solution is no motion: left to the drift, it would be hundreds of collisions in
         a step where spheres touch with no gap at all.
         """
-        rests = pile.piled(bears) & (row_dot(v, v) <= (ROUND_OFF * pile.pushes()) ** 2)
+        rests = pile.piled(bears) & ~self.quick(pile, v)
         return np.asarray(np.where(rests[:, None], 0.0, v))
 
 
@@ -161,16 +159,18 @@ class RoughContacts(SmoothContacts):
     def press(self, contacts: Contacts, w: Array, borne: Array, left: Array) -> None:
         slide_loads(self.axes, contacts.start, contacts.partner, np.ascontiguousarray(borne[:, 1:]), w, left)
 
-    def asleep(self, ranks: Communicator, pile: Pile, bears: Array, v: Array) -> bool:
-        held = carried(pile.contacts.start, bears) != 0
-        return not ranks.allreduce_max(float((pile.quick(v) & held).any()))[0]
+    def quick(self, pile: Pile, v: Array) -> Array:
+        radius, d = pile.local.radius[: len(v)], len(self.axes)
+        most = np.maximum(STILL * pile.pushes(), QUIET * pile.allowed * radius) ** 2
+        rim = radius[:, None] * v[:, d:]
+        return np.asarray((row_dot(v[:, :d], v[:, :d]) > most) | (row_dot(rim, rim) > most))
 
     def at_rest(self, ranks: Communicator, pile: Pile, bears: Array, held: Array, v: Array) -> Array:
         """Iterations for a pile leave something, which gets less from step to step, of a size that no force explains.
 
         Those in piles, who bear others, stand still all at once: one by one, each would be a small blow to its neighbours.
         """
-        quick, piled = pile.quick(v), pile.piled(bears)
+        quick, piled = self.quick(pile, v), pile.piled(bears)
         awake = ranks.allreduce_max(float((quick & piled).any()))[0] > 0.0
         rests = (held != 0) & ~quick & ~(piled & awake)
         return np.asarray(np.where(rests[:, None], 0.0, v))
