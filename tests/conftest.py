@@ -41,6 +41,7 @@ SHARING = {
     "test_event_loop.py",
     "test_kernel_sources.py",
     "test_study_gravity.py",
+    "test_time_stepped.py",
     "test_tree.py",
 }
 RANKS = "tests/parallel"

@@ -1,6 +1,6 @@
 """Scenes by steps in one compiled loop and one by one: every field, count and frame must be the same.
 
-Prints "the same" for each scene. `mpirun -n P python few_bodies.py SCENES.json`.
+Prints "the same" for each scene. `mpirun -n P python many_steps.py SCENES.json`.
 """
 
 import json

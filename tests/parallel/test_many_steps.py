@@ -71,6 +71,8 @@ def scenes():
 @pytest.mark.parametrize("ranks", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
 def test_same_bits_and_counts_as_single_steps(ranks, tmp_path):
     every = scenes()
+    if ranks == 2:  # other integrators differ in nothing that ranks do; three ranks, with --all, run them too
+        every = {name: scene for name, scene in every.items() if not name.startswith(("taylor", "order4"))}
     file = tmp_path / "scenes.json"
     file.write_text(json.dumps(every))
     done = run_ranks(ranks, ROOT / "tests" / "parallel" / "many_steps.py", file, timeout=300)

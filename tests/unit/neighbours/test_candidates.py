@@ -173,7 +173,7 @@ def test_touching_spheres_against_all_pairs():
     assert len(first) == near.sum()
 
 
-@pytest.mark.parametrize("d", [1, 2, 3, 4])
+@pytest.mark.parametrize("d", [1, 2, 3, pytest.param(4, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("unit", [1.0, 1e-25, 1e25])
 @pytest.mark.parametrize("far", [1.0, 1e3, 1e9])
 def test_screening_in_float32_loses_no_pair(d, unit, far):

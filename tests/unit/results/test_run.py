@@ -33,7 +33,7 @@ def drifting(d, tmp_path, steps=3, **more):
     return sim, tmp_path / "run"
 
 
-@pytest.mark.parametrize("d", [1, 2, 3, 5])
+@pytest.mark.parametrize("d", [1, 2, 3, 4])
 def test_every_field_of_every_frame_has_the_bits_of_the_simulation(tmp_path, d):
     sim, folder = drifting(d, tmp_path)
     sim.run(folder)
