@@ -113,8 +113,11 @@ class SmoothContacts:
         In piles, what is below the round-off of a solution is no motion: left to the drift, it would be hundreds of collisions in
         a step where spheres touch with no gap at all.
         """
-        rests = pile.piled(bears) & ~self.quick(pile, v)
-        return np.asarray(np.where(rests[:, None], 0.0, v))
+        rests = ~self.quick(pile, v)
+        if rests.any():
+            rests &= pile.piled(bears)
+            v = np.where(rests[:, None], 0.0, v)
+        return v
 
 
 class RoughContacts(SmoothContacts):
