@@ -4,6 +4,8 @@ Each class of radius has a grid of its own, so that a few large spheres among ma
 spheres of its part of space; the cells are those of the whole box, folded into as many lists as it has room for.
 """
 
+from math import prod
+from sys import float_info
 from typing import NamedTuple
 
 import numpy as np
@@ -119,13 +121,13 @@ class SphereGrid:
         return first, stays
 
 
-def cells_of(extent: Array, count: int, side: float) -> Array:
-    """Cells along three axes (3,): each at least `side` wide, and not many more than two for each of `count` spheres."""
-    extent = extent[:3]
-    side = max(side, 1e-6 * float(extent.max()), np.finfo(float).tiny)
-    while np.maximum(1.0, cells := np.floor(extent / side)).prod() > 2 * count + 64:
+def cells_of(extent: Array, count: int, side: float) -> list[int]:
+    """Cells along three axes: each at least `side` wide, and not many more than two for each of `count` spheres."""
+    edges = extent[:3].tolist()
+    side = max(side, 1e-6 * max(edges), float_info.min)
+    while prod(cells := [max(1, int(edge / side)) for edge in edges]) > 2 * count + 64:
         side *= 1.2
-    return np.append(np.maximum(1.0, cells), [1.0, 1.0])[:3].astype(np.int64)
+    return [*cells, 1, 1][:3]
 
 
 @lean_inner
