@@ -76,6 +76,14 @@ class Communicator:
         """Minimum over the ranks, for each element."""
         return self._allreduce(values, MPI.MIN)
 
+    def largest(self, *numbers: float) -> tuple[float, ...]:
+        """The maximum over the ranks of each number; a rank alone makes no array of them."""
+        return numbers if self.size == 1 else tuple(self.allreduce_max(np.array(numbers, np.float64)).tolist())
+
+    def total(self, *numbers: int) -> tuple[int, ...]:
+        """The sum over the ranks of each whole number."""
+        return numbers if self.size == 1 else tuple(self.allreduce_sum(np.array(numbers, np.int64)).tolist())
+
     def allgather_array(self, row: Array) -> Array:
         """The arrays of all ranks, which have the same shape on each, as one of shape (ranks, *shape) on every rank."""
         table = np.empty((self.size, *row.shape), row.dtype)

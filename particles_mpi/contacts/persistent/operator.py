@@ -131,7 +131,7 @@ class PersistentContacts:
                 self.keep_on_walls(p, a, h, involved)
                 return
             remembers = bool(self.taken.any()) if self.graph else len(self.memory.id) > 0
-            some, known = self.ranks.allreduce_max(np.array([len(involved) > 0, remembers], np.int64))
+            some, known = self.ranks.largest(len(involved) > 0, remembers)
             if not some and self.uniform:
                 self.forget()
                 return
@@ -157,7 +157,7 @@ class PersistentContacts:
             while True:
                 local.crowd[:] = marked > 0.0
                 new = spread(graph.start, graph.other, local.x, ghost_touch, self.length, local.crowd)
-                if not self.ranks.allreduce_max(float(new))[0]:
+                if not self.ranks.largest(new)[0]:
                     break
                 marked[:] = local.crowd
                 graph.exchange(marked)
@@ -174,7 +174,7 @@ class PersistentContacts:
     def graph_of(self, p: Particles, wide: Array, zone: Array) -> ContactGraph:
         """The graph of all who are near one another in the zone, new or as before. Collective."""
         good = self.graph is not None and self.graph.holds(p, ROUND_UP * wide, zone)
-        if not self.ranks.allreduce_min(float(good))[0] or self.graph is None:
+        if self.ranks.largest(not good)[0] or self.graph is None:
             least = p.radius.min(initial=np.inf, where=p.radius > 0.0)
             skin = (DILUTE if self.dilute else SKIN) * float(self.ranks.allreduce_min(least)[0])
             skin = skin if skin < np.inf else 0.0
@@ -221,7 +221,7 @@ class PersistentContacts:
         before, last = took[contacts.slot], self.solution
         for_these = before, local.v, local.w, local.supported, local.spin, np.array(known)
         same = last and not again and last.contacts is contacts and all(map(same_bits, last.for_these, for_these))
-        count, new = self.ranks.allreduce_sum(np.array([len(before), not same])).tolist()
+        count, new = self.ranks.total(len(before), not same)
         if not count:
             p["supported"][graph.rows] = 0
             return np.zeros_like(took)

@@ -98,10 +98,10 @@ class Iteration:
 
     def factor(self, ranks: Communicator) -> float:
         """Times what p A p/2 + p (N v + c) is least: in sum over all contacts errors do no work then. Collective."""
-        largest = ranks.allreduce_max(works(self.axes, self.problem, self.w, self.v0, self.v, self.sums))[0]
+        (largest,) = ranks.largest(works(self.axes, self.problem, self.w, self.v0, self.v, self.sums))
         if not largest > 0.0:
             return 1.0
-        asked, did = ranks.allreduce_sum(np.array(whole_numbers(self.sums, (largest, largest))))
+        asked, did = ranks.total(*whole_numbers(self.sums, (largest, largest)))
         return -asked / did if did > 0 else 1.0
 
     def multiply(self, factor: float) -> None:
@@ -129,8 +129,8 @@ class Iteration:
             self.balance(ranks, 1.0 - NEAR, 1.0 + NEAR)
         errors = self.advance(1, looks=True)
         while True:
-            worst, left, most = ranks.allreduce_max(np.array(errors))
-            squares, work = ranks.allreduce_sum(np.array(whole_numbers(self.sums, (1.0, most if most > 0.0 else 1.0))))
+            worst, left, most = ranks.largest(*errors)
+            squares, work = ranks.total(*whole_numbers(self.sums, (1.0, most if most > 0.0 else 1.0)))
             good, calm = worst <= OUTLIER and squares <= count * FINE, self.rough and squares <= count * FINE * CALM**2
             enough = done >= (max(MORE, least) if calm else least)
             looked = asleep is not None and done == 1 and (left <= 1.0 or (self.rough and good))
@@ -207,7 +207,7 @@ class Solver:
             result = v.copy()
             solve_each(self.axes, tuple(problem), w, result)
             return result[: len(problem.start) - 1], True, False
-        count, every = ranks.allreduce_sum(np.array([(problem.table[:, STEP] > 0.0).sum(), len(problem.partner)])).tolist()
+        count, every = ranks.total(int((problem.table[:, STEP] > 0.0).sum()), len(problem.partner))
         if not count:
             return v[: len(problem.start) - 1], True, False
         few = count <= DIRECT and every <= FEW

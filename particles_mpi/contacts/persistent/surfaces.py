@@ -101,7 +101,7 @@ class SmoothContacts:
     def asleep(self, ranks: Communicator, pile: Pile, bears: Array, v: Array) -> bool:
         """Do all who bear anything move by no more than what errors leave? Collective."""
         held = carried(pile.contacts.start, bears) != 0
-        return not ranks.allreduce_max(float((self.quick(pile, v) & held).any()))[0]
+        return not ranks.largest(bool((self.quick(pile, v) & held).any()))[0]
 
     def quick(self, pile: Pile, v: Array) -> Array:
         """Which rows (n,) with velocities and spins v (n, columns) are faster than what errors leave."""
@@ -174,6 +174,6 @@ class RoughContacts(SmoothContacts):
         Those in piles, who bear others, stand still all at once: one by one, each would be a small blow to its neighbours.
         """
         quick, piled = self.quick(pile, v), pile.piled(bears)
-        awake = ranks.allreduce_max(float((quick & piled).any()))[0] > 0.0
+        awake = bool(ranks.largest(bool((quick & piled).any()))[0])
         rests = (held != 0) & ~quick & ~(piled & awake)
         return np.asarray(np.where(rests[:, None], 0.0, v))
