@@ -57,7 +57,7 @@ class Simulation(Saved):
 
     def step_towards(self, last: int) -> None:
         """Advance by one step, or by as many as are computed at once, but not beyond step `last`. Collective."""
-        if self.many_steps and "step" not in vars(self):  # a user's own is asked for each
+        if self.many_steps and "step" not in vars(self):  # a user who put a function there wants it called for each
             self.steps_at_once(min([last, *(view.due(self.steps_done) for view in self.views)]) - self.steps_done)
         else:
             self.step()
@@ -83,7 +83,8 @@ class Simulation(Saved):
 
         def drift(part: float) -> None:
             rates = self.drift.rates(self.g, self.accelerations.total, 0.5 * h)
-            self.drift.advance(self._h if stop else part, self.time, rates, contacts, stop)
+            length = self._h if stop else part  # h is a guess then, beyond which the collision may be
+            self.drift.advance(length, self.time, rates, contacts, stop)
 
         self.integrator.advance(self.rows, h, drift)
         for name in self.active.on_velocities:
@@ -131,10 +132,11 @@ class Simulation(Saved):
         """Step to the end of the scene; with `output` (a folder) write everything the scene asks for. Collective."""
         if output is not None:
             Job(self, Path(output), quiet=quiet, **options).run()
-        while output is None and self.steps_done < self.last_step:
-            self.step_towards(self.last_step)
-            if self.steps_done % WATCH_EVERY == 0 or self.steps_done == self.last_step:
-                self.watch()
+        else:
+            while self.steps_done < self.last_step:
+                self.step_towards(self.last_step)
+                if self.steps_done % WATCH_EVERY == 0 or self.steps_done == self.last_step:
+                    self.watch()
         for view in self.views:
             view.finish()
 

@@ -31,7 +31,7 @@ class Saved(State):
 
     def lasting_contacts(self) -> Memory:
         """What the lasting contacts of this rank's particles took."""
-        return self.persistent.remembered() if self.persistent else NOTHING
+        return self.persistent.history.remembered() if self.persistent else NOTHING
 
     @classmethod
     def restored(cls, scene: Scene, ranks: Communicator, rows: Particles, metadata: dict[str, Any], contacts: Memory) -> Self:
@@ -42,7 +42,7 @@ class Saved(State):
         sim.moment = metadata["moment"][0], metadata["moment"][1]
         sim.observed = {reader: list(since) for reader, since in metadata["observed"].items()}
         if sim.persistent:
-            sim.persistent.restore(contacts)
+            sim.persistent.history.restore(contacts)
         if ranks.is_root:  # counts are sums over ranks: one rank carries those from before
             sim.totals.update(zip(COUNTS, metadata["totals"], strict=True))
         return sim

@@ -139,7 +139,7 @@ class State:
     def forget_contacts(self) -> None:
         """What contacts carried belongs to a state that is no more. Collective."""
         if self.persistent:
-            self.persistent.forget()
+            self.persistent.history.forget()
         self.taken = self.rows.edition  # changes up to here are known everywhere
 
     def check_values(self, values: dict[str, Array]) -> None:

@@ -5,7 +5,7 @@ The kernels of a step are those that `Composition`, `Taylor` and `Adaptive` call
 
 from typing import Any, NamedTuple
 
-from particles_mpi.contacts.persistent.detection import PRECISE, near_walls, near_walls_among
+from particles_mpi.contacts.persistent.detection import near_walls, near_walls_among
 from particles_mpi.contacts.persistent.on_walls import settle_on_walls
 from particles_mpi.contacts.persistent.rows import hand_over
 from particles_mpi.contacts.rough import Rough
@@ -145,7 +145,7 @@ def keep_on_walls(axes, bodies, losses, part, space, h, kicked, near):
     if len(rows) == 0:
         return 0, 0
     fields, planes = (x, v, radius, bodies.mass, bodies.fixed, supported), (on_walls.point, on_walls.normal)
-    settled, held = settle_on_walls(on_walls.axes, rows, fields, a, h, space.length, on_walls.faces, planes, PRECISE)
+    settled, held = settle_on_walls(on_walls.axes, rows, fields, a, h, space.length, on_walls.faces, planes)
     changed, by = hand_over(rows, settled, held, v, supported)
     for r in range(len(changed)):
         on_walls.pushed[r] = changed[r]

@@ -50,7 +50,7 @@ def run(ranks: Communicator, d: int, effects: dict[str, Any], **more: Any) -> No
         sim.step()
     sim.measure()
     if sim.persistent and sim.persistent.pairs:
-        sim.persistent.effort = 0  # as in a large pile
+        sim.persistent.slow.effort = 0  # as in a large pile
         sim.persistent.keep_crowds(sim.rows, sim.sum_forces(), sim.h)
 
 
@@ -120,7 +120,7 @@ def rough(d: int, ranks: Communicator) -> None:
     run(ranks, d, more)
     column = [{"position": [[2.0] * (d - 1) + [0.2 + 0.4 * k] for k in range(3)], "radius": 0.2}]
     sim = Simulation(scene(d, more | {"collisions": surfaces}, particles=column), ranks.comm)
-    sim.persistent.effort = 0
+    sim.persistent.slow.effort = 0
     sim.step()
 
 

@@ -219,7 +219,7 @@ def test_cradle_on_a_floor(mode, d, step):
 
 def forget(sim):
     """As after a change of the state by a user."""
-    sim.persistent.forget()
+    sim.persistent.history.forget()
     sim.particles["supported"][:] = 0
 
 

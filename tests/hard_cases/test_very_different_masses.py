@@ -5,9 +5,9 @@ import pytest
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.contacts.persistent import solver
+from particles_mpi.contacts.persistent.descent import Iteration
 from particles_mpi.contacts.persistent.iterations import MOST
 from particles_mpi.contacts.persistent.problem import AHEAD, TAKEN, Problem
-from particles_mpi.contacts.persistent.solver import Iteration
 from particles_mpi.parallel.communicator import Communicator
 
 R = 0.3

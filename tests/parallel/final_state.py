@@ -22,7 +22,7 @@ for name, tables in json.loads(Path(sys.argv[1]).read_text()).items():
     if windows and sim.ranks.size > 1:  # divide space however few there are
         sim.near.divided = sim.near.windows.always = True
     if large and sim.persistent:
-        sim.persistent.effort = 0
+        sim.persistent.slow.effort = 0
     rows = []
     for _ in range(scene.steps):
         sim.step()

@@ -1,6 +1,8 @@
 """Contacts that last: spheres that forces press onto walls and one another come to rest there.
 
 operator    what happens after a kick, and with crowds
+solution    which contacts are slow, and what they come to
+history     the graph, and what contacts took last
 graph       who is near whom, among the rows of a rank and their ghosts
 detection   which of these may have contacts that last
 slow        which contacts are slow, and so kept
@@ -8,8 +10,9 @@ zone        where contacts are sought; crowds
 rows        state of the rows, copied from the particles and written back
 problem     the contacts as a table, one row for each half-edge
 surfaces    what such a table says of smooth and of rough spheres
-solver      velocities at which none of these closes, solved by all ranks together
-iterations  its compiled loops; smooth_iterations, rough_iterations: what they do with the rows of smooth and of rough spheres
+solver      which way these are solved, by all ranks together
+descent     iterations to velocities at which none of them closes
+iterations  their compiled loops; smooth_iterations, rough_iterations: what they do with the rows of smooth and of rough spheres
 direct      few contacts of smooth spheres of very different masses
 together    few contacts, which every rank solves for by itself
 walls       which rows the walls concern; on_walls: the same as the solver for those that touch nothing else, in one kernel

@@ -14,7 +14,7 @@ from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import in_place, kernel, lean_inner
 from particles_mpi.particles import Array
 
-SLOW = 2.0  # times what forces do in a step: a bounce that is over in about two steps
+SLOW = 2.0  # times what forces do in a step: who bounces off at e times that is back after 4 e steps, in two if e = 0.5
 PRECISE = 1e-12  # of the slow speed: approach that does not matter
 HELD = 5.0  # times as fast may it be among those that are held, who would rattle between one another
 NEAR, NEAR_IN_CROWDS = 1.0, 3.0  # radii that a sphere reaches at most, and in a crowd, however far it moves in a step
@@ -23,9 +23,9 @@ NEAR, NEAR_IN_CROWDS = 1.0, 3.0  # radii that a sphere reaches at most, and in a
 class Contacts(NamedTuple):
     """Half-edges of rows that may touch: those of row i are start[i] ... start[i + 1] - 1, walls first, then by partners' ids.
 
-    start (n + 1,); partner (m,): a row or ghost, or `size`, which stands for all walls; slot (m,): where the half-edge is in the
-    graph, or the graph's half-edges and then i walls + wall; normal (m, d), towards the row; gap (m,); widest (m,): the larger
-    push of the two; crowd (m,): kept at any speed.
+    start (n + 1,); partner (m,): a row or ghost, or `size`, which stands for all walls; slot (m,): its place in the arrays of
+    what was taken, e for half-edge e of the graph, which has m' of them, and m' + i walls + w for wall w of row i; normal (m, d),
+    towards the row; gap (m,); widest (m,): the larger push of the two; crowd (m,): kept at any speed.
     """
 
     start: Array

@@ -1,6 +1,6 @@
 """Few contacts of smooth spheres, solved directly: for masses so different that iterations would not come to an end.
 
-The minimum of p A p/2 + p b for p >= 0 (see `solver`) is found by the method of active sets (C. Lawson and R. Hanson, Solving
+The minimum of p A p/2 + p b for p >= 0 (see `descent`) is found by the method of active sets (C. Lawson and R. Hanson, Solving
 Least Squares Problems, 1974, chapter 23): contacts that bear something are chosen one after the other, the equations of those
 chosen are solved by Cholesky's method, and what would pull is let go.
 """

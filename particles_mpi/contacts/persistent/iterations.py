@@ -1,4 +1,4 @@
-"""The compiled loops of `solver`: iterations over rows, and sums over them that have the same bits on any ranks.
+"""The compiled loops of `descent`: iterations over rows, and sums over them that have the same bits on any ranks.
 
 With one inverse mass a row, w (size + 1,), spheres are smooth; of rough ones w (size + 1, 2) has 1/m and 1/I. Only what is for
 that kind is compiled.
@@ -12,7 +12,7 @@ from particles_mpi.contacts.persistent.rough_iterations import rough_begin, roug
 from particles_mpi.contacts.persistent.smooth_iterations import smooth_begin, smooth_iterate, smooth_works
 from particles_mpi.kernels.jit import inner, kernel
 
-FINE, LARGE = 2.0**24, 2.0**14  # of whole numbers that stand for sums: units of 1, and the largest number
+FINE, LARGE = 2.0**24, 2.0**14  # sums are of whole numbers, so that no order changes a bit: of units of 1/FINE, LARGE at most
 MOST = 5000  # iterations
 
 
@@ -25,7 +25,7 @@ def momentum(theta):
 
 @kernel
 def begin(axes, first, last, problem, w, v0, v):
-    """Velocities v of the rows first ... last - 1, whose half-edges have taken what they did from v0; nothing is ahead of it."""
+    """Velocities v of rows first ... last - 1: v0 and what their half-edges have taken; iterations start without momentum."""
     if w.ndim == 1:
         smooth_begin(axes, first, last, problem[0], problem[2], v0, v)
     else:
@@ -88,8 +88,9 @@ def whole_numbers(sums, unit):
 
 @kernel
 def solve_each(axes, problem, w, v):
-    """Velocities v (n, columns) of rows that touch walls alone, in place, each by itself: a row's bits depend on no other.
+    """Velocities v (n + 1, columns) of rows that touch walls alone, in place, each by itself: a row's bits depend on no other.
 
+    The last one is that of walls.
     Momentum is given up past a minimum, and with friction, which has none, where errors grow.
     """
     n = len(problem[0]) - 1

@@ -83,7 +83,8 @@ def match(ids, partners, known_id, known_partner, known_taken):
 def send_home(ranks: Communicator, memory: Memory, p: Particles) -> Memory:
     """The contacts of our rows, after rows have changed their rank. Collective.
 
-    A stray one first goes to the rank that its id falls to, where those ask that have rows without contacts.
+    Contacts whose row is no longer here go to the rank responsible for its id (`owners_by_range`); ranks that have rows without
+    contacts ask there.
     """
     if ranks.size == 1:
         return memory

@@ -1,10 +1,10 @@
-"""Rows that nothing but walls can hold: each by itself, in one kernel, for most scenes have few of them."""
+"""Smooth rows that nothing but walls can hold: each by itself, in one kernel, for calls from Python would take longer."""
 
 from math import inf
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.detection import SLOW, find_contacts
+from particles_mpi.contacts.persistent.detection import PRECISE, SLOW, find_contacts
 from particles_mpi.contacts.persistent.iterations import solve_each
 from particles_mpi.contacts.persistent.problem import TAKEN, bound_rows, table_of
 from particles_mpi.contacts.persistent.rows import gather
@@ -13,11 +13,11 @@ from particles_mpi.kernels.jit import kernel
 
 
 @kernel
-def settle_on_walls(axes, rows, fields, a, h, length, faces, planes, precise):
+def settle_on_walls(axes, rows, fields, a, h, length, faces, planes):
     """(velocities (n, d) of `rows` that keep slow contacts with walls, which of them these contacts hold (n,) uint8).
 
     fields: position, velocity, radius, mass, fixed, supported of all rows of the rank; `faces` and `planes`: see
-    `find_contacts`; `precise`: of the speed below which a contact is slow, the error that is allowed.
+    `find_contacts`. These are the steps of `SlowContacts.solved`.
     """
     position, velocity, radii, mass, fixed, supported = fields
     n, d = len(rows), len(axes)
@@ -37,14 +37,14 @@ def settle_on_walls(axes, rows, fields, a, h, length, faces, planes, precise):
     nothing, bound = np.zeros(len(gap)), np.zeros(n + 1)
     touch = gap <= widest * h
     bound_rows(axes, start, normal, w, touch, bound)
-    table, tight = table_of(axes, start, partner, normal, w, touch, bound, nothing, nothing), 1.0 / (precise * widest)
+    table, tight = table_of(axes, start, partner, normal, w, touch, bound, nothing, nothing), 1.0 / (PRECISE * widest)
     solve_each(axes, (start, partner, table, tight, tight), w, push.copy())
     borne = table[:, TAKEN].copy()
     left, stress = np.zeros((n + 1, d)), np.zeros((n + 1, d, d))
     loads(axes, start, partner, normal, w, borne, push, left, stress)
     pressed = pressing(axes, start, partner, normal, borne, nothing, left, stress)
     closing = approach(axes, start, partner, normal, v)
-    chosen, may_close, loose, tight = slow(contacts, closing, nothing, (held, radius), pressed, h, 0.0, 0.0, precise, 0.0)
+    chosen, may_close, loose, tight = slow(contacts, closing, nothing, (held, radius), pressed, h, 0.0, 0.0, 0.0)
     bound[:] = 0.0
     bound_rows(axes, start, normal, w, chosen, bound)
     table = table_of(axes, start, partner, normal, w, chosen, bound, may_close, nothing)

@@ -21,9 +21,9 @@ NORMAL = 5  # and the following ones: the normal, towards the row
 class Problem(NamedTuple):
     """The contacts that are solved for, as half-edges: those of row i are start[i] ... start[i + 1] - 1.
 
-    start (n + 1,); partner (m,): a row or ghost, or the row of zeros behind them that stands for walls; table (m, 5 + d), with
-    the columns above. An error in speed is allowed up to 1/`loose` (m,), as root mean square; below 1/`tight` (m,) nothing is
-    left but round-off.
+    start (n + 1,); partner (m,): a row or ghost, or the row of zeros behind them that stands for walls; table (m, 5 + d) with the
+    columns above, of rough spheres with more (`rough_iterations`). An error in speed is allowed up to 1/`loose` (m,), as root
+    mean square; below 1/`tight` (m,) nothing is left but round-off.
     """
 
     start: Array
@@ -43,7 +43,7 @@ class Targets(NamedTuple):
 
 @in_place
 def fourth_power_norm(size, m, t):
-    """|m^4|^(1/4), by the Frobenius norm, of a symmetric matrix m (size, size): not below its largest eigenvalue, in size.
+    """|m^4|^(1/4), by the Frobenius norm, of a symmetric matrix m (size, size): not below the absolute value of any eigenvalue.
 
     At most size^(1/8) times that. m and t (size, size) are overwritten.
     """

@@ -34,7 +34,12 @@ from particles_mpi.kernels.jit import in_place, inner, kernel, with_item
 ARM, OTHER_ARM, FRICTION, RESISTANCE, SPIN_SHARE, SLIDE_STEP, ROLL_STEP, SLID = range(8)
 # From SLID on stand four vectors: what the contact has taken across its normal, and the same moved on along the last change; the
 # couple that it has taken, and the same moved on.
-WIDTH = 7  # columns before these
+
+
+def taken_columns(d: int, rough: bool) -> list[int]:
+    """The columns of a table that say what contacts have taken: along the normal, and, if rough, across it and as a couple."""
+    first = NORMAL + d + SLID
+    return [TAKEN, *(range(first, first + d)), *(range(first + 2 * d, first + 2 * d + d * (d - 1) // 2))] if rough else [TAKEN]
 
 
 @inner(inline="always")
@@ -46,12 +51,12 @@ def spins_of(axes):
 @inner(inline="always")
 def table_width(axes):
     """Columns of a table."""
-    return NORMAL + len(axes) + WIDTH + 2 * len(axes) + 2 * spins_of(axes)
+    return NORMAL + len(axes) + SLID + 2 * len(axes) + 2 * spins_of(axes)
 
 
 @kernel
-def rough_table(axes, smooth, other, start, partner, arms, inverse_inertia, w, which, bound, surfaces, slid):
-    """The table of half-edges from that of smooth spheres (m, 5 + d), whose steps become those of `bound` (see `bound_rough`).
+def rough_table(axes, smooth, other, start, partner, arms, inverse_inertia, w, which, surfaces, slid):
+    """The table of half-edges from that of smooth spheres (m, 5 + d) with the bounds of `bound_rough`.
 
     other (m,): which walls are partners, -1 for rows; arms (size + 1,): radii; surfaces (2, m): mu, resistance; slid (m, d + s):
     what was taken across the normal, and the couple. What is not across the normal any longer is left out.
@@ -71,7 +76,6 @@ def rough_table(axes, smooth, other, start, partner, arms, inverse_inertia, w, w
             if not which[e]:
                 continue
             mobility = both + (arm * arm * inverse_inertia[i] + far * far * inverse_inertia[j])
-            row[STEP] = both / (bound[i] + bound[j])
             row[at + SLIDE_STEP] = both / mobility * row[STEP]
             turns = inverse_inertia[i] + inverse_inertia[j]
             row[at + ROLL_STEP] = both / turns * row[STEP] if turns > 0.0 and surfaces[1, e] > 0.0 else 0.0

@@ -1,7 +1,8 @@
 """Which contacts last: what presses each of them, and below which speed it is slow. See `operator`. Plain arrays.
 
 What *presses* a contact is a speed along its normal n: what forces and other contacts give its two partners along n, or, if
-that is more, what the stress S of the partners bears along n, n S n (S: the sum of borne n' n' over their contacts). A contact is
+that is more, what the stress S of both partners bears along n, n S n (S of a row: the sum over its contacts of n' n' times what
+they give to this row of what they bear, which is w/(w + w') of it). A contact is
 slow below that speed, or below HELD times it where one partner is held already. A ball that rolls on a floor so meets another
 one, or a wall, at any speed: the floor bears nothing along that normal.
 """
@@ -10,13 +11,13 @@ from math import inf
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.detection import HELD
+from particles_mpi.contacts.persistent.detection import HELD, PRECISE
 from particles_mpi.kernels.jit import kernel
 
 MARGIN = 1e-3  # of the widest slow gap: closer nothing gets, so that round-off makes no contact
 RETURN = 0.2  # of what contacts are off their margin is mended in a step
-PUSH = 0.01  # of what forces do in a step: so fast contacts that are nearer than their margin are moved apart
-SLIGHT = 0.01  # of the widest slow gap: rough contacts that bear less are solved as if they bore that; errors below are round-off
+PUSH = 0.01  # of the widest push: so fast contacts that are nearer than their margin are moved apart
+MOST_RETURN = 5.0  # allowed errors: what is further off its margin returns no faster
 
 
 @kernel
@@ -52,7 +53,11 @@ def loads(axes, start, partner, normal, w, borne, push, left, stress):
 
 @kernel
 def pressing(axes, start, partner, normal, borne, before, left, stress):
-    """The speed that presses each contact: by forces and other contacts along its normal, or as `before` (m,)."""
+    """The speed (m,) that presses each contact: the largest of `before`, of what the net pushes of both partners, but for this
+    contact itself, are along its normal, and of what their stress is along it.
+
+    Net pushes that pull partners apart count by their size, too.
+    """
     speeds, one = np.empty(len(partner)), np.uint64(1)
     for i in range(np.uint64(len(start) - 1)):
         for e in range(np.uint64(start[i]), np.uint64(start[i + one])):
@@ -68,11 +73,11 @@ def pressing(axes, start, partner, normal, borne, before, left, stress):
 
 
 @kernel
-def slow(contacts, closing, took, of_rows, pressed, h, tolerance, margin, precise, slight):
+def slow(contacts, closing, took, of_rows, pressed, h, tolerance, margin, slight):
     """Which contacts are slow, and what is asked of them (`may_close`, `loose`, `tight`), 0 for the others.
 
     `of_rows`: who is held already, and radii. A contact that `took` something is held too. Errors are allowed up to `tolerance`
-    radii of the smaller sphere in a step, or `precise` times the speed below which a contact is slow, or times `slight` of the
+    radii of the smaller sphere in a step, or PRECISE times the speed below which a contact is slow, or times `slight` of the
     widest push where that is more; contacts keep a gap of `margin` tolerances, to which they return in some steps, or errors of
     one step would be the work of the next one.
     """
@@ -93,11 +98,11 @@ def slow(contacts, closing, took, of_rows, pressed, h, tolerance, margin, precis
                 apart = margin * allowed
                 room = gap[e] - apart - MARGIN * most * h
                 if apart > 0.0:
-                    room = max(room - (1.0 - RETURN) * min(room, 5.0 * allowed), -PUSH * widest[e] * h)
+                    room = max(room - (1.0 - RETURN) * min(room, MOST_RETURN * allowed), -PUSH * widest[e] * h)
                 else:
                     room = max(room, 0.0)
                 chosen[e], may_close[e] = True, room / h
-                tight[e] = 1.0 / (precise * (most if crowd[e] else max(speed, slight * widest[e])))
+                tight[e] = 1.0 / (PRECISE * (most if crowd[e] else max(speed, slight * widest[e])))
                 loose[e] = min(h / allowed, tight[e]) if allowed > 0.0 else tight[e]
     return chosen, may_close, loose, tight
 

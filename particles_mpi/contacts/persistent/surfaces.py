@@ -12,15 +12,16 @@ from particles_mpi.contacts.persistent.detection import HELD, PRECISE, Contacts
 from particles_mpi.contacts.persistent.graph import ContactGraph
 from particles_mpi.contacts.persistent.memory import along_normals
 from particles_mpi.contacts.persistent.problem import Problem, Targets, bound_rows, table_of
-from particles_mpi.contacts.persistent.rough_iterations import bound_rough, rough_table, slide_loads
+from particles_mpi.contacts.persistent.rough_iterations import bound_rough, rough_table, slide_loads, taken_columns
 from particles_mpi.contacts.persistent.rows import Local
-from particles_mpi.contacts.persistent.slow import SLIGHT, carried, widest_push
-from particles_mpi.contacts.persistent.solver import QUIET, taken_columns
+from particles_mpi.contacts.persistent.slow import carried, widest_push
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles, row_dot
 
 STEADY = 45  # iterations that rough spheres always get: with fewer a pile creeps by what is left of errors, and never rests
-ROUND_OFF = 2.0 * HELD * PRECISE  # of that speed: what a solution may leave a smooth sphere between two others
+SLIGHT = 0.01  # of the widest push: rough contacts that bear less are solved as if they bore that; errors below are round-off
+QUIET = 1e-3  # of the allowed errors: a rough pile in which nothing is faster is asleep
+ROUND_OFF = 2.0 * HELD * PRECISE  # of a push: what a solution may leave a smooth sphere between two others
 STILL = 1e-6  # of the speed that forces give in two steps: slower rough spheres that are held stand still
 
 
@@ -150,7 +151,7 @@ class RoughContacts(SmoothContacts):
         graph.exchange(bound)
         smooth = self.smooth_table(local, contacts, which, bound, targets, taken)
         across = np.ascontiguousarray(taken[:, 1:])
-        table = rough_table(self.axes, smooth, wall, *some, *bodies, bound, law, across)
+        table = rough_table(self.axes, smooth, wall, *some, *bodies, law, across)
         return Problem(*some, table, targets.loose, targets.tight)
 
     def motion(self, local: Local, graph: ContactGraph, v: Array, spin: Array) -> tuple[Array, Array]:

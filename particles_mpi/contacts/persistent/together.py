@@ -14,7 +14,7 @@ class Together:
     """The contacts of all ranks on each of them.
 
     Each rank then computes the same bits for all rows that have some, in the order of ids; other rows keep their velocities and
-    are not sent. `problem`, `w`, `v`: what `solver.Iteration` takes.
+    are not sent. `problem`, `w`, `v`: what `descent.Iteration` takes.
     """
 
     def __init__(self, ranks: Communicator, ids: Array, problem: Problem, w: Array, v: Array):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.detection import PRECISE, SLOW, near_walls
+from particles_mpi.contacts.persistent.detection import SLOW, near_walls
 from particles_mpi.contacts.persistent.on_walls import settle_on_walls
 from particles_mpi.kernels.planes import Planes
 from particles_mpi.particles import Array, Particles
@@ -25,7 +25,7 @@ class Walls:
         return len(self.planes[0])
 
     def involved(self, p: Particles, a: Array, h: float) -> Array:
-        """Rows that are supported, or have a slow contact with a wall; where pairs are kept, fixed ones too."""
+        """Rows that are fixed or supported, or have a slow contact with a wall."""
         return near_walls(p.position, p.velocity, a, p.radius, p.fixed, p["supported"], h, *self.faces, *self.planes)
 
     def reach(self, fixed: Array, a: Array, h: float) -> float:
@@ -40,4 +40,4 @@ class Walls:
         """
         fields = p.position, p.velocity, p.radius, p.mass, p.fixed, p["supported"]
         axes = (0.0,) * p.dimension
-        return settle_on_walls(axes, rows, fields, a, h, length, self.faces, self.planes, PRECISE)
+        return settle_on_walls(axes, rows, fields, a, h, length, self.faces, self.planes)

@@ -6,7 +6,7 @@ from random_scenes import random_tables
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.contacts.persistent import solver
-from particles_mpi.contacts.persistent.solver import Iteration
+from particles_mpi.contacts.persistent.descent import Iteration
 
 
 @pytest.mark.parametrize(("seed", "most"), [(8033, 0), (8208, 2)])

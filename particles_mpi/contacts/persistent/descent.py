@@ -1,0 +1,141 @@
+"""Velocities that let no contact close: the inelastic law of J. J. Moreau (Comput. Methods Appl. Mech. Eng. 177, 329 (1999)).
+
+Of all velocities at which no contact closes faster than it may, those nearest to the present ones, in kinetic energy, are
+sought. With p >= 0 the impulses of the contacts, N their normals, W = 1/m and c the speeds at which they may close, p is the
+minimum of p A p/2 + p (N v + c) with A = N^T W N. It is found by accelerated projected gradients with restarts (Y. Nesterov; B.
+O'Donoghue and E. Candes, Found. Comput. Math. 15, 715 (2015); for contacts H. Mazhar et al., ACM Trans. Graph. 34, 32 (2015)):
+
+    p' = max(y - (N u + c)/D, 0),   u = v + W N y,   y' = p' + beta (p' - p).
+
+D is diagonal: for each row i the largest eigenvalue of the sum of n n^T over its contacts is bounded by b_i, and
+D = w_i b_i + w_j b_j makes D - A positive, so no step is too long. Instead of the impulse p of a contact its *taken* speed
+p (w_i + w_j) is kept, the approach that it takes from its partners. A half-edge is computed by the owner of its row, from
+velocities that ranks exchange in each iteration; all sums are in the order of half-edges (`graph`). So the bits are the same on
+any number of ranks. For rough spheres, max(., 0) is followed by a cut of what is taken across the normal: `rough_iterations`.
+
+Large piles are solved to a tolerance only. There p is multiplied by the factor that makes p A p/2 + p (N v + c) least, before the
+iterations and after them: then errors do no work in sum over all contacts. Rough piles whose errors are far below that (CALM)
+are not multiplied: the factor itself is rounded, and would be what moves them.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from particles_mpi.contacts.persistent.iterations import FINE, MOST, begin, iterations, whole_numbers, works
+from particles_mpi.contacts.persistent.problem import Problem
+from particles_mpi.contacts.persistent.rough_iterations import taken_columns
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.particles import Array
+
+CHECK = 5  # iterations between two looks at what is left
+FIRST_THETA = 0.25  # where the sequence of momenta begins: not at 1, for solutions begin near the last one
+OUTLIER = 20.0  # times the root mean square that is allowed may the largest error be
+LITTLE_CHANGE = 0.2  # `balance` before the iterations is done only if its factor is within this of 1: else contacts have changed
+CALM = 1e-3  # of the allowed errors, root mean square: below it at least MORE iterations are done
+MORE = 150  # iterations in such a pile: fewer do not show what else has to fall
+GROWN = 3.0  # mean square errors
+EXACT = 100  # iterations: where at least so many are asked for, errors are followed down to round-off, not to a tolerance
+
+
+class Iteration:
+    """The iterations of one solution for velocities v (size + 1, d), which stay as they are; `result` (n, d) has the last ones.
+
+    w (size + 1,): inverse masses. Of rough spheres v has spins beside velocities, w the inverse moments of inertia, and the table
+    of the problem more columns; see `rough_iterations`. `exchange` refreshes the velocities of ghosts, if there are any.
+    """
+
+    def __init__(self, axes: tuple[float, ...], problem: Problem, w: Array, v: Array, exchange: Callable[[Array], None] | None):
+        self.axes, self.problem, self.exchange, self.w, self.v0 = axes, tuple(problem), exchange, w, v
+        self.rough = w.ndim > 1
+        self.taken = taken_columns(len(axes), self.rough)
+        self.v, self.other, self.sums = v.copy(), v.copy(), np.empty((len(problem.start) - 1, 2))
+        self.restart()
+
+    @property
+    def result(self) -> Array:
+        """Velocities of the rows."""
+        return self.v[: len(self.sums)]
+
+    def restart(self) -> None:
+        """Begin with what is taken, without momentum."""
+        self.theta = FIRST_THETA
+        begin(self.axes, 0, len(self.sums), self.problem, self.w, self.v0, self.v)
+        if self.exchange:
+            self.exchange(self.v)
+
+    def advance(self, count: int, looks: bool = False) -> tuple[float, float, float]:
+        """So many iterations, with an exchange of ghosts after each; what the last one saw, if it `looks`."""
+        calls, count = (count, 1) if self.exchange else (1, count)
+        for left in range(calls - 1, -1, -1):
+            self.theta, *seen = iterations(
+                self.axes, count, self.problem, self.w, self.v0, self.v, self.other, self.theta, looks and not left, self.sums
+            )
+            if count % 2:
+                self.v, self.other = self.other, self.v
+            if self.exchange:
+                self.exchange(self.v)
+        return seen[0], seen[1], seen[2]
+
+    def factor(self, ranks: Communicator) -> float:
+        """Times what p A p/2 + p (N v + c) is least: in sum over all contacts errors do no work then. Collective."""
+        (largest,) = ranks.largest(works(self.axes, self.problem, self.w, self.v0, self.v, self.sums))
+        if not largest > 0.0:
+            return 1.0
+        asked, did = ranks.total(*whole_numbers(self.sums, (largest, largest)))
+        return -asked / did if did > 0 else 1.0
+
+    def multiply(self, factor: float) -> None:
+        """All that is taken."""
+        self.problem[2][:, self.taken] *= factor
+        self.restart()
+
+    def balance(self, ranks: Communicator, least: float, most: float) -> None:
+        """All that is taken times `factor`, if that is from `least` to `most`. Collective."""
+        factor = self.factor(ranks)
+        if least < factor < most:
+            self.multiply(factor)
+
+    def until_good(
+        self, ranks: Communicator, count: int, least: int, asleep: Callable[[Array], bool] | None = None, limit: int = MOST
+    ) -> tuple[bool, int]:  # fmt: skip
+        """Iterate until errors are allowed and `least` iterations are done, or only round-off is left, or `limit` are done.
+
+        Rough piles whose errors are CALM get at least MORE iterations. At the end all that is taken may be multiplied by `factor`.
+
+        `count`: half-edges of all ranks that may take something; `asleep`: if given, asked whether a pile moves at all that
+        begins with errors that are allowed, or, of smooth spheres, with round-off; if not, it is left like that. Returns whether
+        errors are allowed, and the iterations done, 0 for a pile that is asleep. Collective.
+        """
+        done, exact, before, best = 1, least >= EXACT, np.inf, np.inf
+        if not exact and not self.rough:
+            self.balance(ranks, 1.0 - LITTLE_CHANGE, 1.0 + LITTLE_CHANGE)
+        errors = self.advance(1, looks=True)
+        while True:
+            worst, left, most = ranks.largest(*errors)
+            squares, work = ranks.total(*whole_numbers(self.sums, (1.0, most if most > 0.0 else 1.0)))
+            good, calm = worst <= OUTLIER and squares <= count * FINE, self.rough and squares <= count * FINE * CALM**2
+            enough = done >= (max(MORE, least) if calm else least)
+            ask = asleep if done == 1 and (left <= 1.0 or (self.rough and good)) else None
+            if ask:
+                self.restart()
+                if ask(self.result):
+                    return True, 0
+            if left <= 1.0 or (good and enough) or done >= limit:
+                break
+            if self.rough and done == 1 and not (exact or calm or ask):
+                self.balance(ranks, 1.0 - LITTLE_CHANGE, 1.0 + LITTLE_CHANGE)
+            elif not ask:
+                grown = self.rough and squares > (GROWN * best if exact else before)
+                if grown or (work > 0.0 and (exact or not self.rough)):
+                    self.restart()
+            before, best = squares, min(best, squares)
+            errors = self.advance(CHECK, looks=True)
+            done += CHECK
+        self.restart()  # errors that were looked at are of what is taken: what is ahead may be far past it already
+        good = good or left <= 1.0
+        if self.rough and not good:
+            self.multiply(min(max(self.factor(ranks), 0.0), 1.0))
+        elif not exact and not calm:  # errors of one sign, however small, would lift a bed, or let it sink
+            self.balance(ranks, 0.5, 1.0 if self.rough else 2.0)
+        return bool(good), done

@@ -1,0 +1,71 @@
+"""The graph of contacts and what they took, from one solution to the next: the next one begins there."""
+
+import numpy as np
+
+from particles_mpi.contacts.persistent.graph import ContactGraph, rows_in
+from particles_mpi.contacts.persistent.memory import carry_over, recall, remember, send_home
+from particles_mpi.contacts.warm_start import Memory, nothing
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.particles import Array, Particles
+
+SKIN = 0.3  # of the smallest radius: so far rows may move, two together, before the graph is made anew
+DILUTE = 1.0  # the same, in a gas: few pairs come near, but rows move far
+ROUND_UP = 1.000001  # times a width: so the graph has all that `inside_zone` finds, whatever is rounded
+
+
+class ContactHistory:
+    """The graph of who is near whom, and what its half-edges took in the last solution.
+
+    length (d,): of the periodic box, 0 along axes that are not periodic. `walls`: how many there are. `columns`: the shape of
+    what a half-edge takes. `points`: do points touch one another?
+    """
+
+    def __init__(self, ranks: Communicator, length: Array, walls: int, columns: tuple[int, ...], points: bool):
+        self.ranks, self.length, self.walls, self.points = ranks, length, walls, points
+        self.nothing = nothing(columns)
+        self.memory = self.nothing  # what contacts took, while there is no graph; else `taken` has it
+        self.graph: ContactGraph | None = None
+        self.taken: Array = np.empty((0, *columns))  # by half-edges of the graph
+        self.dilute = False  # has the graph few half-edges?
+
+    def forget(self) -> None:
+        """Nothing is known of what contacts took."""
+        self.memory, self.graph = self.nothing, None
+
+    def restore(self, memory: Memory) -> None:
+        """Begin with what contacts of our rows took."""
+        self.memory, self.graph = (memory if len(memory.id) else self.nothing), None
+
+    def remembered(self) -> Memory:
+        """What our rows' contacts took in the last solution."""
+        if self.graph is not None:
+            self.memory = remember(self.graph, self.taken, self.walls)
+        return self.memory
+
+    def remembers(self) -> bool:
+        """Did any contact of our rows take something?"""
+        return bool(self.taken.any()) if self.graph else len(self.memory.id) > 0
+
+    def graph_of(self, p: Particles, wide: Array, zone: Array) -> ContactGraph:
+        """The graph of all who are near one another in the zone (2, d), by widths (n,): new or as before. Collective."""
+        old = self.graph if self.graph and self.graph.holds(p, ROUND_UP * wide, zone) else None
+        if self.ranks.largest(old is None)[0]:
+            least = p.radius.min(initial=np.inf, where=p.radius > 0.0)
+            skin = (DILUTE if self.dilute else SKIN) * float(self.ranks.allreduce_min(least)[0])
+            skin = skin if skin < np.inf else 0.0
+            rows = rows_in(p.position, ROUND_UP * wide + skin, zone)
+            graph = ContactGraph(self.ranks, p, rows, wide, skin, self.length, points=self.points)
+            self.taken = self.taken_before(p, graph)
+            many = len(graph.other) - (4 if self.dilute else 1) * len(rows)  # two limits, so that it does not change to and fro
+            self.dilute = self.ranks.total(many)[0] < 0
+            self.graph = old = graph
+        assert old is not None
+        return old
+
+    def taken_before(self, p: Particles, graph: ContactGraph) -> Array:
+        """What half-edges of a new graph took in the last solution. Collective."""
+        old = self.graph
+        if old is not None and not np.array_equal(old.ids, p.id):  # rows have changed their rank, or their order
+            old = None
+        memory = send_home(self.ranks, self.nothing if old else self.remembered(), p)
+        return carry_over(old, self.taken, graph, self.walls) if old else recall(memory, graph, self.walls)

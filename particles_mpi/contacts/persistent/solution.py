@@ -1,0 +1,162 @@
+"""From the rows of a graph to velocities that keep their slow contacts: which contacts are slow, and what they take.
+
+`SlowContacts` finds the contacts of a graph, tells what presses each of them, which are slow with that, and calls the solver.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from particles_mpi.contacts.persistent.descent import EXACT, OUTLIER
+from particles_mpi.contacts.persistent.detection import PRECISE, SLOW, Contacts, find_contacts
+from particles_mpi.contacts.persistent.graph import ContactGraph, Exchange
+from particles_mpi.contacts.persistent.memory import along_normals
+from particles_mpi.contacts.persistent.problem import Targets
+from particles_mpi.contacts.persistent.rows import Local
+from particles_mpi.contacts.persistent.slow import approach, carried, loads, pressing, slow
+from particles_mpi.contacts.persistent.solver import EFFORT, Solver
+from particles_mpi.contacts.persistent.surfaces import Pile, RoughContacts, SmoothContacts, Surfaces
+from particles_mpi.contacts.persistent.walls import Walls
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.particles import Array, same_bits
+
+UNKNOWN = 10  # times the effort where nothing is remembered
+AS_PUSH = 2.0 * SLOW  # times what a contact took in a kick, which lasts half a step, is the push that it bears
+
+
+class Found(NamedTuple):
+    """Contacts of a graph, and what they were found for: x, push, who is inside, the step."""
+
+    graph: ContactGraph
+    for_these: tuple[Array, ...]
+    contacts: Contacts
+
+
+class Solution(NamedTuple):
+    """What contacts and rows as in `for_these` come to: velocities (n, columns), who is held (n,), what half-edges of the graph
+    took, and whether errors are allowed."""
+
+    contacts: Contacts
+    for_these: tuple[Array, ...]
+    v: Array
+    held: Array
+    taken: Array
+    good: bool
+
+
+class SlowContacts:
+    """Solves for the slow contacts of rows with one another, if `pairs`, and with walls.
+
+    `tolerance`: by which part of a radius contacts may close in a step.
+    """
+
+    def __init__(
+        self, ranks: Communicator, length: Array, pairs: bool, walls: Walls, surfaces: Surfaces, tolerance: float
+    ):  # fmt: skip
+        self.ranks, self.length, self.pairs, self.walls, self.tolerance = ranks, length, pairs, walls, tolerance
+        self.axes = (0.0,) * len(length)
+        self.kind = RoughContacts(self.axes, surfaces) if surfaces.rough else SmoothContacts(self.axes)
+        self.solver = Solver(ranks, self.axes)
+        self.effort = EFFORT  # see there; with 0 any pile is solved as a large one
+        self.found: Found | None = None
+        self.last: Solution | None = None  # if its errors were allowed
+
+    def solve(
+        self, local: Local, graph: ContactGraph, inside: Array, h: float, took: Array, known: bool, again: bool = False
+    ) -> Solution | None:
+        """Velocities that keep the slow contacts of rows `inside`; None if no rank has a contact. Collective.
+
+        `took`: what half-edges of the graph took in the last solution, if that is `known`. `again`: velocities have been
+        through it since the last kick, and keep contacts already; what these take now begins at 0, and adds to what they took.
+        """
+        contacts = self.contacts(local, graph, inside, h)
+        before, last = took[contacts.slot], self.last
+        for_these = before, local.v, local.w, local.supported, local.spin, np.array(known)
+        same = last and not again and last.contacts is contacts and all(map(same_bits, last.for_these, for_these))
+        count, new = self.ranks.total(len(before), not same)
+        if not count:
+            return None
+        if not new:  # nothing has changed since the kick before: a pile at rest
+            return last
+        solution = self.solved(local, graph, contacts, for_these, h, took, count, again)
+        self.last = solution if solution.good else None
+        return solution
+
+    def solved(
+        self, local: Local, graph: ContactGraph, contacts: Contacts, for_these: tuple[Array, ...], h: float, took: Array,
+        count: int, again: bool,
+    ) -> Solution:  # fmt: skip
+        """A new solution for `count` half-edges of all ranks; see `solve`. Collective."""
+        before, known = for_these[0], bool(for_these[-1])
+        effort = max(self.effort // count * (1 if known else UNKNOWN), self.kind.least) if self.pairs else EXACT
+        borne = AS_PUSH * before if known else self.borne(local, graph, contacts, h, effort)
+        pressed = self.pressed(local, contacts, borne, along_normals(AS_PUSH * before), graph.exchange)
+        chosen, targets = self.chosen(local, contacts, before, pressed, h, effort)
+        if again:  # the way back to a margin is in these velocities already; given twice it would lift spheres
+            np.maximum(targets.may_close, 0.0, out=targets.may_close)
+        taken = np.where(chosen, (before if known else borne / AS_PUSH).T, 0.0).T * (not again)
+        problem = self.kind.problem(local, graph, contacts, chosen, targets, taken)
+        w, v = self.kind.motion(local, graph, local.v, local.spin)
+        pile = Pile(contacts, local, self.tolerance / h if effort < EXACT else 0.0)
+
+        def asleep(v: Array) -> bool:
+            return self.kind.asleep(self.ranks, pile, along_normals(self.kind.taken(problem)), v)
+
+        look = None if again else asleep
+        v, good, sleeps = self.solver.solve(problem, w, v, graph.id, graph.exchange, effort, self.pairs, look)
+        taken = taken if sleeps else self.kind.taken(problem)  # who is asleep bears what they bore
+        bears = along_normals(np.maximum(taken, before) if again else taken)
+        held = carried(contacts.start, bears)
+        all_taken = np.zeros_like(took)
+        all_taken[contacts.slot] = np.where(along_normals(taken) != 0.0, taken.T, 0.0).T  # all that `remember` keeps
+        return Solution(contacts, for_these, self.kind.at_rest(self.ranks, pile, bears, held, v), held, all_taken, good)
+
+    def contacts(self, local: Local, graph: ContactGraph, inside: Array, h: float) -> Contacts:
+        """The half-edges of rows `inside` that may be slow: as last time, where nothing but velocities has changed since.
+
+        The last kick of a step and the first one of the next take place at the same positions.
+        """
+        for_these = local.x, local.push, inside, np.array(h)
+        crowd, found = bool(local.crowd.any()), self.found  # velocities decide what contacts a crowd has
+        if found and not crowd and found.graph is graph and all(map(same_bits, found.for_these, for_these)):
+            return found.contacts
+        near = graph.start, graph.other
+        columns = find_contacts(self.axes, tuple(local[:6]), near, inside, h, self.length, self.walls.faces, self.walls.planes)
+        contacts = Contacts(*columns)
+        self.found = None if crowd else Found(graph, for_these, contacts)
+        return contacts
+
+    def borne(self, local: Local, graph: ContactGraph, contacts: Contacts, h: float, effort: int) -> Array:
+        """What all contacts that touch bear if nothing but the pushes acts. Collective."""
+        touch = contacts.gap <= contacts.widest * h
+        nothing = np.zeros((len(touch), *self.kind.columns))
+        problem = self.kind.problem(local, graph, contacts, touch, exactly(contacts), nothing)
+        w, push = self.kind.motion(local, graph, local.push, np.zeros_like(local.spin))
+        self.solver.solve(problem, w, push, graph.id, graph.exchange, effort, self.pairs)
+        return self.kind.taken(problem)
+
+    def pressed(self, local: Local, contacts: Contacts, borne: Array, before: Array, exchange: Exchange) -> Array:
+        """The speed (m,) that presses each contact, by pushes of rows and what contacts bear now or bore `before`. Collective."""
+        left, stress = np.zeros_like(local.push), np.zeros((*local.push.shape, local.push.shape[1]))
+        some, along = (contacts.start, contacts.partner, contacts.normal), along_normals(borne)
+        loads(self.axes, *some, local.w, along, local.push, left, stress)
+        self.kind.press(contacts, local.w, borne, left)
+        exchange(left, stress)
+        return np.asarray(pressing(self.axes, *some, along, before, left, stress))
+
+    def chosen(
+        self, local: Local, contacts: Contacts, before: Array, pressed: Array, h: float, effort: int
+    ) -> tuple[Array, Targets]:
+        """Which contacts are slow, and how fast each of them may close, of those that took `before` and are `pressed` now."""
+        closing = approach(self.axes, contacts.start, contacts.partner, contacts.normal, local.v)
+        which, *targets = slow(
+            tuple(contacts), closing, along_normals(before), (local.supported, local.radius), pressed, h,
+            self.tolerance, OUTLIER * (effort < EXACT), self.kind.slight,
+        )  # fmt: skip
+        return which, Targets(*targets)
+
+
+def exactly(contacts: Contacts) -> Targets:
+    """That nothing closes, but for round-off of the widest pushes."""
+    tight = 1.0 / (PRECISE * contacts.widest)
+    return Targets(np.zeros(len(tight)), tight, tight)
