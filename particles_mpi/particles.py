@@ -182,7 +182,10 @@ def rows_with(ids: Array, wanted: Array) -> Array:
 
 
 def same_bits(one: Array, other: Array) -> bool:
-    """Have two arrays of one type the same shape and bits? For few numbers a twentieth of the time of numpy's `array_equal`."""
+    """Have two arrays of one type the same shape and bits? -0.0 is not 0.0, and the same NaN is the same.
+
+    For few numbers a twentieth of the time of numpy's `array_equal`.
+    """
     return one.shape == other.shape and one.tobytes() == other.tobytes()
 
 

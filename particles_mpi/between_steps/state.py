@@ -10,19 +10,17 @@ import numpy as np
 
 from particles_mpi.between_steps.views import ParticleView, RunningEffect, changed_options
 from particles_mpi.contacts.drift import COUNTS, Drift, keeper_of_contacts
-from particles_mpi.errors import StateError, listed
+from particles_mpi.errors import StateError
 from particles_mpi.initial.checks import value_limits
-from particles_mpi.initial.populate import add_population, plain_table
 from particles_mpi.integrators.kicks_and_drifts import Accelerations, Kick, integrator_of
 from particles_mpi.integrators.many_steps import ManySteps
 from particles_mpi.kernels.planes import no_planes
 from particles_mpi.measure.watchdog import Watchdog
-from particles_mpi.parallel.agreement import raising_together, same_on_all
+from particles_mpi.parallel.agreement import same_on_all
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.parallel.exchange import id_range
 from particles_mpi.parallel.signals import HeldInterrupt
-from particles_mpi.particles import OWN, Array, Particles, default_values, moment_of_sphere
+from particles_mpi.particles import Array, Particles, default_values, moment_of_sphere
 from particles_mpi.scene.active import ActiveEffects, fields_of
 from particles_mpi.scene.effect import Context, Force
 from particles_mpi.scene.schema import Scene, periodic_length
@@ -37,7 +35,10 @@ class State:
     reported, written: counts and steps at the last row of diagnostics and the last frame; observed: time, collisions and virial
     at the last row of diagnostics with observables, and when `measure` was last called for them. Of this rank, since the start:
     totals: the COUNTS of what happened; calls: how often each effect was asked. forces: those that are switched on, by name;
-    g (d,): the acceleration that all particles have in common; near: whoever knows the neighbours, or None.
+    g (d,): the acceleration that all particles have in common; near: whoever knows the neighbours, or None. moment: the time and
+    the number of steps that the clock counts from; saved: where the last checkpoint is, and of which step; views: what shows the
+    particles in a notebook; additions: how often particles were added. What `build` makes of all this: context, active, watchdog,
+    persistent, drift, accelerations, kick, integrator, many_steps.
     """
 
     broken = ""  # why the state cannot be used any more
@@ -71,7 +72,8 @@ class State:
 
     def build(self) -> None:
         """All that follows from the scene's effects and from how many particles there are. Collective."""
-        p, scene, ranks, drift, summed = self.rows, self.scene, self.ranks, self.drift, self.accelerations
+        p, scene, ranks = self.rows, self.scene, self.ranks
+        old_drift, old_accelerations = self.drift, self.accelerations
         p.version, p.edition = p.version + 1, p.edition + 1  # nothing that was known of the rows holds any longer
         self.ids = id_range(ranks, p.id)
         self.total = self.ids.total
@@ -87,11 +89,11 @@ class State:
         self.watchdog = Watchdog(ranks, p.id, self.ids, walls, self.lower, self.length)
         self.persistent = keeper_of_contacts(effects, self.context, scene.dimension)
         self.drift = Drift(p, self.context, effects, self.persistent, self.sum_forces)
-        if drift:
-            self.drift.continue_counts(drift)
+        if old_drift:
+            self.drift.continue_counts(old_drift)
         self.totals, self.calls = self.drift.totals, self.drift.calls
         self.near = self.drift.near
-        done = summed.interactions if summed else 0
+        done = old_accelerations.interactions if old_accelerations else 0
         self.accelerations = Accelerations(effects.forces, ranks, scene.dimension, self.calls, done)
         self.forces, self.g = self.accelerations.forces, self.accelerations.g
         self.kick = Kick(effects, self.sum_forces, self.timers)
@@ -219,60 +221,3 @@ class State:
             self.forget_contacts()
         else:
             self.build()
-
-    def add(self, population: Mapping[str, Any]) -> Array:
-        """Add particles: the keys of a `[[particles]]` table, or arrays, the same on all ranks. Returns their ids. Collective.
-
-        Ids go on from the largest there ever was; attached fields may be given too, and are 0 if not. Raises SceneError, as at
-        the start, for particles that cannot be: overlapping others, outside, ...
-        """
-        self.take_changes()
-        number = len(self.scene.particles) + self.additions
-        same_on_all(self.ranks, {"add": plain_table(population)})
-        with raising_together(self.ranks):
-            rows, warnings = add_population(self.scene, self.ranks, self.rows, population, self.next_id, number)
-        self.warnings += warnings
-        added = int(self.ranks.allreduce_sum(len(rows) - len(self.rows))[0])
-        self.rows.replace(rows.arrays)
-        self.particles.close()
-        self.next_id += added
-        self.additions += 1
-        self.build()
-        return np.arange(self.next_id - added, self.next_id)
-
-    def remove(self, ids: Any) -> None:
-        """Take away particles that any rank names by id, integers; ValueError, on all ranks, for what no particle has.
-
-        Collective.
-        """
-        self.take_changes()
-        given = [np.asarray(of).reshape(-1) for of in self.ranks.allgather(ids)]
-        if not all(of.dtype.kind in "iu" for of in given if len(of)):
-            raise ValueError("remove: takes ids, which are integers; of a mask those are sim.particles.id[mask]")
-        named = np.unique(np.concatenate([of.astype(np.int64) for of in given]))
-        here = np.isin(self.rows.id, named)
-        if self.ranks.allreduce_sum(np.count_nonzero(here))[0] < len(named):
-            known = np.concatenate(self.ranks.allgather(self.rows.id[here]))
-            raise ValueError(f"remove: no {listed(np.setdiff1d(named, known))}")
-        if "virial" in self.rows.arrays:  # of the collisions of those who stay, and of those only, from here on
-            gone = exact_sums(self.ranks, [self.rows.virial[here]])[0]
-            for since in self.observed.values():
-                since[2] -= gone
-        self.rows.replace(self.rows.select(np.flatnonzero(~here)).arrays)
-        self.particles.close()
-        self.build()
-
-    def attach(self, name: str, values: Array) -> None:
-        """Give every particle data of the user's own: `values` (N, ...) in id order, any numeric type. Collective.
-
-        `sim.particles[name]` are this rank's rows from then on; they go with their particles, into checkpoints too.
-        """
-        values = np.asarray(values)
-        taken = name in OWN or name in fields_of(self.scene)  # FIELDS also has columns of effects that this scene lacks
-        if taken or name in dir(ParticleView) or not name.isidentifier() or name.startswith("_"):
-            raise ValueError(f"attach: {name!r} must be a new name, of letters, digits and _, which is not the first of them")
-        if values.shape[:1] != (self.total,) or values.dtype.kind not in "biuf":
-            raise ValueError(f"attach: {name!r} must come with an array of numbers for {self.total} particles")
-        self.take_changes()
-        ids = np.sort(np.concatenate(self.ranks.allgather(self.rows.id)))
-        self.rows.arrays[name] = values[np.searchsorted(ids, self.rows.id)]

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from particles_mpi.errors import SceneError, StateError
-from particles_mpi.particles import Array, Particles
+from particles_mpi.particles import Array, Particles, same_bits
 from particles_mpi.scene.effect import EffectOptions
 from particles_mpi.scene.model import faults_of
 from particles_mpi.scene.schema import Scene
@@ -134,11 +134,6 @@ def read_only(array: Array) -> Array:
     view = array[:]
     view.flags.writeable = False
     return view
-
-
-def same_bits(one: Array, other: Array) -> bool:
-    """The same shape, and the same bits (-0.0 is not 0.0, and the same NaN is the same)."""
-    return one.shape == other.shape and np.array_equal(one.reshape(-1).view(np.uint8), other.reshape(-1).view(np.uint8))
 
 
 class RunningEffect:

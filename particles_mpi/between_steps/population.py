@@ -1,0 +1,76 @@
+"""Particles that come and go between two steps, and data of the user's own that they carry."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from particles_mpi.between_steps.state import State
+from particles_mpi.between_steps.views import ParticleView
+from particles_mpi.errors import listed
+from particles_mpi.initial.populate import add_population, plain_table
+from particles_mpi.parallel.agreement import raising_together, same_on_all
+from particles_mpi.parallel.exact_sum import exact_sums
+from particles_mpi.particles import OWN, Array
+from particles_mpi.scene.active import fields_of
+
+
+class Population(State):
+    """A state to which particles, and fields of theirs, may be added; all methods are collective."""
+
+    def add(self, population: Mapping[str, Any]) -> Array:
+        """Add particles: the keys of a `[[particles]]` table, or arrays, the same on all ranks. Returns their ids. Collective.
+
+        Ids go on from the largest there ever was; attached fields may be given too, and are 0 if not. Raises SceneError, as at
+        the start, for particles that cannot be: overlapping others, outside, ...
+        """
+        self.take_changes()
+        number = len(self.scene.particles) + self.additions
+        same_on_all(self.ranks, {"add": plain_table(population)})
+        with raising_together(self.ranks):
+            rows, warnings = add_population(self.scene, self.ranks, self.rows, population, self.next_id, number)
+        self.warnings += warnings
+        added = int(self.ranks.allreduce_sum(len(rows) - len(self.rows))[0])
+        self.rows.replace(rows.arrays)
+        self.particles.close()
+        self.next_id += added
+        self.additions += 1
+        self.build()
+        return np.arange(self.next_id - added, self.next_id)
+
+    def remove(self, ids: Any) -> None:
+        """Take away particles that any rank names by id, integers; ValueError, on all ranks, for what no particle has.
+
+        Collective.
+        """
+        self.take_changes()
+        given = [np.asarray(of).reshape(-1) for of in self.ranks.allgather(ids)]
+        if not all(of.dtype.kind in "iu" for of in given if len(of)):
+            raise ValueError("remove: takes ids, which are integers; of a mask those are sim.particles.id[mask]")
+        named = np.unique(np.concatenate([of.astype(np.int64) for of in given]))
+        here = np.isin(self.rows.id, named)
+        if self.ranks.allreduce_sum(np.count_nonzero(here))[0] < len(named):
+            known = np.concatenate(self.ranks.allgather(self.rows.id[here]))
+            raise ValueError(f"remove: no {listed(np.setdiff1d(named, known))}")
+        if "virial" in self.rows.arrays:  # of the collisions of those who stay, and of those only, from here on
+            gone = exact_sums(self.ranks, [self.rows.virial[here]])[0]
+            for since in self.observed.values():
+                since[2] -= gone
+        self.rows.replace(self.rows.select(np.flatnonzero(~here)).arrays)
+        self.particles.close()
+        self.build()
+
+    def attach(self, name: str, values: Array) -> None:
+        """Give every particle data of the user's own: `values` (N, ...) in id order, any numeric type. Collective.
+
+        `sim.particles[name]` are this rank's rows from then on; they go with their particles, into checkpoints too.
+        """
+        values = np.asarray(values)
+        taken = name in OWN or name in fields_of(self.scene)  # FIELDS also has columns of effects that this scene lacks
+        if taken or name in dir(ParticleView) or not name.isidentifier() or name.startswith("_"):
+            raise ValueError(f"attach: {name!r} must be a new name, of letters, digits and _, which is not the first of them")
+        if values.shape[:1] != (self.total,) or values.dtype.kind not in "biuf":
+            raise ValueError(f"attach: {name!r} must come with an array of numbers for {self.total} particles")
+        self.take_changes()
+        ids = np.sort(np.concatenate(self.ranks.allgather(self.rows.id)))
+        self.rows.arrays[name] = values[np.searchsorted(ids, self.rows.id)]
