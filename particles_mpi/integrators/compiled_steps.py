@@ -5,7 +5,7 @@ The kernels of a step are those that `Composition`, `Taylor` and `Adaptive` call
 
 from typing import Any, NamedTuple
 
-from particles_mpi.contacts.persistent.detection import near_walls, near_walls_among
+from particles_mpi.contacts.persistent.near_walls import near_walls, near_walls_among
 from particles_mpi.contacts.persistent.on_walls import settle_on_walls
 from particles_mpi.contacts.persistent.rows import hand_over
 from particles_mpi.contacts.rough import Rough

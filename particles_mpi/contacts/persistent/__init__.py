@@ -4,7 +4,7 @@ operator    what happens after a kick, and with crowds
 solution    which contacts are slow, and what they come to
 history     the graph, and what contacts took last
 graph       who is near whom, among the rows of a rank and their ghosts
-detection   which of these may have contacts that last
+detection   which of these may have contacts that last; near_walls: which rows may have some with walls
 slow        which contacts are slow, and so kept
 zone        where contacts are sought; crowds
 rows        state of the rows, copied from the particles and written back

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.detection import SLOW, near_walls
+from particles_mpi.contacts.persistent.detection import SLOW
+from particles_mpi.contacts.persistent.near_walls import near_walls
 from particles_mpi.contacts.persistent.on_walls import settle_on_walls
 from particles_mpi.kernels.planes import Planes
 from particles_mpi.particles import Array, Particles
