@@ -87,12 +87,12 @@ def test_a_column_comes_to_rest(mode, n, d, e):
 
 
 def touching(shape, d):
-    """Places of spheres of radius 0.5 that touch, with gaps of round-off: a column, a pyramid, a ball of them."""
+    """Places of spheres of radius 0.5 that touch, with gaps of round-off: a column, a pyramid, a ball around its middle one."""
     if shape == "column":
         return [[0.5] * (d - 1) + [0.5 + k] for k in range(10)]
     if shape == "pyramid":  # its lowest row fills the box
         return [[0.5 + i + 0.5 * k, *[0.5] * (d - 2), 0.5 + k * 0.75**0.5] for k in range(6) for i in range(6 - k)]
-    return np.stack(np.meshgrid(*[np.arange(3.0)] * d), axis=-1).reshape(-1, d).tolist()
+    return np.stack(np.meshgrid(*[np.arange(3.0)] * d), axis=-1).reshape(-1, d).tolist()  # row 13 is its middle
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -108,7 +108,7 @@ def test_spheres_that_touch_from_the_start_stand_still(shape, d, surface, mode):
             dimension=d,
             box={"lower": [0.0] * d, "upper": [6.0] + [1.0] * (d - 2) + [20.0]} if shape == "pyramid" else None,
             time={"step": 0.01, "steps": 1},
-            particles=[{"position": places, "radius": 0.5}],
+            particles=[{"position": places, "radius": 0.5, "fixed": [shape == "ball" and n == 13 for n in range(len(places))]}],
             effects=forces
             | ({"walls": surface} if shape == "pyramid" else {})
             | ({"walls": surface | {"planes": FLOOR[d]}} if shape == "column" else {})
@@ -122,6 +122,54 @@ def test_spheres_that_touch_from_the_start_stand_still(shape, d, surface, mode):
             before = dict(sim.totals), sim.persistent.slow.solver.iterations
     assert (dict(sim.totals), sim.persistent.slow.solver.iterations) == before
     assert np.abs(sim.particles.position[np.argsort(sim.particles.id)] - places).max() < 1e-9
+
+
+SURFACES = [{"restitution": 0.5}, {"restitution": 0.5, "friction": 0.3}]
+
+
+def velocities(sim):
+    """In the order of ids."""
+    return sim.particles.velocity[np.argsort(sim.particles.id)]
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("surface", SURFACES)
+@pytest.mark.parametrize("ratio", [1e2, 1e6, 1e12])
+def test_a_light_sphere_pushes_a_heavy_one(ratio, surface, mode):
+    """However slow both are: momentum is kept."""
+    heavy = {"position": [[0.0, 0.0]], "radius": 0.5, "mass": ratio}
+    light = {"position": [[0.0, 1.0]], "radius": 0.5, "mass": 1.0, "acceleration": [0.0, -1.0]}
+    effects = {"user_acceleration": {}, "collisions": surface | {"mode": mode}}
+    sim = Simulation(Scene(dimension=2, time={"step": 0.01, "steps": 100}, particles=[heavy, light], effects=effects))
+    sim.steps(100)
+    assert velocities(sim)[:, 1] == pytest.approx(-1.0 / (1.0 + ratio), rel=1e-3, abs=0.0)
+
+
+@pytest.mark.parametrize("surface", SURFACES)
+@pytest.mark.parametrize("gap", [0.0, 5e-4])
+@pytest.mark.parametrize("part", [1e-6, 1e-12])
+def test_what_is_pressed_nearby_holds_nothing(part, gap, surface):
+    """On a smooth floor two lie one on the other; weak forces move them past one that strong forces press onto it."""
+    pressed = {"position": [[0.0, 0.5]], "radius": 0.5, "acceleration": [0.0, -1.0]}
+    two = {"position": [[1.0 + gap, 0.5], [1.0 + gap, 1.5]], "radius": 0.5, "acceleration": [part, -part]}
+    effects = {"user_acceleration": {}, "walls": {"restitution": 0.5, "planes": FLOOR[2]}, "collisions": surface}
+    sim = Simulation(Scene(dimension=2, time={"step": 0.01, "steps": 100}, particles=[pressed, two], effects=effects))
+    sim.steps(100)
+    assert velocities(sim)[1:, 0] == pytest.approx(part, rel=1e-6, abs=0.0)
+
+
+@pytest.mark.parametrize("surface", SURFACES)
+@pytest.mark.parametrize("apart", [1e3, 1e6])
+def test_balls_of_spheres_fall_toward_one_another(apart, surface):
+    """What holds each of them together is stronger by twelve orders than what pulls them, which still moves all of it."""
+    ball, half = np.array(touching("ball", 3)) - 1.0, np.array([0.5 * apart, 0.0, 0.0])
+    places = np.concatenate((ball - half, ball + half)).tolist()
+    effects = {"mutual_gravity": {"G": 1.0}, "collisions": surface | {"mode": "event"}}
+    time = {"step": 0.02, "steps": 50}
+    sim = Simulation(Scene(dimension=3, time=time, particles=[{"position": places, "radius": 0.5}], effects=effects))
+    sim.steps(50)
+    one, other = velocities(sim)[:27].mean(axis=0), velocities(sim)[27:].mean(axis=0)
+    assert [one[0], other[0]] == pytest.approx([27.0 / apart**2, -27.0 / apart**2], rel=1e-3, abs=0.0)
 
 
 @pytest.mark.parametrize("mode", MODES)

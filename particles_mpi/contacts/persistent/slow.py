@@ -108,12 +108,16 @@ def slow(contacts, closing, took, of_rows, pressed, h, tolerance, margin, slight
 
 
 @kernel
-def widest_push(start, widest, own):
-    """The largest of the pushes (m,) at the contacts of each row, or its `own` (n,) if that is more."""
-    found = own.copy()
-    for i in range(len(start) - 1):
+def felt_push(start, partner, w, widest, bears):
+    """The largest push (n,) of the contacts by which each row bears anything, of each that part which moves the row.
+
+    That is w_i/(w_i + w_j) of it, which is little for a heavy row on which a light one lies. w (size + 1,): inverse masses.
+    """
+    found = np.zeros(len(start) - 1)
+    for i in range(len(found)):
         for e in range(start[i], start[i + 1]):
-            found[i] = max(found[i], widest[e])
+            if bears[e] > 0.0:
+                found[i] = max(found[i], w[i] / (w[i] + w[partner[e]]) * widest[e])
     return found
 
 

@@ -14,7 +14,7 @@ from particles_mpi.contacts.persistent.memory import along_normals
 from particles_mpi.contacts.persistent.problem import Problem, Targets, bound_rows, table_of
 from particles_mpi.contacts.persistent.rough_iterations import bound_rough, rough_table, slide_loads, taken_columns
 from particles_mpi.contacts.persistent.rows import Local
-from particles_mpi.contacts.persistent.slow import carried, widest_push
+from particles_mpi.contacts.persistent.slow import carried, felt_push
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles, row_dot
 
@@ -45,10 +45,14 @@ class Pile(NamedTuple):
     local: Local
     allowed: float
 
-    def pushes(self) -> Array:
-        """The largest push (n,) of a row and those that it touches: one in the middle of a pile may have none itself."""
-        start, push = self.contacts.start, self.local.push[: len(self.contacts.start) - 1]
-        return np.asarray(widest_push(start, self.contacts.widest, np.sqrt(row_dot(push, push))))
+    def pushes(self, bears: Array) -> Array:
+        """The push (n,) that each row feels at contacts, of which half-edges bear `bears` (m,)."""
+        contacts = self.contacts
+        return np.asarray(felt_push(contacts.start, contacts.partner, self.local.w, contacts.widest, bears))
+
+    def stands(self, bears: Array) -> bool:
+        """Does a wall or a fixed sphere bear anything? Else nothing says what rest is: all may be on its way together."""
+        return bool(((self.local.w[self.contacts.partner] == 0.0) & (bears > 0.0)).any())
 
     def piled(self, bears: Array) -> Array:
         """Which rows (n,) bear other rows, where half-edges bear `bears` (m,)."""
@@ -102,23 +106,22 @@ class SmoothContacts:
     def asleep(self, ranks: Communicator, pile: Pile, bears: Array, v: Array) -> bool:
         """Do all who bear anything move by no more than what errors leave? Collective."""
         held = carried(pile.contacts.start, bears) != 0
-        return not ranks.largest(bool((self.quick(pile, v) & held).any()))[0]
+        return not ranks.largest(bool((self.quick(pile, bears, v) & held).any()))[0]
 
-    def quick(self, pile: Pile, v: Array) -> Array:
+    def quick(self, pile: Pile, bears: Array, v: Array) -> Array:
         """Which rows (n,) with velocities and spins v (n, columns) are faster than what errors leave."""
-        return np.asarray(row_dot(v, v) > (ROUND_OFF * pile.pushes()) ** 2)
+        return np.asarray(row_dot(v, v) > (ROUND_OFF * pile.pushes(bears)) ** 2)
 
     def at_rest(self, ranks: Communicator, pile: Pile, bears: Array, held: Array, v: Array) -> Array:
         """Velocities and spins v (n, columns), where those that are `held` and all but at rest stand still. Collective.
 
-        In piles, what is below the round-off of a solution is no motion: left to the drift, it would be hundreds of collisions in
-        a step where spheres touch with no gap at all.
+        In piles that stand on something, what is below the round-off of a solution is no motion: left to the drift, it would be
+        hundreds of collisions in a step where spheres touch with no gap at all.
         """
-        rests = ~self.quick(pile, v)
-        if rests.any():
-            rests &= pile.piled(bears)
-            v = np.where(rests[:, None], 0.0, v)
-        return v
+        rests = ~self.quick(pile, bears, v)
+        if not ranks.largest(bool(rests.any()))[0] or not ranks.largest(pile.stands(bears))[0]:
+            return v
+        return np.asarray(np.where((rests & pile.piled(bears))[:, None], 0.0, v))
 
 
 class RoughContacts(SmoothContacts):
@@ -163,9 +166,9 @@ class RoughContacts(SmoothContacts):
     def press(self, contacts: Contacts, w: Array, borne: Array, left: Array) -> None:
         slide_loads(self.axes, contacts.start, contacts.partner, np.ascontiguousarray(borne[:, 1:]), w, left)
 
-    def quick(self, pile: Pile, v: Array) -> Array:
+    def quick(self, pile: Pile, bears: Array, v: Array) -> Array:
         radius, d = pile.local.radius[: len(v)], len(self.axes)
-        most = np.maximum(STILL * pile.pushes(), QUIET * pile.allowed * radius) ** 2
+        most = np.maximum(STILL * pile.pushes(bears), QUIET * pile.allowed * radius) ** 2
         rim = radius[:, None] * v[:, d:]
         return np.asarray((row_dot(v[:, :d], v[:, :d]) > most) | (row_dot(rim, rim) > most))
 
@@ -174,7 +177,9 @@ class RoughContacts(SmoothContacts):
 
         Those in piles, who bear others, stand still all at once: one by one, each would be a small blow to its neighbours.
         """
-        quick, piled = self.quick(pile, v), pile.piled(bears)
-        awake = bool(ranks.largest(bool((quick & piled).any()))[0])
-        rests = (held != 0) & ~quick & ~(piled & awake)
+        quick, piled = self.quick(pile, bears, v), pile.piled(bears)
+        awake, stands = ranks.largest(bool((quick & piled).any()), pile.stands(bears))
+        if not stands:
+            return v
+        rests = (held != 0) & ~quick & ~(piled & bool(awake))
         return np.asarray(np.where(rests[:, None], 0.0, v))
