@@ -141,12 +141,17 @@ def field(name: str) -> Column:
     return FIELDS.get(name, USER)
 
 
+def spin_components(dimension: int) -> int:
+    """Components of a spin: as many as there are planes to turn in."""
+    return dimension * (dimension - 1) // 2
+
+
 def components(column: Column, dimension: int) -> int:
     """Components of a column, 0 of a scalar."""
     if column.orientation:
         return 4 if dimension == 3 else 1
     if column.rotation:
-        return dimension * (dimension - 1) // 2
+        return spin_components(dimension)
     return dimension if column.vector else 0
 
 

@@ -73,6 +73,10 @@ class Simulation(Saved):
                 self.advance(self._h, collisions)
             self.particles.open()
             self.steps_done += done
+        self._show()
+
+    def _show(self) -> None:
+        """Let views in a notebook look, after a step. Collective."""
         for view in self.views:
             view.look(self)
 
@@ -102,8 +106,12 @@ class Simulation(Saved):
         if pairs is None or pairs.options.mode != "event":
             raise SceneError('effects.collisions.mode: step_to_collision needs "event"')
         self.take_changes()
+        before = self.steps_done
         with self.stepping():
-            return self.advance_to_collision()
+            met = self.advance_to_collision()
+        if self.steps_done > before:
+            self._show()
+        return met
 
     def advance_to_collision(self) -> tuple[int, int] | None:
         """As `step_to_collision`, for a state that is taken and checked."""

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.particles import Array
+from particles_mpi.particles import Array, spin_components
 
 
 class Memory(NamedTuple):
@@ -14,6 +14,11 @@ class Memory(NamedTuple):
     id: Array
     partner: Array
     taken: Array
+
+
+def rough_columns(dimension: int) -> tuple[int, ...]:
+    """The shape of what a contact of rough spheres takes: along its normal, across it, and as a couple."""
+    return (1 + dimension + spin_components(dimension),)
 
 
 def nothing(columns: tuple[int, ...] = ()) -> Memory:

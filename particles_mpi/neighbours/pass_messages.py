@@ -13,7 +13,7 @@ from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.kernels.motion import Segments
 from particles_mpi.neighbours.rank_boxes import index_of
 from particles_mpi.parallel.halo import Halo
-from particles_mpi.particles import Array
+from particles_mpi.particles import Array, spin_components
 
 # What hits are about: own rows that no other rank holds; own rows that others hold as ghosts; an own row and a ghost. Which
 # partners were selected must be told for the last only, new segments for the last two.
@@ -30,7 +30,7 @@ class Active(NamedTuple):
 
 def message_width(dimension: int) -> int:
     """Numbers in the longest row of a message: place, last partner, start, x, v of a segment, and a spin."""
-    return 3 + 2 * dimension + dimension * (dimension - 1) // 2
+    return 3 + 2 * dimension + spin_components(dimension)
 
 
 def exchange_selections(halo: Halo, selected: Array, first_rows: Array, second_rows: Array, marked: Array) -> None:

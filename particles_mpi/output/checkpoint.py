@@ -20,7 +20,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from particles_mpi.contacts.warm_start import NOTHING, Memory
+from particles_mpi.contacts.warm_start import NOTHING, Memory, rough_columns
 from particles_mpi.errors import SceneError
 from particles_mpi.output.files import failing_together, mpi_io_errors, sync_folder
 from particles_mpi.output.replacing import part_of, replacing
@@ -210,11 +210,11 @@ class Checkpoint:
 
     def _check_shapes(self) -> None:
         """Every field has a row for each particle."""
-        rough = (1 + self.dimension + self.dimension * (self.dimension - 1) // 2,)
+        rough = rough_columns(self.dimension)
         for place, (found, dtype) in self.shapes.items():
             group, name = place.split("/")
             known = group == "particles" and name in FIELDS
-            across = found[1:] if name == "taken" else ()  # of rough contacts: see `solver.taken_columns`
+            across = found[1:] if name == "taken" else ()  # of rough contacts: see `rough_columns`
             wrong = found[:1] != (self.total,) if group == "particles" else across not in ((), rough)
             wrong |= group == "contacts" and len(found) != 1 + len(across)
             if wrong or (known and (found != shape(name, self.total, self.dimension) or dtype != FIELDS[name].dtype)):

@@ -1,5 +1,7 @@
 """Steps that end with a collision, against PBPhys's printed run and against exact moments."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -84,6 +86,13 @@ def test_nobody_to_meet_is_a_whole_step():
     sim = Simulation(scene(1, [{"position": [[0.0], [5.0]], "velocity": [[1.0], [1.0]], "radius": 0.1}], 0.5))
     assert sim.step_to_collision() is None
     assert (sim.steps_done, sim.time) == (1, 0.5)
+
+
+def test_a_view_looks_after_whole_steps_only():
+    seen, sim = [], Simulation(scene(2, DISCS, 0.3))
+    sim.views.append(SimpleNamespace(look=lambda sim: seen.append(sim.steps_done)))
+    found = [sim.step_to_collision() for _ in range(5)]
+    assert found.count(None) == sim.steps_done > 1 and seen == list(range(1, sim.steps_done + 1))
 
 
 def test_needs_mode_event():

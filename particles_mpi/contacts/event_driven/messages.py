@@ -30,7 +30,7 @@ from particles_mpi.contacts.event_driven.rows import (
 from particles_mpi.kernels.jit import inner, lean, lean_inner, prefetch
 from particles_mpi.kernels.markers import RADIUS
 from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS
-from particles_mpi.particles import Array
+from particles_mpi.particles import Array, spin_components
 
 UPDATE, ADD_GHOST, TRANSFER, DROP_GHOST = range(4)
 HEAD = 2  # numbers at the beginning of a part: its kind, the id
@@ -67,7 +67,7 @@ def part_width(kind, d, record, extra):
 
 def widest_part(dimension: int) -> int:
     """Numbers in the longest part of a message, of rough spheres that velocity flows act on."""
-    record = record_width(dimension, dimension * (dimension - 1) // 2)
+    record = record_width(dimension, spin_components(dimension))
     return max(part_width(kind, dimension, record, dimension + 2) for kind in (UPDATE, ADD_GHOST, TRANSFER, DROP_GHOST))
 
 

@@ -67,9 +67,9 @@ class Iteration:
     def advance(self, count: int, looks: bool = False) -> tuple[float, float, float]:
         """So many iterations, with an exchange of ghosts after each; what the last one saw, if it `looks`."""
         calls, count = (count, 1) if self.exchange else (1, count)
-        for left in range(calls - 1, -1, -1):
+        for to_go in range(calls - 1, -1, -1):
             self.theta, *seen = iterations(
-                self.axes, count, self.problem, self.w, self.v0, self.v, self.other, self.theta, looks and not left, self.sums
+                self.axes, count, self.problem, self.w, self.v0, self.v, self.other, self.theta, looks and not to_go, self.sums
             )
             if count % 2:
                 self.v, self.other = self.other, self.v
@@ -113,16 +113,16 @@ class Iteration:
             self.balance(ranks, 1.0 - LITTLE_CHANGE, 1.0 + LITTLE_CHANGE)
         errors = self.advance(1, looks=True)
         while True:
-            worst, left, most = ranks.largest(*errors)
+            worst, over_round_off, most = ranks.largest(*errors)
             squares, work = ranks.total(*whole_numbers(self.sums, (1.0, most if most > 0.0 else 1.0)))
             good, calm = worst <= OUTLIER and squares <= count * FINE, self.rough and squares <= count * FINE * CALM**2
             enough = done >= (max(MORE, least) if calm else least)
-            ask = asleep if done == 1 and (left <= 1.0 or (self.rough and good)) else None
+            ask = asleep if done == 1 and (over_round_off <= 1.0 or (self.rough and good)) else None
             if ask:
                 self.restart()
                 if ask(self.result):
                     return True, 0
-            if left <= 1.0 or (good and enough) or done >= limit:
+            if over_round_off <= 1.0 or (good and enough) or done >= limit:
                 break
             if self.rough and done == 1 and not (exact or calm or ask):
                 self.balance(ranks, 1.0 - LITTLE_CHANGE, 1.0 + LITTLE_CHANGE)
@@ -134,7 +134,7 @@ class Iteration:
             errors = self.advance(CHECK, looks=True)
             done += CHECK
         self.restart()  # errors that were looked at are of what is taken: what is ahead may be far past it already
-        good = good or left <= 1.0
+        good = good or over_round_off <= 1.0
         if self.rough and not good:
             self.multiply(min(max(self.factor(ranks), 0.0), 1.0))
         elif not exact and not calm:  # errors of one sign, however small, would lift a bed, or let it sink

@@ -61,17 +61,17 @@ def change_impulses(chosen, size, x, most, impulse, inside):
     for r in range(size):
         if x[r] < 0.0:
             part = min(part, impulse[chosen[r]] / -x[r])
-    left, same = 0, size
+    kept, same = 0, size
     for r in range(size if part < inf else 0):
         c = chosen[r]
         inside[c] = not (x[r] < 0.0 and impulse[c] / -x[r] <= part)
         impulse[c] = impulse[c] + part * x[r] if inside[c] else 0.0
         if inside[c]:
-            chosen[left] = c
-            left += 1
+            chosen[kept] = c
+            kept += 1
         else:
             same = min(same, r)
-    return part, left, same
+    return part, kept, same
 
 
 @inner

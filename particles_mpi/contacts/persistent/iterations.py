@@ -52,16 +52,16 @@ def iterations(axes, count, problem, w, v0, v, other, theta, looks, sums):
 
     Returns theta of the next one, and of the last one the largest errors and the largest work of a row: see `iterate`.
     """
-    worst, left, most = 0.0, 0.0, 0.0
+    worst, over_round_off, most = 0.0, 0.0, 0.0
     for number in range(count):
         beta, theta = momentum(theta)
         look = looks and number == count - 1
-        worst, left = iterate(axes, 0, len(problem[0]) - 1, problem, w, v0, v, other, beta, look, sums)
+        worst, over_round_off = iterate(axes, 0, len(problem[0]) - 1, problem, w, v0, v, other, beta, look, sums)
         v, other = other, v
     if looks:
         for i in range(len(sums)):
             most = max(most, abs(sums[i, 1]))
-    return theta, worst, left, most
+    return theta, worst, over_round_off, most
 
 
 @kernel
@@ -101,9 +101,9 @@ def solve_each(axes, problem, w, v):
         for _ in range(MOST):
             here, there = (other, v) if swapped else (v, other)
             beta, theta = momentum(theta)
-            _, left = iterate(axes, i, i + 1, problem, w, v0, here, there, beta, True, sums)
+            _, over_round_off = iterate(axes, i, i + 1, problem, w, v0, here, there, beta, True, sums)
             swapped = not swapped
-            if left <= 1.0:
+            if over_round_off <= 1.0:
                 break
             if sums[i, 1] > 0.0 if w.ndim == 1 else sums[i, 0] > before:
                 theta = 1.0

@@ -40,9 +40,9 @@ def settle_on_walls(axes, rows, fields, a, h, length, faces, planes):
     table, tight = table_of(axes, start, partner, normal, w, touch, bound, nothing, nothing), 1.0 / (PRECISE * widest)
     solve_each(axes, (start, partner, table, tight, tight), w, push.copy())
     borne = table[:, TAKEN].copy()
-    left, stress = np.zeros((n + 1, d)), np.zeros((n + 1, d, d))
-    loads(axes, start, partner, normal, w, borne, push, left, stress)
-    pressed = pressing(axes, start, partner, normal, borne, nothing, left, stress)
+    net_push, stress = np.zeros((n + 1, d)), np.zeros((n + 1, d, d))
+    loads(axes, start, partner, normal, w, borne, push, net_push, stress)
+    pressed = pressing(axes, start, partner, normal, borne, nothing, net_push, stress)
     closing = approach(axes, start, partner, normal, v)
     chosen, may_close, loose, tight = slow(contacts, closing, nothing, (held, radius), pressed, h, 0.0, 0.0, 0.0)
     bound[:] = 0.0

@@ -29,6 +29,7 @@ from particles_mpi.contacts.persistent.problem import (
 )
 from particles_mpi.contacts.rough import plane_of
 from particles_mpi.kernels.jit import in_place, inner, kernel, with_item
+from particles_mpi.particles import spin_components
 
 # Columns behind the d components of the normal
 ARM, OTHER_ARM, FRICTION, RESISTANCE, SPIN_SHARE, SLIDE_STEP, ROLL_STEP, SLID = range(8)
@@ -38,8 +39,9 @@ ARM, OTHER_ARM, FRICTION, RESISTANCE, SPIN_SHARE, SLIDE_STEP, ROLL_STEP, SLID = 
 
 def taken_columns(d: int, rough: bool) -> list[int]:
     """The columns of a table that say what contacts have taken: along the normal, and, if rough, across it and as a couple."""
-    first = NORMAL + d + SLID
-    return [TAKEN, *(range(first, first + d)), *(range(first + 2 * d, first + 2 * d + d * (d - 1) // 2))] if rough else [TAKEN]
+    across = NORMAL + d + SLID
+    couple = across + 2 * d
+    return [TAKEN, *range(across, across + d), *range(couple, couple + spin_components(d))] if rough else [TAKEN]
 
 
 @inner(inline="always")
@@ -55,10 +57,10 @@ def table_width(axes):
 
 
 @kernel
-def rough_table(axes, smooth, other, start, partner, arms, inverse_inertia, w, which, surfaces, slid):
+def rough_table(axes, smooth, wall, start, partner, arms, inverse_inertia, w, which, surfaces, slid):
     """The table of half-edges from that of smooth spheres (m, 5 + d) with the bounds of `bound_rough`.
 
-    other (m,): which walls are partners, -1 for rows; arms (size + 1,): radii; surfaces (2, m): mu, resistance; slid (m, d + s):
+    wall (m,): which walls are partners, -1 for rows; arms (size + 1,): radii; surfaces (2, m): mu, resistance; slid (m, d + s):
     what was taken across the normal, and the couple. What is not across the normal any longer is left out.
     """
     d, s = len(axes), spins_of(axes)
@@ -69,7 +71,7 @@ def rough_table(axes, smooth, other, start, partner, arms, inverse_inertia, w, w
             both, row = w[i] + w[j], table[e]
             row[: NORMAL + d] = smooth[e]
             at = NORMAL + d
-            arm, far = arms[i], arms[j] if other[e] < 0 else 0.0
+            arm, far = arms[i], arms[j] if wall[e] < 0 else 0.0
             row[at + ARM], row[at + OTHER_ARM] = arm, far
             row[at + FRICTION], row[at + RESISTANCE] = surfaces[0, e], surfaces[1, e]
             row[at + SPIN_SHARE] = inverse_inertia[i] / both
@@ -90,7 +92,7 @@ def rough_table(axes, smooth, other, start, partner, arms, inverse_inertia, w, w
 
 
 @kernel
-def bound_rough(axes, start, partner, normal, other, arms, inverse_inertia, w, which, resistance, bound):
+def bound_rough(axes, start, partner, normal, wall, arms, inverse_inertia, w, which, resistance, bound):
     """Of each row a bound of the largest eigenvalue of what its contacts do to its velocity and spin: see `problem.bound_rows`.
 
     Steps across the normal are shorter by the part that translation has in what such an impulse moves, of couples too.
@@ -104,7 +106,7 @@ def bound_rough(axes, start, partner, normal, other, arms, inverse_inertia, w, w
             if not which[e]:
                 continue
             j = partner[e]
-            arm, far = arms[i], arms[j] if other[e] < 0 else 0.0
+            arm, far = arms[i], arms[j] if wall[e] < 0 else 0.0
             both, turns = w[i] + w[j], inverse_inertia[i] + inverse_inertia[j]
             part = both / (both + (arm * arm * inverse_inertia[i] + far * far * inverse_inertia[j]))
             lever[:] = 0.0  # what an impulse does to the spin: - arm n x
@@ -201,7 +203,7 @@ def rough_iterate(axes, first, last, problem, w, v0, v, after, beta, looks, sums
     """See `iterations.iterate`."""
     start, partner, table, loose, tight = problem
     d, s, at = len(axes), spins_of(axes), NORMAL + len(axes)
-    worst, left = 0.0, 0.0
+    worst, over_round_off = 0.0, 0.0
     for i in range(np.uint64(first), np.uint64(last)):
         squares, work = 0.0, 0.0
         given, turned = axes, axes
@@ -251,7 +253,7 @@ def rough_iterate(axes, first, last, problem, w, v0, v, after, beta, looks, sums
                 squares += part * part
                 worst = part if part > worst else worst
                 part = size * tight[e]
-                left = part if part > left else left
+                over_round_off = part if part > over_round_off else over_round_off
                 work += worked * table[e, SHARE]
             given, turned = give(axes, table, e, given, turned)
         for k in range(d):
@@ -260,7 +262,7 @@ def rough_iterate(axes, first, last, problem, w, v0, v, after, beta, looks, sums
             after[i, np.uint64(d + c)] = v0[i, np.uint64(d + c)] + turned[c]
         if looks:
             sums[i, np.uint64(0)], sums[i, np.uint64(1)] = squares, work / w[i, np.uint64(0)] if w[i, np.uint64(0)] > 0.0 else 0.0
-    return worst, left
+    return worst, over_round_off
 
 
 @inner
@@ -285,10 +287,10 @@ def rough_works(axes, problem, w, v0, v, sums):
 
 
 @kernel
-def slide_loads(axes, start, partner, slid, w, left):
-    """What contacts took across their normals, slid (m, d or more), to what is `left` (n, d) of the pushes of rows."""
+def slide_loads(axes, start, partner, slid, w, net_push):
+    """Add what contacts took across their normals, slid (m, d or more), to the net pushes (n, d) of rows."""
     for i in range(len(start) - 1):
         for e in range(start[i], start[i + 1]):
             share = w[i] / (w[i] + w[partner[e]])
             for k in range(len(axes)):
-                left[i, k] += share * slid[e, k]
+                net_push[i, k] += share * slid[e, k]

@@ -34,25 +34,25 @@ def approach(axes, start, partner, normal, v):
 
 
 @kernel
-def loads(axes, start, partner, normal, w, borne, push, left, stress):
-    """Of each row with pushes (n, d) whose half-edges bear `borne`: what is left (n, d) of its push, and its stress (n, d, d)."""
+def loads(axes, start, partner, normal, w, borne, push, net_push, stress):
+    """The net push (n, d) of each row, that is with what contacts give it that bear `borne`, and its stress (n, d, d)."""
     one = np.uint64(1)
     for i in range(np.uint64(len(start) - 1)):
         for k in range(len(axes)):
-            left[i, np.uint64(k)] = push[i, np.uint64(k)]
+            net_push[i, np.uint64(k)] = push[i, np.uint64(k)]
             for m in range(len(axes)):
                 stress[i, np.uint64(k), np.uint64(m)] = 0.0
         for e in range(np.uint64(start[i]), np.uint64(start[i + one])):
             given = w[i] / (w[i] + w[np.uint64(partner[e])]) * borne[e]
             for k in range(len(axes)):
                 part = given * normal[e, np.uint64(k)]
-                left[i, np.uint64(k)] += part
+                net_push[i, np.uint64(k)] += part
                 for m in range(len(axes)):
                     stress[i, np.uint64(k), np.uint64(m)] += part * normal[e, np.uint64(m)]
 
 
 @kernel
-def pressing(axes, start, partner, normal, borne, before, left, stress):
+def pressing(axes, start, partner, normal, borne, before, net_push, stress):
     """The speed (m,) that presses each contact: the largest of `before`, of what the net pushes of both partners, but for this
     contact itself, are along its normal, and of what their stress is along it.
 
@@ -64,7 +64,7 @@ def pressing(axes, start, partner, normal, borne, before, left, stress):
             along, others, j = 0.0, 0.0, np.uint64(partner[e])
             for k in range(len(axes)):
                 of = np.uint64(k)
-                others += (left[i, of] - left[j, of]) * normal[e, of]
+                others += (net_push[i, of] - net_push[j, of]) * normal[e, of]
                 for m in range(len(axes)):
                     also = np.uint64(m)
                     along += normal[e, of] * normal[e, also] * (stress[i, of, also] + stress[j, of, also])

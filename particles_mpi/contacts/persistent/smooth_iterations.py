@@ -26,7 +26,7 @@ def smooth_iterate(axes, first, last, problem, w, v0, v, after, beta, looks, sum
     """See `iterations.iterate`."""
     start, partner, table, loose, tight = problem
     one = np.uint64(1)
-    worst, left = 0.0, 0.0
+    worst, over_round_off = 0.0, 0.0
     for i in range(np.uint64(first), np.uint64(last)):  # unsigned: indices that may be negative take twice as long
         squares, work = 0.0, 0.0
         own, given = axes, axes  # velocity of the row, and what its contacts give it: kept in registers, as no array is
@@ -46,7 +46,7 @@ def smooth_iterate(axes, first, last, problem, w, v0, v, after, beta, looks, sum
                 squares += part * part
                 worst = part if part > worst else worst
                 part = abs(error) * tight[e]
-                left = part if part > left else left
+                over_round_off = part if part > over_round_off else over_round_off
                 work += error * change * table[e, SHARE]
             next_one = new + beta * change
             table[e, TAKEN], table[e, AHEAD] = new, next_one
@@ -57,7 +57,7 @@ def smooth_iterate(axes, first, last, problem, w, v0, v, after, beta, looks, sum
             after[i, np.uint64(k)] = v0[i, np.uint64(k)] + given[k]
         if looks:
             sums[i, np.uint64(0)], sums[i, np.uint64(1)] = squares, work / w[i] if w[i] > 0.0 else 0.0
-    return worst, left
+    return worst, over_round_off
 
 
 @inner

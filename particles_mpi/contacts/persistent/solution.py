@@ -137,12 +137,12 @@ class SlowContacts:
 
     def pressed(self, local: Local, contacts: Contacts, borne: Array, before: Array, exchange: Exchange) -> Array:
         """The speed (m,) that presses each contact, by pushes of rows and what contacts bear now or bore `before`. Collective."""
-        left, stress = np.zeros_like(local.push), np.zeros((*local.push.shape, local.push.shape[1]))
+        net_push, stress = np.zeros_like(local.push), np.zeros((*local.push.shape, local.push.shape[1]))
         some, along = (contacts.start, contacts.partner, contacts.normal), along_normals(borne)
-        loads(self.axes, *some, local.w, along, local.push, left, stress)
-        self.kind.press(contacts, local.w, borne, left)
-        exchange(left, stress)
-        return np.asarray(pressing(self.axes, *some, along, before, left, stress))
+        loads(self.axes, *some, local.w, along, local.push, net_push, stress)
+        self.kind.press(contacts, local.w, borne, net_push)
+        exchange(net_push, stress)
+        return np.asarray(pressing(self.axes, *some, along, before, net_push, stress))
 
     def chosen(
         self, local: Local, contacts: Contacts, before: Array, pressed: Array, h: float, effort: int

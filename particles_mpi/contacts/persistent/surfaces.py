@@ -15,6 +15,7 @@ from particles_mpi.contacts.persistent.problem import Problem, Targets, bound_ro
 from particles_mpi.contacts.persistent.rough_iterations import bound_rough, rough_table, slide_loads, taken_columns
 from particles_mpi.contacts.persistent.rows import Local
 from particles_mpi.contacts.persistent.slow import carried, felt_push
+from particles_mpi.contacts.warm_start import rough_columns
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles, row_dot
 
@@ -100,8 +101,8 @@ class SmoothContacts:
         """What half-edges have taken: (m, *columns)."""
         return problem.table[:, taken_columns(len(self.axes), False)[0]].copy()
 
-    def press(self, contacts: Contacts, w: Array, borne: Array, left: Array) -> None:
-        """Add what contacts bear across their normals to what is `left` (n, d) of the pushes of rows."""
+    def press(self, contacts: Contacts, w: Array, borne: Array, net_push: Array) -> None:
+        """Add what contacts bear across their normals to the net pushes (n, d) of rows."""
 
     def asleep(self, ranks: Communicator, pile: Pile, bears: Array, v: Array) -> bool:
         """Do all who bear anything move by no more than what errors leave? Collective."""
@@ -134,7 +135,7 @@ class RoughContacts(SmoothContacts):
     def __init__(self, axes: tuple[float, ...], surfaces: Surfaces):
         super().__init__(axes)
         self.surfaces, d = surfaces, len(axes)
-        self.columns = (1 + d + d * (d - 1) // 2,)
+        self.columns = rough_columns(d)
 
     def spins(self, p: Particles, graph: ContactGraph) -> Array:
         spin = np.zeros((graph.size + 1, p["spin"].shape[1]))
@@ -163,8 +164,8 @@ class RoughContacts(SmoothContacts):
     def taken(self, problem: Problem) -> Array:
         return problem.table[:, taken_columns(len(self.axes), True)]
 
-    def press(self, contacts: Contacts, w: Array, borne: Array, left: Array) -> None:
-        slide_loads(self.axes, contacts.start, contacts.partner, np.ascontiguousarray(borne[:, 1:]), w, left)
+    def press(self, contacts: Contacts, w: Array, borne: Array, net_push: Array) -> None:
+        slide_loads(self.axes, contacts.start, contacts.partner, np.ascontiguousarray(borne[:, 1:]), w, net_push)
 
     def quick(self, pile: Pile, bears: Array, v: Array) -> Array:
         radius, d = pile.local.radius[: len(v)], len(self.axes)
