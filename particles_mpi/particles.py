@@ -187,11 +187,11 @@ def rows_with(ids: Array, wanted: Array) -> Array:
 
 
 def same_bits(one: Array, other: Array) -> bool:
-    """Have two arrays of one type the same shape and bits? -0.0 is not 0.0, and the same NaN is the same.
+    """Have two arrays the same type, shape and bits? -0.0 is not 0.0, and the same NaN is the same.
 
     For few numbers a twentieth of the time of numpy's `array_equal`.
     """
-    return one.shape == other.shape and one.tobytes() == other.tobytes()
+    return one.dtype == other.dtype and one.shape == other.shape and one.tobytes() == other.tobytes()
 
 
 def row_dot(rows: Array, vectors: Array) -> Array:

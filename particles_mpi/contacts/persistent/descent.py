@@ -16,6 +16,10 @@ any number of ranks. For rough spheres, max(., 0) is followed by a cut of what i
 Large piles are solved to a tolerance only. There p is multiplied by the factor that makes p A p/2 + p (N v + c) least, before the
 iterations and after them: then errors do no work in sum over all contacts. Rough piles whose errors are far below that (CALM)
 are not multiplied: the factor itself is rounded, and would be what moves them.
+
+With friction the problem is no minimum, and work past one says less: there, momentum is given up where errors grow, and in
+solutions that end at round-off where errors do work, or are more than GROWN times the least so far. What does not get to errors
+that are allowed is multiplied by that factor, if it is less than 1: so it adds no energy.
 """
 
 from collections.abc import Callable

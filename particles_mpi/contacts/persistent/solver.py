@@ -1,10 +1,7 @@
 """Which way contacts are solved: by iterations, of all ranks or of each for all (`together`), or directly (`direct`).
 
 Where masses are very different, iterations do not come to an end; few contacts are solved directly then (`direct`): rough ones
-without friction, if iterations that begin there do not lead to a solution with it, for they must bear what lies on them. With
-friction the problem is no minimum, and work past one says less: there, momentum is given up where errors grow, and in solutions
-that end at round-off where errors do work, or are more than GROWN times the least so far. What does not get to errors that are
-allowed is multiplied by the factor below, if that is less than 1: so it adds no energy.
+without friction, if iterations that begin there do not lead to a solution with it, for they must bear what lies on them.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""What contacts of smooth and of rough spheres take, as the solver needs it: the two kinds answer the same calls of `operator`.
+"""What contacts of smooth and of rough spheres take, as the solver needs it: the two kinds answer the same calls of `solution`.
 
 Smooth ones take speed along their normal, a number each. Rough ones also take speed across it, and a couple: a row of numbers
 each; velocities and spins, and 1/m and 1/I, stand side by side.
@@ -22,8 +22,8 @@ from particles_mpi.particles import Array, Particles, row_dot
 STEADY = 45  # iterations that rough spheres always get: with fewer a pile creeps by what is left of errors, and never rests
 SLIGHT = 0.01  # of the widest push: rough contacts that bear less are solved as if they bore that; errors below are round-off
 QUIET = 1e-3  # of the allowed errors: a rough pile in which nothing is faster is asleep
-ROUND_OFF = 2.0 * HELD * PRECISE  # of a push: what a solution may leave a smooth sphere between two others
-STILL = 1e-6  # of the speed that forces give in two steps: slower rough spheres that are held stand still
+ROUND_OFF = 2.0 * HELD * PRECISE  # of the push that it feels: what a solution may leave a smooth sphere between two others
+STILL = 1e-6  # of the push that they feel: slower rough spheres that are held stand still
 
 
 class Surfaces(NamedTuple):
@@ -66,7 +66,7 @@ class SmoothContacts:
 
     rough = False
     least = 0  # iterations that a solution always gets
-    slight = 0.0  # see `slow.SLIGHT`
+    slight = 0.0  # see SLIGHT
     columns: tuple[int, ...] = ()  # of what is taken, by each half-edge
 
     def __init__(self, axes: tuple[float, ...]):
