@@ -129,7 +129,7 @@ class Job:
                 if pace:
                     pace.reported()
                 self.write_frame()
-            elif not self.continues:
+            if not self.continues and (self.resumed or done == self.last):
                 self.save()  # what is in this folder begins here
             while sim.steps_done < self.last and not (stopped := self.request.poll(sim.steps_done)):
                 sim.step_towards(min(self.last, *(sim.steps_done // k * k + k for k in periods)))

@@ -47,9 +47,10 @@ class Pile(NamedTuple):
     allowed: float
 
     def pushes(self, bears: Array) -> Array:
-        """The push (n,) that each row feels at contacts, of which half-edges bear `bears` (m,)."""
-        contacts = self.contacts
-        return np.asarray(felt_push(contacts.start, contacts.partner, self.local.w, contacts.widest, bears))
+        """The push (n,) that each row feels at contacts, of which half-edges bear `bears` (m,), or its own if that is more."""
+        contacts, own = self.contacts, self.local.push[: len(self.contacts.start) - 1]
+        felt = felt_push(contacts.start, contacts.partner, self.local.w, contacts.widest, bears)
+        return np.where(felt > 0.0, np.maximum(felt, np.sqrt(row_dot(own, own))), 0.0)
 
     def stands(self, bears: Array) -> bool:
         """Does a wall or a fixed sphere bear anything? Else nothing says what rest is: all may be on its way together."""
