@@ -6,14 +6,14 @@ next step, and taken over if a bit differs; a scene whose particles nobody looks
 
 import weakref
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
 
 from particles_mpi.errors import SceneError, StateError
-from particles_mpi.particles import Array, Particles, same_bits
+from particles_mpi.particles import Array, Particles, moment_of_sphere, same_bits
 from particles_mpi.scene.effect import EffectOptions
 from particles_mpi.scene.model import faults_of
 from particles_mpi.scene.schema import Scene
@@ -99,7 +99,7 @@ class ParticleView:
         changed = {name: copy for name, copy in self._copies.items() if not same_bits(copy, held[name])}
         if changed:
             self._check(changed)
-            self._rows.change(changed)
+            self._rows.change(moments_with(self._rows, changed) | changed)
             self.show()
 
     def show(self) -> None:
@@ -127,6 +127,15 @@ class ParticleView:
         kept = [(name, weakref.ref(copy), zlib.crc32(copy.data)) for name, copy in self._copies.items()]
         self._copies.clear()
         self._earlier[:] = [one for one in self._earlier + kept if one[1]() is not None][-GUARDED:]  # held by the user
+
+
+def moments_with(rows: Particles, changed: Mapping[str, Array]) -> dict[str, Array]:
+    """Moments of inertia after a change of masses or radii: solid spheres stay that; others keep theirs."""
+    if "moment_of_inertia" not in rows.arrays or not changed.keys() & {"mass", "radius"}:
+        return {}
+    old, mass, radius = rows["moment_of_inertia"], changed.get("mass", rows.mass), changed.get("radius", rows.radius)
+    solid = old == moment_of_sphere(rows.mass, rows.radius, rows.dimension)
+    return {"moment_of_inertia": np.where(solid, moment_of_sphere(mass, radius, rows.dimension), old)}
 
 
 def read_only(array: Array) -> Array:

@@ -7,6 +7,7 @@ import pytest
 from scenes import G, simulation, slope
 
 from particles_mpi.errors import SceneError
+from particles_mpi.particles import same_bits
 
 FLOOR = {"point": [0.0] * 3, "normal": [0.0, 0.0, 1.0]}
 MODES = (None, "rewind", "event")  # None: walls alone
@@ -170,6 +171,20 @@ def test_a_bed_comes_to_rest_and_then_takes_no_work(count, large):
     assert row["kinetic"] == row["rotational"] == 0.0
     assert iterations[-1] == iterations[-50]
     assert rise <= 1e-5 * most
+
+
+@pytest.mark.parametrize("field", ["mass", "radius"])
+@pytest.mark.parametrize("given", [None, 0.2])
+def test_masses_and_radii_that_change_between_two_steps(given, field):
+    """A solid sphere stays one; a moment of inertia that was given stays as it is."""
+    effects = {"collisions": {"friction": 0.3}}
+    more = {} if given is None else {"moment_of_inertia": given}
+    tables = {"position": [[0.0, 0.0], [3.0, 0.0]], "radius": [0.5, 0.5], "mass": [1.0, 1.0], **more}
+    changed = simulation(2, [tables], effects)
+    changed.particles[field][1] = 0.75
+    tables[field] = [tables[field][0], 0.75]
+    expected = simulation(2, [tables], effects).particles
+    assert same_bits(changed.particles.arrays["moment_of_inertia"], expected.arrays["moment_of_inertia"])
 
 
 def test_a_sphere_that_turns_has_a_moment_of_inertia():
