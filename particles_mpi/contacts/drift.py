@@ -204,7 +204,7 @@ class Drift:
     def work(self) -> dict[str, int]:
         """Searches for neighbours, ghosts, tests of pairs and windows of time so far, of this rank."""
         near = self.near
-        windows = near.windows_redone if near else (0, 0)
+        windows = near.window_counts if near else (0, 0)
         now = {
             "pair_tests": near.pair_tests if near else 0,
             "pair_searches": near.searches if near else 0,

@@ -58,11 +58,11 @@ def slide(v, a, i, pull, b, decay, h):
     across, speed = sqrt(across2), sqrt(speed2)
     fraction = 0.0  # of the velocity across a that is left
     if across <= 1e-9 * speed:
-        stops = -along / (pull + b)
+        turns = -along / (pull + b)  # the time at which it moves along a
         if along >= 0.0:
             after = along + (pull - b) * h
         else:
-            after = along + (pull + b) * h if stops > h else (pull - b) * (h - stops)
+            after = along + (pull + b) * h if turns > h else (pull - b) * (h - turns)
     else:
         u = across / (speed + along) if along >= 0.0 else (speed - along) / across
         steep, unit = b / pull, pull * (1.0 + u * u) / speed

@@ -11,7 +11,7 @@ from particles_mpi.errors import SceneError
 from particles_mpi.output.files import write_text
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows, id_range, in_id_order
-from particles_mpi.particles import FIELDS, Array, Particles, components, rows_of, same_bits
+from particles_mpi.particles import FIELDS, RUN_MADE, Array, Particles, components, rows_of, same_bits
 
 FORMAT = "particles_mpi state 3"
 METADATA = ("step", "moment", "h", "observed", "totals", "next_id", "additions", "scene")  # what `metadata` tells
@@ -34,7 +34,7 @@ def same(one: Particles, other: Particles) -> bool:
 def table(particles: Particles) -> str:
     """The first particles as a table, a line each, lowest ids first."""
     order = np.argsort(particles.id)[:SHOWN]
-    names = [name for name in particles.arrays if name not in ("rate", "contacted", "virial", "total_acceleration")]
+    names = [name for name in particles.arrays if name not in RUN_MADE]
     columns = [[name, *(_cell(particles[name][i]) for i in order)] for name in names]
     widths = [max(map(len, column)) for column in columns]
     rows = ["  ".join(map(str.rjust, line, widths)) for line in zip(*columns)]

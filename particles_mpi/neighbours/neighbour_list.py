@@ -43,7 +43,7 @@ class Neighbourhood:
     """
 
     divided = True  # each rank computes its part of space
-    windows_redone = 0, 0  # there are windows of time in mode event only
+    window_counts = 0, 0  # there are windows of time in mode event only
 
     def __init__(
         self,

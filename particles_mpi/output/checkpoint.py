@@ -2,7 +2,7 @@
 
 - /particles/<field>: (N,) or (N, d), in id order, every bit as it was (NaN, -0.0 and subnormals too)
 - /contacts/id, partner, taken: (M,), in the order of ids, what lasting contacts took: see `contacts/warm_start`
-- @particles_mpi_checkpoint = 5, @total, @dimension, and the attributes given: step, time, scene text, counts
+- @particles_mpi_checkpoint, the FORMAT, @total, @dimension, and the attributes given: step, time, scene text, counts
 
 Rank 0 makes the file with room for all rows, and each rank writes those of its range of ids into it, by MPI-IO: no rank holds the
 rows of another. Behind the HDF5 file there is a seal, which HDF5 ignores: the CRC-32 of each piece of rows, and of all bytes

@@ -49,7 +49,7 @@ def state_of(row: dict[str, Any]) -> str:
     name, column = (
         ("E", "total_energy") if isfinite(row["total_energy"]) else ("K", "kinetic")
     )  # no potential along a periodic axis
-    hits, missed = row["collisions_so_far"], row["missed_so_far"]
+    hits, missed = row["hits_so_far"], row["missed_so_far"]
     return f"t={row['time']:.4g} N={row['particles']} {name}={row[column]:.5g} hits={hits} missed={missed}"
 
 

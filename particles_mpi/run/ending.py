@@ -65,12 +65,13 @@ def traffic(sim: Any) -> dict[str, int]:
 
 
 def about_run(sim: Any, plan: dict[str, Any]) -> dict[str, Any]:
-    """The scene, its plan with how often each effect was called, and the versions of all that took part."""
+    """The scene, the length of a step, how often each effect of the plan was called, and the versions of all that took part."""
     calls = sim.calls
     effects = [row | {"calls": calls.get(row["effect"], 0)} for row in plan["effects"]]
     not_run = [{"effect": name, "calls": calls.get(name, 0)} for name in plan["not_run"]]
     return {
         "scene": sim.scene.to_dict(),
+        "h": sim.h,
         "plan": plan | {"effects": effects, "not_run": not_run},
         "ranks": sim.ranks.size,
         "versions": {n: version(n) for n in LIBRARIES} | {"python": platform.python_version(), "mpi": mpi_library()},

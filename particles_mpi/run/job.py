@@ -203,7 +203,8 @@ class Job:
             sim.reported = totals.tolist()
             self.diagnostics.write(row)
             self.written["row"] = sim.steps_done
-        return {**row, "collisions_so_far": int(totals[0]), "missed_so_far": int(totals[COUNTS.index("missed")])}
+        collisions, wall_hits, missed, *_ = totals.tolist()
+        return {**row, "hits_so_far": collisions + wall_hits, "missed_so_far": missed}
 
     def write_frame(self) -> None:
         """One frame in every format."""

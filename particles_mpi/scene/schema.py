@@ -109,7 +109,7 @@ class Output(Model):
             raise SceneError(faults_of(error, type(self), ("output",))) from None
 
     def running(self) -> Self:
-        return self.model_copy()
+        return self.model_copy(deep=True)
 
 
 def _effects(value: Any, info: ValidationInfo) -> dict[str, Any]:

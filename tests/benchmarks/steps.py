@@ -25,4 +25,4 @@ seconds = comm.allreduce(perf_counter() - begin, MPI.MAX)
 met = comm.allreduce(sim.totals["collisions"] - met)
 if comm.rank == 0:
     said = {"seconds": seconds, "particles": sim.total, "steps": steps, "ranks": comm.size, "collisions": met}
-    print(json.dumps(said | {"windows": sim.near.windows_redone if sim.near else (0, 0)}))
+    print(json.dumps(said | {"windows": sim.near.window_counts if sim.near else (0, 0)}))

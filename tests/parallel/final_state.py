@@ -31,7 +31,7 @@ for name, tables in json.loads(Path(sys.argv[1]).read_text()).items():
     traffic = sim.ranks.allreduce_sum(
         np.array([sim.ranks.messages, sim.totals["exchanges"], sim.near.ghost_rows if sim.near else 0])
     )
-    windows = np.array(sim.near.windows_redone if sim.near else (0, 0))
+    windows = np.array(sim.near.window_counts if sim.near else (0, 0))
     interactions = np.array(sim.work()["interactions"])
     frame = in_id_order(sim.ranks, sim.particles.arrays, sim.ids, 1)
     if sim.ranks.is_root:

@@ -78,6 +78,8 @@ def test_files(reports, only):
         (("nothing",), "nothing"),
     ],
 )
-def test_faults(arguments, line):
-    done = study(1, *arguments)
+def test_faults(arguments, line, tmp_path):
+    """Each is found before anything is written."""
+    done = study(1, *arguments, *(["--output", tmp_path / "o"] if "AX" in arguments else []))
+    assert not (tmp_path / "o").exists()
     assert done.returncode == 2 and line in done.stderr and "Traceback" not in done.stderr

@@ -44,7 +44,7 @@ class EventDriven:
     """Drifts particles that collide with one another, and with walls if there are any."""
 
     migrated = ghost_rows = pair_tests = 0  # candidate pairs are tested in mode rewind only
-    windows_redone = 0, 0  # windows of time so far, and how many were undone
+    window_counts = 0, 0  # windows of time so far, and how many were undone
 
     def __init__(
         self,
@@ -137,7 +137,7 @@ class EventDriven:
             windows.engine.set_step(*step)
             in_windows = windows.drift(h, moment)
             self.migrated, self.ghost_rows = windows.partition.migrated, windows.partition.ghost_rows
-            self.windows_redone = windows.count, windows.redone
+            self.window_counts = windows.count, windows.redone
             if in_windows is not None:
                 self.next_pause = 1
                 self.count_tc_elastic(moment, windows.engine)

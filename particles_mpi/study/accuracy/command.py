@@ -45,11 +45,11 @@ def built_in(keys: str, benchmark: Benchmark) -> Iterator[Experiment]:
 def accuracy(scene: Scene | None, keys: str, quick: bool, folder: Path, comm: Any = None) -> list[Experiment]:
     """The built-in experiments of the letters `keys` (all if empty), or those of a scene. Collective."""
     begin, ranks, keys = perf_counter(), Communicator(comm), keys.upper()
+    if unknown := [key for key in keys if key not in CHAPTERS]:
+        raise SceneError(f"--only: there is no experiment {', '.join(unknown)}; there are {', '.join(CHAPTERS)}")
     screen = Screen(ranks.is_root, False)
     benchmark = Benchmark(comm, quick, screen=screen)
     make_folder(ranks, folder)
-    if unknown := [key for key in keys if key not in CHAPTERS]:
-        raise SceneError(f"--only: there is no experiment {', '.join(unknown)}; there are {', '.join(CHAPTERS)}")
     title = f"What accuracy costs: {scene.title or 'a scene'}" if scene else "What accuracy costs"
     found = []
     for one in scene_accuracy.measure(benchmark, scene) if scene else built_in(keys, benchmark):

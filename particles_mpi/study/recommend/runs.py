@@ -19,14 +19,13 @@ from particles_mpi.initial.populate import populate
 from particles_mpi.kernels.geometry import image_shifts
 from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.particles import Array, Particles, default_values
+from particles_mpi.particles import RUN_MADE, Array, Particles, default_values
 from particles_mpi.scene.active import ActiveEffects, fields_of
 from particles_mpi.scene.schema import periodic_length
 from particles_mpi.study.experiment import Benchmark, everyone, total
 
 SHIFT = 1e-12  # of the size of a motion: how far a displaced start is from the start
 FEW = 64  # particles that more than one rank would only slow down
-STATELESS = ("contacted", "virial", "rate", "supported", "total_acceleration")  # fields that a run fills itself
 LOOKS = 4  # moments, evenly over the run, at which places are compared; all numbers of steps are multiples of it
 ENERGIES = 32  # moments at which energies are, about
 NEEDS = {"drag": "drag", "acceleration": "user_acceleration"}  # keys of particles that mean nothing without an effect
@@ -88,7 +87,7 @@ class Start:
         """
         known, d = self.particles.arrays, self.particles.dimension
         arrays = {
-            name: known[name].copy() if name in known and name not in STATELESS else default_values(name, self.total, d)
+            name: known[name].copy() if name in known and name not in RUN_MADE else default_values(name, self.total, d)
             for name in fields_of(scene)
         }
         faults = Faults(Communicator.alone())

@@ -14,8 +14,9 @@ def test_vtk_files_of_many_particles(tmp_path, monkeypatch, asked, written):
     tables = {"dimension": 2, "time": {"step": 0.1, "steps": 4}, "output": {"every": 2, "checkpoint_every": 2} | asked}
     for count, said, first in ((5, False, 2), (6, not asked, 0)):  # a run of no steps can be continued, too
         scene = Scene.from_dict({**tables, "particles": [{"position": [[k, 0.0] for k in range(count)]}], "effects": {}})
-        sim, out = Simulation(scene), tmp_path / str(count)
+        sim, out, described = Simulation(scene), tmp_path / str(count), scene.to_dict()
         sim.run(out, steps=first)
+        assert scene.to_dict() == described  # it may begin a second run
         Simulation.resume(out / "checkpoint.h5").run(out, resumed=True)
         vtk = written or (count == 5 and "vtk" in scene.output.formats)
         assert (out / "trajectory.vtkhdf").exists()
