@@ -138,13 +138,14 @@ def keep_on_walls(axes, bodies, losses, part, space, h, kicked, near):
     """
     on_walls = space.on_walls
     x, v, a, radius, supported = bodies.x, bodies.v, bodies.total, bodies.radius, on_walls.supported
+    planes = on_walls.point, on_walls.normal
     if near >= 0:
-        rows = near_walls_among(on_walls.near[:near], x, v, a, radius, supported, h, on_walls.point, on_walls.normal)
+        rows = near_walls_among(on_walls.axes, on_walls.near[:near], x, v, a, radius, supported, h, planes)
     else:
-        rows = near_walls(x, v, a, radius, bodies.fixed, supported, h, *on_walls.faces, on_walls.point, on_walls.normal)
+        rows = near_walls(on_walls.axes, x, v, a, radius, bodies.fixed, supported, h, on_walls.faces, planes)
     if len(rows) == 0:
         return 0, 0
-    fields, planes = (x, v, radius, bodies.mass, bodies.fixed, supported), (on_walls.point, on_walls.normal)
+    fields = x, v, radius, bodies.mass, bodies.fixed, supported
     settled, held = settle_on_walls(on_walls.axes, rows, fields, a, h, space.length, on_walls.faces, planes)
     changed, by = hand_over(rows, settled, held, v, supported)
     for r in range(len(changed)):

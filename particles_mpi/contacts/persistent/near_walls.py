@@ -9,65 +9,57 @@ from particles_mpi.kernels.jit import in_place, kernel
 
 
 @in_place
-def wall_push(x, v, push, radius, i, w, point, normal):
-    """Of row i, which has the given push, at wall w: (push onto it, approach, gap)."""
-    pressed, closing, distance = 0.0, 0.0, 0.0
-    for k in range(x.shape[1]):
-        pressed -= push[k] * normal[w, k]
-        closing -= v[i, k] * normal[w, k]
-        distance += (x[i, k] - point[w, k]) * normal[w, k]
-    return pressed, closing, distance - radius[i]
-
-
-@in_place
-def has_slow_wall(x, v, a, radius, i, h, push, point, normal):
-    """Has row i a slow contact with a wall, which forces press? push (d,): room for its push."""
+def has_slow_wall(axes, x, v, a, radius, i, h, planes):
+    """Has row i a slow contact with a wall, which forces press?"""
+    point, normal = planes
     slow = False
-    for k in range(x.shape[1]):
-        push[k] = SLOW * h * a[i, k]
     for wall in range(len(point)):
-        pressed, closing, gap = wall_push(x, v, push, radius, i, wall, point, normal)
-        slow |= pressed > 0.0 and gap <= pressed * h and abs(closing) <= pressed
+        pressed, closing, distance = 0.0, 0.0, 0.0
+        for k in range(len(axes)):
+            pressed -= SLOW * h * a[i, k] * normal[wall, k]
+            closing -= v[i, k] * normal[wall, k]
+            distance += (x[i, k] - point[wall, k]) * normal[wall, k]
+        slow |= pressed > 0.0 and distance - radius[i] <= pressed * h and abs(closing) <= pressed
     return slow
 
 
 @kernel
-def near_walls(x, v, a, radius, fixed, supported, h, lower, upper, oblique, point, normal):
+def near_walls(axes, x, v, a, radius, fixed, supported, h, faces, planes):
     """Rows that are fixed or supported, or have a slow contact with a wall.
 
-    `lower`, `upper`: faces beyond which the first walls are.
+    `faces`: (lower, upper, oblique), see `Planes`, beyond which the first walls are; `planes`: (points, normals) of the walls.
     """
-    d = x.shape[1]
+    lower, upper, oblique = faces
     rows, found = np.empty(len(x), np.int64), 0
-    push, low, high = np.empty(d), np.empty(d), np.empty(d)
+    low, high = np.empty(len(axes)), np.empty(len(axes))
     most = 0.0
     for i in range(len(x)):
         a2 = 0.0
-        for k in range(d):
+        for k in range(len(axes)):
             a2 += a[i, k] * a[i, k]
         most = max(most, a2)
-    for k in range(d):  # within these no sphere is near a face, whatever its push: most rows need no closer look
+    for k in range(len(axes)):  # within these no sphere is near a face, whatever its push: most rows need no closer look
         far = 1.000001 * SLOW * h * h * sqrt(most)
         low[k] = lower[k] + far + 1e-12 * max(lower[k], -lower[k]) if lower[k] > -inf else -inf
         high[k] = upper[k] - far - 1e-12 * max(upper[k], -upper[k]) if upper[k] < inf else inf
     for i in range(len(x)):
         here = (supported[i] != 0) | (fixed[i] != 0)
         inside = not oblique
-        for k in range(d):
+        for k in range(len(axes)):
             inside &= (x[i, k] >= low[k] + radius[i]) & (x[i, k] <= high[k] - radius[i])
         if inside & (not here):
             continue
-        if here or has_slow_wall(x, v, a, radius, i, h, push, point, normal):
+        if here or has_slow_wall(axes, x, v, a, radius, i, h, planes):
             rows[found] = i
             found += 1
     return rows[:found]
 
 
 @kernel
-def near_walls_among(rows, x, v, a, radius, supported, h, point, normal):
+def near_walls_among(axes, rows, x, v, a, radius, supported, h, planes):
     """Those of `rows` that are supported, or have a slow contact with a wall."""
-    chosen, found, push = np.empty(len(rows), np.int64), 0, np.empty(x.shape[1])
+    chosen, found = np.empty(len(rows), np.int64), 0
     for i in rows:
         chosen[found] = i
-        found += supported[i] != 0 or has_slow_wall(x, v, a, radius, i, h, push, point, normal)
+        found += supported[i] != 0 or has_slow_wall(axes, x, v, a, radius, i, h, planes)
     return chosen[:found]

@@ -27,7 +27,8 @@ class Walls:
 
     def involved(self, p: Particles, a: Array, h: float) -> Array:
         """Rows that are fixed or supported, or have a slow contact with a wall."""
-        return near_walls(p.position, p.velocity, a, p.radius, p.fixed, p["supported"], h, *self.faces, *self.planes)
+        axes = (0.0,) * p.dimension
+        return near_walls(axes, p.position, p.velocity, a, p.radius, p.fixed, p["supported"], h, self.faces, self.planes)
 
     def reach(self, fixed: Array, a: Array, h: float) -> float:
         """How far from walls slow contacts may be, of rows (at least one) with accelerations a (n, d), the same if not fixed."""
