@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from particles_mpi.kernels.fingerprint import fingerprint
-
 Array = npt.NDArray[Any]
 
 
@@ -201,8 +199,3 @@ def row_dot(rows: Array, vectors: Array) -> Array:
     for k in range(1, rows.shape[1]):
         total += rows[:, k] * vectors[..., k]
     return total
-
-
-def places_of(particles: Particles) -> tuple[int, ...]:
-    """(version, edition, fingerprint): the same as long as nobody moved rows, or a row, or changed one."""
-    return particles.version, particles.edition, fingerprint(particles.position)

@@ -168,7 +168,7 @@ class Simulation(Saved):
         with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is told below
             measured = measure(self.ranks, p, self.accelerations.potentials(p))
             if self.scene.output.observables:
-                collisions = int(self.ranks.allreduce_sum(self.totals["collisions"])[0])
+                collisions = self.ranks.total(self.totals["collisions"])[0]
                 volume = float(np.prod(self.upper - self.lower)) if self.scene.box else np.nan
                 since, pairs = self.observed["row" if row else "call"], self.active.pairs
                 elastic = pairs is None or not pairs.lossy

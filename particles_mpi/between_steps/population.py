@@ -30,7 +30,7 @@ class Population(State):
         with raising_together(self.ranks):
             rows, warnings = add_population(self.scene, self.ranks, self.rows, population, self.next_id, number)
         self.warnings += warnings
-        added = int(self.ranks.allreduce_sum(len(rows) - len(self.rows))[0])
+        added = self.ranks.total(len(rows) - len(self.rows))[0]
         self.rows.replace(rows.arrays)
         self.particles.close()
         self.next_id += added
@@ -49,7 +49,7 @@ class Population(State):
             raise ValueError("remove: takes ids, which are integers; of a mask those are sim.particles.id[mask]")
         named = np.unique(np.concatenate([of.astype(np.int64) for of in given]))
         here = np.isin(self.rows.id, named)
-        if self.ranks.allreduce_sum(np.count_nonzero(here))[0] < len(named):
+        if self.ranks.total(np.count_nonzero(here))[0] < len(named):
             known = np.concatenate(self.ranks.allgather(self.rows.id[here]))
             raise ValueError(f"remove: no {listed(np.setdiff1d(named, known))}")
         if "virial" in self.rows.arrays:  # of the collisions of those who stay, and of those only, from here on

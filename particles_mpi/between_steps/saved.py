@@ -115,7 +115,7 @@ class Saved(Population):
             return False
         mine, theirs = (in_id_order(sim.ranks, sim.rows.arrays, sim.ids, sim.ranks.size) for sim in (self, other))
         d = self.scene.dimension
-        return bool(self.ranks.allreduce_min(float(snapshot.same(Particles(d, mine), Particles(d, theirs))))[0])
+        return self.ranks.all(snapshot.same(Particles(d, mine), Particles(d, theirs)))
 
     __hash__ = None  # type: ignore[assignment]
 

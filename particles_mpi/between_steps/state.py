@@ -134,7 +134,7 @@ class State:
             self.particles.collect()
         except StateError as error:
             raise StateError(f"step {self.steps_done + 1}: {error}") from None
-        if self.persistent and self.persistent.pairs and self.ranks.allreduce_max(float(self.rows.edition != self.taken))[0]:
+        if self.persistent and self.persistent.pairs and self.ranks.any(self.rows.edition != self.taken):
             self.forget_contacts()
         self.taken = self.rows.edition
 

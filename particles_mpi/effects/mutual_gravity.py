@@ -8,10 +8,11 @@ from pydantic import Field
 
 from particles_mpi.gravity.direct import TILE, Attraction, add_potential, in_tiles
 from particles_mpi.gravity.method import TREES, Choice, choose
+from particles_mpi.kernels.fingerprint import places_of
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, blocks, rows_in_order
 from particles_mpi.parallel.signals import check_signals
-from particles_mpi.particles import Array, Particles, places_of
+from particles_mpi.particles import Array, Particles
 from particles_mpi.scene.effect import Context, EffectOptions, Force
 from particles_mpi.scene.model import NotNegative
 from particles_mpi.scene.schema import Scene
@@ -165,7 +166,7 @@ class TreeSum:
     def potential(self, p: Particles) -> Array:
         """Potential (n,), that of movable sources by half: half that of the last `pull` if none is fixed or moved. Collective."""
         known = self.known == places_of(p) and not p.fixed.any()
-        if self.ranks.allreduce_min(float(known))[0]:
+        if self.ranks.all(known):
             return 0.5 * self.depth
         return self.sum(p, halved(p)).potential
 

@@ -70,7 +70,7 @@ def fill_velocities(columns: Columns, block: Block) -> None:
         columns.fill(block, "velocity", value)
         columns.refuse(block, "velocity", fixed & (velocity != 0.0).any(axis=1), "not zero, but fixed:")
         return
-    movable = int(ranks.allreduce_sum(np.count_nonzero(~fixed))[0])
+    movable = ranks.total(np.count_nonzero(~fixed))[0]
     if value != "equilibrium" and not movable and value not in ({"speed": 0}, {"temperature": 0}):
         columns.refuse(block, "velocity", fixed, "given, but fixed:")
         return

@@ -32,7 +32,7 @@ def check_start(
     check_places(new, room, faults)
     check_crossings(scene, new, faults)
     warnings, more = endless_falls(scene, particles, ranks) + ([] if before else rounded_end(scene)), []
-    if "collisions" in scene.effects and not faults.found and ranks.allreduce_sum(len(new))[0]:
+    if "collisions" in scene.effects and not faults.found and ranks.total(len(new))[0]:
         collisions = scene.effects["collisions"]
         more = check_step(scene, new, collisions.mode == "event", faults)
         if not faults.found:
@@ -178,13 +178,13 @@ def check_step(scene: Scene, particles: Particles, event: bool, faults: Faults) 
         warnings.append(f"particles: {points} with radius 0: points meet spheres, but never one another")
     if not event:
         fast = moving & (radius > 0.0) & (speed * dt > 2.0 * radius)
-        safe = float(ranks.allreduce_min((2.0 * radius[fast] / speed[fast]).min(initial=inf))[0])
-        verb = "crosses more than its" if ranks.allreduce_sum(np.count_nonzero(fast))[0] == 1 else "cross more than their"
+        safe = ranks.least((2.0 * radius[fast] / speed[fast]).min(initial=inf))
+        verb = "crosses more than its" if ranks.total(np.count_nonzero(fast))[0] == 1 else "cross more than their"
         what = f" {verb} diameter in a step of {dt:g}; use a step <= {rounded_down(safe):g}" if safe < inf else ""
         faults.name("time.step: ", particles.id[fast], what)
     pull = largest_pull(scene, particles)
     coarse = (particles.fixed == 0) & (radius > 0.0) & (pull * dt * dt > radius)
-    fine = float(ranks.allreduce_min(np.sqrt(radius[coarse] / pull[coarse]).min(initial=inf))[0])
+    fine = ranks.least(np.sqrt(radius[coarse] / pull[coarse]).min(initial=inf))
     pushed = listed_ids(ranks, particles.id[coarse])
     if pushed:
         what = f"forces move {pushed} by more than a radius in a step of {dt:g}"

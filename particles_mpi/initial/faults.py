@@ -9,7 +9,7 @@ from particles_mpi.particles import Array
 
 def listed_ids(ranks: Communicator, ids: Array) -> str:
     """The particles that any rank names: the lowest ids, and how many more there are; "" if none. Collective."""
-    total = int(ranks.allreduce_sum(len(ids))[0])
+    total = ranks.total(len(ids))[0]
     if not total:
         return ""
     mine = sorted(ids.tolist())[:SHOWN]

@@ -29,7 +29,7 @@ def check_overlaps(particles: Particles, room: Container, allowed: bool, before:
     Of this rank's particles the first `before` were there already, and those that are not `judged` (n,) overlap nobody.
     """
     ranks, rows = faults.ranks, np.flatnonzero(judged)
-    if not ranks.allreduce_sum(len(rows))[0]:
+    if not ranks.total(len(rows))[0]:
         return []
     near = {"id": particles.id[rows], "position": particles.position[rows], "radius": particles.radius[rows]}
     near |= {"fixed": particles.fixed[rows], "old": (rows < before).astype(np.uint8)}
@@ -37,7 +37,7 @@ def check_overlaps(particles: Particles, room: Container, allowed: bool, before:
     pairs = listed_pairs(ranks, first, second)
     if not pairs:
         return []
-    verb, deepest = "overlap" if pairs.startswith("pairs") else "overlaps", ranks.allreduce_max(depth.max(initial=0.0))[0]
+    verb, deepest = "overlap" if pairs.startswith("pairs") else "overlaps", ranks.largest(depth.max(initial=0.0))[0]
     text = f"effects.collisions: {pairs} {verb} at the start (deepest by {deepest:.3g})"
     if not allowed:
         faults.add(f"{text}; move them, or set allow_overlap = true")
@@ -124,7 +124,7 @@ def named_pairs(first: Array, second: Array, total: int | None = None) -> str:
 
 def listed_pairs(ranks: Communicator, first: Array, second: Array) -> str:
     """ "pairs 0-1 and 3-4" of any rank, the lowest ids first; "" if there are none. Collective."""
-    total = int(ranks.allreduce_sum(len(first))[0])
+    total = ranks.total(len(first))[0]
     order = np.lexsort((second, first))[:SHOWN]
     mine = list(zip(first[order].tolist(), second[order].tolist()))
     lowest = np.array(sorted(chain.from_iterable(ranks.allgather(mine)))[:SHOWN])

@@ -16,7 +16,7 @@ from particles_mpi.initial.random_numbers import draw, stream_key
 def fill_places(columns: Columns, blocks: list[Block], room: Container) -> None:
     """Lists and files first, then lattices, then random places around them, the largest spheres first. Collective."""
     x, radius, ranks = columns.arrays["position"], columns.arrays["radius"], columns.ranks
-    largest = {block.number: float(ranks.allreduce_max(radius[block.rows].max(initial=0.0))[0]) for block in blocks}
+    largest = {block.number: ranks.largest(radius[block.rows].max(initial=0.0))[0] for block in blocks}
     for block in blocks:
         given = block.population.position
         if given == "lattice":
@@ -49,7 +49,7 @@ def scatter(columns: Columns, block: Block, room: Container, addition: RandomAdd
     """Random places for a population; returns why there are none, or "" . Collective."""
     advice, ranks, dimension = "use lattice, or fewer or smaller spheres", columns.ranks, columns.scene.dimension
     own, count = columns.arrays["radius"][block.rows], block.total
-    smallest = float(ranks.allreduce_min(own.min(initial=inf))[0])
+    smallest = ranks.least(own.min(initial=inf))
     wide = np.flatnonzero((room.length == 0.0) & (2.0 * largest > room.upper - room.lower))
     if room.bounded and len(wide):
         return f"spheres of radius {largest:g} do not fit into the box on axis {wide[0]}"

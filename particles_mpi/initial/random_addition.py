@@ -38,7 +38,7 @@ class RandomAddition:
     def __init__(self, ranks: Communicator, room: Container, x: Array, radius: Array, radii: list[Array]):
         self.ranks, self.room, self.dimension = ranks, room, x.shape[1]
         every = np.concatenate([radius, *radii])
-        self.largest = float(ranks.allreduce_max(every.max(initial=0.0))[0])
+        self.largest = ranks.largest(every.max(initial=0.0))[0]
         level = class_of(every, self.largest)
         counts = ranks.allreduce_sum(np.bincount(level, minlength=LEVELS))
         reach = ranks.allreduce_max(np.array([every[level == k].max(initial=-1.0) for k in range(LEVELS)]))
@@ -81,7 +81,7 @@ class RandomAddition:
         level = class_of(radius, self.largest)
         for k in range(LEVELS):
             rows = np.flatnonzero(level == k)
-            total = int(self.ranks.allreduce_sum(len(rows))[0])
+            total = self.ranks.total(len(rows))[0]
             if total and not missing:
                 places, missing = self.place_class(number[rows], radius[rows], total)
                 x = with_rows(x, rows, places)
@@ -99,7 +99,7 @@ class RandomAddition:
                 rows = allgather_rows(self.ranks, rows)
                 rows, shared = rows_of(rows, np.lexsort((rows["id"], -rows["radius"]))), True
             rows = self.throw_few(rows, throws, at_once) if shared else self.throw_all(rows, throws, left)
-            now = len(rows["id"]) if shared else int(self.ranks.allreduce_sum(len(rows["id"]))[0])
+            now = len(rows["id"]) if shared else self.ranks.total(len(rows["id"]))[0]
             throws += at_once
             tries += left * at_once
             in_vain = in_vain + left * at_once if now == left else 0
@@ -151,7 +151,7 @@ class RandomAddition:
             of_all = status.astype(float)
             halo.refresh(of_all)
             status[:] = of_all
-            if not self.ranks.allreduce_sum(len(left))[0]:
+            if not self.ranks.total(len(left))[0]:
                 break
         free = status == FREE
         others = first + np.flatnonzero(~free[:own])

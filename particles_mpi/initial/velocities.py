@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from particles_mpi.initial.plummer import plummer_speeds, plummer_velocities
+from particles_mpi.initial.plummer import centered, plummer_speeds, plummer_velocities
 from particles_mpi.initial.random_numbers import directions, draw, normals, stream_key, uniform
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exact_sum import exact_sums
@@ -44,10 +44,9 @@ def warm(ranks: Communicator, temperature: float, normal: Array, mass: Array, mo
     v = np.zeros_like(normal)
     m = mass[movable][:, None]
     v[movable] = own = normal[movable] * np.sqrt(temperature / m)
-    total, *sums = exact_sums(ranks, [m[:, 0], *(m * own).T])
-    count = int(ranks.allreduce_sum(len(own))[0])
+    count = ranks.total(len(own))[0]
     if count > 1:
-        own = own - np.array(sums) / total
+        own = centered(ranks, own, m[:, 0])
         energy = exact_sums(ranks, [(m * own**2).ravel()])[0]
         v[movable] = own * np.sqrt(count * normal.shape[1] * temperature / energy) if energy > 0.0 else own
     return v

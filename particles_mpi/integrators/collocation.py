@@ -102,13 +102,7 @@ def shake(x, d, attempt):
             place = mixed + np.float64(x[first + k]).view(np.uint64)
         for k in range(d):
             sign = random_sign(np.int64(place + np.uint64(k)), attempt)
-            x[first + k] += SHAKEN * unit_in_the_last_place(x[first + k]) * sign
-
-
-@in_place
-def unit_in_the_last_place(x):
-    """The distance from |x| to the next larger float64."""
-    return np.spacing(abs(x))
+            x[first + k] += SHAKEN * np.spacing(abs(x[first + k])) * sign
 
 
 @in_place

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.integrators.gauss_radau import TOLERANCE, Adaptive
+from particles_mpi.kernels.fingerprint import places_of
 from particles_mpi.kernels.motion import kick, kick_with_drag
 from particles_mpi.kernels.sliding import press, release
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.particles import Array, Particles, places_of
+from particles_mpi.particles import Array, Particles
 from particles_mpi.scene.active import ActiveEffects
 from particles_mpi.scene.effect import Force
 from particles_mpi.scene.schema import Scene
@@ -73,7 +74,7 @@ class Accelerations:
         known = places_of(p) if self.place_dependent else (p.version, p.edition)
         same = known == self.known
         if self.collective:  # what one rank must sum anew, all do
-            same = bool(self.ranks.allreduce_min(float(same))[0])
+            same = self.ranks.all(same)
         if same:
             return self.total
         a = np.zeros_like(p.velocity)

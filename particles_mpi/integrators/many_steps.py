@@ -29,11 +29,12 @@ from particles_mpi.integrators.compiled_steps import (
 )
 from particles_mpi.integrators.gauss_radau import Adaptive
 from particles_mpi.integrators.kicks_and_drifts import Accelerations, Composition, Taylor
+from particles_mpi.kernels.fingerprint import places_of
 from particles_mpi.kernels.planes import no_planes
 from particles_mpi.kernels.validity import WATCH_EVERY
 from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.parallel.signals import check_signals
-from particles_mpi.particles import Array, Particles, places_of, rows_of
+from particles_mpi.particles import Array, Particles, rows_of
 from particles_mpi.scene.active import ActiveEffects
 from particles_mpi.scene.effect import Context
 

@@ -50,7 +50,7 @@ def measure(ranks: Communicator, p: Particles, potentials: dict[str, Array]) -> 
     kinetic, potential = sums["kinetic"], float(sum(sums[f"potential of {name}"] for name in potentials))
     row = {"kinetic": kinetic, "potential": potential, "total_energy": kinetic + potential}
     row |= {name: sums[name] for name in momentum_names(d)}
-    row["max_speed"] = float(np.sqrt(ranks.allreduce_max(square.max(initial=0.0))[0]))
+    row["max_speed"] = float(np.sqrt(ranks.largest(square.max(initial=0.0))[0]))
     row |= {name: sums[name] for name in angular_names(d) if gravity or turning}
     if gravity:
         binding, total = sums["potential of mutual_gravity"], sums["mass"]

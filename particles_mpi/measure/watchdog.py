@@ -55,7 +55,7 @@ class Watchdog:
         held = list(chain.from_iterable(ranks.allgather(twice)))[:SHOWN]
         faults = []
         if span.total < span.end - span.first:  # some were removed, and nobody has kept which
-            missing = int(ranks.allreduce_sum(len(lost))[0]) - (span.end - span.first - span.total)
+            missing = ranks.total(len(lost))[0] - (span.end - span.first - span.total)
             faults += [f"lost: {missing} particle{'s' if missing > 1 else ''}"] if missing > 0 else []
         elif who := listed_ids(ranks, lost):
             faults.append(f"lost: {who}")

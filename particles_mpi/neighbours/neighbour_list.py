@@ -76,7 +76,7 @@ class Neighbourhood:
         if self.kicked:
             needed = max(needed, self.follow_kicks(h))
         with self.timers("agree"):
-            needed = float(self.ranks.allreduce_max(needed)[0])
+            needed = self.ranks.largest(needed)[0]
         if needed:
             self.search(h, needed if np.isfinite(needed) else 0.0)
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.errors import SceneError, StoppedError
-from particles_mpi.output.replacing import replacing
+from particles_mpi.output.replacing import replace_text
 from particles_mpi.parallel.agreement import describe_unexpected, raise_first
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import FIELDS, Array
@@ -159,8 +159,7 @@ def write_text(path: Path, ranks: Communicator, text: str) -> None:
     """A text file, replaced as a whole by rank 0. Collective."""
     with failing_together(ranks, f"cannot write {path}"):
         if ranks.is_root:
-            with replacing(path) as part:
-                part.write_text(text)
+            replace_text(path, text)
 
 
 def sync_folder(folder: Path) -> None:

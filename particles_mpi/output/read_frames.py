@@ -9,15 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 from time import sleep
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
 
 from particles_mpi.errors import SceneError
-
-if TYPE_CHECKING:  # particles brings numba, which takes longer to import than a frame to read
-    from particles_mpi.particles import Array
+from particles_mpi.particles import Array
 
 PAUSES = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)  # seconds between looks at a file that is being changed
 SHOW: dict[Path, Callable[[], None]] = {}  # of each file that this process alone writes: writes the frames that wait

@@ -21,3 +21,9 @@ def replacing(path: Path) -> Iterator[Path]:
     except BaseException:
         part.unlink(missing_ok=True)  # half a file is of no use
         raise
+
+
+def replace_text(path: Path, text: str) -> None:
+    """Write a text file as a whole."""
+    with replacing(path) as part:
+        part.write_text(text, encoding="utf-8")

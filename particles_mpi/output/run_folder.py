@@ -10,7 +10,7 @@ from typing import Any
 from particles_mpi.errors import SceneError
 from particles_mpi.output.checkpoint import Checkpoint
 from particles_mpi.output.files import failing_together
-from particles_mpi.output.replacing import replacing
+from particles_mpi.output.replacing import replace_text
 from particles_mpi.parallel.agreement import differences
 from particles_mpi.parallel.communicator import Communicator
 
@@ -75,8 +75,7 @@ def claim(
             for path in (folder / name for name in OURS if not continues and name != record.name):
                 shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
             if not continues:
-                with replacing(record) as part:
-                    part.write_text(json.dumps(about, indent=2) + "\n")
+                replace_text(record, json.dumps(about, indent=2) + "\n")
     return bool(ranks.bcast(continues))
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from particles_mpi.errors import StoppedError
 from particles_mpi.output.files import Continuing, check_last, failing_together, frame_arrays
-from particles_mpi.output.replacing import replacing
+from particles_mpi.output.replacing import replace_text, replacing
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
 from particles_mpi.particles import Array, field, rows_of
@@ -179,5 +179,4 @@ def _write_pvtu(path: Path, pieces: list[str], columns: dict[str, Array]) -> Non
 def _write_xml(path: Path, kind: str, lines: list[str]) -> None:
     """Write a file of VTK with these lines inside, replaced as a whole."""
     begin = ['<?xml version="1.0"?>', f'<VTKFile type="{kind}" version="0.1" byte_order="LittleEndian">']
-    with replacing(path) as part:
-        part.write_text("\n".join([*begin, *lines, f"{END[-1]}\n"]))
+    replace_text(path, "\n".join([*begin, *lines, f"{END[-1]}\n"]))

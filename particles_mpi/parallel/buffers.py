@@ -74,13 +74,13 @@ class RowBuffers:
         if ranks.size == 1:
             return 0
         leaving = np.flatnonzero(owner != ranks.rank)
-        away, most = len(leaving), int(ranks.allreduce_max(len(leaving))[0])
+        away, most = len(leaving), int(ranks.largest(len(leaving))[0])
         if 0 < most <= AT_ONCE:
             self.send(ranks, leaving, owner[leaving])
         elif most:
             self.buffers[OWNER] = np.resize(owner, len(self.buffers["id"]))  # goes where its row goes
             self.show(len(owner))
-            while ranks.allreduce_max(len(leaving))[0]:
+            while ranks.any(len(leaving)):
                 leaving = leaving[:AT_ONCE]
                 self.send(ranks, leaving, self.buffers[OWNER][leaving])
                 leaving = np.flatnonzero(self.particles.arrays[OWNER] != ranks.rank)

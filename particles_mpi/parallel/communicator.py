@@ -72,17 +72,29 @@ class Communicator:
         """Maximum over the ranks, for each element."""
         return self._allreduce(values, MPI.MAX)
 
-    def allreduce_min(self, values: Any) -> Array:
-        """Minimum over the ranks, for each element."""
-        return self._allreduce(values, MPI.MIN)
-
     def largest(self, *numbers: float) -> tuple[float, ...]:
         """The maximum over the ranks of each number; a rank alone makes no array of them."""
-        return numbers if self.size == 1 else tuple(self.allreduce_max(np.array(numbers, np.float64)).tolist())
+        if self.size == 1:
+            return tuple(map(float, numbers))
+        return tuple(self.allreduce_max(np.array(numbers, np.float64)).tolist())
 
-    def total(self, *numbers: int) -> tuple[int, ...]:
+    def least(self, number: float) -> float:
+        """The minimum over the ranks."""
+        return -self.largest(-number)[0]
+
+    def any(self, here: Any) -> bool:
+        """Is it true on any rank?"""
+        return self.largest(bool(here))[0] > 0.0
+
+    def all(self, here: Any) -> bool:
+        """Is it true on all ranks?"""
+        return not self.any(not here)
+
+    def total(self, *numbers: int | np.integer[Any]) -> tuple[int, ...]:
         """The sum over the ranks of each whole number."""
-        return numbers if self.size == 1 else tuple(self.allreduce_sum(np.array(numbers, np.int64)).tolist())
+        if self.size == 1:
+            return tuple(map(int, numbers))
+        return tuple(self.allreduce_sum(np.array(numbers, np.int64)).tolist())
 
     def allgather_array(self, row: Array) -> Array:
         """The arrays of all ranks, which have the same shape on each, as one of shape (ranks, *shape) on every rank."""

@@ -167,7 +167,7 @@ class LoadBalance:
         if self.cuts == 0:
             self.cut(particles.position, 1.0)
         else:
-            longest, (total, count) = self.ranks.allreduce_max(mine)[0], self.ranks.allreduce_sum([mine, float(len(particles))])
+            longest, (total, count) = self.ranks.largest(mine)[0], self.ranks.allreduce_sum([mine, float(len(particles))])
             self.lost = max(self.lost + float(longest - (1.0 + NOISE) * total / self.ranks.size), 0.0)
             if self.lost > self.cost:
                 each, typical = mine / max(len(particles), 1), float(total) / max(count, 1.0)
@@ -177,6 +177,6 @@ class LoadBalance:
         """A new decomposition, from this rank's positions x (n, d), each of which means `weight` units of work. Collective."""
         begin = perf_counter()
         self.decomposition = bisect(self.ranks, x, weight)
-        self.cost = float(self.ranks.allreduce_max(perf_counter() - begin)[0]) * MOVING
+        self.cost = self.ranks.largest(perf_counter() - begin)[0] * MOVING
         self.lost = 0.0
         self.cuts += 1

@@ -175,7 +175,7 @@ def id_range(ranks: Communicator, ids: Array) -> IdRange:
     """The range of the ids of all ranks; `ids` (n,): those of this rank. Collective."""
     low, high = (int(ids.min()), int(ids.max())) if len(ids) else (2**62, -1)
     ends = ranks.allreduce_max(np.array([-low, high], np.int64))
-    return IdRange(max(-int(ends[0]), 0) if ends[1] >= 0 else 0, int(ends[1]) + 1, int(ranks.allreduce_sum(len(ids))[0]))
+    return IdRange(max(-int(ends[0]), 0) if ends[1] >= 0 else 0, int(ends[1]) + 1, ranks.total(len(ids))[0])
 
 
 def by_range(numbers: Array, ids: IdRange, writers: int, size: int) -> tuple[Array, Array]:
@@ -207,7 +207,7 @@ def in_id_order(ranks: Communicator, arrays: dict[str, Array], ids: IdRange, wri
     Few rows are sent together. Of many, the columns are sent one after the other: a rank holds the rows that it gets and, of a
     single column, what is on its way. Where all have theirs in order already, as without pairs, they are the arrays given.
     """
-    if ranks.allreduce_min(float(in_own_range(ranks.rank, arrays["id"], ids, writers)))[0]:
+    if ranks.all(in_own_range(ranks.rank, arrays["id"], ids, writers)):
         return dict(arrays)
     if ranks.size == 1:
         return rows_of(arrays, rows_in_order(arrays["id"]))

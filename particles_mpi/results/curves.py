@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from particles_mpi.particles import Array
+from particles_mpi.particles import Array
 
 ROWS = 800  # of a curve: longer tables are thinned, counts summed up
 SHORT = {"total_energy": "total", "max_speed": "fastest particle", "wall_hits": "wall hits"}

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:  # particles brings numba, which takes longer to import than a frame to read
-    from particles_mpi.particles import Array
+from particles_mpi.particles import Array
 
 
 class Frame:

@@ -6,7 +6,7 @@ import html
 import json
 from importlib import import_module
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from uuid import uuid4
 
 import numpy as np
@@ -14,13 +14,10 @@ import numpy as np
 from particles_mpi.errors import SceneError
 from particles_mpi.parallel.agreement import raising_together
 from particles_mpi.parallel.exchange import in_id_order
-from particles_mpi.particles import field
+from particles_mpi.particles import Array, field
 from particles_mpi.results.curves import EVENTS, curves
 from particles_mpi.results.frame import Frame
 from particles_mpi.results.page import Choice, assemble, pack, survey
-
-if TYPE_CHECKING:
-    from particles_mpi.particles import Array
 
 LARGEST = 12_000_000  # bytes of a page: a notebook keeps it
 HEIGHT = 620  # pixels

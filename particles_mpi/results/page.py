@@ -11,17 +11,15 @@ import json
 import re
 from base64 import b64encode
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from particles_mpi.errors import SceneError
-from particles_mpi.output.replacing import replacing
+from particles_mpi.output.replacing import replace_text
+from particles_mpi.particles import Array
 from particles_mpi.results.curves import curves
 from particles_mpi.results.scenery import in_space, scenery
-
-if TYPE_CHECKING:
-    from particles_mpi.particles import Array
 
 HERE = Path(__file__).parent
 BASE64 = 4 / 3  # bytes of text for a byte
@@ -63,8 +61,7 @@ def write_page(run: Any, path: Path | None = None) -> Path:
     path = path or run.folder / "view.html"
     text = page(run)
     try:
-        with replacing(path) as part:
-            part.write_text(text, encoding="utf-8")
+        replace_text(path, text)
     except OSError as error:
         raise SceneError(f"{path}: cannot be written ({error.strerror})") from None
     return path

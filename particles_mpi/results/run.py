@@ -6,16 +6,14 @@ import csv
 import json
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import Any, overload
 
 import numpy as np
 
 from particles_mpi.errors import SceneError
 from particles_mpi.output.read_frames import FrameReader
+from particles_mpi.particles import Array
 from particles_mpi.results.frame import Frame
-
-if TYPE_CHECKING:  # particles brings numba, which takes longer to import than a frame to read
-    from particles_mpi.particles import Array
 
 ROTATION = "spin"  # the field with a component for each plane of two axes
 FILES = ("trajectory.vtkhdf", "diagnostics.csv", "run.json")

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from itertools import combinations, product
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-if TYPE_CHECKING:
-    from particles_mpi.particles import Array
+from particles_mpi.particles import Array
 
 CLOSE = 1e-9  # of the diagonal: a plane that is no further from the faces of the box is one of them, or outside
 

@@ -196,7 +196,7 @@ class Job:
         with sim.timers("diagnostics"):
             state = sim.measure(row=True)
             totals = self.ranks.allreduce_sum(np.array([sim.totals[name] for name in COUNTS]))
-            held = float(self.ranks.allreduce_max(float(len(sim.rows)))[0])
+            held = self.ranks.largest(len(sim.rows))[0]
             row = {"step": sim.steps_done, "time": sim.time, "particles": sim.total, **state}
             row |= zip(COUNTS, (totals - np.array(sim.reported)).tolist())
             row["imbalance"] = held * self.ranks.size / sim.total if sim.total else 1.0

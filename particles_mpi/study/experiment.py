@@ -112,6 +112,13 @@ class Benchmark:
         """The simulation of a scene given as tables. Collective."""
         return Simulation(Scene.from_dict(tables), comm=self.comm)
 
+    def at_end(self, tables: dict[str, Any], *fields: str) -> dict[str, Any]:
+        """Fields of all particles at the end of a scene given as tables, for another scene to start with. Collective."""
+        sim = self.simulate(tables)
+        sim.run()
+        p = everyone(sim)
+        return {name: p[name].tolist() for name in fields}
+
     def setting(
         self, curve: str, parameter: float, tables: dict[str, Any], errors: Callable[[Simulation], Errors], **options: Any
     ) -> Setting:
@@ -180,7 +187,7 @@ def everyone(sim: Simulation) -> Particles:
 
 def total(sim: Simulation, counter: str) -> int:
     """A counter of the simulation ("collisions", "wall_hits", "missed"), summed over all ranks. Collective."""
-    return int(sim.ranks.allreduce_sum(sim.totals[counter])[0])
+    return sim.ranks.total(sim.totals[counter])[0]
 
 
 def distance(a: Any, b: Any) -> float:

@@ -67,7 +67,7 @@ class StepTimer:
         self.ranks.barrier()
         begin = perf_counter()
         sim.steps(steps)
-        return float(self.ranks.allreduce_max(perf_counter() - begin)[0])
+        return self.ranks.largest(perf_counter() - begin)[0]
 
     @property
     def seconds(self) -> Seconds:

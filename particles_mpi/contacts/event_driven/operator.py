@@ -62,7 +62,7 @@ class EventDriven:
         self.ranks, self.given_duration, self.contact_duration = ranks, duration, 0.0
         self.particles, self.box, self.timers = particles, box, timers
         self.rules = box, loss, law, planes or no_planes(particles.dimension)
-        self.divided = ranks.size > 1 and ranks.allreduce_sum(len(particles))[0] >= LEAST * ranks.size
+        self.divided = ranks.size > 1 and ranks.total(len(particles))[0] >= LEAST * ranks.size
         # Contacts of this rank that took no energy: how many; of the first step with some its moment, and (time, id, id or wall)
         self.tc_elastic: tuple[int, float, Array] = 0, np.inf, np.empty((0, 3))
         self.crowded_steps = 0
@@ -110,7 +110,7 @@ class EventDriven:
         for left in range(ROUNDS, -1, -1):
             before, tc_elastic_before = {name: p[name].copy() for name in undone}, self.tc_elastic
             happened = self.drift_once(h, moment, False, CROWDED if left else NEVER_CROWDED)
-            if not left or not self.ranks.allreduce_max(float((p["supported"] == CROWD).any()))[0]:
+            if not left or not self.ranks.any((p["supported"] == CROWD).any()):
                 break
             self.undo(before)
             self.tc_elastic = tc_elastic_before
@@ -121,7 +121,7 @@ class EventDriven:
     def undo(self, rows: dict[str, Array]) -> None:
         """Everyone as in `rows`, columns of all that a drift may change, from before it. Collective."""
         p = self.particles
-        if self.ranks.allreduce_max(float(not np.array_equal(p.id, rows["id"])))[0]:
+        if self.ranks.any(not np.array_equal(p.id, rows["id"])):
             rows = allgather_rows(self.ranks, rows)
             rows = rows_of(rows, rows_with(rows["id"], p.id))
         for name, values in rows.items():

@@ -59,7 +59,7 @@ class Partition:
         self.searches = self.migrated = self.ghost_rows = 0
         self.crowded = False
         self.depth = DEPTH
-        self.total = int(ranks.allreduce_sum(len(particles))[0])
+        self.total = ranks.total(len(particles))[0]
 
     def redistribute(self) -> None:
         """Particles to the ranks whose regions they are in, ghosts to all who need them, new lists for all. Collective."""
@@ -75,7 +75,7 @@ class Partition:
         w = p.inverse_mass
         largest, movable = ranks.allreduce_max(np.array(contact_distance(p.radius, w))).tolist()
         lists.tune(p.position, p.radius, w, largest + movable, way=0.0)
-        self.skin = float(ranks.allreduce_max(lists.skin if n else 0.0)[0])
+        self.skin = ranks.largest(lists.skin if n else 0.0)[0]
         mean = float(ranks.allreduce_sum(p.radius.sum())[0]) / max(self.total, 1)
         lists.width = self.skin
         self.divide(largest, mean)
@@ -103,7 +103,7 @@ class Partition:
             np.zeros(total, np.int64), np.roll(np.arange(total, dtype=np.int32), spare), np.array([spare]),
         )  # fmt: skip
         self.own_rows = np.arange(n, dtype=np.int32)
-        self.crowded = bool(ranks.allreduce_max(float(len(here)))[0] > MOST_ON_ONE_RANK * self.total)
+        self.crowded = ranks.largest(len(here))[0] > MOST_ON_ONE_RANK * self.total
         self.ghost_rows += ghosts
         self.version = p.version
         self.searches += 1

@@ -49,9 +49,9 @@ class ContactHistory:
     def graph_of(self, p: Particles, wide: Array, zone: Array) -> ContactGraph:
         """The graph of all who are near one another in the zone (2, d), by widths (n,): new or as before. Collective."""
         old = self.graph if self.graph and self.graph.holds(p, ROUND_UP * wide, zone) else None
-        if self.ranks.largest(old is None)[0]:
+        if self.ranks.any(old is None):
             least = p.radius.min(initial=np.inf, where=p.radius > 0.0)
-            skin = (DILUTE if self.dilute else SKIN) * float(self.ranks.allreduce_min(least)[0])
+            skin = (DILUTE if self.dilute else SKIN) * self.ranks.least(least)
             skin = skin if skin < np.inf else 0.0
             rows = rows_in(p.position, ROUND_UP * wide + skin, zone)
             graph = ContactGraph(self.ranks, p, rows, wide, skin, self.length, points=self.points)

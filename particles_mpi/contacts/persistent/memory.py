@@ -89,7 +89,7 @@ def send_home(ranks: Communicator, memory: Memory, p: Particles) -> Memory:
     if ranks.size == 1:
         return memory
     here = np.isin(memory.id, p.id)
-    if not ranks.largest(not here.all())[0]:
+    if ranks.all(here.all()):
         return memory
     known = id_range(ranks, p.id)
 

@@ -97,7 +97,7 @@ class PersistentContacts:
             while True:
                 local.crowd[:] = marked > 0.0
                 new = spread(graph.start, graph.other, local.x, ghost_touch, self.length, local.crowd)
-                if not self.ranks.largest(new)[0]:
+                if not self.ranks.any(new):
                     break
                 marked[:] = local.crowd
                 graph.exchange(marked)

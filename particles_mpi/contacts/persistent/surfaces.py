@@ -108,7 +108,7 @@ class SmoothContacts:
     def asleep(self, ranks: Communicator, pile: Pile, bears: Array, v: Array) -> bool:
         """Do all who bear anything move by no more than what errors leave? Collective."""
         held = carried(pile.contacts.start, bears) != 0
-        return not ranks.largest(bool((self.quick(pile, bears, v) & held).any()))[0]
+        return not ranks.any((self.quick(pile, bears, v) & held).any())
 
     def quick(self, pile: Pile, bears: Array, v: Array) -> Array:
         """Which rows (n,) with velocities and spins v (n, columns) are faster than what errors leave."""
@@ -121,7 +121,7 @@ class SmoothContacts:
         hundreds of collisions in a step where spheres touch with no gap at all.
         """
         rests = ~self.quick(pile, bears, v)
-        if not ranks.largest(bool(rests.any()))[0] or not ranks.largest(pile.stands(bears))[0]:
+        if not ranks.any(rests.any()) or not ranks.any(pile.stands(bears)):
             return v
         return np.asarray(np.where((rests & pile.piled(bears))[:, None], 0.0, v))
 

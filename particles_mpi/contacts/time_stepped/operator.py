@@ -162,7 +162,7 @@ class Rewind:
                     raise TooDenseError
                 break
             if not left:
-                needed = near.ranks.allreduce_max(self.finish(hits, h, counts, int(concerned)))[0]
+                needed = near.ranks.largest(self.finish(hits, h, counts, int(concerned)))[0]
                 if needed:
                     raise TooFarError(float(needed))
                 break
@@ -188,7 +188,7 @@ class Rewind:
         pairs = supported[first] | supported[second]
         first, second, at_end = first[pairs], second[pairs], np.full(np.count_nonzero(pairs), h)
         most = deepest_overlap(near.rows[0], near.spheres.radius, first, second, at_end, near.length)
-        return float(near.ranks.allreduce_max(most)[0]) > DEEP
+        return near.ranks.largest(most)[0] > DEEP
 
     def find(self, h: float, everything: bool) -> Hits:
         """The hits on the present segments: all of them, or those of active rows."""

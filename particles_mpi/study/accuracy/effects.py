@@ -86,7 +86,7 @@ def errors(benchmark: Benchmark, name: str, sim: Simulation) -> Errors:
     messages = sim.ranks.messages
     sim.steps(10)
     absent = sum(sim.calls.get(other, 0) for other in effect_names() if other not in sim.scene.effects)
-    sent = int(sim.ranks.allreduce_sum(sim.ranks.messages - messages)[0])
+    sent = sim.ranks.total(sim.ranks.messages - messages)[0]
     differ = bits_that_differ(benchmark, name) if name in OFF else 0
     return {"calls": float(absent), "messages": float(sent), "bits": float(differ)}
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi import Simulation
-from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, everyone
+from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting
 
 N, QUICK_N = 4000, 1000
 MELT, PATH = 20.0, 100.0  # collisions of each sphere before the start, and in a run
@@ -55,10 +55,8 @@ def fluid(packing: float, n: int, step: float, steps: int, spheres: dict[str, An
 def melted(benchmark: Benchmark, packing: float, n: int) -> dict[str, Any]:
     """Places and velocities of a fluid in equilibrium."""
     crystal = {"count": n, "position": "lattice", "velocity": {"temperature": 1.0}}
-    sim = benchmark.simulate(fluid(packing, n, MELT / collision_rate(packing) / 4.0, 4, crystal, mode="event"))
-    sim.run()
-    p = everyone(sim)
-    return {"position": p.position.tolist(), "velocity": p.velocity.tolist()}
+    scene = fluid(packing, n, MELT / collision_rate(packing) / 4.0, 4, crystal, mode="event")
+    return benchmark.at_end(scene, "position", "velocity")
 
 
 def errors(packing: float, sim: Simulation) -> Errors:

@@ -46,10 +46,7 @@ def measure(benchmark: Benchmark) -> list[Experiment]:
     @cache
     def settled() -> dict[str, Any]:
         start = {"count": n, "position": "random", "radius": {"min": 0.9 * R, "max": R}}
-        sim = benchmark.simulate(bed(n, start, TOLERANCES[2], FALL))
-        sim.run()
-        p = everyone(sim)
-        return {"position": p.position.tolist(), "radius": p.radius.tolist()}
+        return benchmark.at_end(bed(n, start, TOLERANCES[2], FALL), "position", "radius")
 
     def begin(tolerance: float) -> Simulation:
         return benchmark.simulate(bed(n, settled(), tolerance, steps))

@@ -86,10 +86,7 @@ def creeping(benchmark: Benchmark) -> list[Experiment]:
     @cache
     def settled(step: float) -> dict[str, Any]:
         start = {"count": n, "position": "random", "radius": {"min": 0.9 * R, "max": R}}
-        sim = benchmark.simulate(bed(start, n, step, TOLERANCE, FALL))
-        sim.run()
-        p = everyone(sim)
-        return {"position": p.position.tolist(), "radius": p.radius.tolist()}
+        return benchmark.at_end(bed(start, n, step, TOLERANCE, FALL), "position", "radius")
 
     def begin(step: float, tolerance: float) -> Simulation:
         return benchmark.simulate(bed(settled(step), n, step, tolerance, watched))

@@ -137,8 +137,8 @@ def examine(one: Case, mode: str | None, dimension: int, comm: Any = None) -> Ou
     if ranks.size > 1:
         alone = CaseRun(mode, dimension, Communicator.alone().comm)
         one.measure(alone)
-        same_bits = bool(ranks.allreduce_min(float(run.digest() == alone.digest()))[0])
-    return Outcome(one, mode, dimension, measured, bool(ranks.allreduce_min(float(holds))[0]), same_bits)
+        same_bits = ranks.all(run.digest() == alone.digest())
+    return Outcome(one, mode, dimension, measured, ranks.all(holds), same_bits)
 
 
 def chosen(only: str | None, full: bool) -> list[Case]:

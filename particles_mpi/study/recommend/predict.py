@@ -135,7 +135,7 @@ def of_contacts(sim: Simulation) -> list[str]:
     """What to expect of rates of collisions, and of places after many of them, from the first steps. Collective."""
     scene, options, p = sim.scene, sim.scene.effects["collisions"], sim.rows
     h = scene.time.step
-    movable = int(sim.ranks.allreduce_sum(np.count_nonzero(p.fixed == 0))[0])
+    movable = sim.ranks.total(np.count_nonzero(p.fixed == 0))[0]
     rate = 2.0 * total(sim, "collisions") / (max(movable, 1) * sim.time)
     many = rate * scene.steps * h
     if rate == 0.0:

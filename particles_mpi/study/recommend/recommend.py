@@ -8,7 +8,7 @@ from rich.table import Table
 
 from particles_mpi import Scene
 from particles_mpi.errors import SceneError, StoppedError
-from particles_mpi.output.replacing import replacing
+from particles_mpi.output.replacing import replace_text
 from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.run.console import Screen
 from particles_mpi.study.experiment import Benchmark, Errors
@@ -178,7 +178,6 @@ def save(found: Recommendation, source: Path, target: Path) -> None:
     )
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(target) as part:
-            part.write_text(written(found.tables, source, target, remark), encoding="utf-8")
+        replace_text(target, written(found.tables, source, target, remark))
     except OSError as error:
         raise SceneError(f"{target}: cannot be written ({error.strerror})") from None

@@ -62,7 +62,7 @@ def cost(start: Start, sim: Simulation, seconds: float, longer: float = 1.0) -> 
     while clocked < seconds and passed < start.duration:
         began = perf_counter()
         sim.steps(number)
-        took = float(sim.ranks.allreduce_max(perf_counter() - began)[0])
+        took = sim.ranks.largest(perf_counter() - began)[0]
         rates.append(took / (number * sim.h))
         passed, clocked = passed + number * sim.h, clocked + took
         sim.h *= longer
@@ -132,7 +132,7 @@ def converge(found: ErrorMetric, first: Record, steps: int, seconds: float) -> t
         better = change < 0.5 * uncertainty  # if not, round-off or corners are all that is left
         if change <= uncertainty:
             best, uncertainty = value, change
-        clocked = float(start.benchmark.ranks.allreduce_max(perf_counter() - began)[0])
+        clocked = start.benchmark.ranks.largest(perf_counter() - began)[0]
     one, two = (start.apart(a.places, b.places) for a, b in pairwise(records[:3]))
     found.order = float(np.log2(one / two)) if two > limit else nan
     seen = f"order {found.order:.2f}" if two > limit else "no error of the step"

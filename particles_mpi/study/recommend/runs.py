@@ -160,7 +160,7 @@ def follow(start: Start, sim: Simulation, patience: float = np.inf) -> Record:
         sim.steps(min(k - sim.steps_done % k for k in (peek, look, steps)))
         if sim.steps_done % peek == 0 or sim.steps_done == steps:
             energies.append(energy(sim))
-            seconds = float(sim.ranks.allreduce_max(perf_counter() - began)[0])
+            seconds = sim.ranks.largest(perf_counter() - began)[0]
             if seconds > patience and sim.steps_done < steps:
                 raise TooLongError(f"longer than {patience:.3g} s")
         if sim.steps_done % look == 0:
@@ -173,7 +173,7 @@ def follow(start: Start, sim: Simulation, patience: float = np.inf) -> Record:
     heights = (found.mean(axis=1) * up).sum(axis=1) if start.total else np.zeros(LOOKS)
     sums, kinetic = np.array(energies).T
     counts = total(sim, "collisions"), total(sim, "wall_hits")
-    seconds = float(sim.ranks.allreduce_max(perf_counter() - began)[0])
+    seconds = sim.ranks.largest(perf_counter() - began)[0]
     return Record(found, np.array(at_looks), sums, kinetic, *counts, heights, steps * sim.h, seconds)
 
 

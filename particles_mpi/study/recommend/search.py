@@ -76,7 +76,7 @@ class Search:
 
     def left(self) -> float:
         """Seconds, on the slowest rank. Collective."""
-        return self.seconds - float(self.start.benchmark.ranks.allreduce_max(perf_counter() - self.began)[0])
+        return self.seconds - self.start.benchmark.ranks.largest(perf_counter() - self.began)[0]
 
     def patience(self) -> float:
         """Seconds that a trial may take: with no setting that reaches the tolerance all that are left."""
