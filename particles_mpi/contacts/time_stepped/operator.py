@@ -17,6 +17,7 @@ from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.rough import Rough
 from particles_mpi.contacts.time_stepped.contact_search import NOTICEABLE, deepest_overlap, find_contacts, find_wall_hits
 from particles_mpi.contacts.time_stepped.passes import (
+    COLLISIONS,
     LATE,
     MISSED,
     WALL_HITS,
@@ -66,7 +67,8 @@ class Rewind:
         self.near, self.passes, self.timers, self.exact = near, passes, timers, exact
         self.loss, self.law, self.planes = tuple(loss), law, near.planes
         self.walls = len(self.planes[0]) > 0
-        self.drifts, self.dense_steps, self.late_collisions, self.too_fast = 0, 0, 0, False
+        self.drifts, self.dense_steps, self.too_fast = 0, 0, False
+        self.collisions, self.late_collisions = 0, 0  # found by passes
         self.searches = -1  # the search of `near` that the arrays by row belong to
 
     def drift(self, h: float, moment: float, rates: Rates) -> Array:
@@ -99,6 +101,7 @@ class Rewind:
         with self.timers("drift"):
             near.advance(h)
             self.forget_contacts()
+        self.collisions += counts[COLLISIONS]
         self.late_collisions += counts[LATE]
         return counts[:LATE]
 
@@ -132,14 +135,15 @@ class Rewind:
             assert self.exact
             dense = f"{self.dense_steps} steps had more contacts than passes put in order: those were done in order of time"
             remarks += [dense, *self.exact.remarks()]
-        late, too_fast = self.near.ranks.allreduce_sum(np.array([self.late_collisions, self.too_fast], np.int64)).tolist()
+        late, found, too_fast = self.near.ranks.total(self.late_collisions, self.collisions, self.too_fast)
         if too_fast:
             remarks.append(
                 "spheres crossed more than their diameter in a step, and may have met in a wrong order: shorten time.step"
             )
         if late:
             remarks.append(
-                f"collisions that came late, when spheres overlapped: {late}; shorter steps have fewer, mode event none"
+                f"collisions that came late, when spheres overlapped: {late} of {found}; "
+                "shorter steps have fewer, mode event none"
             )
         return remarks
 
