@@ -22,6 +22,7 @@ from particles_mpi.contacts.event_driven.rows import (
     OWN,
     OWNERSHIP,
     VIRIAL,
+    Collapse,
     Rows,
     end_drift,
     new_log,
@@ -71,11 +72,11 @@ class Engine:
         self.expiries = 0  # of lists since `load`
         self.ahead = 0.0
         self.pending = 0  # rows in work.stale
-        self.set_step(NEVER_CROWDED, no_rates(d), 0.0)
+        self.set_step(NEVER_CROWDED, no_rates(d), Collapse(0.0, 0))
 
-    def set_step(self, crowded: int, rates: Rates, contact_duration: float) -> None:
-        """For this step: quick contacts that make a crowd, how velocities change, and the duration of a contact."""
-        self.crowded, self.rates, self.contact_duration = crowded, rates, contact_duration
+    def set_step(self, crowded: int, rates: Rates, collapse: Collapse) -> None:
+        """For this step: quick contacts that make a crowd, how velocities change, and which contacts take no energy."""
+        self.crowded, self.rates, self.collapse = crowded, rates, collapse
 
     def load(self, p: Particles, owned: int, spare: int = 0) -> None:
         """Rows of p, the first `owned` of them own ones, and `spare` free ones; `lists` were built for them."""
@@ -143,7 +144,7 @@ class Engine:
         queue.present[:] = min(int(now * queue.per_time), len(queue.first) - 1), 0  # nothing is left from before
         a, drag = self.rows.acceleration, self.rows.drag
         rates = self.rates.of({"drag": drag, "total_acceleration": a} if len(a) else {"drag": drag})
-        rules = self.loss, self.law, self.contact_duration, self.crowded, self.planes, rates
+        rules = self.loss, self.law, tuple(self.collapse), self.crowded, self.planes, rates
         interval = self.h, moment, now, until, self.ahead
         rows, written, log = tuple(self.rows), tuple(work), tuple(self.log)
         work.progress[:] = now, 0.0

@@ -21,12 +21,11 @@ from particles_mpi.contacts.event_driven.calendar_queue import (
     find_first,
     push,
 )
-from particles_mpi.contacts.event_driven.jams import STANDING, note_contact, passes_by, stop_at_jam, stop_squeezed
+from particles_mpi.contacts.event_driven.jams import STANDING, note_contact, passes_by, stop_at_jam, stop_squeezed, takes_nothing
 from particles_mpi.contacts.event_driven.rows import (
     EVENT_COUNT,
     ID,
     JAMMED,
-    LAST_CONTACT,
     LAST_PARTNER,
     NOT_HERE,
     OWN,
@@ -215,15 +214,12 @@ def prefetch_next(rows, lists, queue):
 def run(axes, rows, lists, queue, rules, interval, work, log, pending):
     """All events of an interval, in order. work.stale[:pending] are rows whose next event is not known.
 
-    rules: loss of a pair, the law of rough spheres (see `Rough`), contact duration t_c, how many quick contacts make a crowd,
+    rules: loss of a pair, the law of rough spheres (see `Rough`), `Collapse`, how many quick contacts make a crowd,
     `Planes`, `Rates`. interval: length of the drift and when it began, from when until when in it, and how many skins before a
     particle its new reference position lies.
     Returns 0; or how many places the pool of the lists is short of: then call again with a larger one; or INTERRUPTED after so
     many events that a user may have pressed Ctrl-C: then call again; or FULL_BUCKET: sort it, and call again; or STANDSTILL,
     where events follow one another for ever but time does not pass. With stop[ASKED] the loop ends after the first collision.
-
-    A contact within t_c of the last one of either partner takes no energy: the TC model (Luding and McNamara, Granular
-    Matter 1, 113, 1998), which keeps inelastic collapse from stopping the clock.
 
     One kernel with everything in it: a call with so many arrays costs as much as the look it would be for. The bundles come as
     plain tuples, as in all kernels of this folder that Python calls: see `jit.plain`.
@@ -231,7 +227,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
     rows, lists, queue, work, log = Rows(*rows), Lists(*lists), Queue(*queue), Work(*work), Log(*log)
     segment, state, reals, reference = rows.segment, rows.state, rows.reals, lists.reference
     _, _, length = lists.box
-    (restitution, velocity_factor), law, contact_duration, crowded, planes, rates = rules
+    (restitution, velocity_factor), law, collapse, crowded, planes, rates = rules
     planes = Planes(*planes)
     rough = Rough(rows.spin, rows.inverse_inertia, law, work.normal, work.impulse)
     h, moment, now, until, ahead = interval
@@ -293,8 +289,8 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
         elif j < 0:
             wall = -1 - j
             lossy = planes.restitution[wall] * planes.velocity_factor[wall] < 1.0
-            elastic = lossy and abs(moment + t - reals[i, LAST_CONTACT]) < contact_duration
-            note_contact(axes, rows, i, t, j, moment, h, elastic, crowded, work.any_squeezed)
+            elastic = lossy and takes_nothing(d, rows, i, t, moment, h, collapse)
+            note_contact(axes, rows, i, t, j, moment, h, elastic, collapse[0], crowded, work.any_squeezed)
             move_to(axes, segment, i, t)
             own = state[i, OWNERSHIP] >= OWN
             e, factor = (1.0, 1.0) if elastic else (planes.restitution[wall], planes.velocity_factor[wall])
@@ -323,10 +319,11 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
                     note_segment(axes, rows, i, log)
                     note_segment(axes, rows, j, log)
                 continue
-            last_contact = max(reals[i, LAST_CONTACT], reals[j, LAST_CONTACT])
-            elastic = restitution * velocity_factor < 1.0 and abs(moment + t - last_contact) < contact_duration
-            note_contact(axes, rows, i, t, state[j, ID], moment, h, elastic, crowded, work.any_squeezed)
-            note_contact(axes, rows, j, t, state[i, ID], moment, h, elastic, crowded, work.any_squeezed)
+            elastic = restitution * velocity_factor < 1.0 and (
+                takes_nothing(d, rows, i, t, moment, h, collapse) or takes_nothing(d, rows, j, t, moment, h, collapse)
+            )
+            note_contact(axes, rows, i, t, state[j, ID], moment, h, elastic, collapse[0], crowded, work.any_squeezed)
+            note_contact(axes, rows, j, t, state[i, ID], moment, h, elastic, collapse[0], crowded, work.any_squeezed)
             own = state[i, OWNERSHIP] >= OWN
             loss = (1.0, 1.0) if elastic else (restitution, velocity_factor)
             reals[i, VIRIAL] += collide(axes, segment, reference, i, j, t, loss, length, rates, rough, elastic, work.r)

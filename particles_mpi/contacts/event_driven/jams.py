@@ -1,17 +1,20 @@
 """What happens to a row at each of its contacts, besides its velocity; and rows that have no room to move.
 
-`RAPID_EVENTS` of a row counts contacts in which it got nowhere, and quick ones (`rows`). A row with many quick ones is one of a
-crowd, and waits for the drift to be done again. After a thousand contacts in which it got nowhere a row is squeezed: it is jammed
-from then on. It stands until the end of the drift, in the way of others, which are jammed too when they come to it. Its velocity
-is kept times HARDLY, a power of two, so that it moves nothing, and is exact again when `rows.end_drift` gives it back.
+`RAPID_EVENTS` of a row counts contacts in which it got nowhere, those that follow one another, and quick ones (`rows`). A row
+with many quick ones is one of a crowd, and waits for the drift to be done again. After a thousand contacts in which it got
+nowhere a row is squeezed: it is jammed from then on. It stands until the end of the drift, in the way of others, which are
+jammed too when they come to it. Its velocity is kept times HARDLY, a power of two, so that it moves nothing, and is exact again
+when `rows.end_drift` gives it back.
 """
 
 from particles_mpi.contacts.event_driven.rows import (
     EVENT_COUNT,
+    FOLLOWING,
     HARDLY,
     JAMMED,
     LAST_CONTACT,
     LAST_PARTNER,
+    MOST_FOLLOWING,
     RAPID_EVENTS,
     SQUEEZED,
     ZERO_TIME_EVENT,
@@ -23,6 +26,7 @@ from particles_mpi.kernels.markers import RADIUS, START
 QUICK = 0.01  # of a drift: a contact so soon after the last one is quick
 STANDING = 1e-9  # of a drift: time that does not count as passed
 RATTLING = 1e-5  # of a drift: nor does this between contacts that take no energy because they follow one another so soon
+AT_ONE_MOMENT = 50  # contacts of a row in which it got nowhere: differences of velocities of a few rows are round-off then
 NOWHERE = 1e-14  # of a coordinate and a radius: a way that is round-off
 
 
@@ -53,17 +57,33 @@ def progress(d, segment, i, t, h, elastic):
 
 
 @in_place
-def note_contact(axes, rows, i, t, partner, moment, h, elastic, crowded, any_squeezed):
+def takes_nothing(d, rows, i, t, moment, h, collapse):
+    """Does a contact of row i at time t of a drift over h, which began at `moment`, take no energy? See `Collapse`."""
+    duration, before = collapse
+    soon = abs(moment + t - rows.reals[i, LAST_CONTACT]) < duration
+    if before == 0:
+        return soon
+    rapid = rows.state[i, RAPID_EVENTS]
+    follows = rapid % ZERO_TIME_EVENT // FOLLOWING >= before and t - rows.segment[i, 2 * d + START] > STANDING * h
+    return soon and (follows or rapid >= AT_ONE_MOMENT * ZERO_TIME_EVENT)
+
+
+@in_place
+def note_contact(axes, rows, i, t, partner, moment, h, elastic, duration, crowded, any_squeezed):
     """Row i is about to begin a new segment at time t of a drift over h: change its state. Rows of a crowd wait as squeezed
-    ones do. `elastic`: the contact takes no energy because it follows the last one so soon."""
+    ones do. `elastic`: the contact takes no energy because it follows others so soon, within `duration`."""
     state, reals = rows.state, rows.reals
+    if t - rows.segment[i, 2 * len(axes) + START] > STANDING * h:  # contacts at the same moment are as one
+        following = state[i, RAPID_EVENTS] % ZERO_TIME_EVENT // FOLLOWING
+        soon = abs(moment + t - reals[i, LAST_CONTACT]) < duration
+        state[i, RAPID_EVENTS] += ((min(following + 1, MOST_FOLLOWING) if soon else 0) - following) * FOLLOWING
     way = progress(len(axes), rows.segment, i, t, h, elastic)
     if way < 0:
         state[i, RAPID_EVENTS] += ZERO_TIME_EVENT
     elif way > 0:
         state[i, RAPID_EVENTS] %= ZERO_TIME_EVENT
     state[i, RAPID_EVENTS] += abs(moment + t - reals[i, LAST_CONTACT]) <= QUICK * h
-    if state[i, RAPID_EVENTS] % ZERO_TIME_EVENT >= crowded and state[i, RAPID_EVENTS] < SQUEEZED:
+    if state[i, RAPID_EVENTS] % FOLLOWING >= crowded and state[i, RAPID_EVENTS] < SQUEEZED:
         state[i, RAPID_EVENTS] += SQUEEZED
     any_squeezed[0] |= state[i, RAPID_EVENTS] >= SQUEEZED
     state[i, LAST_PARTNER] = partner
@@ -75,7 +95,7 @@ def note_contact(axes, rows, i, t, partner, moment, h, elastic, crowded, any_squ
 def stop_squeezed(axes, rows, i, crowded):
     """Row i, if it is squeezed and not only one of a crowd, stands where it is until the end of the drift."""
     rapid = rows.state[i, RAPID_EVENTS]
-    if SQUEEZED <= rapid < JAMMED and rapid % ZERO_TIME_EVENT < crowded:
+    if SQUEEZED <= rapid < JAMMED and rapid % FOLLOWING < crowded:
         stand_still(axes, rows, i)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from particles_mpi.contacts.event_driven.engine import MOST_EXPIRIES, NAMED, NEVER_CROWDED, Engine
 from particles_mpi.contacts.event_driven.event_loop import COLLISIONS, HIGHER, LOWER, TC_ELASTIC, WALL_HITS
+from particles_mpi.contacts.event_driven.rows import Collapse
 from particles_mpi.contacts.event_driven.windows import Windows
 from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.velocity_flow import Rates
@@ -35,7 +36,8 @@ LEAST = 2000  # particles a rank; with fewer, space is not divided
 LONGEST_PAUSE = 64  # drifts
 CROWDED = 8  # quick contacts in a drift; then a particle is one of a crowd that collapses
 ROUNDS = 3
-DURATION = 1e-4  # of a step: that of a contact, where a scene gives none
+DURATION = 1e-4  # of a step: the `contact_duration` of a scene that gives none,
+SEVERAL = 3  # and how many contacts have to follow one another so soon, until the next one takes no energy
 MOST_SKINS = 1e7  # times that a particle may leave its neighbourhood in a drift, some seconds of work
 CHANGING = ("position", "velocity", "contacted", "virial", "supported", "total_acceleration", "spin")
 
@@ -59,7 +61,7 @@ class EventDriven:
         hold: Callable[[float], None] | None,
     ):
         """`hold`: keeps the contacts of a crowd after a kick (`PersistentContacts.keep_crowds`), if contacts can last."""
-        self.ranks, self.given_duration, self.contact_duration = ranks, duration, 0.0
+        self.ranks, self.given_duration = ranks, duration
         self.particles, self.box, self.timers = particles, box, timers
         self.rules = box, loss, law, planes or no_planes(particles.dimension)
         self.divided = ranks.size > 1 and ranks.total(len(particles))[0] >= LEAST * ranks.size
@@ -102,7 +104,8 @@ class EventDriven:
         `moment`: the time at which the drift begins; `rates`: how velocities change in the step.
         With `stop` it ends with the first collision of two particles, who `met`, after `reached`, h if there is none.
         """
-        self.rates, self.contact_duration = rates, DURATION * h if self.given_duration is None else self.given_duration
+        given, self.rates = self.given_duration, rates
+        self.collapse = Collapse(DURATION * h, SEVERAL) if given is None else Collapse(given, 0)
         if self.hold is None or stop:
             return self.drift_once(h, moment, stop, NEVER_CROWDED)
         p = self.particles
@@ -129,7 +132,7 @@ class EventDriven:
 
     def drift_once(self, h: float, moment: float, stop: bool, crowded: int) -> Array:
         """The same; particles with `crowded` quick contacts have no more."""
-        step = crowded, self.rates, self.contact_duration
+        step = crowded, self.rates, self.collapse
         if self.divided and not stop and self.pause:
             self.pause -= 1
         elif self.divided and not stop:
@@ -180,7 +183,7 @@ class EventDriven:
         where = f"particles {', '.join(ids)}" + (f" and wall {', '.join(walls)}" if walls else "")
         return [
             *crowds,
-            f"inelastic collapse: {count} contacts within {self.contact_duration:.3g} of the last one took no energy, "
+            f"inelastic collapse: {count} contacts took no energy, because others were so shortly before, "
             f"the first in the step from t = {moment:g} among {where}",
         ]
 

@@ -19,10 +19,25 @@ from particles_mpi.particles import Array
 LAST_PARTNER, RAPID_EVENTS, TRAJECTORY_HASH, LAST_CONTACT, VIRIAL, ID, EVENT_COUNT, OWNERSHIP = range(8)  # columns of `state`
 SAVED = 5  # the first of these are in a record
 NOT_HERE, GHOST, OWN, SHARED = range(4)  # OWNERSHIP: a free row, another rank's particle, an own one, an own one others know
-ZERO_TIME_EVENT = 2**32  # RAPID_EVENTS counts contacts in a row that got nowhere in units of this; below it, quick ones
+# RAPID_EVENTS is three numbers: of quick contacts, in units of 1; of contacts that follow one another within t_c, MOST_FOLLOWING
+# at most, in units of FOLLOWING; and of contacts in a row that got nowhere, in units of ZERO_TIME_EVENT
+FOLLOWING, MOST_FOLLOWING, ZERO_TIME_EVENT = 2**24, 2**8 - 1, 2**32
 SQUEEZED = 1000 * ZERO_TIME_EVENT  # from here on a particle is squeezed: it has no more contacts in this drift
 JAMMED = 2**60  # from here on others that come to it stop there, as it does; its velocity is kept times HARDLY, exactly
 HARDLY = 2.0**-200  # too little for a velocity to change a position
+
+
+class Collapse(NamedTuple):
+    """Which contacts take no energy, so that inelastic collapse, ever more contacts in ever less time, does not stop the clock.
+
+    Those within `duration` t_c of the last contact of either partner: the TC model (Luding and McNamara, Granular Matter 1, 113,
+    1998). With `before` above 0 only after so many contacts of that partner, in this drift, that followed one another so soon,
+    and if time has passed, or after very many contacts at one moment (`jams.AT_ONE_MOMENT`): what touches several others, as in
+    a corner or in Newton's cradle, loses energy at all of them.
+    """
+
+    duration: float
+    before: int
 
 
 class Rows(NamedTuple):
@@ -129,7 +144,7 @@ def write_back(axes, rows, x, v, last_contact, virial, supported, spin, crowded,
         last_contact[p] = reals[i, LAST_CONTACT]
         if len(virial):
             virial[p] = reals[i, VIRIAL]
-        if len(supported) and state[i, RAPID_EVENTS] % ZERO_TIME_EVENT >= crowded:
+        if len(supported) and state[i, RAPID_EVENTS] % FOLLOWING >= crowded:
             supported[p] = CROWD
 
 
