@@ -8,11 +8,12 @@ import numpy as np
 from particles_mpi.between_steps.state import State
 from particles_mpi.between_steps.views import ParticleView
 from particles_mpi.errors import listed
-from particles_mpi.initial.populate import add_population, plain_table
+from particles_mpi.initial.populate import add_population
 from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.particles import OWN, Array
 from particles_mpi.scene.active import fields_of
+from particles_mpi.scene.model import plain
 
 
 class Population(State):
@@ -26,7 +27,7 @@ class Population(State):
         """
         self.take_changes()
         number = len(self.scene.particles) + self.additions
-        same_on_all(self.ranks, {"add": plain_table(population)})
+        same_on_all(self.ranks, {"add": plain(dict(population))})
         with raising_together(self.ranks):
             rows, warnings = add_population(self.scene, self.ranks, self.rows, population, self.next_id, number)
         self.warnings += warnings

@@ -195,8 +195,8 @@ def check_step(scene: Scene, particles: Particles, event: bool, faults: Faults) 
         least = 2.0 * (widest + movable) * 1.01
         need = f"two contact distances, {least:g}"
     else:
-        least = 2.0 * (2.0 * widest + 2.0 * fastest * dt)
-        need = f"2 (2 R + 2 v dt) = {least:g} for the largest and the fastest particle"
+        least = 2.0 * (widest + movable + 2.0 * fastest * dt)
+        need = f"2 (R + R' + 2 v dt) = {least:g} for the largest particle, the largest that moves, and the fastest"
     for k, length in enumerate(periodic_length(scene)):
         if 0.0 < length <= least:
             faults.add(f"box: periodic axis {k} is {length:g} long, but collisions need more than {need}")

@@ -25,7 +25,7 @@ from particles_mpi.parallel.agreement import raising_together
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import OWN, Array, Particles, default_values
 from particles_mpi.scene.active import fields_of
-from particles_mpi.scene.model import LARGEST, faults_of
+from particles_mpi.scene.model import LARGEST, faults_of, plain
 from particles_mpi.scene.schema import Population, Scene
 
 PER_PARTICLE = ("position", "velocity", "radius", "mass", "fixed", "drag", "acceleration", "spin", "moment_of_inertia")
@@ -49,10 +49,10 @@ def add_population(
     population from others, in messages and in random numbers.
     """
     key = f"particles[{number}]"
-    plain = plain_table(table)
-    own = {name: plain.pop(name) for name in there.arrays.keys() - set(fields_of(scene)) - set(OWN) if name in plain}
+    tables = plain(dict(table))
+    own = {name: tables.pop(name) for name in there.arrays.keys() - set(fields_of(scene)) - set(OWN) if name in tables}
     try:
-        population = Population.model_validate(plain)
+        population = Population.model_validate(tables)
     except ValidationError as error:
         raise SceneError(faults_of(error, Population, (key,))) from None
     faults = scene.population_faults(key, population)
@@ -68,11 +68,6 @@ def add_population(
         except ValueError:
             raise SceneError(f"{key}.{name}: not a value for each of {populator.total} particles") from None
     return particles, warnings
-
-
-def plain_table(table: Mapping[str, Any]) -> dict[str, Any]:
-    """The table with lists and numbers of Python in place of arrays."""
-    return {name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value for name, value in table.items()}
 
 
 def is_listed(scene: Scene, name: str, value: Any) -> bool:

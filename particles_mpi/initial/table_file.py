@@ -12,6 +12,7 @@ from particles_mpi.errors import listed
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
 
+BOM = b"\xef\xbb\xbf"  # with which some programs begin a text
 NAMES = {"position": ("x", "y", "z"), "velocity": ("vx", "vy", "vz")}  # of columns in a header
 
 
@@ -27,8 +28,8 @@ def read_table(ranks: Communicator, path: Path, quantity: str, dimension: int) -
     """The d columns of a quantity in a CSV file, or what is wrong with it, the same on all ranks. Collective.
 
     A first line that begins with no number is a header: columns with the names of the quantity's components (NAMES) are taken,
-    or, if none has such a name, the first ones. Files that are not the same on all ranks are refused: each rank also looks at
-    what the next one reads.
+    or, if no column has a name in NAMES, the first ones. Files that are not the same on all ranks are refused: each rank also
+    looks at what the next one reads.
     """
     fault, block, seen = "", b"", (0, 0)
     try:
@@ -68,11 +69,14 @@ def columns_of(header: bytes, quantity: str, dimension: int) -> list[int] | str:
     """Numbers of the columns that a header gives to a quantity, or what is wrong with it."""
     given = [cell.strip().strip('"').lower() for cell in header.decode("utf-8", "replace").split(",")]
     names = NAMES.get(quantity, ())[:dimension]
-    missing = [name for name in names if name not in given]
-    if dimension > 3 or len(missing) == len(names):
+    known = [name for name in given if any(name in of for of in NAMES.values())]
+    if not known or not names or (dimension > 3 and given[:3] == list(names)):
         return list(range(dimension))
-    if missing:
-        return f"its header has {', '.join(name for name in names if name in given)} and no {missing[0]}"
+    if dimension > 3:
+        return f"its header has {', '.join(known)}; in dimension {dimension} columns are taken in order: leave it out"
+    if missing := [name for name in names if name not in given]:
+        have = [name for name in names if name in given] or known
+        return f"its header has {', '.join(have)} and no {missing[0]}"
     return [given.index(name) for name in names]
 
 
@@ -91,7 +95,7 @@ def lines_of(path: Path, rank: int, size: int) -> bytes:
     with open(path, "rb") as file:
         begin, end = (line_start(file, total * r // size) for r in (rank, rank + 1))
         file.seek(begin)
-        return file.read(end - begin)
+        return file.read(end - begin).removeprefix(BOM)
 
 
 def line_start(file: BinaryIO, at: int) -> int:

@@ -131,11 +131,12 @@ class Neighbourhood:
         particles = self.particles
         d, x, n = particles.dimension, particles.position, len(particles)
         radius = particles.radius
-        mine = np.array([n, radius.sum(), self.work, fastest(x, particles.velocity), radius.max(initial=0.0)])
+        largest = radius.max(initial=0.0), radius.max(initial=0.0, where=particles.fixed == 0)
+        mine = np.array([n, radius.sum(), self.work, fastest(x, particles.velocity), *largest])
         total, radii, work, *checked = self.ranks.allreduce_sum(mine)  # a sum is not a number where one of the numbers is none
         require_finite(self.ranks, particles, checked, "in a drift")
         ends = self.ranks.allreduce_max(np.concatenate((mine[3:], -extent[0], extent[1])))
-        speed, largest, lowest, highest = ends[0], 2.0 * float(ends[1]), -ends[2 : 2 + d], ends[2 + d :]
+        speed, contact, lowest, highest = ends[0], float(ends[1] + ends[2]), -ends[3 : 3 + d], ends[3 + d :]
         mean = 2.0 * float(radii) / max(total, 1.0)
         apart = spacing(lowest, highest, int(total)) if total else 1.0
         tolerance = 0.5 * max(0.25 * mean, 0.05 * apart)
@@ -147,7 +148,7 @@ class Neighbourhood:
         periodic = np.flatnonzero(self.length)
         if len(periodic):
             part = np.where(np.arange(d) < GRIDDED, 0.5, 0.25)
-            widest = float(((0.5 * self.length - largest) * part)[periodic].min()) * (1.0 - 1e-9)
+            widest = float(((0.5 * self.length - contact) * part)[periodic].min()) * (1.0 - 1e-9)
             least = max(travel, at_least - tolerance)
             if not least < widest:
                 raise StoppedError(

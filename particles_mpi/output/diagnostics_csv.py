@@ -34,13 +34,14 @@ class Diagnostics(Continuing):
                 self.file.flush()
 
     def look(self, resume_step: int, last: int | None) -> None:
-        """The rows up to step `resume_step`. Behind them a killed run may have left half a line."""
+        """The rows up to step `last`, if it is known. Behind them may be an extra one, of the run's end, and half a line."""
+        end = resume_step if last is None else last
         header, *lines = self.path.read_text(encoding="utf-8").splitlines(keepends=True) or [""]
         if header.rstrip("\n").split(",") != self.columns:
             raise ValueError("it has other columns than the run to be continued")
         for number, line in enumerate(lines, 2):
             cells = line.rstrip("\n").split(",")
-            if not line.endswith("\n") or (cells[0].isdigit() and int(cells[0]) > resume_step):
+            if not line.endswith("\n") or (cells[0].isdigit() and int(cells[0]) > end):
                 break
             if len(cells) != len(self.columns) or not cells[0].isdigit() or not all(map(_is_number, cells)):
                 raise ValueError(f"line {number} is no row of it")

@@ -110,7 +110,7 @@ class Run:
 
         if "scene" not in (about := self.about):
             raise SceneError(f"{self.folder / 'run.json'}: has no scene")
-        return Scene.from_dict(about["scene"])
+        return Scene.from_dict(about["scene"], Path(about.get("folder", "")))
 
     @property
     def columns(self) -> dict[str, Array]:

@@ -158,6 +158,12 @@ def _hdf5(alone: dict[str, Any]) -> Answer:
 
 
 def _kernels(folder: Path) -> Answer:
+    try:
+        import particles_mpi.kernels  # noqa: F401  (looks for a folder)
+    except ImportError:
+        return "not known: the program cannot be imported", REINSTALL
+    except ValueError as error:
+        return str(error).partition(": ")[0], "set NUMBA_CACHE_DIR to a folder that can be written"
     if not os.access(folder, os.W_OK):
         return f"{folder} cannot be written: numba keeps kernels in the home folder, the first run compiles", ""
     if compiled := sum(1 for _ in folder.rglob("*.nbi")):

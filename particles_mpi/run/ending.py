@@ -38,8 +38,9 @@ def tell_end(sim: Any, plan: dict[str, Any], folder: Path, screen: Screen, secon
         say(f"ParaView: paraview {quote(str(folder / 'view_paraview.py'))}")
     if "vtk" in formats:
         say(f"VisIt: {folder}/vtk/particles_*.vtu database")
-    say(f"view: {PROGRAM} view {shown}")
-    say(f"plots: python python_viz/plot_frame.py {shown}   (and plot_diagnostics.py, plot_phases.py, animate.py)")
+    if "hdf5" in formats:
+        say(f"view: {PROGRAM} view {shown}")
+        say(f"plots: python python_viz/plot_frame.py {shown}   (and plot_diagnostics.py, plot_phases.py, animate.py)")
 
 
 def spread(sim: Any, seconds: dict[str, float]) -> dict[str, dict[str, float]]:
@@ -64,13 +65,18 @@ def traffic(sim: Any) -> dict[str, int]:
     return result | {"reductions": ranks.reductions, "pair_searches": here["pair_searches"]}
 
 
+def scene_and_folder(scene: Any) -> dict[str, Any]:
+    """The scene, and the folder to which the files that it names are relative."""
+    return {"scene": scene.to_dict(), "folder": str(scene.folder.resolve())}
+
+
 def about_run(sim: Any, plan: dict[str, Any]) -> dict[str, Any]:
     """The scene, the length of a step, how often each effect of the plan was called, and the versions of all that took part."""
     calls = sim.calls
     effects = [row | {"calls": calls.get(row["effect"], 0)} for row in plan["effects"]]
     not_run = [{"effect": name, "calls": calls.get(name, 0)} for name in plan["not_run"]]
     return {
-        "scene": sim.scene.to_dict(),
+        **scene_and_folder(sim.scene),
         "h": sim.h,
         "plan": plan | {"effects": effects, "not_run": not_run},
         "ranks": sim.ranks.size,

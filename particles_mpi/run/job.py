@@ -22,7 +22,7 @@ from particles_mpi.parallel.signals import StopRequest
 from particles_mpi.particles import Array, field
 from particles_mpi.results.paraview import paraview_script
 from particles_mpi.run.console import Screen
-from particles_mpi.run.ending import PROGRAM, tell_end
+from particles_mpi.run.ending import PROGRAM, scene_and_folder, tell_end
 from particles_mpi.run.forecast import Forecast, Forecaster
 from particles_mpi.scene.plan import plan
 
@@ -53,12 +53,13 @@ class Job:
         notes: Sequence[str] = (),
         scene_file: Path | None = None,
     ):
-        self.sim, self.folder, self.resumed = sim, folder, resumed
-        self.scene, self.ranks = sim.scene, sim.ranks
+        self.sim, self.folder, self.scene, self.ranks = sim, folder, sim.scene, sim.ranks
+        own = sim.saved == (folder.resolve(), sim.steps_done)  # then it goes on with its own run
+        self.resumed = resumed or (own and not overwrite)
         self.last = sim.last_step if steps is None else steps  # number of the step with which the job ends
         self.setup_began = perf_counter() if setup_began is None else setup_began
-        options = {"output": str(folder), "steps": self.last, "overwrite": overwrite, "resume": resumed, "wall-time": wall_time}
-        same_on_all(self.ranks, {f"--{name}": value for name, value in options.items()})
+        options = {"output": str(folder), "steps": self.last, "overwrite": overwrite, "resume": self.resumed}
+        same_on_all(self.ranks, {f"--{name}": value for name, value in options.items()} | {"--wall-time": wall_time})
         self.rehearsal, self.notes, self.scene_file = rehearsal, notes, scene_file
         self.forecast: Forecast | None = None
         self.screen = Screen(self.ranks.is_root, quiet or rehearsal)
@@ -69,15 +70,15 @@ class Job:
         self.plan = plan(self.scene, sim.rows, self.ranks)
         self.request = StopRequest(self.ranks, self.setup_began, wall_time)  # from here on a signal must not leave half a file
         try:
-            self._open(overwrite)
+            self._open(overwrite, own)
         except BaseException:
             self.request.close()
             raise
 
-    def _open(self, overwrite: bool) -> None:
+    def _open(self, overwrite: bool, own: bool) -> None:
         """Claim the folder, and open the writers; all have looked at their files before the first one changes its own."""
-        about = {"scene": self.scene.to_dict(), "plan": self.plan | {"not_run": [{"effect": n} for n in self.plan["not_run"]]}}
-        own = self.sim.saved == (self.folder.resolve(), self.sim.steps_done)
+        not_run = [{"effect": name} for name in self.plan["not_run"]]
+        about = scene_and_folder(self.scene) | {"plan": self.plan | {"not_run": not_run}}
         self.continues = run_folder.claim(self.folder, self.ranks, about, self.resumed, overwrite, own)
         self.written = self.sim.written = self.sim.written if self.continues else {"row": -1, "frame": -1}
         output, d, ranks = self.scene.output, self.scene.dimension, self.ranks
@@ -137,7 +138,7 @@ class Job:
                 if final or any(n % k == 0 for k in (WATCH_EVERY, output.every, output.checkpoint_every)):
                     sim.watch()
                 if n % output.diagnostics_every == 0 or final:
-                    row = self.report()
+                    row = self.report(extra=n % output.diagnostics_every != 0)
                 if n % output.every == 0:
                     self.write_frame()
                 if n % output.checkpoint_every == 0 or final:
@@ -162,7 +163,8 @@ class Job:
             if isinstance(error, StateError) and not self.rehearsal:
                 path = self.folder / "stopped.h5"
                 checkpoint.dump(path, self.ranks, sim.rows.arrays, {"step": sim.steps_done, "error": str(error)})
-                raise StateError(f"{error}; all rows are in {path}, the last checkpoint is untouched") from None
+                safe = ", the last checkpoint is untouched" if sim.saved or self.continues else ""
+                raise StateError(f"{error}; all rows are in {path}{safe}") from None
             raise
         except BaseException:
             if self.ranks.size == 1:  # others may be anywhere, and to close a file would wait for them
@@ -190,9 +192,13 @@ class Job:
             self.plan["predicted_seconds_range"] = [forecast.least, forecast.most]
         self.screen.forecast(forecast, again=before is not None)
 
-    def report(self) -> dict[str, Any]:
-        """One row of diagnostics.csv: the state, and what happened since the row before."""
+    def report(self, extra: bool = False) -> dict[str, Any]:
+        """One row of diagnostics.csv: the state, and what happened since the row before.
+
+        An `extra` row, with which a run ends, is as if it were not there for the next one, and is removed when the run goes on.
+        """
         sim = self.sim
+        before = sim.reported, sim.observed["row"].copy(), self.written["row"]
         with sim.timers("diagnostics"):
             state = sim.measure(row=True)
             totals = self.ranks.allreduce_sum(np.array([sim.totals[name] for name in COUNTS]))
@@ -203,6 +209,8 @@ class Job:
             sim.reported = totals.tolist()
             self.diagnostics.write(row)
             self.written["row"] = sim.steps_done
+        if extra:
+            sim.reported, sim.observed["row"], self.written["row"] = before
         collisions, wall_hits, missed, *_ = totals.tolist()
         return {**row, "hits_so_far": collisions + wall_hits, "missed_so_far": missed}
 

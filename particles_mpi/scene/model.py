@@ -4,6 +4,7 @@ import difflib
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal, Self, Union, get_args
 
+import numpy as np
 from annotated_types import Len
 from pydantic import (
     AfterValidator,
@@ -18,6 +19,7 @@ from pydantic import (
 )
 
 LARGEST = 1e100
+NUMBERS = (float, int)
 NotNegative = Annotated[float, Field(ge=0.0)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
@@ -50,6 +52,17 @@ class Model(BaseModel):
         copy = self.model_copy(update={name: sealed(value) for name, value in self})
         copy._running = True
         return copy
+
+
+def plain(value: Any) -> Any:
+    """A value of a table with lists and numbers of Python in place of arrays and tuples, at any depth."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, dict):
+        return {name: plain(inner) for name, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [inner if type(inner) in NUMBERS else plain(inner) for inner in value]
+    return value
 
 
 def sealed(value: Any) -> Any:

@@ -32,6 +32,7 @@ from particles_mpi.scene.model import (
     Velocity,
     faults_of,
     key_of,
+    plain,
     suggestion,
     wrong_length,
 )
@@ -158,9 +159,13 @@ class Scene(Model):
 
     def __init__(self, **tables: Any):
         try:
-            super().__init__(**tables)
+            super().__init__(**plain(tables))
         except ValidationError as error:
             raise SceneError(faults_of(error, Scene)) from None
+
+    def __eq__(self, other: object) -> bool:
+        """The same tables, wherever they are from."""
+        return isinstance(other, Scene) and self.to_dict() == other.to_dict()
 
     @classmethod
     def from_dict(cls, tables: dict[str, Any], folder: Path = Path()) -> Self:
@@ -226,6 +231,8 @@ class Scene(Model):
             ]
         if "vtk" in self.output.formats and d > 3:
             self.output.formats.remove("vtk")
+            if not self.output.formats:
+                faults.append(f'output.formats: files of VTK have three axes at most; in dimension {d} use "hdf5"')
         for number, population in enumerate(self.particles):
             faults += self.population_faults(f"particles[{number}]", population)
         if self.output.orientation and not self.rough:

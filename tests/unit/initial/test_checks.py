@@ -132,6 +132,25 @@ def test_a_periodic_box_of_two_diameters_is_refused(mode):
     Simulation(scene(0.81)).steps(3)
 
 
+@pytest.mark.parametrize(("fixed", "radius"), [(0.25, 0.0), (0.3, 0.05)])
+def test_what_does_not_move_needs_room_for_itself_once(fixed, radius):
+    """Fixed discs so large that two of them would not do: rewind finds what event finds, through the sides of the box."""
+
+    def final(mode):
+        discs = [{"position": [[0.5, 0.5]], "radius": fixed, "fixed": True}]
+        moving = {"position": [[0.02, 0.0], [0.0, 0.9]], "velocity": [[1.0, 0.3], [0.2, -1.0]], "radius": radius}
+        box = {"lower": [0.0, 0.0], "upper": [1.0, 1.0], "periodic": True}
+        effects = {"collisions": {"mode": mode}}
+        sim = Simulation(
+            Scene(dimension=2, box=box, time={"step": 0.01, "steps": 250}, particles=[*discs, moving], effects=effects)
+        )
+        sim.steps(250)
+        return sim.totals["collisions"], sim.particles.position[np.argsort(sim.particles.id)]
+
+    (found, places), (wanted, exact) = final("rewind"), final("event")
+    assert found == wanted >= 3 and places == pytest.approx(exact, abs=1e-9)
+
+
 def test_output_that_is_changed_is_checked_as_in_a_scene_file():
     output = Simulation(falling(True, [0.0, 0.0, -2.0])).scene.output
     for name, value, says in [

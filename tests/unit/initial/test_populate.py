@@ -145,6 +145,9 @@ def test_a_header_tells_which_columns_are_meant(tmp_path):
     for name, says in (("position", "x and no y"), ("velocity", "vx and no vy")):
         told = faults({"position": [[0.0, 0.0]], name: {"file": "b.csv"}}, folder=tmp_path)
         assert told == f"particles[0].{name}: {tmp_path / 'b.csv'}: its header has {says}"
+    (tmp_path / "c.csv").write_text("x,y,mass\n0.1,0.2,3\n")
+    told = faults({"position": {"file": "c.csv"}, "velocity": {"file": "c.csv"}}, folder=tmp_path)
+    assert told == f"particles[0].velocity: {tmp_path / 'c.csv'}: its header has x, y and no vx"
 
 
 @pytest.mark.filterwarnings("ignore")  # `catch_warnings` is one for all threads
@@ -167,6 +170,25 @@ def test_a_header_counts_wherever_it_is_read(tmp_path):
         read = list(pool.map(lambda rank: read_table(Rank(rank), tmp_path / "a.csv", "position", 1), range(size)))
     assert [table.total for table in read] == [1] * size
     assert np.concatenate([table.values for table in read]).tolist() == [[2.0]]
+
+
+def test_columns_beyond_three_axes_are_taken_in_order(tmp_path):
+    """A header that says otherwise is refused."""
+    for header, says in (("x,y,z,w", ""), ("a,b,c,d", ""), ("y,x,z,w", "its header has y, x, z; in dimension 4")):
+        (tmp_path / "a.csv").write_text(f"{header}\n1,2,3,4\n")
+        if says:
+            assert says in faults({"position": {"file": "a.csv"}}, dimension=4, box=None, folder=tmp_path)
+        else:
+            particles, _ = start({"position": {"file": "a.csv"}}, dimension=4, box=None, folder=tmp_path)
+            assert particles.position.tolist() == [[1.0, 2.0, 3.0, 4.0]]
+
+
+@pytest.mark.parametrize("header", ["", "y,x\n"])
+def test_a_byte_order_mark_is_no_text(tmp_path, header):
+    """Some programs begin a file with it."""
+    (tmp_path / "a.csv").write_bytes(b"\xef\xbb\xbf" + f"{header}0.1,0.2\n0.5,0.6\n".encode())
+    particles, _ = start({"position": {"file": "a.csv"}, "radius": 0.01}, folder=tmp_path)
+    assert particles.position[:, :: -1 if header else 1].tolist() == [[0.1, 0.2], [0.5, 0.6]]
 
 
 def test_csv_with_and_without_header(tmp_path):

@@ -112,10 +112,14 @@ def test_particles_that_come_and_go(tmp_path):
     assert data.position.sel(id=0, axis="x").values.tolist() == [0.0, 0.25, 0.5, 0.75]
 
 
-def test_a_run_goes_on_in_its_folder_whatever_was_changed(tmp_path):
-    """Options, particles and the step, between two runs into one folder; not once it has gone on by itself."""
+@pytest.mark.parametrize("every", [1, 3])
+def test_a_run_goes_on_in_its_folder_whatever_was_changed(tmp_path, every):
+    """Options, particles and the step, between two runs into one folder; not once it has gone on by itself.
+
+    The row with which the first one ends stays only if it is one of every so many.
+    """
     ball = [{"position": [[1.0, 1.0]], "velocity": [2.0, 3.0], "radius": 0.1}]
-    box, output = {"lower": [0.0, 0.0], "upper": [2.0, 2.0]}, {"every": 2, "diagnostics_every": 1}
+    box, output = {"lower": [0.0, 0.0], "upper": [2.0, 2.0]}, {"every": 2, "diagnostics_every": every}
     scene = Scene(dimension=2, box=box, time={"step": 0.1, "steps": 20}, particles=ball, effects={"walls": {}}, output=output)
     sim, other = Simulation(scene), Simulation(scene)
     sim.run(tmp_path / "run", steps=5)
@@ -124,11 +128,11 @@ def test_a_run_goes_on_in_its_folder_whatever_was_changed(tmp_path):
         one.effects["walls"].restitution = 0.5
         one.add({"position": [[0.5, 0.5]], "radius": 0.1})
         one.h = 0.05
-    sim.run(tmp_path / "run", steps=12, resumed=True)
+    sim.run(tmp_path / "run", steps=12)
     other.steps(7)
     assert sim == other
     found = Run(tmp_path / "run")
-    assert found.diagnostics["step"].tolist() == list(range(13)) and [f.step for f in found] == list(range(0, 13, 2))
+    assert found.diagnostics["step"].tolist() == list(range(0, 13, every)) and [f.step for f in found] == list(range(0, 13, 2))
     assert found.about["scene"]["effects"]["walls"]["restitution"] == 0.5
     assert sum(found.diagnostics["wall_hits"]) == sim.totals["wall_hits"] > 0  # each is told once
     sim.effects["walls"].restitution = 0.6

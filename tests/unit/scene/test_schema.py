@@ -2,11 +2,13 @@
 
 import tomllib
 
+import numpy as np
 import pytest
 from conftest import ROOT
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from particles_mpi import Simulation
 from particles_mpi.errors import SceneError
 from particles_mpi.initial.populate import populate
 from particles_mpi.scene.schema import Scene
@@ -228,3 +230,37 @@ def test_garbage_in_one_place_of_a_valid_scene(data):
         populate(Scene.from_dict(given_tables))
     except SceneError as error:
         assert error.faults
+
+
+def test_arrays_and_tuples_are_as_good_as_lists():
+    """At any depth, in any table."""
+    tables = {"dimension": 2, "time": {"step": 0.1, "steps": 3}, "box": {"lower": [0.0, 0.0], "upper": [2.0, 2.0]}}
+    particles = {"position": [[0.5, 0.5], [1.5, 1.5]], "velocity": [1.0, 0.0], "mass": [1.0, 2.0]}
+    effects = {"uniform_gravity": {"acceleration": [0.0, -1.0]}}
+    wanted = Scene(**tables, particles=[particles], effects=effects)
+    arrays = {name: np.array(value) for name, value in particles.items()}
+    tuples = {"position": [(0.5, 0.5), np.array([1.5, 1.5])], "velocity": (1.0, np.float64(0.0)), "mass": (1.0, 2.0)}
+    others = {"time": {"step": np.float64(0.1), "steps": np.int64(3)}, "box": {"lower": (0.0, 0.0), "upper": np.full(2, 2.0)}}
+    for given in (arrays, tuples):
+        scene = Scene(**tables | others, particles=(given,), effects={"uniform_gravity": {"acceleration": np.array([0.0, -1.0])}})
+        assert scene == wanted and scene.to_dict() == wanted.to_dict()
+
+
+def test_a_scene_is_the_same_wherever_it_is_from(tmp_path):
+    text = "dimension = 1\ntime = {step = 0.1, steps = 1}\nparticles = [{position = [[0.0]]}]\n"
+    (tmp_path / "a.toml").write_text(text)
+    scene = Scene.load(tmp_path / "a.toml")
+    assert scene == Scene(dimension=1, time={"step": 0.1, "steps": 1}, particles=[{"position": [[0.0]]}])
+    assert scene != Scene(dimension=1, time={"step": 0.2, "steps": 1}, particles=[{"position": [[0.0]]}])
+    sim = Simulation(scene)
+    sim.to_json(tmp_path / "a.json")
+    sim.run(tmp_path / "out", steps=0)
+    assert Simulation.from_json(tmp_path / "a.json") == sim == Simulation.resume(tmp_path / "out" / "checkpoint.h5")
+
+
+def test_files_of_vtk_have_three_axes():
+    """In more dimensions they are left out where there are others, and refused where they are all."""
+    tables = {"dimension": 4, "time": {"step": 0.1, "steps": 1}, "particles": [{"position": [[0.0] * 4]}]}
+    assert Scene(**tables).output.formats == ["hdf5"]
+    with pytest.raises(SceneError, match=r'output\.formats: .*use "hdf5"'):
+        Scene(**tables, output={"formats": ["vtk"]})

@@ -118,6 +118,14 @@ def test_kernels_with_arguments_of_a_class_that_is_gone_are_forgotten(whole, edi
 
 def test_no_folder_for_kernels_is_one_line():
     nowhere = {"NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator", "NUMBA_CACHE_DIR": "/proc/none"}
-    command = [sys.executable, "-m", "particles_mpi", "doctor"]
-    done = subprocess.run(command, cwd=PACKAGE.parent, env=os.environ | nowhere, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "set NUMBA_CACHE_DIR" in done.stderr, done.stderr
+    scene = PACKAGE / "scenes" / "bounce.toml"
+
+    def told(*command):
+        call = [sys.executable, "-m", "particles_mpi", *command]
+        done = subprocess.run(call, cwd=PACKAGE.parent, env=os.environ | nowhere, capture_output=True, text=True, timeout=60)
+        return done.returncode, done.stderr, done.stdout
+
+    code, error, _ = told("check", scene)
+    assert code == 2 and error.count("\n") == 1 and "set NUMBA_CACHE_DIR" in error, error
+    code, error, table = told("doctor")
+    assert (code, error) == (1, "") and "NUMBA_CACHE_DIR" in table
