@@ -241,8 +241,8 @@ def test_arrays_and_tuples_are_as_good_as_lists():
     arrays = {name: np.array(value) for name, value in particles.items()}
     tuples = {"position": [(0.5, 0.5), np.array([1.5, 1.5])], "velocity": (1.0, np.float64(0.0)), "mass": (1.0, 2.0)}
     others = {"time": {"step": np.float64(0.1), "steps": np.int64(3)}, "box": {"lower": (0.0, 0.0), "upper": np.full(2, 2.0)}}
-    for given in (arrays, tuples):
-        scene = Scene(**tables | others, particles=(given,), effects={"uniform_gravity": {"acceleration": np.array([0.0, -1.0])}})
+    for one in (arrays, tuples):
+        scene = Scene(**tables | others, particles=(one,), effects={"uniform_gravity": {"acceleration": np.array([0.0, -1.0])}})
         assert scene == wanted and scene.to_dict() == wanted.to_dict()
 
 
