@@ -165,7 +165,7 @@ def cradle(places, e, mode):
 @pytest.mark.parametrize("mode", ["event", "rewind"])
 @pytest.mark.parametrize("loss", [{"restitution": 0.5}, {"damping": 0.19}])
 @pytest.mark.parametrize("apart", [0.0, 1e-7])
-@pytest.mark.parametrize("d", [2, 3, 4])
+@pytest.mark.parametrize("d", [2, 3, pytest.param(4, marks=pytest.mark.slow)])
 def test_a_corner_takes_what_each_of_its_walls_takes(d, apart, loss, mode):
     """Each component of the velocity is turned by one wall; the course's damping takes its part of all of it at each."""
     part = loss.get("restitution", (1.0 - 0.19) ** (0.5 * d) if "damping" in loss else 1.0)
