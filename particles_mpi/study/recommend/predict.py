@@ -13,6 +13,7 @@ from itertools import pairwise
 from math import isfinite, log2
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from time import perf_counter
 
 import numpy as np
 
@@ -35,6 +36,7 @@ MOST = 3.0  # seconds that errors may take where steps take long; more is not tr
 LONGEST = 0.1  # seconds of a step: of longer ones it is not measured what each effect costs, which takes copies and time
 SAMPLES, SAMPLE = 3, 0.02  # of each effect, and least seconds of one
 LEAST = 0.03  # of a step: less is not told from the noise
+FEW, COMPILED = 100_000, 3.0  # particles, seconds: if a trial takes longer kernels were compiled, and it is done again
 LOST = 15.0  # collisions of a particle, after which its place means nothing: round-off has grown to the size of it
 
 
@@ -59,17 +61,26 @@ def predict(sim: Simulation, benchmark: Benchmark) -> Prediction:
     if not sim.total or not scene.steps:
         return Prediction(None, ["predicted: nothing happens"])
     try:
-        with scratch(ranks) as folder:
-            job = Job(sim, folder, rehearsal=True)
-            job.run()
-        forecast: Forecast | None = ranks.bcast(job.forecast)
-        if forecast is None:
-            raise Interrupted("stopped before anything could be predicted")
+        start, began = sim.copy() if sim.total <= FEW else None, perf_counter()
+        forecast = rehearsed(sim)
+        if start and ranks.any(perf_counter() - began > COMPILED + 10.0 * forecast.step):  # a run will find those kernels
+            forecast = rehearsed(start)
         costs = costs_of(sim, forecast.step)
         errors = of_contacts(sim) if "collisions" in scene.effects else of_steps(benchmark, scene, forecast.step)
     except StoppedError as error:
         return Prediction(None, [f"predicted: stops within the first steps: {str(error).splitlines()[0]}"])
     return Prediction(forecast, errors, costs)
+
+
+def rehearsed(sim: Simulation) -> Forecast:
+    """What a trial of the first half second, with output, says of the whole run. Collective."""
+    with scratch(sim.ranks) as folder:
+        job = Job(sim, folder, rehearsal=True)
+        job.run()
+    forecast: Forecast | None = sim.ranks.bcast(job.forecast)
+    if forecast is None:
+        raise Interrupted("stopped before anything could be predicted")
+    return forecast
 
 
 def costs_of(sim: Simulation, step: float) -> str:

@@ -23,3 +23,26 @@ def test_errors_are_those_of_a_time_within_the_run(steps):
         assert line == "predicted error: not measured, the run has fewer than 4 steps"
     else:
         assert 0.0 < float(re.search(r"at t = ([\d.]+)", line).group(1)) <= 0.01 * steps * (1.0 + 1e-12)
+
+
+COMPILES = """
+from time import sleep
+from particles_mpi.scene.effect import EffectOptions, Force
+compiled = []
+class Options(EffectOptions): pass
+class Effect(Force):
+    formula = "dv/dt = 1"
+    def __init__(self, options, scene): pass
+    def add(self, particles, acceleration):
+        if not compiled:
+            sleep(3.5)
+            compiled.append(True)
+        acceleration += 1.0
+"""
+
+
+def test_what_is_compiled_for_the_first_trial_is_not_compiled_by_the_run(tmp_path):
+    (tmp_path / "slow.py").write_text(COMPILES)
+    tables = {"dimension": 2, "time": {"step": 0.01, "steps": 30}, "particles": [{"position": [[0.0, 0.0]]}]}
+    sim = Simulation(Scene.from_dict(tables | {"effects": {"slow": {"file": "slow.py"}}}, tmp_path))
+    assert predict(sim, Benchmark()).forecast.seconds < 1.0
