@@ -290,7 +290,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             wall = -1 - j
             lossy = planes.restitution[wall] * planes.velocity_factor[wall] < 1.0
             elastic = lossy and takes_nothing(d, rows, i, t, moment, h, collapse)
-            note_contact(axes, rows, i, t, j, moment, h, elastic, collapse[0], crowded, work.any_squeezed)
+            note_contact(axes, rows, i, t, j, moment, h, elastic, collapse, crowded, work.any_squeezed)
             move_to(axes, segment, i, t)
             own = state[i, OWNERSHIP] >= OWN
             e, factor = (1.0, 1.0) if elastic else (planes.restitution[wall], planes.velocity_factor[wall])
@@ -322,8 +322,8 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             elastic = restitution * velocity_factor < 1.0 and (
                 takes_nothing(d, rows, i, t, moment, h, collapse) or takes_nothing(d, rows, j, t, moment, h, collapse)
             )
-            note_contact(axes, rows, i, t, state[j, ID], moment, h, elastic, collapse[0], crowded, work.any_squeezed)
-            note_contact(axes, rows, j, t, state[i, ID], moment, h, elastic, collapse[0], crowded, work.any_squeezed)
+            note_contact(axes, rows, i, t, state[j, ID], moment, h, elastic, collapse, crowded, work.any_squeezed)
+            note_contact(axes, rows, j, t, state[i, ID], moment, h, elastic, collapse, crowded, work.any_squeezed)
             own = state[i, OWNERSHIP] >= OWN
             loss = (1.0, 1.0) if elastic else (restitution, velocity_factor)
             reals[i, VIRIAL] += collide(axes, segment, reference, i, j, t, loss, length, rates, rough, elastic, work.r)

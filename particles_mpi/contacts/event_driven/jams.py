@@ -69,12 +69,12 @@ def takes_nothing(d, rows, i, t, moment, h, collapse):
 
 
 @in_place
-def note_contact(axes, rows, i, t, partner, moment, h, elastic, duration, crowded, any_squeezed):
+def note_contact(axes, rows, i, t, partner, moment, h, elastic, collapse, crowded, any_squeezed):
     """Row i is about to begin a new segment at time t of a drift over h: change its state. Rows of a crowd wait as squeezed
-    ones do. `elastic`: the contact takes no energy because it follows others so soon, within `duration`."""
+    ones do. `elastic`: the contact `takes_nothing`, because it follows others so soon."""
     state, reals = rows.state, rows.reals
     if t - rows.segment[i, 2 * len(axes) + START] > STANDING * h:  # contacts at the same moment are as one
-        following = state[i, RAPID_EVENTS] % ZERO_TIME_EVENT // FOLLOWING
+        following, (duration, _) = state[i, RAPID_EVENTS] % ZERO_TIME_EVENT // FOLLOWING, collapse
         soon = abs(moment + t - reals[i, LAST_CONTACT]) < duration
         state[i, RAPID_EVENTS] += ((min(following + 1, MOST_FOLLOWING) if soon else 0) - following) * FOLLOWING
     way = progress(len(axes), rows.segment, i, t, h, elastic)
