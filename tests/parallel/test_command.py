@@ -74,7 +74,7 @@ def test_run_and_resume_give_the_same_bits_on_any_ranks(scene, tmp_path):
         and "contact times" in done.stdout
     )
     assert "\x1b" not in done.stdout and "\r" not in done.stdout  # plain where nobody watches
-    assert particles_mpi(2, "run", scene, "--output", parts, "--steps", "20", "--quiet").stdout == ""
+    assert particles_mpi(2, "run", scene, "--output", parts, "--steps", "23", "--quiet").stdout == ""
     done = particles_mpi(3, "run", scene, "--output", parts, "--resume", parts / "checkpoint.h5", "--quiet")
     assert done.returncode == 0, done.stderr
     a, b = frames(whole), frames(parts)
