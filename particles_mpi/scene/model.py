@@ -2,6 +2,7 @@
 
 import difflib
 from collections.abc import Iterator
+from itertools import chain
 from typing import Annotated, Any, Literal, Self, Union, get_args
 
 import numpy as np
@@ -19,7 +20,7 @@ from pydantic import (
 )
 
 LARGEST = 1e100
-NUMBERS = (float, int)
+NUMBERS = {float, int, bool}
 NotNegative = Annotated[float, Field(ge=0.0)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
@@ -61,7 +62,10 @@ def plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: plain(inner) for name, inner in value.items()}
     if isinstance(value, list | tuple):
-        return [inner if type(inner) in NUMBERS else plain(inner) for inner in value]
+        kinds = set(map(type, value))
+        if kinds == {list} and set(map(type, chain.from_iterable(value))) <= NUMBERS:
+            return list(value)  # rows of numbers, of which there may be very many
+        return list(value) if kinds <= NUMBERS else [plain(inner) for inner in value]
     return value
 
 
