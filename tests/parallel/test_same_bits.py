@@ -356,6 +356,13 @@ SCENES |= {
         effects={"collisions": {"mode": "event", "restitution": 0.7, "contact_duration": 0.001}},
         output={"observables": True},
     ),
+    "discs that collapse": dict(
+        dimension=2,
+        box={"lower": [0, 0], "upper": [16.0, 16.0]},
+        time={"step": 0.2, "steps": 40},
+        particles=[{"count": 170, "position": "lattice", "velocity": {"temperature": 1.0}, "radius": 0.5}],
+        effects={"collisions": {"mode": "event", "restitution": 0.1}, "walls": {"restitution": 0.1}},
+    ),
     "chain of touching discs": dict(
         dimension=2,
         time={"step": 0.5, "steps": 6},
