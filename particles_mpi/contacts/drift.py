@@ -93,7 +93,8 @@ class Drift:
             duration = pairs.options.contact_duration
             keeps = self.persistent and self.persistent.pairs
             hold = (lambda h: self.persistent.keep_crowds(self.rows, accelerations(), h)) if keeps else None
-            exact = EventDriven(self.rows, context.ranks, box, loss, law, duration, planes, context.timers, hold)
+            forces = bool(self.effects.forces)
+            exact = EventDriven(self.rows, context.ranks, box, loss, law, duration, forces, planes, context.timers, hold)
         if pairs.options.mode == "event":
             self.near = self.operator = exact
             return

@@ -16,7 +16,7 @@ class Options(Losses, EffectOptions):
     """`mode`; `restitution` or `damping`; `passes` a step, in mode rewind.
 
     `contact_duration` t_c, in mode event: a contact within t_c of the last one of either partner takes no energy (TC model);
-    if not given, one within a ten-thousandth of a step, where more than three have followed one another so soon.
+    if not given, one within a ten-thousandth of a step, without forces only after many that followed one another so soon.
     `contact_tolerance`: where forces keep spheres in contact, by which part of a radius contacts may close in a step, as root
     mean square.
     """

@@ -72,7 +72,7 @@ class Engine:
         self.expiries = 0  # of lists since `load`
         self.ahead = 0.0
         self.pending = 0  # rows in work.stale
-        self.set_step(NEVER_CROWDED, no_rates(d), Collapse(0.0, 0))
+        self.set_step(NEVER_CROWDED, no_rates(d), Collapse(0.0, 0, 0, False))
 
     def set_step(self, crowded: int, rates: Rates, collapse: Collapse) -> None:
         """For this step: quick contacts that make a crowd, how velocities change, and which contacts take no energy."""
@@ -173,7 +173,8 @@ class Engine:
     def end_drift(self) -> int:
         """All rows to the end of the drift. Returns how many own ones were squeezed."""
         lists = self.lists.arrays
-        squeezed = end_drift(self.axes, tuple(self.rows), float(self.work.stopped[0]), lists.reference, lists.box)
+        h, stands = float(self.work.stopped[0]), self.collapse.stands
+        squeezed = end_drift(self.axes, tuple(self.rows), h, lists.reference, lists.box, stands)
         counts = self.work.counts
         self.expiries += int(counts[EXPIRIES])
         self.events = int(counts[COLLISIONS] + counts[WALL_HITS] + counts[EXPIRIES])

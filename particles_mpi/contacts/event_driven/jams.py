@@ -4,7 +4,7 @@
 with many quick ones is one of a crowd, and waits for the drift to be done again. After a thousand contacts in which it got
 nowhere a row is squeezed: it is jammed from then on. It stands until the end of the drift, in the way of others, which are
 jammed too when they come to it. Its velocity is kept times HARDLY, a power of two, so that it moves nothing, and is exact again
-when `rows.end_drift` gives it back.
+when `rows.end_drift` gives it back, if it does: see `Collapse`.
 """
 
 from particles_mpi.contacts.event_driven.rows import (
@@ -26,7 +26,6 @@ from particles_mpi.kernels.markers import RADIUS, START
 QUICK = 0.01  # of a drift: a contact so soon after the last one is quick
 STANDING = 1e-9  # of a drift: time that does not count as passed
 RATTLING = 1e-5  # of a drift: nor does this between contacts that take no energy because they follow one another so soon
-AT_ONE_MOMENT = 50  # contacts of a row in which it got nowhere: differences of velocities of a few rows are round-off then
 NOWHERE = 1e-14  # of a coordinate and a radius: a way that is round-off
 
 
@@ -59,13 +58,13 @@ def progress(d, segment, i, t, h, elastic):
 @in_place
 def takes_nothing(d, rows, i, t, moment, h, collapse):
     """Does a contact of row i at time t of a drift over h, which began at `moment`, take no energy? See `Collapse`."""
-    duration, before = collapse
+    duration, before, at_once, _ = collapse
     soon = abs(moment + t - rows.reals[i, LAST_CONTACT]) < duration
     if before == 0:
         return soon
     rapid = rows.state[i, RAPID_EVENTS]
     follows = rapid % ZERO_TIME_EVENT // FOLLOWING >= before and t - rows.segment[i, 2 * d + START] > STANDING * h
-    return soon and (follows or rapid >= AT_ONE_MOMENT * ZERO_TIME_EVENT)
+    return soon and (follows or rapid >= at_once * ZERO_TIME_EVENT)
 
 
 @in_place
@@ -74,8 +73,8 @@ def note_contact(axes, rows, i, t, partner, moment, h, elastic, collapse, crowde
     ones do. `elastic`: the contact `takes_nothing`, because it follows others so soon."""
     state, reals = rows.state, rows.reals
     if t - rows.segment[i, 2 * len(axes) + START] > STANDING * h:  # contacts at the same moment are as one
-        following, (duration, _) = state[i, RAPID_EVENTS] % ZERO_TIME_EVENT // FOLLOWING, collapse
-        soon = abs(moment + t - reals[i, LAST_CONTACT]) < duration
+        following = state[i, RAPID_EVENTS] % ZERO_TIME_EVENT // FOLLOWING
+        soon = abs(moment + t - reals[i, LAST_CONTACT]) < collapse[0]
         state[i, RAPID_EVENTS] += ((min(following + 1, MOST_FOLLOWING) if soon else 0) - following) * FOLLOWING
     way = progress(len(axes), rows.segment, i, t, h, elastic)
     if way < 0:

@@ -37,7 +37,8 @@ LONGEST_PAUSE = 64  # drifts
 CROWDED = 8  # quick contacts in a drift; then a particle is one of a crowd that collapses
 ROUNDS = 3
 DURATION = 1e-4  # of a step: the `contact_duration` of a scene that gives none,
-SEVERAL = 3  # and how many contacts have to follow one another so soon, until the next one takes no energy
+EFFORT = 10_000  # particles times contacts that have to follow one another so soon until further ones take no energy,
+FOLLOWERS, AT_ONCE = (3, 4000), (50, 900)  # at least and at most; and those at one moment
 MOST_SKINS = 1e7  # times that a particle may leave its neighbourhood in a drift, some seconds of work
 CHANGING = ("position", "velocity", "contacted", "virial", "supported", "total_acceleration", "spin")
 
@@ -56,15 +57,22 @@ class EventDriven:
         loss: Loss,
         law: Array,
         duration: float | None,
+        forces: bool,
         planes: Planes | None,
         timers: Timers,
         hold: Callable[[float], None] | None,
     ):
-        """`hold`: keeps the contacts of a crowd after a kick (`PersistentContacts.keep_crowds`), if contacts can last."""
+        """`forces`: are there any? `hold`: keeps the contacts of a crowd after a kick (`PersistentContacts.keep_crowds`), if
+        contacts can last."""
         self.ranks, self.given_duration = ranks, duration
         self.particles, self.box, self.timers = particles, box, timers
         self.rules = box, loss, law, planes or no_planes(particles.dimension)
-        self.divided = ranks.size > 1 and ranks.total(len(particles))[0] >= LEAST * ranks.size
+        total = ranks.total(len(particles))[0]
+        self.divided = ranks.size > 1 and total >= LEAST * ranks.size
+        # What forces press together would have contacts at one moment in each step, without end: there it is the TC model
+        before, at_once = (min(max(EFFORT // max(total, 1), least), most) for least, most in (FOLLOWERS, AT_ONCE))
+        stands = forces and len(self.rules[3].point) > 0 and loss.restitution * loss.velocity_factor < 1.0
+        self.collapse = Collapse(0.0, 0 if forces or duration is not None else before, at_once, stands)
         # Contacts of this rank that took no energy: how many; of the first step with some its moment, and (time, id, id or wall)
         self.tc_elastic: tuple[int, float, Array] = 0, np.inf, np.empty((0, 3))
         self.crowded_steps = 0
@@ -105,7 +113,7 @@ class EventDriven:
         With `stop` it ends with the first collision of two particles, who `met`, after `reached`, h if there is none.
         """
         given, self.rates = self.given_duration, rates
-        self.collapse = Collapse(DURATION * h, SEVERAL) if given is None else Collapse(given, 0)
+        self.collapse = self.collapse._replace(duration=DURATION * h if given is None else given)
         if self.hold is None or stop:
             return self.drift_once(h, moment, stop, NEVER_CROWDED)
         p = self.particles

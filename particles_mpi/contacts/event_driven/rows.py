@@ -21,7 +21,7 @@ SAVED = 5  # the first of these are in a record
 NOT_HERE, GHOST, OWN, SHARED = range(4)  # OWNERSHIP: a free row, another rank's particle, an own one, an own one others know
 # RAPID_EVENTS is three numbers: of quick contacts, in units of 1; of contacts that follow one another within t_c, MOST_FOLLOWING
 # at most, in units of FOLLOWING; and of contacts in a row that got nowhere, in units of ZERO_TIME_EVENT
-FOLLOWING, MOST_FOLLOWING, ZERO_TIME_EVENT = 2**24, 2**8 - 1, 2**32
+FOLLOWING, MOST_FOLLOWING, ZERO_TIME_EVENT = 2**20, 2**12 - 1, 2**32
 SQUEEZED = 1000 * ZERO_TIME_EVENT  # from here on a particle is squeezed: it has no more contacts in this drift
 JAMMED = 2**60  # from here on others that come to it stop there, as it does; its velocity is kept times HARDLY, exactly
 HARDLY = 2.0**-200  # too little for a velocity to change a position
@@ -32,12 +32,17 @@ class Collapse(NamedTuple):
 
     Those within `duration` t_c of the last contact of either partner: the TC model (Luding and McNamara, Granular Matter 1, 113,
     1998). With `before` above 0 only after so many contacts of that partner, in this drift, that followed one another so soon,
-    and if time has passed, or after very many contacts at one moment (`jams.AT_ONE_MOMENT`): what touches several others, as in
-    a corner or in Newton's cradle, loses energy at all of them.
+    and if time has passed, or after `at_once` contacts at one moment: what touches several others, as in a corner or in Newton's
+    cradle, loses energy at all of them.
+
+    `stands`: does what has no room come to rest? Where forces press it onto a wall it would else win, from step to step, the
+    speed of a fall that does not take place.
     """
 
     duration: float
     before: int
+    at_once: int
+    stands: bool
 
 
 class Rows(NamedTuple):
@@ -101,8 +106,11 @@ def start_drift(axes, rows, x, v, radius, last_contact, virial, acceleration, sp
 
 
 @lean
-def end_drift(axes, rows, h, reference, box):
-    """All rows to time h, in a periodic box with their `reference` positions. Returns how many own ones were squeezed."""
+def end_drift(axes, rows, h, reference, box, stands):
+    """All rows to time h, in a periodic box with their `reference` positions. Returns how many own ones were squeezed.
+
+    Jammed rows get their velocities back, or come to rest if what is jammed `stands`.
+    """
     rows = Rows(*rows)
     segment, state = rows.segment, rows.state
     lower, _, length = box
@@ -116,7 +124,7 @@ def end_drift(axes, rows, h, reference, box):
             segment[i, 2 * d + START] = h  # it stays where its last contact was
             if state[i, RAPID_EVENTS] >= JAMMED:
                 for k in range(d):
-                    segment[i, d + k] /= HARDLY
+                    segment[i, d + k] = 0.0 if stands else segment[i, d + k] / HARDLY
         for k in range(d):
             at = segment[i, k] + segment[i, d + k] * (h - segment[i, 2 * d + START])
             if length[k] > 0.0 and not lower[k] <= at < lower[k] + length[k]:
