@@ -356,6 +356,23 @@ SCENES |= {
         effects={"collisions": {"mode": "event", "restitution": 0.7, "contact_duration": 0.001}},
         output={"observables": True},
     ),
+    "discs without room that forces press onto walls that take no energy": dict(
+        dimension=2,
+        box={"lower": [0, 0], "upper": [0.6, 1.0]},
+        time={"step": 0.0025, "steps": 60},
+        particles=[
+            {
+                "position": [[0.05 + 0.1 * i, 0.05 + 0.1001 * k] for k in range(5) for i in range(6)],
+                "radius": 0.05,
+                "velocity": {"speed": 0.05},
+            }
+        ],
+        effects={
+            "collisions": {"mode": "event", "restitution": 0.5, "allow_overlap": True},
+            "walls": {},
+            "uniform_gravity": {"acceleration": [0.0, -9.8]},
+        },
+    ),
     "discs that collapse": dict(
         dimension=2,
         box={"lower": [0, 0], "upper": [16.0, 16.0]},
