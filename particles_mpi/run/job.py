@@ -54,8 +54,8 @@ class Job:
         scene_file: Path | None = None,
     ):
         self.sim, self.folder, self.scene, self.ranks = sim, folder, sim.scene, sim.ranks
-        own = sim.saved == (folder.resolve(), sim.steps_done)  # then it goes on with its own run
-        self.resumed = resumed or (own and not overwrite)
+        own = sim.saved == (folder.resolve(), sim.steps_done) and self.ranks.bcast((folder / "checkpoint.h5").exists())
+        self.resumed = resumed or (own and not overwrite)  # a simulation goes on with its own run
         self.last = sim.last_step if steps is None else steps  # number of the step with which the job ends
         self.setup_began = perf_counter() if setup_began is None else setup_began
         options = {"output": str(folder), "steps": self.last, "overwrite": overwrite, "resume": self.resumed}

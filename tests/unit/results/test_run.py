@@ -1,5 +1,6 @@
 """Runs read back: what was computed is what is read, whatever the dimension, and clear errors for what is not there."""
 
+import shutil
 import subprocess
 import sys
 
@@ -135,6 +136,11 @@ def test_a_run_goes_on_in_its_folder_whatever_was_changed(tmp_path, every):
     assert found.diagnostics["step"].tolist() == list(range(0, 13, every)) and [f.step for f in found] == list(range(0, 13, 2))
     assert found.about["scene"]["effects"]["walls"]["restitution"] == 0.5
     assert sum(found.diagnostics["wall_hits"]) == sim.totals["wall_hits"] > 0  # each is told once
+    sim.run(tmp_path / "run", steps=12)  # nothing is left to do
+    assert Run(tmp_path / "run").diagnostics["step"].tolist() == list(range(0, 13, every))
+    shutil.rmtree(tmp_path / "run")
+    sim.run(tmp_path / "run", steps=13)  # what was there is gone: it begins anew, with what is now
+    assert [f.step for f in Run(tmp_path / "run")] == [12]
     sim.effects["walls"].restitution = 0.6
     sim.step()
     with pytest.raises(SceneError, match="already holds another run"):
