@@ -13,6 +13,7 @@ from particles_mpi.contacts.event_driven.event_loop import (
     Work,
     run,
 )
+from particles_mpi.contacts.event_driven.jams import Collapse
 from particles_mpi.contacts.event_driven.rows import (
     EVENT_COUNT,
     GHOST,
@@ -22,7 +23,6 @@ from particles_mpi.contacts.event_driven.rows import (
     OWN,
     OWNERSHIP,
     VIRIAL,
-    Collapse,
     Rows,
     end_drift,
     new_log,

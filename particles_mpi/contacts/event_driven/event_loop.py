@@ -21,7 +21,15 @@ from particles_mpi.contacts.event_driven.calendar_queue import (
     find_first,
     push,
 )
-from particles_mpi.contacts.event_driven.jams import STANDING, note_contact, passes_by, stop_at_jam, stop_squeezed, takes_nothing
+from particles_mpi.contacts.event_driven.jams import (
+    STANDING,
+    Collapse,
+    note_contact,
+    passes_by,
+    stop_at_jam,
+    stop_squeezed,
+    takes_nothing,
+)
 from particles_mpi.contacts.event_driven.rows import (
     EVENT_COUNT,
     ID,
@@ -228,7 +236,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
     segment, state, reals, reference = rows.segment, rows.state, rows.reals, lists.reference
     _, _, length = lists.box
     (restitution, velocity_factor), law, collapse, crowded, planes, rates = rules
-    planes = Planes(*planes)
+    planes, collapse = Planes(*planes), Collapse(*collapse)
     rough = Rough(rows.spin, rows.inverse_inertia, law, work.normal, work.impulse)
     h, moment, now, until, ahead = interval
     stale, counts, progress, node, times = work.stale, work.counts, work.progress, queue.node, queue.times

@@ -7,6 +7,8 @@ jammed too when they come to it. Its velocity is kept times HARDLY, a power of t
 when `rows.end_drift` gives it back, if it does: see `Collapse`.
 """
 
+from typing import NamedTuple
+
 from particles_mpi.contacts.event_driven.rows import (
     EVENT_COUNT,
     FOLLOWING,
@@ -27,6 +29,24 @@ QUICK = 0.01  # of a drift: a contact so soon after the last one is quick
 STANDING = 1e-9  # of a drift: time that does not count as passed
 RATTLING = 1e-5  # of a drift: nor does this between contacts that take no energy because they follow one another so soon
 NOWHERE = 1e-14  # of a coordinate and a radius: a way that is round-off
+
+
+class Collapse(NamedTuple):
+    """Which contacts take no energy, so that inelastic collapse, ever more contacts in ever less time, does not stop the clock.
+
+    Those within `duration` t_c of the last contact of either partner: the TC model (Luding and McNamara, Granular Matter 1, 113,
+    1998). With `before` above 0 only after so many contacts of that partner, in this drift, that followed one another so soon,
+    and if time has passed, or after `at_once` contacts at one moment: what touches several others, as in a corner or in Newton's
+    cradle, loses energy at all of them.
+
+    `stands`: does what has no room come to rest? Where forces press it onto a wall it would else win, from step to step, the
+    speed of a fall that does not take place.
+    """
+
+    duration: float
+    before: int
+    at_once: int
+    stands: bool
 
 
 @lean_inner
@@ -58,13 +78,12 @@ def progress(d, segment, i, t, h, elastic):
 @in_place
 def takes_nothing(d, rows, i, t, moment, h, collapse):
     """Does a contact of row i at time t of a drift over h, which began at `moment`, take no energy? See `Collapse`."""
-    duration, before, at_once, _ = collapse
-    soon = abs(moment + t - rows.reals[i, LAST_CONTACT]) < duration
-    if before == 0:
+    soon = abs(moment + t - rows.reals[i, LAST_CONTACT]) < collapse.duration
+    if collapse.before == 0:
         return soon
     rapid = rows.state[i, RAPID_EVENTS]
-    follows = rapid % ZERO_TIME_EVENT // FOLLOWING >= before and t - rows.segment[i, 2 * d + START] > STANDING * h
-    return soon and (follows or rapid >= at_once * ZERO_TIME_EVENT)
+    follows = rapid % ZERO_TIME_EVENT // FOLLOWING >= collapse.before and t - rows.segment[i, 2 * d + START] > STANDING * h
+    return soon and (follows or rapid >= collapse.at_once * ZERO_TIME_EVENT)
 
 
 @in_place
@@ -74,7 +93,7 @@ def note_contact(axes, rows, i, t, partner, moment, h, elastic, collapse, crowde
     state, reals = rows.state, rows.reals
     if t - rows.segment[i, 2 * len(axes) + START] > STANDING * h:  # contacts at the same moment are as one
         following = state[i, RAPID_EVENTS] % ZERO_TIME_EVENT // FOLLOWING
-        soon = abs(moment + t - reals[i, LAST_CONTACT]) < collapse[0]
+        soon = abs(moment + t - reals[i, LAST_CONTACT]) < collapse.duration
         state[i, RAPID_EVENTS] += ((min(following + 1, MOST_FOLLOWING) if soon else 0) - following) * FOLLOWING
     way = progress(len(axes), rows.segment, i, t, h, elastic)
     if way < 0:

@@ -14,7 +14,7 @@ import numpy as np
 
 from particles_mpi.contacts.event_driven.engine import MOST_EXPIRIES, NAMED, NEVER_CROWDED, Engine
 from particles_mpi.contacts.event_driven.event_loop import COLLISIONS, HIGHER, LOWER, TC_ELASTIC, WALL_HITS
-from particles_mpi.contacts.event_driven.rows import Collapse
+from particles_mpi.contacts.event_driven.jams import Collapse
 from particles_mpi.contacts.event_driven.windows import Windows
 from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.velocity_flow import Rates
@@ -66,12 +66,13 @@ class EventDriven:
         contacts can last."""
         self.ranks, self.given_duration = ranks, duration
         self.particles, self.box, self.timers = particles, box, timers
-        self.rules = box, loss, law, planes or no_planes(particles.dimension)
+        planes = planes or no_planes(particles.dimension)
+        self.rules = box, loss, law, planes
         total = ranks.total(len(particles))[0]
         self.divided = ranks.size > 1 and total >= LEAST * ranks.size
         # What forces press together would have contacts at one moment in each step, without end: there it is the TC model
         before, at_once = (min(max(EFFORT // max(total, 1), least), most) for least, most in (FOLLOWERS, AT_ONCE))
-        stands = forces and len(self.rules[3].point) > 0 and loss.restitution * loss.velocity_factor < 1.0
+        stands = forces and len(planes.point) > 0 and loss.restitution * loss.velocity_factor < 1.0
         self.collapse = Collapse(0.0, 0 if forces or duration is not None else before, at_once, stands)
         # Contacts of this rank that took no energy: how many; of the first step with some its moment, and (time, id, id or wall)
         self.tc_elastic: tuple[int, float, Array] = 0, np.inf, np.empty((0, 3))

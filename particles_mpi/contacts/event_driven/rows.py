@@ -27,24 +27,6 @@ JAMMED = 2**60  # from here on others that come to it stop there, as it does; it
 HARDLY = 2.0**-200  # too little for a velocity to change a position
 
 
-class Collapse(NamedTuple):
-    """Which contacts take no energy, so that inelastic collapse, ever more contacts in ever less time, does not stop the clock.
-
-    Those within `duration` t_c of the last contact of either partner: the TC model (Luding and McNamara, Granular Matter 1, 113,
-    1998). With `before` above 0 only after so many contacts of that partner, in this drift, that followed one another so soon,
-    and if time has passed, or after `at_once` contacts at one moment: what touches several others, as in a corner or in Newton's
-    cradle, loses energy at all of them.
-
-    `stands`: does what has no room come to rest? Where forces press it onto a wall it would else win, from step to step, the
-    speed of a fall that does not take place.
-    """
-
-    duration: float
-    before: int
-    at_once: int
-    stands: bool
-
-
 class Rows(NamedTuple):
     """The rows as the kernels take them, some of them free.
 
