@@ -34,7 +34,7 @@ def keeper_of_contacts(effects: ActiveEffects, context: Context, dimension: int)
     from particles_mpi.contacts.persistent.operator import PersistentContacts
     from particles_mpi.contacts.persistent.surfaces import Surfaces
 
-    pairs, walls = effects.pairs is not None and effects.pairs.lossy, effects.walls
+    pairs, walls = effects.pairs is not None and (effects.pairs.lossy or effects.uniform), effects.walls
     planes, taking = (walls.planes, walls.taking) if walls else (no_planes(dimension), np.empty(0, bool))
     tolerance, points = 0.0, False
     if effects.pairs:
@@ -92,7 +92,7 @@ class Drift:
 
             duration = pairs.options.contact_duration
             keeps = self.persistent and self.persistent.pairs
-            hold = (lambda h: self.persistent.keep_crowds(self.rows, accelerations(), h)) if keeps else None
+            hold = (lambda h, tried: self.persistent.keep_crowds(self.rows, accelerations(), h, tried)) if keeps else None
             forces = bool(self.effects.forces)
             exact = EventDriven(self.rows, context.ranks, box, loss, law, duration, forces, planes, context.timers, hold)
         if pairs.options.mode == "event":

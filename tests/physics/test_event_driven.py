@@ -149,13 +149,14 @@ def test_inelastic_collapse_does_not_stop_the_clock(beads, restitution, given):
 @pytest.mark.parametrize(
     ("places", "losses"), [([0, 2, 3], (0.0, 0.1, 0.5, 0.95)), ([0, 2, 3, 4, 5], (0.5, 0.95)), ([0, 2, 4], (0.0,))]
 )
-def test_what_touches_several_others_loses_energy_at_all_of_them(places, losses, mode):
-    """Newton's cradle: contacts at one moment, one after the other, until nobody approaches anybody."""
+@pytest.mark.parametrize("forces", [{}, {"user_acceleration": {}}])
+def test_what_touches_several_others_loses_energy_at_all_of_them(places, losses, mode, forces):
+    """Newton's cradle: contacts at one moment, one after the other, until nobody approaches anybody, with forces of 0 too."""
     for e in losses:
-        cradle(places, e, mode)
+        cradle(places, e, mode, forces)
 
 
-def cradle(places, e, mode):
+def cradle(places, e, mode, forces):
     """The first sphere comes with a speed of 1 to others that are at rest."""
     v = np.zeros(len(places))
     v[0] = 1.0
@@ -163,9 +164,34 @@ def cradle(places, e, mode):
         k = approaching[0]
         v[k], v[k + 1] = 0.5 * ((1.0 - e) * v[k] + (1.0 + e) * v[k + 1]), 0.5 * ((1.0 + e) * v[k] + (1.0 - e) * v[k + 1])
     tables = [{"position": [[x] for x in places], "velocity": [[float(k == 0)] for k in range(len(places))], "radius": 0.5}]
-    sim = Simulation(scene(1, tables, 0.01, 1000, collisions={"restitution": e, "mode": mode}))
+    sim = Simulation(scene(1, tables, 0.01, 1000, collisions={"restitution": e, "mode": mode}, **forces))
     sim.run()
     assert by_id(sim)[1][:, 0] == pytest.approx(v, abs=1e-12)
+    assert sim.totals["missed"] == 0
+
+
+@pytest.mark.parametrize("mode", ["event", "rewind"])
+@pytest.mark.parametrize(("e", "below"), [(0.0, 1), (0.0, 3), (0.3, 1), (0.5, 1), (0.5, 2)])
+def test_what_falls_onto_what_lies_on_a_floor(e, below, mode):
+    """All contacts of a column follow one another at once: ball after ball, floor, and back, each with the loss that it has."""
+    h, fall = 1e-4, 1.0
+    v = np.zeros(below + 1)
+    v[-1] = -1.0  # of what falls, the last one
+    for _ in range(100):
+        v[0] = max(v[0], -e * v[0])
+        closing = v[:-1] - v[1:]
+        k = np.argmax(closing)
+        if closing[k] <= 1e-6 and v[0] >= 0.0:
+            break
+        if closing[k] > 0.0:
+            v[k], v[k + 1] = v[k] - 0.5 * (1.0 + e) * closing[k], v[k + 1] + 0.5 * (1.0 + e) * closing[k]
+    places = [[0.5 + k] for k in range(below)] + [[0.5 + below + fall]]
+    walls = {"restitution": e, "planes": [{"point": [0.0], "normal": [1.0]}]}
+    effects = {"collisions": {"restitution": e, "mode": mode}, "walls": walls, "uniform_gravity": {"acceleration": [-9.81]}}
+    sim = Simulation(scene(1, [{"position": places, "velocity": [0.0], "radius": 0.5}], h, 1, **effects))
+    speed = np.sqrt(2.0 * 9.81 * fall)
+    sim.steps(int(np.ceil(speed / 9.81 / h)) + 2)
+    assert by_id(sim)[1][-1, 0] / speed == pytest.approx(v[-1], abs=0.01)
     assert sim.totals["missed"] == 0
 
 
@@ -173,12 +199,13 @@ def cradle(places, e, mode):
 @pytest.mark.parametrize("loss", [{"restitution": 0.5}, {"damping": 0.19}])
 @pytest.mark.parametrize("apart", [0.0, 1e-7])
 @pytest.mark.parametrize("d", [2, 3, pytest.param(4, marks=pytest.mark.slow)])
-def test_a_corner_takes_what_each_of_its_walls_takes(d, apart, loss, mode):
+@pytest.mark.parametrize("forces", [{}, {"user_acceleration": {}}])
+def test_a_corner_takes_what_each_of_its_walls_takes(d, apart, loss, mode, forces):
     """Each component of the velocity is turned by one wall; the course's damping takes its part of all of it at each."""
     part = loss.get("restitution", (1.0 - 0.19) ** (0.5 * d) if "damping" in loss else 1.0)
     tables = [{"position": [[1.0 + k * apart for k in range(d)]], "velocity": [[-1.0] * d], "radius": 0.2}]
     box = {"lower": [0.0] * d, "upper": [3.0] * d}
-    sim = Simulation(scene(d, tables, 0.1, 15, box, collisions={"mode": mode}, walls=loss))
+    sim = Simulation(scene(d, tables, 0.1, 15, box, collisions={"mode": mode}, walls=loss, **forces))
     sim.run()
     assert by_id(sim)[1][0] == pytest.approx(part, abs=1e-12) and sim.totals["wall_hits"] == d
 

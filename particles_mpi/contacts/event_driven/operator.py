@@ -34,11 +34,13 @@ from particles_mpi.timers import Timers
 
 LEAST = 2000  # particles a rank; with fewer, space is not divided
 LONGEST_PAUSE = 64  # drifts
-CROWDED = 8  # quick contacts in a drift; then a particle is one of a crowd that collapses
-ROUNDS = 3
+# Quick contacts in a drift, after which a particle is one of a crowd that collapses, in each attempt at the drift. What an
+# attempt leaves is little as a rule, and dies away; else those that hit the crowd from outside have to be among it.
+CROWDED = (8, 1000, 8, 4, 2, 1, NEVER_CROWDED)
 DURATION = 1e-4  # of a step: the `contact_duration` of a scene that gives none,
 EFFORT = 10_000  # particles times contacts that have to follow one another so soon until further ones take no energy,
 FOLLOWERS, AT_ONCE = (3, 4000), (50, 900)  # at least and at most; and those at one moment
+PRESSED = 8  # the same under forces
 MOST_SKINS = 1e7  # times that a particle may leave its neighbourhood in a drift, some seconds of work
 CHANGING = ("position", "velocity", "contacted", "virial", "supported", "total_acceleration", "spin")
 
@@ -60,20 +62,22 @@ class EventDriven:
         forces: bool,
         planes: Planes | None,
         timers: Timers,
-        hold: Callable[[float], None] | None,
+        hold: Callable[[float, int], None] | None,
     ):
-        """`forces`: are there any? `hold`: keeps the contacts of a crowd after a kick (`PersistentContacts.keep_crowds`), if
-        contacts can last."""
+        """`forces`: are there any? `hold`: keeps the contacts of a crowd after a kick (`PersistentContacts.keep_crowds`) of a
+        step of h, after so many attempts at the drift, if contacts can last."""
         self.ranks, self.given_duration = ranks, duration
         self.particles, self.box, self.timers = particles, box, timers
         planes = planes or no_planes(particles.dimension)
         self.rules = box, loss, law, planes
         total = ranks.total(len(particles))[0]
         self.divided = ranks.size > 1 and total >= LEAST * ranks.size
-        # What forces press together would have contacts at one moment in each step, without end: there it is the TC model
+        # What forces press together has such contacts in each step, without end
         before, at_once = (min(max(EFFORT // max(total, 1), least), most) for least, most in (FOLLOWERS, AT_ONCE))
         stands = forces and len(planes.point) > 0 and loss.restitution * loss.velocity_factor < 1.0
-        self.collapse = Collapse(0.0, 0 if forces or duration is not None else before, at_once, stands)
+        if forces:
+            before = PRESSED
+        self.collapse = Collapse(0.0, 0 if duration is not None else before, at_once, stands)
         # Contacts of this rank that took no energy: how many; of the first step with some its moment, and (time, id, id or wall)
         self.tc_elastic: tuple[int, float, Array] = 0, np.inf, np.empty((0, 3))
         self.crowded_steps = 0
@@ -119,15 +123,15 @@ class EventDriven:
             return self.drift_once(h, moment, stop, NEVER_CROWDED)
         p = self.particles
         undone = ["id", *(name for name in CHANGING if name in p.arrays and name != "supported")]
-        for left in range(ROUNDS, -1, -1):
+        for tried, crowded in enumerate(CROWDED):
             before, tc_elastic_before = {name: p[name].copy() for name in undone}, self.tc_elastic
-            happened = self.drift_once(h, moment, False, CROWDED if left else NEVER_CROWDED)
-            if not left or not self.ranks.any((p["supported"] == CROWD).any()):
+            happened = self.drift_once(h, moment, False, crowded)
+            if crowded == NEVER_CROWDED or not self.ranks.any((p["supported"] == CROWD).any()):
                 break
             self.undo(before)
             self.tc_elastic = tc_elastic_before
-            self.hold(h)
-            self.crowded_steps += left == ROUNDS
+            self.hold(h, tried)
+            self.crowded_steps += tried == 0
         return happened
 
     def undo(self, rows: dict[str, Array]) -> None:

@@ -6,6 +6,8 @@ velocities become those nearest to them, in kinetic energy, with which no kept c
 (`descent`). That takes energy or none, for to be at rest is always allowed; it moves nothing, and all other contacts, with
 their restitution, it leaves to the drift: the faster ones, and those that nothing presses, as of balls side by side on a floor.
 
+Elastic spheres rest on one another, too, where all forces are uniform and walls take energy: those that are pressed stand on one.
+
 *Crowds.* A sphere that hits a pile sets all of it rattling, without end: every contact of it would take place hundreds of times
 in a step. A drift in which particles have many contacts within a hundredth of it is therefore done again, after `keep_crowds`:
 there they and all that touch them keep their contacts at any speed, as if e = 0, which is what many contacts with e < 1 come to.
@@ -82,8 +84,11 @@ class PersistentContacts:
             inside = inside_zone(local.x, widths(local.radius, local.push, HELD * h, NEAR), zone)
             self.history.taken[:] = self.solve(p, local, graph, inside, h, self.history.taken, bool(known))
 
-    def keep_crowds(self, p: Particles, a: Array, h: float) -> None:
-        """As `keep`, but contacts with those that are CROWD, and with all who touch them, are kept at any speed. Collective."""
+    def keep_crowds(self, p: Particles, a: Array, h: float, tried: int) -> None:
+        """As `keep`, but contacts with those that are CROWD, and with all who touch them, are kept at any speed.
+
+        `tried`: how often that was done since the kick, without success. Collective.
+        """
         self.undamped = None
         with self.timers("rest"):
             touch = slow_widths(p, a, h)
@@ -102,7 +107,7 @@ class PersistentContacts:
                 marked[:] = local.crowd
                 graph.exchange(marked)
             took = self.history.taken_before(p, graph)
-            self.solve(p, local, graph, np.ones(graph.size + 1, np.bool_), h, took, True, again=True)
+            self.solve(p, local, graph, np.ones(graph.size + 1, np.bool_), h, took, True, tried)
 
     def zone(self, p: Particles, wide: Array, involved: Array, known: bool) -> Array:
         """The box (2, d) in which contacts are sought: around those involved, or all space. Collective."""
@@ -127,10 +132,10 @@ class PersistentContacts:
 
     def solve(
         self, p: Particles, local: Local, graph: ContactGraph, inside: Array, h: float, took: Array, known: bool,
-        again: bool = False,
+        tried: int | None = None,
     ) -> Array:  # fmt: skip
         """As `SlowContacts.solve`: velocities into p; returns what half-edges of the graph took."""
-        solution = self.slow.solve(local, graph, inside, h, took, known, again)
+        solution = self.slow.solve(local, graph, inside, h, took, known, tried)
         if not solution:
             p["supported"][graph.rows] = 0
             return np.zeros_like(took)

@@ -17,6 +17,7 @@ from particles_mpi.kernels.jit import kernel
 MARGIN = 1e-3  # of the widest slow gap: closer nothing gets, so that round-off makes no contact
 RETURN = 0.2  # of what contacts are off their margin is mended in a step
 PUSH = 0.01  # of the widest push: so fast contacts that are nearer than their margin are moved apart
+CROWDED = 0.5  # of the gap, up to the margin, may errors in crowds close: so what is left is no hit in this step
 MOST_RETURN = 5.0  # allowed errors: what is further off its margin returns no faster
 
 
@@ -102,7 +103,9 @@ def slow(contacts, closing, took, of_rows, pressed, h, tolerance, margin, slight
                 else:
                     room = max(room, 0.0)
                 chosen[e], may_close[e] = True, room / h
-                tight[e] = 1.0 / (PRECISE * (most if crowd[e] else max(speed, slight * widest[e])))
+                speed = most if crowd[e] else max(speed, slight * widest[e])
+                left = CROWDED * min(gap[e] / h, MARGIN * most) if crowd[e] else 0.0
+                tight[e] = 1.0 / max(PRECISE * speed, left)
                 loose[e] = min(h / allowed, tight[e]) if allowed > 0.0 else tight[e]
     return chosen, may_close, loose, tight
 

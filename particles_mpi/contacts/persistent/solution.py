@@ -14,13 +14,14 @@ from particles_mpi.contacts.persistent.memory import along_normals
 from particles_mpi.contacts.persistent.problem import Targets
 from particles_mpi.contacts.persistent.rows import Local
 from particles_mpi.contacts.persistent.slow import approach, carried, loads, pressing, slow
-from particles_mpi.contacts.persistent.solver import EFFORT, Solver
+from particles_mpi.contacts.persistent.solver import EFFORT, TRIED, Solver
 from particles_mpi.contacts.persistent.surfaces import Pile, RoughContacts, SmoothContacts, Surfaces
 from particles_mpi.contacts.persistent.walls import Walls
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, same_bits
 
 UNKNOWN = 10  # times the effort where nothing is remembered
+IN_CROWDS = 900  # iterations in small crowds, at first; TRIED lead to a direct solution where they are not enough
 AS_PUSH = 2.0 * SLOW  # times what a contact took in a kick, which lasts half a step, is the push that it bears
 
 
@@ -62,34 +63,37 @@ class SlowContacts:
         self.last: Solution | None = None  # if its errors were allowed
 
     def solve(
-        self, local: Local, graph: ContactGraph, inside: Array, h: float, took: Array, known: bool, again: bool = False
+        self, local: Local, graph: ContactGraph, inside: Array, h: float, took: Array, known: bool, tried: int | None = None
     ) -> Solution | None:
         """Velocities that keep the slow contacts of rows `inside`; None if no rank has a contact. Collective.
 
-        `took`: what half-edges of the graph took in the last solution, if that is `known`. `again`: velocities have been
-        through it since the last kick, and keep contacts already; what these take now begins at 0, and adds to what they took.
+        `took`: what half-edges of the graph took in the last solution, if that is `known`. `tried`: how often a crowd has been
+        solved for since the last kick. Its velocities keep contacts already; what these take now begins at 0, and adds to what
+        they took.
         """
         contacts = self.contacts(local, graph, inside, h)
         before, last = took[contacts.slot], self.last
         for_these = before, local.v, local.w, local.supported, local.spin, np.array(known)
-        same = last and not again and last.contacts is contacts and all(map(same_bits, last.for_these, for_these))
+        same = last and tried is None and last.contacts is contacts and all(map(same_bits, last.for_these, for_these))
         count, new = self.ranks.total(len(before), not same)
         if not count:
             return None
         if not new:  # nothing has changed since the kick before: a pile at rest
             return last
-        solution = self.solved(local, graph, contacts, for_these, h, took, count, again)
+        solution = self.solved(local, graph, contacts, for_these, h, took, count, tried)
         self.last = solution if solution.good else None
         return solution
 
     def solved(
         self, local: Local, graph: ContactGraph, contacts: Contacts, for_these: tuple[Array, ...], h: float, took: Array,
-        count: int, again: bool,
+        count: int, tried: int | None,
     ) -> Solution:  # fmt: skip
         """A new solution for `count` half-edges of all ranks; see `solve`. Collective."""
-        before, known = for_these[0], bool(for_these[-1])
+        before, known, again = for_these[0], bool(for_these[-1]), tried is not None
         effort = max(self.effort // count * (1 if known else UNKNOWN), self.kind.least) if self.pairs else EXACT
         borne = AS_PUSH * before if known else self.borne(local, graph, contacts, h, effort)
+        if again and effort >= EXACT and not self.kind.rough:
+            effort = TRIED if tried else IN_CROWDS
         pressed = self.pressed(local, contacts, borne, along_normals(AS_PUSH * before), graph.exchange)
         chosen, targets = self.chosen(local, contacts, before, pressed, h, effort)
         if again:  # the way back to a margin is in these velocities already; given twice it would lift spheres

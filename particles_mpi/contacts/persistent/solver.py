@@ -1,7 +1,7 @@
 """Which way contacts are solved: by iterations, of all ranks or of each for all (`together`), or directly (`direct`).
 
-Where masses are very different, iterations do not come to an end; few contacts are solved directly then (`direct`): rough ones
-without friction, if iterations that begin there do not lead to a solution with it, for they must bear what lies on them.
+Where iterations do not come to an end, few contacts are solved directly (`direct`): rough ones without friction, if iterations
+that begin there do not lead to a solution with it, for they must bear what lies on them.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from particles_mpi.contacts.persistent.together import FEW, Together
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
 
-DIRECT = 1000  # half-edges: if so many of smooth spheres are not solved after TRIED iterations, they are solved directly
+DIRECT = 2000  # half-edges: if so many of smooth spheres are not solved after TRIED iterations, they are solved directly
 TRIED = 1000
 DIFFERENT = 1e4  # times the least inverse mass of rough spheres: if the largest is more, friction is given up where need be
 EFFORT = 200_000  # half-edges times iterations that every solution gets: small piles are solved to round-off
@@ -106,7 +106,7 @@ def without_friction(run: Iteration) -> bool:
     if run.rough and not movable.max(initial=0.0) > DIFFERENT * movable.min(initial=np.inf):
         return False
     before = table[:, run.taken]
-    table[:, run.taken] = 0.0
+    table[:, run.taken[1:]] = 0.0
     if not solve_directly(run.axes, run.problem, w, run.v0[:, : len(run.axes)].copy()):
         table[:, run.taken] = before
         return False
