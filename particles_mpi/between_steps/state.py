@@ -65,8 +65,8 @@ class State:
         self._particles = ParticleView(self.rows, self.check_values)
         self.next_id = max(next_id, int(ranks.allreduce_max(rows.id.max(initial=-1))[0]) + 1)
         d, box = scene.dimension, scene.box
-        self.lower = np.array(box.lower, float) if box else np.zeros(d)
-        self.upper = np.array(box.upper, float) if box else np.zeros(d)
+        self.lower = np.array(box.lower, float) if box else np.full(d, -np.inf)
+        self.upper = np.array(box.upper, float) if box else np.full(d, np.inf)
         self.length = periodic_length(scene)
         self.build()
 

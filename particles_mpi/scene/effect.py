@@ -57,7 +57,7 @@ class Context(NamedTuple):
     ranks: Any  # a `Communicator`
     ids: Any  # an `IdRange`
     timers: Any  # a `Timers`
-    lower: Array  # (d,): corners of the box
+    lower: Array  # (d,): corners of the box, infinite where space is open
     upper: Array
     length: Array  # (d,): of the box on periodic axes, 0 on others
 

@@ -51,7 +51,7 @@ def run(ranks: Communicator, d: int, effects: dict[str, Any], **more: Any) -> No
     sim.measure()
     if sim.persistent and sim.persistent.pairs:
         sim.persistent.slow.effort = 0  # as in a large pile
-        sim.persistent.keep_crowds(sim.rows, sim.sum_forces(), sim.h)
+        sim.persistent.keep_crowds(sim.rows, sim.sum_forces(), sim.h, 0)
 
 
 def down(d: int) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from particles_mpi import Scene, Simulation
 from particles_mpi.kernels.geometry import Box, image_shifts
 from particles_mpi.neighbours.verlet_cells import make_grid
 from particles_mpi.neighbours.verlet_kernels import BEGIN, BLOCK, COUNT, PLACES, SIZE, list_rows
@@ -57,6 +58,21 @@ def test_lists_follow_every_move(d, periodic):
 @pytest.mark.parametrize("sizes", [[0.0, 20.0, 1e30], [0.0, 1e-300, 1e300], [0.0, 0.0, 0.0]])
 def test_sizes_of_any_magnitude_have_a_level(sizes):
     """No warning (it is an error here), and no smaller sphere is in a level of larger ones than a larger sphere."""
-    box = Box(np.zeros(2), np.zeros(2), np.zeros(2))
+    box = Box(np.full(2, -np.inf), np.full(2, np.inf), np.zeros(2))
     _, level = make_grid(np.random.default_rng(1).random((3, 2)), np.array(sizes), box, 1.0)
     assert (np.diff(level) >= 0).all()
+
+
+def test_open_space_has_as_many_cells_as_a_box():
+    """Without a box the grid is around the particles: else a new list would look at all of them."""
+    places = [[x, y, z] for x in range(8) for y in range(8) for z in range(8)]
+    particles = [{"position": places, "velocity": [0.1, 0.0, 0.0], "radius": 0.3}]
+    cells = []
+    for box in (None, {"lower": [-100.0] * 3, "upper": [100.0] * 3}):
+        scene = Scene(
+            dimension=3, box=box, time={"step": 0.1, "steps": 1}, particles=particles, effects={"collisions": {"mode": "event"}}
+        )
+        sim = Simulation(scene)
+        sim.step()
+        cells.append(sim.drift.operator.whole.engine.lists.arrays.grid[2].prod(axis=1).max())
+    assert cells[0] == cells[1] > 50
