@@ -356,6 +356,18 @@ SCENES |= {
         effects={"collisions": {"mode": "event", "restitution": 0.7, "contact_duration": 0.001}},
         output={"observables": True},
     ),
+    "discs that fall onto others, and rattle until they are solved directly": dict(
+        dimension=2,
+        seed=1,
+        box={"lower": [0, 0], "upper": [1.4, 2.8]},
+        time={"step": 0.01, "steps": 90},
+        particles=[{"count": 100, "radius": 0.05, "position": "random", "velocity": {"speed": 1.0}}],
+        effects={
+            "uniform_gravity": {"acceleration": [0, -9.81]},
+            "walls": {"restitution": 0.8},
+            "collisions": {"restitution": 0.5},
+        },
+    ),
     "discs without room that forces press onto walls that take no energy": dict(
         dimension=2,
         box={"lower": [0, 0], "upper": [0.6, 1.0]},
