@@ -35,7 +35,7 @@ class State:
     reported, written: counts and steps at the last row of diagnostics and the last frame; observed: time, collisions and virial
     at the last row of diagnostics with observables, and when `measure` was last called for them. Of this rank, since the start:
     totals: the COUNTS of what happened; calls: how often each effect was asked. forces: those that are switched on, by name;
-    g (d,): the acceleration that all particles have in common; near: whoever knows the neighbours, or None. moment: the time and
+    g (d,): the acceleration that all particles have in common; near: the search for neighbours, or None. moment: the time and
     the number of steps that the clock counts from; saved: where the last checkpoint is, and of which step; views: what shows the
     particles in a notebook; additions: how often particles were added. What `build` makes of all this: context, active, watchdog,
     persistent, drift, accelerations, kick, integrator, many_steps.

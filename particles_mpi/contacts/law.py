@@ -95,7 +95,7 @@ def contact_time(axes, x, v, start, i, j, diameter, h, length):
 
 @lean_inner
 def overlap(r2, one, other):
-    """How deep spheres of two radii, sqrt(r2) apart, are in one another, in units of the smaller one that is no point; or 0."""
+    """The overlap of two spheres, sqrt(r2) apart, divided by the smaller radius that is not 0; 0 if they do not overlap."""
     if not r2 < (one + other) ** 2:
         return 0.0
     return (one + other - sqrt(r2)) / (min(one, other) if one > 0.0 and other > 0.0 else max(one, other))

@@ -28,7 +28,10 @@ adding = inner(_nrt=False, error_model="numpy")
 
 
 class Units(NamedTuple):
-    """Numbers of one kind stand for: a place x by length (x - origin), a mass m by mass m; both factors are powers of two."""
+    """How numbers of a kind, float64 or float32, are stored: positions as length (x - origin), masses as mass m.
+
+    Both factors are powers of two.
+    """
 
     origin: Any  # (3,)
     length: Any

@@ -24,8 +24,8 @@ def check_start(
 ) -> list[str]:
     """Warnings of this rank's particles, and `faults`; overlaps that the scene allows are pushed apart in place. Collective.
 
-    The first `before` of them were there already: nothing is asked of them but that the others do not overlap them. Those that
-    are not `judged` (n,) overlap nobody by the way they were made.
+    The first `before` of them were there already, and are only checked for overlaps with the new ones. Those that are not
+    `judged` (n,) overlap no other by the way they were made.
     """
     ranks = faults.ranks
     new = particles.select(np.arange(before, len(particles))) if before else particles

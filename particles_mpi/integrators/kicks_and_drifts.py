@@ -111,7 +111,7 @@ class Kick:
         self.known: tuple[int, int, float] | None = None
 
     def advance(self, particles: Particles, h: float, drift: float = 0.0) -> Array | None:
-        """Velocities after h; returns a (n, d). `drift`: length of the drift that follows, if it does. Collective."""
+        """Velocities after h; returns a (n, d). `drift`: length of the drift that follows, or 0. Collective."""
         with self.timers("forces"):
             a = self.forces()
         with self.timers("kick"):

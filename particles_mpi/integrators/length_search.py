@@ -9,8 +9,8 @@ SHORT = 0.01  # of the whole step: what one goes on by at a jump
 class LengthSearch:
     """The length h, a time, of the step that ends with its first contact, where forces make the moment of that depend on h.
 
-    A try is a step that is kicked as one of length h and moves on until the contact, or for `whole` if there is none. Its
-    contact is late by so much after h: less than nothing in the whole step, and more in a very short one. In between is a zero,
+    A try is a step that is kicked as one of length h and moves on until the contact, or for `whole` if there is none. Let f(h) be
+    the time of the contact minus h: it is below 0 in the whole step and above 0 in a very short one. In between is a zero,
     found by secants, which converge in about five tries, or by halving where they do not. It may be a jump instead, where a
     contact begins to last: no step ends with a contact then, and the longest that ends before it is taken. If that is shorter
     than `SHORT`, it is the one that was nearest to its contact, so that time goes on.

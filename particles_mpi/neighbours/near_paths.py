@@ -68,7 +68,7 @@ class Waiting(NamedTuple):
     around: Array  # (n + WAITING,) int32: the rows
     asking: Array  # (WAITING,) int32: the row that asks, for one part of `around` after the other
     until: Array  # (WAITING,) int32: where that part ends
-    place: Array  # (WAITING, d): where the row that asks is at the start of its path; on the gridded axes the image that is meant
+    place: Array  # (WAITING, d): position of the row that asks at the start of its path, of the image in question on gridded axes
 
 
 @inner(error_model="numpy")

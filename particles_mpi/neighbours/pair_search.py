@@ -127,9 +127,9 @@ def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found)
     ones, enlarge and call again from there). Kept are pairs with an owned partner and a movable one, the lower id first. Of two
     marked rows the one with the larger bounding radius finds the other: with `everything` marked no search need look further
     than the row's own radius, and SLOW rows need not look for FAST ones. `holding`: `Holding` as a plain tuple.
-    Nearly every test is a coin toss: spheres are tested eight at once in float32, with a margin for what that loses. The paths
-    of those that pass are tested a few rows later. Where a part of the list ends is written out twice: as a function it would
-    count references to all the arrays, and the whole search take twice as long.
+    Whether a test passes cannot be predicted: eight spheres are tested at once, in float32, with a margin for its rounding. The
+    paths of those that pass are tested a few rows later. Where a part of the list ends is written out twice: as a function it
+    would count references to all the arrays, and the whole search take twice as long.
     """
     paths, index, spheres, _, _, length, _, around, _ = holding
     path, midpoint, bounding_radius, level, _ = paths

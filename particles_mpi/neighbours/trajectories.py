@@ -34,7 +34,7 @@ class Horizon(NamedTuple):
 
 
 AT_REST = Horizon(0.0, 0.0, 0.0)
-AHEAD = 16  # rows: a loop over some that are anywhere in memory asks for what it needs of the one so far behind
+AHEAD = 16  # rows: a loop over rows that are scattered in memory fetches the row so many places later into the cache
 
 
 class Spheres(NamedTuple):

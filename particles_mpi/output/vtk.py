@@ -130,7 +130,7 @@ class VtkSeries(Continuing):
 
 
 class Blocks:
-    """Writes `.vtu` files by meshio. What stands around the numbers of a small one serves for the next of that shape."""
+    """Writes `.vtu` files by meshio. The XML around the numbers of a small one is kept for the next one of that shape."""
 
     def __init__(self) -> None:
         self.shape: list[tuple[str, tuple[int, ...]]] = []

@@ -184,7 +184,7 @@ def by_range(numbers: Array, ids: IdRange, writers: int, size: int) -> tuple[Arr
 
 
 def owners_by_range(numbers: Array, ids: IdRange, writers: int) -> Array:
-    """Which of `writers` ranks has each of these ids (n,), in the range, in its part of it."""
+    """The rank, below `writers`, whose even part of the range contains each of these ids (n,)."""
     return ((numbers - ids.first + 1) * writers - 1) // max(ids.end - ids.first, 1)
 
 

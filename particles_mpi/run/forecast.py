@@ -111,8 +111,8 @@ class Forecaster:
         now = self.here()
         own = self.own(now)
         if self.first is self.began and now.step < self.last:
-            # It did what is done only once, and what serves many steps, as a search for neighbours: those after it count, and
-            # as long as it took they are to be seen, so that such work is among them with its part.
+            # These steps contain what is done only once, and a search that serves many steps. Steps after them are measured, for
+            # at least as long, so that searches count in proportion.
             self.first = self.since = now
             self.enough = max(PROBE, own)
             return None

@@ -57,10 +57,10 @@ def passes_by(jammed, rapid):
 
 @in_place
 def progress(d, segment, i, t, h, elastic):
-    """1 if row i got anywhere on its segment, which ends at time t, -1 if not, and 0 if it was at rest, for hardly any time.
+    """Did row i get anywhere on its segment, which ends at time t? 1 if time has passed, or it moved by more than round-off;
+    -1 if it moved by round-off only, or the contact is `elastic` by the TC model; 0 if it was at rest.
 
-    What is shut in without room meets its partners for ever, in hardly any time, on ways that are less than round-off of its
-    position; or in little time, if the TC model keeps it from coming to rest (`elastic`).
+    A particle that is shut in without room meets its partners for ever, on ways that are less than round-off of its position.
     """
     passed = t - segment[i, 2 * d + START]
     if passed > (RATTLING if elastic else STANDING) * h:
@@ -111,7 +111,7 @@ def note_contact(axes, rows, i, t, partner, moment, h, elastic, collapse, crowde
 
 @in_place
 def stop_squeezed(axes, rows, i, crowded):
-    """Row i, if it is squeezed and not only one of a crowd, stands where it is until the end of the drift."""
+    """Jam row i if it is SQUEEZED by contacts in which it got nowhere, and not because it is one of a crowd."""
     rapid = rows.state[i, RAPID_EVENTS]
     if SQUEEZED <= rapid < JAMMED and rapid % FOLLOWING < crowded:
         stand_still(axes, rows, i)

@@ -144,7 +144,7 @@ class EventDriven:
             p[name][:] = values
 
     def drift_once(self, h: float, moment: float, stop: bool, crowded: int) -> Array:
-        """The same; particles with `crowded` quick contacts have no more."""
+        """One attempt at the drift: particles that had `crowded` quick contacts in it have no more, and are marked as CROWD."""
         step = crowded, self.rates, self.collapse
         if self.divided and not stop and self.pause:
             self.pause -= 1

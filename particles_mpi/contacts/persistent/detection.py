@@ -14,9 +14,9 @@ from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import kernel, lean_inner
 from particles_mpi.particles import Array
 
-SLOW = 2.0  # times what forces do in a step: who bounces off at e times that is back after 4 e steps, in two if e = 0.5
+SLOW = 2.0  # times what forces do in a step: a ball that leaves a floor at e times that is back after 4 e steps
 PRECISE = 1e-12  # of the slow speed: approach that does not matter
-HELD = 5.0  # times as fast may it be among those that are held, who would rattle between one another
+HELD = 5.0  # times the slow speed, where a partner is held already: else piles would rattle
 NEAR, NEAR_IN_CROWDS = 1.0, 3.0  # radii that a sphere reaches at most, and in a crowd, however far it moves in a step
 
 

@@ -1,10 +1,10 @@
 """Which contacts last: what presses each of them, and below which speed it is slow. See `operator`. Plain arrays.
 
-What *presses* a contact is a speed along its normal n: what forces and other contacts give its two partners along n, or, if
-that is more, what the stress S of both partners bears along n, n S n (S of a row: the sum over its contacts of n' n' times what
-they give to this row of what they bear, which is w/(w + w') of it). A contact is
-slow below that speed, or below HELD times it where one partner is held already. A ball that rolls on a floor so meets another
-one, or a wall, at any speed: the floor bears nothing along that normal.
+The speed that *presses* a contact with the normal n is the larger one of two: the change of velocity along n that forces and
+the other contacts give its partners in a step, and n S n, where S is the sum of the stresses of both partners (the stress of a
+row: the sum of n' n' times what each of its contacts gives to it, which is w/(w + w') of what that bears). A contact is slow
+below that speed, or below HELD times it where one partner is held already. So a ball that rolls on a floor meets another one, or
+a wall, at any speed, for the floor bears nothing along that normal.
 """
 
 from math import inf
@@ -15,7 +15,7 @@ from particles_mpi.contacts.persistent.detection import HELD, PRECISE
 from particles_mpi.kernels.jit import kernel
 
 MARGIN = 1e-3  # of the widest slow gap: closer nothing gets, so that round-off makes no contact
-RETURN = 0.2  # of what contacts are off their margin is mended in a step
+RETURN = 0.2  # of the deviation from the gap that contacts keep is corrected in a step
 PUSH = 0.01  # of the widest push: so fast contacts that are nearer than their margin are moved apart
 CROWDED = 0.5  # of the gap, up to the margin, may errors in crowds close: so what is left is no hit in this step
 MOST_RETURN = 5.0  # allowed errors: what is further off its margin returns no faster

@@ -117,8 +117,8 @@ class SmoothContacts:
     def at_rest(self, ranks: Communicator, pile: Pile, bears: Array, held: Array, v: Array) -> Array:
         """Velocities and spins v (n, columns), where those that are `held` and all but at rest stand still. Collective.
 
-        In piles that stand on something, what is below the round-off of a solution is no motion: left to the drift, it would be
-        hundreds of collisions in a step where spheres touch with no gap at all.
+        In piles that stand on something, speeds below the round-off of a solution become 0. In the drift they would be hundreds
+        of collisions in a step between spheres that touch.
         """
         rests = ~self.quick(pile, bears, v)
         if not ranks.any(rests.any()) or not ranks.any(pile.stands(bears)):
@@ -175,9 +175,9 @@ class RoughContacts(SmoothContacts):
         return np.asarray((row_dot(v[:, :d], v[:, :d]) > most) | (row_dot(rim, rim) > most))
 
     def at_rest(self, ranks: Communicator, pile: Pile, bears: Array, held: Array, v: Array) -> Array:
-        """Iterations for a pile leave something, which gets less from step to step, of a size that no force explains.
+        """The same: iterations leave small velocities, which get less from step to step, and which no force explains.
 
-        Those in piles, who bear others, stand still all at once: one by one, each would be a small blow to its neighbours.
+        In a pile, all spheres that bear others come to rest at once: one by one, each would be a small blow to its neighbours.
         """
         quick, piled = self.quick(pile, bears, v), pile.piled(bears)
         awake, stands = ranks.largest(bool((quick & piled).any()), pile.stands(bears))

@@ -174,7 +174,7 @@ class Rewind:
         return counts
 
     def late(self, hits: Hits) -> bool:
-        """Do partners meet that already overlap? Passes go forward in time for each particle, but not for all together."""
+        """Do partners meet that already overlap? A pass may do a contact of one pair before an earlier one of another pair."""
         near, pairs = self.near, hits.second >= 0
         first, second, time = (column[pairs] for column in hits)
         return float(deepest_overlap(near.rows[0], near.spheres.radius, first, second, time, near.length)) > NOTICEABLE

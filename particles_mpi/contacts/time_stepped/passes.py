@@ -118,7 +118,7 @@ def apply_contacts(axes, segments, spheres, hits, selected_partner, rules, activ
 def is_late(t, r, one, other):
     """Did spheres of two radii that meet at t, r (d,) apart, overlap already when one of them was turned in this drift?
 
-    Passes go forward in time for each particle, but not for all together.
+    A pass may do a contact of one pair before an earlier one of another pair.
     """
     r2 = 0.0
     for k in range(len(r)):
