@@ -87,7 +87,7 @@ class State:
         effects.bind(self.context)
         walls = effects.walls.planes if effects.walls else no_planes(scene.dimension)
         self.watchdog = Watchdog(ranks, p.id, self.ids, walls, self.lower, self.length)
-        self.persistent = keeper_of_contacts(effects, self.context, scene.dimension)
+        self.persistent = keeper_of_contacts(effects, self.context, self.rows)
         self.drift = Drift(p, self.context, effects, self.persistent, self.sum_forces)
         if old_drift:
             self.drift.continue_counts(old_drift)

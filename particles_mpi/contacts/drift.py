@@ -27,19 +27,25 @@ HAPPENED = ("collisions", "wall_hits", "missed", "exchanges")  # in a drift
 COUNTS = (*HAPPENED, "unconverged")
 
 
-def keeper_of_contacts(effects: ActiveEffects, context: Context, dimension: int) -> Any:
-    """The operator for contacts that last, where forces and losses can make one last; else None."""
+def keeper_of_contacts(effects: ActiveEffects, context: Context, p: Particles) -> Any:
+    """The operator for contacts that last, where forces and losses can make one last; else None. Collective.
+
+    Without losses of their own spheres come to rest on one another where they stand on walls that take energy: under forces
+    that are the same for all.
+    """
     if not effects.keeps_contacts:
         return None
     from particles_mpi.contacts.persistent.operator import PersistentContacts
     from particles_mpi.contacts.persistent.surfaces import Surfaces
 
-    pairs, walls = effects.pairs is not None and (effects.pairs.lossy or effects.uniform), effects.walls
-    planes, taking = (walls.planes, walls.taking) if walls else (no_planes(dimension), np.empty(0, bool))
+    pairs, walls = effects.pairs is not None and effects.pairs.lossy, effects.walls
+    if effects.pairs and not pairs and effects.uniform:
+        pairs = context.ranks.any((p.radius > 0.0).any())
+    planes, taking = (walls.planes, walls.taking) if walls else (no_planes(p.dimension), np.empty(0, bool))
     tolerance, points = 0.0, False
     if effects.pairs:
         options = effects.pairs.options
-        tolerance, points = options.contact_tolerance, dimension == 1 and options.mode == "event"
+        tolerance, points = options.contact_tolerance, p.dimension == 1 and options.mode == "event"
     friction, resistance = surfaces(effects)[:, FRICTION], effects.rolling.resistance if effects.rolling else 0.0
     rough = Surfaces(float(friction[0]), friction[1:], resistance)
     return PersistentContacts(
