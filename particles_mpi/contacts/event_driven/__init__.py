@@ -6,6 +6,7 @@ The files, in the order in which one reads them:
 - `segments`: when two rows touch, and what a contact does to them; `neighbours.verlet_kernels` says which rows can touch.
 - `calendar_queue`: the next event of each row, and which is the first of all.
 - `jams`: what else happens to a row at a contact; rows without room to move, which stand until the end of the drift.
+- `next_event`: what each row meets next, and when.
 - `event_loop`: the compiled loop that takes one event after the other from the queue.
 - `engine`: rows, lists and queue of a rank as one object.
 - `operator`: the effect's way in: a drift by `Whole`, where every rank computes all contacts, or by `Windows`.

@@ -145,7 +145,7 @@ class Engine:
         a, drag = self.rows.acceleration, self.rows.drag
         rates = self.rates.of({"drag": drag, "total_acceleration": a} if len(a) else {"drag": drag})
         rules = self.loss, self.law, tuple(self.collapse), self.crowded, self.planes, rates
-        interval = self.h, moment, now, until, self.ahead
+        interval = (self.h, moment), now, until, self.ahead
         rows, written, log = tuple(self.rows), tuple(work), tuple(self.log)
         work.progress[:] = now, 0.0
         pending, self.pending = self.pending, 0
