@@ -146,6 +146,24 @@ def test_inelastic_collapse_does_not_stop_the_clock(beads, restitution, given):
 
 
 @pytest.mark.parametrize("mode", ["event", "rewind"])
+@pytest.mark.parametrize("gap", [0.0, 0.3])
+@pytest.mark.parametrize("waiting", [1, 2, 3, 4, 6, 10])
+def test_what_sticks_together_goes_on_with_the_mean_velocity(waiting, gap, mode):
+    """A train: e = 0, each car pushes the next one; and their centre of mass is where momentum brings it."""
+    x = np.append(-1.5, (1.0 + gap) * np.arange(waiting))
+    v = np.append(1.0, np.zeros(waiting))
+    tables = [{"position": x[:, None].tolist(), "velocity": v[:, None].tolist(), "radius": 0.5}]
+    duration = 2.0 + 1.2 * gap * waiting**2
+    sim = Simulation(scene(1, tables, duration / 100, 100, collisions={"restitution": 0.0, "mode": mode}))
+    sim.run()
+    place, velocity = by_id(sim)
+    assert velocity[:, 0] == pytest.approx(np.full(len(x), v.mean()), abs=1e-12)
+    assert place.mean() - x.mean() == pytest.approx(v.mean() * duration, abs=1e-12)
+    assert np.diff(place[:, 0]) == pytest.approx(np.ones(waiting), abs=1e-9)
+    assert sim.totals["missed"] == 0
+
+
+@pytest.mark.parametrize("mode", ["event", "rewind"])
 @pytest.mark.parametrize(
     ("places", "losses"), [([0, 2, 3], (0.0, 0.1, 0.5, 0.95)), ([0, 2, 3, 4, 5], (0.5, 0.95)), ([0, 2, 4], (0.0,))]
 )

@@ -1,32 +1,37 @@
 """The next event of every row, in buckets of time: a calendar queue, which finds the first of all without comparing them all.
 
 Rows whose events are in the same bucket are linked; the present bucket is searched for the first event under the total order:
-time, pair before wall, lower id, higher id or wall. If it has many (spheres that fall side by side leave their skins at the same
-time) it is sorted first, and stays so.
+time, pair before wall, fewest repetitions, lower id, higher id or wall. If it has many (spheres that fall side by side leave
+their skins at the same time) it is sorted first, and stays so.
+
+*Repetitions* are the contacts that the partners have had already without getting anywhere, beyond ORDERED of them. By ids alone
+the first three of a row of spheres that touch, with e = 0, would meet one another without end, and the others would never hear
+of the blow; so it goes through all of them again and again, until they have one velocity.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.contacts.event_driven.rows import ID
+from particles_mpi.contacts.event_driven.rows import ID, RAPID_EVENTS, ZERO_TIME_EVENT
 from particles_mpi.kernels.jit import in_place, lean, lean_inner
 from particles_mpi.particles import Array
 
-PARTNER, PARTNER_COUNT, NEXT, PREVIOUS, BUCKET = range(5)  # columns of `node`
+PARTNER, PARTNER_COUNT, NEXT, PREVIOUS, BUCKET, REPETITIONS = range(6)  # columns of `node`
 NODE = 8  # width of a node, half a line of the cache
 TIME = 3  # column of `times`
 # Values of PARTNER: a row, which is >= 0; -1 - w for wall w; or
 NO_EVENT = -(2**30)  # nothing happens before the end of the drift
 LIST_EXPIRY = NO_EVENT + 1  # it gets to its skin, where its neighbour list expires
 MANY = 64  # events in a bucket: to search it for each of them would take longer than to sort it
+ORDERED = 32  # contacts at one place and time that are in the order of ids: with e >= 0.5 eight spheres in a row have up to 24
 EMPTY, UNSORTED = -1, -2  # what `find_first` returns for a bucket without events, and for one with MANY
 
 
 class Queue(NamedTuple):
     """The queue as the kernels take it."""
 
-    node: Array  # (n, NODE) int32: PARTNER, his EVENT_COUNT when that was foreseen, NEXT and PREVIOUS row of the BUCKET or -1
+    node: Array  # (n, NODE) int32: PARTNER, his EVENT_COUNT then, NEXT and PREVIOUS row of the BUCKET or -1, REPETITIONS
     times: Array  # the same memory as float64: TIME of the event
     first: Array  # (buckets,) int32: a row of each bucket, or -1
     per_time: float  # buckets in a unit of time
@@ -34,21 +39,32 @@ class Queue(NamedTuple):
 
 
 @lean_inner
-def comes_before(i, partner_i, j, partner_j, state):
+def repetitions(i, partner, state):
+    """The contacts in which row i or its partner, the one that has had more of them, got nowhere, beyond ORDERED ones."""
+    most = state[i, RAPID_EVENTS]
+    if partner >= 0:
+        most = max(most, state[partner, RAPID_EVENTS])
+    return most // ZERO_TIME_EVENT - ORDERED if most >= ORDERED * ZERO_TIME_EVENT else 0
+
+
+@lean_inner
+def comes_before(i, partner_i, repeated_i, j, partner_j, repeated_j, state):
     """Does the event of row i with its partner come before that of row j with its own at the same time?"""
     if partner_i < 0 or partner_j < 0:
         if partner_i >= 0 or partner_j >= 0:
             return partner_i >= 0
-        return (state[i, ID], -partner_i) < (state[j, ID], -partner_j)
+        return (repeated_i, state[i, ID], -partner_i) < (repeated_j, state[j, ID], -partner_j)
     a, b, c, d = state[i, ID], state[partner_i, ID], state[j, ID], state[partner_j, ID]
-    return (min(a, b), max(a, b)) < (min(c, d), max(c, d))
+    return (repeated_i, min(a, b), max(a, b)) < (repeated_j, min(c, d), max(c, d))
 
 
 @lean_inner
 def earlier(queue, i, j, state):
     """Is the event of row i before that of row j?"""
-    one, other = queue.times[i, TIME], queue.times[j, TIME]
-    return one < other or (one == other and comes_before(i, queue.node[i, PARTNER], j, queue.node[j, PARTNER], state))
+    one, other, node = queue.times[i, TIME], queue.times[j, TIME], queue.node
+    if one != other:
+        return one < other
+    return comes_before(i, node[i, PARTNER], node[i, REPETITIONS], j, node[j, PARTNER], node[j, REPETITIONS], state)
 
 
 @in_place
@@ -57,7 +73,7 @@ def push(queue, state, i, t, partner, count):
     node, first, present = queue.node, queue.first, queue.present
     bucket = max(min(np.int64(max(t, 0.0) * queue.per_time), len(first) - 1), present[0])
     queue.times[i, TIME] = t
-    node[i, PARTNER], node[i, PARTNER_COUNT] = partner, count
+    node[i, PARTNER], node[i, PARTNER_COUNT], node[i, REPETITIONS] = partner, count, repetitions(i, partner, state)
     before, after = np.int64(-1), np.int64(first[bucket])
     if present[1] and bucket == present[0]:
         while after >= 0 and earlier(queue, after, i, state):

@@ -7,7 +7,7 @@ from math import sqrt
 
 import numpy as np
 
-from particles_mpi.contacts.event_driven.calendar_queue import LIST_EXPIRY, NEXT, NO_EVENT, PARTNER, comes_before
+from particles_mpi.contacts.event_driven.calendar_queue import LIST_EXPIRY, NEXT, NO_EVENT, PARTNER, comes_before, repetitions
 from particles_mpi.contacts.event_driven.jams import passes_by
 from particles_mpi.contacts.event_driven.rows import ID, JAMMED, LAST_PARTNER, RAPID_EVENTS, SQUEEZED
 from particles_mpi.contacts.event_driven.segments import columns_of_segments, is_nearest_image, may_touch, touch_time
@@ -40,6 +40,12 @@ def have_just_met(d, segment, state, i, j):
     return together and with_each_other and max(state[i, RAPID_EVENTS], state[j, RAPID_EVENTS]) < JAMMED
 
 
+@lean_inner
+def is_first(i, j, k, state):
+    """Does row i meet row j before row k, if it meets both at the same time?"""
+    return comes_before(i, j, repetitions(i, j, state), i, k, repetitions(i, k, state), state)
+
+
 @inner(inline="always")
 def first_partner(axes, rows, lists, work, i, now, h):
     """(time, row) of the first contact of row i, up to h, with a row in its list; NO_EVENT if there is none.
@@ -63,7 +69,7 @@ def first_partner(axes, rows, lists, work, i, now, h):
             t = touch_time(axes, segment, np.uint64(i), np.uint64(j), now, first_time, length, r, work.u)
             if (
                 t != NEVER
-                and (t < first_time or partner == NO_EVENT or comes_before(i, j, i, partner, state))
+                and (t < first_time or partner == NO_EVENT or is_first(i, j, partner, state))
                 and not (work.any_squeezed[0] and passes_by(jammed, state[j, RAPID_EVENTS]))
                 and not (have_just_met(d, segment, state, i, j) and is_nearest_image(d, r, length))
             ):
