@@ -12,11 +12,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from particles_mpi import Scene, Simulation
 from particles_mpi.errors import SceneError
 from particles_mpi.output.files import make_folder, write_text
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.particles import Particles
+from particles_mpi.particles import Array, Particles
 from particles_mpi.run.console import Screen
 from particles_mpi.study.experiment import everyone
 
@@ -70,7 +72,7 @@ class CaseRun:
         return {"passes": many} if self.mode == "rewind" else {}
 
     def digest(self) -> str:
-        """A hash of the last states of all simulations: every bit of every field. Collective."""
+        """A hash of the final states of all simulations: every bit of every field. Collective."""
         text = sha256()
         for p in map(everyone, self.built):
             for name in p.arrays:
@@ -97,9 +99,6 @@ class Case(NamedTuple):
 class Outcome(NamedTuple):
     """What a case came to in one mode and dimension."""
 
-    case: Case
-    mode: str | None
-    dimension: int
     measured: str
     holds: bool
     same_bits: bool
@@ -130,15 +129,15 @@ def settings(cases: list[Case]) -> Iterator[tuple[Case, str | None, int]]:
     return ((one, mode, dimension) for one in cases for mode in one.modes for dimension in one.dimensions)
 
 
-def examine(one: Case, mode: str | None, dimension: int, comm: Any = None) -> Outcome:
-    """Run a case; on several ranks also on this rank alone, for the bits must be the same. Collective."""
-    run, ranks, same_bits = CaseRun(mode, dimension, comm), Communicator(comm), True
+def examine(one: Case, mode: str | None, dimension: int) -> Outcome:
+    """Run a case on all ranks; on several also on this rank alone, for the bits must be the same. Collective."""
+    run, ranks, same_bits = CaseRun(mode, dimension), Communicator(), True
     measured, holds = one.measure(run)
     if ranks.size > 1:
         alone = CaseRun(mode, dimension, Communicator.alone().comm)
         one.measure(alone)
         same_bits = ranks.all(run.digest() == alone.digest())
-    return Outcome(one, mode, dimension, measured, ranks.all(holds), same_bits)
+    return Outcome(measured, ranks.all(holds), same_bits)
 
 
 def chosen(only: str | None, full: bool) -> list[Case]:
@@ -150,11 +149,11 @@ def chosen(only: str | None, full: bool) -> list[Case]:
     return [one for one in cases if full or only is not None or not one.long]
 
 
-def study(only: str | None, full: bool, into: Path | None, comm: Any = None) -> bool:
+def study(only: str | None, full: bool, into: Path | None) -> bool:
     """The table, row by row as cases end, and whether all that must hold does. `into`: the outcomes as JSON. Collective."""
-    ranks = Communicator(comm)
+    ranks = Communicator()
     screen, before = Screen(ranks.is_root, False), None
-    found: list[dict[str, Any]] = []
+    rows: list[dict[str, Any]] = []
     waiting = list(settings(chosen(only, full)))
     advance = screen.count("cases", len(waiting))
     for one, mode, dimension in waiting:
@@ -162,20 +161,34 @@ def study(only: str | None, full: bool, into: Path | None, comm: Any = None) -> 
             screen.say(f"[bold]{one.name}[/bold]\n  naive programs: {one.naive}\n  must hold: {one.must}")
             before = one
         advance(f"{one.name} {where(mode, dimension)}")
-        *_, measured, holds, same_bits = examine(one, mode, dimension, comm)
-        wrong = "" if same_bits or not holds else f", other bits on {ranks.size} ranks"
-        verdict = "pass" if holds and same_bits else f"[red]FAIL[/red]{wrong}"
-        screen.say(f"  {where(mode, dimension):<10} {verdict}   {measured}")
+        outcome = examine(one, mode, dimension)
+        wrong = "" if outcome.same_bits or not outcome.holds else f", other bits on {ranks.size} ranks"
+        verdict = "pass" if outcome.holds and outcome.same_bits else f"[red]FAIL[/red]{wrong}"
+        screen.say(f"  {where(mode, dimension):<10} {verdict}   {outcome.measured}")
         about = {"case": one.name, "naive": one.naive, "must": one.must, "mode": mode, "dimension": dimension}
-        found.append(about | {"measured": measured, "holds": holds, "same_bits": same_bits})
+        rows.append(about | outcome._asdict())
     screen.stop()
-    held = sum(one["holds"] and one["same_bits"] for one in found)
+    passed = sum(row["holds"] and row["same_bits"] for row in rows)
     bits = f", each with the bits of one rank on {ranks.size}" if ranks.size > 1 else ""
-    screen.say(f"{held} of {len(found)} hold{bits}")
+    screen.say(f"{passed} of {len(rows)} hold{bits}")
     if into:
         make_folder(ranks, into.parent)
-        write_text(into, ranks, json.dumps(found, indent=1) + "\n")
-    return held == len(found)
+        write_text(into, ranks, json.dumps(rows, indent=1) + "\n")
+    return passed == len(rows)
+
+
+def energies(sim: Simulation, samples: int, steps: int = 1) -> Array:
+    """Total energy now and, `samples` times, after so many steps more. Collective."""
+    found = [sim.measure()["total_energy"]]
+    for _ in range(samples):
+        sim.steps(steps)
+        found.append(sim.measure()["total_energy"])
+    return np.array(found)
+
+
+def largest_rise(energies: Array) -> float:
+    """By how much an energy rose above the least before it, in parts of the first."""
+    return float((energies - np.minimum.accumulate(energies)).max() / abs(energies[0]))
 
 
 def where(mode: str | None, dimension: int) -> str:

@@ -9,7 +9,7 @@ from particles_mpi import Simulation
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.kernels.motion import free_drift, kick
 from particles_mpi.particles import Array
-from particles_mpi.study.hard_cases.catalogue import CaseRun, Finding, case
+from particles_mpi.study.hard_cases.catalogue import CaseRun, Finding, case, energies
 
 ORBITS, STEPS = 1_000_000, 50
 FAR_BINARIES = ((0.01, 100.0), (1.0, 1e4), (1.0, 1e6))  # separation, and place on every axis
@@ -28,11 +28,8 @@ def energy_changes(
         for sign in (1.0, -1.0)
     ]
     sim = run.simulate(masses, step, 1, {"mutual_gravity": {"softening": softening}}, integrator, G=1.0)
-    energies = [sim.measure()["total_energy"]]
-    for _ in range(looks):
-        sim.steps(every)
-        energies.append(sim.measure()["total_energy"])
-    return sim, np.array(energies) / energies[0] - 1.0
+    found = energies(sim, looks, every)
+    return sim, found / found[0] - 1.0
 
 
 def encounter(run: CaseRun, integrator: str, softening: float, periods: float, substeps: int) -> tuple[float, float]:
@@ -74,8 +71,8 @@ def far(run: CaseRun, integrator: str, steps: int) -> Finding:
     texts, holds = [], True
     near = {apart: binary(run, integrator, steps, apart, 0.0)[0] for apart in {apart for apart, _ in FAR_BINARIES}}
     for apart, place in FAR_BINARIES:
-        energies, n = binary(run, integrator, steps, apart, place)
-        parted, limit = float(np.abs(energies - near[apart]).max()), 4.0 * float(np.spacing(place)) / apart * sqrt(n)
+        changes, n = binary(run, integrator, steps, apart, place)
+        parted, limit = float(np.abs(changes - near[apart]).max()), 4.0 * float(np.spacing(place)) / apart * sqrt(n)
         texts.append(f"{apart:g} at {place:.0e}: {parted:.0e} (round-off: {limit:.0e})")
         holds &= parted <= max(limit, NOTHING)
     return "; ".join(texts), holds

@@ -9,7 +9,7 @@ import numpy as np
 from particles_mpi import Simulation
 from particles_mpi.neighbours.candidates import touching
 from particles_mpi.study.experiment import everyone, total
-from particles_mpi.study.hard_cases.catalogue import MODES, CaseRun, Effects, Finding, case
+from particles_mpi.study.hard_cases.catalogue import MODES, CaseRun, Effects, Finding, case, energies, largest_rise
 
 RESTITUTIONS = (0.0, 0.5, 0.9)
 
@@ -38,11 +38,7 @@ def ball(run: CaseRun) -> Finding:
     for e in RESTITUTIONS:
         ball = {"position": [run.upright(0.3, rest=0.5)], "radius": 0.05}
         sim = under_gravity(run, e, 0.005, run.point(rest=1.0), ball)
-        energies = [sim.measure()["total_energy"]]
-        for _ in range(900):
-            sim.step()
-            energies.append(sim.measure()["total_energy"])
-        risen = max(risen, np.diff(energies).max())
+        risen = max(risen, np.diff(energies(sim, 900)).max())
         left.append(sim.measure()["kinetic"])
     return f"K {max(left):.0f}, E at most {risen:+.0e} a step", bool(max(left) == 0.0 and risen <= 1e-12)
 
@@ -73,17 +69,15 @@ def bed(run: CaseRun, count: int, layers: float, e: float, falls: float, lasts: 
     height = round(0.1 * layers * (3.0 if d == 3 else 2.2), 2)
     spheres = {"count": count, "position": "random", "radius": {"min": 0.045, "max": 0.05}}
     sim = under_gravity(run, e, step, run.upright(height, rest=side), spheres)
-    energies, kinetic, overlaps, heights = [sim.measure()["total_energy"]], [], [], []
+    rows, overlaps, heights = [sim.measure()], [], []
     steps = round((falls + lasts) / step)
     for n in range(steps):
         sim.step()
-        row = sim.measure()
-        energies.append(row["total_energy"])
-        kinetic.append(row["kinetic"])
+        rows.append(sim.measure())
         if sim.time >= falls and (n % max(steps // 50, 1) == 0 or n == steps - 1):
             overlaps.append(deepest_overlap(sim))
             heights.append(2.0 * float(everyone(sim).position[:, -1].mean()))
-    risen = float((energies - np.minimum.accumulate(energies)).max() / energies[0])
+    risen, kinetic = largest_rise(np.array([row["total_energy"] for row in rows])), [row["kinetic"] for row in rows]
     left, deepest, sunk = kinetic[-1] / max(kinetic), max(overlaps), 1.0 - min(heights) / heights[0]
     holds = risen <= 1e-6 and deepest <= 1e-3 and left <= 1e-4 and sunk <= 0.02
     return f"K/K_max {left:.0e}, overlap {max(deepest, 0.0):.0e} R, E rose {risen:.0e}, height {-sunk:+.1%}", holds

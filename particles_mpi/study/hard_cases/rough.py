@@ -8,7 +8,7 @@ import numpy as np
 from particles_mpi import Simulation
 from particles_mpi.particles import Array
 from particles_mpi.study.experiment import everyone
-from particles_mpi.study.hard_cases.catalogue import CaseRun, Effects, Finding, case
+from particles_mpi.study.hard_cases.catalogue import CaseRun, Effects, Finding, case, energies, largest_rise
 
 G, SPIN = 9.81, 1e6
 NEAR = (0.99, 1.01)  # parts of the coefficient of friction that statics asks for: below it and above
@@ -37,15 +37,9 @@ def rolled(run: CaseRun, speed: float) -> Array:
     return np.array([speed] if run.dimension == 2 else [0.0, -speed, 0.0])
 
 
-def watch(sim: Simulation, time: float) -> float:
+def energy_rise(sim: Simulation, time: float) -> float:
     """Run for a time; returns by how much the energy rose over the least before, in parts of that at the start. Collective."""
-    first = least = sim.measure()["total_energy"]
-    rise = 0.0
-    for _ in range(round(time / sim.h)):
-        sim.step()
-        energy = sim.measure()["total_energy"]
-        rise, least = max(rise, energy - least), min(least, energy)
-    return rise / abs(first)
+    return largest_rise(energies(sim, round(time / sim.h)))
 
 
 @case(
@@ -126,9 +120,9 @@ def spinning_in_a_groove(run: CaseRun) -> Finding:
     place = run.upright(radius / up)
     sim = run.simulate([{"position": [place], "spin": spinning(run, spin), "radius": radius}], 0.002, effects=groove)
     slowing = sqrt(2.0) * mu * G / ((1.0 + mu * mu) * solid(run) * radius)
-    rise = watch(sim, 0.5)
+    rise = energy_rise(sim, 0.5)
     off = float(np.abs(everyone(sim).spin[0] - rolled(run, spin - 0.5 * slowing)).max() / spin)
-    rise = max(rise, watch(sim, spin / slowing - 0.4))
+    rise = max(rise, energy_rise(sim, spin / slowing - 0.4))
     p = everyone(sim)
     moved, still = float(np.abs(p.position[0] - place).max()), not p.velocity.any() and not p.spin.any()
     holds = off <= 1e-9 and moved <= 1e-9 and still and rise <= RISE
@@ -179,15 +173,15 @@ def between_floor_and_sphere(run: CaseRun) -> Finding:
         sim.steps(50)
         off = max(off, float(np.abs(everyone(sim).velocity[0] - run.point(-1.0)).max()))
         sim = run.simulate([ball | {"velocity": run.point(10.0)}, fixed], 0.002, 50, effects)
-        rise = max(rise, watch(sim, 0.1))
+        rise = max(rise, energy_rise(sim, 0.1))
         moved = max(moved, float(everyone(sim).position[0, 0] - place[0]))
     holds = moved <= 1e-9 and off <= 1e-9 and rise <= RISE
     return f"moved {moved:.0e}, pulled: v off {off:.0e}, E rose {rise:.0e}", holds
 
 
 def stands(sim: Simulation, time: float) -> tuple[float, float]:
-    """(How far the sphere of the highest id moved within a time, by how much the energy rose: see `watch`.) Collective."""
-    before, rise = everyone(sim).position[-1], watch(sim, time)
+    """(How far the sphere of the highest id moved within a time, and its `energy_rise`.) Collective."""
+    before, rise = everyone(sim).position[-1], energy_rise(sim, time)
     return float(np.abs(everyone(sim).position[-1] - before).max()), rise
 
 
