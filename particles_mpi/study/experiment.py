@@ -96,16 +96,17 @@ class Experiment:
 class Benchmark:
     """Measures settings on the ranks of a communicator. `quick`: short samples and fewer settings, for a look."""
 
-    def __init__(self, comm: Any = None, quick: bool = False, samples: int = SAMPLES, screen: Screen | None = None):
+    def __init__(self, comm: Any = None, quick: bool = False, samples: int = SAMPLES, quiet: bool = True):
         self.comm, self.ranks, self.quick = comm, Communicator(comm), quick
         self.samples, self.least = samples, 0.02 if quick else SAMPLE
-        self.screen = screen or Screen(self.ranks.is_root, True)
+        self.screen = Screen(self.ranks.is_root, quiet)
 
     def on_few(self, few: bool, work: Callable[[Benchmark], Any]) -> Any:
         """`work(self)`; for `few` bodies, which more ranks would only slow down, on rank 0 alone: None elsewhere. Collective."""
         if not few or self.ranks.size == 1:
             return work(self)
-        alone = Benchmark(Communicator.alone().comm, self.quick, self.samples, self.screen)
+        alone = Benchmark(Communicator.alone().comm, self.quick, self.samples)
+        alone.screen = self.screen
         return self.ranks.run_on_root(lambda: work(alone))
 
     def simulate(self, tables: dict[str, Any]) -> Simulation:
@@ -124,8 +125,8 @@ class Benchmark:
     ) -> Setting:
         """The setting that computes a scene, given as tables, from its start; `options`: other fields of Setting."""
         time = tables["time"]
-        options = {"steps": time.get("steps", 0), "by_forces": time.get("integrator") == "adaptive", **options}
-        return Setting(curve, parameter, lambda: self.simulate(tables), errors=errors, **options)
+        known = {"steps": time.get("steps", 0), "by_forces": time.get("integrator") == "adaptive"}
+        return Setting(curve, parameter, lambda: self.simulate(tables), errors=errors, **(known | options))
 
     def measure(
         self, key: str, title: str, settings: Iterable[Setting], errors: dict[str, str], reference: str, parameter: str = "step",
@@ -159,14 +160,15 @@ class Benchmark:
         for setting, wrong, done, timer in zip(settings, errors, work, timers, strict=True):
             units = setting.seconds_of or (done["forces"] if setting.by_forces else setting.steps)
             rows.append(Row(setting, wrong, {}, timer.seconds.of(units), done))
-        for curve in dict.fromkeys(setting.curve for setting in settings):
-            observe_orders([row for row in rows if row.setting.curve == curve])
+        observe_orders(rows)
         return rows
 
 
 def observe_orders(rows: list[Row]) -> None:
-    """Enter the order of each error from one row to the next: log of the ratio of errors over that of the parameters."""
-    for before, row in zip([None, *rows], rows, strict=False):
+    """Enter the order of each error from one row of a curve to the next: log of the ratio of errors over that of parameters."""
+    last: dict[str, Row] = {}  # of each curve
+    for row in rows:
+        before, last[row.setting.curve] = last.get(row.setting.curve), row
         for name, error in row.errors.items():
             row.orders[name] = nan
             if before and min(before.errors[name], error) > ROUND_OFF and before.setting.parameter != row.setting.parameter:

@@ -27,15 +27,15 @@ def draw(axes: Any, found: Experiment, title: str) -> None:
     axes.set_title(title, loc="left", fontsize=10.5)
     if not any(row.errors[error] > 0.0 for row in found.rows):
         rows = found.rows[::-1]
-        seconds, spread = points(rows)
-        axes.barh([row.setting.curve for row in rows], seconds, xerr=spread, color=COLORS[0], height=0.6)
+        seconds, bars = points(rows)
+        axes.barh([row.setting.curve for row in rows], seconds, xerr=bars, color=COLORS[0], height=0.6)
         label_seconds(axes)
         return
     for k, curve in enumerate(found.curves):
         if rows := [row for row in found.curve(curve) if row.errors[error] > 0.0]:
             style = {"color": COLORS[k % 8], "marker": MARKERS[k % 8], "ms": 5, "lw": 1.2, "capsize": 2, "zorder": 3}
-            seconds, spread = points(rows)
-            axes.errorbar(seconds, [row.errors[error] for row in rows], xerr=spread, label=curve, **style)
+            seconds, bars = points(rows)
+            axes.errorbar(seconds, [row.errors[error] for row in rows], xerr=bars, label=curve, **style)
     front = [row for row in found.front() if row.errors[error] > 0.0]
     style = {"color": "#d9b44a", "lw": 7, "alpha": 0.45, "solid_capstyle": "round", "zorder": 1}
     axes.plot(points(front)[0], [row.errors[error] for row in front], label="Pareto front", **style)

@@ -33,10 +33,15 @@ p.small, li.small { color: #555; font-size: 13px } svg { max-width: 100%; height
 """
 
 
+def grouped(value: float) -> str:
+    """A number, rounded to a whole one, with spaces between thousands."""
+    return f"{value:,.0f}".replace(",", " ")
+
+
 def number(value: float, digits: int = 2) -> str:
     """A short text; whole numbers with all their digits, nothing for what is not a number."""
     if abs(value) < 1e9 and value == round(value):
-        return f"{round(value):,}".replace(",", " ")
+        return grouped(round(value))
     return "" if isnan(value) else f"{value:.{digits}g}" if 1e-3 <= abs(value) < 1e4 else f"{value:.{digits - 1}e}"
 
 
@@ -63,7 +68,7 @@ def table(found: Experiment) -> Table:
         errors = [text for name in found.errors for text in (number(row.errors[name]), number(row.orders[name]))[:pairs]]
         s = row.seconds
         time = f"{number(s.median, 3)} ±{50.0 * (s.high - s.low) / s.median:2.0f}%"
-        work = [f"{row.work.get(kind, 0):,}".replace(",", " ") for kind in work_done(found)]
+        work = [grouped(row.work.get(kind, 0)) for kind in work_done(found)]
         style = "bold" if row in front else None
         texts.add_row(row.setting.curve, number(row.setting.parameter, 3), *errors, time, *work, style=style)
     return texts
@@ -139,7 +144,7 @@ def machine(ranks: Communicator) -> dict[str, Any]:
 
 
 def write(folder: Path, title: str, all_found: list[Experiment], about: dict[str, Any], notes: list[str]) -> Path:
-    """Write report.html, a CSV and an SVG for each experiment, study.json and accuracy.png; on one rank."""
+    """Write report.html, a CSV and an SVG for each experiment, study.json and accuracy.png into a folder; on one rank."""
     from particles_mpi.study import plots
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -171,8 +176,10 @@ def page(title: str, all_found: list[Experiment], figures: dict[str, str], about
         parts += [
             f'<h2 id="{found.key}">{found.key}: {escape(found.title)}</h2>',
             f"<p>Reference: {escape(found.reference)}.</p>",
+            figures[found.key],
+            f"<ul>\n{answers}</ul><ul>\n{errors}</ul>",
+            html(table(found)),
         ]
-        parts += [figures[found.key], f"<ul>\n{answers}</ul><ul>\n{errors}</ul>", html(table(found))]
     body = "\n".join([*parts, *(f"<p>{escape(note)}</p>" for note in notes)])
     head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{escape(title)}</title>'
     return f'<!doctype html>\n<html lang="en"><head>{head}<style>{STYLE}</style></head>\n<body>\n{body}\n</body></html>\n'

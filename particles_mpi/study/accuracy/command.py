@@ -3,12 +3,9 @@
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from time import perf_counter
-from typing import Any
 
 from particles_mpi.errors import SceneError
 from particles_mpi.output.files import failing_together, make_folder
-from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.run.console import Screen
 from particles_mpi.scene.schema import Scene
 from particles_mpi.study import report
 from particles_mpi.study.accuracy import effects, fluid, losses, orbits, resting, rough, scene_accuracy, softening, tree
@@ -42,13 +39,13 @@ def built_in(keys: str, benchmark: Benchmark) -> Iterator[Experiment]:
         benchmark.screen.say(f"  ({key} took {perf_counter() - since:.0f} s)")
 
 
-def accuracy(scene: Scene | None, keys: str, quick: bool, folder: Path, comm: Any = None) -> list[Experiment]:
+def accuracy(scene: Scene | None, keys: str, quick: bool, folder: Path) -> None:
     """The built-in experiments of the letters `keys` (all if empty), or those of a scene. Collective."""
-    begin, ranks, keys = perf_counter(), Communicator(comm), keys.upper()
+    begin, keys = perf_counter(), keys.upper()
     if unknown := [key for key in keys if key not in CHAPTERS]:
         raise SceneError(f"--only: there is no experiment {', '.join(unknown)}; there are {', '.join(CHAPTERS)}")
-    screen = Screen(ranks.is_root, False)
-    benchmark = Benchmark(comm, quick, screen=screen)
+    benchmark = Benchmark(quick=quick, quiet=False)
+    ranks, screen = benchmark.ranks, benchmark.screen
     make_folder(ranks, folder)
     title = f"What accuracy costs: {scene.title or 'a scene'}" if scene else "What accuracy costs"
     found = []
@@ -65,4 +62,3 @@ def accuracy(scene: Scene | None, keys: str, quick: bool, folder: Path, comm: An
             path = report.write(folder, title, found, report.machine(ranks) | timing, [] if scene else NOTES)
             screen.table(report.tenfold_table(found))
             screen.say(f"{seconds:.0f} s; all of it, with pictures: {path}   (CSV: {folder}/*.csv)")
-    return found

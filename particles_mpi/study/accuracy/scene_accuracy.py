@@ -18,26 +18,23 @@ MEANING = {
 }
 
 
-def measure(benchmark: Benchmark, scene: Scene, seconds: float = BUDGET) -> list[Experiment]:
-    """Two experiments: settings of the scene, and its effects left out in turn. Collective; few bodies on rank 0 alone.
-
-    `seconds`: what errors may take; times of the settings that are left come to that again.
-    """
-    return Start(benchmark, scene).on_few(lambda start: [settings(start, seconds), effects(start)]) or []
+def measure(benchmark: Benchmark, scene: Scene) -> list[Experiment]:
+    """Two experiments: settings of the scene, and its effects left out in turn. Collective; few bodies on rank 0 alone."""
+    return Start(benchmark, scene).on_few(lambda start: [settings(start), effects(start)]) or []
 
 
-def settings(start: Start, seconds: float) -> Experiment:
-    """Errors of each integrator, mode or angle over a ladder of steps."""
-    quick, metric = start.benchmark.quick, reference(start, seconds)
+def settings(start: Start) -> Experiment:
+    """Errors of each integrator, mode or angle over a ladder of steps, in BUDGET seconds; times then come to that again."""
+    quick, metric = start.benchmark.quick, reference(start, BUDGET)
     if not metric.names:
         raise SceneError("particles: nothing in this scene has an error")
-    search = Search(start, metric, metric.names[0], 1.0, 2.0 * seconds / 3.0)
+    search = Search(start, metric, metric.names[0], 1.0, 2.0 * BUDGET / 3.0)
     steps = [k * max(start.scene.steps, 4) for k in (LADDER[1:4] if quick else LADDER)]
     search.attempt(*as_it_is(start))
     for method in methods(start):
         for resolution in TOLERANCES[:: 2 if quick else 1] if method.adaptive else steps:
             if search.left() < 0.0:
-                search.refused[method.name] = f"not measured further: {seconds:.0f} s are over"
+                search.refused[method.name] = f"not measured further: {BUDGET:.0f} s are over"
                 break
             search.attempt(method, resolution, search.left())
     rows = time_trials(start, [trial for trial in search.trials if not any(map(isnan, trial.errors.values()))])

@@ -155,13 +155,13 @@ def recommend_scene(
     path: Path, tolerance: float, error: str = "", output: Path | None = None, seconds: float = BUDGET
 ) -> Recommendation | None:
     """What `study recommend` does: find it, print it, write the tuned scene (to NAME.tuned.toml by default). Collective."""
-    benchmark, target = Benchmark(), output or path.with_suffix(".tuned.toml")
+    benchmark, target = Benchmark(quiet=False), output or path.with_suffix(".tuned.toml")
     with raising_together(benchmark.ranks):
         scene = Scene.load(path)
         if target.resolve() == path.resolve():
             raise SceneError(f"--output {target}: is the scene itself")
     same_on_all(benchmark.ranks, scene.to_dict())
-    benchmark.screen = Screen(benchmark.ranks.is_root, False)
+
     found = recommend(benchmark, scene, tolerance, error, seconds)
     if found:
         report(benchmark.screen, found)

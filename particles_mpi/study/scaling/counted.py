@@ -10,12 +10,10 @@ compared. Memory is the largest sum of all arrays of a rank (of tracemalloc; wha
 """
 
 import tracemalloc
-from collections.abc import Iterator
-from dataclasses import dataclass
-from math import inf, log
+from math import inf
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,54 +21,20 @@ from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.neighbours.neighbour_list import Neighbourhood
 from particles_mpi.output.files import failing_together, make_folder
 from particles_mpi.parallel.agreement import raise_first, raising_together
-from particles_mpi.parallel.communicator import KINDS, Communicator
+from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.run.console import Screen
 from particles_mpi.scene.schema import Scene
 from particles_mpi.simulation import Simulation
-from particles_mpi.study.report import numbers_table, write_csv
+from particles_mpi.study.report import write_csv
+from particles_mpi.study.scaling.counts_report import SENT, Counted, say_counts, table_rows
 from particles_mpi.study.scaling.measure import HEADLINE, counters, divides, law_of, rank_counts, row_bytes, unable_to_grow
-from particles_mpi.study.scaling.performance_model import Law, Point, fit
+from particles_mpi.study.scaling.performance_model import fit
 from particles_mpi.study.scaling.report import Curve, Result, say_model
 from particles_mpi.study.scaling.scale_scene import scale_scene
 
 PER_RANK = 2000  # particles; fewer would be blocks of space that are all surface
 LARGEST, QUICK = 32, 8  # ranks of the strong curve's scene; ranks at most with --quick
 INTERVAL, STEPS = 8, 24  # steps from one search for neighbours to the next, and those that are counted
-FROM, TOLERANCE = 8, 0.1  # ranks from which on a column is judged, and how much it may change
-SENT = {f"bytes_{kind}": f"bytes: {kind}" for kind in KINDS}
-COLUMNS = {
-    "bytes": "bytes sent", **SENT, "messages": "messages", "reductions": "reductions", "all_to_alls": "all-to-alls",
-    "fetches": "searches", "ghosts": "ghost rows", "memory": "memory, MB", "memory_start": "memory of set-up, MB",
-}  # fmt: skip
-CAUSES = {
-    "bytes_rows": "rows of ghosts or of a tree, and what is sent of each",
-    "bytes_counts": "in every exchange each rank tells all others how many rows come: P - 1 numbers",
-    "bytes_gathers": "each rank sends its box, or what went wrong, to all others: P - 1 times",
-    "bytes_reductions": "each number is sent in log2 P stages",
-    "messages": "blocks of bisection have more neighbours than those of a regular grid, or ranks send to all",
-    "reductions": "ranks agree more often: of more particles some need more passes, or more windows of time",
-    "all_to_alls": "more exchanges of all with all",
-    "fetches": "all search when one of more particles has gone too far",
-    "ghosts": "ghosts come from further away",
-    "memory": "more than the rows of the rank and of ghosts: room for messages, entries for each rank, or all particles",
-    "memory_start": "more than the particles of the rank: entries for each rank, or all particles",
-}
-
-
-@dataclass(frozen=True)
-class Counted:
-    """One scene on so many ranks: the counts of a step, mean over the ranks and largest of a rank. `seconds`: on one rank."""
-
-    particles: int
-    ranks: int
-    mean: dict[str, float]
-    most: dict[str, float]
-    seconds: float
-
-    def point(self) -> Point:
-        """As the model takes it: only a rank that was alone was timed."""
-        s = self.seconds
-        return Point(self.particles, self.ranks, s, s, s, s, s, 0.0, self.mean, oversubscribed=self.ranks > 1)
 
 
 def count(described: Scene | None, folder: Path, quick: bool) -> None:
@@ -94,16 +58,17 @@ def count(described: Scene | None, folder: Path, quick: bool) -> None:
         curves = [Curve(name, weak, [one.point() for one in points]) for name, weak, points in zip(names, (False, True), counted)]
         for curve, points in zip(curves, counted, strict=True):
             tables["counts.csv"] += table_rows(title(scene), curve.name, points)
-            say(title(scene), curve, points, law, screen)
+            say_counts(title(scene), curve, points, law, screen)
         if counts[-1] > 1:
-            found = [point for curve in curves for point in curve.points]
-            model = fit(found, law, row_bytes(scene))
-            result = Result(title(scene), law, curves, found, model, [], False)
+            measured = [point for curve in curves for point in curve.points]
+            model = fit(measured, law, row_bytes(scene))
+            result = Result(title(scene), law, curves, measured, model, [], False)
             say_model(result, model, screen)
             tables["counts_model.csv"] += [{"scene": title(scene)} | row for row in result.predicted_rows(model)]
+    files = {folder / name: rows for name, rows in tables.items() if rows}
     with failing_together(world, f"cannot write into {folder}"):
-        world.run_on_root(lambda: [write_csv(folder / name, table) for name, table in tables.items() if table])
-    screen.say(f"written: {', '.join(str(folder / name) for name, table in tables.items() if table)}")
+        world.run_on_root(lambda: [write_csv(path, rows) for path, rows in files.items()])
+    screen.say(f"written: {', '.join(map(str, files))}")
 
 
 def in_mode(scene: Scene, mode: str) -> Scene:
@@ -139,19 +104,27 @@ def count_scene(scene: Scene, world: Communicator, counts: list[int], screen: Sc
                 error = raised
         world.sleeping_barrier()
         raise_first(world, error)
-        every = [part for part in world.allgather(mine) if part]
-        columns = [counted for _, counted, _ in every]
+        parts = [part for part in world.allgather(mine) if part]
+        columns, first = [part.columns for part in parts], parts[0]
         mean, most = ({name: float(of([one[name] for one in columns])) for name in columns[0]} for of in (np.mean, np.max))
-        sim, _, seconds = every[0]
-        found[total, ranks] = Counted(sim[0], ranks, mean, most, seconds)
-        divided &= ranks == 1 or sim[1]
+        found[total, ranks] = Counted(first.particles, ranks, mean, most, first.seconds)
+        divided &= ranks == 1 or first.divided
         progress("counting")
     screen.stop()
     return [[found[setting] for setting in curve] for curve in curves], divided
 
 
-def run_counted(scene: Scene, ranks: Communicator) -> tuple[tuple[int, bool], dict[str, float], float]:
-    """((number of particles, do ranks divide space), counts of a step on this rank, its seconds if it is alone). Collective."""
+class RankCounts(NamedTuple):
+    """What one rank found. divided: does each rank compute its part of space; columns: counts of a step; seconds: if alone."""
+
+    particles: int
+    divided: bool
+    columns: dict[str, float]
+    seconds: float
+
+
+def run_counted(scene: Scene, ranks: Communicator) -> RankCounts:
+    """Count some steps of a scene. Collective."""
     tracemalloc.start()
     sim = Simulation(scene, comm=ranks.comm)
     if isinstance(sim.near, Neighbourhood):
@@ -173,7 +146,7 @@ def run_counted(scene: Scene, ranks: Communicator) -> tuple[tuple[int, bool], di
         begin = perf_counter()
         to_search(sim, STEPS)
         seconds = (perf_counter() - begin) / (sim.steps_done - first - steps)
-    return (sim.total, divides(sim)), columns, seconds
+    return RankCounts(sim.total, divides(sim), columns, seconds)
 
 
 def to_search(sim: Simulation, least: int) -> None:
@@ -184,72 +157,3 @@ def to_search(sim: Simulation, least: int) -> None:
             break
         searches = sim.near.searches if sim.near else 0
         sim.step()
-
-
-def verdict(name: str, points: list[Counted], law: Law) -> str:
-    """How the mean of a column changes past FROM ranks: "flat", or as geometry makes it, or what is wrong with it."""
-    first, last = points[0], points[-1]
-    before, after = first.mean[name], last.mean[name]
-    ideal, reason = expected(name, first, last, law)
-    if abs(after - before) <= TOLERANCE * before and ideal >= 1.0 - TOLERANCE:
-        return "flat"
-    grows = f"from {amount(before)} to {amount(after)} on {last.ranks} ranks"
-    if reason and after <= (1.0 + TOLERANCE) * ideal * before:
-        return f"{grows}: as {reason}"
-    power = f", as P^{log(after / before) / log(last.ranks / first.ranks):.2f}" if before and after else ""
-    return f"NOT FLAT, {grows}{power}: {cause(name, first, last)}"
-
-
-def expected(name: str, first: Counted, last: Counted, law: Law) -> tuple[float, str]:
-    """By which factor a column changes where ranks divide space perfectly, and as what; 1 and "" for what should not change."""
-    if name in ("bytes", "bytes_rows", "ghosts"):
-        layer = law.thickness(first.particles, first.ranks, first.mean["ghosts"])
-        if layer > (first.particles / first.ranks) ** (1.0 / len(law.edges)):  # thicker than the block
-            return 1.0, ""
-        rows = [law.rows(point.particles, point.ranks, layer) for point in (first, last)]
-        return (rows[1] / rows[0] if rows[0] else 0.0), "the surfaces that a block has in common with others"
-    if name == "messages":
-        return law.neighbours(last.ranks) / law.neighbours(first.ranks), "the number of neighbours of a block"
-    if name.startswith("memory"):
-        rows = [p.particles / p.ranks + (p.mean["ghosts"] if name == "memory" else 0.0) for p in (first, last)]
-        return rows[1] / rows[0], "the rows of a rank and its ghosts" if name == "memory" else "the particles of a rank"
-    return 1.0, ""
-
-
-def cause(name: str, first: Counted, last: Counted) -> str:
-    """Why a column is not flat; of all bytes, the kind that grew most."""
-    if name == "bytes":
-        name = max(SENT, key=lambda kind: last.mean[kind] - first.mean[kind])
-    return CAUSES[name]
-
-
-def say(scene: str, curve: Curve, points: list[Counted], law: Law, screen: Screen) -> None:
-    """A line for each column: its mean over the ranks for every number of ranks, and the largest of a rank; then the verdicts."""
-    table = numbers_table("a rank and step", *(f"P = {point.ranks}" for point in points), "largest")
-    for name, words in COLUMNS.items():
-        table.add_row(words, *(amount(point.mean[name]) for point in points), amount(points[-1].most[name]))
-    screen.say(f"[bold]{scene}[/bold]: {curve.name}, counted")
-    screen.table(table)
-    past = [point for point in points if point.ranks >= FROM]
-    if len(past) < 2:
-        screen.say(f"  which columns are flat, is judged past {FROM} ranks")
-        return
-    said = {words: verdict(name, past, law) for name, words in COLUMNS.items()}
-    screen.say(f"  flat past {FROM} ranks: {', '.join(words for words, text in said.items() if text == 'flat') or 'none'}")
-    for words, text in said.items():
-        if text != "flat":
-            screen.say(f"  {words}: {text}")
-
-
-def amount(value: float) -> str:
-    """A short text: whole numbers from 100 on, else three digits."""
-    return f"{value:,.0f}".replace(",", " ") if value >= 100.0 else f"{value:.3g}"
-
-
-def table_rows(scene: str, curve: str, points: list[Counted]) -> Iterator[dict[str, Any]]:
-    """Of counts.csv: a row for each point, mean and largest of each column."""
-    for point in points:
-        row = {"scene": scene, "curve": curve, "ranks": point.ranks, "particles": point.particles}
-        for name in COLUMNS:
-            row |= {name: point.mean[name], f"{name}_largest": point.most[name]}
-        yield row

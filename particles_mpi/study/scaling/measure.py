@@ -10,7 +10,6 @@ import platform
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,8 +23,9 @@ from particles_mpi.scene.active import fields_of
 from particles_mpi.scene.schema import Scene
 from particles_mpi.simulation import Simulation
 from particles_mpi.study.report import write_csv
+from particles_mpi.study.scaling.figure import draw
 from particles_mpi.study.scaling.performance_model import Law, Point, fit
-from particles_mpi.study.scaling.report import Curve, Result, draw, say_curve, say_model
+from particles_mpi.study.scaling.report import Curve, Result, say_curve, say_model
 from particles_mpi.study.scaling.scale_scene import edges, scale_scene
 from particles_mpi.study.timing import SAMPLE, SAMPLES, StepTimer, time_in_turns
 
@@ -161,12 +161,12 @@ def oversubscribed(cores: list[tuple[str, set[int]]]) -> bool:
     return any(len(ranks) > len(set().union(*ranks)) for ranks in machines)
 
 
-def scale(described: Scene | None, folder: Path, quick: bool, comm: Any = None) -> None:
+def scale(described: Scene | None, folder: Path, quick: bool) -> None:
     """Measure, print the tables and the model, write scaling.csv, scaling_model.csv, scaling.png and scaling.svg. Collective.
 
     `described`: None for the headline gas, and one LARGER times as large. `quick`: short samples, and that one is left out.
     """
-    ranks = Communicator(comm)
+    ranks = Communicator()
     screen = Screen(ranks.is_root, False)
     make_folder(ranks, folder)
     with raising_together(ranks):
@@ -174,15 +174,15 @@ def scale(described: Scene | None, folder: Path, quick: bool, comm: Any = None) 
     no_weak, counts = unable_to_grow(scene), rank_counts(ranks.size)
     sizes = [1.0] if described or quick else [1.0, LARGER]
     points, divided = time_settings(scene, ranks, settings(scene, counts, sizes, not no_weak), 0.02 if quick else SAMPLE, screen)
-    total = points[1.0, 1].particles
     curves = [
         Curve(f"strong, N = {points[size, 1].particles}", False, [points[size, count] for count in counts]) for size in sizes
     ]
+    particles = curves[0].particles(1)
     if not no_weak:
-        curves.append(Curve(f"weak, N/P = {total}", True, [points[float(count), count] for count in counts]))
-    law, found = law_of(scene, total, divided), list(points.values())
-    model = fit(found, law, row_bytes(scene)) if ranks.size > 1 else None
-    result = Result(scene.title or "untitled scene", law, curves, found, model, no_weak, described is None)
+        curves.append(Curve(f"weak, N/P = {particles}", True, [points[float(count), count] for count in counts]))
+    law, measured = law_of(scene, particles, divided), list(points.values())
+    model = fit(measured, law, row_bytes(scene)) if ranks.size > 1 else None
+    result = Result(scene.title or "untitled scene", law, curves, measured, model, no_weak, described is None)
     with failing_together(ranks, f"cannot write into {folder}"):
         ranks.run_on_root(lambda: write(result, folder, screen))
 
