@@ -46,12 +46,12 @@ def accuracy(
 
     Example:   ./run.sh study accuracy --quick
     """
-    from particles_mpi.study.accuracy.command import accuracy as measure
+    from particles_mpi.study.accuracy.command import study_accuracy
 
     described = load(scene) if scene else None
     if described and only:
         raise SceneError("--only: chooses among the built-in experiments, not with a scene")
-    measure(described, only, quick, output or Path("out/study") / (scene.stem if scene else "accuracy"))
+    study_accuracy(described, only, quick, output or Path("out/study") / (scene.stem if scene else "accuracy"))
 
 
 @study.command("recommend")
@@ -84,11 +84,11 @@ def scaling(
 
     Example:   RANKS=4 ./run.sh study scaling my.toml,   RANKS=32 ./run.sh study scaling --counts
     """
-    from particles_mpi.study.scaling.counted import count
-    from particles_mpi.study.scaling.measure import scale
+    from particles_mpi.study.scaling.counted import count_scaling
+    from particles_mpi.study.scaling.measure import measure_scaling
 
     described, folder = load(scene) if scene else None, output or Path("out/study/scaling") / (scene.stem if scene else "")
-    (count if counts else scale)(described, folder, quick)
+    (count_scaling if counts else measure_scaling)(described, folder, quick)
 
 
 @study.command("hard-cases")
@@ -101,7 +101,7 @@ def hard_cases(
 
     Example:   ./run.sh study hard-cases --only column
     """
-    from particles_mpi.study.hard_cases.catalogue import study as run_catalogue
+    from particles_mpi.study.hard_cases.catalogue import study_hard_cases
 
-    if not run_catalogue(only, full, output):
+    if not study_hard_cases(only, full, output):
         raise StoppedError("hard cases: not all that must hold does")

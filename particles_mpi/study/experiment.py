@@ -15,10 +15,10 @@ from particles_mpi.measure import snapshot
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Particles
 from particles_mpi.run.console import Screen
-from particles_mpi.study.timing import SAMPLE, SAMPLES, Seconds, StepTimer, time_in_turns
+from particles_mpi.study.timing import QUICK_SAMPLE_SECONDS, SAMPLE_SECONDS, SAMPLES, Seconds, StepTimer, time_in_turns
 
 Errors = dict[str, float]
-ROUND_OFF = 1e-13  # errors below it say nothing of an order
+ORDER_FLOOR = 1e-13  # errors below it say nothing of an order
 
 
 @dataclass
@@ -98,7 +98,7 @@ class Benchmark:
 
     def __init__(self, comm: Any = None, quick: bool = False, samples: int = SAMPLES, quiet: bool = True):
         self.comm, self.ranks, self.quick = comm, Communicator(comm), quick
-        self.samples, self.least = samples, 0.02 if quick else SAMPLE
+        self.samples, self.sample_seconds = samples, QUICK_SAMPLE_SECONDS if quick else SAMPLE_SECONDS
         self.screen = Screen(self.ranks.is_root, quiet)
 
     def on_few(self, few: bool, work: Callable[[Benchmark], Any]) -> Any:
@@ -117,7 +117,7 @@ class Benchmark:
         """Fields of all particles at the end of a scene given as tables, for another scene to start with. Collective."""
         sim = self.simulate(tables)
         sim.run()
-        p = everyone(sim)
+        p = all_particles(sim)
         return {name: p[name].tolist() for name in fields}
 
     def setting(
@@ -125,10 +125,10 @@ class Benchmark:
     ) -> Setting:
         """The setting that computes a scene, given as tables, from its start; `options`: other fields of Setting."""
         time = tables["time"]
-        known = {"steps": time.get("steps", 0), "by_forces": time.get("integrator") == "adaptive"}
-        return Setting(curve, parameter, lambda: self.simulate(tables), errors=errors, **(known | options))
+        defaults = {"steps": time.get("steps", 0), "by_forces": time.get("integrator") == "adaptive"}
+        return Setting(curve, parameter, lambda: self.simulate(tables), errors=errors, **(defaults | options))
 
-    def measure(
+    def compare(
         self, key: str, title: str, settings: Iterable[Setting], errors: dict[str, str], reference: str, parameter: str = "step",
         **more: Any,
     ) -> Experiment:  # fmt: skip
@@ -147,14 +147,14 @@ class Benchmark:
 
     def time(
         self, settings: Sequence[Setting], errors: Sequence[Errors], work: Sequence[dict[str, int]],
-        progress: Callable[[], None], least: float | None = None,
+        progress: Callable[[], None], sample_seconds: float | None = None,
     ) -> list[Row]:  # fmt: skip
         """Times of settings whose errors and work are known, by turns; ends the progress bar. Collective.
 
-        `least`: seconds of a sample, if not those of the benchmark.
+        `sample_seconds`: those of a sample, at least, if not as in the benchmark.
         """
         timers = [StepTimer(self.ranks, setting.begin, setting.steps, setting.by_forces) for setting in settings]
-        time_in_turns(timers, self.samples, self.least if least is None else least, progress)
+        time_in_turns(timers, self.samples, self.sample_seconds if sample_seconds is None else sample_seconds, progress)
         self.screen.stop()
         rows = []
         for setting, wrong, done, timer in zip(settings, errors, work, timers, strict=True):
@@ -171,7 +171,7 @@ def observe_orders(rows: list[Row]) -> None:
         before, last[row.setting.curve] = last.get(row.setting.curve), row
         for name, error in row.errors.items():
             row.orders[name] = nan
-            if before and min(before.errors[name], error) > ROUND_OFF and before.setting.parameter != row.setting.parameter:
+            if before and min(before.errors[name], error) > ORDER_FLOOR and before.setting.parameter != row.setting.parameter:
                 ratio = before.setting.parameter / row.setting.parameter
                 row.orders[name] = log(before.errors[name] / error) / log(ratio)
 
@@ -182,12 +182,12 @@ def slope(rows: Sequence[Row], error: str) -> float:
     return linear_regression(list(points), list(points.values())).slope if len(points) > 1 else nan
 
 
-def everyone(sim: Simulation) -> Particles:
+def all_particles(sim: Simulation) -> Particles:
     """All particles in id order, on every rank. Collective."""
     return snapshot.gather_all(sim.ranks, sim.particles)
 
 
-def total(sim: Simulation, counter: str) -> int:
+def total_count(sim: Simulation, counter: str) -> int:
     """A counter of the simulation ("collisions", "wall_hits", "missed"), summed over all ranks. Collective."""
     return sim.ranks.total(sim.totals[counter])[0]
 

@@ -16,9 +16,9 @@ from particles_mpi.study.experiment import Experiment, Row
 
 COLORS = ("#0b5cad", "#c1432e", "#2f855a", "#8a5fb5", "#b7791f", "#2c7a7b", "#97266d", "#4a5568")
 MARKERS = "osD^vPX*"
-CENTRAL = ("C2", "A1", "B")  # keys of the picture of the README: collisions, regular orbits, close encounters
+README_KEYS = ("C2", "A1", "B")  # keys of the picture of the README: collisions, regular orbits, close encounters
 SPINES = {"axes.spines.top": False, "axes.spines.right": False, "axes.axisbelow": True}
-STYLE: Any = {"svg.hashsalt": "study", "font.size": 10, **SPINES}
+PLOT_STYLE: Any = {"svg.hashsalt": "study", "font.size": 10, **SPINES}
 
 
 def draw(axes: Any, found: Experiment, title: str) -> None:
@@ -27,18 +27,18 @@ def draw(axes: Any, found: Experiment, title: str) -> None:
     axes.set_title(title, loc="left", fontsize=10.5)
     if not any(row.errors[error] > 0.0 for row in found.rows):
         rows = found.rows[::-1]
-        seconds, bars = points(rows)
+        seconds, bars = seconds_and_bars(rows)
         axes.barh([row.setting.curve for row in rows], seconds, xerr=bars, color=COLORS[0], height=0.6)
         label_seconds(axes)
         return
     for k, curve in enumerate(found.curves):
         if rows := [row for row in found.curve(curve) if row.errors[error] > 0.0]:
             style = {"color": COLORS[k % 8], "marker": MARKERS[k % 8], "ms": 5, "lw": 1.2, "capsize": 2, "zorder": 3}
-            seconds, bars = points(rows)
+            seconds, bars = seconds_and_bars(rows)
             axes.errorbar(seconds, [row.errors[error] for row in rows], xerr=bars, label=curve, **style)
     front = [row for row in found.front() if row.errors[error] > 0.0]
     style = {"color": "#d9b44a", "lw": 7, "alpha": 0.45, "solid_capstyle": "round", "zorder": 1}
-    axes.plot(points(front)[0], [row.errors[error] for row in front], label="Pareto front", **style)
+    axes.plot(seconds_and_bars(front)[0], [row.errors[error] for row in front], label="Pareto front", **style)
     axes.set(yscale="log", ylabel=f"error in {error}")
     label_seconds(axes)
     draw_slopes(axes, found.slopes)
@@ -48,7 +48,7 @@ def draw(axes: Any, found: Experiment, title: str) -> None:
     axes.legend(fontsize=8, framealpha=0.9)
 
 
-def points(rows: Sequence[Row]) -> tuple[list[float], list[list[float]]]:
+def seconds_and_bars(rows: Sequence[Row]) -> tuple[list[float], list[list[float]]]:
     """Seconds, and the lengths of their bars to the left and to the right."""
     left = [max(row.seconds.median - row.seconds.low, 0.0) for row in rows]
     return [row.seconds.median for row in rows], [left, [row.seconds.high - row.seconds.median for row in rows]]
@@ -80,7 +80,7 @@ def draw_slopes(axes: Any, slopes: Sequence[float]) -> None:
 
 def svg(found: Experiment) -> str:
     """The plot of an experiment, to put into a page."""
-    with plt.rc_context(STYLE):
+    with plt.rc_context(PLOT_STYLE):
         figure, axes = plt.subplots(figsize=(7.2, 4.6), layout="constrained")
         draw(axes, found, f"{found.key}  {found.title}")
         text = io.StringIO()
@@ -89,11 +89,11 @@ def svg(found: Experiment) -> str:
     return text.getvalue()[text.getvalue().index("<svg") :]
 
 
-def central(path: Path, all_found: list[Experiment]) -> None:
+def draw_for_readme(path: Path, all_found: list[Experiment]) -> None:
     """Write the picture of the README: collisions beside gravity, as far as both were measured."""
-    wanted = [found for key in CENTRAL for found in all_found if found.key == key]
+    wanted = [found for key in README_KEYS for found in all_found if found.key == key]
     if wanted:
-        with plt.rc_context(STYLE):
+        with plt.rc_context(PLOT_STYLE):
             figure, axes = plt.subplots(1, len(wanted), figsize=(5.2 * len(wanted), 4.4), layout="constrained", squeeze=False)
             for one, found in zip(axes[0], wanted, strict=True):
                 draw(one, found, found.title)

@@ -19,13 +19,14 @@ from particles_mpi.run.console import WIDE
 from particles_mpi.run.doctor import usable_cores
 from particles_mpi.study.experiment import Experiment, Row
 
-DECADES, HOPELESS = 0.5, 100.0  # errors must fall by so many to tell what a tenth costs; a factor that is no convergence
-WORK = {"forces": "forces", "interactions": "pairs", "pair_tests": "tests", "events": "contacts"}  # kinds, and short titles
+LEAST_DECADES = 0.5  # by so many errors must fall along a curve to tell what a tenth of the error costs
+LARGEST_FACTOR = 100.0  # for a tenth of the error: with a larger one a curve does not converge
+WORK_TITLES = {"forces": "forces", "interactions": "pairs", "pair_tests": "tests", "events": "contacts"}  # by kind of work
 TENFOLD = "what ten times more accuracy costs"
 METHOD = """Times: one warm-up, then the median of {samples} samples of at least {least_seconds:g} s (± half the distance of the
 quartiles), settings by turns, the slowest rank, without output and compilation. Errors are the same to the bit each time and on
 any number of ranks. Rows on the Pareto front (nothing is both faster and more accurate) are marked."""
-STYLE = """
+PAGE_STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #1a202c }
 h1 { font-size: 1.7rem } h2 { margin-top: 2.6rem; border-bottom: 1px solid #ddd }
 pre { font-size: 12px; line-height: 1.35; overflow-x: auto }
@@ -53,10 +54,10 @@ def numbers_table(first: str, *titles: str) -> Table:
 
 def work_done(found: Experiment) -> list[str]:
     """The kinds of work that any setting did."""
-    return [kind for kind in WORK if any(row.work.get(kind) for row in found.rows)]
+    return [kind for kind in WORK_TITLES if any(row.work.get(kind) for row in found.rows)]
 
 
-def table(found: Experiment) -> Table:
+def errors_table(found: Experiment) -> Table:
     """The rows of an experiment; those on the Pareto front are bold.
 
     Errors are followed by their orders where the experiment has any, seconds by half the distance of their quartiles.
@@ -86,7 +87,7 @@ def tenfold(found: Experiment, curve: str) -> float:
     first, last = falling[0], falling[-1]
     decades = log10(first.errors[error] / last.errors[error])
     factor = (last.seconds.median / first.seconds.median) ** (1.0 / max(decades, 1e-9))
-    return float(factor) if decades > DECADES and factor < HOPELESS else nan
+    return float(factor) if decades > LEAST_DECADES and factor < LARGEST_FACTOR else nan
 
 
 def tenfold_table(all_found: list[Experiment]) -> Table:
@@ -122,7 +123,7 @@ def csv_rows(found: Experiment) -> list[dict[str, Any]]:
     ]
 
 
-def plain(found: Experiment) -> dict[str, Any]:
+def as_json(found: Experiment) -> dict[str, Any]:
     """An experiment for JSON: the errors are the same to the bit each time."""
     rows = [
         {"setting": row.setting.curve, "parameter": row.setting.parameter, "errors": row.errors}
@@ -132,7 +133,7 @@ def plain(found: Experiment) -> dict[str, Any]:
     return {"key": found.key, "title": found.title, "reference": found.reference, "rows": rows, "answers": found.answers}
 
 
-def machine(ranks: Communicator) -> dict[str, Any]:
+def describe_machine(ranks: Communicator) -> dict[str, Any]:
     """What was measured on, and when."""
     name, cpuinfo = platform.processor() or platform.machine(), Path("/proc/cpuinfo")
     if cpuinfo.exists():
@@ -143,7 +144,7 @@ def machine(ranks: Communicator) -> dict[str, Any]:
     return {"machine": name, "cores": usable_cores(), "ranks": ranks.size, **versions, "when": when}
 
 
-def write(folder: Path, title: str, all_found: list[Experiment], about: dict[str, Any], notes: list[str]) -> Path:
+def write_report(folder: Path, title: str, all_found: list[Experiment], about: dict[str, Any], notes: list[str]) -> Path:
     """Write report.html, a CSV and an SVG for each experiment, study.json and accuracy.png into a folder; on one rank."""
     from particles_mpi.study import plots
 
@@ -152,9 +153,9 @@ def write(folder: Path, title: str, all_found: list[Experiment], about: dict[str
     for found in all_found:
         (folder / f"{found.key}.svg").write_text(figures[found.key])
         write_csv(folder / f"{found.key}.csv", csv_rows(found))
-    experiments = [plain(found) for found in all_found]
+    experiments = [as_json(found) for found in all_found]
     (folder / "study.json").write_text(json.dumps({**about, "experiments": experiments}, indent=1) + "\n")
-    plots.central(folder / "accuracy.png", all_found)
+    plots.draw_for_readme(folder / "accuracy.png", all_found)
     path = folder / "report.html"
     path.write_text(page(title, all_found, figures, about, notes), encoding="utf-8")
     return path
@@ -169,7 +170,7 @@ def page(title: str, all_found: list[Experiment], figures: dict[str, str], about
     costs = tenfold_table(all_found)
     costs.title = None  # the page has a heading
     if costs.row_count:
-        parts.append(f"<h2>{TENFOLD.capitalize()}</h2>\n{html(costs)}")
+        parts.append(f"<h2>{TENFOLD.capitalize()}</h2>\n{table_html(costs)}")
     for found in all_found:
         answers = "".join(f"<li>{escape(text)}</li>\n" for text in found.answers)
         errors = "".join(f'<li class="small">{escape(name)}: {escape(text)}</li>\n' for name, text in found.errors.items())
@@ -178,14 +179,14 @@ def page(title: str, all_found: list[Experiment], figures: dict[str, str], about
             f"<p>Reference: {escape(found.reference)}.</p>",
             figures[found.key],
             f"<ul>\n{answers}</ul><ul>\n{errors}</ul>",
-            html(table(found)),
+            table_html(errors_table(found)),
         ]
     body = "\n".join([*parts, *(f"<p>{escape(note)}</p>" for note in notes)])
     head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{escape(title)}</title>'
-    return f'<!doctype html>\n<html lang="en"><head>{head}<style>{STYLE}</style></head>\n<body>\n{body}\n</body></html>\n'
+    return f'<!doctype html>\n<html lang="en"><head>{head}<style>{PAGE_STYLE}</style></head>\n<body>\n{body}\n</body></html>\n'
 
 
-def html(table: Table) -> str:
+def table_html(table: Table) -> str:
     """A table of the screen as a part of a page."""
     console = Console(record=True, file=io.StringIO(), width=WIDE)
     console.print(table, crop=False)

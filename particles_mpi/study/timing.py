@@ -1,6 +1,6 @@
 """Fair timing of simulations: warmed up, by turns, the slowest rank, medians and quartiles, output not on the clock.
 
-A sample is as many consecutive steps as take SAMPLE seconds. A run that has come to its end begins again, off the clock.
+A sample is as many consecutive steps as take SAMPLE_SECONDS seconds. A run that has come to its end begins again, off the clock.
 Settings that are compared take turns, a sample each, so that a disturbance of the machine meets all of them.
 """
 
@@ -16,7 +16,8 @@ import numpy as np
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.simulation import Simulation
 
-SAMPLES, SAMPLE = 7, 0.2  # samples of a setting; least seconds of one
+SAMPLES = 7  # of a setting
+SAMPLE_SECONDS, QUICK_SAMPLE_SECONDS = 0.2, 0.02  # of a sample, at least
 
 
 @dataclass(frozen=True)
@@ -47,10 +48,10 @@ class StepTimer:
     left: int = 0
     samples: list[float] = field(default_factory=list)
 
-    def sample(self, least: float) -> float:
-        """Seconds of a step on the slowest rank, measured over at least `least` seconds. Collective."""
+    def sample(self, sample_seconds: float) -> float:
+        """Seconds of a step on the slowest rank, measured over at least `sample_seconds`. Collective."""
         clocked, steps, units, stride = 0.0, 0, 0, 1
-        while clocked < least:
+        while clocked < sample_seconds:
             if self.sim is None or not self.left:
                 self.sim, self.left = self.begin(), self.steps
             stride = min(stride, self.left)
@@ -59,7 +60,7 @@ class StepTimer:
             units += self.sim.work()["forces"] - before if self.by_forces else stride
             steps += stride
             self.left -= stride
-            stride = max(1, int(min((least - clocked) * steps / max(clocked, 1e-9), 4.0 * steps)) + 1)
+            stride = max(1, int(min((sample_seconds - clocked) * steps / max(clocked, 1e-9), 4.0 * steps)) + 1)
         return clocked / units
 
     def clock(self, sim: Simulation, steps: int) -> float:
@@ -77,7 +78,10 @@ class StepTimer:
 
 
 def time_in_turns(
-    timers: Sequence[StepTimer], samples: int = SAMPLES, least: float = SAMPLE, progress: Callable[[], None] = lambda: None
+    timers: Sequence[StepTimer],
+    samples: int = SAMPLES,
+    sample_seconds: float = SAMPLE_SECONDS,
+    progress: Callable[[], None] = lambda: None,
 ) -> None:
     """Take `samples` samples of each timer by turns, after one that is not counted; calls `progress` after each. Collective."""
     collecting = gc.isenabled()
@@ -88,7 +92,7 @@ def time_in_turns(
             gc.collect()
             gc.disable()  # a collection within a sample would make that sample slower by chance
             for timer in timers if turn % 2 else timers[::-1]:  # each is first in half of the turns
-                seconds = timer.sample(least if turn else 0.25 * least)
+                seconds = timer.sample(sample_seconds if turn else 0.25 * sample_seconds)
                 if turn:
                     timer.samples.append(seconds)
                 progress()

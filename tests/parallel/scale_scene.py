@@ -4,8 +4,8 @@ import sys
 from pathlib import Path
 
 from particles_mpi import Scene
-from particles_mpi.study.scaling.counted import count
-from particles_mpi.study.scaling.measure import scale
+from particles_mpi.study.scaling.counted import count_scaling
+from particles_mpi.study.scaling.measure import measure_scaling
 
 SCENES = {
     "gas": {
@@ -29,4 +29,4 @@ SCENES = {
 }
 time = {"step": 0.01, "steps": 40}
 tables = {"title": sys.argv[2], "dimension": 3, "G": 1.0, "time": time, **SCENES[sys.argv[2]]}
-(count if sys.argv[3:] else scale)(Scene.from_dict(tables), Path(sys.argv[1]), quick=True)
+(count_scaling if sys.argv[3:] else measure_scaling)(Scene.from_dict(tables), Path(sys.argv[1]), quick=True)

@@ -26,12 +26,12 @@ def test_the_bits_of_one_rank(tmp_path, ranks, only):
 
 
 def test_a_case_that_fails_is_exit_code_3(monkeypatch, capsys):
-    """`study` says so, and which."""
+    """`study_hard_cases` says so, and which."""
     from particles_mpi.study.hard_cases import catalogue
 
     wrong = catalogue.Case("wrong", "nothing", "that 1 is 2", lambda run: ("1", False), (None,), (2,), False)
     monkeypatch.setattr(catalogue, "catalogue", lambda: [wrong])
-    assert not catalogue.study(None, False, None)
+    assert not catalogue.study_hard_cases(None, False, None)
     assert "FAIL" in capsys.readouterr().out
     done = run_ranks(1, "-m", "particles_mpi", "study", "hard-cases", "--only", "no such case")
     assert done.returncode == 2 and "--only: no case" in done.stderr and "Traceback" not in done.stderr

@@ -17,7 +17,7 @@ from particles_mpi import Scene, Simulation
 from particles_mpi.study.accuracy.losses import DRAG, THROW, G
 from particles_mpi.study.accuracy.losses import thrown as flight
 from particles_mpi.study.accuracy.orbits import EIGHT, PERIOD, PLACES, PLANET, PYTHAGOREAN, gravity, place_on_ellipse
-from particles_mpi.study.experiment import distance, everyone, total
+from particles_mpi.study.experiment import all_particles, distance, total_count
 
 Z_FLUID = 4.29498  # pV/(NkT) of hard spheres at a density of 0.6 (Kolafa, Labik, Malijevsky 2004)
 
@@ -35,7 +35,7 @@ class Case:
 
 def away(sim: Simulation, size: float, row: int, place: Any) -> float:
     """Distance of one particle from its true place, over the size."""
-    return distance(everyone(sim).position[row], place) / size
+    return distance(all_particles(sim).position[row], place) / size
 
 
 def kepler(tolerance: float) -> Case:
@@ -96,7 +96,7 @@ def gas() -> Case:
     scene = Scene(dimension=3, seed=2, box=box, time=time, particles=[spheres], effects={"collisions": {}})
     rate = (Z_FLUID - 1.0) * 6.0 / sqrt(pi)  # of a particle at T = 1
     return Case("hard spheres", scene, "collision rate", 0.02,
-                lambda s, size: abs(2.0 * total(s, "collisions") / (n * s.time * rate) - 1.0))  # fmt: skip
+                lambda s, size: abs(2.0 * total_count(s, "collisions") / (n * s.time * rate) - 1.0))  # fmt: skip
 
 
 def cluster() -> Case:
@@ -110,7 +110,7 @@ def cluster() -> Case:
 
 def bound(sim: Simulation, softening: float) -> float:
     """Energy, pair by pair."""
-    p = everyone(sim)
+    p = all_particles(sim)
     x, v, m = p.position, p.velocity, p.mass
     r = np.sqrt(((x[:, None] - x[None]) ** 2).sum(axis=-1) + softening**2)
     pairs = (m[:, None] * m[None] / r).sum() - (m * m).sum() / softening

@@ -10,12 +10,12 @@ from particles_mpi.study.timing import Seconds
 
 @pytest.fixture(scope="module")
 def trees():
-    return tree.measure(Benchmark(quick=True, samples=1))
+    return tree.experiments(Benchmark(quick=True, samples=1))
 
 
 @pytest.fixture(scope="module")
 def softened():
-    return softening.measure(Benchmark(quick=True, samples=1))
+    return softening.experiments(Benchmark(quick=True, samples=1))
 
 
 def errors(found, curve, name):

@@ -15,7 +15,7 @@ import numpy as np
 from particles_mpi import Simulation
 from particles_mpi.contacts.law import loss
 from particles_mpi.particles import Array
-from particles_mpi.study.experiment import everyone
+from particles_mpi.study.experiment import all_particles
 
 FORCES = ("uniform_gravity", "user_acceleration", "mutual_gravity direct", "mutual_gravity tree")
 OBSTACLES = ("floor", "tilted plane", "fixed sphere", "free sphere")
@@ -161,5 +161,5 @@ def scene(force: str, mode: str, h: float, start: Bounces) -> tuple[dict[str, An
 
 def mean_errors(sim: Simulation, shift: Array, end: Bounces) -> Array:
     """Of each case, the distance of the ball from its true place at the `end`, mean over the phases. Collective."""
-    x = everyone(sim).position[: len(shift)] - shift
+    x = all_particles(sim).position[: len(shift)] - shift
     return np.asarray(np.sqrt(((x - end.x[:, 0]) ** 2).sum(axis=1)).reshape(-1, PHASES).mean(axis=1))

@@ -15,31 +15,31 @@ NOTES = ["E, float32 against float64: nothing here is offered in float32, so the
 CHAPTERS: dict[str, tuple[Callable[[Benchmark], list[Experiment]], bool]] = {  # by letter; are bodies so few that one rank does?
     "A": (orbits.regular_orbits, True),
     "B": (orbits.close_encounters, True),
-    "C": (fluid.measure, False),
-    "D": (tree.measure, False),
-    "F": (softening.measure, True),
-    "G": (losses.measure, True),
-    "H": (effects.measure, False),
-    "I": (resting.measure, False),
-    "J": (rough.measure, False),
+    "C": (fluid.experiments, False),
+    "D": (tree.experiments, False),
+    "F": (softening.experiments, True),
+    "G": (losses.experiments, True),
+    "H": (effects.experiments, False),
+    "I": (resting.experiments, False),
+    "J": (rough.experiments, False),
 }
 
 
-def experiments(key: str, benchmark: Benchmark) -> list[Experiment]:
+def measure_chapter(key: str, benchmark: Benchmark) -> list[Experiment]:
     """Measure the experiments of one letter. Collective; those of a few bodies are known to rank 0 only, others get none."""
-    measure, few_bodies = CHAPTERS[key]
-    return benchmark.on_few(few_bodies, measure) or []
+    experiments, few_bodies = CHAPTERS[key]
+    return benchmark.on_few(few_bodies, experiments) or []
 
 
 def built_in(keys: str, benchmark: Benchmark) -> Iterator[Experiment]:
     """The experiments of these letters, of all if there are none. Collective."""
     for key in (key for key in CHAPTERS if not keys or key in keys):
         since = perf_counter()
-        yield from experiments(key, benchmark)
+        yield from measure_chapter(key, benchmark)
         benchmark.screen.say(f"  ({key} took {perf_counter() - since:.0f} s)")
 
 
-def accuracy(scene: Scene | None, keys: str, quick: bool, folder: Path) -> None:
+def study_accuracy(scene: Scene | None, keys: str, quick: bool, folder: Path) -> None:
     """The built-in experiments of the letters `keys` (all if empty), or those of a scene. Collective."""
     begin, keys = perf_counter(), keys.upper()
     if unknown := [key for key in keys if key not in CHAPTERS]:
@@ -49,16 +49,16 @@ def accuracy(scene: Scene | None, keys: str, quick: bool, folder: Path) -> None:
     make_folder(ranks, folder)
     title = f"What accuracy costs: {scene.title or 'a scene'}" if scene else "What accuracy costs"
     found = []
-    for one in scene_accuracy.measure(benchmark, scene) if scene else built_in(keys, benchmark):
+    for one in scene_accuracy.experiments(benchmark, scene) if scene else built_in(keys, benchmark):
         screen.say(f"\n[bold]{one.key}: {one.title}[/bold]   (reference: {one.reference})")
-        screen.table(report.table(one))
+        screen.table(report.errors_table(one))
         for answer in one.answers:
             screen.say(f"  {answer}")
         found.append(one)
     seconds = perf_counter() - begin
     with failing_together(ranks, f"cannot write into {folder}"):
         if ranks.is_root:
-            timing = {"samples": benchmark.samples, "least_seconds": benchmark.least, "seconds": seconds}
-            path = report.write(folder, title, found, report.machine(ranks) | timing, [] if scene else NOTES)
+            timing = {"samples": benchmark.samples, "least_seconds": benchmark.sample_seconds, "seconds": seconds}
+            path = report.write_report(folder, title, found, report.describe_machine(ranks) | timing, [] if scene else NOTES)
             screen.table(report.tenfold_table(found))
             screen.say(f"{seconds:.0f} s; all of it, with pictures: {path}   (CSV: {folder}/*.csv)")

@@ -9,7 +9,7 @@ import numpy as np
 from particles_mpi import Simulation
 from particles_mpi.kernels.motion import free_drift, kick
 from particles_mpi.scene.effect_files import effect_names
-from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, everyone
+from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, all_particles
 from particles_mpi.study.timing import StepTimer, time_in_turns
 
 N, QUICK_N, STEP, LONG = 100_000, 20_000, 1e-3, 1000
@@ -75,7 +75,7 @@ def bits_that_differ(benchmark: Benchmark, name: str) -> int:
     for effects, own in ((falling, {}), (falling | {name: options}, more)):
         sim = benchmark.simulate(gas(FEW, effects, step=0.05, **own))
         sim.steps(STEPS)
-        p = everyone(sim)
+        p = all_particles(sim)
         ends.append(np.concatenate([p.position, p.velocity]).view(np.int64))
     return int(np.count_nonzero(ends[0] != ends[1]))
 
@@ -119,10 +119,10 @@ def absence(benchmark: Benchmark, n: int) -> tuple[float, float, float]:
     return float(low), float(middle), float(high)
 
 
-def measure(benchmark: Benchmark) -> list[Experiment]:
+def experiments(benchmark: Benchmark) -> list[Experiment]:
     """H: what each effect costs, and what absent ones cost. Collective."""
     n = QUICK_N if benchmark.quick else N
-    found = benchmark.measure("H", "Effects on and off, a step", settings(benchmark, n), ERRORS, REFERENCE, "particles")
+    found = benchmark.compare("H", "Effects on and off, a step", settings(benchmark, n), ERRORS, REFERENCE, "particles")
     low, middle, high = absence(benchmark, n)
     each = ", ".join(f"{row.setting.curve} {row.seconds.median / n * 1e9:.1f}" for row in found.rows)
     absent, differ = (sum(row.errors[name] for row in found.rows) for name in ("calls", "bits"))

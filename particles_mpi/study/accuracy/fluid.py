@@ -89,13 +89,13 @@ def settings(benchmark: Benchmark, packing: float) -> Iterator[Setting]:
                 yield one(f"rewind, {passes} pass{'es' if passes > 1 else ''}", moment, passes=passes)
 
 
-def measure(benchmark: Benchmark) -> list[Experiment]:
+def experiments(benchmark: Benchmark) -> list[Experiment]:
     """C, an experiment for each packing, and what event costs there against the fastest rewind that is as good. Collective."""
     all_found = []
     for key in ["C2"] if benchmark.quick else PACKINGS:
         packing = PACKINGS[key]
         title, tried = f"Hard-sphere fluid, packing {packing:g}", settings(benchmark, packing)
-        found = benchmark.measure(key, title, tried, ERRORS, REFERENCE, "Gamma dt", floor=FLOOR)
+        found = benchmark.compare(key, title, tried, ERRORS, REFERENCE, "Gamma dt", floor=FLOOR)
         event, *others = found.rows
         good = [row for row in others if row.errors["collision rate"] < FLOOR + 2.0 * row.errors["noise"]]
         best, seconds = min(good, key=lambda row: row.seconds.median, default=None), event.seconds.median

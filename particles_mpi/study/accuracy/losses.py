@@ -14,7 +14,7 @@ from particles_mpi import Simulation
 from particles_mpi.particles import Array
 from particles_mpi.study.accuracy.bouncing import FORCES, LOSSES, OBSTACLES, bounces, mean_errors, scene
 from particles_mpi.study.accuracy.bouncing import T as BOUNCING
-from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, everyone, slope
+from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, all_particles, slope
 
 G, DRAG, T, THROW = 9.81, 0.5, 2.0, (10.0, 10.0)
 STEPS, QUICK_STEPS = (2, 4, 16, 64, 256), (8, 16, 32, 64)
@@ -61,7 +61,7 @@ def throws(benchmark: Benchmark) -> list[Experiment]:
 
         def errors(sim: Simulation, true: tuple[Array, Array] = true) -> Errors:
             sim.run()
-            p = everyone(sim)
+            p = all_particles(sim)
             wrong = zip(ERRORS, (p.position[0] - true[0], p.velocity[0] - true[1]), strict=True)
             return {name: float(np.abs(off).max()) for name, off in wrong}
 
@@ -72,7 +72,7 @@ def throws(benchmark: Benchmark) -> list[Experiment]:
             effects = {"uniform_gravity": {"acceleration": [0.0, -G]}, **loss}
             tables = {"dimension": 2, "time": time, "particles": particles, "effects": effects}
             tried.append(benchmark.setting(integrator, T / n, tables, errors, steps=ENDLESS, seconds_of=n))
-        found = benchmark.measure(key, title, tried, ERRORS, reference, slopes=(1.0, 2.0), floor=1e-12)
+        found = benchmark.compare(key, title, tried, ERRORS, reference, slopes=(1.0, 2.0), floor=1e-12)
         for curve in found.curves:
             fine = [row for row in found.curve(curve) if row.errors["place"] > 1e-9][-3:]
             found.answers.append(f"{curve}: order {slope(fine, 'place'):.2f} in place")
@@ -110,13 +110,13 @@ def bouncing(benchmark: Benchmark) -> Experiment:
     tried = [bounce(benchmark, *with_) for with_ in product(forces, LOSSES, (("none", "drag"), ("friction",)), steps)]
     errors = {name: f"distance from the true place after a second, mean over the phases of a step: {name}" for name in OBSTACLES}
     reference = "Runge-Kutta of order 4 from contact to contact"
-    found = benchmark.measure("G4", "Bounces", tried, errors, reference, slopes=(2.0,), floor=1e-9)
+    found = benchmark.compare("G4", "Bounces", tried, errors, reference, slopes=(2.0,), floor=1e-9)
     orders = [slope(found.curve(curve), name) for curve in found.curves for name in OBSTACLES]
     most = max(max(found.curve(curve)[0].errors.values()) for curve in found.curves)
     found.answers.append(f"order {min(orders):.2f} to {max(orders):.2f}; error at a step of {steps[0]:g} at most {most:.1e}")
     return found
 
 
-def measure(benchmark: Benchmark) -> list[Experiment]:
+def experiments(benchmark: Benchmark) -> list[Experiment]:
     """G: four experiments. Collective."""
     return [*throws(benchmark), bouncing(benchmark)]

@@ -8,7 +8,7 @@ import numpy as np
 
 from particles_mpi import Simulation
 from particles_mpi.particles import Array
-from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, distance, everyone, slope
+from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, all_particles, distance, slope
 
 E, ORBITS = 0.5, 100
 LOOKS = 2000  # moments of a run at which the energy is measured
@@ -91,7 +91,7 @@ def worst_energy(sim: Simulation, energy: Callable[[Simulation], float]) -> floa
 
 def energy_of_planet(sim: Simulation) -> float:
     """Energy of a unit of mass of the planet. Collective."""
-    p = everyone(sim)
+    p = all_particles(sim)
     return 0.5 * float((p.velocity[0] ** 2).sum()) - 1.0 / distance(p.position[0], p.position[1])
 
 
@@ -112,11 +112,11 @@ def regular_orbits(benchmark: Benchmark) -> list[Experiment]:
 
     def of_planet(sim: Simulation) -> Errors:
         energy = worst_energy(sim, energy_of_planet)
-        return {"energy": energy, "place": distance(everyone(sim).position[0], place_on_ellipse(sim.time))}
+        return {"energy": energy, "place": distance(all_particles(sim).position[0], place_on_ellipse(sim.time))}
 
     def of_eight(sim: Simulation) -> Errors:
         energy = worst_energy(sim, lambda s: s.measure()["total_energy"])
-        return {"energy": energy, "place": float(np.abs(everyone(sim).position - np.array(EIGHT["position"])).max())}
+        return {"energy": energy, "place": float(np.abs(all_particles(sim).position - np.array(EIGHT["position"])).max())}
 
     kepler = settings(benchmark, PLANET, REGULAR[benchmark.quick], 2.0 * pi, orbits, 2, of_planet)
     eight = settings(benchmark, EIGHT, REGULAR[benchmark.quick], PERIOD, 1, 2, of_eight)
@@ -125,7 +125,7 @@ def regular_orbits(benchmark: Benchmark) -> list[Experiment]:
         ("A1", f"Kepler, e = 0.5, {orbits} orbits", kepler, ERRORS, "exact: Kepler's equation"),
         ("A2", "Figure eight, one period", eight, ERRORS, exact),
     )
-    all_found = [benchmark.measure(*problem, floor=1e-14, **PLOT) for problem in problems]
+    all_found = [benchmark.compare(*problem, floor=1e-14, **PLOT) for problem in problems]
     for found in all_found:
         for curve, floor, coarse in (("leapfrog", 1e-9, 1e-1), ("order4", 1e-12, 1e-3)):
             for error in found.errors:
@@ -142,12 +142,12 @@ def close_encounters(benchmark: Benchmark) -> list[Experiment]:
         start, found = sim.measure()["total_energy"], {}
         for moment, place in PLACES.items():
             sim.steps(round(moment / sim.h) - sim.steps_done)
-            found[f"place, t = {moment:g}"] = distance(everyone(sim).position[0], place)
+            found[f"place, t = {moment:g}"] = distance(all_particles(sim).position[0], place)
         return found | {"energy": abs(sim.measure()["total_energy"] / start - 1.0)}
 
     tried = settings(benchmark, PYTHAGOREAN, CLOSE[benchmark.quick], END, 1, 200, errors)
     title, reference = "Pythagorean problem, t = 20", "published: twelve digits of two places"
-    found = benchmark.measure("B", title, tried, ENCOUNTER_ERRORS, reference, floor=1e-12, **PLOT)
+    found = benchmark.compare("B", title, tried, ENCOUNTER_ERRORS, reference, floor=1e-12, **PLOT)
     fixed = [row for row in found.rows if row.setting.curve != "adaptive"]
     best, chosen = (min(some, key=lambda r: r.errors[LATE]) for some in (fixed, found.curve("adaptive")))
     found.answers = [

@@ -7,7 +7,7 @@ import numpy as np
 
 from particles_mpi import Simulation
 from particles_mpi.particles import Array
-from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, everyone, slope
+from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, all_particles, slope
 from particles_mpi.study.hard_cases.resting import deepest_overlap
 
 TOLERANCES, EXACT = (1e-2, 1e-3, 1e-4, 1e-5), 1e-8
@@ -39,7 +39,7 @@ def bed(n: int, particles: dict[str, Any], tolerance: float, steps: int) -> dict
     }
 
 
-def measure(benchmark: Benchmark) -> list[Experiment]:
+def experiments(benchmark: Benchmark) -> list[Experiment]:
     """I: a bed that has settled goes on with each tolerance. Collective."""
     n, steps = (QUICK_N, QUICK_STEPS) if benchmark.quick else (N, STEPS)
 
@@ -58,13 +58,13 @@ def measure(benchmark: Benchmark) -> list[Experiment]:
             sim.steps(steps // 10)
             energy = sim.measure()["total_energy"]
             rise, before = max(rise, energy - before), energy
-        return everyone(sim).position[:, 2], rise
+        return all_particles(sim).position[:, 2], rise
 
     exact = cache(lambda: heights(begin(EXACT))[0].mean())
 
     def errors(sim: Simulation) -> Errors:
         z, rise = heights(sim)
-        speed = (everyone(sim).velocity ** 2).sum(axis=1).mean() ** 0.5
+        speed = (all_particles(sim).velocity ** 2).sum(axis=1).mean() ** 0.5
         return {
             "height": abs(float(z.mean() - exact())) / R,
             "speed": float(speed) / (G * STEP),
@@ -75,7 +75,7 @@ def measure(benchmark: Benchmark) -> list[Experiment]:
     settings = [Setting("event", tolerance, lambda t=tolerance: begin(t), steps, errors) for tolerance in TOLERANCES]  # type: ignore[misc]
     title = f"A bed of {n} spheres that has settled, {steps * STEP:g} s more"
     reference = f"a solution at a tolerance of {EXACT:g}"
-    found = benchmark.measure("I", title, settings, ERRORS, reference, "contact_tolerance")
+    found = benchmark.compare("I", title, settings, ERRORS, reference, "contact_tolerance")
     first, default, last = found.rows[0], found.rows[2], found.rows[-1]
     longer = (last.seconds.median / first.seconds.median) ** (1.0 / (len(found.rows) - 1))
     found.answers = [

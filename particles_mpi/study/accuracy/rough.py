@@ -8,7 +8,7 @@ import numpy as np
 
 from particles_mpi import Simulation
 from particles_mpi.kernels.geometry import image_shifts
-from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, everyone, slope
+from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, all_particles, slope
 
 G, MU = 9.81, 0.2
 BALLS, T = 200, 0.6  # balls of speeds between 0.8 and 1.2, so that they begin to roll anywhere in a step; seconds
@@ -42,7 +42,7 @@ def rolling(benchmark: Benchmark) -> Experiment:
 
     def errors(sim: Simulation, speeds: np.ndarray) -> Errors:
         sim.run()
-        p, final = everyone(sim), speeds / 1.4
+        p, final = all_particles(sim), speeds / 1.4
         begins = (speeds - final) / (MU * G)
         true = 0.5 * (speeds + final) * begins + final * (T - begins)
         off = {"place": p.position[:, 0] - true, "speed": p.velocity[:, 0] - final}
@@ -53,7 +53,7 @@ def rolling(benchmark: Benchmark) -> Experiment:
         for step in ROLLING_STEPS:
             tables, speeds = sliding_balls(mode, step)
             tried.append(benchmark.setting(mode, step, tables, lambda sim, v=speeds: errors(sim, v), steps=round(T / step)))  # type: ignore[misc]
-    found = benchmark.measure("J1", f"{BALLS} balls slide, then roll", tried, ROLLING, "exact", slopes=(1.0, 2.0), floor=1e-12)
+    found = benchmark.compare("J1", f"{BALLS} balls slide, then roll", tried, ROLLING, "exact", slopes=(1.0, 2.0), floor=1e-12)
     orders = ", ".join(f"{curve} {slope(found.curve(curve), 'place'):.2f}" for curve in found.curves)
     most = max(row.errors["speed"] for row in found.rows)
     found.answers = [f"order in place: {orders}", f"once they roll the speed is right at any step: within {most:.0e}"]
@@ -92,10 +92,10 @@ def creeping(benchmark: Benchmark) -> list[Experiment]:
         return benchmark.simulate(bed(settled(step), n, step, tolerance, watched))
 
     def errors(sim: Simulation) -> Errors:
-        before, box = everyone(sim), sim.scene.box
+        before, box = all_particles(sim), sim.scene.box
         assert box
         sim.run()
-        after, side = everyone(sim), box.upper[0]
+        after, side = all_particles(sim), box.upper[0]
         way = after.position - before.position
         way[:, :2] -= image_shifts(way[:, :2], side)
         moved, speeds2 = np.sqrt((way**2).sum(axis=1)), (after.velocity**2).sum(axis=1)
@@ -109,7 +109,7 @@ def creeping(benchmark: Benchmark) -> list[Experiment]:
             value = step if parameter == "step" else tolerance
             tried.append(Setting("event", value, partial(begin, step, tolerance), round(watched / step), errors))
         title = f"A bed of {n} rough spheres that has settled on a slope with that step, {watched:g} s more, by {parameter}"
-        found = benchmark.measure(key, title, tried, CREEP, "rest", parameter)
+        found = benchmark.compare(key, title, tried, CREEP, "rest", parameter)
         creep, longer = [row.errors["creep"] for row in found.rows], found.rows[-1].seconds.median / found.rows[0].seconds.median
         found.answers = [
             f"it creeps by {min(creep):.1e} to {max(creep):.1e} R a second; {longer:.1f} times the seconds, first to last"
@@ -122,6 +122,6 @@ def creeping(benchmark: Benchmark) -> list[Experiment]:
     ]
 
 
-def measure(benchmark: Benchmark) -> list[Experiment]:
+def experiments(benchmark: Benchmark) -> list[Experiment]:
     """J: three experiments. Collective."""
     return [rolling(benchmark), *creeping(benchmark)]

@@ -8,7 +8,7 @@ from particles_mpi.study.experiment import Benchmark, Experiment, Setting
 from particles_mpi.study.recommend.methods import as_it_is, methods
 from particles_mpi.study.recommend.reference import reference
 from particles_mpi.study.recommend.runs import Start, variant
-from particles_mpi.study.recommend.search import BUDGET, Search, time_trials
+from particles_mpi.study.recommend.search import BUDGET_SECONDS, Search, time_trials
 
 LADDER = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # times the steps of the scene
 TOLERANCES = (1e3, 1e5, 1e7, 1e9)  # of `adaptive`, inverse
@@ -18,23 +18,23 @@ MEANING = {
 }
 
 
-def measure(benchmark: Benchmark, scene: Scene) -> list[Experiment]:
+def experiments(benchmark: Benchmark, scene: Scene) -> list[Experiment]:
     """Two experiments: settings of the scene, and its effects left out in turn. Collective; few bodies on rank 0 alone."""
     return Start(benchmark, scene).on_few(lambda start: [settings(start), effects(start)]) or []
 
 
 def settings(start: Start) -> Experiment:
-    """Errors of each integrator, mode or angle over a ladder of steps, in BUDGET seconds; times then come to that again."""
-    quick, metric = start.benchmark.quick, reference(start, BUDGET)
+    """Errors of each integrator, mode or angle over a ladder of steps, in BUDGET_SECONDS; times then take as long again."""
+    quick, metric = start.benchmark.quick, reference(start, BUDGET_SECONDS)
     if not metric.names:
         raise SceneError("particles: nothing in this scene has an error")
-    search = Search(start, metric, metric.names[0], 1.0, 2.0 * BUDGET / 3.0)
+    search = Search(start, metric, metric.names[0], 1.0, 2.0 * BUDGET_SECONDS / 3.0)
     steps = [k * max(start.scene.steps, 4) for k in (LADDER[1:4] if quick else LADDER)]
     search.attempt(*as_it_is(start))
     for method in methods(start):
         for resolution in TOLERANCES[:: 2 if quick else 1] if method.adaptive else steps:
             if search.left() < 0.0:
-                search.refused[method.name] = f"not measured further: {BUDGET:.0f} s are over"
+                search.refused[method.name] = f"not measured further: {BUDGET_SECONDS:.0f} s are over"
                 break
             search.attempt(method, resolution, search.left())
     rows = time_trials(start, [trial for trial in search.trials if not any(map(isnan, trial.errors.values()))])
@@ -68,7 +68,7 @@ def effects(start: Start) -> Experiment:
     answers.append("an effect left out changes the motion too: shares need not add up to 1")
     errors = {"share": "of the seconds of a step that go when the effect does"}
     title, reference = f"What each effect costs a step: {scene.title or 'the scene'}", "the scene with all its effects"
-    found = start.benchmark.measure("H", title, tried, errors, reference, answers=answers)
+    found = start.benchmark.compare("H", title, tried, errors, reference, answers=answers)
     for row in found.rows:
         row.errors["share"] = 1.0 - row.seconds.median / found.rows[0].seconds.median
     return found

@@ -16,7 +16,7 @@ from particles_mpi.gravity.direct import Attraction
 from particles_mpi.initial.plummer import MOST, plummer_places
 from particles_mpi.particles import Array
 from particles_mpi.study.accuracy.orbits import gravity, place_on_ellipse, plummer_sphere
-from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Row, Setting, distance, everyone, slope
+from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Row, Setting, all_particles, distance, slope
 
 E, CLOSE = 0.9, 0.99  # eccentricities
 SOFT, STEPS = (0.0, 1e-3, 1e-2), (500, 2000, 8000)  # softening, of the semi-major axis; steps an orbit
@@ -48,7 +48,7 @@ def orbit(benchmark: Benchmark, eps: float, n: int, e: float = E, **time: Any) -
 def end(sim: Simulation) -> Array:
     """Place of the planet at the end of the run. Collective."""
     sim.run()
-    return everyone(sim).position[0]
+    return all_particles(sim).position[0]
 
 
 def kepler(benchmark: Benchmark) -> Experiment:
@@ -73,7 +73,7 @@ def kepler(benchmark: Benchmark) -> Experiment:
     )
     title = f"Softened Kepler orbit, e = {E:g}, one orbit by leapfrog"
     tried = [one(eps, n) for eps in SOFT for n in steps]
-    found = benchmark.measure("F1", title, tried, ORBIT, reference, slopes=(2.0,), floor=unsure)
+    found = benchmark.compare("F1", title, tried, ORBIT, reference, slopes=(2.0,), floor=unsure)
     for n in steps:
         rows = sorted((row for row in found.rows if row.setting.steps == n), key=lambda row: row.errors["total"])
         best, worst = rows[0], rows[-1]
@@ -149,7 +149,7 @@ def plummer(benchmark: Benchmark) -> Experiment:
 
     title = f"Softened forces of {N} particles that stand for a smooth sphere"
     reference = f"exact: Plummer's formula, at {PLACES} places; noise over {SPHERES} spheres"
-    found = benchmark.measure("F2", title, [one(eps) for eps in WIDTHS], FIELD, reference, "softening")
+    found = benchmark.compare("F2", title, [one(eps) for eps in WIDTHS], FIELD, reference, "softening")
     rows, best = found.rows, min(found.rows, key=lambda row: row.errors["total"])
     known = 0.98 * N**-0.26  # E. Athanassoula et al., MNRAS 314, 475 (2000), for Plummer spheres
     found.answers = [
@@ -161,6 +161,6 @@ def plummer(benchmark: Benchmark) -> Experiment:
     return found
 
 
-def measure(benchmark: Benchmark) -> list[Experiment]:
+def experiments(benchmark: Benchmark) -> list[Experiment]:
     """F: an orbit, and particles that stand for a smooth sphere. Collective."""
     return [kepler(benchmark), plummer(benchmark)]

@@ -12,7 +12,7 @@ from particles_mpi.gravity.method import choose
 from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.particles import Array
 from particles_mpi.study.accuracy.orbits import plummer_sphere
-from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Row, Setting, everyone
+from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Row, Setting, all_particles
 
 SIZES, QUICK = (500, 2000, 8000, 32_000), (500, 2000)
 ANGLES = (1.0, 0.7, 0.5, 0.35)
@@ -62,7 +62,7 @@ def relative(a: Array, exact: Array) -> Array:
 
 def round_off(sim: Simulation, a: Array) -> Array:
     """Relative errors of some accelerations, against sums in extended precision. Collective."""
-    p = everyone(sim)
+    p = all_particles(sim)
     arrived = allgather_rows(sim.ranks, {"id": sim.particles.id, "a": a})
     a = arrived["a"][np.argsort(arrived["id"], kind="stable")]
     x, some = p.position.astype(np.longdouble), np.arange(0, len(a), max(1, len(a) // TARGETS))
@@ -129,14 +129,14 @@ def conclusions(found: Sequence[Experiment], ranks: int) -> Iterator[str]:
 def experiment(benchmark: Benchmark, k: int, n: int) -> Experiment:
     """All settings for n particles."""
     title = f"One evaluation of the forces in a Plummer sphere of {n}"
-    found = benchmark.measure(f"D{k}", title, settings(benchmark, n), ERRORS, "the direct sum in float64", "opening angle")
+    found = benchmark.compare(f"D{k}", title, settings(benchmark, n), ERRORS, "the direct sum in float64", "opening angle")
     own = found.rows[0].errors
     found.reference += f", itself within {own['median']:.1e} (median), {own['99 %']:.1e} of extended precision"
     found.floor, found.answers = own["99 %"], list(compared(found))
     return found
 
 
-def measure(benchmark: Benchmark) -> list[Experiment]:
+def experiments(benchmark: Benchmark) -> list[Experiment]:
     """D, an experiment for each number of particles. Collective."""
     found = [experiment(benchmark, k, n) for k, n in enumerate(QUICK if benchmark.quick else SIZES, 1)]
     found[-1].answers += conclusions(found, benchmark.ranks.size)

@@ -20,7 +20,7 @@ from particles_mpi.output.files import make_folder, write_text
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles
 from particles_mpi.run.console import Screen
-from particles_mpi.study.experiment import everyone
+from particles_mpi.study.experiment import all_particles
 
 CHAPTERS = ("contacts", "crowds", "resting", "rough", "orbits", "extremes")
 MODES = ("rewind", "event")
@@ -53,7 +53,7 @@ class CaseRun:
         """A simulation that has been run to its end, and all its particles there. Collective."""
         sim = self.simulate(*arguments, **scene)
         sim.run()
-        return sim, everyone(sim)
+        return sim, all_particles(sim)
 
     def point(self, *coordinates: float, rest: float = 0.0) -> list[float]:
         """The point with these first coordinates; all others are `rest`."""
@@ -74,14 +74,14 @@ class CaseRun:
     def digest(self) -> str:
         """A hash of the final states of all simulations: every bit of every field. Collective."""
         text = sha256()
-        for p in map(everyone, self.built):
+        for p in map(all_particles, self.built):
             for name in p.arrays:
                 text.update(name.encode() + p[name].tobytes())
         return text.hexdigest()
 
 
 Finding = tuple[str, bool]  # what was measured, and whether it is what must hold
-Measure = Callable[[CaseRun], Finding]
+CaseFunction = Callable[[CaseRun], Finding]
 
 
 class Case(NamedTuple):
@@ -90,7 +90,7 @@ class Case(NamedTuple):
     name: str
     naive: str
     must: str
-    measure: Measure
+    function: CaseFunction
     modes: tuple[str | None, ...] = MODES
     dimensions: tuple[int, ...] = (2, 3)
     long: bool = False
@@ -107,12 +107,12 @@ class Outcome(NamedTuple):
 CATALOGUE: list[Case] = []
 
 
-def case(name: str, naive: str, must: str, **where: Any) -> Callable[[Measure], Measure]:
+def case(name: str, naive: str, must: str, **where: Any) -> Callable[[CaseFunction], CaseFunction]:
     """Enters a function into the catalogue; `where`: modes, dimensions, long."""
 
-    def enter(measure: Measure) -> Measure:
-        CATALOGUE.append(Case(name, naive, must, measure, **where))
-        return measure
+    def enter(function: CaseFunction) -> CaseFunction:
+        CATALOGUE.append(Case(name, naive, must, function, **where))
+        return function
 
     return enter
 
@@ -132,10 +132,10 @@ def settings(cases: list[Case]) -> Iterator[tuple[Case, str | None, int]]:
 def examine(one: Case, mode: str | None, dimension: int) -> Outcome:
     """Run a case on all ranks; on several also on this rank alone, for the bits must be the same. Collective."""
     run, ranks, same_bits = CaseRun(mode, dimension), Communicator(), True
-    measured, holds = one.measure(run)
+    measured, holds = one.function(run)
     if ranks.size > 1:
         alone = CaseRun(mode, dimension, Communicator.alone().comm)
-        one.measure(alone)
+        one.function(alone)
         same_bits = ranks.all(run.digest() == alone.digest())
     return Outcome(measured, ranks.all(holds), same_bits)
 
@@ -149,7 +149,7 @@ def chosen(only: str | None, full: bool) -> list[Case]:
     return [one for one in cases if full or only is not None or not one.long]
 
 
-def study(only: str | None, full: bool, into: Path | None) -> bool:
+def study_hard_cases(only: str | None, full: bool, into: Path | None) -> bool:
     """The table, row by row as cases end, and whether all that must hold does. `into`: the outcomes as JSON. Collective."""
     ranks = Communicator()
     screen, before = Screen(ranks.is_root, False), None

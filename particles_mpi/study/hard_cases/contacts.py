@@ -7,7 +7,7 @@ import numpy as np
 from particles_mpi import SceneError
 from particles_mpi.contacts.law import contact_time
 from particles_mpi.kernels.markers import NEVER
-from particles_mpi.study.experiment import everyone, total
+from particles_mpi.study.experiment import all_particles, total_count
 from particles_mpi.study.hard_cases.catalogue import CaseRun, Effects, Finding, case
 
 
@@ -33,7 +33,7 @@ def stiff_drag(run: CaseRun) -> Finding:
     end, before, monotone = -9.81 / 100.0, np.inf, True
     for _ in range(40):
         sim.step()
-        left = np.abs(everyone(sim).velocity[:, -1] - end).max()
+        left = np.abs(all_particles(sim).velocity[:, -1] - end).max()
         monotone &= bool(left <= before)
         before = left
     return f"{'monotone' if monotone else 'NOT monotone'}, {before / abs(end):.0e} off g/k", monotone and before <= 1e-12
@@ -52,7 +52,7 @@ def overlap(run: CaseRun) -> Finding:
     sim = run.simulate([spheres], 0.01, 200, {"collisions": {"restitution": 0.9, "allow_overlap": True}})
     before = sim.measure()
     sim.run()
-    after, p = sim.measure(), everyone(sim)
+    after, p = sim.measure(), all_particles(sim)
     apart = np.sqrt(((p.position[:, None] - p.position[None]) ** 2).sum(axis=2))[np.triu_indices(5, 1)].min()
     change = max(abs(after[f"momentum_{k}"] - before[f"momentum_{k}"]) for k in "xyz"[: run.dimension])
     risen = after["kinetic"] / before["kinetic"] - 1.0
@@ -65,7 +65,7 @@ def touching(run: CaseRun) -> Finding:
     """A pair at rest, and a pair that moves apart."""
     places, speeds = ([run.point(x) for x in column] for column in ((0.0, 1.0, 3.0, 4.0), (0.0, 0.0, -1.0, 1.0)))
     sim, _ = run.finish([{"position": places, "velocity": speeds, "radius": 0.5}], 0.01, 100, {"collisions": {}})
-    events = total(sim, "collisions")
+    events = total_count(sim, "collisions")
     return f"{events} events in 100 steps", events == 0
 
 
@@ -84,7 +84,7 @@ def grazing(run: CaseRun) -> Finding:
             continue
         sim = run.simulate([{"position": x.tolist(), "velocity": v.tolist(), "radius": 0.5}], 1.0, effects={"collisions": {}})
         sim.step()
-        missed += total(sim, "collisions") == 0
+        missed += total_count(sim, "collisions") == 0
         run.built.clear()
     return f"{missed} of 300 missed", missed == 0
 
@@ -113,7 +113,7 @@ def corner(run: CaseRun) -> Finding:
     ball = {"position": [[1.2 + 0.1 * k for k in range(d)]], "velocity": [-1.0] * d, "radius": 0.9}
     sim, p = run.finish([ball], 1.0, effects={"walls": {}, "collisions": {}}, box=run.cube(10.0))
     off = np.abs(p.position - np.array([[0.9 + 1.0 - (0.3 + 0.1 * k) for k in range(d)]])).max()
-    return f"{total(sim, 'wall_hits')} hits, place off {off:.0e}", bool(off <= 1e-15 * 4 and (p.velocity == 1.0).all())
+    return f"{total_count(sim, 'wall_hits')} hits, place off {off:.0e}", bool(off <= 1e-15 * 4 and (p.velocity == 1.0).all())
 
 
 @case("acute wedge of two planes (10 degrees)", "leaves through the other plane", "inside; ceil(pi/angle) bounces at most")
@@ -127,10 +127,10 @@ def wedge(run: CaseRun) -> Finding:
     sim, deepest = run.simulate([ball], 0.05, 800, {"walls": walls, "collisions": {}}), np.inf
     for _ in range(800):
         sim.step()
-        x = everyone(sim).position[0]
+        x = all_particles(sim).position[0]
         deepest = min(deepest, x[1], np.sin(angle) * x[0] - np.cos(angle) * x[1])
-    hits, energy = total(sim, "wall_hits"), sim.measure()["kinetic"] / (0.5 * (1.0 + 0.03**2)) - 1.0
-    holds = deepest >= 0.1 - 1e-13 and hits <= 18 and abs(energy) <= 1e-14 and everyone(sim).velocity[0, 0] > 0.0
+    hits, energy = total_count(sim, "wall_hits"), sim.measure()["kinetic"] / (0.5 * (1.0 + 0.03**2)) - 1.0
+    holds = deepest >= 0.1 - 1e-13 and hits <= 18 and abs(energy) <= 1e-14 and all_particles(sim).velocity[0, 0] > 0.0
     return f"{hits} bounces, closest {deepest - 0.1:+.0e} beyond a radius, energy {energy:+.0e}", bool(holds)
 
 
@@ -158,6 +158,6 @@ def squeezed(run: CaseRun) -> Finding:
     fixed = {"position": [run.point(x, rest=5.0) for x in (1.5, 9.0, 11.0)], "radius": 0.5, "fixed": True}
     effects: Effects = {"collisions": {}, "walls": {}}
     sim, p = run.finish([moving[0], fixed, moving[1]], 0.01, 20, effects, box=run.cube(20.0))
-    missed = total(sim, "missed")
+    missed = total_count(sim, "missed")
     off = max(abs(p.position[0, 0] - 0.5), abs(p.position[4, 0] - 10.0))
     return f"{missed} counted as missed, moved {off:.0e}", bool(missed > 0 and off <= 1e-12 and np.isfinite(p.velocity).all())

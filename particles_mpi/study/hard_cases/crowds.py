@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 
 from particles_mpi.kernels.geometry import image_shifts
-from particles_mpi.study.experiment import everyone, total
+from particles_mpi.study.experiment import all_particles, total_count
 from particles_mpi.study.hard_cases.catalogue import CaseRun, Effects, Finding, case
 
 
@@ -32,7 +32,7 @@ def rack(run: CaseRun) -> Finding:
     sim, _ = run.finish([{"position": triangle, "radius": 0.5}, cue], 0.01, 300, {"collisions": run.in_passes(100)})
     row = sim.measure()
     energy, momentum = abs(row["kinetic"] / 8.0 - 1.0), abs(row["momentum_x"] - 4.0)
-    holds = energy <= 1e-14 and momentum <= 1e-14 * 8.0 and total(sim, "missed") == 0
+    holds = energy <= 1e-14 and momentum <= 1e-14 * 8.0 and total_count(sim, "missed") == 0
     return f"energy off {energy:.0e}, momentum {momentum:.0e}", bool(holds)
 
 
@@ -51,7 +51,7 @@ def full_box(run: CaseRun) -> Finding:
     )
     before = sim.measure()["kinetic"]
     sim.run()
-    energy, off = sim.measure()["kinetic"] / before - 1.0, np.abs(everyone(sim).position - places).max()
+    energy, off = sim.measure()["kinetic"] / before - 1.0, np.abs(all_particles(sim).position - places).max()
     return f"moved {off:.0e}, energy off {energy:+.0e}", bool(off <= 1e-12 and abs(energy) <= 1e-10)
 
 
@@ -65,8 +65,8 @@ def collapse(run: CaseRun, beads: list[float], speeds: list[float], e: float, wa
     for _ in range(500):
         sim.step()
         energies.append(sim.measure()["kinetic"])
-        lowest = min(lowest, float(np.diff(everyone(sim).position[:, 0]).min()))
-    risen, events, missed = (np.diff(energies) / energies[0]).max(), total(sim, "collisions"), total(sim, "missed")
+        lowest = min(lowest, float(np.diff(all_particles(sim).position[:, 0]).min()))
+    risen, events, missed = (np.diff(energies) / energies[0]).max(), total_count(sim, "collisions"), total_count(sim, "missed")
     holds = risen <= 1e-14 and np.isfinite(energies[-1]) and (lowest >= 1.0 - 1e-9 or missed > 0)
     return f"{events} contacts, {missed} missed, energy at most {risen:+.0e} a step, closest {lowest:.9f}", bool(holds)
 
@@ -77,9 +77,9 @@ COLLAPSES = {  # places and speeds of the beads, restitution, is there a wall at
     "2 beads and a wall, e = 0.1": ([0.7, 2.0], [-1.0, -1.5], 0.1, True),
 }
 for name, (beads, speeds, e, wall) in COLLAPSES.items():
-    measure = partial(collapse, beads=beads, speeds=speeds, e=e, wall=wall)
+    function = partial(collapse, beads=beads, speeds=speeds, e=e, wall=wall)
     naive, must = "infinitely many contacts: the clock stops", "the clock advances, energy never rises"
-    case(f"inelastic collapse: {name}", naive, must, dimensions=(1,))(measure)
+    case(f"inelastic collapse: {name}", naive, must, dimensions=(1,))(function)
 
 
 @case(
@@ -101,10 +101,10 @@ def dense_fluid(run: CaseRun) -> Finding:
     sim.steps(100)
     sim.measure()
     sim.run()
-    row, p = sim.measure(), everyone(sim)
+    row, p = sim.measure(), all_particles(sim)
     r = p.position[:, None] - p.position[None]
     r -= image_shifts(r, side)
     closest = np.sqrt((r**2).sum(axis=2))[np.triu_indices(500, 1)].min()
-    z, missed = row["z_virial"], total(sim, "missed")
+    z, missed = row["z_virial"], total_count(sim, "missed")
     holds = len(p) == 500 and closest >= 1.0 - 1e-9 and missed == 0 and abs(z / 11.515 - 1.0) < 0.02
     return f"Z {z:.2f}, closest {closest:.6f} diameters, {missed} missed", bool(holds)

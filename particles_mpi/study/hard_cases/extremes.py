@@ -11,7 +11,7 @@ import numpy as np
 from particles_mpi import SceneError, Simulation
 from particles_mpi.errors import StoppedError
 from particles_mpi.particles import Array
-from particles_mpi.study.experiment import everyone, total
+from particles_mpi.study.experiment import all_particles, total_count
 from particles_mpi.study.hard_cases.catalogue import CaseRun, Effects, Finding, case
 
 CLOSED: Effects = {"collisions": {}, "walls": {}}
@@ -24,12 +24,12 @@ def gas(run: CaseRun, scale: float = 1.0, speed: float = 1.0, offset: float = 0.
         sim = run.simulate([spheres], moves * scale / speed, 400, CLOSED, box=run.cube(10.0 * scale, offset), seed=3)
         before = sim.measure()["kinetic"]
         sim.run()
-        after, p = sim.measure()["kinetic"], everyone(sim)
+        after, p = sim.measure()["kinetic"], all_particles(sim)
     except (SceneError, StoppedError) as error:
         return f"refused: {str(error)[:60]}", True
     unit = np.spacing(abs(offset) + 10.0 * scale) * 8.0  # places are no finer
     inside = (p.position >= offset + 0.5 * scale - unit).all() and (p.position <= offset + 9.5 * scale + unit).all()
-    events = total(sim, "collisions")
+    events = total_count(sim, "collisions")
     change = after / before - 1.0 if before > 0.0 else after - before
     holds = bool(np.isfinite(p.position).all() and np.isfinite(p.velocity).all() and inside and abs(change) <= 1e-10)
     holds &= events > 0 or moves < 0.01
@@ -54,8 +54,8 @@ def watch(sim: Simulation, steps: int) -> Finding:
     number, lost = sim.total, 0
     for _ in range(steps):
         sim.step()
-        lost += not np.array_equal(everyone(sim).id, np.arange(number))
-    return f"{number} ids at each of {steps} steps, {total(sim, 'collisions')} contacts", lost == 0
+        lost += not np.array_equal(all_particles(sim).id, np.arange(number))
+    return f"{number} ids at each of {steps} steps, {total_count(sim, 'collisions')} contacts", lost == 0
 
 
 def grid(run: CaseRun, axis: Any) -> Array:

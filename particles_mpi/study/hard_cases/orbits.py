@@ -81,8 +81,8 @@ def far(run: CaseRun, integrator: str, steps: int) -> Finding:
 FAR_MUST = f"energy as at the origin, within 1e-9 or round-off, {FAR_ORBITS} orbits"
 for integrator, steps in {"adaptive": 4, "leapfrog": 100, "order4": 40}.items():
     naive = "steps shrink until it stops" if integrator == "adaptive" else "round-off grows with every step"
-    measure = partial(far, integrator=integrator, steps=steps)
-    case(f"binaries far from the origin, `{integrator}`", naive, FAR_MUST, modes=(None,))(measure)
+    function = partial(far, integrator=integrator, steps=steps)
+    case(f"binaries far from the origin, `{integrator}`", naive, FAR_MUST, modes=(None,))(function)
 
 
 @kernel

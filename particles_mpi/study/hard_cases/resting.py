@@ -8,7 +8,7 @@ import numpy as np
 
 from particles_mpi import Simulation
 from particles_mpi.neighbours.candidates import touching
-from particles_mpi.study.experiment import everyone, total
+from particles_mpi.study.experiment import all_particles, total_count
 from particles_mpi.study.hard_cases.catalogue import MODES, CaseRun, Effects, Finding, case, energies, largest_rise
 
 RESTITUTIONS = (0.0, 0.5, 0.9)
@@ -23,7 +23,7 @@ def under_gravity(run: CaseRun, e: float, step: float, upper: list[float], parti
 
 def deepest_overlap(sim: Simulation) -> float:
     """Of two spheres, or a sphere and the box, in mean radii; negative if nothing touches. Collective."""
-    p, box = everyone(sim), sim.scene.box
+    p, box = all_particles(sim), sim.scene.box
     assert box
     walls = np.maximum(box.lower - (p.position - p.radius[:, None]), p.position + p.radius[:, None] - box.upper).max()
     a, b = touching(p.position, p.radius, p.inverse_mass, p.id, np.zeros(sim.scene.dimension))
@@ -53,11 +53,11 @@ def columns(run: CaseRun) -> Finding:
         column = {"position": [run.upright(0.05 + 0.102 * k, rest=0.5) for k in range(n)], "radius": 0.05}
         sim = under_gravity(run, e, 0.005, run.upright(0.12 * n + 1.0, rest=1.0), column)
         sim.steps(600)
-        before = everyone(sim).position
+        before = all_particles(sim).position
         sim.steps(100)
         kinetic = max(kinetic, sim.measure()["kinetic"])
         deepest = max(deepest, deepest_overlap(sim))
-        moved = max(moved, float(np.abs(everyone(sim).position - before).max()))
+        moved = max(moved, float(np.abs(all_particles(sim).position - before).max()))
     holds = kinetic < 1e-20 and deepest <= 1e-3 and moved <= 1e-9
     return f"K {kinetic:.0e}, overlap {max(deepest, 0.0):.0e} R, moved {moved:.0e}", holds
 
@@ -76,7 +76,7 @@ def bed(run: CaseRun, count: int, layers: float, e: float, falls: float, lasts: 
         rows.append(sim.measure())
         if sim.time >= falls and (n % max(steps // 50, 1) == 0 or n == steps - 1):
             overlaps.append(deepest_overlap(sim))
-            heights.append(2.0 * float(everyone(sim).position[:, -1].mean()))
+            heights.append(2.0 * float(all_particles(sim).position[:, -1].mean()))
     risen, kinetic = largest_rise(np.array([row["total_energy"] for row in rows])), [row["kinetic"] for row in rows]
     left, deepest, sunk = kinetic[-1] / max(kinetic), max(overlaps), 1.0 - min(heights) / heights[0]
     holds = risen <= 1e-6 and deepest <= 1e-3 and left <= 1e-4 and sunk <= 0.02
@@ -94,8 +94,8 @@ def small_beds(run: CaseRun) -> Finding:
 
 
 for e, (lasts, long) in product(RESTITUTIONS, ((3.0, False), (10.0, True))):  # ten layers of a thousand spheres
-    measure = partial(bed, count=10000, layers=10.0, e=e, falls=2.0, lasts=lasts)
-    case(f"bed of 10 000, {lasts:g} s, e = {e:g}", NAIVE_BED, STEADY_BED, dimensions=(3,), long=long)(measure)
+    function = partial(bed, count=10000, layers=10.0, e=e, falls=2.0, lasts=lasts)
+    case(f"bed of 10 000, {lasts:g} s, e = {e:g}", NAIVE_BED, STEADY_BED, dimensions=(3,), long=long)(function)
 
 
 @case("1e5 bounces of an elastic ball between walls", "energy drifts", "energy drift <= 1e-9")
@@ -108,7 +108,7 @@ def bouncing(run: CaseRun) -> Finding:
     before, hits = sim.measure()["kinetic"], 0
     while hits < 100000:
         sim.step()
-        hits = total(sim, "wall_hits")
+        hits = total_count(sim, "wall_hits")
     drift = abs(sim.measure()["kinetic"] / before - 1.0)
     return f"{drift:.0e} after {hits} bounces", drift <= 1e-9
 
@@ -122,9 +122,9 @@ def bouncing_under_gravity(run: CaseRun) -> Finding:
     effects |= {"collisions": {}} if run.mode else {}
     sim = run.simulate([balls], 0.01, effects=effects, box={"lower": [0.0, 0.0], "upper": [1001.0, 10.0]})
     exact, most = 9.81 * heights, 0.0
-    while total(sim, "wall_hits") < 100000:
+    while total_count(sim, "wall_hits") < 100000:
         sim.step()
-        p = everyone(sim)
+        p = all_particles(sim)
         off = (0.5 * p.velocity[:, 1] ** 2 + 9.81 * p.position[:, 1]) / exact - 1.0
         most = max(most, float(np.abs(off).max()))
     return f"each ball within {most:.0e}", most <= 1e-9

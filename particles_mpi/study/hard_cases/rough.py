@@ -7,7 +7,7 @@ import numpy as np
 
 from particles_mpi import Simulation
 from particles_mpi.particles import Array
-from particles_mpi.study.experiment import everyone
+from particles_mpi.study.experiment import all_particles
 from particles_mpi.study.hard_cases.catalogue import CaseRun, Effects, Finding, case, energies, largest_rise
 
 G, SPIN = 9.81, 1e6
@@ -121,9 +121,9 @@ def spinning_in_a_groove(run: CaseRun) -> Finding:
     sim = run.simulate([{"position": [place], "spin": spinning(run, spin), "radius": radius}], 0.002, effects=groove)
     slowing = sqrt(2.0) * mu * G / ((1.0 + mu * mu) * solid(run) * radius)
     rise = energy_rise(sim, 0.5)
-    off = float(np.abs(everyone(sim).spin[0] - rolled(run, spin - 0.5 * slowing)).max() / spin)
+    off = float(np.abs(all_particles(sim).spin[0] - rolled(run, spin - 0.5 * slowing)).max() / spin)
     rise = max(rise, energy_rise(sim, spin / slowing - 0.4))
-    p = everyone(sim)
+    p = all_particles(sim)
     moved, still = float(np.abs(p.position[0] - place).max()), not p.velocity.any() and not p.spin.any()
     holds = off <= 1e-9 and moved <= 1e-9 and still and rise <= RISE
     return f"spin off {off:.0e}, moved {moved:.0e}, {'at rest' if still else 'NOT at rest'}, E rose {rise:.0e}", holds
@@ -168,21 +168,21 @@ def between_floor_and_sphere(run: CaseRun) -> Finding:
         ball = {"position": [place], "radius": 0.5}
         sim = run.simulate([ball | {"acceleration": run.point(10.0)}, fixed], 0.002, 50, effects)
         sim.steps(50)
-        moved = max(moved, float(np.abs(everyone(sim).position[0] - place).max()))
+        moved = max(moved, float(np.abs(all_particles(sim).position[0] - place).max()))
         sim.particles.acceleration[sim.particles.id == 0] = run.point(-10.0)
         sim.steps(50)
-        off = max(off, float(np.abs(everyone(sim).velocity[0] - run.point(-1.0)).max()))
+        off = max(off, float(np.abs(all_particles(sim).velocity[0] - run.point(-1.0)).max()))
         sim = run.simulate([ball | {"velocity": run.point(10.0)}, fixed], 0.002, 50, effects)
         rise = max(rise, energy_rise(sim, 0.1))
-        moved = max(moved, float(everyone(sim).position[0, 0] - place[0]))
+        moved = max(moved, float(all_particles(sim).position[0, 0] - place[0]))
     holds = moved <= 1e-9 and off <= 1e-9 and rise <= RISE
     return f"moved {moved:.0e}, pulled: v off {off:.0e}, E rose {rise:.0e}", holds
 
 
 def stands(sim: Simulation, time: float) -> tuple[float, float]:
     """(How far the sphere of the highest id moved within a time, and its `energy_rise`.) Collective."""
-    before, rise = everyone(sim).position[-1], energy_rise(sim, time)
-    return float(np.abs(everyone(sim).position[-1] - before).max()), rise
+    before, rise = all_particles(sim).position[-1], energy_rise(sim, time)
+    return float(np.abs(all_particles(sim).position[-1] - before).max()), rise
 
 
 def verdict(found: list[tuple[float, float]]) -> Finding:

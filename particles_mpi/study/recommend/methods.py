@@ -7,9 +7,9 @@ from typing import Any
 from particles_mpi import Scene
 from particles_mpi.gravity.method import PAIR, TREES, tree_cost
 from particles_mpi.integrators.gauss_radau import TOLERANCE
-from particles_mpi.study.recommend.runs import LOOKS, Changes, Start, multiple_of_looks, variant
+from particles_mpi.study.recommend.runs import SNAPSHOTS, Changes, Start, variant, whole_parts
 
-ANGLES = (1.0, 0.7, 0.5, 0.3)
+OPENING_ANGLES = (1.0, 0.7, 0.5, 0.3)
 PASSES = (1, 3, 10)
 DIRECT: Changes = {"mutual_gravity": {"method": "direct", "opening_angle": None, "accuracy": None, "multipole": None}}
 EVENT: Changes = {"collisions": {"mode": "event", "passes": None}}
@@ -40,7 +40,7 @@ class Method:
     def steps(self, resolution: float, part: float) -> int:
         """Of a part of the run; `adaptive` only stops where a frame is written."""
         scene = self.start.scene
-        return multiple_of_looks(part * (scene.steps / scene.output.every if self.adaptive else resolution))
+        return whole_parts(part * (scene.steps / scene.output.every if self.adaptive else resolution))
 
     def scene(self, resolution: float, part: float) -> Scene:
         """A variant of the scene that ends after a part of the run. SceneError if it is refused."""
@@ -78,7 +78,7 @@ def ways_to_attract(start: Start) -> list[tuple[str, Changes]]:
     """The direct sum, and trees where they are less work."""
     if "mutual_gravity" not in start.scene.effects:
         return [("", {})]
-    options, angles = start.scene.effects["mutual_gravity"], set(ANGLES if start.scene.dimension in TREES else ())
+    options, angles = start.scene.effects["mutual_gravity"], set(OPENING_ANGLES if start.scene.dimension in TREES else ())
     if options.method == "tree" and angles:
         angles.add(options.opening_angle or 0.5)
     less_work = [angle for angle in angles if tree_cost(angle, start.total, "quadrupole") < PAIR * start.total]
@@ -107,5 +107,5 @@ def as_it_is(start: Start) -> tuple[Method, float]:
         changes = tree_of(angle) if angle else DIRECT
     if contact:
         name = f"{contact.mode}, {contact.passes} passes" if contact.mode == "rewind" else contact.mode
-    resolution = 1.0 / (scene.time.tolerance or TOLERANCE) if name == "adaptive" else float(max(scene.steps, LOOKS))
+    resolution = 1.0 / (scene.time.tolerance or TOLERANCE) if name == "adaptive" else float(max(scene.steps, SNAPSHOTS))
     return Method(start, f"as it is: {name}", scene.time.integrator, changes), resolution

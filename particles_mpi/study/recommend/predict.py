@@ -26,18 +26,19 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.run.forecast import Forecast
 from particles_mpi.run.job import Job
 from particles_mpi.scene.schema import TOLERANCES
-from particles_mpi.study.experiment import Benchmark, total
+from particles_mpi.study.experiment import Benchmark, total_count
 from particles_mpi.study.recommend.error_metric import ROUND_OFF
-from particles_mpi.study.recommend.runs import LOOKS, Record, Start, follow, variant
+from particles_mpi.study.recommend.runs import SNAPSHOTS, Record, Start, follow, variant
 from particles_mpi.study.timing import StepTimer, time_in_turns
 
-ERRORS = 0.8  # seconds for errors, about
-MOST = 3.0  # seconds that errors may take where steps take long; more is not tried
-LONGEST = 0.1  # seconds of a step: of longer ones it is not measured what each effect costs, which takes copies and time
-SAMPLES, SAMPLE = 3, 0.02  # of each effect, and least seconds of one
-LEAST = 0.03  # of a step: less is not told from the noise
-FEW, COMPILED = 100_000, 3.0  # particles, seconds: if a trial takes longer kernels were compiled, and it is done again
-LOST = 15.0  # collisions of a particle, after which its place means nothing: round-off has grown to the size of it
+ERROR_SECONDS = 0.8  # seconds for errors, about
+MOST_ERROR_SECONDS = 3.0  # seconds that errors may take where steps take long; more is not tried
+LONGEST_TIMED_STEP = 0.1  # seconds: of longer ones it is not measured what each effect costs, which takes copies and time
+COST_SAMPLES, COST_SECONDS = 3, 0.02  # samples of a step without each effect, and least seconds of one
+LEAST_SHARE = 0.03  # of a step: less is not told from the noise
+COMPILING_SECONDS = 3.0  # if a trial takes longer kernels were compiled, and it is done again
+MOST_TO_REPEAT = 100_000  # particles for which it is
+CHAOS_AFTER = 15.0  # collisions of a particle, after which its place means nothing: round-off has grown to the size of it
 
 
 @dataclass
@@ -61,20 +62,21 @@ def predict(sim: Simulation, benchmark: Benchmark) -> Prediction:
     if not sim.total or not scene.steps:
         return Prediction(None, ["predicted: nothing happens"])
     try:
-        start, began = sim.copy() if sim.total <= FEW else None, perf_counter()
-        forecast = rehearsed(sim)
-        if start and ranks.any(perf_counter() - began > COMPILED + 10.0 * forecast.step):  # a run will find those kernels
-            forecast = rehearsed(start)
+        start, began = sim.copy() if sim.total <= MOST_TO_REPEAT else None, perf_counter()
+        forecast = rehearse(sim)
+        compiled = perf_counter() - began > COMPILING_SECONDS + 10.0 * forecast.step  # a run will find those kernels
+        if start and ranks.any(compiled):
+            forecast = rehearse(start)
         costs = costs_of(sim, forecast.step)
-        errors = of_contacts(sim) if "collisions" in scene.effects else of_steps(benchmark, scene, forecast.step)
+        errors = predict_contacts(sim) if "collisions" in scene.effects else predict_steps(benchmark, scene, forecast.step)
     except StoppedError as error:
         return Prediction(None, [f"predicted: stops within the first steps: {str(error).splitlines()[0]}"])
     return Prediction(forecast, errors, costs)
 
 
-def rehearsed(sim: Simulation) -> Forecast:
+def rehearse(sim: Simulation) -> Forecast:
     """What a trial of the first half second, with output, says of the whole run. Collective."""
-    with scratch(sim.ranks) as folder:
+    with temporary_folder(sim.ranks) as folder:
         job = Job(sim, folder, rehearsal=True)
         job.run()
     forecast: Forecast | None = sim.ranks.bcast(job.forecast)
@@ -88,30 +90,30 @@ def costs_of(sim: Simulation, step: float) -> str:
 
     Effects share some work (walls are looked for with collisions, for instance), so shares need not add up. Collective.
     """
-    if step > LONGEST:
+    if step > LONGEST_TIMED_STEP:
         return ""
     timers = {}
     for name in ("", *(name for name, options in sim.scene.effects.items() if options.active)):
-        begin, steps = partial(without, sim, name), int(SAMPLE / max(step, 1e-9)) + 1
+        begin, steps = partial(without_effect, sim, name), int(COST_SECONDS / max(step, 1e-9)) + 1
         try:
             twin = begin()
             twin.step()
         except (SceneError, StoppedError):  # nothing can be without it
             continue
         timers[name] = StepTimer(sim.ranks, begin, steps, sim=twin, left=steps)
-    time_in_turns(list(timers.values()), SAMPLES, SAMPLE)
+    time_in_turns(list(timers.values()), COST_SAMPLES, COST_SECONDS)
     seconds = {name: timer.seconds.median for name, timer in timers.items()}
     if "" not in seconds:
         return ""
     whole = seconds.pop("")
     shares = {name: 1.0 - less / whole for name, less in seconds.items()}
     return ", ".join(
-        f"{name} {1e3 * whole * share:.2g} ms ({share:.0%})" if share > LEAST else f"{name} less than {LEAST:.0%}"
+        f"{name} {1e3 * whole * share:.2g} ms ({share:.0%})" if share > LEAST_SHARE else f"{name} less than {LEAST_SHARE:.0%}"
         for name, share in sorted(shares.items(), key=lambda item: -item[1])
     )
 
 
-def without(sim: Simulation, name: str) -> Simulation:
+def without_effect(sim: Simulation, name: str) -> Simulation:
     """A copy in which this effect is switched off, if one is named. Collective."""
     twin = sim.copy()
     if name:
@@ -120,7 +122,7 @@ def without(sim: Simulation, name: str) -> Simulation:
 
 
 @contextmanager
-def scratch(ranks: Communicator) -> Iterator[Path]:
+def temporary_folder(ranks: Communicator) -> Iterator[Path]:
     """A folder that is gone afterwards; where runs write theirs, if one may, for disks differ in speed. Collective."""
     folder = None
     with failing_together(ranks, "cannot write into the working directory"):
@@ -131,7 +133,7 @@ def scratch(ranks: Communicator) -> Iterator[Path]:
         yield Path(ranks.bcast(folder.name if folder else ""))
 
 
-def lost(rate: float, step: float, packing: float, passes: int) -> float:
+def share_missed(rate: float, step: float, packing: float, passes: int) -> float:
     """Share of collisions that `rewind` misses: y/(1 + y), y = 0.063 (Gamma dt)^2 / (packing passes).
 
     A fit to what is published for a fluid: at packing 0.30, Gamma dt = 0.3 and 1.0, one pass loses 2 and 17 %, ten 0 and 2 %; at
@@ -142,12 +144,12 @@ def lost(rate: float, step: float, packing: float, passes: int) -> float:
     return float(y / (1.0 + y))
 
 
-def of_contacts(sim: Simulation) -> list[str]:
+def predict_contacts(sim: Simulation) -> list[str]:
     """What to expect of rates of collisions, and of places after many of them, from the first steps. Collective."""
     scene, options, p = sim.scene, sim.scene.effects["collisions"], sim.rows
     h = scene.time.step
     movable = sim.ranks.total(np.count_nonzero(p.fixed == 0))[0]
-    rate = 2.0 * total(sim, "collisions") / (max(movable, 1) * sim.time)
+    rate = 2.0 * total_count(sim, "collisions") / (max(movable, 1) * sim.time)
     many = rate * scene.steps * h
     if rate == 0.0:
         return ["predicted error: nothing collides in the first steps"]
@@ -158,32 +160,33 @@ def of_contacts(sim: Simulation) -> list[str]:
         lines = [f"predicted error: contacts are exact in mode event{what}"]
     else:
         packing = packing_fraction(sim.ranks, p.radius, room_of(scene))
+        missed = share_missed(rate, h, packing, options.passes)
         lines = [
-            f"predicted error: about {lost(rate, h, packing, options.passes):.1g} of the rate of collisions (a particle has "
+            f"predicted error: about {missed:.1g} of the rate of collisions (a particle has "
             f"{rate * h:.2g} in a step, packing {packing:.2g}, passes {options.passes}; fitted to a fluid)"
         ]
-    if many > LOST:
+    if many > CHAOS_AFTER:
         lines.append(
-            f"chaos: {many:.0f} collisions of a particle in all; after about {LOST:.0f}, t = {LOST / rate:.2g}, places "
-            "mean nothing, rates and energies do"
+            f"chaos: {many:.0f} collisions of a particle in all; after about {CHAOS_AFTER:.0f}, "
+            f"t = {CHAOS_AFTER / rate:.2g}, places mean nothing, rates and energies do"
         )
     return lines
 
 
-def of_steps(benchmark: Benchmark, scene: Scene, step: float) -> list[str]:
+def predict_steps(benchmark: Benchmark, scene: Scene, step: float) -> list[str]:
     """Error of places and of the energy over as much of the run as there is time for, and its order; `step`: seconds of one."""
-    if scene.steps < LOOKS:
-        return [f"predicted error: not measured, the run has fewer than {LOOKS} steps"]
-    steps = LOOKS * max(1, int(ERRORS / (7.0 * LOOKS * 2.0 * step)))  # 1 + 2 + 4 runs; looks cost as much as steps
-    steps = min(steps, LOOKS * (scene.steps // LOOKS))
-    if 14.0 * steps * step > MOST:
+    if scene.steps < SNAPSHOTS:
+        return [f"predicted error: not measured, the run has fewer than {SNAPSHOTS} steps"]
+    affordable = int(ERROR_SECONDS / (7.0 * SNAPSHOTS * 2.0 * step))  # 1 + 2 + 4 runs; snapshots cost as much as steps
+    steps = SNAPSHOTS * min(max(1, affordable), scene.steps // SNAPSHOTS)
+    if 14.0 * steps * step > MOST_ERROR_SECONDS:
         return ["predicted error: not measured, a step takes too long; study recommend tells"]
     start = Start(benchmark, scene)
-    records = [follow(start, start.simulate(finer(scene, steps, k))) for k in range(3)]
-    return [by_differences(start, records, steps * scene.time.step)]
+    records = [follow(start, start.simulate(refined(scene, steps, k))) for k in range(3)]
+    return [describe_differences(start, records, steps * scene.time.step)]
 
 
-def finer(scene: Scene, steps: int, halvings: int) -> Scene:
+def refined(scene: Scene, steps: int, halvings: int) -> Scene:
     """The scene's first `steps`, each cut into 2^halvings; `adaptive` with a tolerance that much tighter, by tens."""
     time = scene.time.model_dump(exclude_none=True) | {"step": scene.time.step, "steps": steps}
     time.pop("end", None)
@@ -195,7 +198,7 @@ def finer(scene: Scene, steps: int, halvings: int) -> Scene:
     return variant(scene, time)
 
 
-def by_differences(start: Start, records: list[Record], span: float) -> str:
+def describe_differences(start: Start, records: list[Record], span: float) -> str:
     """Richardson's estimate, from runs at steps of h, h/2 and h/4 over a `span`, in words.
 
     With the differences d1 of h and h/2, d2 of h/2 and h/4, the order is p = log2(d1/d2), the error of h is d1 2^p/(2^p - 1).

@@ -16,12 +16,12 @@ from particles_mpi.study.recommend.error_metric import ErrorMetric
 from particles_mpi.study.recommend.methods import as_it_is, methods
 from particles_mpi.study.recommend.reference import reference
 from particles_mpi.study.recommend.runs import Start
-from particles_mpi.study.recommend.search import BUDGET, Search, Trial, time_trials
+from particles_mpi.study.recommend.search import BUDGET_SECONDS, Search, Trial, time_trials
 from particles_mpi.study.recommend.tuned import Tables, tuned, written
-from particles_mpi.study.report import WORK, numbers_table
+from particles_mpi.study.report import WORK_TITLES, numbers_table
 
-LOST = 0.05  # error of the scene as it is, from which nothing can be concluded
-SHORT = 0.05  # seconds of a run that is begun anew so often that short samples must do
+UNUSABLE_ERROR = 0.05  # error of the scene as it is, from which nothing can be concluded
+SHORT_RUN_SECONDS = 0.05  # seconds of a run that is begun anew so often that short samples must do
 
 
 @dataclass
@@ -49,7 +49,7 @@ class Recommendation:
 
 
 def recommend(
-    benchmark: Benchmark, scene: Scene, tolerance: float, error: str = "", seconds: float = BUDGET
+    benchmark: Benchmark, scene: Scene, tolerance: float, error: str = "", seconds: float = BUDGET_SECONDS
 ) -> Recommendation | None:
     """Find it. Collective; a few bodies are computed on rank 0 alone, and other ranks get None.
 
@@ -74,7 +74,7 @@ def find(start: Start, tolerance: float, error: str, seconds: float) -> Recommen
     search = Search(start, metric, error, tolerance * metric.share(error), seconds / 3.0)
     own = search.attempt(*as_it_is(start))
     # what is likely the cheapest comes first, and cuts the others short; only `adaptive` is sure to get through
-    order = {"order4": 1, "adaptive": 0 if own is None or own.errors[error] > LOST else 2, "leapfrog": 3, "taylor": 4}
+    order = {"order4": 1, "adaptive": 0 if own is None or own.errors[error] > UNUSABLE_ERROR else 2, "leapfrog": 3, "taylor": 4}
     for method in sorted(ways, key=lambda method: order[method.integrator]):
         progress(f"search: {method.name}")
         search.along(method, search.first(method, own))
@@ -82,8 +82,8 @@ def find(start: Start, tolerance: float, error: str, seconds: float) -> Recommen
     finalists = search.finalists()
     if not finalists:
         raise StoppedError(f"--tolerance {tolerance:g}: not reached in {seconds:.0f} s of measuring: " + nearest(search))
-    short = all(trial.seconds < SHORT for trial in finalists)
-    rows = time_trials(start, finalists, min(benchmark.least, SHORT) if short else None)
+    short = all(trial.seconds < SHORT_RUN_SECONDS for trial in finalists)
+    rows = time_trials(start, finalists, min(benchmark.sample_seconds, SHORT_RUN_SECONDS) if short else None)
     for trial, row in zip(finalists, rows, strict=True):
         trial.timed = row.seconds.of(round(1.0 / metric.part))
     timed, dropped = sorted(finalists, key=lambda trial: trial.timed.median), list[str]()
@@ -141,8 +141,8 @@ def report(screen: Screen, found: Recommendation) -> None:
 def trials_table(found: Recommendation) -> Table:
     """All settings that were tried, with the times of those that were compared; the best is bold."""
     names, trials = found.metric.names, sorted(found.search.trials, key=lambda t: (t.method.name, t.resolution))
-    works = [name for name in WORK if any(trial.work[name] for trial in trials)]
-    table = numbers_table("setting", *names, "seconds", *(WORK[name] for name in works))
+    works = [name for name in WORK_TITLES if any(trial.work[name] for trial in trials)]
+    table = numbers_table("setting", *names, "seconds", *(WORK_TITLES[name] for name in works))
     for trial in trials:
         s = trial.timed
         seconds = f"{s.median:.3g} ({s.low:.3g}-{s.high:.3g})" if s.median > 0.0 else ""
@@ -152,7 +152,7 @@ def trials_table(found: Recommendation) -> Table:
 
 
 def recommend_scene(
-    path: Path, tolerance: float, error: str = "", output: Path | None = None, seconds: float = BUDGET
+    path: Path, tolerance: float, error: str = "", output: Path | None = None, seconds: float = BUDGET_SECONDS
 ) -> Recommendation | None:
     """What `study recommend` does: find it, print it, write the tuned scene (to NAME.tuned.toml by default). Collective."""
     benchmark, target = Benchmark(quiet=False), output or path.with_suffix(".tuned.toml")

@@ -16,16 +16,16 @@ from particles_mpi.kernels.geometry import image_shifts
 from particles_mpi.particles import Array
 from particles_mpi.study.recommend.error_metric import ROUND_OFF, ErrorMetric
 from particles_mpi.study.recommend.methods import DIRECT, EVENT
-from particles_mpi.study.recommend.runs import LOOKS, SHIFT, Record, Start, TooLongError, follow, multiple_of_looks, variant
+from particles_mpi.study.recommend.runs import DISPLACEMENT, SNAPSHOTS, Record, Start, TooLongError, follow, variant, whole_parts
 
 TIGHT, LOOSE = 1e-9, 1e-7  # tolerances of `adaptive`: both lead to round-off, of which their difference is a sample
 SATURATED = 1e-2  # of the size: a displaced start that ends so far away has nothing to do with the start any more
-WILD = 1e4  # growth from which spheres that collide are a gas: another order of contacts is as good as this one
-APART = 1e-4  # of the size or the speed: members of an ensemble, which soon have nothing to do with one another
-MOST_PARTICLES = 3000  # for which a reference is computed by the direct sum, over all pairs
-FINE, LEVELS = 4, 9  # reference of a chaotic scene: steps that much shorter; of others: halvings at most
-MEMBERS = 8  # of an ensemble
-SHARE = 1.0 / 3.0  # of the seconds given are for the reference
+CHAOTIC_GROWTH = 1e4  # growth from which spheres that collide are a gas: another order of contacts is as good as this one
+ENSEMBLE_DISPLACEMENT = 1e-4  # of the size or the speed: members of an ensemble, which soon have nothing to do with one another
+MOST_FOR_DIRECT_SUM = 3000  # for which a reference is computed by the direct sum, over all pairs
+ENSEMBLE_REFINEMENT, MOST_HALVINGS = 4, 9  # reference of a chaotic scene: steps that much shorter; of others: halvings at most
+ENSEMBLE_SIZE = 8  # runs
+REFERENCE_SHARE = 1.0 / 3.0  # of the seconds given are for the reference
 
 
 def reference(start: Start, seconds: float, error: str = "") -> ErrorMetric:
@@ -35,13 +35,13 @@ def reference(start: Start, seconds: float, error: str = "") -> ErrorMetric:
     """
     if start.total == 0 or start.scene.steps == 0:
         raise SceneError("particles: nothing moves in this scene: there is nothing to measure")
-    seconds = SHARE * seconds
-    if start.conserves and not start.contacts and start.forces and (error == "energy" or start.total > MOST_PARTICLES):
+    seconds = REFERENCE_SHARE * seconds
+    if start.conserves and not start.contacts and start.forces and (error == "energy" or start.total > MOST_FOR_DIRECT_SUM):
         return by_conserved_energy(start, seconds)
     return (by_order_15(start, seconds) if start.smooth else None) or by_steps(start, seconds)
 
 
-def exact(start: Start, steps: int, duration: float, **time: Any) -> Scene:
+def exact_scene(start: Start, steps: int, duration: float, **time: Any) -> Scene:
     """The scene with contacts in order of time and forces over all pairs, in so many steps; `time`: other keys of [time]."""
     changes = {name: options for name, options in (EVENT | DIRECT).items() if name in start.scene.effects}
     return variant(start.scene, {"step": duration / steps, "steps": steps, "integrator": "leapfrog", **time}, changes)
@@ -50,7 +50,7 @@ def exact(start: Start, steps: int, duration: float, **time: Any) -> Scene:
 def affordable(start: Start, cost: float, seconds: float) -> ErrorMetric:
     """The span that can be measured, where a unit of time costs so many seconds: all of it, or a half, a quarter and so on."""
     part = 1.0
-    while part * start.duration * cost > seconds and part * start.scene.steps > LOOKS:
+    while part * start.duration * cost > seconds and part * start.scene.steps > SNAPSHOTS:
         part *= 0.5
     return ErrorMetric(start, part)
 
@@ -73,21 +73,22 @@ def cost(start: Start, sim: Simulation, seconds: float, longer: float = 1.0) -> 
 def by_order_15(start: Start, seconds: float) -> ErrorMetric | None:
     """Reference by `adaptive`, where paths are smooth; None where it does not get through."""
 
-    def adaptive(tolerance: float, duration: float, shifted: int = 0) -> Simulation:
-        return start.simulate(exact(start, LOOKS, duration, integrator="adaptive", tolerance=tolerance), shifted, duration)
+    def simulate_adaptive(tolerance: float, duration: float, shifted: int = 0) -> Simulation:
+        scene = exact_scene(start, SNAPSHOTS, duration, integrator="adaptive", tolerance=tolerance)
+        return start.simulate(scene, shifted, duration)
 
     try:
-        probe = adaptive(TIGHT, LOOKS * min(start.scene.time.step, start.duration))
+        probe = simulate_adaptive(TIGHT, SNAPSHOTS * min(start.scene.time.step, start.duration))
         found = affordable(start, 3.0 * cost(start, probe, 0.02 * seconds, 2.0), seconds)
         while True:
             try:
-                tight = follow(start, adaptive(TIGHT, found.span), 0.5 * seconds)
+                tight = follow(start, simulate_adaptive(TIGHT, found.span), 0.5 * seconds)
                 break
             except TooLongError:  # close encounters came later
                 found.part *= 0.5
                 if found.part * start.scene.steps < 1.0:
                     return None
-        loose, displaced = (follow(start, adaptive(LOOSE, found.span, shifted)) for shifted in (0, 1))
+        loose, displaced = (follow(start, simulate_adaptive(LOOSE, found.span, shifted)) for shifted in (0, 1))
     except StoppedError:
         return None
     found.reference = f"adaptive, tolerance {TIGHT:g}"
@@ -97,16 +98,16 @@ def by_order_15(start: Start, seconds: float) -> ErrorMetric | None:
 
 def by_steps(start: Start, seconds: float) -> ErrorMetric:
     """Reference by ever shorter steps of the leapfrog, extrapolated; of an ensemble where motion is chaotic."""
-    probe = start.simulate(exact(start, start.scene.steps, start.duration))
-    fine = FINE if start.forces or start.dissipates else 1  # contacts alone are exact at any step
-    found = affordable(start, cost(start, probe, 0.02 * seconds) * (MEMBERS * fine + 4.0), seconds)
-    steps = multiple_of_looks(start.scene.steps * found.part)
-    scene = exact(start, steps, found.span)
+    probe = start.simulate(exact_scene(start, start.scene.steps, start.duration))
+    fine = ENSEMBLE_REFINEMENT if start.forces or start.dissipates else 1  # contacts alone are exact at any step
+    found = affordable(start, cost(start, probe, 0.02 * seconds) * (ENSEMBLE_SIZE * fine + 4.0), seconds)
+    steps = whole_parts(start.scene.steps * found.part)
+    scene = exact_scene(start, steps, found.span)
     first, displaced = (follow(start, start.simulate(scene, shifted, found.span)) for shifted in (0, 1))
     found.size = start.motion(first)
     parted = start.apart(first.places, displaced.places)
-    found.growth = parted / (SHIFT * found.size)
-    if found.growth < (WILD if "collisions" in start.scene.effects else SATURATED / SHIFT):
+    found.growth = parted / (DISPLACEMENT * found.size)
+    if found.growth < (CHAOTIC_GROWTH if "collisions" in start.scene.effects else SATURATED / DISPLACEMENT):
         best, uncertainty, last = converge(found, first, steps, 0.5 * seconds)
         if uncertainty < SATURATED * found.size:
             set_limits(found, last, parted, uncertainty)
@@ -123,11 +124,11 @@ def converge(found: ErrorMetric, first: Record, steps: int, seconds: float) -> t
     """(places and energies at steps of length zero, how far they may be off, the last run), by halving steps."""
     start, began = found.start, perf_counter()
     limit = max(found.growth, 1.0) * ROUND_OFF * found.size
-    records, column = [first], [packed(first, first, start.length)]
+    records, column = [first], [places_and_energies(first, first, start.length)]
     best, uncertainty, better, clocked = column[0], np.inf, True, 0.0
-    while len(column) < 3 or (len(column) <= LEVELS and uncertainty > limit and better and 3.0 * clocked < seconds):
-        records.append(follow(start, start.simulate(exact(start, steps * 2 ** len(column), found.span))))
-        column.append(packed(records[-1], first, start.length))
+    while len(column) < 3 or (len(column) <= MOST_HALVINGS and uncertainty > limit and better and 3.0 * clocked < seconds):
+        records.append(follow(start, start.simulate(exact_scene(start, steps * 2 ** len(column), found.span))))
+        column.append(places_and_energies(records[-1], first, start.length))
         value, change = extrapolated(column)
         better = change < 0.5 * uncertainty  # if not, round-off or corners are all that is left
         if change <= uncertainty:
@@ -136,16 +137,16 @@ def converge(found: ErrorMetric, first: Record, steps: int, seconds: float) -> t
     one, two = (start.apart(a.places, b.places) for a, b in pairwise(records[:3]))
     found.order = float(np.log2(one / two)) if two > limit else nan
     seen = f"order {found.order:.2f}" if two > limit else "no error of the step"
-    found.reference = f"{by_what(start)}, steps of 1 to 1/{2 ** (len(column) - 1)}, extrapolated ({seen})"
+    found.reference = f"{method_in_words(start)}, steps of 1 to 1/{2 ** (len(column) - 1)}, extrapolated ({seen})"
     return best, uncertainty, records[-1]
 
 
-def by_what(start: Start) -> str:
-    """How `exact` computes, in a word."""
+def method_in_words(start: Start) -> str:
+    """How `exact_scene` computes, in a word."""
     return "event" if "collisions" in start.scene.effects else "leapfrog"
 
 
-def packed(record: Record, first: Record, length: Array) -> Array:
+def places_and_energies(record: Record, first: Record, length: Array) -> Array:
     """Places and energies in a row; on periodic axes the image that is nearest to the first."""
     x = record.places - image_shifts(record.places - first.places, length)
     return np.concatenate([x.ravel(), record.energy])
@@ -172,11 +173,11 @@ def set_limits(found: ErrorMetric, record: Record, parted: float, uncertainty: f
     """Resolution limits of a reference that may be wrong by `uncertainty`, while a displaced start ends `parted` from it
     (both lengths)."""
     found.size = found.start.motion(record)
-    found.growth = parted / (SHIFT * found.size)
+    found.growth = parted / (DISPLACEMENT * found.size)
     found.places = record.places
     chaos, own = max(found.growth, 1.0) * ROUND_OFF, uncertainty / found.size
-    if found.growth * SHIFT > SATURATED or own > SATURATED:
-        found.why = f"chaos: starts {SHIFT:g} of the size apart end {found.growth * SHIFT:.1g} of it apart"
+    if found.growth * DISPLACEMENT > SATURATED or own > SATURATED:
+        found.why = f"chaos: starts {DISPLACEMENT:g} of the size apart end {found.growth * DISPLACEMENT:.1g} of it apart"
     else:
         found.limits["state"] = 2.0 * (chaos + own)
         sensitive = f"chaos: a displaced start ends {found.growth:.2g} times as far away"
@@ -198,20 +199,22 @@ def by_conserved_energy(start: Start, seconds: float) -> ErrorMetric:
 
 def by_ensemble(found: ErrorMetric, first: Record, steps: int, fine: int) -> ErrorMetric:
     """Observables of runs whose starts differ by next to nothing: their mean, and their spread as the resolution limit."""
-    start, members = found.start, MEMBERS // 2 if found.start.benchmark.quick else MEMBERS
-    scene = exact(start, steps * fine, found.span)
-    runs = [follow(start, start.simulate(scene, number, found.span, APART)).observables for number in range(members)]
+    start, members = found.start, ENSEMBLE_SIZE // 2 if found.start.benchmark.quick else ENSEMBLE_SIZE
+    scene = exact_scene(start, steps * fine, found.span)
+    runs = [
+        follow(start, start.simulate(scene, number, found.span, ENSEMBLE_DISPLACEMENT)).observables for number in range(members)
+    ]
     for name in runs[0]:
         column = np.array([run[name] for run in runs])
         found.means[name] = float(column.mean())
-        scale, spread = found.scale_of(name), float(column.std(ddof=1))
+        scale, deviation = found.scale_of(name), float(column.std(ddof=1))
         constant = name == "kinetic energy" and not start.forces and start.conserves
         if scale == 0.0 or constant or (name == "height" and "uniform_gravity" not in start.scene.effects):
             del found.means[name]
         else:
-            found.limits[name] = 2.0 * spread * sqrt(1.0 + 1.0 / members) / scale
+            found.limits[name] = 2.0 * deviation * sqrt(1.0 + 1.0 / members) / scale
     if start.conserves:
         found.add_energy(first)
-    found.reference = f"{by_what(start)}, steps of 1/{fine}, mean of {members} runs"
-    found.why = f"chaos: {members} runs from starts {APART:g} apart differ by so much"
+    found.reference = f"{method_in_words(start)}, steps of 1/{fine}, mean of {members} runs"
+    found.why = f"chaos: {members} runs from starts {ENSEMBLE_DISPLACEMENT:g} apart differ by so much"
     return found

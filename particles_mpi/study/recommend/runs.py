@@ -22,13 +22,13 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import RUN_MADE, Array, Particles, default_values
 from particles_mpi.scene.active import ActiveEffects, fields_of
 from particles_mpi.scene.schema import periodic_length
-from particles_mpi.study.experiment import Benchmark, everyone, total
+from particles_mpi.study.experiment import Benchmark, all_particles, total_count
 
-SHIFT = 1e-12  # of the size of a motion: how far a displaced start is from the start
-FEW = 64  # particles that more than one rank would only slow down
-LOOKS = 4  # moments, evenly over the run, at which places are compared; all numbers of steps are multiples of it
-ENERGIES = 32  # moments at which energies are, about
-NEEDS = {"drag": "drag", "acceleration": "user_acceleration"}  # keys of particles that mean nothing without an effect
+DISPLACEMENT = 1e-12  # of the size of a motion: how far a displaced start is from the start
+FEW_PARTICLES = 64  # particles that more than one rank would only slow down
+SNAPSHOTS = 4  # moments, evenly over the run, at which places are compared; all numbers of steps are multiples of it
+ENERGY_SAMPLES = 32  # moments at which energies are, about
+EFFECT_OF_KEY = {"drag": "drag", "acceleration": "user_acceleration"}  # keys of particles that mean nothing without an effect
 
 Changes = dict[str, dict[str, Any] | None]  # keys of effects that change, and effects that are left out (None)
 
@@ -46,7 +46,7 @@ def variant(scene: Scene, time: dict[str, Any], effects: Changes | None = None) 
         if changes.get(name, {}) is not None
     }
     for table in tables["particles"]:
-        for key, effect in NEEDS.items():
+        for key, effect in EFFECT_OF_KEY.items():
             if effect not in tables["effects"]:
                 table.pop(key, None)
         if table.get("velocity") == "equilibrium" and "mutual_gravity" not in tables["effects"]:
@@ -76,18 +76,18 @@ class Start:
 
     def on_few(self, work: Callable[[Start], Any]) -> Any:
         """`work(self)`; for few bodies, which more ranks would only slow down, on rank 0 alone: None elsewhere. Collective."""
-        few = self.total <= FEW
+        few = self.total <= FEW_PARTICLES
         return self.benchmark.on_few(few, lambda b: work(self if b is self.benchmark else Start(b, self.scene)))
 
-    def simulate(self, scene: Scene, shifted: int = 0, duration: float = 0.0, amount: float = SHIFT) -> Simulation:
+    def simulate(self, scene: Scene, shifted: int = 0, duration: float = 0.0, amount: float = DISPLACEMENT) -> Simulation:
         """The start in a variant of the scene. Collective. SceneError if it cannot run.
 
         `shifted`: the number of a start that is displaced by `amount` of the size of what moves, where that leaves no
         overlap, and otherwise by so much of the velocities; `duration` of what follows tells how fast something at rest is.
         """
-        known, d = self.particles.arrays, self.particles.dimension
+        given, d = self.particles.arrays, self.particles.dimension
         arrays = {
-            name: known[name].copy() if name in known and name not in RUN_MADE else default_values(name, self.total, d)
+            name: given[name].copy() if name in given and name not in RUN_MADE else default_values(name, self.total, d)
             for name in fields_of(scene)
         }
         faults = Faults(Communicator.alone())
@@ -102,32 +102,35 @@ class Start:
         shift = np.random.Generator(np.random.Philox(key=number)).uniform(-1.0, 1.0, p.position.shape)
         shift[p.fixed != 0] = 0.0
         x, v = p["position"], p["velocity"]
-        size = spread(x, x.mean(axis=0)) or spread(x, np.zeros(p.dimension)) or 1.0
+        size = rms_distance(x, x.mean(axis=0)) or rms_distance(x, np.zeros(p.dimension)) or 1.0
         if self.contacts:
-            v += amount * (spread(v, np.zeros(p.dimension)) or size / (duration or 1.0)) * shift
+            v += amount * (rms_distance(v, np.zeros(p.dimension)) or size / (duration or 1.0)) * shift
         else:
             x += amount * size * shift
 
     def apart(self, one: Array, other: Array) -> float:
-        """The largest distance of any particle in one from itself in the other, over all looks; the shorter way round."""
+        """The largest distance of any particle in one from itself in the other, over all snapshots; the shorter way round."""
         away = one - other
         away -= image_shifts(away, self.length)
         return float(np.sqrt((away**2).sum(axis=-1)).max(initial=0.0))
 
     def motion(self, record: Record) -> float:
-        """Size of the motion: root of the mean square distance of the particles that move, at the looks, from the middle of them
-        at the start (for one particle this is how far it gets); 1 if nothing moves."""
+        """Root of the mean square distance of the particles that move, at the snapshots, from the middle of them at the start.
+
+        For one particle this is how far it gets; 1 if nothing moves.
+        """
         movable = self.particles.fixed == 0
         rows = self.particles.position[movable]
-        return (spread(record.places[:, movable], rows.mean(axis=0)) if len(rows) else 0.0) or 1.0
+        return (rms_distance(record.places[:, movable], rows.mean(axis=0)) if len(rows) else 0.0) or 1.0
 
 
 @dataclass
 class Record:
     """What is kept of a run.
 
-    places: (LOOKS, N, d) at the looks; energy: (LOOKS,) there; energies, kinetic: at more moments, the start too; heights:
-    (LOOKS,) of the centre of all particles against gravity; duration: time units; seconds: looks and all, on the slowest rank.
+    places: (SNAPSHOTS, N, d) at the snapshots; energy: (SNAPSHOTS,) there; energies, kinetic: at more moments, the start too;
+    heights: (SNAPSHOTS,) of the centre of all particles against gravity; duration: time units; seconds: with all snapshots, on
+    the slowest rank.
     """
 
     places: Array
@@ -154,40 +157,40 @@ class Record:
 def follow(start: Start, sim: Simulation, patience: float = np.inf) -> Record:
     """Run a simulation to the end of its scene. Collective; TooLongError after `patience` seconds."""
     steps, began = sim.scene.steps, perf_counter()
-    look, peek = steps // LOOKS, max(1, steps // ENERGIES)
-    places, at_looks, energies = [], [], [energy(sim)]
+    snapshot_steps, energy_steps = steps // SNAPSHOTS, max(1, steps // ENERGY_SAMPLES)
+    places, at_snapshots, energies = [], [], [total_and_kinetic(sim)]
     while sim.steps_done < steps:
-        sim.steps(min(k - sim.steps_done % k for k in (peek, look, steps)))
-        if sim.steps_done % peek == 0 or sim.steps_done == steps:
-            energies.append(energy(sim))
+        sim.steps(min(k - sim.steps_done % k for k in (energy_steps, snapshot_steps, steps)))
+        if sim.steps_done % energy_steps == 0 or sim.steps_done == steps:
+            energies.append(total_and_kinetic(sim))
             seconds = sim.ranks.largest(perf_counter() - began)[0]
             if seconds > patience and sim.steps_done < steps:
                 raise TooLongError(f"longer than {patience:.3g} s")
-        if sim.steps_done % look == 0:
-            places.append(everyone(sim).position)
-            at_looks.append(energy(sim)[0])
+        if sim.steps_done % snapshot_steps == 0:
+            places.append(all_particles(sim).position)
+            at_snapshots.append(total_and_kinetic(sim)[0])
     sim.watch()
-    found = np.array(places).reshape(LOOKS, start.total, sim.scene.dimension)
+    found = np.array(places).reshape(SNAPSHOTS, start.total, sim.scene.dimension)
     size = float(np.sqrt((sim.g**2).sum()))
     up = -sim.g / size if size > 0.0 else sim.g
-    heights = (found.mean(axis=1) * up).sum(axis=1) if start.total else np.zeros(LOOKS)
+    heights = (found.mean(axis=1) * up).sum(axis=1) if start.total else np.zeros(SNAPSHOTS)
     sums, kinetic = np.array(energies).T
-    counts = total(sim, "collisions"), total(sim, "wall_hits")
+    counts = total_count(sim, "collisions"), total_count(sim, "wall_hits")
     seconds = sim.ranks.largest(perf_counter() - began)[0]
-    return Record(found, np.array(at_looks), sums, kinetic, *counts, heights, steps * sim.h, seconds)
+    return Record(found, np.array(at_snapshots), sums, kinetic, *counts, heights, steps * sim.h, seconds)
 
 
-def energy(sim: Simulation) -> tuple[float, float]:
+def total_and_kinetic(sim: Simulation) -> tuple[float, float]:
     """Total and kinetic; the kinetic alone where a force along a periodic axis leaves the total without a meaning."""
     row = sim.measure()
     return row["total_energy"] if isfinite(row["total_energy"]) else row["kinetic"], row["kinetic"]
 
 
-def multiple_of_looks(steps: float) -> int:
-    """The number of steps, not less, that LOOKS divides."""
-    return LOOKS * max(1, int(np.ceil(steps / LOOKS * (1.0 - 1e-12))))
+def whole_parts(steps: float) -> int:
+    """The number of steps, not less, that SNAPSHOTS divides."""
+    return SNAPSHOTS * max(1, int(np.ceil(steps / SNAPSHOTS * (1.0 - 1e-12))))
 
 
-def spread(x: Array, center: Array) -> float:
+def rms_distance(x: Array, center: Array) -> float:
     """Root of the mean square distance from a point."""
     return float(np.sqrt(((x - center) ** 2).sum(axis=-1).mean())) if len(x) else 0.0

@@ -10,24 +10,24 @@ from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.study.experiment import Errors, Row, Setting
 from particles_mpi.study.recommend.error_metric import ErrorMetric
 from particles_mpi.study.recommend.methods import Method
-from particles_mpi.study.recommend.runs import LOOKS, Record, Start, TooLongError, follow
+from particles_mpi.study.recommend.runs import SNAPSHOTS, Record, Start, TooLongError, follow
 from particles_mpi.study.timing import Seconds
 
-BUDGET = 60.0  # seconds of measuring, about: a third each for the reference, the search, and times
-MARGIN = 0.85  # of the tolerance: what a refined step aims at
-TRIES = 3  # of refinement
-CLOSE = 2.0  # times the seconds of the quickest: settings within this are timed again, by turns
-DEARER = 2.0  # times the seconds of the best: where a method is given up
+BUDGET_SECONDS = 60.0  # seconds of measuring, about: a third each for the reference, the search, and times
+AIMED_SHARE = 0.85  # of the tolerance: what a refined step aims at
+MOST_REFINEMENTS = 3
+RETIMED_FACTOR = 2.0  # times the seconds of the quickest: settings within this are timed again, by turns
+GIVEN_UP_FACTOR = 2.0  # times the seconds of the best: where a method is given up
 MOST_REFUSALS = 5  # of settings of a method, one after the other
-LITTLE = 0.2  # seconds that are no reason to give anything up
+NEGLIGIBLE_SECONDS = 0.2  # seconds that are no reason to give anything up
 COARSEST, FINEST = 1e3, 1e11  # 1/tolerance of `adaptive`
-UNKNOWN = Seconds(nan, nan, nan)
-STALLED = 1.15  # a finer setting whose error is not smaller by this: something else limits it
+NOT_TIMED = Seconds(nan, nan, nan)
+LEAST_GAIN = 1.15  # a finer setting whose error is not smaller by this: something else limits it
 
 
 @dataclass
 class Trial:
-    """A setting, tried over the span: its errors, the seconds it took with all looks, and its work.
+    """A setting, tried over the span: its errors, the seconds it took with all snapshots, and its work.
 
     `timed`: seconds of the whole run, output not counted, of those that were compared.
     """
@@ -39,15 +39,15 @@ class Trial:
     seconds: float
     work: dict[str, int]
     record: Record
-    timed: Seconds = UNKNOWN
+    timed: Seconds = NOT_TIMED
 
     @property
     def name(self) -> str:
         return f"{self.method.name}, {self.method.describe(self.resolution)}"
 
 
-def time_trials(start: Start, trials: list[Trial], least: float | None = None) -> list[Row]:
-    """Trials with their times and the orders observed; `least`: seconds of a sample. Collective."""
+def time_trials(start: Start, trials: list[Trial], sample_seconds: float | None = None) -> list[Row]:
+    """Trials with their times and the orders observed; `sample_seconds`: of a sample, at least. Collective."""
     benchmark = start.benchmark
     progress = benchmark.screen.count("time", len(trials) * (1 + benchmark.samples))
 
@@ -57,7 +57,7 @@ def time_trials(start: Start, trials: list[Trial], least: float | None = None) -
         return Setting(trial.method.name, parameter, begin, trial.scene.steps, lambda sim: trial.errors, trial.method.adaptive)
 
     errors, work = [trial.errors for trial in trials], [trial.work for trial in trials]
-    return benchmark.time([setting(trial) for trial in trials], errors, work, lambda: progress("time"), least)
+    return benchmark.time([setting(trial) for trial in trials], errors, work, lambda: progress("time"), sample_seconds)
 
 
 class Search:
@@ -80,15 +80,15 @@ class Search:
 
     def patience(self) -> float:
         """Seconds that a trial may take: with no setting that reaches the tolerance all that are left."""
-        return min(max(self.left(), LITTLE), max(3.0 * self.best, 5.0 * LITTLE))
+        return min(max(self.left(), NEGLIGIBLE_SECONDS), max(3.0 * self.best, 5.0 * NEGLIGIBLE_SECONDS))
 
     def attempt(self, method: Method, resolution: float, patience: float = inf) -> Trial | None:
         """Try a setting; None where it is refused, or stops, or takes too long. Collective."""
         try:
             scene = method.scene(resolution, self.metric.part)
-            for known in self.trials:
-                if known.scene == scene:  # the scene as it is, by another name
-                    self.trials.append(replace(known, method=method, resolution=resolution))
+            for earlier in self.trials:
+                if earlier.scene == scene:  # the scene as it is, by another name
+                    self.trials.append(replace(earlier, method=method, resolution=resolution))
                     return self.trials[-1]
             sim = self.start.simulate(scene)
             before = sim.work()
@@ -129,7 +129,7 @@ class Search:
     def worth_it(self, method: Method, coarse: Trial | None, fine: Trial | None, resolution: float) -> bool:
         """May a finer setting than these two help and still be the cheapest, and is there time for it?"""
         e, why = self.error, ""
-        if fine and coarse and fine.errors[e] * STALLED > coarse.errors[e] and coarse.errors[e] < 0.1:
+        if fine and coarse and fine.errors[e] * LEAST_GAIN > coarse.errors[e] and coarse.errors[e] < 0.1:
             why = f"no better by shorter steps than {e} {fine.errors[e]:.2g}"
         elif method.adaptive and resolution > FINEST * 1.01:
             why = f"reaches no better than tolerance {1.0 / FINEST:.0e}"
@@ -138,7 +138,7 @@ class Search:
             return not self.too_long and tries < MOST_REFUSALS and self.left() > 0.0
         else:
             seconds = fine.seconds * (1.0 if method.adaptive else method.ratio)
-            if seconds > max(DEARER * self.best, LITTLE) or seconds > self.left():
+            if seconds > max(GIVEN_UP_FACTOR * self.best, NEGLIGIBLE_SECONDS) or seconds > self.left():
                 why = "dearer than others" if isfinite(self.best) else "no time to try shorter steps"
         if why:
             self.refused[method.name] = why
@@ -150,14 +150,14 @@ class Search:
         if not isfinite(coarse.errors[e]) or not coarse.errors[e] > fine.errors[e] > 0.0 or self.left() < 0.0:
             return
         order = log(coarse.errors[e] / fine.errors[e]) / log(high / low)
-        aim = low * (coarse.errors[e] / (MARGIN * self.tolerance)) ** (1.0 / order)
-        for _ in range(TRIES):
+        aim = low * (coarse.errors[e] / (AIMED_SHARE * self.tolerance)) ** (1.0 / order)
+        for _ in range(MOST_REFINEMENTS):
             if not low < aim < 0.97 * high:
                 return
             trial = self.attempt(fine.method, aim, self.patience())
             if trial is None or self.reached(trial.errors):
                 return
-            aim *= (trial.errors[e] / (MARGIN * self.tolerance)) ** (1.0 / order) if isfinite(trial.errors[e]) else 1.1
+            aim *= (trial.errors[e] / (AIMED_SHARE * self.tolerance)) ** (1.0 / order) if isfinite(trial.errors[e]) else 1.1
 
     def finalists(self) -> list[Trial]:
         """Those that may be the cheapest: the coarsest of each method that reaches the tolerance; with contacts, which are found
@@ -167,13 +167,13 @@ class Search:
             good = [t for t in self.trials if t.method is method and self.reached(t.errors)]
             found += sorted(good, key=lambda t: t.seconds if contacts else t.resolution)[: 1 + contacts]
         quickest = min((trial.seconds for trial in found), default=inf)
-        return [trial for trial in found if trial.seconds <= max(CLOSE * quickest, LITTLE)]
+        return [trial for trial in found if trial.seconds <= max(RETIMED_FACTOR * quickest, NEGLIGIBLE_SECONDS)]
 
     def first(self, method: Method, own: Trial | None) -> float:
         """The resolution at which a method begins: by what is known of the scene as it is, and of orders."""
         if method.adaptive:
             return float(10.0 ** min(max(round(-0.5 * log10(self.tolerance)) + 2, 3), 9))
-        steps = float(max(self.start.scene.steps, LOOKS))
+        steps = float(max(self.start.scene.steps, SNAPSHOTS))
         order = {"leapfrog": 2, "order4": 4}.get(method.integrator, 1)
         if "collisions" in self.start.scene.effects:
             return steps

@@ -11,7 +11,7 @@ from particles_mpi import Scene
 from particles_mpi.errors import SceneError
 
 Tables = dict[str, Any]
-OUTPUT = ("every", "diagnostics_every", "checkpoint_every")
+OUTPUT_PERIODS = ("every", "diagnostics_every", "checkpoint_every")
 
 
 def tuned(scene: Scene, variant: Scene, steps: int) -> Tables:
@@ -24,7 +24,7 @@ def tuned(scene: Scene, variant: Scene, steps: int) -> Tables:
         tables["time"]["end"] = scene.time.end
         del tables["time"]["steps"]
     tables["effects"] = new["effects"]
-    for key in OUTPUT:
+    for key in OUTPUT_PERIODS:
         tables["output"][key] = max(1, round(tables["output"][key] * steps / scene.steps))
     return tables
 

@@ -37,7 +37,7 @@ LARGEST, QUICK = 32, 8  # ranks of the strong curve's scene; ranks at most with 
 INTERVAL, STEPS = 8, 24  # steps from one search for neighbours to the next, and those that are counted
 
 
-def count(described: Scene | None, folder: Path, quick: bool) -> None:
+def count_scaling(described: Scene | None, folder: Path, quick: bool) -> None:
     """Count, print tables and verdicts, write counts.csv and counts_model.csv. Collective.
 
     `described`: None for the headline gas, in both modes of collisions. `quick`: on QUICK ranks at most.

@@ -27,7 +27,7 @@ from particles_mpi.study.scaling.figure import draw
 from particles_mpi.study.scaling.performance_model import Law, Point, fit
 from particles_mpi.study.scaling.report import Curve, Result, say_curve, say_model
 from particles_mpi.study.scaling.scale_scene import edges, scale_scene
-from particles_mpi.study.timing import SAMPLE, SAMPLES, StepTimer, time_in_turns
+from particles_mpi.study.timing import QUICK_SAMPLE_SECONDS, SAMPLE_SECONDS, SAMPLES, StepTimer, time_in_turns
 
 HEADLINE = Path(__file__).parents[2] / "scenes" / "headline.toml"
 LARGER = 8.0  # times the headline: where surfaces matter less
@@ -47,14 +47,14 @@ class RankSubsetTimer(StepTimer):
     inside: bool = field(kw_only=True)
     sums: dict[str, float] = field(default_factory=dict)
 
-    def sample(self, least: float) -> float:
+    def sample(self, sample_seconds: float) -> float:
         """Seconds of a step, known to all of the world. Collective there."""
         if not self.samples:
             self.sums.clear()  # those of the warm-up
         seconds, error = 0.0, None
         if self.inside:
             try:
-                seconds = super().sample(least)
+                seconds = super().sample(sample_seconds)
             except (SceneError, StoppedError) as raised:  # on all of the subset together
                 error = raised
         self.world.sleeping_barrier()
@@ -135,7 +135,7 @@ def unable_to_grow(scene: Scene) -> list[str]:
 
 
 def time_settings(
-    scene: Scene, world: Communicator, wanted: Iterable[tuple[float, int]], least: float, screen: Screen
+    scene: Scene, world: Communicator, wanted: Iterable[tuple[float, int]], sample_seconds: float, screen: Screen
 ) -> tuple[dict[tuple[float, int], Point], bool]:
     """The points of the settings (factor, ranks), and whether ranks divide space. Collective."""
     subsets = {count: world.subset(count) for count in rank_counts(world.size)}
@@ -147,7 +147,7 @@ def time_settings(
             ranks or world, begin, max(scaled.steps, 1), world=world, inside=ranks is not None
         )
     progress = screen.count("scaling", len(timers) * (1 + SAMPLES))
-    time_in_turns(list(timers.values()), SAMPLES, least, lambda: progress("scaling: time"))
+    time_in_turns(list(timers.values()), SAMPLES, sample_seconds, lambda: progress("scaling: time"))
     screen.stop()
     parallel = [timer.sim for (_, count), timer in timers.items() if timer.sim and count > 1]
     cores = world.allgather((platform.node(), os.sched_getaffinity(0)))
@@ -161,7 +161,7 @@ def oversubscribed(cores: list[tuple[str, set[int]]]) -> bool:
     return any(len(ranks) > len(set().union(*ranks)) for ranks in machines)
 
 
-def scale(described: Scene | None, folder: Path, quick: bool) -> None:
+def measure_scaling(described: Scene | None, folder: Path, quick: bool) -> None:
     """Measure, print the tables and the model, write scaling.csv, scaling_model.csv, scaling.png and scaling.svg. Collective.
 
     `described`: None for the headline gas, and one LARGER times as large. `quick`: short samples, and that one is left out.
@@ -173,7 +173,8 @@ def scale(described: Scene | None, folder: Path, quick: bool) -> None:
         scene = described or Scene.load(HEADLINE)
     no_weak, counts = unable_to_grow(scene), rank_counts(ranks.size)
     sizes = [1.0] if described or quick else [1.0, LARGER]
-    points, divided = time_settings(scene, ranks, settings(scene, counts, sizes, not no_weak), 0.02 if quick else SAMPLE, screen)
+    sample_seconds = QUICK_SAMPLE_SECONDS if quick else SAMPLE_SECONDS
+    points, divided = time_settings(scene, ranks, settings(scene, counts, sizes, not no_weak), sample_seconds, screen)
     curves = [
         Curve(f"strong, N = {points[size, 1].particles}", False, [points[size, count] for count in counts]) for size in sizes
     ]
@@ -195,11 +196,11 @@ def row_bytes(scene: Scene) -> int:
 
 def law_of(scene: Scene, total: int, divided: bool) -> Law:
     """How work and traffic of the scene grow; `divided`: does each rank compute its part of space?"""
-    growth, everyone = "N", not divided
+    growth, fetches_all = "N", not divided
     if "mutual_gravity" in scene.effects:
         tree = scene.effects["mutual_gravity"].choice(scene, total).angle is not None
-        growth, everyone = ("N log N", False) if tree else ("N^2", True)
-    return Law(growth, edges(scene), tuple(scene.periodic), everyone, divided)
+        growth, fetches_all = ("N log N", False) if tree else ("N^2", True)
+    return Law(growth, edges(scene), tuple(scene.periodic), fetches_all, divided)
 
 
 def write(result: Result, folder: Path, screen: Screen) -> None:

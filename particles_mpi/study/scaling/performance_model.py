@@ -51,14 +51,14 @@ class Point:
 class Law:
     """How work and traffic of a scene grow with the numbers of particles and ranks.
 
-    growth: "N", "N log N" or "N^2"; edges: of the space of the scene, scaled to a volume of 1; everyone: does a rank fetch all
+    growth: "N", "N log N" or "N^2"; edges: of the space of the scene, scaled to a volume of 1; fetches_all: does a rank fetch all
     particles; shared: is the work divided among the ranks, or done by each of them?
     """
 
     growth: str
     edges: tuple[float, ...]
     periodic: tuple[bool, ...]
-    everyone: bool = False
+    fetches_all: bool = False
     shared: bool = True
 
     def work(self, particles: float) -> float:
@@ -97,7 +97,7 @@ class Law:
 
     def rows(self, particles: float, ranks: int, thickness: float) -> float:
         """Rows that a rank fetches at a time, from a layer that is `thickness` mean distances between particles thick."""
-        if self.everyone:
+        if self.fetches_all:
             return thickness * (particles - particles / ranks)
         lengths = [edge * particles ** (1.0 / len(self.edges)) for edge in self.edges]
         blocks = zip(lengths, self.cuts(ranks), self.sides(ranks), strict=True)
@@ -105,7 +105,7 @@ class Law:
 
     def thickness(self, particles: float, ranks: int, rows: float) -> float:
         """Thickness of the layer that holds so many rows, in mean distances between particles."""
-        if self.everyone:
+        if self.fetches_all:
             return rows / (particles - particles / ranks)
         most = max(self.edges) * particles ** (1.0 / len(self.edges))
         if rows <= 0.0 or self.rows(particles, ranks, most) <= rows:

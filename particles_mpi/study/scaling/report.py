@@ -102,7 +102,7 @@ def say_curve(result: Result, curve: Curve, screen: Screen) -> None:
 
 def say_model(result: Result, model: Model, screen: Screen) -> None:
     """What the model says, from what, and what it takes for granted."""
-    layer = "all particles" if model.law.everyone else f"a layer of {model.thickness:.2g} mean distances"
+    layer = "all particles" if model.law.fetches_all else f"a layer of {model.thickness:.2g} mean distances"
     fetched = f"rows of {layer} fetched {model.fetches:.2g} times" if model.thickness else "no rows fetched"
     screen.say(
         f"[bold]{result.origin(model)}[/bold]\n"

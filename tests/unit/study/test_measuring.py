@@ -56,7 +56,7 @@ def test_settings_take_turns_and_begin_anew_off_the_clock():
 
     watches = [StepTimer(Communicator.alone(), lambda name=name: begin(name), 7) for name in "ab"]
     told = []
-    time_in_turns(watches, samples=4, least=1e-4, progress=lambda: told.append(1))
+    time_in_turns(watches, samples=4, sample_seconds=1e-4, progress=lambda: told.append(1))
     assert len(told) == 2 * 5 and [len(w.samples) for w in watches] == [4, 4]
     turns = re.sub(r"(.)\1+", r"\1", "".join(ORDER))
     assert turns == "bababa"  # ba ab ba ab ba
@@ -87,7 +87,7 @@ def test_what_ten_times_more_costs(found):
 
 
 def test_tables(found, tmp_path):
-    columns = report.table(found).columns
+    columns = report.errors_table(found).columns
     assert [column.header for column in columns] == ["setting", "step", "place", "order", "calls", "order", "seconds", "forces"]
     assert list(columns[0].cells) == [row.setting.curve for row in found.rows]
     assert all(len(list(column.cells)) == len(found.rows) for column in columns)
@@ -103,8 +103,8 @@ def test_tables(found, tmp_path):
 
 def test_a_page_that_opens_offline(found, tmp_path):
     found.answers = ["twice as fast & right"]
-    about = report.machine(Communicator.alone()) | {"samples": 7, "least_seconds": 0.2, "seconds": 1.0}
-    path = report.write(tmp_path / "there", "What accuracy costs", [found], about, ["nothing else"])
+    about = report.describe_machine(Communicator.alone()) | {"samples": 7, "least_seconds": 0.2, "seconds": 1.0}
+    path = report.write_report(tmp_path / "there", "What accuracy costs", [found], about, ["nothing else"])
     text = path.read_text()
     assert "<svg" in text and "A &lt;problem&gt;" in text and "twice as fast &amp; right" in text
     assert not re.search(r"(src|href)\s*=\s*[\"'](?!#)|@import|url\((?!#)", text.replace("xlink:href", "href"))
@@ -127,6 +127,6 @@ def test_a_benchmark_measures_errors_work_and_time():
         return {"place": abs(float(sim.particles.position[0, 0]) - 2.0)}
 
     setting = Setting("leapfrog", 0.5, lambda: lab.simulate(tables_), 4, errors)
-    (row,) = lab.measure("X", "free flight", [setting], {"place": "how far off"}, "exact").rows
+    (row,) = lab.compare("X", "free flight", [setting], {"place": "how far off"}, "exact").rows
     assert row.errors == {"place": 0.0} and row.seconds.median > 0.0
     assert row.work == {"forces": 0, "interactions": 0, "pair_tests": 0, "events": 0}

@@ -5,7 +5,7 @@ import pytest
 from particles_mpi import Scene, Simulation
 from particles_mpi.scene.schema import TOLERANCES
 from particles_mpi.study.experiment import Benchmark
-from particles_mpi.study.recommend.predict import finer, lost, predict
+from particles_mpi.study.recommend.predict import predict, refined, share_missed
 
 PUBLISHED = [  # packing, Gamma dt, passes, share of collisions that is lost
     (0.30, 0.1, 10, 0.00), (0.30, 0.3, 10, 0.00), (0.30, 1.0, 10, 0.02), (0.30, 0.1, 1, 0.00), (0.30, 0.3, 1, 0.02),
@@ -16,7 +16,7 @@ PUBLISHED = [  # packing, Gamma dt, passes, share of collisions that is lost
 
 @pytest.mark.parametrize(("packing", "collisions", "passes", "share"), PUBLISHED)
 def test_what_rewind_loses_is_as_published(packing, collisions, passes, share):
-    assert lost(collisions, 1.0, packing, passes) == pytest.approx(share, abs=0.015)
+    assert share_missed(collisions, 1.0, packing, passes) == pytest.approx(share, abs=0.015)
 
 
 def scene(integrator="leapfrog", **effects):
@@ -76,5 +76,5 @@ def test_a_run_at_the_end_of_the_tolerances_is_compared_with_others_within_them(
     """Three different ones, in tens; past the ends they would be refused."""
     at = scene("adaptive")
     at = at.model_copy(update={"time": at.time.model_copy(update={"tolerance": tolerance})})
-    found = [finer(at, 4, k).time.tolerance for k in range(3)]
+    found = [refined(at, 4, k).time.tolerance for k in range(3)]
     assert found[0] / found[1] == pytest.approx(10.0) and found[1] / found[2] == pytest.approx(10.0)

@@ -102,8 +102,8 @@ def test_ghost_rows_are_those_of_a_layer():
     assert CUBE.rows(n, 2, 1e9) == pytest.approx(n / 2)  # all others, at most
     for ranks in (2, 3, 8, 64):
         assert CUBE.thickness(n, ranks, CUBE.rows(n, ranks, t)) == pytest.approx(t)
-    everyone = replace(CUBE, everyone=True)
-    assert everyone.rows(1000, 4, 1.0) == 750 and everyone.thickness(1000, 4, 1500.0) == 2
+    direct = replace(CUBE, fetches_all=True)
+    assert direct.rows(1000, 4, 1.0) == 750 and direct.thickness(1000, 4, 1500.0) == 2
 
 
 def measured(model, particles, ranks, factor=1.0):
@@ -140,7 +140,7 @@ def test_the_model_finds_the_costs_it_was_made_from(growth):
 
 
 def test_work_that_is_not_shared_does_not_shrink():
-    made = synthetic(replace(CUBE, everyone=True, shared=False))
+    made = synthetic(replace(CUBE, fetches_all=True, shared=False))
     assert made.parts(1000, 64)["work"] == made.parts(1000, 1)["work"]
     found = fit([measured(made, *pair) for pair in [(500, 1), (1000, 1), (1000, 2), (2000, 2)]], made.law, 80.0)
     assert found.each == pytest.approx(made.each) and found.row == pytest.approx(made.row)
