@@ -56,7 +56,7 @@ def test_an_effect_alone_sends_nothing(reports):
 
 def test_files(reports, only):
     together = {"nothing", "all but user_acceleration", "all of these"}
-    settings = {"C2": {"event", "rewind, 10 passes", "rewind, 1 pass"}, "H": together | effects.ON.keys()}
+    settings = {"C2": {"event", "rewind, 10 passes", "rewind, 1 pass"}, "H": together | effects.ACTIVE.keys()}
     for key in settings if "C" in only else ["H"]:
         with (reports[2] / f"{key}.csv").open() as file:
             rows = list(csv.DictReader(file))

@@ -106,7 +106,7 @@ def test_counts(tmp_path):
         if ranks == "1":
             assert number["bytes"] == number["messages"] == number["ghosts"] == 0.0
         else:
-            assert 0.1 <= number["fetches"] <= 0.3  # each INTERVAL steps, or more often
+            assert 0.1 <= number["fetches"] <= 0.3  # each SEARCH_INTERVAL steps, or more often
             assert number["bytes_counts"] == pytest.approx(4 * number["all_to_alls"])  # a count of 4 bytes to the other rank
             assert number["bytes_gathers"] == pytest.approx(6 * 8 * number["fetches"])  # a box to the other rank
             assert number["bytes_rows"] > 8 * 6 * number["ghosts"] * number["fetches"]  # x and v of each

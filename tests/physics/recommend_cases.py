@@ -16,7 +16,7 @@ import numpy as np
 from particles_mpi import Scene, Simulation
 from particles_mpi.study.accuracy.losses import DRAG, THROW, G
 from particles_mpi.study.accuracy.losses import thrown as flight
-from particles_mpi.study.accuracy.orbits import EIGHT, PERIOD, PLACES, PLANET, PYTHAGOREAN, gravity, place_on_ellipse
+from particles_mpi.study.accuracy.orbits import EIGHT, PERIOD, PLANET, PYTHAGOREAN, TRUE_PLACES, gravity, place_on_ellipse
 from particles_mpi.study.experiment import all_particles, distance, total_count
 
 Z_FLUID = 4.29498  # pV/(NkT) of hard spheres at a density of 0.6 (Kolafa, Labik, Malijevsky 2004)
@@ -55,7 +55,8 @@ def eight() -> Case:
 def pythagorean() -> Case:
     """To t = 10, through the first close encounters."""
     tables = gravity(PYTHAGOREAN, 0.01, 1000, "leapfrog") | {"output": {"every": 1000}}
-    return Case("Pythagorean, t = 10", Scene.from_dict(tables), "state", 1e-5, lambda s, size: away(s, size, 0, PLACES[10.0]))
+    scene = Scene.from_dict(tables)
+    return Case("Pythagorean, t = 10", scene, "state", 1e-5, lambda s, size: away(s, size, 0, TRUE_PLACES[10.0]))
 
 
 def thrown() -> Case:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from particles_mpi import Scene, Simulation
-from particles_mpi.study.accuracy.bouncing import FORCES, LOSSES, OBSTACLES, RESISTANCES, T, bounces, mean_errors, scene
+from particles_mpi.study.accuracy.bouncing import DURATION, FORCES, LOSSES, OBSTACLES, RESISTANCES, bounces, mean_errors, scene
 
 STEPS = 0.01, 0.00125
 EXACT = 1e-8  # two that fall alike meet as if nothing pulled: no order is seen in errors of the reference
@@ -18,7 +18,7 @@ EXACT = 1e-8  # two that fall alike meet as if nothing pulled: no order is seen 
 def start_and_end(d, force, loss, cases, h):
     """The problems at their start, and at their true end."""
     end = bounces(d, force, loss, cases, h)
-    end.advance(np.full(len(end.x), T))
+    end.advance(np.full(len(end.x), DURATION))
     return bounces(d, force, loss, cases, h), end
 
 
@@ -112,7 +112,7 @@ def test_a_fall_from_rest_against_friction_is_of_second_order(loss, e):
         sim = Simulation(
             Scene(
                 dimension=2,
-                time={"step": h, "end": T},
+                time={"step": h, "end": DURATION},
                 particles=[{"position": [[k, 0.1 + height] for k, height in enumerate(heights)], "radius": 0.1}],
                 effects={
                     "uniform_gravity": {"acceleration": [0.0, -9.81]},
@@ -122,7 +122,7 @@ def test_a_fall_from_rest_against_friction_is_of_second_order(loss, e):
             )
         )
         sim.run()
-        true = [fallen(height, 9.81, 1.5, e, T) for height in heights]
+        true = [fallen(height, 9.81, 1.5, e, DURATION) for height in heights]
         assert np.abs(sim.particles.position[:, 1] - 0.1 - true).max() <= 3.0 * h**2
 
 

@@ -38,7 +38,7 @@ def test_quadrupoles_are_closer_than_monopoles_and_small_angles_than_large_ones(
 
 def test_the_reference_of_trees_is_the_direct_sum(trees):
     """Its own error is round-off, and far below that of every tree."""
-    for found, n in zip(trees, tree.QUICK, strict=True):
+    for found, n in zip(trees, tree.QUICK_SIZES, strict=True):
         direct = found.curve("direct sum")[0]
         assert direct.work["interactions"] == n * n
         assert 1e-17 < direct.errors["median"] < 3e-15 and found.floor < 1e-14
@@ -48,7 +48,7 @@ def test_the_reference_of_trees_is_the_direct_sum(trees):
 
 
 def test_errors_are_the_same_bits_every_time(trees):
-    again = tree.experiment(Benchmark(quick=True, samples=1), 1, tree.QUICK[0])
+    again = tree.experiment(Benchmark(quick=True, samples=1), 1, tree.QUICK_SIZES[0])
     assert [row.errors for row in again.rows] == [row.errors for row in trees[0].rows]
 
 
@@ -97,7 +97,7 @@ def test_softening_of_particles_that_stand_for_a_smooth_sphere(softened):
     total, bias, noise = (errors(sphere, "direct sum", name) for name in ("total", "model", "numerical"))
     assert (np.diff(bias) > 0.0).all() and (np.diff(noise) < 0.0).all()
     assert np.allclose(total**2, bias**2 + noise**2, rtol=1e-12)
-    assert softening.WIDTHS[np.argmin(total)] == pytest.approx(0.98 * softening.N**-0.26, rel=0.2)
+    assert softening.FIELD_SOFTENINGS[np.argmin(total)] == pytest.approx(0.98 * softening.N**-0.26, rel=0.2)
 
 
 def test_the_smooth_field_is_plummers_and_that_of_a_point_from_afar():
@@ -109,6 +109,6 @@ def test_the_smooth_field_is_plummers_and_that_of_a_point_from_afar():
 def test_noise_falls_with_the_number_of_particles():
     """As N^(-1/2), with whatever softening."""
     few, many = (softening.fields(n) for n in (1000, 4000))
-    for eps in softening.WIDTHS[1:]:
+    for eps in softening.FIELD_SOFTENINGS[1:]:
         assert few[eps]["numerical"] / many[eps]["numerical"] == pytest.approx(2.0, rel=0.1)
         assert few[eps]["model"] == many[eps]["model"]

@@ -23,13 +23,13 @@ LOSSES: dict[str, dict[str, float]] = {"e = 1": {}, "e = 0.5": {"restitution": 0
 RESISTANCES = ("none", "drag", "friction")
 Cases = tuple[tuple[str, str], ...]  # (obstacle, resistance)
 PHASES = 10
-T = 1.0
+DURATION = 1.0
 G, DRAG, FRICTION = 9.81, 0.5, 0.8  # friction: alpha
 BALL, PLANET = 0.1, 1.0  # radii
 MASS, HEAVY = 0.8, 4.0  # of the ball, of a free partner
 TILT = 0.3
 STRENGTH = 1.5  # Newton's constant
-FINE = 0.01  # step of the reference
+REFERENCE_STEP = 0.01  # step of the reference
 
 
 @dataclass
@@ -85,7 +85,7 @@ class Bounces:
         e, keep = loss(self.loss.get("restitution"), self.loss.get("damping"))
         w = np.where((self.normal != 0.0).any(axis=1)[:, None], [1.0, 0.0], self.w)
         while (left > 0.0).any():
-            full = h = np.minimum(left, FINE)
+            full = h = np.minimum(left, REFERENCE_STEP)
             x, v = self.after(h)
             gap, speed, _ = self.gap(x, v)
             hit = (gap < 0.0) & (speed < 0.0)
@@ -156,7 +156,7 @@ def scene(force: str, mode: str, h: float, start: Bounces) -> tuple[dict[str, An
     effects |= {"mutual_gravity": {"G": STRENGTH, "method": force.split()[1]}} if attracted else {force: options}
     effects |= {"drag": {}} if start.k.any() else {}
     effects |= {"friction": {"strength": FRICTION}} if start.alpha.any() else {}
-    return {"dimension": d, "time": {"step": h, "end": T}, "particles": particles, "effects": effects}, shift
+    return {"dimension": d, "time": {"step": h, "end": DURATION}, "particles": particles, "effects": effects}, shift
 
 
 def mean_errors(sim: Simulation, shift: Array, end: Bounces) -> Array:

@@ -12,11 +12,12 @@ from particles_mpi.scene.effect_files import effect_names
 from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, all_particles
 from particles_mpi.study.timing import StepTimer, time_in_turns
 
-N, QUICK_N, STEP, LONG = 100_000, 20_000, 1e-3, 1000
-FEW, STEPS = 300, 40  # particles and steps for the comparison of bits
-PAIRS, QUICK_PAIRS, BRIEF = 41, 11, 0.02  # samples by turns and seconds of one, to see a per cent, or a few
+N, QUICK_N, STEP, STEPS = 100_000, 20_000, 1e-3, 1000
+BITS_N, BITS_STEPS = 300, 40  # particles and steps for the comparison of bits
+COMPARISONS, QUICK_COMPARISONS = 41, 11  # samples by turns, to see a per cent, or a few
+COMPARISON_SECONDS = 0.02  # of a sample
 REFERENCE = "itself: the same scene without the effect, the same step without what is about other effects"
-ON: dict[str, dict[str, Any]] = {  # each alone, or with what it needs
+ACTIVE: dict[str, dict[str, Any]] = {  # each alone, or with what it needs
     "uniform_gravity": {"acceleration": [0.0, 0.0, -9.81]},
     "user_acceleration": {},
     "drag": {"rate": 0.2},
@@ -24,7 +25,7 @@ ON: dict[str, dict[str, Any]] = {  # each alone, or with what it needs
     "walls": {"restitution": 0.9},
     "collisions": {"restitution": 0.9},
 }
-OFF: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # effects, and what particles need, so that nothing happens
+INERT: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # effects, and what particles need, so that nothing happens
     "uniform_gravity": ({"acceleration": [0.0, 0.0, 0.0]}, {}),
     "user_acceleration": ({}, {"acceleration": [0.0, 0.0, 0.0]}),
     "drag": ({"rate": 0.0}, {}),
@@ -43,7 +44,7 @@ def gas(n: int, effects: dict[str, Any], radius: float = 0.0, step: float = STEP
     """Particles all over a box."""
     side = 4.0 * (n / 32000) ** (1 / 3)  # the density of the headline
     spheres = {"count": n, "position": "random", "velocity": {"speed": 0.5}, "radius": radius, "mass": 0.3, **more}
-    box, time = {"lower": [0.0] * 3, "upper": [side] * 3}, {"step": step, "steps": LONG}
+    box, time = {"lower": [0.0] * 3, "upper": [side] * 3}, {"step": step, "steps": STEPS}
     return {"dimension": 3, "box": box, "time": time, "particles": [spheres], "effects": effects}
 
 
@@ -69,12 +70,12 @@ class Stripped:
 
 def bits_that_differ(benchmark: Benchmark, name: str) -> int:
     """Number of coordinates that differ between a run without the effect and one where it is named without strength."""
-    options, more = OFF[name]
-    falling = {"walls": {"restitution": 0.9}} | ({"uniform_gravity": ON["uniform_gravity"]} if name != "uniform_gravity" else {})
+    options, more = INERT[name]
+    falling = {other: ACTIVE[other] for other in ("walls", "uniform_gravity") if other != name}
     ends = []
     for effects, own in ((falling, {}), (falling | {name: options}, more)):
-        sim = benchmark.simulate(gas(FEW, effects, step=0.05, **own))
-        sim.steps(STEPS)
+        sim = benchmark.simulate(gas(BITS_N, effects, step=0.05, **own))
+        sim.steps(BITS_STEPS)
         p = all_particles(sim)
         ends.append(np.concatenate([p.position, p.velocity]).view(np.int64))
     return int(np.count_nonzero(ends[0] != ends[1]))
@@ -87,24 +88,24 @@ def errors(benchmark: Benchmark, name: str, sim: Simulation) -> Errors:
     sim.steps(10)
     absent = sum(sim.calls.get(other, 0) for other in effect_names() if other not in sim.scene.effects)
     sent = sim.ranks.total(sim.ranks.messages - messages)[0]
-    differ = bits_that_differ(benchmark, name) if name in OFF else 0
+    differ = bits_that_differ(benchmark, name) if name in INERT else 0
     return {"calls": float(absent), "messages": float(sent), "bits": float(differ)}
 
 
 def settings(benchmark: Benchmark, n: int) -> Iterator[Setting]:
     """A gas without effects, with each effect alone, and with all of them."""
     own = "user_acceleration"  # forces that are not the same everywhere make every pair one that may rest
-    named: dict[str, dict[str, Any]] = {"nothing": {}} | {name: {name: options} for name, options in ON.items()}
-    named[f"all but {own}"] = {name: options for name, options in ON.items() if name != own}
-    for curve, effects in (named | {"all of these": ON}).items():
+    named: dict[str, dict[str, Any]] = {"nothing": {}} | {name: {name: options} for name, options in ACTIVE.items()}
+    named[f"all but {own}"] = {name: options for name, options in ACTIVE.items() if name != own}
+    for curve, effects in (named | {"all of these": ACTIVE}).items():
         pushed: dict[str, Any] = {"acceleration": [0.0, 0.0, -1.0]} if own in effects else {}
         start = benchmark.simulate(gas(n, effects, 0.01 if "collisions" in effects else 0.0, **pushed))
-        yield Setting(curve, float(n), start.copy, LONG, partial(errors, benchmark, curve), seconds_of=1)
+        yield Setting(curve, float(n), start.copy, STEPS, partial(errors, benchmark, curve), seconds_of=1)
 
 
 def absence(benchmark: Benchmark, n: int) -> tuple[float, float, float]:
     """(quartile, median, quartile) of the share of a step that goes when all that is about absent effects is taken out."""
-    start = benchmark.simulate(gas(n * benchmark.ranks.size, {"uniform_gravity": ON["uniform_gravity"]}))
+    start = benchmark.simulate(gas(n * benchmark.ranks.size, {"uniform_gravity": ACTIVE["uniform_gravity"]}))
 
     def one_by_one() -> Simulation:
         """The simulation, by single steps: a loop of many would be compared with another program."""
@@ -112,9 +113,9 @@ def absence(benchmark: Benchmark, n: int) -> tuple[float, float, float]:
         sim.many_steps = None
         return sim
 
-    whole = StepTimer(benchmark.ranks, one_by_one, LONG)
-    less = StepTimer(benchmark.ranks, lambda: Stripped(start.copy()), LONG)  # type: ignore[arg-type, return-value]
-    time_in_turns([whole, less], QUICK_PAIRS if benchmark.quick else PAIRS, BRIEF)
+    whole = StepTimer(benchmark.ranks, one_by_one, STEPS)
+    less = StepTimer(benchmark.ranks, lambda: Stripped(start.copy()), STEPS)  # type: ignore[arg-type, return-value]
+    time_in_turns([whole, less], QUICK_COMPARISONS if benchmark.quick else COMPARISONS, COMPARISON_SECONDS)
     low, middle, high = np.percentile([1.0 - b / a for a, b in zip(whole.samples, less.samples, strict=True)], (25, 50, 75))
     return float(low), float(middle), float(high)
 

@@ -15,14 +15,14 @@ from particles_mpi import Simulation
 from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting
 
 N, QUICK_N = 4000, 1000
-MELT, PATH = 20.0, 100.0  # collisions of each sphere before the start, and in a run
-BLOCKS = 10
+MELTING_COLLISIONS, RUN_COLLISIONS = 20.0, 100.0  # collisions of each sphere before the start, and in a run
+PARTS = 10
 PACKINGS = {"C1": 0.10, "C2": 0.30, "C3": 0.45}
-MOMENTS = (0.03, 0.1, 0.3, 1.0, 2.8)  # Gamma dt: collisions of a sphere in a step
+COLLISIONS_A_STEP = (0.03, 0.1, 0.3, 1.0, 2.8)  # Gamma dt: collisions of a sphere in a step
 PASSES = (10, 3, 1)
-FASTEST = 4.8  # thermal speeds: rewind allows steps of one diameter
+FASTEST_SPEED = 4.8  # thermal speeds: rewind allows steps of one diameter
 KLM = (4.0, 6.0, 2.3647684, -0.8698551, 1.1062803, -1.095049, 0.637614, -0.2279397, 0.1098948, -0.00906797)
-FLOOR = 2e-3  # noise of PATH collisions of N spheres, one standard deviation or two
+NOISE_FLOOR = 2e-3  # noise of RUN_COLLISIONS collisions of N spheres, one standard deviation or two
 REFERENCE = "Kolafa, Labik and Malijevsky (2004): Z within 5e-4; event, which has no error of the step, beside it"
 ERRORS = {
     "collision rate": "|Gamma/Gamma_exact - 1|, collisions of a sphere in unit time",
@@ -55,7 +55,7 @@ def fluid(packing: float, n: int, step: float, steps: int, spheres: dict[str, An
 def melted(benchmark: Benchmark, packing: float, n: int) -> dict[str, Any]:
     """Places and velocities of a fluid in equilibrium."""
     crystal = {"count": n, "position": "lattice", "velocity": {"temperature": 1.0}}
-    scene = fluid(packing, n, MELT / collision_rate(packing) / 4.0, 4, crystal, mode="event")
+    scene = fluid(packing, n, MELTING_COLLISIONS / collision_rate(packing) / 4.0, 4, crystal, mode="event")
     return benchmark.at_end(scene, "position", "velocity")
 
 
@@ -63,19 +63,19 @@ def errors(packing: float, sim: Simulation) -> Errors:
     """Rate and pressure of the whole run."""
     rates, virials, steps = [], [], sim.scene.steps
     sim.measure()
-    for k in range(BLOCKS):
-        while sim.steps_done < (k + 1) * steps // BLOCKS:
+    for k in range(PARTS):
+        while sim.steps_done < (k + 1) * steps // PARTS:
             sim.step()
         row = sim.measure()
         rates.append(row["collision_rate"] / collision_rate(packing, row["temperature"]))
         virials.append((row["z_virial"] - 1.0) / (compressibility(packing) - 1.0))
     rate, virial = (abs(float(np.mean(values)) - 1.0) for values in (rates, virials))
-    return {"collision rate": rate, "Z - 1": virial, "noise": float(np.std(rates, ddof=1)) / sqrt(BLOCKS)}
+    return {"collision rate": rate, "Z - 1": virial, "noise": float(np.std(rates, ddof=1)) / sqrt(PARTS)}
 
 
 def settings(benchmark: Benchmark, packing: float) -> Iterator[Setting]:
     """`event` with long steps, `rewind` over steps and passes."""
-    n, path = (QUICK_N, 0.2 * PATH) if benchmark.quick else (N, PATH)
+    n, path = (QUICK_N, 0.2 * RUN_COLLISIONS) if benchmark.quick else (N, RUN_COLLISIONS)
     rate, spheres = collision_rate(packing), melted(benchmark, packing, n)
 
     def one(curve: str, moment: float, **collisions: Any) -> Setting:
@@ -84,8 +84,8 @@ def settings(benchmark: Benchmark, packing: float) -> Iterator[Setting]:
 
     yield one("event", 2.0, mode="event")
     for passes in PASSES[:: 2 if benchmark.quick else 1]:
-        for moment in MOMENTS[1 : 4 if benchmark.quick else None]:
-            if moment / rate * FASTEST < 1.0:
+        for moment in COLLISIONS_A_STEP[1 : 4 if benchmark.quick else None]:
+            if moment / rate * FASTEST_SPEED < 1.0:
                 yield one(f"rewind, {passes} pass{'es' if passes > 1 else ''}", moment, passes=passes)
 
 
@@ -95,9 +95,9 @@ def experiments(benchmark: Benchmark) -> list[Experiment]:
     for key in ["C2"] if benchmark.quick else PACKINGS:
         packing = PACKINGS[key]
         title, tried = f"Hard-sphere fluid, packing {packing:g}", settings(benchmark, packing)
-        found = benchmark.compare(key, title, tried, ERRORS, REFERENCE, "Gamma dt", floor=FLOOR)
+        found = benchmark.compare(key, title, tried, ERRORS, REFERENCE, "Gamma dt", floor=NOISE_FLOOR)
         event, *others = found.rows
-        good = [row for row in others if row.errors["collision rate"] < FLOOR + 2.0 * row.errors["noise"]]
+        good = [row for row in others if row.errors["collision rate"] < NOISE_FLOOR + 2.0 * row.errors["noise"]]
         best, seconds = min(good, key=lambda row: row.seconds.median, default=None), event.seconds.median
         found.answers.append(
             f"packing {packing:g}: event is exact and takes {seconds:.2g} s; the fastest rewind whose error in the rate is "

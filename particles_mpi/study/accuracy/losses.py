@@ -12,27 +12,27 @@ from scipy.integrate import solve_ivp
 
 from particles_mpi import Simulation
 from particles_mpi.particles import Array
+from particles_mpi.study.accuracy.bouncing import DURATION as BOUNCING_TIME
 from particles_mpi.study.accuracy.bouncing import FORCES, LOSSES, OBSTACLES, bounces, mean_errors, scene
-from particles_mpi.study.accuracy.bouncing import T as BOUNCING
 from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, all_particles, slope
 
-G, DRAG, T, THROW = 9.81, 0.5, 2.0, (10.0, 10.0)
+G, DRAG, DURATION, THROW = 9.81, 0.5, 2.0, (10.0, 10.0)
 STEPS, QUICK_STEPS = (2, 4, 16, 64, 256), (8, 16, 32, 64)
 REPEATS = 200  # particles alike, so that a run is no mere overhead
-STIFF = 20.0 / T  # rate of the stiff drag
-BOUNCES = (0.01, 0.005, 0.0025, 0.00125)  # steps
-ENDLESS = 10**9  # steps that are timed without a new start: all cost the same
-ERRORS = {"place": f"distance from the true place at t = {T:g}", "velocity": "the same of the velocity"}
+STIFF_DRAG = 20.0 / DURATION  # rate of the stiff drag
+BOUNCE_STEPS = (0.01, 0.005, 0.0025, 0.00125)  # steps
+ENDLESS_STEPS = 10**9  # steps that are timed without a new start: all cost the same
+ERRORS = {"place": f"distance from the true place at t = {DURATION:g}", "velocity": "the same of the velocity"}
 
 
-def thrown(drag: float, t: float = T) -> tuple[Array, Array]:
+def thrown(drag: float, t: float = DURATION) -> tuple[Array, Array]:
     """Place and velocity under gravity and linear drag: dv/dt = g - k v."""
     g, v0 = np.array([0.0, -G]), np.array(THROW)
     decay = exp(-drag * t)
     return g / drag * t + (v0 - g / drag) * (1.0 - decay) / drag, g / drag + (v0 - g / drag) * decay
 
 
-def sliding(t: float = T) -> tuple[Array, Array]:
+def sliding(t: float = DURATION) -> tuple[Array, Array]:
     """The same under friction of the weight, alpha = m g, thrown sideways: a Runge-Kutta method of order 8 at 1e-13."""
 
     def rate(_: float, state: Array) -> Array:
@@ -52,7 +52,7 @@ def throws(benchmark: Benchmark) -> list[Experiment]:
     steps, both, by_formula = QUICK_STEPS if benchmark.quick else STEPS, ("leapfrog", "taylor"), "exact: x(t) of linear drag"
     problems: list[tuple[str, str, tuple[str, ...], tuple[float, float], dict[str, Any], tuple[Array, Array], str]] = [
         ("G1", "Throw with drag", both, THROW, {"drag": {"rate": DRAG}}, thrown(DRAG), by_formula),
-        ("G2", f"Stiff drag, k = {STIFF:g}", both, THROW, {"drag": {"rate": STIFF}}, thrown(STIFF), by_formula),
+        ("G2", f"Stiff drag, k = {STIFF_DRAG:g}", both, THROW, {"drag": {"rate": STIFF_DRAG}}, thrown(STIFF_DRAG), by_formula),
         ("G3", "Throw with friction", ("leapfrog",), (THROW[0], 0.0), {"friction": {"strength": G}}, sliding(),
          "Runge-Kutta of order 8 (DOP853) at 1e-13"),
     ]  # fmt: skip
@@ -67,11 +67,11 @@ def throws(benchmark: Benchmark) -> list[Experiment]:
 
         tried = []
         for integrator, n in product(integrators, steps):
-            time = {"step": T / n, "steps": n, "integrator": integrator}
+            time = {"step": DURATION / n, "steps": n, "integrator": integrator}
             particles = [{"position": [[0.0, 0.0]] * REPEATS, "velocity": list(velocity), "mass": 1.0}]
             effects = {"uniform_gravity": {"acceleration": [0.0, -G]}, **loss}
             tables = {"dimension": 2, "time": time, "particles": particles, "effects": effects}
-            tried.append(benchmark.setting(integrator, T / n, tables, errors, steps=ENDLESS, seconds_of=n))
+            tried.append(benchmark.setting(integrator, DURATION / n, tables, errors, steps=ENDLESS_STEPS, seconds_of=n))
         found = benchmark.compare(key, title, tried, ERRORS, reference, slopes=(1.0, 2.0), floor=1e-12)
         for curve in found.curves:
             fine = [row for row in found.curve(curve) if row.errors["place"] > 1e-9][-3:]
@@ -82,8 +82,8 @@ def throws(benchmark: Benchmark) -> list[Experiment]:
     weak.answers.append(f"leapfrog has the velocity right at any step: error <= {best:.0e}")
     exact, explicit = (stiff.curve(name)[0] for name in both)
     stiff.answers.append(
-        f"at k h = {STIFF * explicit.setting.parameter:.3g} taylor is wrong by {explicit.errors['velocity']:.1g} in velocity, "
-        f"leapfrog by {exact.errors['velocity']:.0e}"
+        f"at k h = {STIFF_DRAG * explicit.setting.parameter:.3g} taylor is wrong by {explicit.errors['velocity']:.1g} in "
+        f"velocity, leapfrog by {exact.errors['velocity']:.0e}"
     )
     return all_found
 
@@ -96,17 +96,17 @@ def bounce(benchmark: Benchmark, force: str, loss: str, resistances: tuple[str, 
     def errors(sim: Simulation) -> Errors:
         sim.run()
         end = bounces(2, force, loss, cases, h)
-        end.advance(np.full(len(shift), BOUNCING))
+        end.advance(np.full(len(shift), BOUNCING_TIME))
         wrong = mean_errors(sim, shift, end).reshape(len(OBSTACLES), -1).max(axis=1)
         return dict(zip(OBSTACLES, wrong.tolist(), strict=True))
 
     curve = f"{force}, {loss}, {'friction' if 'friction' in resistances else 'no drag and drag'}"
-    return benchmark.setting(curve, h, tables, errors, steps=ENDLESS, seconds_of=round(BOUNCING / h))
+    return benchmark.setting(curve, h, tables, errors, steps=ENDLESS_STEPS, seconds_of=round(BOUNCING_TIME / h))
 
 
 def bouncing(benchmark: Benchmark) -> Experiment:
     """Contacts at any moment of a step."""
-    steps, forces = (BOUNCES[:2], FORCES[:3]) if benchmark.quick else (BOUNCES, FORCES)
+    steps, forces = (BOUNCE_STEPS[:2], FORCES[:3]) if benchmark.quick else (BOUNCE_STEPS, FORCES)
     tried = [bounce(benchmark, *with_) for with_ in product(forces, LOSSES, (("none", "drag"), ("friction",)), steps)]
     errors = {name: f"distance from the true place after a second, mean over the phases of a step: {name}" for name in OBSTACLES}
     reference = "Runge-Kutta of order 4 from contact to contact"

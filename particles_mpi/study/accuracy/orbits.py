@@ -11,7 +11,7 @@ from particles_mpi.particles import Array
 from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, all_particles, distance, slope
 
 E, ORBITS = 0.5, 100
-LOOKS = 2000  # moments of a run at which the energy is measured
+ENERGY_SAMPLES = 2000  # moments of a run at which the energy is measured
 ERRORS = {"energy": "largest |dE/E| of the run", "place": "distance at the end from the true place, over the size of the orbit"}
 PLANET = {  # at the pericentre, without mass; and a sun
     "position": [[1.0 - E, 0.0], [0.0, 0.0]],
@@ -25,16 +25,16 @@ EIGHT: dict[str, Any] = {
     "mass": 1.0,
 }
 PYTHAGOREAN = {"position": [[1.0, 3.0], [-2.0, -1.0], [1.0, -1.0]], "velocity": [0.0, 0.0], "mass": [3.0, 4.0, 5.0]}
-END = 20.0
-PLACES = {10.0: (0.778480410138, 0.141392300290), 20.0: (3.004292636696, 0.511925235025)}  # of m = 3, in twelve digits
-LATE = "place, t = 20"
+LAST_MOMENT = 20.0
+TRUE_PLACES = {10.0: (0.778480410138, 0.141392300290), 20.0: (3.004292636696, 0.511925235025)}  # by moment, of m = 3
+LATE_PLACE = "place, t = 20"
 ENCOUNTER_ERRORS = {
     "place, t = 10": "distance of m = 3 from where it is at t = 10, after an encounter of 0.01",
-    LATE: "the same at t = 20, after one of 0.0004",
+    LATE_PLACE: "the same at t = 20, after one of 0.0004",
     "energy": "|dE/E| at the end",
 }
 Ladder = dict[str, tuple[float, ...]]  # numbers of steps in a period, by integrator; tolerances of `adaptive`
-REGULAR: dict[bool, Ladder] = {  # by `quick`
+REGULAR_LADDER: dict[bool, Ladder] = {  # by `quick`
     False: {
         "leapfrog": (50, 100, 200, 400, 800, 1600, 3200),
         "order4": (25, 50, 100, 200, 400, 800),
@@ -42,7 +42,7 @@ REGULAR: dict[bool, Ladder] = {  # by `quick`
     },
     True: {"leapfrog": (100, 200, 400), "order4": (50, 100, 200), "adaptive": (1e-3, 1e-7)},
 }
-CLOSE: dict[bool, Ladder] = {
+CLOSE_LADDER: dict[bool, Ladder] = {
     False: {"leapfrog": (4_000, 16_000, 64_000), "order4": (2_000, 8_000, 16_000), "adaptive": (1e-3, 1e-5, 1e-7, 1e-9)},
     True: {"leapfrog": (4_000, 16_000), "order4": (1_000, 4_000), "adaptive": (1e-3, 1e-5)},
 }
@@ -81,7 +81,7 @@ def settings(
 
 def worst_energy(sim: Simulation, energy: Callable[[Simulation], float]) -> float:
     """Run to the end; the largest relative error of the energy on the way."""
-    start, worst, every = energy(sim), 0.0, max(1, sim.scene.steps // LOOKS)
+    start, worst, every = energy(sim), 0.0, max(1, sim.scene.steps // ENERGY_SAMPLES)
     while sim.steps_done < sim.scene.steps:
         sim.steps(min(every, sim.scene.steps - sim.steps_done))
         if sim.steps_done % every == 0:
@@ -118,8 +118,8 @@ def regular_orbits(benchmark: Benchmark) -> list[Experiment]:
         energy = worst_energy(sim, lambda s: s.measure()["total_energy"])
         return {"energy": energy, "place": float(np.abs(all_particles(sim).position - np.array(EIGHT["position"])).max())}
 
-    kepler = settings(benchmark, PLANET, REGULAR[benchmark.quick], 2.0 * pi, orbits, 2, of_planet)
-    eight = settings(benchmark, EIGHT, REGULAR[benchmark.quick], PERIOD, 1, 2, of_eight)
+    kepler = settings(benchmark, PLANET, REGULAR_LADDER[benchmark.quick], 2.0 * pi, orbits, 2, of_planet)
+    eight = settings(benchmark, EIGHT, REGULAR_LADDER[benchmark.quick], PERIOD, 1, 2, of_eight)
     exact = "exact: after one period all are where they were (figures of Chenciner and Montgomery 2000)"
     problems = (
         ("A1", f"Kepler, e = 0.5, {orbits} orbits", kepler, ERRORS, "exact: Kepler's equation"),
@@ -140,19 +140,19 @@ def close_encounters(benchmark: Benchmark) -> list[Experiment]:
 
     def errors(sim: Simulation) -> Errors:
         start, found = sim.measure()["total_energy"], {}
-        for moment, place in PLACES.items():
+        for moment, place in TRUE_PLACES.items():
             sim.steps(round(moment / sim.h) - sim.steps_done)
             found[f"place, t = {moment:g}"] = distance(all_particles(sim).position[0], place)
         return found | {"energy": abs(sim.measure()["total_energy"] / start - 1.0)}
 
-    tried = settings(benchmark, PYTHAGOREAN, CLOSE[benchmark.quick], END, 1, 200, errors)
+    tried = settings(benchmark, PYTHAGOREAN, CLOSE_LADDER[benchmark.quick], LAST_MOMENT, 1, 200, errors)
     title, reference = "Pythagorean problem, t = 20", "published: twelve digits of two places"
     found = benchmark.compare("B", title, tried, ENCOUNTER_ERRORS, reference, floor=1e-12, **PLOT)
     fixed = [row for row in found.rows if row.setting.curve != "adaptive"]
-    best, chosen = (min(some, key=lambda r: r.errors[LATE]) for some in (fixed, found.curve("adaptive")))
+    best, chosen = (min(some, key=lambda r: r.errors[LATE_PLACE]) for some in (fixed, found.curve("adaptive")))
     found.answers = [
         f"fixed steps: {best.setting.curve}, {best.work['forces']} forces, {best.seconds.median:.2g} s, "
-        f"wrong by {best.errors[LATE]:.1g} at t = 20; "
-        f"adaptive: {chosen.work['forces']} forces, {chosen.seconds.median:.2g} s, {chosen.errors[LATE]:.1g}"
+        f"wrong by {best.errors[LATE_PLACE]:.1g} at t = 20; "
+        f"adaptive: {chosen.work['forces']} forces, {chosen.seconds.median:.2g} s, {chosen.errors[LATE_PLACE]:.1g}"
     ]
     return [found]

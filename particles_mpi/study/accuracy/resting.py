@@ -10,8 +10,8 @@ from particles_mpi.particles import Array
 from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, all_particles, slope
 from particles_mpi.study.hard_cases.resting import deepest_overlap
 
-TOLERANCES, EXACT = (1e-2, 1e-3, 1e-4, 1e-5), 1e-8
-N, QUICK_N, STEP, FALL = 2000, 600, 0.005, 400  # spheres; steps in which they fall and settle
+TOLERANCES, EXACT_TOLERANCE = (1e-2, 1e-3, 1e-4, 1e-5), 1e-8
+N, QUICK_N, STEP, SETTLING_STEPS = 2000, 600, 0.005, 400  # spheres; steps in which they fall and settle
 STEPS, QUICK_STEPS = 400, 60  # that are measured
 R, G = 0.05, 9.81
 ERRORS = {
@@ -46,7 +46,7 @@ def experiments(benchmark: Benchmark) -> list[Experiment]:
     @cache
     def settled() -> dict[str, Any]:
         start = {"count": n, "position": "random", "radius": {"min": 0.9 * R, "max": R}}
-        return benchmark.at_end(bed(n, start, TOLERANCES[2], FALL), "position", "radius")
+        return benchmark.at_end(bed(n, start, TOLERANCES[2], SETTLING_STEPS), "position", "radius")
 
     def begin(tolerance: float) -> Simulation:
         return benchmark.simulate(bed(n, settled(), tolerance, steps))
@@ -60,7 +60,7 @@ def experiments(benchmark: Benchmark) -> list[Experiment]:
             rise, before = max(rise, energy - before), energy
         return all_particles(sim).position[:, 2], rise
 
-    exact = cache(lambda: heights(begin(EXACT))[0].mean())
+    exact = cache(lambda: heights(begin(EXACT_TOLERANCE))[0].mean())
 
     def errors(sim: Simulation) -> Errors:
         z, rise = heights(sim)
@@ -74,7 +74,7 @@ def experiments(benchmark: Benchmark) -> list[Experiment]:
 
     settings = [Setting("event", tolerance, lambda t=tolerance: begin(t), steps, errors) for tolerance in TOLERANCES]  # type: ignore[misc]
     title = f"A bed of {n} spheres that has settled, {steps * STEP:g} s more"
-    reference = f"a solution at a tolerance of {EXACT:g}"
+    reference = f"a solution at a tolerance of {EXACT_TOLERANCE:g}"
     found = benchmark.compare("I", title, settings, ERRORS, reference, "contact_tolerance")
     first, default, last = found.rows[0], found.rows[2], found.rows[-1]
     longer = (last.seconds.median / first.seconds.median) ** (1.0 / (len(found.rows) - 1))

@@ -11,48 +11,47 @@ from particles_mpi.kernels.geometry import image_shifts
 from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, all_particles, slope
 
 G, MU = 9.81, 0.2
-BALLS, T = 200, 0.6  # balls of speeds between 0.8 and 1.2, so that they begin to roll anywhere in a step; seconds
+BALLS, ROLL_TIME = 200, 0.6  # number of balls; seconds
+SPEEDS = np.linspace(0.8, 1.2, BALLS)  # so many that the balls begin to roll anywhere in a step
 ROLLING_STEPS = (0.02, 0.01, 0.005, 0.0025)
 N, QUICK_N, R = 500, 150, 0.05  # spheres of the bed and their radius
-LEAN = 10.0 * pi / 180.0  # slope of the bed: less than what a heap has
-FALL, WATCHED, QUICK_WATCHED = 2.0, 2.0, 0.2  # seconds in which it settles, and those that are measured
+SLOPE = 10.0 * pi / 180.0  # slope of the bed: less than what a heap has
+SETTLING_TIME, MEASURED_TIME, QUICK_MEASURED_TIME = 2.0, 2.0, 0.2  # seconds in which it settles, and those that are measured
 STEP, TOLERANCE = 0.005, 1e-4
 STEPS, TOLERANCES = (0.01, 0.005, 0.0025), (1e-2, 1e-3, 1e-4, 1e-5)
-ROLLING = {"place": f"distance from the true place at t = {T:g}, root mean square", "speed": "the same of the velocity"}
-LOOSE = 0.1  # radii: more than contacts give way
+ROLLING = {"place": f"distance from the true place at t = {ROLL_TIME:g}, root mean square", "speed": "the same of the velocity"}
+LOOSE_WAY = 0.1  # radii: more than contacts give way
 CREEP = {
     "creep": "how far the spheres move on, the median, in radii a second",
-    "loose": f"part of the spheres that move by more than {LOOSE:g} R in all",
+    "loose": f"part of the spheres that move by more than {LOOSE_WAY:g} R in all",
     "energy": "how much energy comes or goes, in the weight of the bed times R, a second",
 }
 
 
-def sliding_balls(mode: str, step: float) -> tuple[dict[str, Any], np.ndarray]:
-    """Balls side by side on a floor, thrown along it without spin: the scene, and their speeds (BALLS,)."""
-    speeds = np.linspace(0.8, 1.2, BALLS)
-    balls = {"position": [[0.0, 1.5 * k, 0.5] for k in range(BALLS)], "velocity": [[v, 0.0, 0.0] for v in speeds], "radius": 0.5}
+def sliding_balls(mode: str, step: float) -> dict[str, Any]:
+    """The scene of balls side by side on a floor, thrown along it without spin."""
+    balls = {"position": [[0.0, 1.5 * k, 0.5] for k in range(BALLS)], "velocity": [[v, 0.0, 0.0] for v in SPEEDS], "radius": 0.5}
     floor = {"planes": [{"point": [0.0] * 3, "normal": [0.0, 0.0, 1.0]}], "restitution": 0.5, "friction": MU}
     effects: dict[str, Any] = {"uniform_gravity": {"acceleration": [0.0, 0.0, -G]}, "walls": floor}
     effects |= {"collisions": {"mode": mode, "restitution": 0.5, "friction": MU}} if mode != "walls alone" else {}
-    return {"dimension": 3, "time": {"step": step, "end": T}, "particles": [balls], "effects": effects}, speeds
+    return {"dimension": 3, "time": {"step": step, "end": ROLL_TIME}, "particles": [balls], "effects": effects}
 
 
 def rolling(benchmark: Benchmark) -> Experiment:
     """J1: a ball slides until t = 2 v/(7 mu g), then it rolls at 5/7 v. Collective."""
 
-    def errors(sim: Simulation, speeds: np.ndarray) -> Errors:
+    def errors(sim: Simulation) -> Errors:
         sim.run()
-        p, final = all_particles(sim), speeds / 1.4
-        begins = (speeds - final) / (MU * G)
-        true = 0.5 * (speeds + final) * begins + final * (T - begins)
+        p, final = all_particles(sim), SPEEDS / 1.4
+        begins = (SPEEDS - final) / (MU * G)
+        true = 0.5 * (SPEEDS + final) * begins + final * (ROLL_TIME - begins)
         off = {"place": p.position[:, 0] - true, "speed": p.velocity[:, 0] - final}
         return {name: float(np.sqrt((wrong**2).mean())) for name, wrong in off.items()}
 
     tried = []
     for mode in ("walls alone", "rewind", "event"):
         for step in ROLLING_STEPS:
-            tables, speeds = sliding_balls(mode, step)
-            tried.append(benchmark.setting(mode, step, tables, lambda sim, v=speeds: errors(sim, v), steps=round(T / step)))  # type: ignore[misc]
+            tried.append(benchmark.setting(mode, step, sliding_balls(mode, step), errors, steps=round(ROLL_TIME / step)))
     found = benchmark.compare("J1", f"{BALLS} balls slide, then roll", tried, ROLLING, "exact", slopes=(1.0, 2.0), floor=1e-12)
     orders = ", ".join(f"{curve} {slope(found.curve(curve), 'place'):.2f}" for curve in found.curves)
     most = max(row.errors["speed"] for row in found.rows)
@@ -71,7 +70,7 @@ def bed(particles: dict[str, Any], count: int, step: float, tolerance: float, ti
         "time": {"step": step, "steps": round(time / step)},
         "particles": [{"mass": 1.0, **particles}],
         "effects": {
-            "uniform_gravity": {"acceleration": [G * sin(LEAN), 0.0, -G * cos(LEAN)]},
+            "uniform_gravity": {"acceleration": [G * sin(SLOPE), 0.0, -G * cos(SLOPE)]},
             "walls": law | floor,
             "collisions": {"mode": "event", "contact_tolerance": tolerance, **law},
             "rolling": {"resistance": 0.05 * R},
@@ -81,12 +80,12 @@ def bed(particles: dict[str, Any], count: int, step: float, tolerance: float, ti
 
 def creeping(benchmark: Benchmark) -> list[Experiment]:
     """J2 and J3: a bed that has settled goes on, with several steps and with several tolerances. Collective."""
-    n, watched = (QUICK_N, QUICK_WATCHED) if benchmark.quick else (N, WATCHED)
+    n, watched = (QUICK_N, QUICK_MEASURED_TIME) if benchmark.quick else (N, MEASURED_TIME)
 
     @cache
     def settled(step: float) -> dict[str, Any]:
         start = {"count": n, "position": "random", "radius": {"min": 0.9 * R, "max": R}}
-        return benchmark.at_end(bed(start, n, step, TOLERANCE, FALL), "position", "radius")
+        return benchmark.at_end(bed(start, n, step, TOLERANCE, SETTLING_TIME), "position", "radius")
 
     def begin(step: float, tolerance: float) -> Simulation:
         return benchmark.simulate(bed(settled(step), n, step, tolerance, watched))
@@ -99,8 +98,8 @@ def creeping(benchmark: Benchmark) -> list[Experiment]:
         way = after.position - before.position
         way[:, :2] -= image_shifts(way[:, :2], side)
         moved, speeds2 = np.sqrt((way**2).sum(axis=1)), (after.velocity**2).sum(axis=1)
-        won = 0.5 * speeds2.mean() - G * (sin(LEAN) * way[:, 0] - cos(LEAN) * way[:, 2]).mean()
-        found = float(np.median(moved)), float(np.mean(moved > LOOSE * R)), abs(float(won)) / G
+        won = 0.5 * speeds2.mean() - G * (sin(SLOPE) * way[:, 0] - cos(SLOPE) * way[:, 2]).mean()
+        found = float(np.median(moved)), float(np.mean(moved > LOOSE_WAY * R)), abs(float(won)) / G
         return dict(zip(CREEP, (found[0] / R / watched, found[1], found[2] / R / watched), strict=True))
 
     def experiment(key: str, parameter: str, settings: list[tuple[float, float]]) -> Experiment:

@@ -10,8 +10,8 @@ from particles_mpi.study.recommend.reference import reference
 from particles_mpi.study.recommend.runs import Start, variant
 from particles_mpi.study.recommend.search import BUDGET_SECONDS, Search, time_trials
 
-LADDER = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # times the steps of the scene
-TOLERANCES = (1e3, 1e5, 1e7, 1e9)  # of `adaptive`, inverse
+STEP_FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # times the steps of the scene
+INVERSE_TOLERANCES = (1e3, 1e5, 1e7, 1e9)  # of `adaptive`, inverse
 MEANING = {
     "state": "largest distance of any particle from its place, over the size of the motion",
     "energy": "largest relative error of the energy of the run",
@@ -29,10 +29,10 @@ def settings(start: Start) -> Experiment:
     if not metric.names:
         raise SceneError("particles: nothing in this scene has an error")
     search = Search(start, metric, metric.names[0], 1.0, 2.0 * BUDGET_SECONDS / 3.0)
-    steps = [k * max(start.scene.steps, 4) for k in (LADDER[1:4] if quick else LADDER)]
+    steps = [k * max(start.scene.steps, 4) for k in (STEP_FACTORS[1:4] if quick else STEP_FACTORS)]
     search.attempt(*as_it_is(start))
     for method in methods(start):
-        for resolution in TOLERANCES[:: 2 if quick else 1] if method.adaptive else steps:
+        for resolution in INVERSE_TOLERANCES[:: 2 if quick else 1] if method.adaptive else steps:
             if search.left() < 0.0:
                 search.refused[method.name] = f"not measured further: {BUDGET_SECONDS:.0f} s are over"
                 break

@@ -18,9 +18,9 @@ from particles_mpi.particles import Array
 from particles_mpi.study.accuracy.orbits import gravity, place_on_ellipse, plummer_sphere
 from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Row, Setting, all_particles, distance, slope
 
-E, CLOSE = 0.9, 0.99  # eccentricities
-SOFT, STEPS = (0.0, 1e-3, 1e-2), (500, 2000, 8000)  # softening, of the semi-major axis; steps an orbit
-SOFTEST = 0.1  # for the closer encounter
+E, LARGER_E = 0.9, 0.99  # eccentricities
+SOFTENINGS, ORBIT_STEPS = (0.0, 1e-3, 1e-2), (500, 2000, 8000)  # softening, of the semi-major axis; steps an orbit
+ENCOUNTER_SOFTENING = 0.1  # for the closer encounter
 TOLERANCES = 1e-11, 1e-6  # of the converged softened orbit, and of one to see that it is converged
 ORBIT = {
     "total": "distance at the end from the place of the planet without softening, in semi-major axes",
@@ -28,9 +28,9 @@ ORBIT = {
     "numerical": "distance of leapfrog from that softened orbit",
 }
 
-N, SPHERES, PLACES = 4000, 30, 64  # particles of a sphere, how many are drawn, places where forces are looked at
+N, SPHERES, FIELD_PLACES = 4000, 30, 64  # particles of a sphere, how many are drawn, places where forces are looked at
 SHELLS = 4000  # of the smooth sphere
-WIDTHS = (0.01, 0.03, 0.1, 0.3)  # softening, of the scale length
+FIELD_SOFTENINGS = (0.01, 0.03, 0.1, 0.3)  # softening, of the scale length
 FIELD = {
     "total": "root mean square of the force's error over that of the force of the smooth sphere",
     "model": "bias: that of the smooth sphere, softened",
@@ -54,7 +54,7 @@ def end(sim: Simulation) -> Array:
 def kepler(benchmark: Benchmark) -> Experiment:
     """Each softening over the same steps: the numerical error shrinks along a curve, that of the model stays."""
     exact = place_on_ellipse(3.0 * pi, E)  # at the apocentre, after one orbit
-    pairs = {eps: [end(orbit(benchmark, eps, 2, integrator="adaptive", tolerance=t)) for t in TOLERANCES] for eps in SOFT}
+    pairs = {eps: [end(orbit(benchmark, eps, 2, integrator="adaptive", tolerance=t)) for t in TOLERANCES] for eps in SOFTENINGS}
     softened = {eps: fine for eps, (fine, _) in pairs.items()}
     unsure = max(distance(softened[0.0], exact), *(distance(*pair) for pair in pairs.values()))
 
@@ -66,13 +66,13 @@ def kepler(benchmark: Benchmark) -> Experiment:
 
         return Setting(f"softening {eps:g}", 2.0 * pi / n, lambda: orbit(benchmark, eps, n), n, errors, tags={"softening": eps})
 
-    steps = STEPS[:2] if benchmark.quick else STEPS
+    steps = ORBIT_STEPS[:2] if benchmark.quick else ORBIT_STEPS
     reference = (
         f"exact: Kepler's equation; softened: adaptive at a tolerance of {TOLERANCES[0]:.0e}, within {unsure:.1e} of that at"
         f" {TOLERANCES[1]:.0e} and, without softening, of the exact place"
     )
     title = f"Softened Kepler orbit, e = {E:g}, one orbit by leapfrog"
-    tried = [one(eps, n) for eps in SOFT for n in steps]
+    tried = [one(eps, n) for eps in SOFTENINGS for n in steps]
     found = benchmark.compare("F1", title, tried, ORBIT, reference, slopes=(2.0,), floor=unsure)
     for n in steps:
         rows = sorted((row for row in found.rows if row.setting.steps == n), key=lambda row: row.errors["total"])
@@ -84,21 +84,21 @@ def kepler(benchmark: Benchmark) -> Experiment:
         )
     orders = ", ".join(f"{slope(found.curve(curve)[-2:], 'numerical'):.2f}" for curve in found.curves)
     grows = f"the model error grows as softening^{power(found.rows, 'model'):.2f} at first; orders of the numerical one: {orders}"
-    far = place_on_ellipse(3.0 * pi, CLOSE)
-    point, soft = (distance(end(orbit(benchmark, eps, STEPS[0], CLOSE)), far) for eps in (0.0, SOFTEST))
+    far = place_on_ellipse(3.0 * pi, LARGER_E)
+    point, soft = (distance(end(orbit(benchmark, eps, ORBIT_STEPS[0], LARGER_E)), far) for eps in (0.0, ENCOUNTER_SOFTENING))
     found.answers += [
         grows,
-        f"a closer encounter, e = {CLOSE:g}, in {STEPS[0]} steps: without softening the planet is thrown out and {point:.2g} away"
-        f" at the end; with {SOFTEST:g} it is {soft:.2g} away, on an orbit, but on another one",
+        f"a closer encounter, e = {LARGER_E:g}, in {ORBIT_STEPS[0]} steps: without softening the planet is thrown out and"
+        f" {point:.2g} away at the end; with {ENCOUNTER_SOFTENING:g} it is {soft:.2g} away, on an orbit, but on another one",
     ]
     return found
 
 
 def power(rows: Sequence[Row], error: str) -> float:
     """p, where an error grows as softening^p, from the two smallest softenings that are not 0."""
-    known = {row.setting.tags["softening"]: row.errors[error] for row in rows if row.setting.tags["softening"] > 0.0}
-    x, y = sorted(known)[:2]
-    return log(known[y] / known[x]) / log(y / x)
+    errors = {row.setting.tags["softening"]: row.errors[error] for row in rows if row.setting.tags["softening"] > 0.0}
+    x, y = sorted(errors)[:2]
+    return log(errors[y] / errors[x]) / log(y / x)
 
 
 def smooth_field(r: Array, eps: float) -> Array:
@@ -121,11 +121,11 @@ def fields(n: int) -> dict[float, Errors]:
     At places that are drawn like particles, so that all are weighted by mass.
     """
     random, mass = np.random.default_rng(1), np.full(n, 1.0 / n)
-    at, *drawn = (plummer_places(random, 1.0, np.full(many, 1.0 / many)) for many in (PLACES, *[n] * SPHERES))
+    at, *drawn = (plummer_places(random, 1.0, np.full(many, 1.0 / many)) for many in (FIELD_PLACES, *[n] * SPHERES))
     r = np.sqrt((at**2).sum(axis=1))
     exact = r * (r * r + 1.0) ** -1.5 / MOST  # the sphere is cut where the drawn ones end
     found = {}
-    for eps in WIDTHS:
+    for eps in FIELD_SOFTENINGS:
         sums = [Attraction(at, n, eps * eps) for _ in drawn]
         for one, x in zip(sums, drawn, strict=True):
             one.add(x, mass)
@@ -148,13 +148,13 @@ def plummer(benchmark: Benchmark) -> Experiment:
         return Setting("direct sum", eps, begin, 1, errors, tags={"softening": eps})
 
     title = f"Softened forces of {N} particles that stand for a smooth sphere"
-    reference = f"exact: Plummer's formula, at {PLACES} places; noise over {SPHERES} spheres"
-    found = benchmark.compare("F2", title, [one(eps) for eps in WIDTHS], FIELD, reference, "softening")
+    reference = f"exact: Plummer's formula, at {FIELD_PLACES} places; noise over {SPHERES} spheres"
+    found = benchmark.compare("F2", title, [one(eps) for eps in FIELD_SOFTENINGS], FIELD, reference, "softening")
     rows, best = found.rows, min(found.rows, key=lambda row: row.errors["total"])
-    known = 0.98 * N**-0.26  # E. Athanassoula et al., MNRAS 314, 475 (2000), for Plummer spheres
+    published = 0.98 * N**-0.26  # E. Athanassoula et al., MNRAS 314, 475 (2000), for Plummer spheres
     found.answers = [
         f"the error is least, {best.errors['total']:.2g}, with a softening of {best.setting.parameter:g} scale lengths"
-        f" (bias {best.errors['model']:.2g}, noise {best.errors['numerical']:.2g}); Athanassoula et al. (2000): {known:.2g}",
+        f" (bias {best.errors['model']:.2g}, noise {best.errors['numerical']:.2g}); Athanassoula et al. (2000): {published:.2g}",
         f"at first the bias grows as softening^{power(rows, 'model'):.2f}, the noise falls as"
         f" softening^{power(rows, 'numerical'):.2f}; a force takes the same time with any",
     ]

@@ -14,12 +14,12 @@ from particles_mpi.particles import Array
 from particles_mpi.study.accuracy.orbits import plummer_sphere
 from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Row, Setting, all_particles
 
-SIZES, QUICK = (500, 2000, 8000, 32_000), (500, 2000)
+SIZES, QUICK_SIZES = (500, 2000, 8000, 32_000), (500, 2000)
 ANGLES = (1.0, 0.7, 0.5, 0.35)
 DIRECT, TREES = "direct sum", {"quadrupole": "quadrupoles", "monopole": "monopoles"}
-WANTED = 1e-3  # median error at which trees and direct sum are compared
+COMPARED_ERROR = 1e-3  # median error at which trees and direct sum are compared
 STEP = 1e-6  # dynamical times: every step has new positions, and an evaluation of all forces
-TARGETS = 100  # whose forces are summed once more with more digits
+CHECKED_PARTICLES = 100  # whose forces are summed once more with more digits
 ERRORS = {"median": "median of |da|/|a| over all particles", "99 %": "99th percentile of |da|/|a|"}
 BY_PARTICLE = {  # median errors at angles 1, 0.7, 0.5 where each particle walks by itself, N = 20 000
     "monopole": "1.1e-2, 3.5e-3, 1.3e-3",
@@ -65,7 +65,7 @@ def round_off(sim: Simulation, a: Array) -> Array:
     p = all_particles(sim)
     arrived = allgather_rows(sim.ranks, {"id": sim.particles.id, "a": a})
     a = arrived["a"][np.argsort(arrived["id"], kind="stable")]
-    x, some = p.position.astype(np.longdouble), np.arange(0, len(a), max(1, len(a) // TARGETS))
+    x, some = p.position.astype(np.longdouble), np.arange(0, len(a), max(1, len(a) // CHECKED_PARTICLES))
     exact = np.empty((len(some), 3), np.longdouble)
     for k, i in enumerate(some):
         r = x - x[i]
@@ -87,7 +87,7 @@ def compared(found: Experiment) -> Iterator[str]:
     """What the same error costs by monopoles, by quadrupoles, and by the direct sum, which is always better."""
     direct, trees = found.curve(DIRECT)[0].seconds.median, [found.curve(curve) for curve in TREES.values()]
     finest = max(min(row.errors["median"] for row in rows) for rows in trees)
-    for error in sorted({WANTED, finest}, reverse=True):
+    for error in sorted({COMPARED_ERROR, finest}, reverse=True):
         quad, mono = (at_error(rows, error) for rows in trees)
         if quad > 0.0 and mono > 0.0:
             work = [at_error(rows, error, lambda row: row.work["interactions"]) for rows in trees]
@@ -98,11 +98,11 @@ def compared(found: Experiment) -> Iterator[str]:
 
 
 def crossover(found: Sequence[Experiment], curve: str) -> float:
-    """N above which a tree of median error WANTED costs less than the direct sum, between sizes in logarithms.
+    """N above which a tree of median error COMPARED_ERROR costs less than the direct sum, between sizes in logarithms.
 
     0 if it does at all of them, inf if at none.
     """
-    gain = [log(e.curve(DIRECT)[0].seconds.median / at_error(e.curve(curve), WANTED)) for e in found]
+    gain = [log(e.curve(DIRECT)[0].seconds.median / at_error(e.curve(curve), COMPARED_ERROR)) for e in found]
     sizes = [log(e.rows[0].setting.tags["N"]) for e in found]
     if not gain[-1] > 0.0:
         return inf
@@ -116,9 +116,9 @@ def conclusions(found: Sequence[Experiment], ranks: int) -> Iterator[str]:
     for curve in TREES.values():
         n = crossover(found, curve)
         where = {0.0: f"at N = {sizes[0]} already", inf: f"not yet at N = {sizes[-1]}"}.get(n, f"from N = {n:.0f} on")
-        tree = f"a tree of {curve} with a median error of {WANTED:.0e}"
+        tree = f"a tree of {curve} with a median error of {COMPARED_ERROR:.0e}"
         yield f"{tree} costs less than the direct sum {where}, on {ranks} rank{'s' if ranks > 1 else ''}"
-    planned = next(n for n in range(100, 10**6, 10) if choose("auto", 0.5, WANTED, 3, n).angle is not None)
+    planned = next(n for n in range(100, 10**6, 10) if choose("auto", 0.5, COMPARED_ERROR, 3, n).angle is not None)
     yield f"the cost model of check and of method auto, quadrupoles on one rank: from N = {planned} on"
     for multipole, curve in TREES.items():
         medians = ", ".join(f"{row.errors['median']:.1e}" for row in found[-1].curve(curve)[:3])
@@ -138,6 +138,6 @@ def experiment(benchmark: Benchmark, k: int, n: int) -> Experiment:
 
 def experiments(benchmark: Benchmark) -> list[Experiment]:
     """D, an experiment for each number of particles. Collective."""
-    found = [experiment(benchmark, k, n) for k, n in enumerate(QUICK if benchmark.quick else SIZES, 1)]
+    found = [experiment(benchmark, k, n) for k, n in enumerate(QUICK_SIZES if benchmark.quick else SIZES, 1)]
     found[-1].answers += conclusions(found, benchmark.ranks.size)
     return found

@@ -49,7 +49,7 @@ for name, numbers in EXTREMES.items():
 MUST = "ids a permutation at every step; same bits on any number of ranks"
 
 
-def watch(sim: Simulation, steps: int) -> Finding:
+def watch_ids(sim: Simulation, steps: int) -> Finding:
     """Steps, after each of which every id must be there once."""
     number, lost = sim.total, 0
     for _ in range(steps):
@@ -70,7 +70,7 @@ def on_borders(run: CaseRun) -> Finding:
     speeds = np.random.default_rng(5).choice([-4.0, 4.0], size=lattice.shape)
     moving = {"position": lattice.tolist(), "velocity": speeds.tolist(), "radius": 0.3}
     particles, box = [{"position": corners.tolist(), "radius": 0.3}, moving], run.cube(16.0) | {"periodic": True}
-    return watch(run.simulate(particles, 0.05, effects={"collisions": {}}, box=box), 60)
+    return watch_ids(run.simulate(particles, 0.05, effects={"collisions": {}}, box=box), 60)
 
 
 @case("crossing many domains in a step", "handed to a neighbour only, and lost", MUST)
@@ -81,7 +81,7 @@ def crossing(run: CaseRun) -> Finding:
     speeds = [run.point(10.0 - 20.0 * (k % 2)) for k in range(4)]
     small = {"position": cluster.tolist(), "radius": 0.09, "velocity": {"speed": 0.1}}
     large = {"position": places, "radius": 2.0, "velocity": speeds}
-    return watch(run.simulate([small, large], 0.35, effects=CLOSED, box=run.cube(40.0), seed=6), 30)
+    return watch_ids(run.simulate([small, large], 0.35, effects=CLOSED, box=run.cube(40.0), seed=6), 30)
 
 
 @case("all particles in one rank's corner", "ranks without work hang", MUST)
@@ -89,13 +89,13 @@ def one_corner(run: CaseRun) -> Finding:
     """A small cluster in a large box."""
     places = 0.05 + 0.1 * grid(run, np.arange(4.0))
     cluster = {"position": places.tolist(), "radius": 0.04, "velocity": {"speed": 2.0}}
-    return watch(run.simulate([cluster], 0.01, effects=CLOSED, box=run.cube(1000.0), seed=7), 60)
+    return watch_ids(run.simulate([cluster], 0.01, effects=CLOSED, box=run.cube(1000.0), seed=7), 60)
 
 
 @case("three particles, and none", "more ranks than particles: a hang", MUST)
-def few(run: CaseRun) -> Finding:
+def few_particles(run: CaseRun) -> Finding:
     """The same box without particles, and with three."""
     three = {"position": [run.point(rest=1.0 + 1.5 * k) for k in range(3)], "radius": 0.5, "velocity": {"speed": 3.0}}
     none = {"count": 0, "position": "random", "radius": 0.5}
-    outcomes = [watch(run.simulate([some], 0.05, effects=CLOSED, box=run.cube(10.0)), 60) for some in (none, three)]
+    outcomes = [watch_ids(run.simulate([some], 0.05, effects=CLOSED, box=run.cube(10.0)), 60) for some in (none, three)]
     return outcomes[-1][0], all(holds for _, holds in outcomes)

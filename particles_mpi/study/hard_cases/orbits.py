@@ -11,31 +11,35 @@ from particles_mpi.kernels.motion import free_drift, kick
 from particles_mpi.particles import Array
 from particles_mpi.study.hard_cases.catalogue import CaseRun, Finding, case, energies
 
-ORBITS, STEPS = 1_000_000, 50
+KEPLER_ORBITS, KEPLER_STEPS = 1_000_000, 50
 FAR_BINARIES = ((0.01, 100.0), (1.0, 1e4), (1.0, 1e6))  # separation, and place on every axis
-FAR_ORBITS, LOOKS = 5, 4  # of each, and how often the energy is looked at in one; what round-off does grows as their root
+FAR_ORBITS = 5  # of each: what round-off does grows as their root
+SAMPLES_AN_ORBIT = 4  # of the energy
 ROUNDINGS = {"adaptive": 1, "leapfrog": 1, "order4": 6}  # of a position in a step, for `adaptive` in each that it takes inside
-NOTHING = 1e-9  # change of the energy that nobody minds
+NEGLIGIBLE_CHANGE = 1e-9  # change of the energy that nobody minds
 
 
-def energy_changes(
-    run: CaseRun, apart: float, speed: float, place: float, softening: float, integrator: str, step: float, every: int, looks: int
-) -> tuple[Simulation, Array]:
-    """Two halves of mass 1, `apart` along x about a place on every axis, with relative speed along y: relative changes of their
-    energy, at the start and after `every` steps."""
+def two_masses(
+    run: CaseRun, apart: float, speed: float, integrator: str, step: float, softening: float = 0.0, place: float = 0.0
+) -> Simulation:
+    """Two halves of mass 1, `apart` along x about a place on every axis, with this relative speed along y. Collective."""
     masses = [
         {"position": [run.point(place + sign * apart / 2, rest=place)], "velocity": run.point(0.0, sign * speed / 2), "mass": 0.5}
         for sign in (1.0, -1.0)
     ]
-    sim = run.simulate(masses, step, 1, {"mutual_gravity": {"softening": softening}}, integrator, G=1.0)
-    found = energies(sim, looks, every)
-    return sim, found / found[0] - 1.0
+    return run.simulate(masses, step, 1, {"mutual_gravity": {"softening": softening}}, integrator, G=1.0)
+
+
+def energy_changes(sim: Simulation, samples: int, steps: int) -> Array:
+    """Relative changes of the energy since the start: there and, `samples` times, after so many steps more. Collective."""
+    found = energies(sim, samples, steps)
+    return found / found[0] - 1.0
 
 
 def encounter(run: CaseRun, integrator: str, softening: float, periods: float, substeps: int) -> tuple[float, float]:
     """(largest, last) relative change of the energy of two masses on an orbit of e = 0.999, sampled 200 times."""
     step, speed = 2.0 * np.pi * periods / 200.0 / substeps, sqrt(2.0 * (1.0 / 1.999 - 0.5))
-    changes = np.abs(energy_changes(run, 1.999, speed, 0.0, softening, integrator, step, substeps, 200)[1])
+    changes = np.abs(energy_changes(two_masses(run, 1.999, speed, integrator, step, softening), 200, substeps))
     return float(changes.max()), float(changes[-1])
 
 
@@ -56,12 +60,12 @@ def softened_encounter(run: CaseRun) -> Finding:
 def binary(run: CaseRun, integrator: str, steps: int, apart: float, place: float) -> tuple[Array, int]:
     """(relative changes of the energy, roundings of a position) of equal masses on a circle, in `steps` an orbit."""
     rate = apart**-1.5
-    step, looks = 2.0 * np.pi / rate / steps, FAR_ORBITS * LOOKS
-    sim, changes = energy_changes(run, apart, rate * apart, place, 0.0, integrator, step, steps // LOOKS, looks)
+    sim = two_masses(run, apart, rate * apart, integrator, 2.0 * np.pi / rate / steps, place=place)
+    changes = energy_changes(sim, FAR_ORBITS * SAMPLES_AN_ORBIT, steps // SAMPLES_AN_ORBIT)
     return changes, (sim.integrator.substeps if integrator == "adaptive" else sim.steps_done) * ROUNDINGS[integrator]
 
 
-def far(run: CaseRun, integrator: str, steps: int) -> Finding:
+def far_binaries(run: CaseRun, integrator: str, steps: int) -> Finding:
     """Binaries far from the origin: how far their energies part from those of the same binaries at the origin.
 
     Rounding a position by u/sqrt(12), u its unit in the last place, changes the energy of a circular orbit by the force
@@ -69,19 +73,19 @@ def far(run: CaseRun, integrator: str, steps: int) -> Finding:
     do as much again.
     """
     texts, holds = [], True
-    near = {apart: binary(run, integrator, steps, apart, 0.0)[0] for apart in {apart for apart, _ in FAR_BINARIES}}
+    at_origin = {apart: binary(run, integrator, steps, apart, 0.0)[0] for apart in {apart for apart, _ in FAR_BINARIES}}
     for apart, place in FAR_BINARIES:
         changes, n = binary(run, integrator, steps, apart, place)
-        parted, limit = float(np.abs(changes - near[apart]).max()), 4.0 * float(np.spacing(place)) / apart * sqrt(n)
+        parted, limit = float(np.abs(changes - at_origin[apart]).max()), 4.0 * float(np.spacing(place)) / apart * sqrt(n)
         texts.append(f"{apart:g} at {place:.0e}: {parted:.0e} (round-off: {limit:.0e})")
-        holds &= parted <= max(limit, NOTHING)
+        holds &= parted <= max(limit, NEGLIGIBLE_CHANGE)
     return "; ".join(texts), holds
 
 
 FAR_MUST = f"energy as at the origin, within 1e-9 or round-off, {FAR_ORBITS} orbits"
 for integrator, steps in {"adaptive": 4, "leapfrog": 100, "order4": 40}.items():
     naive = "steps shrink until it stops" if integrator == "adaptive" else "round-off grows with every step"
-    function = partial(far, integrator=integrator, steps=steps)
+    function = partial(far_binaries, integrator=integrator, steps=steps)
     case(f"binaries far from the origin, `{integrator}`", naive, FAR_MUST, modes=(None,))(function)
 
 
@@ -133,7 +137,7 @@ def circle(orbits, steps, compensated):
 )
 def many_orbits(run: CaseRun) -> Finding:
     """Round-off alone, by the kick and the drift of the program."""
-    plain, kahan = circle(ORBITS, STEPS, False), circle(ORBITS, STEPS, True)
-    power = log(plain[-1] / plain[2]) / log(ORBITS / 1000.0)
-    measured = f"{plain[-1]:.0e} after 1e6 (1e3: {plain[2]:.0e}; power {power:.1f}); compensated {kahan[-1]:.0e}"
-    return measured, bool(plain.max() <= 1e-10)
+    simple, kahan = circle(KEPLER_ORBITS, KEPLER_STEPS, False), circle(KEPLER_ORBITS, KEPLER_STEPS, True)
+    power = log(simple[-1] / simple[2]) / log(KEPLER_ORBITS / 1000.0)
+    measured = f"{simple[-1]:.0e} after 1e6 (1e3: {simple[2]:.0e}; power {power:.1f}); compensated {kahan[-1]:.0e}"
+    return measured, bool(simple.max() <= 1e-10)

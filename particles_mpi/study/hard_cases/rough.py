@@ -11,8 +11,8 @@ from particles_mpi.study.experiment import all_particles
 from particles_mpi.study.hard_cases.catalogue import CaseRun, Effects, Finding, case, energies, largest_rise
 
 G, SPIN = 9.81, 1e6
-NEAR = (0.99, 1.01)  # parts of the coefficient of friction that statics asks for: below it and above
-RISE = 1e-6  # of the energy at the start, at most
+BESIDE_LIMIT = (0.99, 1.01)  # parts of the coefficient of friction that statics asks for: below it and above
+MOST_RISE = 1e-6  # of the energy at the start, at most
 
 
 def solid(run: CaseRun) -> float:
@@ -125,7 +125,7 @@ def spinning_in_a_groove(run: CaseRun) -> Finding:
     rise = max(rise, energy_rise(sim, spin / slowing - 0.4))
     p = all_particles(sim)
     moved, still = float(np.abs(p.position[0] - place).max()), not p.velocity.any() and not p.spin.any()
-    holds = off <= 1e-9 and moved <= 1e-9 and still and rise <= RISE
+    holds = off <= 1e-9 and moved <= 1e-9 and still and rise <= MOST_RISE
     return f"spin off {off:.0e}, moved {moved:.0e}, {'at rest' if still else 'NOT at rest'}, E rose {rise:.0e}", holds
 
 
@@ -142,7 +142,7 @@ def down_a_groove(run: CaseRun) -> Finding:
     friction F along it. So F may be up to mu N/sqrt(1 - mu^2); between that and mu N rolling and sliding both obey Coulomb's law.
     """
     mu, up, off = 0.3, sqrt(0.5), 0.0
-    for part in (0.2, NEAR[0], NEAR[1] / sqrt(1.0 - mu * mu), 2.0):
+    for part in (0.2, BESIDE_LIMIT[0], BESIDE_LIMIT[1] / sqrt(1.0 - mu * mu), 2.0):
         angle = atan(part * mu * sqrt(2.0) * 1.8 / 0.8)
         gravity = [G * sin(angle), 0.0, -G * cos(angle)]
         groove = surfaces(run, gravity, mu, [[0.0, side, up] for side in (up, -up)])
@@ -175,7 +175,7 @@ def between_floor_and_sphere(run: CaseRun) -> Finding:
         sim = run.simulate([ball | {"velocity": run.point(10.0)}, fixed], 0.002, 50, effects)
         rise = max(rise, energy_rise(sim, 0.1))
         moved = max(moved, float(all_particles(sim).position[0, 0] - place[0]))
-    holds = moved <= 1e-9 and off <= 1e-9 and rise <= RISE
+    holds = moved <= 1e-9 and off <= 1e-9 and rise <= MOST_RISE
     return f"moved {moved:.0e}, pulled: v off {off:.0e}, E rose {rise:.0e}", holds
 
 
@@ -189,8 +189,8 @@ def verdict(found: list[tuple[float, float]]) -> Finding:
     """Of `stands` below what statics asks for and above it, by turns."""
     falls, holds = min(moved for moved, _ in found[::2]), max(moved for moved, _ in found[1::2])
     rise = max(rise for _, rise in found)
-    below, above = (f"moved {moved:.0e} at {part:.2f} mu" for moved, part in zip((falls, holds), NEAR, strict=True))
-    return f"{below}, {above}, E rose {rise:.0e}", falls > 5e-4 and holds <= 1e-8 and rise <= RISE
+    below, above = (f"moved {moved:.0e} at {part:.2f} mu" for moved, part in zip((falls, holds), BESIDE_LIMIT, strict=True))
+    return f"{below}, {above}, E rose {rise:.0e}", falls > 5e-4 and holds <= 1e-8 and rise <= MOST_RISE
 
 
 @case(
@@ -210,7 +210,7 @@ def pyramid(run: CaseRun) -> Finding:
     base = [[*[sin(lean) * x for x in (cos(turn), sin(turn))][: d - 1], 0.5] for turn in turns]
     for top in (1.0, 100.0, 1e4):
         balls = {"position": [*base, run.upright(0.5 + cos(lean))], "radius": 0.5, "mass": [1.0] * d + [top]}
-        for part in NEAR:
+        for part in BESIDE_LIMIT:
             effects = surfaces(run, run.upright(-G), part * tan(lean / 2.0), [run.upright(1.0)])
             found.append(stands(run.simulate([balls], 0.004, effects=effects), 0.5))
     return verdict(found)
@@ -232,7 +232,7 @@ def arch(run: CaseRun) -> Finding:
     s, found = sqrt(0.75), []
     fixed = {"position": [[-1.0, 0.0], [1.0, 0.0]], "radius": 0.5, "fixed": True}
     discs = {"position": [[-0.5, s], [0.5, s]], "radius": 0.5, "mass": [3.0, 1.0]}
-    for part in NEAR:
+    for part in BESIDE_LIMIT:
         effects = surfaces(run, run.upright(-G), part / (2.0 * sqrt(3.0)), [run.upright(1.0)])
         del effects["walls"]
         found.append(stands(run.simulate([fixed, discs], 0.004, effects=effects), 0.5))

@@ -1,11 +1,11 @@
 """`study scaling --counts`: what a rank sends and holds in a step, counted on as many ranks as were started.
 
 Counts are the same where ranks share cores, so there may be many more ranks than cores. Each scene grows with the ranks (weak:
-PER_RANK particles on each) and is divided among them (strong). Every column should stay flat on a weak curve past FROM ranks,
-and fall on a strong one as the surface of a block of space; `verdict` names those that do not. Only steps on a single rank
-are timed: with the counts they give the model of many ranks.
+PER_RANK particles on each) and is divided among them (strong). Every column should stay flat on a weak curve with many ranks,
+and fall on a strong one as the surface of a block of space; counts_report names those that do not. Only steps on a single
+rank are timed: with the counts they give the model of many ranks.
 
-How often mode rewind renews its candidates is learned during a run; here it is every INTERVAL steps, so that counts can be
+How often mode rewind renews its candidates is learned during a run; here it is every SEARCH_INTERVAL steps, so that counts can be
 compared. Memory is the largest sum of all arrays of a rank (of tracemalloc; what kernels allocate for themselves is not in it).
 """
 
@@ -26,28 +26,28 @@ from particles_mpi.run.console import Screen
 from particles_mpi.scene.schema import Scene
 from particles_mpi.simulation import Simulation
 from particles_mpi.study.report import write_csv
-from particles_mpi.study.scaling.counts_report import SENT, Counted, say_counts, table_rows
+from particles_mpi.study.scaling.counts_report import BYTE_COLUMNS, Counted, say_counts, table_rows
 from particles_mpi.study.scaling.measure import HEADLINE, counters, divides, law_of, rank_counts, row_bytes, unable_to_grow
 from particles_mpi.study.scaling.performance_model import fit
 from particles_mpi.study.scaling.report import Curve, Result, say_model
 from particles_mpi.study.scaling.scale_scene import scale_scene
 
 PER_RANK = 2000  # particles; fewer would be blocks of space that are all surface
-LARGEST, QUICK = 32, 8  # ranks of the strong curve's scene; ranks at most with --quick
-INTERVAL, STEPS = 8, 24  # steps from one search for neighbours to the next, and those that are counted
+STRONG_RANKS, QUICK_RANKS = 32, 8  # ranks of the strong curve's scene; ranks at most with --quick
+SEARCH_INTERVAL, COUNTED_STEPS = 8, 24  # steps from one search for neighbours to the next, and those that are counted
 
 
 def count_scaling(described: Scene | None, folder: Path, quick: bool) -> None:
     """Count, print tables and verdicts, write counts.csv and counts_model.csv. Collective.
 
-    `described`: None for the headline gas, in both modes of collisions. `quick`: on QUICK ranks at most.
+    `described`: None for the headline gas, in both modes of collisions. `quick`: on QUICK_RANKS ranks at most.
     """
     world = Communicator()
     screen = Screen(world.is_root, False)
     make_folder(world, folder)
     with raising_together(world):
         scenes = [described] if described else [in_mode(Scene.load(HEADLINE), mode) for mode in ("rewind", "event")]
-    counts = [number for number in rank_counts(world.size) if number <= (QUICK if quick else inf)]
+    counts = [number for number in rank_counts(world.size) if number <= (QUICK_RANKS if quick else inf)]
     tables: dict[str, list[dict[str, Any]]] = {"counts.csv": [], "counts_model.csv": []}
     for scene in scenes:
         counted, divided = count_scene(scene, world, counts, screen)
@@ -87,7 +87,7 @@ def title(scene: Scene) -> str:
 def count_scene(scene: Scene, world: Communicator, counts: list[int], screen: Screen) -> tuple[list[list[Counted]], bool]:
     """The points of the strong curve, and of the weak one if the scene can grow; do ranks divide space? Collective."""
     own, weak = sum(population.count or 0 for population in scene.particles), not unable_to_grow(scene)
-    strong = PER_RANK * min(LARGEST, counts[-1])
+    strong = PER_RANK * min(STRONG_RANKS, counts[-1])
     curves = [[(strong, ranks) for ranks in counts], [(PER_RANK * ranks, ranks) for ranks in counts]][: 1 + weak]
     wanted = list(dict.fromkeys(setting for curve in curves for setting in curve))
     progress = screen.count("counting", len(wanted))
@@ -129,22 +129,22 @@ def run_counted(scene: Scene, ranks: Communicator) -> RankCounts:
     sim = Simulation(scene, comm=ranks.comm)
     if isinstance(sim.near, Neighbourhood):
         tuner: Any = sim.near.tuner
-        tuner.next = lambda work, crossing: INTERVAL  # candidates always last so long
+        tuner.next = lambda work, crossing: SEARCH_INTERVAL  # candidates always last so long
     memory_start = tracemalloc.get_traced_memory()[1]
     to_search(sim, 1)
     tracemalloc.reset_peak()
     before, first = counters(sim), sim.steps_done
-    to_search(sim, STEPS)
+    to_search(sim, COUNTED_STEPS)
     memory = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     steps, seconds = sim.steps_done - first, 0.0
     columns = {name: (value - before.get(name, 0)) / steps for name, value in counters(sim).items()}
-    columns["bytes"] = sum(columns[name] for name in SENT)
+    columns["bytes"] = sum(columns[name] for name in BYTE_COLUMNS)
     columns["ghosts"] = sim.near.ghost_rows / max(sim.near.searches, 1) if sim.near else 0.0
     columns |= {"memory": memory / 1e6, "memory_start": memory_start / 1e6}
     if ranks.size == 1:
         begin = perf_counter()
-        to_search(sim, STEPS)
+        to_search(sim, COUNTED_STEPS)
         seconds = (perf_counter() - begin) / (sim.steps_done - first - steps)
     return RankCounts(sim.total, divides(sim), columns, seconds)
 
@@ -152,7 +152,7 @@ def run_counted(scene: Scene, ranks: Communicator) -> RankCounts:
 def to_search(sim: Simulation, least: int) -> None:
     """At least so many steps, and on to the end of the next one with a search for neighbours, if there is one soon."""
     searches = -1
-    for done in range(least + INTERVAL):
+    for done in range(least + SEARCH_INTERVAL):
         if done >= least and (sim.near is None or sim.near.searches > searches >= 0):
             break
         searches = sim.near.searches if sim.near else 0

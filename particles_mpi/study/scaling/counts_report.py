@@ -11,10 +11,10 @@ from particles_mpi.study.report import grouped, numbers_table
 from particles_mpi.study.scaling.performance_model import Law, Point
 from particles_mpi.study.scaling.report import Curve
 
-FROM, TOLERANCE = 8, 0.1  # ranks from which on a column is judged, and how much it may change
-SENT = {f"bytes_{kind}": f"bytes: {kind}" for kind in KINDS}
+FLAT_FROM, FLAT_WITHIN = 8, 0.1  # ranks from which on a column is judged, and how much it may change
+BYTE_COLUMNS = {f"bytes_{kind}": f"bytes: {kind}" for kind in KINDS}
 COLUMNS = {
-    "bytes": "bytes sent", **SENT, "messages": "messages", "reductions": "reductions", "all_to_alls": "all-to-alls",
+    "bytes": "bytes sent", **BYTE_COLUMNS, "messages": "messages", "reductions": "reductions", "all_to_alls": "all-to-alls",
     "fetches": "searches", "ghosts": "ghost rows", "memory": "memory, MB", "memory_start": "memory of set-up, MB",
 }  # fmt: skip
 CAUSES = {
@@ -49,18 +49,18 @@ class Counted:
 
 
 def verdict(name: str, points: list[Counted], law: Law) -> str:
-    """How the mean of a column changes past FROM ranks: "flat", or as geometry makes it, or what is wrong with it."""
+    """How the mean of a column changes past FLAT_FROM ranks: "flat", or as geometry makes it, or what is wrong with it."""
     first, last = points[0], points[-1]
     before, after = first.mean[name], last.mean[name]
     ideal, reason = expected(name, first, last, law)
-    if abs(after - before) <= TOLERANCE * before and ideal >= 1.0 - TOLERANCE:
+    if abs(after - before) <= FLAT_WITHIN * before and ideal >= 1.0 - FLAT_WITHIN:
         return "flat"
     grows = f"from {amount(before)} to {amount(after)} on {last.ranks} ranks"
-    if reason and after <= (1.0 + TOLERANCE) * ideal * before:
+    if reason and after <= (1.0 + FLAT_WITHIN) * ideal * before:
         return f"{grows}: as {reason}"
     power = f", as P^{log(after / before) / log(last.ranks / first.ranks):.2f}" if before and after else ""
     if name == "bytes":  # of all bytes, the kind that grew most
-        name = max(SENT, key=lambda kind: last.mean[kind] - first.mean[kind])
+        name = max(BYTE_COLUMNS, key=lambda kind: last.mean[kind] - first.mean[kind])
     return f"NOT FLAT, {grows}{power}: {CAUSES[name]}"
 
 
@@ -87,12 +87,13 @@ def say_counts(scene: str, curve: Curve, points: list[Counted], law: Law, screen
         table.add_row(words, *(amount(point.mean[name]) for point in points), amount(points[-1].most[name]))
     screen.say(f"[bold]{scene}[/bold]: {curve.name}, counted")
     screen.table(table)
-    past = [point for point in points if point.ranks >= FROM]
+    past = [point for point in points if point.ranks >= FLAT_FROM]
     if len(past) < 2:
-        screen.say(f"  which columns are flat, is judged past {FROM} ranks")
+        screen.say(f"  which columns are flat, is judged past {FLAT_FROM} ranks")
         return
     verdicts = {words: verdict(name, past, law) for name, words in COLUMNS.items()}
-    screen.say(f"  flat past {FROM} ranks: {', '.join(words for words, text in verdicts.items() if text == 'flat') or 'none'}")
+    flat = [words for words, text in verdicts.items() if text == "flat"]
+    screen.say(f"  flat past {FLAT_FROM} ranks: {', '.join(flat) or 'none'}")
     for words, text in verdicts.items():
         if text != "flat":
             screen.say(f"  {words}: {text}")

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from particles_mpi.study.scaling.performance_model import Model
 from particles_mpi.study.scaling.report import EXTRAPOLATED, Curve, Result, shares
 
-COURSE = {4: 148.0, 8: 37.9, 16: 10.3, 32: 3.13, 64: 1.036}  # cores: seconds of 500 steps, as the course code printed
+COURSE_SECONDS = {4: 148.0, 8: 37.9, 16: 10.3, 32: 3.13, 64: 1.036}  # cores: seconds of 500 steps, as the course code printed
 COURSE_STEPS, COURSE_LABEL = 500, "course code, N = 32000, Xeon Gold 6230"
 COLORS = ("#2e86ab", "#1b4965", "#d1495b")  # of the curves: strong ones first, the weak one last
 GREY = "#b6bcc6"
@@ -78,9 +78,9 @@ def draw_times(axes: Axes, result: Result) -> None:
         axes.plot(ends, curve.points[0].seconds / ends, "--", color=GREY)
     axes.plot([], [], "--", color=GREY, label="ideal")
     if result.headline:
-        seconds = [t / COURSE_STEPS for t in COURSE.values()]
-        axes.plot(list(COURSE), seconds, "s-", color="#8d99ae", lw=1, ms=4, label=COURSE_LABEL)
-        ranks |= set(COURSE)
+        seconds = [t / COURSE_STEPS for t in COURSE_SECONDS.values()]
+        axes.plot(list(COURSE_SECONDS), seconds, "s-", color="#8d99ae", lw=1, ms=4, label=COURSE_LABEL)
+        ranks |= set(COURSE_SECONDS)
     axes.set(yscale="log", ylabel="seconds a step: median, quartiles")
     against_ranks(axes, sorted(ranks), "strong scaling", loc="upper right")
 

@@ -30,10 +30,10 @@ from particles_mpi.study.scaling.scale_scene import edges, scale_scene
 from particles_mpi.study.timing import QUICK_SAMPLE_SECONDS, SAMPLE_SECONDS, SAMPLES, StepTimer, time_in_turns
 
 HEADLINE = Path(__file__).parents[2] / "scenes" / "headline.toml"
-LARGER = 8.0  # times the headline: where surfaces matter less
-SMALLER, FEWEST = 1 / 8, 250  # on one rank, if so many particles are left: what a step costs apart from particles
-TALK = ("agree", "ghosts", "migrate", "exchange")  # phases in which ranks communicate and wait for one another
-PHASE = "phase "  # begins the name of what a phase takes
+LARGER_FACTOR = 8.0  # times the headline: where surfaces matter less
+SMALLER_FACTOR, LEAST_PARTICLES = 1 / 8, 250  # on one rank, if so many particles are left: what a step costs apart from particles
+COMMUNICATING = ("agree", "ghosts", "migrate", "exchange")  # phases in which ranks communicate and wait for one another
+PHASE_PREFIX = "phase "  # begins the name of what a phase takes
 
 
 @dataclass
@@ -75,18 +75,18 @@ class RankSubsetTimer(StepTimer):
     def a_step(self) -> dict[str, float]:
         """What a step takes and does on this rank. Phases, which come in lumps, have their share of all samples in the median."""
         phase, step = self.seconds.median / self.sums["clocked"], 1.0 / self.sums["steps"]
-        return {name: whole * (phase if name.startswith(PHASE) else step) for name, whole in self.sums.items()}
+        return {name: whole * (phase if name.startswith(PHASE_PREFIX) else step) for name, whole in self.sums.items()}
 
     def point(self, oversubscribed: bool) -> Point:
         """What the ranks found, put together. Collective in the world."""
         found = [part for part in self.world.allgather((self.a_step(), self.sim.total) if self.sim else None) if part]
         steps, count = [step for step, _ in found], len(found)
-        names = [name for name in steps[0] if name.startswith(PHASE)]
+        names = [name for name in steps[0] if name.startswith(PHASE_PREFIX)]
         mean = {name: float(np.mean([step[name] for step in steps])) for name in steps[0]}
-        talk = [sum(step.get(f"{PHASE}{name}", 0.0) for name in TALK if count > 1) for step in steps]
+        talk = [sum(step.get(f"{PHASE_PREFIX}{name}", 0.0) for name in COMMUNICATING if count > 1) for step in steps]
         own = [sum(step[name] for name in names) - waited for step, waited in zip(steps, talk, strict=True)]
         seconds = self.seconds
-        phases = {name.removeprefix(PHASE): mean.pop(name) for name in names}
+        phases = {name.removeprefix(PHASE_PREFIX): mean.pop(name) for name in names}
         other = max(0.0, seconds.median - sum(phases.values()))  # between the phases
         return Point(
             found[0][1], count, seconds.median, seconds.low, seconds.high,
@@ -107,7 +107,7 @@ def counters(sim: Simulation) -> dict[str, float]:
     counted = {name: getattr(ranks, name) for name in ("rows", "messages", "reductions", "all_to_alls")}
     counted |= {f"bytes_{kind}": sent for kind, sent in ranks.bytes.items()}
     counted |= {"fetches": near.searches if searching else sim.steps_done, "ghost_rows": near.ghost_rows if near else 0}
-    return counted | {f"{PHASE}{name}": seconds for name, seconds in sim.timers.seconds.items()}
+    return counted | {f"{PHASE_PREFIX}{name}": seconds for name, seconds in sim.timers.seconds.items()}
 
 
 def rank_counts(size: int) -> list[int]:
@@ -120,8 +120,8 @@ def settings(scene: Scene, counts: list[int], sizes: list[float], weak: bool) ->
     wanted = [(size, count) for size in sizes for count in counts]
     if weak:
         wanted += [(float(count), count) for count in counts]
-        if sum(p.count or 0 for p in scene.particles) * SMALLER >= FEWEST:
-            wanted.append((SMALLER, 1))
+        if sum(p.count or 0 for p in scene.particles) * SMALLER_FACTOR >= LEAST_PARTICLES:
+            wanted.append((SMALLER_FACTOR, 1))
     return list(dict.fromkeys(wanted))
 
 
@@ -164,7 +164,7 @@ def oversubscribed(cores: list[tuple[str, set[int]]]) -> bool:
 def measure_scaling(described: Scene | None, folder: Path, quick: bool) -> None:
     """Measure, print the tables and the model, write scaling.csv, scaling_model.csv, scaling.png and scaling.svg. Collective.
 
-    `described`: None for the headline gas, and one LARGER times as large. `quick`: short samples, and that one is left out.
+    `described`: None for the headline gas, and one LARGER_FACTOR times larger. `quick`: short samples, and that one is left out.
     """
     ranks = Communicator()
     screen = Screen(ranks.is_root, False)
@@ -172,7 +172,7 @@ def measure_scaling(described: Scene | None, folder: Path, quick: bool) -> None:
     with raising_together(ranks):
         scene = described or Scene.load(HEADLINE)
     no_weak, counts = unable_to_grow(scene), rank_counts(ranks.size)
-    sizes = [1.0] if described or quick else [1.0, LARGER]
+    sizes = [1.0] if described or quick else [1.0, LARGER_FACTOR]
     sample_seconds = QUICK_SAMPLE_SECONDS if quick else SAMPLE_SECONDS
     points, divided = time_settings(scene, ranks, settings(scene, counts, sizes, not no_weak), sample_seconds, screen)
     curves = [

@@ -10,9 +10,9 @@ from particles_mpi.study.report import numbers_table
 from particles_mpi.study.scaling.performance_model import Law, Model, Point
 
 EXTRAPOLATED = [1 << k for k in (*range(11), 16)]  # ranks that the model is asked about
-DISTURBED = 1e-4  # seconds: no message within a machine takes that long, unless somebody else has the core
+DISTURBED_LATENCY = 1e-4  # seconds: no message within a machine takes that long, unless somebody else has the core
 COUNTS = ("fetches", "rows", "ghost_rows", "messages", "reductions", "all_to_alls", *(f"bytes_{kind}" for kind in KINDS))
-SHOWN = 7  # phases of a table, and of the figure
+SHOWN_PHASES = 7  # phases of a table, and of the figure
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Result:
     def origin(self, model: Model) -> str:
         """Whose measurements the model extrapolates."""
         ranks = f"1 to {model.measured} ranks" if model.measured > 1 else "1 rank"
-        late = f", disturbed: a message took {model.latency * 1e3:.2g} ms" if model.latency > DISTURBED else ""
+        late = f", disturbed: a message took {model.latency * 1e3:.2g} ms" if model.latency > DISTURBED_LATENCY else ""
         return f"MODEL, extrapolated from {ranks} of one machine{late}"
 
     def measured_rows(self) -> Iterator[dict[str, Any]]:
@@ -80,7 +80,7 @@ def shares(points: list[Point]) -> list[dict[str, float]]:
     """Of each point, the share of the step that each phase takes: the longest phases of all points, and "the rest"."""
     each = [{name: s / sum(p.phases.values()) for name, s in p.phases.items()} for p in points]
     total = {name: sum(one.get(name, 0.0) for one in each) for one in each for name in one}
-    chosen = [{name: one.get(name, 0.0) for name in sorted(total, key=lambda name: -total[name])[:SHOWN]} for one in each]
+    chosen = [{name: one.get(name, 0.0) for name in sorted(total, key=lambda name: -total[name])[:SHOWN_PHASES]} for one in each]
     return [one | {"the rest": abs(1.0 - sum(one.values()))} for one in chosen]
 
 
