@@ -1,6 +1,6 @@
 """Fair timing of simulations: warmed up, by turns, the slowest rank, medians and quartiles, output not on the clock.
 
-A sample is as many consecutive steps as take SAMPLE_SECONDS seconds. A run that has come to its end begins again, off the clock.
+A sample is as many consecutive steps as take SAMPLE_SECONDS. A run that has come to its end begins again, off the clock.
 Settings that are compared take turns, a sample each, so that a disturbance of the machine meets all of them.
 """
 
@@ -78,10 +78,7 @@ class StepTimer:
 
 
 def time_in_turns(
-    timers: Sequence[StepTimer],
-    samples: int = SAMPLES,
-    sample_seconds: float = SAMPLE_SECONDS,
-    progress: Callable[[], None] = lambda: None,
+    timers: Sequence[StepTimer], samples: int, sample_seconds: float, progress: Callable[[], None] = lambda: None
 ) -> None:
     """Take `samples` samples of each timer by turns, after one that is not counted; calls `progress` after each. Collective."""
     collecting = gc.isenabled()

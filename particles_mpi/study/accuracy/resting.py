@@ -1,6 +1,6 @@
 """I: contacts that last. What the tolerance of their solution costs in a bed of spheres, and what it changes."""
 
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from particles_mpi.study.hard_cases.resting import deepest_overlap
 TOLERANCES, EXACT_TOLERANCE = (1e-2, 1e-3, 1e-4, 1e-5), 1e-8
 N, QUICK_N, STEP, SETTLING_STEPS = 2000, 600, 0.005, 400  # spheres; steps in which they fall and settle
 STEPS, QUICK_STEPS = 400, 60  # that are measured
-R, G = 0.05, 9.81
+R, G, LAYERS = 0.05, 9.81, 8.0
 ERRORS = {
     "height": "how much higher or lower the mean sphere lies in the end, in radii",
     "speed": "root mean square of speeds in the end, in what gravity gives in a step",
@@ -22,15 +22,17 @@ ERRORS = {
 }
 
 
-def bed(n: int, particles: dict[str, Any], tolerance: float, steps: int) -> dict[str, Any]:
-    """The scene of spheres in a box with gravity, e = 0.5, mode event."""
-    side = 2.0 * R * (n / 8.0) ** 0.5  # some eight layers
+def bed(
+    n: int, layers: float, step: float, steps: int, tolerance: float, particles: dict[str, Any] | None = None
+) -> dict[str, Any]:
+    """The scene of n spheres in a box with gravity, e = 0.5, mode event; in the air, or as given by `particles`."""
+    side, loose = 2.0 * R * (n / layers) ** 0.5, {"count": n, "position": "random", "radius": {"min": 0.9 * R, "max": R}}
     return {
         "dimension": 3,
         "seed": 1,
         "box": {"lower": [0.0] * 3, "upper": [side, side, 50.0 * R]},
-        "time": {"step": STEP, "steps": steps},
-        "particles": [{"mass": 1.0, **particles}],
+        "time": {"step": step, "steps": steps},
+        "particles": [{"mass": 1.0, **(particles or loose)}],
         "effects": {
             "uniform_gravity": {"acceleration": [0.0, 0.0, -G]},
             "walls": {"restitution": 0.5},
@@ -45,11 +47,10 @@ def experiments(benchmark: Benchmark) -> list[Experiment]:
 
     @cache
     def settled() -> dict[str, Any]:
-        start = {"count": n, "position": "random", "radius": {"min": 0.9 * R, "max": R}}
-        return benchmark.at_end(bed(n, start, TOLERANCES[2], SETTLING_STEPS), "position", "radius")
+        return benchmark.at_end(bed(n, LAYERS, STEP, SETTLING_STEPS, TOLERANCES[2]), "position", "radius")
 
     def begin(tolerance: float) -> Simulation:
-        return benchmark.simulate(bed(n, settled(), tolerance, steps))
+        return benchmark.simulate(bed(n, LAYERS, STEP, steps, tolerance, settled()))
 
     def heights(sim: Simulation) -> tuple[Array, float]:
         """(heights of all spheres at the end of the run, largest rise of the energy)."""
@@ -72,7 +73,7 @@ def experiments(benchmark: Benchmark) -> list[Experiment]:
             "energy": rise / (n * G * R),
         }
 
-    settings = [Setting("event", tolerance, lambda t=tolerance: begin(t), steps, errors) for tolerance in TOLERANCES]  # type: ignore[misc]
+    settings = [Setting("event", tolerance, partial(begin, tolerance), steps, errors) for tolerance in TOLERANCES]
     title = f"A bed of {n} spheres that has settled, {steps * STEP:g} s more"
     reference = f"a solution at a tolerance of {EXACT_TOLERANCE:g}"
     found = benchmark.compare("I", title, settings, ERRORS, reference, "contact_tolerance")

@@ -8,13 +8,15 @@ import numpy as np
 
 from particles_mpi import Simulation
 from particles_mpi.kernels.geometry import image_shifts
+from particles_mpi.scene.schema import periodic_length
+from particles_mpi.study.accuracy.resting import G, R, bed
 from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, all_particles, slope
 
-G, MU = 9.81, 0.2
+MU, FLOOR = 0.2, [{"point": [0.0] * 3, "normal": [0.0, 0.0, 1.0]}]
 BALLS, ROLL_TIME = 200, 0.6  # number of balls; seconds
 SPEEDS = np.linspace(0.8, 1.2, BALLS)  # so many that the balls begin to roll anywhere in a step
 ROLLING_STEPS = (0.02, 0.01, 0.005, 0.0025)
-N, QUICK_N, R = 500, 150, 0.05  # spheres of the bed and their radius
+N, QUICK_N = 500, 150  # spheres of the bed
 SLOPE = 10.0 * pi / 180.0  # slope of the bed: less than what a heap has
 SETTLING_TIME, MEASURED_TIME, QUICK_MEASURED_TIME = 2.0, 2.0, 0.2  # seconds in which it settles, and those that are measured
 STEP, TOLERANCE = 0.005, 1e-4
@@ -31,9 +33,9 @@ CREEP = {
 def sliding_balls(mode: str, step: float) -> dict[str, Any]:
     """The scene of balls side by side on a floor, thrown along it without spin."""
     balls = {"position": [[0.0, 1.5 * k, 0.5] for k in range(BALLS)], "velocity": [[v, 0.0, 0.0] for v in SPEEDS], "radius": 0.5}
-    floor = {"planes": [{"point": [0.0] * 3, "normal": [0.0, 0.0, 1.0]}], "restitution": 0.5, "friction": MU}
-    effects: dict[str, Any] = {"uniform_gravity": {"acceleration": [0.0, 0.0, -G]}, "walls": floor}
-    effects |= {"collisions": {"mode": mode, "restitution": 0.5, "friction": MU}} if mode != "walls alone" else {}
+    law = {"restitution": 0.5, "friction": MU}
+    effects: dict[str, Any] = {"uniform_gravity": {"acceleration": [0.0, 0.0, -G]}, "walls": {"planes": FLOOR, **law}}
+    effects |= {"collisions": {"mode": mode, **law}} if mode != "walls alone" else {}
     return {"dimension": 3, "time": {"step": step, "end": ROLL_TIME}, "particles": [balls], "effects": effects}
 
 
@@ -59,23 +61,16 @@ def rolling(benchmark: Benchmark) -> Experiment:
     return found
 
 
-def bed(particles: dict[str, Any], count: int, step: float, tolerance: float, time: float) -> dict[str, Any]:
+def rough_bed(n: int, step: float, time: float, tolerance: float, particles: dict[str, Any] | None = None) -> dict[str, Any]:
     """The scene of some six layers on a rough floor that leans; periodic along the slope and across it."""
-    side, law = 2.0 * R * (count / 6.0) ** 0.5, {"restitution": 0.5, "friction": 0.5}
-    floor = {"planes": [{"point": [0.0] * 3, "normal": [0.0, 0.0, 1.0]}]}
-    return {
-        "dimension": 3,
-        "seed": 1,
-        "box": {"lower": [0.0] * 3, "upper": [side, side, 40.0 * R], "periodic": [True, True, False]},
-        "time": {"step": step, "steps": round(time / step)},
-        "particles": [{"mass": 1.0, **particles}],
-        "effects": {
-            "uniform_gravity": {"acceleration": [G * sin(SLOPE), 0.0, -G * cos(SLOPE)]},
-            "walls": law | floor,
-            "collisions": {"mode": "event", "contact_tolerance": tolerance, **law},
-            "rolling": {"resistance": 0.05 * R},
-        },
-    }
+    tables = bed(n, 6.0, step, round(time / step), tolerance, particles)
+    box, effects = tables["box"], tables["effects"]
+    box["upper"][2], box["periodic"] = 40.0 * R, [True, True, False]
+    effects["uniform_gravity"]["acceleration"] = [G * sin(SLOPE), 0.0, -G * cos(SLOPE)]
+    effects["walls"] |= {"friction": 0.5, "planes": FLOOR}
+    effects["collisions"]["friction"] = 0.5
+    effects["rolling"] = {"resistance": 0.05 * R}
+    return tables
 
 
 def creeping(benchmark: Benchmark) -> list[Experiment]:
@@ -84,23 +79,24 @@ def creeping(benchmark: Benchmark) -> list[Experiment]:
 
     @cache
     def settled(step: float) -> dict[str, Any]:
-        start = {"count": n, "position": "random", "radius": {"min": 0.9 * R, "max": R}}
-        return benchmark.at_end(bed(start, n, step, TOLERANCE, SETTLING_TIME), "position", "radius")
+        return benchmark.at_end(rough_bed(n, step, SETTLING_TIME, TOLERANCE), "position", "radius")
 
     def begin(step: float, tolerance: float) -> Simulation:
-        return benchmark.simulate(bed(settled(step), n, step, tolerance, watched))
+        return benchmark.simulate(rough_bed(n, step, watched, tolerance, settled(step)))
 
     def errors(sim: Simulation) -> Errors:
-        before, box = all_particles(sim), sim.scene.box
-        assert box
+        before = all_particles(sim)
         sim.run()
-        after, side = all_particles(sim), box.upper[0]
+        after = all_particles(sim)
         way = after.position - before.position
-        way[:, :2] -= image_shifts(way[:, :2], side)
+        way -= image_shifts(way, periodic_length(sim.scene))
         moved, speeds2 = np.sqrt((way**2).sum(axis=1)), (after.velocity**2).sum(axis=1)
         won = 0.5 * speeds2.mean() - G * (sin(SLOPE) * way[:, 0] - cos(SLOPE) * way[:, 2]).mean()
-        found = float(np.median(moved)), float(np.mean(moved > LOOSE_WAY * R)), abs(float(won)) / G
-        return dict(zip(CREEP, (found[0] / R / watched, found[1], found[2] / R / watched), strict=True))
+        return {
+            "creep": float(np.median(moved)) / R / watched,
+            "loose": float(np.mean(moved > LOOSE_WAY * R)),
+            "energy": abs(float(won)) / G / R / watched,
+        }
 
     def experiment(key: str, parameter: str, settings: list[tuple[float, float]]) -> Experiment:
         tried = []
