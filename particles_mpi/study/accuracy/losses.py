@@ -43,49 +43,50 @@ def sliding(t: float = DURATION) -> tuple[Array, Array]:
     return end[:2], end[2:]
 
 
+def throw(
+    benchmark: Benchmark, key: str, title: str, velocity: tuple[float, float], loss: dict[str, Any], true: tuple[Array, Array],
+    reference: str = "exact: x(t) of linear drag", integrators: tuple[str, ...] = ("leapfrog", "taylor"),
+) -> Experiment:  # fmt: skip
+    """Particles thrown in a plane under gravity and a loss: each integrator over a range of steps, and the orders seen."""
+
+    def errors(sim: Simulation) -> Errors:
+        sim.run()
+        p = all_particles(sim)
+        wrong = zip(ERRORS, (p.position[0] - true[0], p.velocity[0] - true[1]), strict=True)
+        return {name: float(np.abs(off).max()) for name, off in wrong}
+
+    tried = []
+    for integrator, n in product(integrators, QUICK_STEPS if benchmark.quick else STEPS):
+        time = {"step": DURATION / n, "steps": n, "integrator": integrator}
+        particles = [{"position": [[0.0, 0.0]] * REPEATS, "velocity": list(velocity), "mass": 1.0}]
+        effects = {"uniform_gravity": {"acceleration": [0.0, -G]}, **loss}
+        tables = {"dimension": 2, "time": time, "particles": particles, "effects": effects}
+        tried.append(benchmark.setting(integrator, DURATION / n, tables, errors, steps=ENDLESS_STEPS, seconds_of=n))
+    found = benchmark.compare(key, title, tried, ERRORS, reference, slopes=(1.0, 2.0), floor=1e-12)
+    for curve in found.curves:
+        fine = [row for row in found.curve(curve) if row.errors["place"] > 1e-9][-3:]
+        found.answers.append(f"{curve}: order {slope(fine, 'place'):.2f} in place")
+    return found
+
+
 def throws(benchmark: Benchmark) -> list[Experiment]:
-    """Particles thrown in a plane under gravity and a loss: each integrator over a range of steps, and the orders seen.
+    """With drag that slows down over many steps, with drag that stops within one (k h from 20 downwards), and with friction.
 
-    Drag slows down over many steps, or stops within one (k h from 20 downwards). With friction as strong as its weight what is
-    thrown sideways falls at half the speed in the end.
+    That is as strong as the weight: what is thrown sideways falls at half the speed in the end.
     """
-    steps, both, by_formula = QUICK_STEPS if benchmark.quick else STEPS, ("leapfrog", "taylor"), "exact: x(t) of linear drag"
-    problems: list[tuple[str, str, tuple[str, ...], tuple[float, float], dict[str, Any], tuple[Array, Array], str]] = [
-        ("G1", "Throw with drag", both, THROW, {"drag": {"rate": DRAG}}, thrown(DRAG), by_formula),
-        ("G2", f"Stiff drag, k = {STIFF_DRAG:g}", both, THROW, {"drag": {"rate": STIFF_DRAG}}, thrown(STIFF_DRAG), by_formula),
-        ("G3", "Throw with friction", ("leapfrog",), (THROW[0], 0.0), {"friction": {"strength": G}}, sliding(),
-         "Runge-Kutta of order 8 (DOP853) at 1e-13"),
-    ]  # fmt: skip
-    all_found = []
-    for key, title, integrators, velocity, loss, true, reference in problems:
-
-        def errors(sim: Simulation, true: tuple[Array, Array] = true) -> Errors:
-            sim.run()
-            p = all_particles(sim)
-            wrong = zip(ERRORS, (p.position[0] - true[0], p.velocity[0] - true[1]), strict=True)
-            return {name: float(np.abs(off).max()) for name, off in wrong}
-
-        tried = []
-        for integrator, n in product(integrators, steps):
-            time = {"step": DURATION / n, "steps": n, "integrator": integrator}
-            particles = [{"position": [[0.0, 0.0]] * REPEATS, "velocity": list(velocity), "mass": 1.0}]
-            effects = {"uniform_gravity": {"acceleration": [0.0, -G]}, **loss}
-            tables = {"dimension": 2, "time": time, "particles": particles, "effects": effects}
-            tried.append(benchmark.setting(integrator, DURATION / n, tables, errors, steps=ENDLESS_STEPS, seconds_of=n))
-        found = benchmark.compare(key, title, tried, ERRORS, reference, slopes=(1.0, 2.0), floor=1e-12)
-        for curve in found.curves:
-            fine = [row for row in found.curve(curve) if row.errors["place"] > 1e-9][-3:]
-            found.answers.append(f"{curve}: order {slope(fine, 'place'):.2f} in place")
-        all_found.append(found)
-    weak, stiff, _ = all_found
-    best = max(row.errors["velocity"] for row in weak.curve("leapfrog"))
-    weak.answers.append(f"leapfrog has the velocity right at any step: error <= {best:.0e}")
-    exact, explicit = (stiff.curve(name)[0] for name in both)
+    stiff_title, order_8 = f"Stiff drag, k = {STIFF_DRAG:g}", "Runge-Kutta of order 8 (DOP853) at 1e-13"
+    weak = throw(benchmark, "G1", "Throw with drag", THROW, {"drag": {"rate": DRAG}}, thrown(DRAG))
+    stiff = throw(benchmark, "G2", stiff_title, THROW, {"drag": {"rate": STIFF_DRAG}}, thrown(STIFF_DRAG))
+    sideways, friction = (THROW[0], 0.0), {"friction": {"strength": G}}
+    rubbed = throw(benchmark, "G3", "Throw with friction", sideways, friction, sliding(), order_8, ("leapfrog",))
+    most = max(row.errors["velocity"] for row in weak.curve("leapfrog"))
+    weak.answers.append(f"leapfrog has the velocity right at any step: error <= {most:.0e}")
+    exact, explicit = (stiff.curve(name)[0] for name in ("leapfrog", "taylor"))
     stiff.answers.append(
         f"at k h = {STIFF_DRAG * explicit.setting.parameter:.3g} taylor is wrong by {explicit.errors['velocity']:.1g} in "
         f"velocity, leapfrog by {exact.errors['velocity']:.0e}"
     )
-    return all_found
+    return [weak, stiff, rubbed]
 
 
 def bounce(benchmark: Benchmark, force: str, loss: str, resistances: tuple[str, ...], h: float) -> Setting:
