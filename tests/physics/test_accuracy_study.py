@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from particles_mpi.study.accuracy import fluid, losses, orbits, rough
-from particles_mpi.study.accuracy.command import measure_chapter
+from particles_mpi.study.accuracy.command import measure_letter
 from particles_mpi.study.experiment import Benchmark, slope
 
 
@@ -15,7 +15,7 @@ def lab():
 
 def quick(lab):
     """Orbits, drag and friction: what takes no time."""
-    return [*measure_chapter("A", lab), *losses.throws(lab)]
+    return [*measure_letter("A", lab), *losses.throws(lab)]
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +87,7 @@ def test_the_same_study_twice(lab, found):
 
 @pytest.mark.slow
 def test_close_encounters(lab):
-    (one,) = measure_chapter("B", lab)
+    (one,) = measure_letter("B", lab)
     fixed = [row.errors["place, t = 10"] for row in one.rows if row.setting.curve != "adaptive"]
     assert min(fixed) > 0.1 and max(row.errors["place, t = 10"] for row in one.curve("adaptive")) < 1e-6
 

@@ -59,7 +59,7 @@ def made_up(n, direct, trees):
         setting = Setting(curve, 1.0, lambda: None, 1, lambda sim: {}, tags={"N": n})
         return Row(setting, {"median": error}, {}, Seconds(seconds, seconds, seconds), {"interactions": int(1e9 * seconds)})
 
-    rows = [row("direct sum", 1e-15, direct), *(row(curve, *pair) for curve in tree.TREES.values() for pair in trees)]
+    rows = [row("direct sum", 1e-15, direct), *(row(curve, *pair) for curve in tree.TREE_CURVES.values() for pair in trees)]
     return Experiment(f"D{n}", "", "", tree.ERRORS, "", rows)
 
 

@@ -20,8 +20,7 @@ from particles_mpi.study.experiment import all_particles
 FORCES = ("uniform_gravity", "user_acceleration", "mutual_gravity direct", "mutual_gravity tree")
 OBSTACLES = ("floor", "tilted plane", "fixed sphere", "free sphere")
 LOSSES: dict[str, dict[str, float]] = {"e = 1": {}, "e = 0.5": {"restitution": 0.5}, "damping 0.5": {"damping": 0.5}}
-RESISTANCES = ("none", "drag", "friction")
-Cases = tuple[tuple[str, str], ...]  # (obstacle, resistance)
+Cases = tuple[tuple[str, str], ...]  # (obstacle, resistance), the latter "none", "drag" or "friction"
 PHASES = 10
 DURATION = 1.0
 G, DRAG, FRICTION = 9.81, 0.5, 0.8  # friction: alpha

@@ -12,7 +12,9 @@ from particles_mpi.study.accuracy import effects, fluid, losses, orbits, resting
 from particles_mpi.study.experiment import Benchmark, Experiment
 
 NOTES = ["E, float32 against float64: nothing here is offered in float32, so there is nothing to compare."]
-CHAPTERS: dict[str, tuple[Callable[[Benchmark], list[Experiment]], bool]] = {  # by letter; are bodies so few that one rank does?
+EXPERIMENTS: dict[
+    str, tuple[Callable[[Benchmark], list[Experiment]], bool]
+] = {  # are bodies so few that one rank does?
     "A": (orbits.regular_orbits, True),
     "B": (orbits.close_encounters, True),
     "C": (fluid.experiments, False),
@@ -25,25 +27,25 @@ CHAPTERS: dict[str, tuple[Callable[[Benchmark], list[Experiment]], bool]] = {  #
 }
 
 
-def measure_chapter(key: str, benchmark: Benchmark) -> list[Experiment]:
+def measure_letter(key: str, benchmark: Benchmark) -> list[Experiment]:
     """Measure the experiments of one letter. Collective; those of a few bodies are known to rank 0 only, others get none."""
-    experiments, few_bodies = CHAPTERS[key]
+    experiments, few_bodies = EXPERIMENTS[key]
     return benchmark.on_few(few_bodies, experiments) or []
 
 
 def built_in(keys: str, benchmark: Benchmark) -> Iterator[Experiment]:
     """The experiments of these letters. Collective."""
-    for key in (key for key in CHAPTERS if key in keys):
+    for key in (key for key in EXPERIMENTS if key in keys):
         since = perf_counter()
-        yield from measure_chapter(key, benchmark)
+        yield from measure_letter(key, benchmark)
         benchmark.screen.say(f"  ({key} took {perf_counter() - since:.0f} s)")
 
 
 def study_accuracy(scene: Scene | None, keys: str, quick: bool, folder: Path) -> None:
     """The built-in experiments of the letters `keys` (all if empty), or those of a scene. Collective."""
-    begin, keys = perf_counter(), keys.upper() or "".join(CHAPTERS)
-    if unknown := [key for key in keys if key not in CHAPTERS]:
-        raise SceneError(f"--only: there is no experiment {', '.join(unknown)}; there are {', '.join(CHAPTERS)}")
+    begin, keys = perf_counter(), keys.upper() or "".join(EXPERIMENTS)
+    if unknown := [key for key in keys if key not in EXPERIMENTS]:
+        raise SceneError(f"--only: there is no experiment {', '.join(unknown)}; there are {', '.join(EXPERIMENTS)}")
     benchmark = Benchmark(quick=quick, quiet=False)
     ranks, screen = benchmark.ranks, benchmark.screen
     make_folder(ranks, folder)

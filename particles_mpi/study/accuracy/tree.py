@@ -16,7 +16,7 @@ from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Row, S
 
 SIZES, QUICK_SIZES = (500, 2000, 8000, 32_000), (500, 2000)
 ANGLES = (1.0, 0.7, 0.5, 0.35)
-DIRECT, TREES = "direct sum", {"quadrupole": "quadrupoles", "monopole": "monopoles"}
+DIRECT_SUM, TREE_CURVES = "direct sum", {"quadrupole": "quadrupoles", "monopole": "monopoles"}
 COMPARED_ERROR = 1e-3  # median error at which trees and direct sum are compared
 STEP = 1e-6  # dynamical times: every step has new positions, and an evaluation of all forces
 CHECKED_PARTICLES = 100  # whose forces are summed once more with more digits
@@ -49,8 +49,8 @@ def settings(benchmark: Benchmark, n: int) -> Iterator[Setting]:
         begin = cache(lambda: benchmark.simulate(plummer_sphere(n, STEP, **gravity)))
         return Setting(curve, angle, begin, 1, errors, tags={"N": n})
 
-    yield one(DIRECT, 0.0, method="direct")
-    for multipole, curve in TREES.items():
+    yield one(DIRECT_SUM, 0.0, method="direct")
+    for multipole, curve in TREE_CURVES.items():
         for angle in ANGLES:
             yield one(curve, angle, method="tree", opening_angle=angle, multipole=multipole)
 
@@ -85,7 +85,7 @@ def at_error(rows: Sequence[Row], error: float, cost: Callable[[Row], float] = l
 
 def compared(found: Experiment) -> Iterator[str]:
     """What the same error costs by monopoles, by quadrupoles, and by the direct sum, which is always better."""
-    direct, trees = found.curve(DIRECT)[0].seconds.median, [found.curve(curve) for curve in TREES.values()]
+    direct, trees = found.curve(DIRECT_SUM)[0].seconds.median, [found.curve(curve) for curve in TREE_CURVES.values()]
     finest = max(min(row.errors["median"] for row in rows) for rows in trees)
     for error in sorted({COMPARED_ERROR, finest}, reverse=True):
         quad, mono = (at_error(rows, error) for rows in trees)
@@ -102,7 +102,7 @@ def crossover(found: Sequence[Experiment], curve: str) -> float:
 
     0 if it does at all of them, inf if at none.
     """
-    gain = [log(e.curve(DIRECT)[0].seconds.median / at_error(e.curve(curve), COMPARED_ERROR)) for e in found]
+    gain = [log(e.curve(DIRECT_SUM)[0].seconds.median / at_error(e.curve(curve), COMPARED_ERROR)) for e in found]
     sizes = [log(e.rows[0].setting.tags["N"]) for e in found]
     if not gain[-1] > 0.0:
         return inf
@@ -113,14 +113,14 @@ def crossover(found: Sequence[Experiment], curve: str) -> float:
 def conclusions(found: Sequence[Experiment], ranks: int) -> Iterator[str]:
     """From which number of particles on trees cost less, as measured and by the cost model of the plan; their errors."""
     sizes = [e.rows[0].setting.tags["N"] for e in found]
-    for curve in TREES.values():
+    for curve in TREE_CURVES.values():
         n = crossover(found, curve)
         where = {0.0: f"at N = {sizes[0]} already", inf: f"not yet at N = {sizes[-1]}"}.get(n, f"from N = {n:.0f} on")
         tree = f"a tree of {curve} with a median error of {COMPARED_ERROR:.0e}"
         yield f"{tree} costs less than the direct sum {where}, on {ranks} rank{'s' if ranks > 1 else ''}"
     planned = next(n for n in range(100, 10**6, 10) if choose("auto", 0.5, COMPARED_ERROR, 3, n).angle is not None)
     yield f"the cost model of check and of method auto, quadrupoles on one rank: from N = {planned} on"
-    for multipole, curve in TREES.items():
+    for multipole, curve in TREE_CURVES.items():
         medians = ", ".join(f"{row.errors['median']:.1e}" for row in found[-1].curve(curve)[:3])
         other = f"where each particle walks by itself, N = 20 000: {BY_PARTICLE[multipole]}"
         yield f"{curve} at angles 1, 0.7, 0.5: median {medians}; {other}"

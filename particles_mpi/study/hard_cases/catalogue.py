@@ -22,7 +22,7 @@ from particles_mpi.particles import Array, Particles
 from particles_mpi.run.console import Screen
 from particles_mpi.study.experiment import all_particles
 
-CHAPTERS = ("contacts", "crowds", "resting", "rough", "orbits", "extremes")
+CASE_MODULES = ("contacts", "crowds", "resting", "rough", "orbits", "extremes")
 MODES = ("rewind", "event")
 Effects = dict[str, dict[str, Any]]  # options by name
 
@@ -119,8 +119,8 @@ def case(name: str, naive: str, must: str, **where: Any) -> Callable[[CaseFuncti
 
 def catalogue() -> list[Case]:
     """All cases, in the order of the table."""
-    for chapter in CHAPTERS:
-        import_module(f"particles_mpi.study.hard_cases.{chapter}")
+    for module in CASE_MODULES:
+        import_module(f"particles_mpi.study.hard_cases.{module}")
     return CATALOGUE
 
 

@@ -58,8 +58,7 @@ def recommend(
     if not 0.0 < tolerance < 1.0:
         raise SceneError(f"--tolerance {tolerance:g}: must be above 0 and below 1")
     try:
-        found: Recommendation | None = Start(benchmark, scene).on_few(lambda start: find(start, tolerance, error, seconds))
-        return found
+        return Start(benchmark, scene).on_few(lambda start: find(start, tolerance, error, seconds))
     finally:
         benchmark.screen.stop()
 

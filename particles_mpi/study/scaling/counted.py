@@ -91,15 +91,15 @@ def count_scene(scene: Scene, world: Communicator, counts: list[int], screen: Sc
     curves = [[(strong, ranks) for ranks in counts], [(PER_RANK * ranks, ranks) for ranks in counts]][: 1 + weak]
     wanted = list(dict.fromkeys(setting for curve in curves for setting in curve))
     progress = screen.count("counting", len(wanted))
-    scaled = lambda total: scale_scene(scene, total / own) if weak else scene  # noqa: E731
+    scaled = lambda particles: scale_scene(scene, particles / own) if weak else scene  # noqa: E731
     pairs = Communicator(world.comm.Split(world.rank // 2))
     run_counted(scaled(PER_RANK * pairs.size), pairs)  # loads modules and kernels, which are not to be counted as memory
     found, divided = {}, True
-    for total, ranks in wanted:
+    for particles, ranks in wanted:
         subset, mine, error = world.subset(ranks), None, None
         if subset:
             try:
-                mine = run_counted(scaled(total), subset)
+                mine = run_counted(scaled(particles), subset)
             except (SceneError, StoppedError) as raised:  # on all of the subset together
                 error = raised
         world.sleeping_barrier()
@@ -107,7 +107,7 @@ def count_scene(scene: Scene, world: Communicator, counts: list[int], screen: Sc
         parts = [part for part in world.allgather(mine) if part]
         columns, first = [part.columns for part in parts], parts[0]
         mean, most = ({name: float(of([one[name] for one in columns])) for name in columns[0]} for of in (np.mean, np.max))
-        found[total, ranks] = Counted(first.particles, ranks, mean, most, first.seconds)
+        found[particles, ranks] = Counted(first.particles, ranks, mean, most, first.seconds)
         divided &= ranks == 1 or first.divided
         progress("counting")
     screen.stop()
