@@ -64,7 +64,7 @@ def test_words_compile_nothing(edit):
     """Comments, docstrings, and a constant that no kernel takes; all at once, since every edit costs a look at all sources."""
     stale = edit(
         ("study/timing.py", "from __future__", "# a comment\nfrom __future__"),
-        ("study/experiment.py", "ROUND_OFF = 1e-13", "ROUND_OFF = 1e-12"),
+        ("study/experiment.py", "ORDER_FLOOR = 1e-13", "ORDER_FLOOR = 1e-12"),
         ("neighbours/cells.py", "The cell of coordinate y on one axis;", "Of coordinate y on one axis, the cell;"),
         ("neighbours/cells.py", "    return int(min(max((y", "    # an interval of cells\n    return int(min(max((y"),
     )
