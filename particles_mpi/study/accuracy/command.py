@@ -12,9 +12,7 @@ from particles_mpi.study.accuracy import effects, fluid, losses, orbits, resting
 from particles_mpi.study.experiment import Benchmark, Experiment
 
 NOTES = ["E, float32 against float64: nothing here is offered in float32, so there is nothing to compare."]
-EXPERIMENTS: dict[
-    str, tuple[Callable[[Benchmark], list[Experiment]], bool]
-] = {  # are bodies so few that one rank does?
+EXPERIMENTS: dict[str, tuple[Callable[[Benchmark], list[Experiment]], bool]] = {  # are bodies so few that one rank does?
     "A": (orbits.regular_orbits, True),
     "B": (orbits.close_encounters, True),
     "C": (fluid.experiments, False),
