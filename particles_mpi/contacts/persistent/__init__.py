@@ -13,7 +13,7 @@ surfaces    what such a table says of smooth and of rough spheres
 solver      which way these are solved, by all ranks together
 descent     iterations to velocities at which none of them closes
 iterations  their compiled loops; smooth_iterations, rough_iterations: what they do with the rows of smooth and of rough spheres
-direct      few contacts of smooth spheres of very different masses
+direct      few contacts of smooth spheres where iterations do not end; active_set: their equations; contact_order: in which order
 together    few contacts, which every rank solves for by itself
 walls       which rows the walls concern; on_walls: the same as the solver for those that touch nothing else, in one kernel
 memory      what contacts took last, which goes with the rows
