@@ -221,11 +221,12 @@ def in_id_order(ranks: Communicator, arrays: dict[str, Array], ids: IdRange, wri
 
 
 def rows_in_order(ids: Array) -> Array:
-    """The rows (n,) of the `ids` (n,), which are all different, from the lowest to the highest."""
-    if len(ids) and ids.max() - ids.min() + 1 == len(ids):  # none is missing between them: each tells its place
-        rows = np.empty_like(ids)
+    """The rows (n,) of the `ids` (n,), from the lowest to the highest; where they repeat, in the order in which they stand."""
+    if len(ids) and ids.max() - ids.min() + 1 == len(ids):  # if all are different none is missing: each tells its place
+        rows = np.full_like(ids, -1)
         rows[ids - ids.min()] = np.arange(len(ids))
-        return rows
+        if (rows >= 0).all():
+            return rows
     return np.argsort(ids, kind="stable")
 
 

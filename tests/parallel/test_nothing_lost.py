@@ -39,6 +39,13 @@ def everything(folder):
     return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
+@pytest.mark.parametrize("ranks", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
+def test_a_pile_resumed_from_any_step_goes_on_with_the_same_bits(ranks, tmp_path):
+    """What contacts took is in the checkpoint: some rows for each sphere, so that their ids repeat."""
+    done = run_ranks(ranks, "tests/parallel/resumed_piles.py", tmp_path)
+    assert "the same bits" in done.stdout, done.stderr
+
+
 @pytest.mark.parametrize("kills", [2, pytest.param(10, marks=pytest.mark.slow)])
 def test_killed_again_and_again_the_run_has_the_same_bits(whole, tmp_path, kills):
     scene, run = whole

@@ -19,6 +19,7 @@ from particles_mpi.neighbours.verlet_lists import VerletLists
 from particles_mpi.parallel import exact_sum
 from particles_mpi.parallel.buffers import RowBuffers
 from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exchange import rows_in_order
 from particles_mpi.particles import Particles
 
 OPEN = Box(np.full(3, -np.inf), np.full(3, np.inf), np.zeros(3))
@@ -117,3 +118,10 @@ def test_digits_of_sums_stay_small(monkeypatch):
         exact_sum.accumulate(sign * values, digits)
         assert digits[:-2].min() >= 0 and digits.max() < 2**32 and digits[-2] in (0, -1)
         assert exact_sum.rounded(digits) == sign * expected[0]
+
+
+@given(st.lists(st.integers(-3, 3), max_size=8))
+def test_rows_are_in_the_order_of_their_ids(ids):
+    """Those of ids that repeat as they stand, also where there are as many as would be different ones."""
+    ids = np.array(ids, np.int64)
+    assert rows_in_order(ids).tolist() == sorted(range(len(ids)), key=ids.__getitem__)
