@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 EXIT_ON_SIGNAL = 130
-SHOWN = 5  # particles or pairs named in a fault
+MOST_NAMED = 5  # particles or pairs named in a fault
 
 
 class SceneError(ValueError):
@@ -36,6 +36,6 @@ class Interrupted(Exception):
 def listed(names: Sequence[Any] | Any, what: str = "particle", total: int | None = None) -> str:
     """ "particle 3", "particles 3 and 7", "particles 0, 1, 2, 3, 4 and 12 more"; `names`: the first of `total`, or all."""
     total = len(names) if total is None else total
-    parts = [str(name) for name in names[:SHOWN]] + ([f"{total - SHOWN} more"] if total > SHOWN else [])
+    parts = [str(name) for name in names[:MOST_NAMED]] + ([f"{total - MOST_NAMED} more"] if total > MOST_NAMED else [])
     text = parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
     return f"{what}{'s' if total > 1 else ''} {text}"

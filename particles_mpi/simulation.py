@@ -11,7 +11,7 @@ from particles_mpi.errors import SceneError
 from particles_mpi.initial.populate import populate
 from particles_mpi.integrators.length_search import LengthSearch
 from particles_mpi.kernels.validity import WATCH_EVERY
-from particles_mpi.measure.diagnostics import measure, observe
+from particles_mpi.measure.diagnostics import energies_and_momenta, observe
 from particles_mpi.parallel.agreement import raising_together, require_finite, same_on_all
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Particles
@@ -78,7 +78,7 @@ class Simulation(Saved):
     def _show(self) -> None:
         """Let views in a notebook look, after a step. Collective."""
         for view in self.views:
-            view.look(self)
+            view.after_step(self)
 
     def advance(self, h: float, contacts: bool = True, stop: bool = False) -> None:
         """One step of the integrator over h, with kicks and drifts in its order; `stop` ends its drift at a collision."""
@@ -156,7 +156,7 @@ class Simulation(Saved):
         """Raises StateError if a particle is lost, astray or not a number. Collective; cheap."""
         self.take_changes()
         with self.timers("watchdog"):
-            self.watchdog.look(self.rows, self.steps_done)
+            self.watchdog.check(self.rows, self.steps_done)
 
     def measure(self, row: bool = False) -> dict[str, float]:
         """Energies, momentum, largest speed of all particles, and observables if the scene has them. Collective.
@@ -166,7 +166,7 @@ class Simulation(Saved):
         self.take_changes()
         p = self.rows
         with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is told below
-            measured = measure(self.ranks, p, self.accelerations.potentials(p))
+            measured = energies_and_momenta(self.ranks, p, self.accelerations.potentials(p))
             if self.scene.output.observables:
                 collisions = self.ranks.total(self.totals["collisions"])[0]
                 volume = float(np.prod(self.upper - self.lower)) if self.scene.box else np.nan

@@ -57,7 +57,7 @@ def shown_simulation(monkeypatch):
     """For a fixture. What a simulation shows that is looked at while it runs: [pages, messages]."""
     recorder = Recorder()
     monkeypatch.setattr(notebook, "_display", lambda: recorder)
-    monkeypatch.setattr(notebook, "PAUSE", 0.0)
+    monkeypatch.setattr(notebook, "SENDING_PAUSE", 0.0)
     sim = Simulation(Scene(dimension=2, time={"step": 0.1, "steps": 8}, box={"lower": [0, 0], "upper": [4, 4]},
                            particles=[{"position": [[1, 1], [3, 3]], "velocity": [[1, 0], [0, -0.5]], "radius": 0.2}],
                            effects={"walls": {}, "drag": {"rate": -0.0}}, output={"every": 2}))  # fmt: skip

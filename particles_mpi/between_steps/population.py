@@ -13,7 +13,7 @@ from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.particles import OWN, Array
 from particles_mpi.scene.active import fields_of
-from particles_mpi.scene.model import plain
+from particles_mpi.scene.model import python_values
 
 
 class Population(State):
@@ -27,7 +27,7 @@ class Population(State):
         """
         self.take_changes()
         number = len(self.scene.particles) + self.additions
-        same_on_all(self.ranks, {"add": plain(dict(population))})
+        same_on_all(self.ranks, {"add": python_values(dict(population))})
         with raising_together(self.ranks):
             rows, warnings = add_population(self.scene, self.ranks, self.rows, population, self.next_id, number)
         self.warnings += warnings

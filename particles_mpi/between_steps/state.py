@@ -23,7 +23,7 @@ from particles_mpi.parallel.signals import HeldInterrupt
 from particles_mpi.particles import Array, Particles, default_values, moment_of_sphere
 from particles_mpi.scene.active import ActiveEffects, fields_of
 from particles_mpi.scene.effect import Context, Force
-from particles_mpi.scene.schema import Scene, periodic_length
+from particles_mpi.scene.schema import Scene
 from particles_mpi.timers import Timers
 
 
@@ -64,10 +64,7 @@ class State:
         self.rows.hold_fixed()
         self._particles = ParticleView(self.rows, self.check_values)
         self.next_id = max(next_id, int(ranks.allreduce_max(rows.id.max(initial=-1))[0]) + 1)
-        d, box = scene.dimension, scene.box
-        self.lower = np.array(box.lower, float) if box else np.full(d, -np.inf)
-        self.upper = np.array(box.upper, float) if box else np.full(d, np.inf)
-        self.length = periodic_length(scene)
+        (self.lower, self.upper), self.length = scene.corners, scene.periodic_length
         self.build()
 
     def build(self) -> None:
@@ -99,7 +96,7 @@ class State:
         self.kick = Kick(effects, self.sum_forces, self.timers)
         self.integrator = integrator_of(scene, ranks, self.kick, self.persistent)
         self.look_for_many_steps()
-        self.taken = p.edition
+        self.known_edition = p.edition
         self.particles.open()
 
     @contextmanager
@@ -134,15 +131,15 @@ class State:
             self.particles.collect()
         except StateError as error:
             raise StateError(f"step {self.steps_done + 1}: {error}") from None
-        if self.persistent and self.persistent.pairs and self.ranks.any(self.rows.edition != self.taken):
+        if self.persistent and self.persistent.pairs and self.ranks.any(self.rows.edition != self.known_edition):
             self.forget_contacts()
-        self.taken = self.rows.edition
+        self.known_edition = self.rows.edition
 
     def forget_contacts(self) -> None:
         """What contacts carried belongs to a state that is no more. Collective."""
         if self.persistent:
             self.persistent.history.forget()
-        self.taken = self.rows.edition  # changes up to here are known everywhere
+        self.known_edition = self.rows.edition  # changes up to here are known everywhere
 
     def check_values(self, values: dict[str, Array]) -> None:
         """Raises StateError for values that no particle can have, naming the first that has one."""

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from particles_mpi.errors import SceneError, StateError
 from particles_mpi.particles import Array, Particles, moment_of_sphere, same_bits
 from particles_mpi.scene.effect import EffectOptions
-from particles_mpi.scene.model import faults_of
+from particles_mpi.scene.model import faults_of, python_values
 from particles_mpi.scene.schema import Scene
 
 READ_ONLY = ("id", "rate", "total_acceleration")
@@ -178,9 +178,8 @@ def changed_options(scene: Scene, name: str, key: str, value: Any) -> EffectOpti
     """The options of an effect with another value of one key. Raises SceneError as a scene file with it would."""
     old: EffectOptions = scene.effects[name]
     kind = type(old)
-    plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else list(value) if isinstance(value, tuple) else value
     try:
-        new = kind.model_validate(old.model_dump() | {key: plain})
+        new = kind.model_validate(old.model_dump() | {key: python_values(value)})
     except ValidationError as error:
         raise SceneError(faults_of(error, kind, ("effects", name))) from None
     faults = [f"effects.{name}.{fault}" for fault in new.faults(scene)]

@@ -9,7 +9,7 @@ from particles_mpi.initial.checks import divided_masses
 from particles_mpi.initial.random_numbers import draw, normals, stream_key
 from particles_mpi.initial.velocities import random_velocities
 from particles_mpi.particles import FIELDS, moment_of_sphere
-from particles_mpi.scene.model import LARGEST
+from particles_mpi.scene.model import LARGEST_NUMBER
 
 
 def fill_attributes(columns: Columns, block: Block) -> None:
@@ -80,4 +80,4 @@ def fill_velocities(columns: Columns, block: Block) -> None:
             return
     velocity[:] = random_velocities(ranks, columns.scene, block.number, block.population, own, block.numbers)
     velocity[fixed] = 0.0
-    columns.refuse(block, "velocity", ~(np.abs(velocity) <= LARGEST), f"beyond {LARGEST:g} for")
+    columns.refuse(block, "velocity", ~(np.abs(velocity) <= LARGEST_NUMBER), f"beyond {LARGEST_NUMBER:g} for")

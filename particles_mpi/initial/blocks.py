@@ -10,8 +10,9 @@ from particles_mpi.initial.table_file import Table
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import by_destination, send_rows
 from particles_mpi.particles import FIELDS, Array
-from particles_mpi.scene.model import LARGEST
-from particles_mpi.scene.schema import Population, Scene
+from particles_mpi.scene.model import LARGEST_NUMBER
+from particles_mpi.scene.population import Population
+from particles_mpi.scene.schema import Scene
 
 Numbers = tuple[int, int]  # (first, last + 1) of a rank's particles of a population, counted from its first one
 
@@ -67,10 +68,10 @@ class Columns:
             if len(own):
                 own[:] = np.asarray(mine, float)
         except OverflowError:
-            own[:] = LARGEST * 2.0
-        self.refuse(block, name, np.abs(own) > LARGEST, f"beyond {LARGEST:g} for")
+            own[:] = LARGEST_NUMBER * 2.0
+        self.refuse(block, name, np.abs(own) > LARGEST_NUMBER, f"beyond {LARGEST_NUMBER:g} for")
         if name == "mass":  # 1/m must be a number too
-            self.refuse(block, name, (own > 0.0) & (own < 1.0 / LARGEST), f"below {1.0 / LARGEST:g} for")
+            self.refuse(block, name, (own > 0.0) & (own < 1.0 / LARGEST_NUMBER), f"below {1.0 / LARGEST_NUMBER:g} for")
 
     def refuse(self, block: Block, name: str, bad: Array, why: str) -> None:
         """A fault of a key of the population, which names the particles that are `bad` (n,) or (n, d). Collective."""

@@ -12,8 +12,8 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.decomposition import bisect, to_owners
 from particles_mpi.particles import FIELDS, OWN, Array, Particles, row_dot
 from particles_mpi.scene.effect import ConstantFriction
-from particles_mpi.scene.model import LARGEST
-from particles_mpi.scene.schema import Scene, periodic_length
+from particles_mpi.scene.model import LARGEST_NUMBER
+from particles_mpi.scene.schema import Scene
 
 MOST_CROSSINGS = 1e4  # of the box in a step
 FARTHEST = 1e6  # lengths of a periodic box, from which a given place can be brought back into it
@@ -197,7 +197,7 @@ def check_step(scene: Scene, particles: Particles, event: bool, faults: Faults) 
     else:
         least = 2.0 * (widest + movable + 2.0 * fastest * dt)
         need = f"2 (R + R' + 2 v dt) = {least:g} for the largest particle, the largest that moves, and the fastest"
-    for k, length in enumerate(periodic_length(scene)):
+    for k, length in enumerate(scene.periodic_length):
         if 0.0 < length <= least:
             faults.add(f"box: periodic axis {k} is {length:g} long, but collisions need more than {need}")
     return warnings
@@ -208,7 +208,7 @@ def value_limits(scene: Scene, particles: Particles, values: dict[str, Array], h
     allowed: dict[str, Array] = {}
     for name in values.keys() & FIELDS.keys():
         if FIELDS[name].least > -np.inf:
-            allowed[name] = (values[name] >= FIELDS[name].least) & (values[name] <= LARGEST)
+            allowed[name] = (values[name] >= FIELDS[name].least) & (values[name] <= LARGEST_NUMBER)
         elif name in OWN and FIELDS[name].dtype == "float64":
             numbers = np.isfinite(values[name]) | (values[name] == FIELDS[name].default)
             allowed[name] = numbers.reshape(len(numbers), -1).all(axis=1)
@@ -223,8 +223,8 @@ def value_limits(scene: Scene, particles: Particles, values: dict[str, Array], h
         needed = np.zeros(len(mass), bool)
         for dividing in divided_masses(scene, fixed).values():
             needed |= dividing
-        possible = (mass >= 1.0 / LARGEST) | ((mass == 0.0) & ~needed)
-        allowed["mass" if "mass" in values else "fixed"] = possible & (mass <= LARGEST)
+        possible = (mass >= 1.0 / LARGEST_NUMBER) | ((mass == 0.0) & ~needed)
+        allowed["mass" if "mass" in values else "fixed"] = possible & (mass <= LARGEST_NUMBER)
     return allowed
 
 

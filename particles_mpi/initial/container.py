@@ -1,6 +1,6 @@
 """The space in which particles are placed at the start."""
 
-from math import exp, inf, lgamma, log, pi
+from math import exp, lgamma, log, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +10,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.particles import Array
 from particles_mpi.scene.active import ActiveEffects
-from particles_mpi.scene.schema import Scene, periodic_length
+from particles_mpi.scene.schema import Scene
 
 
 class Container(NamedTuple):
@@ -27,11 +27,10 @@ class Container(NamedTuple):
 
 def room_of(scene: Scene) -> Container:
     """Box and walls of a scene as arrays; an open side is infinite."""
-    box, effects = scene.box, ActiveEffects(scene, switched_off=True)
-    lower, upper = np.full((2, scene.dimension), [[-inf], [inf]]) if box is None else np.array([box.lower, box.upper], float)
+    effects = ActiveEffects(scene, switched_off=True)
     walls, solid = effects.walls.planes if effects.walls else no_planes(scene.dimension), effects.pairs is not None
     bounded = solid or len(walls.point) > 0
-    return Container(lower, upper, periodic_length(scene), walls.point, walls.normal, solid, bounded)
+    return Container(*scene.corners, scene.periodic_length, walls.point, walls.normal, solid, bounded)
 
 
 def packing_fraction(ranks: Communicator, radius: Array, room: Container) -> float:

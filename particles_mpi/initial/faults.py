@@ -2,7 +2,7 @@
 
 from itertools import chain
 
-from particles_mpi.errors import SHOWN, SceneError, listed
+from particles_mpi.errors import MOST_NAMED, SceneError, listed
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
 
@@ -12,7 +12,7 @@ def listed_ids(ranks: Communicator, ids: Array) -> str:
     total = ranks.total(len(ids))[0]
     if not total:
         return ""
-    mine = sorted(ids.tolist())[:SHOWN]
+    mine = sorted(ids.tolist())[:MOST_NAMED]
     return listed(sorted(chain.from_iterable(ranks.allgather(mine))), total=total)
 
 

@@ -4,7 +4,7 @@ from itertools import chain
 
 import numpy as np
 
-from particles_mpi.errors import SHOWN, listed
+from particles_mpi.errors import MOST_NAMED, listed
 from particles_mpi.initial.container import Container
 from particles_mpi.initial.faults import Faults
 from particles_mpi.initial.sphere_grid import LEVELS, SphereGrid, class_of
@@ -125,9 +125,9 @@ def named_pairs(first: Array, second: Array, total: int | None = None) -> str:
 def listed_pairs(ranks: Communicator, first: Array, second: Array) -> str:
     """ "pairs 0-1 and 3-4" of any rank, the lowest ids first; "" if there are none. Collective."""
     total = ranks.total(len(first))[0]
-    order = np.lexsort((second, first))[:SHOWN]
+    order = np.lexsort((second, first))[:MOST_NAMED]
     mine = list(zip(first[order].tolist(), second[order].tolist()))
-    lowest = np.array(sorted(chain.from_iterable(ranks.allgather(mine)))[:SHOWN])
+    lowest = np.array(sorted(chain.from_iterable(ranks.allgather(mine)))[:MOST_NAMED])
     return named_pairs(lowest[:, 0], lowest[:, 1], total) if total else ""
 
 

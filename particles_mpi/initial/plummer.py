@@ -14,7 +14,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.particles import Array
 
-MOST = 0.999  # of the mass: the rest would be further out than 38 a
+MASS_SHARE = 0.999  # of the mass: the rest would be further out than 38 a
 
 
 def plummer_places(random: np.random.Generator, a: float, mass: Array) -> Array:
@@ -24,7 +24,7 @@ def plummer_places(random: np.random.Generator, a: float, mass: Array) -> Array:
 
 def plummer_points(random: np.random.Generator, n: int, a: float) -> Array:
     """Places (n, 3) around the centre of the sphere."""
-    inside = np.maximum(MOST * random.random(n), 1e-12)
+    inside = np.maximum(MASS_SHARE * random.random(n), 1e-12)
     root = np.array([cbrt(mass) for mass in inside.tolist()])
     radius = a / np.sqrt(1.0 / (root * root) - 1.0)
     return radius[:, None] * directions(random, n, 3)

@@ -25,8 +25,9 @@ from particles_mpi.parallel.agreement import raising_together
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import OWN, Array, Particles, default_values
 from particles_mpi.scene.active import fields_of
-from particles_mpi.scene.model import LARGEST, faults_of, plain
-from particles_mpi.scene.schema import Population, Scene
+from particles_mpi.scene.model import LARGEST_NUMBER, faults_of, python_values
+from particles_mpi.scene.population import Population, population_faults
+from particles_mpi.scene.schema import Scene
 
 PER_PARTICLE = ("position", "velocity", "radius", "mass", "fixed", "drag", "acceleration", "spin", "moment_of_inertia")
 
@@ -49,13 +50,13 @@ def add_population(
     population from others, in messages and in random numbers.
     """
     key = f"particles[{number}]"
-    tables = plain(dict(table))
+    tables = python_values(dict(table))
     own = {name: tables.pop(name) for name in there.arrays.keys() - set(fields_of(scene)) - set(OWN) if name in tables}
     try:
         population = Population.model_validate(tables)
     except ValidationError as error:
         raise SceneError(faults_of(error, Population, (key,))) from None
-    faults = scene.population_faults(key, population)
+    faults = population_faults(scene, key, population)
     if faults:
         raise SceneError(faults)
     with np.errstate(over="ignore", under="ignore"):
@@ -149,9 +150,9 @@ class Populator:
         box = self.scene.box
         if self.scene.seed >= 2**64:
             self.faults.add("seed: must be below 2^64")
-        if box is not None and max(map(abs, box.lower + box.upper)) > LARGEST:
-            self.faults.add(f"box: a number is beyond {LARGEST:g}")
-        elif box is not None and not 1.0 / LARGEST < (volume := np.subtract(box.upper, box.lower).prod()) < inf:
+        if box is not None and max(map(abs, box.lower + box.upper)) > LARGEST_NUMBER:
+            self.faults.add(f"box: a number is beyond {LARGEST_NUMBER:g}")
+        elif box is not None and not 1.0 / LARGEST_NUMBER < (volume := np.subtract(box.upper, box.lower).prod()) < inf:
             self.faults.add(f"box: its volume {volume:g} is too small or too large to count with")
 
     def check_memory(self, counts: list[int]) -> None:

@@ -8,7 +8,7 @@ same as one after the other in that order. Each rank judges those that fall into
 import numpy as np
 
 from particles_mpi.initial.container import Container
-from particles_mpi.initial.random_numbers import MASK, random_pair
+from particles_mpi.initial.random_numbers import LOW_HALF, random_pair
 from particles_mpi.initial.sphere_grid import FREE, LEVELS, SphereGrid, class_of
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.neighbours.halo_region import build
@@ -22,11 +22,11 @@ from particles_mpi.particles import Array, rows_of
 
 MOST_TRIES = 100_000  # failures in a row before spheres are given up: at packing 0.30 in 3D about 1 try in 1000 succeeds
 JAMMED = {1: 0.7476, 2: 0.547, 3: 0.384}  # packing at which random addition of equal spheres stops (literature)
-FEW = 10_000  # spheres without a place that each rank throws all of, several times at once, in its part of space
-POINTS = 100_000  # thrown at once then
-TOGETHER = 2**20  # spheres of all ranks that are thrown at once, which need several times the memory of their places
-MARGIN = 1.0 + 1e-12  # spheres as near as this to touching overlap
-CUTTING = 1000  # points of each rank that tell where space is cut
+FEW_LEFT = 10_000  # spheres without a place that each rank throws all of, several times at once, in its part of space
+POINTS_AT_ONCE = 100_000  # thrown at once then
+SPHERES_AT_ONCE = 2**20  # spheres of all ranks that are thrown at once, which need several times the memory of their places
+OVERLAP_FACTOR = 1.0 + 1e-12  # spheres as near as this to touching overlap
+CUTTING_POINTS = 1000  # points of each rank that tell where space is cut
 
 
 class RandomAddition:
@@ -44,7 +44,7 @@ class RandomAddition:
         reach = ranks.allreduce_max(np.array([every[level == k].max(initial=-1.0) for k in range(LEVELS)]))
         extent = room.upper - room.lower
         if ranks.size > 1:  # equal parts of the room, by any points that fill it
-            some = np.random.Generator(np.random.Philox(key=ranks.rank)).random((CUTTING, self.dimension))
+            some = np.random.Generator(np.random.Philox(key=ranks.rank)).random((CUTTING_POINTS, self.dimension))
             self.parts = bisect(ranks, room.lower + some * extent, 1.0)
             corners = np.clip([self.parts.lower, self.parts.upper], room.lower, room.upper)
             self.boxes = corners.transpose(1, 0, 2) + self.largest * np.array([[-1.0], [1.0]])
@@ -76,7 +76,7 @@ class RandomAddition:
 
         `key`: of their random numbers. Large ones come first, by classes of radius; lower ranks have lower numbers.
         """
-        self.key = np.array([key >> (32 * k) & int(MASK) for k in range(2)], np.uint64)
+        self.key = np.array([key >> (32 * k) & int(LOW_HALF) for k in range(2)], np.uint64)
         x, missing = np.zeros((len(number), self.dimension)), 0
         level = class_of(radius, self.largest)
         for k in range(LEVELS):
@@ -95,7 +95,7 @@ class RandomAddition:
         rows, shared = {"id": number, "radius": radius}, False
         left, throws, at_once, in_vain, tries = total, 0, 1, 0, 0
         while left and in_vain < MOST_TRIES and tries < 50 * MOST_TRIES + 200 * total:
-            if not shared and self.room.solid and left <= FEW:
+            if not shared and self.room.solid and left <= FEW_LEFT:
                 rows = allgather_rows(self.ranks, rows)
                 rows, shared = rows_of(rows, np.lexsort((rows["id"], -rows["radius"]))), True
             rows = self.throw_few(rows, throws, at_once) if shared else self.throw_all(rows, throws, left)
@@ -104,7 +104,7 @@ class RandomAddition:
             tries += left * at_once
             in_vain = in_vain + left * at_once if now == left else 0
             if shared:
-                at_once = max(1, min(2 * at_once if 2 * now > left else at_once, POINTS // max(now, 1)))
+                at_once = max(1, min(2 * at_once if 2 * now > left else at_once, POINTS_AT_ONCE // max(now, 1)))
             left = now
         self.tries = max(tries, MOST_TRIES)
         return self.to_their_numbers(number), left
@@ -125,8 +125,8 @@ class RandomAddition:
         return with_rows(np.zeros((len(number), self.dimension)), rows, found["position"][order])
 
     def throw_all(self, rows: dict[str, Array], throw: int, left: int) -> dict[str, Array]:
-        """Throw each of the `left` spheres of all ranks once, no more than TOGETHER at a time; returns those without a place."""
-        parts = -(-left // TOGETHER) if self.room.solid else 1
+        """Throw each of the `left` spheres of all ranks once, at most SPHERES_AT_ONCE together; returns those without a place."""
+        parts = -(-left // SPHERES_AT_ONCE) if self.room.solid else 1
         if parts == 1:
             return self.throw_many(rows, throw)
         of = rows["id"] % parts
@@ -145,7 +145,7 @@ class RandomAddition:
         first, own, halo = self.append(self.to_their_parts(rows))
         status, left = np.zeros(self.grid.n - first, np.int8), np.arange(first, first + own)
         while True:
-            left = self.grid.decide(left, first, status, MARGIN)
+            left = self.grid.decide(left, first, status, OVERLAP_FACTOR)
             if halo is None:
                 break
             of_all = status.astype(float)
@@ -168,10 +168,10 @@ class RandomAddition:
         if self.ranks.size > 1:
             here &= self.parts.owner(points) == self.ranks.rank
         at = np.flatnonzero(here)
-        at = at[self.grid.open_points(points[at], radius[at], MARGIN)]
+        at = at[self.grid.open_points(points[at], radius[at], OVERLAP_FACTOR)]
         tried = allgather_rows(self.ranks, {"id": at})["id"]
         tried.sort()
-        first, stays = self.grid.first_come(points[tried], radius[tried], tried % n, n, MARGIN)
+        first, stays = self.grid.first_come(points[tried], radius[tried], tried % n, n, OVERLAP_FACTOR)
         placed = tried[stays]
         mine = placed[here[placed]]
         self.found.append({"id": number[mine], "position": points[mine]})
@@ -198,7 +198,7 @@ def points_of(key, number, throw, radius, room):
     n, d = len(number), len(lower)
     x, clear = np.empty((n, d)), np.ones(n, np.bool_)
     for i in range(n):
-        low, high = np.uint64(number[i]) & MASK, np.uint64(number[i]) >> np.uint64(32)
+        low, high = np.uint64(number[i]) & LOW_HALF, np.uint64(number[i]) >> np.uint64(32)
         attempt = np.uint64(throw[i if len(throw) > 1 else 0])
         for k in range(0, d, 2):
             pair = random_pair(key[0], key[1], attempt, np.uint64(k), low, high)

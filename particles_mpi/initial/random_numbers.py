@@ -13,10 +13,10 @@ import numpy as np
 from particles_mpi.kernels.jit import lean_inner
 from particles_mpi.particles import Array, row_dot
 
-BLOCK = 4096  # particles that have a generator together
+GENERATOR_BLOCK = 4096  # particles that have a generator together
 STREAMS = {name: k for k, name in enumerate(("position", "velocity", "speed", "radius", "mass", "drag"))}
-MASK = np.uint64(0xFFFFFFFF)
-HALF = np.uint64(32)
+LOW_HALF = np.uint64(0xFFFFFFFF)
+HALF_BITS = np.uint64(32)
 
 
 def stream_key(seed: int, population: int, quantity: str) -> Array:
@@ -29,10 +29,10 @@ def stream_key(seed: int, population: int, quantity: str) -> Array:
 def draw(key: Array, first: int, last: int, numbers: Callable[[np.random.Generator, int], Array]) -> Array:
     """What `numbers(generator, count)` gives, (count, ...), for the particles first ... last - 1 of a population."""
     parts = []
-    for block in range(first // BLOCK, max(-(-last // BLOCK), first // BLOCK + 1)):
+    for block in range(first // GENERATOR_BLOCK, max(-(-last // GENERATOR_BLOCK), first // GENERATOR_BLOCK + 1)):
         generator = np.random.Generator(np.random.Philox(key=key, counter=[0, 0, 0, block]))
-        begin = block * BLOCK
-        parts.append(numbers(generator, BLOCK)[max(first - begin, 0) : max(last - begin, 0)])
+        begin = block * GENERATOR_BLOCK
+        parts.append(numbers(generator, GENERATOR_BLOCK)[max(first - begin, 0) : max(last - begin, 0)])
     return np.concatenate(parts) if len(parts) > 1 else parts[0]
 
 
@@ -61,7 +61,7 @@ def random_pair(k0, k1, c0, c1, c2, c3):
     """
     for _ in range(10):
         p0, p1 = np.uint64(0xD2511F53) * c0, np.uint64(0xCD9E8D57) * c2
-        c0, c1, c2, c3 = (p1 >> HALF) ^ c1 ^ k0, p1 & MASK, (p0 >> HALF) ^ c3 ^ k1, p0 & MASK
-        k0, k1 = (k0 + np.uint64(0x9E3779B9)) & MASK, (k1 + np.uint64(0xBB67AE85)) & MASK
-    high, low = (c0 << HALF) | c1, (c2 << HALF) | c3
+        c0, c1, c2, c3 = (p1 >> HALF_BITS) ^ c1 ^ k0, p1 & LOW_HALF, (p0 >> HALF_BITS) ^ c3 ^ k1, p0 & LOW_HALF
+        k0, k1 = (k0 + np.uint64(0x9E3779B9)) & LOW_HALF, (k1 + np.uint64(0xBB67AE85)) & LOW_HALF
+    high, low = (c0 << HALF_BITS) | c1, (c2 << HALF_BITS) | c3
     return np.float64(high >> np.uint64(11)) * 2.0**-53, np.float64(low >> np.uint64(11)) * 2.0**-53

@@ -9,7 +9,8 @@ from particles_mpi.initial.random_numbers import directions, draw, normals, stre
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.particles import Array
-from particles_mpi.scene.schema import Population, Scene
+from particles_mpi.scene.population import Population
+from particles_mpi.scene.schema import Scene
 
 
 def random_velocities(

@@ -28,7 +28,7 @@ OBSERVABLES = ("temperature", "moment_ratio", "packing", "collision_rate", "free
 ROTATION_PLANES = {2: ((0, 1),), 3: ((1, 2), (2, 0), (0, 1))}  # of the components of the angular momentum, by dimension
 
 
-def measure(ranks: Communicator, p: Particles, potentials: dict[str, Array]) -> dict[str, float]:
+def energies_and_momenta(ranks: Communicator, p: Particles, potentials: dict[str, Array]) -> dict[str, float]:
     """Kinetic, potential and total energy, momentum and largest speed of all movable particles. Collective.
 
     `potentials`: the potential energy (n,) of this rank's particles for each force that has one, by name; nan of one of them

@@ -13,10 +13,10 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows, id_range, in_id_order
 from particles_mpi.particles import FIELDS, RUN_MADE, Array, Particles, components, rows_of, same_bits
 
-FORMAT = "particles_mpi state 3"
+JSON_FORMAT = "particles_mpi state 3"
 METADATA = ("step", "moment", "h", "observed", "totals", "next_id", "additions", "scene")  # what `metadata` tells
-SHOWN = 20  # rows of a printed table
-MANY = 1_000_000  # particles: with more a user is told what a text with all of them costs
+TABLE_ROWS = 20  # rows of a printed table
+LARGE_TEXT = 1_000_000  # particles: with more a user is told what a text with all of them costs
 JSON_BYTES = 1000  # of memory for a particle: its numbers as objects and as text, measured in 3D
 
 
@@ -33,7 +33,7 @@ def same(one: Particles, other: Particles) -> bool:
 
 def table(particles: Particles) -> str:
     """The first particles as a table, a line each, lowest ids first."""
-    order = np.argsort(particles.id)[:SHOWN]
+    order = np.argsort(particles.id)[:TABLE_ROWS]
     names = [name for name in particles.arrays if name not in RUN_MADE]
     columns = [[name, *(_cell(particles[name][i]) for i in order)] for name in names]
     widths = [max(map(len, column)) for column in columns]
@@ -49,17 +49,17 @@ def _cell(value: Any) -> str:
 def save_json(path: Path, ranks: Communicator, rows: Particles, metadata: dict[str, Any], indent: int | None) -> None:
     """Write all particles in id order, floats with the digits that give the same bits back. Rank 0 holds all. Collective."""
     ids = id_range(ranks, rows.id)
-    if ids.total > MANY and ranks.is_root:
+    if ids.total > LARGE_TEXT and ranks.is_root:
         needed = ids.total * JSON_BYTES / 1e9
         cost = f"to_json: {ids.total} particles as text take about {needed:.0f} GB of rank 0; a checkpoint takes none"
         warnings.warn(cost, stacklevel=3)
     arrays = in_id_order(ranks, rows.arrays, ids, 1)
-    columns = {name: {"dtype": str(column.dtype), "values": _plain(column)} for name, column in arrays.items()}
-    text = json.dumps({"format": FORMAT, **metadata, "particles": columns}, indent=indent, allow_nan=False) + "\n"
+    columns = {name: {"dtype": str(column.dtype), "values": _json_values(column)} for name, column in arrays.items()}
+    text = json.dumps({"format": JSON_FORMAT, **metadata, "particles": columns}, indent=indent, allow_nan=False) + "\n"
     write_text(path, ranks, text)
 
 
-def _plain(column: Array) -> list[Any]:
+def _json_values(column: Array) -> list[Any]:
     """Rows as lists; numbers that JSON does not have as text."""
     finite = np.isfinite(column)
     values: list[Any] = (column if finite.all() else np.where(finite, column.astype(object), column.astype(str))).tolist()
@@ -70,7 +70,7 @@ def load_json(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
     """(arrays of all particles in id order, what was said about the state). SceneError, one line, for anything else."""
     try:
         state = json.loads(path.read_text())
-        if state.pop("format") != FORMAT:
+        if state.pop("format") != JSON_FORMAT:
             raise KeyError("format")
         columns = state.pop("particles")
         arrays = {name: np.array(c["values"], c["dtype"]) for name, c in columns.items()}

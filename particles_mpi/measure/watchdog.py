@@ -4,7 +4,7 @@ from itertools import chain
 
 import numpy as np
 
-from particles_mpi.errors import SHOWN, StateError
+from particles_mpi.errors import MOST_NAMED, StateError
 from particles_mpi.initial.faults import listed_ids
 from particles_mpi.kernels.planes import Planes
 from particles_mpi.kernels.validity import find_invalid, id_checksum
@@ -23,7 +23,7 @@ class Watchdog:
         self.lower, self.length = lower, length
         self.id_checksum = ranks.allreduce_sum(np.array(id_checksum(ids)))
 
-    def look(self, p: Particles, step: int) -> None:
+    def check(self, p: Particles, step: int) -> None:
         """Raise a StateError on all ranks, which names ids, step and rank, if something is wrong."""
         axes = (0,) * p.dimension
         numbers, astray, wall = find_invalid(axes, p.position, p.velocity, p.fixed, self.planes, self.lower, self.length)
@@ -44,20 +44,21 @@ class Watchdog:
     def who_is_lost(self, p: Particles) -> str:
         """A text: which ids are missing, and which exist more than once. Collective; each rank looks at its range of ids."""
         ranks, span = self.ranks, self.span
-        known = (p.id >= span.first) & (p.id < span.end)
-        if odd := listed_ids(ranks, p.id[~known]):
+        expected = (p.id >= span.first) & (p.id < span.end)
+        if odd := listed_ids(ranks, p.id[~expected]):
             return f"unknown: {odd}"
         arrived, arriving = send_rows(ranks, {"id": p.id}, *by_range(p.id, span, ranks.size, ranks.size))
         sender = np.repeat(np.arange(ranks.size), arriving)
         ids, times = np.unique(arrived["id"], return_counts=True)
         lost = np.setdiff1d(np.arange(*own_range(ranks.rank, span, ranks.size)), ids)
-        twice = [f"{i} on ranks {', '.join(map(str, np.unique(sender[arrived['id'] == i])))}" for i in ids[times > 1][:SHOWN]]
-        held = list(chain.from_iterable(ranks.allgather(twice)))[:SHOWN]
+        holders = [(i, np.unique(sender[arrived["id"] == i])) for i in ids[times > 1][:MOST_NAMED]]
+        texts = [f"{i} on ranks {', '.join(map(str, ranks_of))}" for i, ranks_of in holders]
+        twice = list(chain.from_iterable(ranks.allgather(texts)))[:MOST_NAMED]
         faults = []
         if span.total < span.end - span.first:  # some were removed, and nobody has kept which
             missing = ranks.total(len(lost))[0] - (span.end - span.first - span.total)
             faults += [f"lost: {missing} particle{'s' if missing > 1 else ''}"] if missing > 0 else []
         elif who := listed_ids(ranks, lost):
             faults.append(f"lost: {who}")
-        faults += [f"there more than once: {'; '.join(held)}"] if held else []
+        faults += [f"there more than once: {'; '.join(twice)}"] if twice else []
         return "; ".join(faults) or "other particles are there than before"

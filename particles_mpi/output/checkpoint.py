@@ -31,7 +31,7 @@ from particles_mpi.particles import FIELDS, Array, rows_of, shape
 
 MARK, FORMAT = "particles_mpi_checkpoint", 6
 TAIL = f"\n{MARK} {{:20d}} {{:20d}} {{:08x}}\n"  # the last line: lengths of the HDF5 file and of the seal, CRC-32 of the seal
-PIECE = 2**17  # rows that have a checksum together
+PIECE_ROWS = 2**17  # rows that have a checksum together
 
 
 def save(
@@ -114,7 +114,7 @@ def _write_all(part: Path, ranks: Communicator, writes: list[tuple[int, Array]],
 
 def _pieces(column: Array, first: int) -> list[list[int]]:
     """[first row, last + 1, CRC-32] of each piece of a column, whose first row is row `first` of all."""
-    edges = [*range(0, len(column), PIECE), len(column)]
+    edges = [*range(0, len(column), PIECE_ROWS), len(column)]
     return [
         [first + begin, first + end, zlib.crc32(np.ascontiguousarray(column[begin:end]).view(np.uint8).data)]
         for begin, end in pairwise(edges)

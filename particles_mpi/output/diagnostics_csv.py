@@ -33,7 +33,7 @@ class Diagnostics(Continuing):
                 self.file.write(",".join(row) + "\n")
                 self.file.flush()
 
-    def look(self, resume_step: int, last: int | None) -> None:
+    def read_kept(self, resume_step: int, last: int | None) -> None:
         """The rows up to step `last`, if it is known. Behind them may be an extra one, of the run's end, and half a line."""
         end = resume_step if last is None else last
         header, *lines = self.path.read_text(encoding="utf-8").splitlines(keepends=True) or [""]

@@ -59,7 +59,7 @@ class Continuing:
         with failing_together(ranks, f"cannot read {path}"):
             if ranks.is_root and resume_step is not None and self.path.exists():
                 try:
-                    self.look(resume_step, last)
+                    self.read_kept(resume_step, last)
                 except Exception as error:  # damaged files raise anything
                     raise SceneError(f"{path}: cannot be continued: {_reason(error)}") from None
 
@@ -78,7 +78,7 @@ class Continuing:
             self.file.close()
             self.file = None
 
-    def look(self, resume_step: int, last: int | None) -> None:
+    def read_kept(self, resume_step: int, last: int | None) -> None:
         """Read what is kept, on rank 0. Raises a ValueError that says why it cannot be."""
         raise NotImplementedError
 

@@ -12,11 +12,11 @@ import numpy as np
 
 from particles_mpi.output.replacing import replacing
 
-KINDS = ("Vertices", "Lines", "Polygons", "Strips")  # of cells: particles are vertices, there are no others
-PARTS = ("NumberOfPoints", *(f"{kind}/{what}" for kind in KINDS for what in ("NumberOfCells", "NumberOfConnectivityIds")))
+CELL_KINDS = ("Vertices", "Lines", "Polygons", "Strips")  # of cells: particles are vertices, there are no others
+PARTS = ("NumberOfPoints", *(f"{kind}/{what}" for kind in CELL_KINDS for what in ("NumberOfCells", "NumberOfConnectivityIds")))
 CELLS = ("Connectivity", "Offsets")  # the point of each cell, and where each cell begins
 STEPS_CHUNK = 1024  # frames
-BLOCK = 2**20  # rows of the topology that are written at once
+TOPOLOGY_BLOCK = 2**20  # rows of the topology that are written at once
 # Datasets with a row for each frame: (shape of a row, dtype, fill value). `Step` is an addition, which VTK ignores.
 STEPS: dict[str, tuple[tuple[int, ...], str, int]] = {
     "Steps/Values": ((), "float64", 0),
@@ -49,7 +49,7 @@ def create(path: Path, columns: Columns, total: int) -> None:
             _dataset(group, place, (0, *width), dtype, chunk)
         for place in PARTS:
             _dataset(group, place, (1,), "int64", 1, fill=total if place.startswith(("Number", "Vertices")) else 0)
-        for kind in KINDS:
+        for kind in CELL_KINDS:
             for extra, what in enumerate(CELLS):
                 rows = (total if kind == "Vertices" else 0) + extra
                 count_up(_dataset(group, f"{kind}/{what}", (rows,), "int64", chunk), 0, rows)
@@ -60,7 +60,7 @@ def create(path: Path, columns: Columns, total: int) -> None:
             group[place.replace("PointData/", "Steps/PointDataOffsets/")] = group["Steps/PointOffsets"]
 
 
-def look(path: Path, resume_step: int, columns: Columns, held: int) -> Kept:
+def frames_up_to(path: Path, resume_step: int, columns: Columns, held: int) -> Kept:
     """The frames of a file up to a step.
 
     Raises a ValueError if they are not whole, if the file has other columns, or if the last of them has not `held` particles.
@@ -93,8 +93,8 @@ def shorten(path: Path, columns: Columns, frames: int, points: int, parts: int) 
 
 def count_up(dataset: Any, first: int, last: int) -> None:
     """Row i is i, for the rows first ... last - 1; a block at a time, so that memory does not grow with them."""
-    for begin in range(first, last, BLOCK):
-        end = min(begin + BLOCK, last)
+    for begin in range(first, last, TOPOLOGY_BLOCK):
+        end = min(begin + TOPOLOGY_BLOCK, last)
         dataset[begin:end] = np.arange(begin, end)
 
 

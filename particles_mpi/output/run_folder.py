@@ -18,15 +18,15 @@ STATE = ("trajectory.vtkhdf", "particles.pvd", "vtk", "checkpoint.h5", "diagnost
 OURS = (*STATE, "plots", "view.html", "view_paraview.py")  # what a run leaves, or what is made of it
 INTERVALS = {f"output.{name}" for name in ("every", "formats", "checkpoint_every", "diagnostics_every")}
 EFFECT_FILE = re.compile(r"effects\.\w+\.file")
-FREE = {"title", "time.end", "time.steps"} | INTERVALS  # keys of a scene that may change when a run is continued
+CHANGEABLE = {"title", "time.end", "time.steps"} | INTERVALS  # keys of a scene that may change when a run is continued
 
 
 def changed(one: dict[str, Any], two: dict[str, Any]) -> Iterator[str]:
-    """The keys in which two scenes, as tables, differ so that they are different runs: all but those in FREE.
+    """The keys in which two scenes, as tables, differ so that they are different runs: all but those in CHANGEABLE.
 
     Nor does it matter where the file of an effect is: what is in it is compared when a run goes on.
     """
-    return (key for key, _, _ in differences(one, two) if key not in FREE and not EFFECT_FILE.fullmatch(key))
+    return (key for key, _, _ in differences(one, two) if key not in CHANGEABLE and not EFFECT_FILE.fullmatch(key))
 
 
 def to_go_on(folder: Path, ranks: Communicator, scene: dict[str, Any]) -> Path | None:

@@ -24,8 +24,8 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
 from particles_mpi.particles import Array, default_values, field
 
-LATE = 0.5  # seconds: frames that follow one another faster are shown to readers together
-TOGETHER = 2**20  # bytes: smaller frames wait for those that follow in that time, and are written by one call with them
+SHOWING_PAUSE = 0.5  # seconds: frames that follow one another faster are shown to readers together
+WAITING_BYTES = 2**20  # bytes: smaller frames wait for those that follow in that time, and are written by one call with them
 
 
 class Frame(NamedTuple):
@@ -98,9 +98,9 @@ class Trajectory(Continuing):
         if self.waiting and ids != self.ids:
             self._write_waiting()
         self.ids = ids
-        late = self.ranks.bcast(perf_counter() - self.shown_at > LATE)
+        late = self.ranks.bcast(perf_counter() - self.shown_at > SHOWING_PAUSE)
         columns = {self.places[name]: column for name, column in frame_arrays(rows, self.dimension).items()}
-        waits = not late and (len(self.waiting) + 1) * ids.total * self.row_bytes <= TOGETHER
+        waits = not late and (len(self.waiting) + 1) * ids.total * self.row_bytes <= WAITING_BYTES
         if waits:  # the run goes on and changes its arrays
             columns = {place: column.copy() for place, column in columns.items()}
         self.waiting.append(Frame(step, time, columns))
@@ -255,9 +255,9 @@ class Trajectory(Continuing):
         else:
             layout.create(self.path, self.columns, self.parts[0])
 
-    def look(self, resume_step: int, last: int | None) -> None:
+    def read_kept(self, resume_step: int, last: int | None) -> None:
         """How many frames of the old file are kept; the last of them must have `held` particles."""
-        kept = layout.look(self.path, resume_step, self.columns, self.held)
+        kept = layout.frames_up_to(self.path, resume_step, self.columns, self.held)
         check_last(kept.steps, resume_step, last)
         self.points, self.parts, self.frames, self.continued = kept.points, kept.parts, len(kept.steps), True
 

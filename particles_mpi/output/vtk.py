@@ -1,8 +1,8 @@
 """The same frames for VisIt, and for ParaView before 5.12: files in the folder `vtk`, and a list of them, `particles.pvd`.
 
-A frame is cut into blocks of PIECE ids, on any number of ranks in the same way, and one rank writes a block: no rank holds more
-of the frame. The only block of a small frame is the file `vtk/particles_000100.vtu`. The blocks of a large one are the files
-`vtk/particles_000100/piece_000000.vtu` and so on, which `vtk/particles_000100.pvtu` names; readers open that one.
+A frame is cut into blocks of PIECE_IDS ids, on any number of ranks in the same way, and one rank writes a block: no rank holds
+more of the frame. The only block of a small frame is the file `vtk/particles_000100.vtu`. The blocks of a large one are the
+files `vtk/particles_000100/piece_000000.vtu` and so on, which `vtk/particles_000100.pvtu` names; readers open that one.
 """
 
 import errno
@@ -23,11 +23,11 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
 from particles_mpi.particles import Array, field, rows_of
 
-PIECE = 2**20  # ids in a file
-SMALL = 2**10  # particles in a block whose text is kept
-NUMBERS = re.compile(rb'<DataArray [^>]*Name="(?P<name>[^"]+)"[^>]*>\s*(?P<numbers>[^<\s]*)')
-END = ["  </Collection>", "</VTKFile>"]  # the last lines of the list
-KINDS = {"f": "Float", "i": "Int", "u": "UInt"}  # of numbers: as numpy and as VTK call them
+PIECE_IDS = 2**20  # ids in a file
+SMALL_BLOCK = 2**10  # particles in a block whose text is kept
+DATA_ARRAY = re.compile(rb'<DataArray [^>]*Name="(?P<name>[^"]+)"[^>]*>\s*(?P<numbers>[^<\s]*)')
+LIST_END = ["  </Collection>", "</VTKFile>"]  # the last lines of the list
+NUMBER_KINDS = {"f": "Float", "i": "Int", "u": "UInt"}  # of numbers: as numpy and as VTK call them
 
 
 class VtkSeries(Continuing):
@@ -54,7 +54,7 @@ class VtkSeries(Continuing):
     def write(self, step: int, time: float, arrays: dict[str, Array], ids: IdRange) -> None:
         """Add a frame. `arrays`: this rank's owned rows in any order, (n,) or (n, d); fields not meant for frames are skipped."""
         shown = {name: array for name, array in arrays.items() if field(name).output}
-        path = self.folder / f"vtk/particles_{step:06d}.{'pvtu' if ids.end - ids.first > PIECE else 'vtu'}"
+        path = self.folder / f"vtk/particles_{step:06d}.{'pvtu' if ids.end - ids.first > PIECE_IDS else 'vtu'}"
         try:
             pieces = self._write_pieces(path, step, shown, ids)
         except StoppedError:
@@ -70,14 +70,14 @@ class VtkSeries(Continuing):
 
     def _write_pieces(self, path: Path, step: int, arrays: dict[str, Array], ids: IdRange) -> list[str]:
         """Write the blocks of a frame, as many at once as there are ranks. Returns the files of those that have particles."""
-        together, pieces = self.ranks.size * PIECE, []
+        together, pieces = self.ranks.size * PIECE_IDS, []
         for first in range(ids.first, max(ids.end, ids.first + 1), together):
             inside = np.flatnonzero((arrays["id"] >= first) & (arrays["id"] < first + together))
             blocks = IdRange(first, first + together, ids.total)
             rows = in_id_order(self.ranks, rows_of(arrays, inside), blocks, self.ranks.size)
             files = [path] * self.ranks.size
             if path.suffix == ".pvtu":
-                begin = (first - ids.first) // PIECE
+                begin = (first - ids.first) // PIECE_IDS
                 files = [path.with_suffix("") / f"piece_{begin + rank:06d}.vtu" for rank in range(self.ranks.size)]
             held = self.ranks.allgather_array(np.array(len(rows["id"])))
             pieces += [f"{path.stem}/{file.name}" for file, count in zip(files, held, strict=True) if count]
@@ -91,7 +91,7 @@ class VtkSeries(Continuing):
         return pieces
 
     def _write_listing(self) -> None:
-        _write_xml(self.path, "Collection", ["  <Collection>", *map(self._entry, self.frames), END[0]])
+        _write_xml(self.path, "Collection", ["  <Collection>", *map(self._entry, self.frames), LIST_END[0]])
 
     def _entry(self, step: int) -> str:
         """The line of a frame."""
@@ -104,7 +104,7 @@ class VtkSeries(Continuing):
         if len(self.frames) == 1:
             self._write_listing()
             return
-        end = "".join(f"{line}\n" for line in END).encode()
+        end = "".join(f"{line}\n" for line in LIST_END).encode()
         with self.path.open("r+b", buffering=0) as file:
             place = file.seek(-len(end), os.SEEK_END)
             try:
@@ -117,7 +117,7 @@ class VtkSeries(Continuing):
                 file.write(end)
                 raise
 
-    def look(self, resume_step: int, last: int | None) -> None:
+    def read_kept(self, resume_step: int, last: int | None) -> None:
         """Read the list of frames up to a step."""
         for entry in ElementTree.parse(self.path).iter("DataSet"):
             file = entry.get("file", "")
@@ -147,11 +147,11 @@ class Blocks:
         cells = [("vertex", np.arange(len(points))[:, None])] if len(points) else []
         mesh = meshio.Mesh(points, cells, point_data=rest)
         meshio.write(path, mesh, file_format="vtu", binary=True, compression=None)
-        if len(points) <= SMALL:
+        if len(points) <= SMALL_BLOCK:
             self.shape, self.parts, begin = shape, [], 0
             text = path.read_bytes()
             topology = range(text.find(b"<Cells>"), text.find(b"</Cells>"))  # a column may have the name of an array in there
-            for array in NUMBERS.finditer(text):
+            for array in DATA_ARRAY.finditer(text):
                 if (name := array["name"].decode()) in columns and array.start() not in topology:
                     self.parts.append((text[begin : array.start("numbers")], name))
                     begin = array.end("numbers")
@@ -167,7 +167,7 @@ def _write_pvtu(path: Path, pieces: list[str], columns: dict[str, Array]) -> Non
     """Write the file that names the pieces of a frame, which all have these columns."""
     lines = {}
     for name, column in columns.items():
-        kind, width = f"{KINDS[column.dtype.kind]}{8 * column.dtype.itemsize}", column.shape[1:] or (1,)
+        kind, width = f"{NUMBER_KINDS[column.dtype.kind]}{8 * column.dtype.itemsize}", column.shape[1:] or (1,)
         lines[name] = f'      <PDataArray type="{kind}" Name="{name}" NumberOfComponents="{width[0]}"/>'
     points = ["    <PPoints>", lines.pop("Points"), "    </PPoints>"]
     data = ["    <PPointData>", *lines.values(), "    </PPointData>"]
@@ -179,4 +179,4 @@ def _write_pvtu(path: Path, pieces: list[str], columns: dict[str, Array]) -> Non
 def _write_xml(path: Path, kind: str, lines: list[str]) -> None:
     """Write a file of VTK with these lines inside, replaced as a whole."""
     begin = ['<?xml version="1.0"?>', f'<VTKFile type="{kind}" version="0.1" byte_order="LittleEndian">']
-    replace_text(path, "\n".join([*begin, *lines, f"{END[-1]}\n"]))
+    replace_text(path, "\n".join([*begin, *lines, f"{LIST_END[-1]}\n"]))

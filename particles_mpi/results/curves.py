@@ -8,8 +8,8 @@ import numpy as np
 
 from particles_mpi.particles import Array
 
-ROWS = 800  # of a curve: longer tables are thinned, counts summed up
-SHORT = {"total_energy": "total", "max_speed": "fastest particle", "wall_hits": "wall hits"}
+MOST_ROWS = 800  # of a curve: longer tables are thinned, counts summed up
+SHORT_NAMES = {"total_energy": "total", "max_speed": "fastest particle", "wall_hits": "wall hits"}
 EVENTS = ("collisions", "wall_hits", "missed")
 
 
@@ -18,7 +18,7 @@ def curves(rows: dict[str, Array]) -> list[dict[str, Any]]:
     time = rows.get("time", np.zeros(0))
     if len(time) < 2:
         return []
-    group = 1 + len(time) // ROWS
+    group = 1 + len(time) // MOST_ROWS
     edges = time[::group]
     panels = [
         _panel("energy", edges, {n: rows[n][::group] for n in ("kinetic", "potential", "total_energy")}),
@@ -34,10 +34,11 @@ def curves(rows: dict[str, Array]) -> list[dict[str, Any]]:
 
 def _panel(title: str, time: Array, lines: dict[str, Array]) -> dict[str, Any]:
     """Without curves that are not numbers everywhere: a force along a periodic axis has no potential."""
-    shown = {SHORT.get(n, n.removeprefix("momentum_")): _plain(line) for n, line in lines.items() if np.isfinite(line).all()}
-    return {"title": title, "time": _plain(time), "lines": shown}
+    numbers = {name: line for name, line in lines.items() if np.isfinite(line).all()}
+    shown = {SHORT_NAMES.get(name, name.removeprefix("momentum_")): _rounded(line) for name, line in numbers.items()}
+    return {"title": title, "time": _rounded(time), "lines": shown}
 
 
-def _plain(values: Array) -> list[float]:
+def _rounded(values: Array) -> list[float]:
     """With as many digits as a curve shows."""
     return [float(f"{value:.6g}") for value in values]

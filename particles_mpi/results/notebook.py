@@ -19,9 +19,9 @@ from particles_mpi.results.curves import EVENTS, curves
 from particles_mpi.results.frame import Frame
 from particles_mpi.results.page import Choice, assemble, pack, survey
 
-LARGEST = 12_000_000  # bytes of a page: a notebook keeps it
+NOTEBOOK_PAGE_BYTES = 12_000_000  # bytes of a page: a notebook keeps it
 HEIGHT = 620  # pixels
-PAUSE = 0.2  # seconds at least between two messages to a page
+SENDING_PAUSE = 0.2  # seconds at least between two messages to a page
 
 
 class Shown:
@@ -29,7 +29,7 @@ class Shown:
 
     def __init__(self, run: Any, live: bool = False):
         self.name = f"particles_{uuid4().hex}"
-        self.text, self.columns, self.every = assemble(run, LARGEST, live)
+        self.text, self.columns, self.every = assemble(run, NOTEBOOK_PAGE_BYTES, live)
 
     def _repr_html_(self) -> str:
         style = f"width: 100%; height: {HEIGHT}px; border: 1px solid #dfe3e8"
@@ -89,11 +89,11 @@ class LiveView:
         """The step after this one at which it takes a frame."""
         return (step // self.every + 1) * self.every
 
-    def look(self, sim: Any) -> None:
+    def after_step(self, sim: Any) -> None:
         """After a step."""
         if sim.steps_done % self.every == 0:
             self.take(sim)
-            if self.display and perf_counter() - self.last > PAUSE:
+            if self.display and perf_counter() - self.last > SENDING_PAUSE:
                 self.send()
 
     def make(self) -> None:

@@ -23,13 +23,13 @@ from particles_mpi.results.scenery import in_space, scenery
 
 HERE = Path(__file__).parent
 BASE64 = 4 / 3  # bytes of text for a byte
-LARGEST = 50_000_000  # bytes of a page
+PAGE_BYTES = 50_000_000  # bytes of a page
 FOR_THE_REST = 2_000_000  # bytes of it that are no frames
 LEAST_FRAMES = 60  # that are kept before particles are left out
-TOP = 99.5  # percentile of a changing quantity that has the last colour: a few fast ones would make all others alike
-MAPS = ("viridis", "cividis", "plasma")  # of colours: brightness rises along them, for those who see few colours too
+TOP_PERCENTILE = 99.5  # percentile of a changing quantity that has the last colour: a few fast ones would make all others alike
+COLOUR_MAPS = ("viridis", "cividis", "plasma")  # of colours: brightness rises along them, for those who see few colours too
 DARKEST = 0.15  # of a map: what is darker is hard to see
-LINES = 60  # particles at most that have trails
+MOST_TRAILS = 60  # particles at most that have trails
 
 
 class Choice(NamedTuple):
@@ -67,7 +67,7 @@ def write_page(run: Any, path: Path | None = None) -> Path:
     return path
 
 
-def page(run: Any, largest: int = LARGEST) -> str:
+def page(run: Any, largest: int = PAGE_BYTES) -> str:
     """The page of a run as text. `run`: a `Run`, or what has its properties and frames."""
     return assemble(run, largest)[0]
 
@@ -148,7 +148,8 @@ def survey(run: Any, choice: Choice, live: bool = False) -> tuple[list[Column], 
         for name, values in (now | {"energy": 0.5 * frame.mass * frame.speed**2}).items():
             values = values[np.isfinite(values)]
             if len(values):
-                ranges.setdefault(name, []).append(np.array([values.min(), np.percentile(values, TOP), values.max()], float))
+                low, top, high = values.min(), np.percentile(values, TOP_PERCENTILE), values.max()
+                ranges.setdefault(name, []).append(np.array([low, top, high], float))
             if name in constant:
                 constant[name] &= np.array_equal(now[name], first[name])
     if not np.all(np.isfinite(lower) & np.isfinite(upper)):
@@ -209,7 +210,7 @@ def described(run: Any, choice: Choice) -> dict[str, Any]:
     if "ranks" in about:
         facts.append(f"{about['ranks']} rank" + "s" * (about["ranks"] != 1))
     running = plan.get("effects") or [{"effect": name, "law": "", "calls": ""} for name in scene.get("effects", {})]
-    maps = {name: (colormaps[name](np.linspace(DARKEST, 1, 256))[:, :3] * 255).round().astype(np.uint8) for name in MAPS}
+    maps = {name: (colormaps[name](np.linspace(DARKEST, 1, 256))[:, :3] * 255).round().astype(np.uint8) for name in COLOUR_MAPS}
     return {
         "title": run.title,
         "facts": facts,
@@ -217,7 +218,7 @@ def described(run: Any, choice: Choice) -> dict[str, Any]:
         "times": [frame.time for frame in frames],
         "numbers": choice.frames,
         "planar": run.dimension < 3,
-        "trails": min(len(frames[0]), len(frames[-1])) <= LINES,
+        "trails": min(len(frames[0]), len(frames[-1])) <= MOST_TRAILS,
         "effects": [[row["effect"], row.get("law", ""), row.get("calls", "")] for row in running],
         "not_run": [row["effect"] for row in plan.get("not_run", [])],
         "curves": curves(rows),

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from particles_mpi.particles import Array
 
-CLOSE = 1e-9  # of the diagonal: a plane that is no further from the faces of the box is one of them, or outside
+FACE_TOLERANCE = 1e-9  # of the diagonal: a plane that is no further from the faces of the box is one of them, or outside
 
 
 class Scenery(NamedTuple):
@@ -44,7 +44,7 @@ def scenery(scene: dict[str, Any], lower: Array, upper: Array) -> Scenery:
     for point, normal in planes:
         corners = section(point, normal, lower, upper)
         for other in planes:
-            corners = in_front(corners, *other, CLOSE * float(np.linalg.norm(upper - lower)))
+            corners = in_front(corners, *other, FACE_TOLERANCE * float(np.linalg.norm(upper - lower)))
         if len(corners) > 1:
             walls.append((corners, normal))
     return Scenery(lower, upper, periodic, bool(box), walls)
@@ -66,7 +66,7 @@ def section(point: Array, normal: Array, lower: Array, upper: Array) -> Array:
     """The corners (m, 3), in order, of the polygon in which a plane cuts a box; none if it only touches the box."""
     corners = np.array(list(product(*zip(lower, upper, strict=True))))
     height = (corners - point) @ normal / np.linalg.norm(normal)
-    if np.all(height > -CLOSE * np.linalg.norm(upper - lower)):
+    if np.all(height > -FACE_TOLERANCE * np.linalg.norm(upper - lower)):
         return np.zeros((0, 3))
     cuts = [a + (b - a) * s / (s - t) for (a, s), (b, t) in combinations(zip(corners, height, strict=True), 2)
             if np.count_nonzero(a != b) == 1 and s * t <= 0 and s != t]  # fmt: skip

@@ -37,18 +37,17 @@ PHASES = {
 }
 
 LOG_AFTER, LOG_RARER = 10.0, 1.5  # seconds until the first line of progress in a log, and factor to the next
-LEAST = 0.05  # of a step: phases that take less are not named in a forecast
-COMPILING = 20  # seconds to compile the kernels of one dimension that a scene uses
-WIDE = 200  # columns of a table that is not shown on a terminal
+NAMED_SHARE = 0.05  # of a step: phases that take less are not named in a forecast
+COMPILING_SECONDS = 20  # seconds to compile the kernels of one dimension that a scene uses
+LOG_WIDTH = 200  # columns of a table that is not shown on a terminal
 
 
 def state_of(row: dict[str, Any]) -> str:
     """A row of diagnostics in a few words; N, the energy and what happened so far. "" for none."""
     if not row:
         return ""
-    name, column = (
-        ("E", "total_energy") if isfinite(row["total_energy"]) else ("K", "kinetic")
-    )  # no potential along a periodic axis
+    has_potential = isfinite(row["total_energy"])  # not where a force acts along a periodic axis
+    name, column = ("E", "total_energy") if has_potential else ("K", "kinetic")
     hits, missed = row["hits_so_far"], row["missed_so_far"]
     return f"t={row['time']:.4g} N={row['particles']} {name}={row[column]:.5g} hits={hits} missed={missed}"
 
@@ -73,7 +72,7 @@ def tell_of_compiling(dimension: int) -> None:
         def on_start(self, _: Any) -> None:
             if not self.warned:
                 self.warned = True
-                print(f"dimension {dimension}: kernels are compiled now, about {COMPILING} s, once", flush=True)
+                print(f"dimension {dimension}: kernels are compiled now, about {COMPILING_SECONDS} s, once", flush=True)
 
         def on_end(self, _: Any) -> None:
             pass
@@ -98,7 +97,7 @@ class Screen:
 
     def table(self, table: Table) -> None:
         """Print a table, in its full width if it is not shown on a terminal."""
-        self.console.print(table, width=None if self.console.is_terminal else WIDE, crop=False)
+        self.console.print(table, width=None if self.console.is_terminal else LOG_WIDTH, crop=False)
 
     def plan(self, title: str, plan: dict[str, Any], warnings: list[str]) -> None:
         """Print the plan, before the run."""
@@ -128,9 +127,10 @@ class Screen:
     def shares(self, forecast: Forecast) -> None:
         """Print the share of each phase in a step, the largest first."""
         total = sum(forecast.phases.values())
-        shares = sorted(((s / total, name) for name, s in forecast.phases.items() if s >= LEAST * total > 0.0), reverse=True)
-        if shares:
-            self.say(f"  of a step: {', '.join(f'{PHASES.get(name, name)} {share:.0%}' for share, name in shares)}")
+        largest = sorted(((seconds, name) for name, seconds in forecast.phases.items()), reverse=True)
+        named = [f"{PHASES.get(name, name)} {s / total:.0%}" for s, name in largest if s >= NAMED_SHARE * total > 0.0]
+        if named:
+            self.say(f"  of a step: {', '.join(named)}")
 
     def start(self, done: int, steps: int) -> Callable[[int, dict[str, Any]], None]:
         """Begin to show progress; returns a function to be called with (steps done, last row of diagnostics).

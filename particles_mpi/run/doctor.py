@@ -15,10 +15,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-PROBE_SECONDS = 60
+PROBE_TIMEOUT = 60
 
 # Runs on every rank, or in a single process; rank 0 answers.
-PROBE = """
+PROBE_PROGRAM = """
 import json, sys
 import numpy as np
 from mpi4py import MPI
@@ -65,11 +65,11 @@ def probe(ranks: int) -> dict[str, Any]:
     ties = ("OMPI_COMM_", "OMPI_UNIVERSE", "OMPI_MCA_ess", "OMPI_MCA_orte", "OMPI_MCA_pmix", "PMIX_", "PMI_", "HYDI_", "HYDRA_")
     environment = {name: value for name, value in os.environ.items() if not name.startswith(ties)}
     with tempfile.TemporaryDirectory(prefix="particles_mpi_doctor_") as folder:
-        command = [*start, sys.executable, "-c", PROBE, folder]
+        command = [*start, sys.executable, "-c", PROBE_PROGRAM, folder]
         try:
-            answer = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=PROBE_SECONDS)
+            answer = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=PROBE_TIMEOUT)
         except subprocess.TimeoutExpired:
-            return {"error": f"no answer within {PROBE_SECONDS} s"}
+            return {"error": f"no answer within {PROBE_TIMEOUT} s"}
         except OSError as error:
             return {"error": str(error)}
     for line in answer.stdout.splitlines():
@@ -117,7 +117,7 @@ def _launcher(alone: dict[str, Any]) -> Answer:
     if path is None:
         return "no mpirun or mpiexec found", "install an MPI, or: PARTICLES_MPI_SETUP=pip ./run.sh setup"
     try:
-        said = subprocess.run([path, "--version"], capture_output=True, text=True, timeout=PROBE_SECONDS)
+        said = subprocess.run([path, "--version"], capture_output=True, text=True, timeout=PROBE_TIMEOUT)
     except (OSError, subprocess.TimeoutExpired) as error:
         return f"{path}: {error}", "this launcher does not start"
     ours, theirs = _family(said.stdout + said.stderr), _family(alone.get("library", ""))

@@ -23,7 +23,7 @@ def tell_end(sim: Any, plan: dict[str, Any], folder: Path, screen: Screen, secon
 
     `seconds`: of this rank for the set-up and for the loop; those of the phases of the loop are in `sim.timers`.
     """
-    timers, counts, remarks = spread(sim, seconds), traffic(sim), sim.remarks()
+    timers, counts, remarks = phase_seconds(sim, seconds), run_counts(sim), sim.remarks()
     screen.phases(timers, steps, sim.total)
     say = screen.say
     if windows := counts.get("windows"):
@@ -43,7 +43,7 @@ def tell_end(sim: Any, plan: dict[str, Any], folder: Path, screen: Screen, secon
         say(f"plots: python python_viz/plot_frame.py {shown}   (and plot_diagnostics.py, plot_phases.py, animate.py)")
 
 
-def spread(sim: Any, seconds: dict[str, float]) -> dict[str, dict[str, float]]:
+def phase_seconds(sim: Any, seconds: dict[str, float]) -> dict[str, dict[str, float]]:
     """Least, mean and largest seconds among the ranks of the set-up, the loop, and each phase of it. Collective."""
     phases = sim.timers.seconds
     everyone = sim.ranks.allgather({**seconds, **phases, "other": seconds["loop"] - sum(phases.values())})
@@ -54,7 +54,7 @@ def spread(sim: Any, seconds: dict[str, float]) -> dict[str, dict[str, float]]:
     return result
 
 
-def traffic(sim: Any) -> dict[str, int]:
+def run_counts(sim: Any) -> dict[str, int]:
     """Sums over the ranks of what was sent, and of what happened. Collective."""
     here, ranks = sim.counted(), sim.ranks
     counted = {name: sim.totals[name] for name in COUNTS}

@@ -13,7 +13,7 @@ from particles_mpi.scene.active import ActiveEffects
 from particles_mpi.scene.plan import duration
 from particles_mpi.scene.schema import Scene
 
-PROBE = 0.5  # seconds of steps that are enough for a forecast, if the first step did not take longer
+MEASURED_SECONDS = 0.5  # seconds of steps that are enough for a forecast, if the first step did not take longer
 TRUST = 1.5  # factor within which a forecast should be right
 HEAPING = 0.9  # restitution below which falling particles soon lie in heaps
 WRITING = {"output": "every", "diagnostics": "diagnostics_every", "checkpoint": "checkpoint_every"}  # phases and their periods
@@ -84,14 +84,14 @@ register("numba:compiler_lock", LOADING)  # numba holds this lock while it compi
 class Forecaster:
     """Measures the steps of a run up to step `last`, on one rank, from the moment it is made.
 
-    `look` is to be called after each step and its output. It gives a forecast when enough steps were measured, after half of the
-    steps at the latest, and again whenever the time since the start has doubled.
+    `due_forecast` is to be called after each step and its output. It gives a forecast when enough steps were measured, after half
+    of the steps at the latest, and again whenever the time since the start has doubled.
     """
 
     def __init__(self, sim: Any, last: int):
         self.sim, self.last = sim, last
         self.began = self.first = self.since = self.here()
-        self.due, self.half, self.enough = 0.0, self.began.step + (last - self.began.step + 1) // 2, PROBE
+        self.due, self.half, self.enough = 0.0, self.began.step + (last - self.began.step + 1) // 2, MEASURED_SECONDS
         self.loaded = 0.0  # seconds in which the first row of diagnostics loaded kernels
         self.outlook = outlook(sim.scene)
 
@@ -104,7 +104,7 @@ class Forecaster:
         """To be called after the first row of diagnostics, before any step: only that row may have loaded kernels."""
         self.loaded = self.here().loading - self.began.loading
 
-    def look(self) -> Forecast | None:
+    def due_forecast(self) -> Forecast | None:
         """A forecast, or None if it is not time for one."""
         if perf_counter() < self.due and self.sim.steps_done < self.half:
             return None
@@ -114,13 +114,13 @@ class Forecaster:
             # These steps contain what is done only once, and a search that serves many steps. Steps after them are measured, for
             # at least as long, so that searches count in proportion.
             self.first = self.since = now
-            self.enough = max(PROBE, own)
+            self.enough = max(MEASURED_SECONDS, own)
             return None
         if own < self.enough and now.step < self.half:
             self.due = perf_counter() + self.enough - own
             return None
         forecast = self.forecast(now, own)
-        self.since, self.outlook, self.enough = now, Outlook(), PROBE
+        self.since, self.outlook, self.enough = now, Outlook(), MEASURED_SECONDS
         self.due, self.half = 2.0 * now.clock - self.began.clock, self.last
         return forecast
 

@@ -143,7 +143,7 @@ class Job:
                     self.write_frame()
                 if n % output.checkpoint_every == 0 or final:
                     self.save()
-                if pace and (forecast := pace.look()) and (n < self.last or self.rehearsal):
+                if pace and (forecast := pace.due_forecast()) and (n < self.last or self.rehearsal):
                     self.foretell(forecast)
                 if n >= shown + SHOW_EVERY:
                     shown = n

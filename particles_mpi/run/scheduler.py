@@ -8,9 +8,9 @@ import subprocess
 from math import inf
 from time import localtime, strftime, time
 
-MARGIN, SHARE = 60.0, 0.01  # before the limit a run stops: seconds, or this share of the time left if that is longer,
-MOST = 0.25  # but at most this share of it
-PATIENCE = 30.0  # seconds in which squeue has to answer
+STOP_SECONDS, STOP_SHARE = 60.0, 0.01  # before the limit a run stops: seconds, or this share of the time left if that is longer,
+LARGEST_SHARE = 0.25  # but at most this share of it
+SQUEUE_SECONDS = 30.0  # seconds in which squeue has to answer
 
 
 def slurm_limit() -> tuple[float | None, str]:
@@ -29,7 +29,7 @@ def slurm_limit() -> tuple[float | None, str]:
         left = float(end) - time() if end else seconds(text)
     except (OSError, ValueError, subprocess.SubprocessError) as error:
         return None, f"the time limit of job {job} is not known ({str(error).splitlines()[0]}): give --wall-time"
-    margin = min(max(MARGIN, SHARE * left), MOST * max(left, 0.0))
+    margin = min(max(STOP_SECONDS, STOP_SHARE * left), LARGEST_SHARE * max(left, 0.0))
     stop = left - margin
     return stop, f"stops at {strftime('%H:%M:%S', localtime(time() + stop))}, {margin:.0f} s before the limit of job {job}"
 
@@ -37,7 +37,7 @@ def slurm_limit() -> tuple[float | None, str]:
 def _squeue(job: str) -> str:
     """What squeue says of the time left to a job."""
     command = ["squeue", "-h", "-j", job, "-o", "%L"]
-    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=PATIENCE).stdout.strip()
+    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=SQUEUE_SECONDS).stdout.strip()
 
 
 def seconds(text: str) -> float:

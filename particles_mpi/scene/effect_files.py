@@ -6,8 +6,12 @@ import sys
 from hashlib import sha256
 from pathlib import Path
 from types import ModuleType
+from typing import Any
+
+from pydantic import ValidationError, ValidationInfo
 
 from particles_mpi.scene.effect import EffectOptions, Event, Force, VelocityFlow
+from particles_mpi.scene.model import faults_of, key_of, suggestion
 
 PACKAGE = "particles_mpi.effects"
 FROM_FILES = (Force, VelocityFlow, Event)  # other kinds are planned, and computed, by their names
@@ -51,3 +55,29 @@ def load_effect(name: str, file: Path | None) -> ModuleType:
         kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
         raise ValueError(f"{file}: {kind}{' '.join(str(error).split())}") from error
     return module
+
+
+def validated_effects(value: Any, info: ValidationInfo) -> dict[str, Any]:
+    """Validate each `[effects.NAME]` by the Options of its file; an effect that is not named is not imported."""
+    if not isinstance(value, dict):
+        raise ValueError("effects: must be tables [effects.NAME]")
+    validated, names = {}, effect_names()
+    for name, keys in value.items():
+        key = key_of(("effects", name))
+        file = keys.get("file") if isinstance(keys, dict) else None
+        if file is None and name not in names:
+            raise ValueError(f"{key}: unknown effect{suggestion(name, names)}")
+        if file is not None:
+            if name in names:
+                raise ValueError(f"{key}.file: {name} is an effect of the program; give yours another name")
+            if not isinstance(file, str) or not str(name).isidentifier():
+                raise ValueError(f"{key}.file: must be the name of a Python file, for an effect whose name is an identifier")
+            keys = keys | {"file": str((info.data["folder"] / file).resolve())}
+        try:
+            options = load_effect(name, None if file is None else Path(keys["file"])).Options
+            validated[name] = options.model_validate(keys)
+        except ValidationError as error:
+            raise ValueError("\n".join(faults_of(error, options, ("effects", name)))) from None
+        except ValueError as error:
+            raise ValueError(f"{key}.file: {error}") from None
+    return validated

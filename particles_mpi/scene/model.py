@@ -19,8 +19,8 @@ from pydantic import (
     field_validator,
 )
 
-LARGEST = 1e100
-NUMBERS = {float, int, bool}
+LARGEST_NUMBER = 1e100
+NUMBER_TYPES = {float, int, bool}
 NotNegative = Annotated[float, Field(ge=0.0)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
@@ -42,7 +42,7 @@ class Model(BaseModel):
     @field_validator("*")
     @classmethod
     def _in_range(cls, value: Any) -> Any:
-        """Numbers, and lists of them, that are not beyond LARGEST."""
+        """Numbers, and lists of them, that are not beyond LARGEST_NUMBER."""
         for number in value if isinstance(value, list) else [value]:
             if isinstance(number, float):
                 not_too_large(number)
@@ -55,17 +55,17 @@ class Model(BaseModel):
         return copy
 
 
-def plain(value: Any) -> Any:
+def python_values(value: Any) -> Any:
     """A value of a table with lists and numbers of Python in place of arrays and tuples, at any depth."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, dict):
-        return {name: plain(inner) for name, inner in value.items()}
+        return {name: python_values(inner) for name, inner in value.items()}
     if isinstance(value, list | tuple):
         kinds = set(map(type, value))
-        if kinds == {list} and set(map(type, chain.from_iterable(value))) <= NUMBERS:
+        if kinds == {list} and set(map(type, chain.from_iterable(value))) <= NUMBER_TYPES:
             return list(value)  # rows of numbers, of which there may be very many
-        return list(value) if kinds <= NUMBERS else [plain(inner) for inner in value]
+        return list(value) if kinds <= NUMBER_TYPES else [python_values(inner) for inner in value]
     return value
 
 
@@ -128,10 +128,9 @@ def faults_of(error: ValidationError, model: type[BaseModel], prefix: tuple[Any,
 
 
 def not_too_large(value: Any) -> Any:
-    if not abs(value) <= LARGEST:
-        raise ValueError(
-            f"{value} is not a number between -{LARGEST:g} and {LARGEST:g}, beyond which squares and products overflow"
-        )
+    if not abs(value) <= LARGEST_NUMBER:
+        limits = f"-{LARGEST_NUMBER:g} and {LARGEST_NUMBER:g}"
+        raise ValueError(f"{value} is not a number between {limits}, beyond which squares and products overflow")
     return value
 
 

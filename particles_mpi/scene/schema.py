@@ -5,37 +5,14 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import (
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    TypeAdapter,
-    ValidationError,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from particles_mpi.errors import SceneError
 from particles_mpi.particles import Array
-from particles_mpi.scene.effect_files import effect_names, load_effect
+from particles_mpi.scene.effect_files import load_effect, validated_effects
 from particles_mpi.scene.losses import Losses
-from particles_mpi.scene.model import (
-    Flags,
-    Model,
-    NotNegative,
-    Position,
-    Scalar,
-    Spin,
-    SpinVector,
-    Vectors,
-    Velocity,
-    faults_of,
-    key_of,
-    plain,
-    suggestion,
-    wrong_length,
-)
+from particles_mpi.scene.model import Flags, Model, NotNegative, faults_of, python_values, wrong_length
+from particles_mpi.scene.population import Population, population_faults
 
 TOLERANCES = 1e-12, 1e-3  # of `adaptive`, smallest and largest: below, round-off of the forces alone is more
 
@@ -68,23 +45,6 @@ class Time(Model):
         return self
 
 
-class Population(Model):
-    """Particles that are described together. Further keys are columns that effects from outside bring: the scene checks them."""
-
-    model_config = ConfigDict(extra="allow")
-
-    count: Annotated[int, Field(ge=0, le=10**18)] | None = None
-    position: Position
-    velocity: Velocity = None
-    radius: Scalar = 0.0
-    mass: Scalar = None
-    fixed: Flags = False
-    drag: Scalar = None
-    acceleration: Vectors = None
-    spin: Any = None
-    moment_of_inertia: Scalar = None
-
-
 class Output(Model):
     """What is written, and how often (in steps); may be changed while a simulation goes by it, and is checked then too."""
 
@@ -113,32 +73,6 @@ class Output(Model):
         return self.model_copy(deep=True)
 
 
-def _effects(value: Any, info: ValidationInfo) -> dict[str, Any]:
-    """Validate each `[effects.NAME]` by the Options of its file; an effect that is not named is not imported."""
-    if not isinstance(value, dict):
-        raise ValueError("effects: must be tables [effects.NAME]")
-    validated, names = {}, effect_names()
-    for name, keys in value.items():
-        key = key_of(("effects", name))
-        file = keys.get("file") if isinstance(keys, dict) else None
-        if file is None and name not in names:
-            raise ValueError(f"{key}: unknown effect{suggestion(name, names)}")
-        if file is not None:
-            if name in names:
-                raise ValueError(f"{key}.file: {name} is an effect of the program; give yours another name")
-            if not isinstance(file, str) or not str(name).isidentifier():
-                raise ValueError(f"{key}.file: must be the name of a Python file, for an effect whose name is an identifier")
-            keys = keys | {"file": str((info.data["folder"] / file).resolve())}
-        try:
-            options = load_effect(name, None if file is None else Path(keys["file"])).Options
-            validated[name] = options.model_validate(keys)
-        except ValidationError as error:
-            raise ValueError("\n".join(faults_of(error, options, ("effects", name)))) from None
-        except ValueError as error:
-            raise ValueError(f"{key}.file: {error}") from None
-    return validated
-
-
 class Scene(Model):
     """A scene as validated: what is simulated, how long, and what is written.
 
@@ -154,12 +88,12 @@ class Scene(Model):
     box: Box | None = None
     time: Time
     particles: list[Population]
-    effects: Annotated[dict[str, Any], BeforeValidator(_effects)] = Field(default_factory=dict)
+    effects: Annotated[dict[str, Any], BeforeValidator(validated_effects)] = Field(default_factory=dict)
     output: Output = Output()
 
     def __init__(self, **tables: Any):
         try:
-            super().__init__(**plain(tables))
+            super().__init__(**python_values(tables))
         except ValidationError as error:
             raise SceneError(faults_of(error, Scene)) from None
 
@@ -208,6 +142,18 @@ class Scene(Model):
         return flags if isinstance(flags, list) else [flags] * self.dimension
 
     @property
+    def corners(self) -> tuple[Array, Array]:
+        """The lower and the upper corner of the box, (d,) each; infinite where space is open."""
+        lower, upper = (self.box.lower, self.box.upper) if self.box else ([-np.inf] * self.dimension, [np.inf] * self.dimension)
+        return np.array(lower, float), np.array(upper, float)
+
+    @property
+    def periodic_length(self) -> Array:
+        """(d,): length of periodic axes, 0 of the others."""
+        lower, upper = self.corners
+        return np.where(self.periodic, upper - lower, 0.0)
+
+    @property
     def active(self) -> dict[str, Any]:
         """The options of the effects that are not switched off, by name."""
         return {name: options for name, options in self.effects.items() if options.active}
@@ -234,7 +180,7 @@ class Scene(Model):
             if not self.output.formats:
                 faults.append(f'output.formats: files of VTK have three axes at most; in dimension {d} use "hdf5"')
         for number, population in enumerate(self.particles):
-            faults += self.population_faults(f"particles[{number}]", population)
+            faults += population_faults(self, f"particles[{number}]", population)
         if self.output.orientation and not self.rough:
             faults.append("output.orientation: nothing turns spheres without friction in [effects.collisions] or [effects.walls]")
         if faults:
@@ -264,54 +210,3 @@ class Scene(Model):
         """The per-particle columns that effects from outside the program bring, by name."""
         outside = [options.effect_class().needs.columns for options in self.effects.values() if options.file]
         return {name: column for columns in outside for name, column in columns.items()}
-
-    def population_faults(self, key: str, population: Population) -> list[str]:
-        """What is wrong with a population in this scene, each beginning with `key`; [] if nothing is."""
-        d, position, faults = self.dimension, population.position, []
-        plummer = isinstance(position, dict) and "plummer" in position
-        if population.count is None and (plummer or isinstance(position, str)):
-            faults.append(f"{key}.count: needed with position = " + ("{plummer = a}" if plummer else f'"{position}"'))
-        if self.box is None and isinstance(position, str):
-            faults.append(f'{key}.position: "{position}" needs a [box]')
-        if plummer and d != 3:
-            faults.append(f"{key}.position: a Plummer sphere needs dimension 3")
-        if population.velocity == "equilibrium" and not (plummer and "mutual_gravity" in self.effects):
-            faults.append(f'{key}.velocity: "equilibrium" needs position = {{plummer = a}} and [effects.mutual_gravity]')
-        for name in ("position", "velocity", "acceleration"):
-            faults += wrong_length(f"{key}.{name}", getattr(population, name), d)
-        for name, value in (population.model_extra or {}).items():
-            if name not in self.columns:
-                faults.append(f"{key_of((key, name))}: unknown key{suggestion(name, [*Population.model_fields, *self.columns])}")
-                continue
-            try:
-                TypeAdapter(Vectors if self.columns[name].vector else Scalar).validate_python(value)
-            except ValidationError as error:
-                faults.append(f"{key}.{name}: {error.errors()[0]['ctx']['error']}")
-            else:
-                faults += wrong_length(f"{key}.{name}", value, d) if self.columns[name].vector else []
-        faults += self.spin_faults(key, population)
-        for name, effect in (("drag", "drag"), ("acceleration", "user_acceleration")):
-            if getattr(population, name) is not None and effect not in self.effects:
-                faults.append(f"{key}.{name}: needs [effects.{effect}]")
-        return faults
-
-    def spin_faults(self, key: str, population: Population) -> list[str]:
-        """What is wrong with the spin and the moment of inertia of a population, each beginning with `key`."""
-        d, spin, faults = self.dimension, population.spin, []
-        for name in ("spin", "moment_of_inertia"):
-            if getattr(population, name) is not None and not self.rough:
-                faults.append(f"{key}.{name}: nothing turns spheres without friction in [effects.collisions] or [effects.walls]")
-        if faults or spin is None:
-            return faults
-        try:
-            TypeAdapter(Spin if d == 2 else SpinVector).validate_python(spin)
-        except ValidationError as error:
-            return [f"{key}.spin: {error.errors()[0]['ctx']['error']}"]
-        return wrong_length(f"{key}.spin", spin, 3) if d == 3 else []
-
-
-def periodic_length(scene: Scene) -> Array:
-    """(d,): length of periodic axes, 0 of the others."""
-    if scene.box is None:
-        return np.zeros(scene.dimension)
-    return np.where(scene.periodic, np.array(scene.box.upper, float) - np.array(scene.box.lower, float), 0.0)

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 PACKAGE = Path(__file__).parents[1]
-STATE = "__pycache__/kernels.json"  # the digests at the time when all kernels were compiled
+STATE_FILE = "__pycache__/kernels.json"  # the digests at the time when all kernels were compiled
 COMPILER = ("numba", "njit")
 
 Place = tuple[str, str]  # a module and a name in it
@@ -119,7 +119,7 @@ class Sources:
     def compiled(self) -> dict[str, dict[str, str]]:
         """The state that `note` saved; empty if there is none."""
         try:
-            return dict(json.loads((self.package / STATE).read_text()))
+            return dict(json.loads((self.package / STATE_FILE).read_text()))
         except (OSError, ValueError):
             return {}
 
@@ -146,8 +146,8 @@ class Sources:
 
     def note(self) -> None:
         """Save the state: all kernels have been compiled."""
-        (self.package / STATE).parent.mkdir(exist_ok=True)
-        (self.package / STATE).write_text(json.dumps(self.state(), indent=1))
+        (self.package / STATE_FILE).parent.mkdir(exist_ok=True)
+        (self.package / STATE_FILE).write_text(json.dumps(self.state(), indent=1))
 
 
 class Anything:

@@ -17,7 +17,7 @@ import numpy as np
 from particles_mpi.contacts.event_driven.messages import message_of
 from particles_mpi.contacts.event_driven.operator import EventDriven
 from particles_mpi.initial.populate import populate
-from particles_mpi.initial.random_addition import FEW
+from particles_mpi.initial.random_addition import FEW_LEFT
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.scene.schema import Scene
 from particles_mpi.setup.kernel_sources import PACKAGE, Sources
@@ -154,7 +154,7 @@ def windows(d: int, ranks: Communicator) -> None:
 
 def starts(ranks: Communicator) -> None:
     """Random places of so many spheres that ranks throw them apart from one another."""
-    many = [{"count": FEW + 1000, "position": "random", "radius": 0.001}]
+    many = [{"count": FEW_LEFT + 1000, "position": "random", "radius": 0.001}]
     populate(scene(3, {"collisions": {}, "walls": {}}, particles=many), ranks)
 
 

@@ -15,7 +15,7 @@ from rich.table import Column, Table
 
 from particles_mpi.output.replacing import replacing
 from particles_mpi.parallel.communicator import Communicator, mpi_library
-from particles_mpi.run.console import WIDE
+from particles_mpi.run.console import LOG_WIDTH
 from particles_mpi.run.doctor import usable_cores
 from particles_mpi.study.experiment import Experiment, Row
 
@@ -188,6 +188,6 @@ def page(title: str, all_found: list[Experiment], figures: dict[str, str], about
 
 def table_html(table: Table) -> str:
     """A table of the screen as a part of a page."""
-    console = Console(record=True, file=io.StringIO(), width=WIDE)
+    console = Console(record=True, file=io.StringIO(), width=LOG_WIDTH)
     console.print(table, crop=False)
     return console.export_html(inline_styles=True, code_format="<pre>{code}</pre>")

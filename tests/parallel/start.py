@@ -86,14 +86,14 @@ def digest(described):
 
 told = {}
 for few, points in ((50, 200), (10_000, 100_000)):  # random places by parts of space, and all on all ranks
-    random_addition.FEW, random_addition.POINTS = few, points
+    random_addition.FEW_LEFT, random_addition.POINTS_AT_ONCE = few, points
     for name, described in SCENES.items():
         found = digest(described)
         assert told.setdefault(name, found) == found or name == "too many", (name, few)  # that tells how many it tried
-random_addition.TOGETHER, random_addition.FEW = 300, 50
+random_addition.SPHERES_AT_ONCE, random_addition.FEW_LEFT = 300, 50
 for name in ("discs", "periodic discs", "spheres"):
     told[f"{name}, in parts"] = digest(SCENES[name])
-random_addition.TOGETHER, random_addition.FEW = 2**20, 10_000
+random_addition.SPHERES_AT_ONCE, random_addition.FEW_LEFT = 2**20, 10_000
 tracemalloc.start()
 populate(scene([gas(60_000, 0.001, velocity=WARM)], d=3), ranks)
 told["bytes a particle"] = int(ranks.allreduce_max(tracemalloc.get_traced_memory()[1])[0]) / 60_000

@@ -1,4 +1,4 @@
-"""A run whose VTK frames are cut into blocks of PIECE ids: vtk_pieces.py FOLDER PIECE change|run|kill|full.
+"""A run whose VTK frames are cut into blocks of PIECE_IDS ids: vtk_pieces.py FOLDER PIECE change|run|kill|full.
 
 change: particles are added and removed, so that frames have one block, many, and blocks without particles. run: 40 particles,
 frames at steps 0, 5 and 10; goes on from the checkpoint in the folder if there is one. kill: the same, but rank 0 is killed at
@@ -23,7 +23,7 @@ tables = {
     "effects": {"collisions": {}, "walls": {}},
     "output": {"every": 5, "checkpoint_every": 2, "diagnostics_every": 5},
 }
-whole = vtk.PIECE, vtk.Blocks.write, vtk._write_pvtu
+whole = vtk.PIECE_IDS, vtk.Blocks.write, vtk._write_pvtu
 
 
 def come_and_go() -> None:
@@ -52,7 +52,7 @@ def full(blocks: vtk.Blocks, path: Path, columns: dict) -> None:
         raise OSError(28, "No space left on device")
 
 
-vtk.PIECE = piece
+vtk.PIECE_IDS = piece
 try:
     if what == "change":
         come_and_go()
@@ -65,4 +65,4 @@ try:
 except StoppedError as error:
     print(error)
 finally:
-    vtk.PIECE, vtk.Blocks.write, vtk._write_pvtu = whole
+    vtk.PIECE_IDS, vtk.Blocks.write, vtk._write_pvtu = whole

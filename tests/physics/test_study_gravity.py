@@ -102,7 +102,7 @@ def test_softening_of_particles_that_stand_for_a_smooth_sphere(softened):
 
 def test_the_smooth_field_is_plummers_and_that_of_a_point_from_afar():
     r = np.array([0.1, 1.0, 5.0])
-    np.testing.assert_allclose(softening.smooth_field(r, 1e-3), r * (r * r + 1.0) ** -1.5 / softening.MOST, rtol=1e-3)
+    np.testing.assert_allclose(softening.smooth_field(r, 1e-3), r * (r * r + 1.0) ** -1.5 / softening.MASS_SHARE, rtol=1e-3)
     assert softening.smooth_field(np.array([1e4]), 5e3)[0] == pytest.approx(1e4 / (1e8 + 2.5e7) ** 1.5, rel=1e-4)
 
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from particles_mpi import Simulation
 from particles_mpi.kernels.geometry import image_shifts
-from particles_mpi.scene.schema import periodic_length
 from particles_mpi.study.accuracy.resting import G, R, bed
 from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, all_particles, slope
 
@@ -89,7 +88,7 @@ def creeping(benchmark: Benchmark) -> list[Experiment]:
         sim.run()
         after = all_particles(sim)
         way = after.position - before.position
-        way -= image_shifts(way, periodic_length(sim.scene))
+        way -= image_shifts(way, sim.scene.periodic_length)
         moved, speeds2 = np.sqrt((way**2).sum(axis=1)), (after.velocity**2).sum(axis=1)
         won = 0.5 * speeds2.mean() - G * (sin(SLOPE) * way[:, 0] - cos(SLOPE) * way[:, 2]).mean()
         return {

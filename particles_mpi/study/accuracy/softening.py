@@ -13,7 +13,7 @@ import numpy as np
 
 from particles_mpi import Simulation
 from particles_mpi.gravity.direct import Attraction
-from particles_mpi.initial.plummer import MOST, plummer_places
+from particles_mpi.initial.plummer import MASS_SHARE, plummer_places
 from particles_mpi.particles import Array
 from particles_mpi.study.accuracy.orbits import gravity, place_on_ellipse, plummer_sphere
 from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Row, Setting, all_particles, distance, slope
@@ -108,7 +108,7 @@ def smooth_field(r: Array, eps: float) -> Array:
     hold the mass between cubes of equal steps, so that radii begin evenly.
     """
     u = (np.arange(SHELLS) + 0.5) / SHELLS
-    shell, r = 1.0 / np.sqrt((MOST * u**3) ** (-2.0 / 3.0) - 1.0), r[:, None]
+    shell, r = 1.0 / np.sqrt((MASS_SHARE * u**3) ** (-2.0 / 3.0) - 1.0), r[:, None]
     outer, inner = np.sqrt((r + shell) ** 2 + eps**2), np.sqrt((r - shell) ** 2 + eps**2)
     steepness = (r + shell) / outer - (r - shell) / inner
     return ((outer - inner) / (2.0 * r * r * shell) - steepness / (2.0 * r * shell)) @ (3.0 * u * u / SHELLS)
@@ -123,7 +123,7 @@ def fields(n: int) -> dict[float, Errors]:
     random, mass = np.random.default_rng(1), np.full(n, 1.0 / n)
     at, *drawn = (plummer_places(random, 1.0, np.full(many, 1.0 / many)) for many in (FIELD_PLACES, *[n] * SPHERES))
     r = np.sqrt((at**2).sum(axis=1))
-    exact = r * (r * r + 1.0) ** -1.5 / MOST  # the sphere is cut where the drawn ones end
+    exact = r * (r * r + 1.0) ** -1.5 / MASS_SHARE  # the sphere is cut where the drawn ones end
     found = {}
     for eps in FIELD_SOFTENINGS:
         sums = [Attraction(at, n, eps * eps) for _ in drawn]

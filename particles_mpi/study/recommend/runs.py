@@ -21,7 +21,6 @@ from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import RUN_MADE, Array, Particles, default_values
 from particles_mpi.scene.active import ActiveEffects, fields_of
-from particles_mpi.scene.schema import periodic_length
 from particles_mpi.study.experiment import Benchmark, all_particles, total_count
 
 DISPLACEMENT = 1e-12  # of the size of a motion: how far a displaced start is from the start
@@ -72,7 +71,7 @@ class Start:
         lossy = any(contact.lossy for contact in hard)
         self.conserves = not self.dissipates and not lossy and not endless_falls(scene, self.particles, Communicator.alone())
         self.duration = scene.steps * scene.time.step
-        self.length = periodic_length(scene)  # of periodic axes, 0 of others
+        self.length = scene.periodic_length  # of periodic axes, 0 of others
 
     def on_few(self, work: Callable[[Start], Any]) -> Any:
         """`work(self)`; for few bodies, which more ranks would only slow down, on rank 0 alone: None elsewhere. Collective."""

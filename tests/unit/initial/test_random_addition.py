@@ -6,7 +6,7 @@ import pytest
 from particles_mpi.initial import random_addition
 from particles_mpi.initial.container import Container
 from particles_mpi.initial.random_addition import RandomAddition, points_of
-from particles_mpi.initial.random_numbers import MASK
+from particles_mpi.initial.random_numbers import LOW_HALF
 from particles_mpi.parallel.communicator import Communicator
 
 KEY = 0x123456789ABCDEF
@@ -22,7 +22,7 @@ def room(periodic=False, walls=(), d=2):
 def one_after_the_other(room, x, radius, count, new_radius):
     """Spheres of one class of radius: throw after throw, in each the larger first, then the lower numbers."""
     places, radii, found = list(x), list(radius), {}
-    key = np.array([KEY >> 32 * k & int(MASK) for k in range(2)], np.uint64)
+    key = np.array([KEY >> 32 * k & int(LOW_HALF) for k in range(2)], np.uint64)
     order = np.lexsort((np.arange(count), -new_radius))
     for throw in range(10_000):
         points, clear = points_of(key, np.arange(count), np.array([throw]), new_radius, room)
@@ -45,8 +45,8 @@ def one_after_the_other(room, x, radius, count, new_radius):
 @pytest.mark.parametrize("spread", [0.0, 0.4])
 def test_all_at_once_is_one_after_the_other(monkeypatch, few, points, periodic, spread):
     """However many are thrown at once, and whether each rank throws all or not. Radii of one class: above half of the largest."""
-    monkeypatch.setattr(random_addition, "FEW", few)
-    monkeypatch.setattr(random_addition, "POINTS", points)
+    monkeypatch.setattr(random_addition, "FEW_LEFT", few)
+    monkeypatch.setattr(random_addition, "POINTS_AT_ONCE", points)
     count, d = 150, 2
     radius = 0.06 * (1.0 - spread * np.random.default_rng(1).random(count))
     x, known = np.array([[1.0, 1.0], [0.1, 1.9]]), np.array([0.05, 0.058])

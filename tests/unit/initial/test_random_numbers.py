@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from particles_mpi.initial.random_numbers import BLOCK, draw, random_pair, stream_key, uniform
+from particles_mpi.initial.random_numbers import GENERATOR_BLOCK, draw, random_pair, stream_key, uniform
 
 ANSWERS = (  # key, counter, output of Philox4x32-10: known answers that come with its authors' library Random123
     ((0, 0), (0, 0, 0, 0), (0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8)),
@@ -26,8 +26,9 @@ def test_the_published_answers_of_philox(key, counter, words):
 @pytest.mark.parametrize("numbers", [uniform, lambda random, n: random.standard_normal((n, 3))])
 def test_parts_of_a_population_are_those_of_the_whole(numbers):
     key = stream_key(7, 3, "velocity")
-    whole = draw(key, 0, 3 * BLOCK, numbers)
-    for first, last in [(0, 1), (0, 0), (5, 5), (3, BLOCK), (BLOCK - 1, BLOCK + 1), (10, 3 * BLOCK), (2 * BLOCK, 2 * BLOCK + 9)]:
+    whole = draw(key, 0, 3 * GENERATOR_BLOCK, numbers)
+    n = GENERATOR_BLOCK
+    for first, last in [(0, 1), (0, 0), (5, 5), (3, n), (n - 1, n + 1), (10, 3 * n), (2 * n, 2 * n + 9)]:
         assert np.array_equal(draw(key, first, last, numbers), whole[first:last])
     assert len(np.unique(whole)) == whole.size
 

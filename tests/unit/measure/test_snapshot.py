@@ -73,7 +73,7 @@ def test_json_gives_every_float_back(tmp_path_factory, rows):
 
 
 def test_a_text_with_many_particles_is_warned_of(tmp_path, monkeypatch):
-    monkeypatch.setattr(snapshot, "MANY", 2)
+    monkeypatch.setattr(snapshot, "LARGE_TEXT", 2)
     rows = Particles(1, {"id": np.arange(3), "position": np.zeros((3, 1))})
     with pytest.warns(UserWarning, match="3 particles as text"):
         save_json(tmp_path / "state.json", Communicator(), rows, {"scene": {"dimension": 1}}, None)

@@ -17,7 +17,7 @@ N, M, PIECE = 95, 33, 10
 @pytest.fixture
 def written(tmp_path, monkeypatch):
     """(path, particles in id order, contacts in id order) of a state whose rows were in no order."""
-    monkeypatch.setattr(checkpoint, "PIECE", PIECE)
+    monkeypatch.setattr(checkpoint, "PIECE_ROWS", PIECE)
     random = np.random.default_rng(3)
     x = random.standard_normal((N, 2))
     x[4], x[5, 0] = np.nan, -0.0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from particles_mpi import Run, Scene, SceneError, Simulation
-from particles_mpi.results.curves import ROWS, curves
+from particles_mpi.results.curves import MOST_ROWS, curves
 from particles_mpi.results.page import Choice, choose, page, survey, write_page
 from particles_mpi.results.scenery import scenery, section
 
@@ -138,7 +138,7 @@ def test_a_run_without_frames_and_a_folder_that_cannot_be_written(tmp_path):
 
 
 def test_curves_keep_sums_however_long_the_table():
-    for rows in (3, 4, ROWS - 1, ROWS, ROWS + 1, 5 * ROWS + 3):
+    for rows in (3, 4, MOST_ROWS - 1, MOST_ROWS, MOST_ROWS + 1, 5 * MOST_ROWS + 3):
         time = np.linspace(0.0, 7.0, rows)
         counts = np.arange(rows) % 5
         counts[0] = 0
@@ -155,7 +155,7 @@ def test_curves_keep_sums_however_long_the_table():
         panels = {panel["title"]: panel for panel in curves(table)}
         assert panels["energy"]["lines"].keys() == {"kinetic"} and "momentum" not in panels
         events = panels["events per unit time"]
-        assert events["lines"].keys() == {"collisions"} and len(events["time"]) <= ROWS
+        assert events["lines"].keys() == {"collisions"} and len(events["time"]) <= MOST_ROWS
         last = int(np.searchsorted(time, events["time"][-1] - 1e-6))
         lasting = np.diff([0.0, *events["time"]])
         assert np.dot(events["lines"]["collisions"], lasting) == pytest.approx(counts[: last + 1].sum(), rel=1e-4)

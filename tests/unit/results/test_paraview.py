@@ -74,7 +74,7 @@ def test_a_planar_run_and_points_in_open_space(tmp_path):
 
 def test_frames_in_pieces_are_shown_whole(tmp_path, monkeypatch):
     """Half of a row of spheres is in each piece: all of them are seen, at the last of the times."""
-    monkeypatch.setattr(vtk, "PIECE", 4)
+    monkeypatch.setattr(vtk, "PIECE_IDS", 4)
     row = [{"position": [[x, 0, 0] for x in range(8)], "radius": 0.4, "velocity": [0, 0, 1]}]
     folder = ran(
         tmp_path / "run", box={"lower": [-1, -2, -2], "upper": [8, 2, 2]}, particles=row, output={"every": 2, "formats": ["vtk"]}

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from particles_mpi import Scene, Simulation
 from particles_mpi.cli import check
 from particles_mpi.run import forecast
-from particles_mpi.run.forecast import PROBE, TRUST, Forecaster, outlook
+from particles_mpi.run.forecast import MEASURED_SECONDS, TRUST, Forecaster, outlook
 from particles_mpi.run.job import Job
 
 LINE = re.compile(
@@ -63,7 +63,7 @@ def invented(monkeypatch, steps, every, step_costs, frame, row, saved, loading):
             spend(frame, "output")
         if n % every[2] == 0 or n == steps:
             spend(saved, "checkpoint")
-        if told := pace.look():
+        if told := pace.due_forecast():
             found.append((told, clock[0], n))
     return found, clock[0]
 
@@ -85,7 +85,7 @@ def test_steps_that_go_on_as_they_began_are_foretold_exactly(steps, every, costs
     assert told.seconds == pytest.approx(whole - late, rel=1e-9)
     assert told.step == pytest.approx(step, rel=1e-9)
     assert told.least <= told.seconds <= told.most and not told.reason
-    assert n <= max(2, steps // 2 + 1, n if step >= PROBE else 0) and (n - 2) * step <= PROBE + step
+    assert n <= max(2, steps // 2 + 1, n if step >= MEASURED_SECONDS else 0) and (n - 2) * step <= MEASURED_SECONDS + step
 
 
 def test_what_turns_out_otherwise_is_told_anew(monkeypatch):

@@ -13,7 +13,7 @@ from numba.core.serialize import dumps
 
 from particles_mpi.contacts.law import Loss
 from particles_mpi.kernels.geometry import Box
-from particles_mpi.setup.kernel_sources import PACKAGE, STATE, Sources
+from particles_mpi.setup.kernel_sources import PACKAGE, STATE_FILE, Sources
 
 CELL_ALONG = "particles_mpi.neighbours.cells.cell_along"
 OTHER_CELL = ("neighbours/cells.py", "(y - origin) * per, 0.0), cells - 1.0)", "(y - origin) * per, 1.0), cells - 1.0)")
@@ -96,7 +96,7 @@ def test_what_is_stale_is_forgotten(whole, edit):
     edit(OTHER_CELL)
     assert subprocess.run(script, timeout=60).returncode == 1
     assert [file.exists() for file in files] == [False, False, True]
-    (whole / STATE).write_text("half a file")
+    (whole / STATE_FILE).write_text("half a file")
     assert subprocess.run(script, timeout=60).returncode == 1
 
 

@@ -1,0 +1,82 @@
+"""A table `[[particles]]` of a scene file, and what is wrong with it in its scene."""
+
+from typing import Annotated, Any
+
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+
+from particles_mpi.scene.model import (
+    Flags,
+    Model,
+    Position,
+    Scalar,
+    Spin,
+    SpinVector,
+    Vectors,
+    Velocity,
+    key_of,
+    suggestion,
+    wrong_length,
+)
+
+
+class Population(Model):
+    """Particles that are described together. Further keys are columns that effects from outside bring: the scene checks them."""
+
+    model_config = ConfigDict(extra="allow")
+
+    count: Annotated[int, Field(ge=0, le=10**18)] | None = None
+    position: Position
+    velocity: Velocity = None
+    radius: Scalar = 0.0
+    mass: Scalar = None
+    fixed: Flags = False
+    drag: Scalar = None
+    acceleration: Vectors = None
+    spin: Any = None
+    moment_of_inertia: Scalar = None
+
+
+def population_faults(scene: Any, key: str, population: Population) -> list[str]:
+    """What is wrong with a population in a `Scene`, each beginning with `key`; [] if nothing is."""
+    d, position, faults = scene.dimension, population.position, []
+    plummer = isinstance(position, dict) and "plummer" in position
+    if population.count is None and (plummer or isinstance(position, str)):
+        faults.append(f"{key}.count: needed with position = " + ("{plummer = a}" if plummer else f'"{position}"'))
+    if scene.box is None and isinstance(position, str):
+        faults.append(f'{key}.position: "{position}" needs a [box]')
+    if plummer and d != 3:
+        faults.append(f"{key}.position: a Plummer sphere needs dimension 3")
+    if population.velocity == "equilibrium" and not (plummer and "mutual_gravity" in scene.effects):
+        faults.append(f'{key}.velocity: "equilibrium" needs position = {{plummer = a}} and [effects.mutual_gravity]')
+    for name in ("position", "velocity", "acceleration"):
+        faults += wrong_length(f"{key}.{name}", getattr(population, name), d)
+    for name, value in (population.model_extra or {}).items():
+        if name not in scene.columns:
+            faults.append(f"{key_of((key, name))}: unknown key{suggestion(name, [*Population.model_fields, *scene.columns])}")
+            continue
+        try:
+            TypeAdapter(Vectors if scene.columns[name].vector else Scalar).validate_python(value)
+        except ValidationError as error:
+            faults.append(f"{key}.{name}: {error.errors()[0]['ctx']['error']}")
+        else:
+            faults += wrong_length(f"{key}.{name}", value, d) if scene.columns[name].vector else []
+    faults += spin_faults(scene, key, population)
+    for name, effect in (("drag", "drag"), ("acceleration", "user_acceleration")):
+        if getattr(population, name) is not None and effect not in scene.effects:
+            faults.append(f"{key}.{name}: needs [effects.{effect}]")
+    return faults
+
+
+def spin_faults(scene: Any, key: str, population: Population) -> list[str]:
+    """What is wrong with the spin and the moment of inertia of a population, each beginning with `key`."""
+    d, spin, faults = scene.dimension, population.spin, []
+    for name in ("spin", "moment_of_inertia"):
+        if getattr(population, name) is not None and not scene.rough:
+            faults.append(f"{key}.{name}: nothing turns spheres without friction in [effects.collisions] or [effects.walls]")
+    if faults or spin is None:
+        return faults
+    try:
+        TypeAdapter(Spin if d == 2 else SpinVector).validate_python(spin)
+    except ValidationError as error:
+        return [f"{key}.spin: {error.errors()[0]['ctx']['error']}"]
+    return wrong_length(f"{key}.spin", spin, 3) if d == 3 else []
