@@ -13,7 +13,6 @@ and checks the pieces with them only.
 import json
 import os
 import zlib
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -114,12 +113,11 @@ def _write_all(part: Path, ranks: Communicator, writes: list[tuple[int, Array]],
 
 def _pieces(column: Array, first: int) -> list[list[int]]:
     """[first row, last + 1, CRC-32] of each piece of a column, whose first row is row `first` of all."""
-    edges = [*range(0, len(column), PIECE_ROWS), len(column)]
-    return [
-        [first + begin, first + end, zlib.crc32(np.ascontiguousarray(column[begin:end]).view(np.uint8).data)]
-        for begin, end in pairwise(edges)
-        if end > begin
-    ]
+    pieces = []
+    for begin in range(0, len(column), PIECE_ROWS):
+        rows = np.ascontiguousarray(column[begin : begin + PIECE_ROWS])
+        pieces.append([first + begin, first + begin + len(rows), zlib.crc32(rows.view(np.uint8).data)])
+    return pieces
 
 
 def _replace(path: Path, sizes: dict[str, list[int]], crcs: dict[str, list[list[int]]]) -> None:
@@ -169,16 +167,16 @@ class Checkpoint:
         try:
             self.seal = self._check_seal()
             with h5py.File(path, "r", locking=False) as file:
-                attributes = {name: value.item() if hasattr(value, "item") else value for name, value in file.attrs.items()}
-                if attributes.pop(MARK, None) != FORMAT:
+                stored = file.attrs.items()
+                self.attributes = {name: value.item() if hasattr(value, "item") else value for name, value in stored}
+                if self.attributes.pop(MARK, None) != FORMAT:
                     raise SceneError(f"{path}: not a checkpoint of this version of particles_mpi")
-                self.total, self.dimension = attributes["total"], attributes["dimension"]
+                self.total, self.dimension = self.attributes["total"], self.attributes["dimension"]
                 self.shapes = {
                     f"{group}/{name}": (file[group][name].shape, file[group][name].dtype)
                     for group in ("particles", "contacts")
                     for name in file[group]
                 }
-            self.attributes = attributes
             self._check_shapes()
         except FileNotFoundError:
             raise SceneError(f"{path}: no such checkpoint") from None
@@ -253,9 +251,3 @@ class Checkpoint:
                 low, high = max(begin, first), min(end, last)
                 column[low - first : high - first] = piece[low - begin : high - begin]
         return column
-
-
-def load(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
-    """(all particles in id order, attributes): for those who look at a checkpoint. As `Checkpoint`."""
-    file = Checkpoint(path)
-    return file.rows(0, file.total), file.attributes

@@ -43,15 +43,11 @@ class Diagnostics(Continuing):
             cells = line.rstrip("\n").split(",")
             if not line.endswith("\n") or (cells[0].isdigit() and int(cells[0]) > end):
                 break
-            if len(cells) != len(self.columns) or not cells[0].isdigit() or not all(map(_is_number, cells)):
+            try:
+                numbers = [float(cell) for cell in cells] if cells[0].isdigit() else []
+            except ValueError:
+                numbers = []
+            if len(numbers) != len(self.columns):
                 raise ValueError(f"line {number} is no row of it")
             self.rows.append(cells)
         check_last([int(row[0]) for row in self.rows], resume_step, last)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

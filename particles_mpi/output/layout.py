@@ -48,7 +48,7 @@ def create(path: Path, columns: Columns, total: int) -> None:
         for place, (width, dtype) in columns.items():
             _dataset(group, place, (0, *width), dtype, chunk)
         for place in PARTS:
-            _dataset(group, place, (1,), "int64", 1, fill=total if place.startswith(("Number", "Vertices")) else 0)
+            _dataset(group, place, (1,), "int64", 1, fill=row_of_part(place, total))
         for kind in CELL_KINDS:
             for extra, what in enumerate(CELLS):
                 rows = (total if kind == "Vertices" else 0) + extra
@@ -89,6 +89,11 @@ def shorten(path: Path, columns: Columns, frames: int, points: int, parts: int) 
         for places, rows in ((STEPS, frames), (columns, points), (PARTS, parts)):
             for place in places:
                 group[place].resize(rows, axis=0)
+
+
+def row_of_part(place: str, count: int) -> int:
+    """The number in a dataset of PARTS for frames of `count` particles: so many points, so many vertices, and nothing else."""
+    return count if place.startswith(("Number", "Vertices")) else 0
 
 
 def count_up(dataset: Any, first: int, last: int) -> None:

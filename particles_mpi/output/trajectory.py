@@ -8,6 +8,7 @@ import ctypes
 import os
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -28,7 +29,7 @@ SHOWING_PAUSE = 0.5  # seconds: frames that follow one another faster are shown 
 WAITING_BYTES = 2**20  # bytes: smaller frames wait for those that follow in that time, and are written by one call with them
 
 
-class Frame(NamedTuple):
+class WaitingFrame(NamedTuple):
     """What a frame shows of this rank's range of ids, by place in the file."""
 
     step: int
@@ -67,7 +68,7 @@ class Trajectory(Continuing):
         super().__init__(path, ranks, resume_step, last)
         self.frames, self.points, self.parts = ranks.bcast((self.frames, self.points, self.parts))
         self.shown, self.shown_at = self.frames, -np.inf  # frames that readers see, and since when
-        self.waiting: list[Frame] = []  # not yet written, of particles with the ids `ids`
+        self.waiting: list[WaitingFrame] = []  # not yet written, of particles with the ids `ids`
         self.ids = IdRange(0, 0, 0)
         self.collective = h5py.h5p.create(h5py.h5p.DATASET_XFER)
         if self.parallel:
@@ -103,7 +104,7 @@ class Trajectory(Continuing):
         waits = not late and (len(self.waiting) + 1) * ids.total * self.row_bytes <= WAITING_BYTES
         if waits:  # the run goes on and changes its arrays
             columns = {place: column.copy() for place, column in columns.items()}
-        self.waiting.append(Frame(step, time, columns))
+        self.waiting.append(WaitingFrame(step, time, columns))
         if late:
             self.show()
         elif not waits:
@@ -134,10 +135,8 @@ class Trajectory(Continuing):
         """
         self._write_waiting()
         if self.shown < self.frames:
-            leave = (
-                [self._close, self._raise_count, self._open] if self.parallel else [self._flush, self._raise_count, self._flush]
-            )
-            self._do(self.step, leave)
+            before, after = (self._close, self._open) if self.parallel else (self._flush, self._flush)
+            self._do(self.step, [before, self._raise_count, after])
             self.shown, self.shown_at = self.frames, perf_counter()
 
     def close(self) -> None:
@@ -148,12 +147,21 @@ class Trajectory(Continuing):
             super().close()
 
     def _do(self, step: int, actions: list[Callable[[], None]]) -> None:
-        """With parallel HDF5 the ranks ask one another after each action whether it went well."""
-        if self.parallel:
-            for action in actions:
-                self._attempt(step, action)
-        else:
-            self._attempt(step, lambda: [action() for action in actions])
+        """Change the file. With parallel HDF5 all ranks do, and ask one another after each action whether it went well."""
+        rounds = [[action] for action in actions] if self.parallel else [actions]
+        reasons = mpi_io_errors if self.parallel else nullcontext
+        try:
+            for together in rounds:
+                with failing_together(self.ranks, f"cannot write {self.path} at step {step}"), reasons():
+                    for action in together if self.parallel or self.ranks.is_root else ():
+                        action()
+        except StoppedError:  # HDF5 crashes when it closes a file that it cannot flush, also at the end of the process
+            self.failed = True
+            for kept in (self.file, self.datasets):
+                ctypes.pythonapi.Py_IncRef(ctypes.py_object(kept))
+            if self.file is not None:
+                atexit.register(_leave)
+            raise
 
     def _flush(self) -> None:
         self.file.flush()
@@ -171,22 +179,6 @@ class Trajectory(Continuing):
             return
         with h5py.File(self.path, "r+", locking=False) as file:
             file["VTKHDF/Steps"].attrs.modify("NSteps", np.int64(self.frames))
-
-    def _attempt(self, step: int, action: Callable[[], Any]) -> None:
-        try:
-            with failing_together(self.ranks, f"cannot write {self.path} at step {step}"):
-                if self.parallel:
-                    with mpi_io_errors():
-                        action()
-                elif self.ranks.is_root:
-                    action()
-        except StoppedError:  # HDF5 crashes when it closes a file that it cannot flush, also at the end of the process
-            self.failed = True
-            for kept in (self.file, self.datasets):
-                ctypes.pythonapi.Py_IncRef(ctypes.py_object(kept))
-            if self.file is not None:
-                atexit.register(_leave)
-            raise
 
     def _append(self, place: str, first: int, frames: list[Array]) -> None:
         """Write this rank's rows of a column of several frames of equal size, from row `first` of the file on.
@@ -211,26 +203,24 @@ class Trajectory(Continuing):
             memory.select_none()
         dataset.write(memory, space, values, dxpl=self.collective if len(frames) > 1 else None)
 
-    def _extend(self, place: str, rows: int, values: Any) -> None:
-        """Rows at the end of a dataset. Resizing is collective, writing a number is not."""
-        dataset = self.datasets[place]
-        before = len(dataset)
-        dataset.resize(rows, axis=0)
-        if self.ranks.is_root and values is not None:
-            dataset[before:] = values
-
     def _append_part(self, parts: int, count: int) -> None:
-        """From here on frames have `count` particles: the last of `parts`; the topology grows if there were never so many."""
-        for place in layout.PARTS:
-            self._extend(place, parts, count if place.startswith(("Number", "Vertices")) else 0)
-        for extra, what in enumerate(layout.CELLS):
-            before, rows = len(self.datasets[f"Vertices/{what}"]), count + extra
-            if rows > before:
-                self._extend(f"Vertices/{what}", rows, None)
-                if self.ranks.is_root:
-                    layout.count_up(self.datasets[f"Vertices/{what}"], before, rows)
+        """From here on frames have `count` particles: the last of `parts`; the topology grows if there were never so many.
 
-    def _append_steps(self, frames: list[Frame]) -> None:
+        Resizing is collective, writing a number is not.
+        """
+        for place in layout.PARTS:
+            self.datasets[place].resize(parts, axis=0)
+            if self.ranks.is_root:
+                self.datasets[place][parts - 1] = layout.row_of_part(place, count)
+        for extra, what in enumerate(layout.CELLS):
+            dataset, rows = self.datasets[f"Vertices/{what}"], count + extra
+            before = len(dataset)
+            if rows > before:
+                dataset.resize(rows, axis=0)
+                if self.ranks.is_root:
+                    layout.count_up(dataset, before, rows)
+
+    def _append_steps(self, frames: list[WaitingFrame]) -> None:
         """The rows of these frames in every dataset of Steps; those that are not named here have their fill value."""
         number = len(frames)
         rows = {

@@ -128,7 +128,7 @@ def check_killed(folder, whole):
             assert entries == whole[name][: len(entries)], name
     if not (folder / "checkpoint.h5").exists():
         return None
-    step = checkpoint.load(folder / "checkpoint.h5")[1]["step"]
+    step = checkpoint.Checkpoint(folder / "checkpoint.h5").attributes["step"]
     assert len(found["frames"]) > step // 2 and len(found["rows"]) > step + 1
     return step
 

@@ -107,7 +107,8 @@ def check_series(folder: Path, steps: list[int], total: int, dimension: int) -> 
 
 
 def check_rest(folder: Path, steps: list[int], total: int, dimension: int) -> None:
-    arrays, attributes = checkpoint.load(folder / "checkpoint.h5")
+    file = checkpoint.Checkpoint(folder / "checkpoint.h5")
+    arrays, attributes = file.rows(0, file.total), file.attributes
     for name, values in frame_of(steps[-1], total, dimension).items():
         assert_same_bits(arrays[name], values)
     assert (attributes["step"], attributes["time"]) == (steps[-1], steps[-1] / 3)
@@ -177,7 +178,7 @@ def test_checkpoint_that_is_none_is_one_clear_line(tmp_path):
     (tmp_path / "text.h5").write_text("no HDF5")
     for name in ("short.h5", "text.h5", "missing.h5", "trajectory.vtkhdf"):
         with pytest.raises(SceneError, match=name) as raised:
-            checkpoint.load(tmp_path / name)
+            checkpoint.Checkpoint(tmp_path / name)
         assert "\n" not in str(raised.value)
     part = checkpoint.Checkpoint(tmp_path / "checkpoint.h5").rows(100, 200)
     assert list(part["id"]) == list(range(100, 200))
