@@ -9,7 +9,6 @@ from typing import Annotated, Any
 
 import typer
 from mpi4py import MPI
-from typer.core import TyperGroup
 
 from particles_mpi.errors import SceneError
 from particles_mpi.parallel.agreement import abort_all, same_on_all
@@ -20,22 +19,7 @@ from particles_mpi.study.commands import study
 STARTED = perf_counter()
 
 
-class Interruption(Exception):
-    """Carries a KeyboardInterrupt, its cause, past typer, which would make an exit code of it and lose what it says."""
-
-
-class Commands(TyperGroup):
-    """The commands; an interruption of one of them is an `Interruption`."""
-
-    def invoke(self, ctx: Any) -> Any:
-        try:
-            return super().invoke(ctx)
-        except KeyboardInterrupt as error:
-            raise Interruption from error
-
-
 app = typer.Typer(
-    cls=Commands,
     name="particles-mpi",
     no_args_is_help=True,
     add_completion=False,
@@ -199,9 +183,11 @@ def main() -> None:
         collect_garbage()
     try:
         same_on_all(Communicator(), {"arguments": words(sys.argv[1:])})
-        code = app(standalone_mode=False, prog_name="particles-mpi") or 0
-    except Interruption as error:
-        code = abort_all(error.__cause__ or error)
+        command = typer.main.get_command(app)  # not `app()`, which loses what an interruption says
+        with command.make_context("particles-mpi", sys.argv[1:]) as context:
+            command.invoke(context)
+    except typer.Exit as error:
+        code = error.exit_code
     except SystemExit as error:
         code = error.code or 0
     except BaseException as error:

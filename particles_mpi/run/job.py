@@ -112,51 +112,18 @@ class Job:
 
     def run(self) -> None:
         """To the last step, or to a signal."""
-        sim, output = self.sim, self.scene.output
-        row: dict[str, Any] = {}
-        stopped, done = False, sim.steps_done
-        shown = done
-        periods = output.every, output.diagnostics_every, output.checkpoint_every
+        sim, begun_with, stopped = self.sim, self.sim.steps_done, False
         try:
             self.screen.plan(self.scene.title, self.plan, sim.warnings)
             for note in self.notes:
                 self.screen.say(f"  {note}")
-            setup = perf_counter() - self.setup_began
-            begin = perf_counter()
-            pace = Forecaster(sim, self.last) if self.screen.loud or (self.rehearsal and self.ranks.is_root) else None
-            show = self.screen.start(done, self.last)
-            if not self.resumed:
-                row = self.report()
-                if pace:
-                    pace.reported()
-                self.write_frame()
-            if not self.continues and (self.resumed or done == self.last):
-                self.save()  # what is in this folder begins here
-            while sim.steps_done < self.last and not (stopped := self.request.poll(sim.steps_done)):
-                sim.step_towards(min(self.last, *(sim.steps_done // k * k + k for k in periods)))
-                n, final = sim.steps_done, sim.steps_done == self.last
-                if final or any(n % k == 0 for k in (WATCH_EVERY, output.every, output.checkpoint_every)):
-                    sim.watch()
-                if n % output.diagnostics_every == 0 or final:
-                    row = self.report(extra=n % output.diagnostics_every != 0)
-                if n % output.every == 0:
-                    self.write_frame()
-                if n % output.checkpoint_every == 0 or final:
-                    self.save()
-                if pace and (forecast := pace.due_forecast()) and (n < self.last or self.rehearsal):
-                    self.foretell(forecast)
-                if n >= shown + SHOW_EVERY:
-                    shown = n
-                    show(n, row)
-            if self.rehearsal:
-                self.close()
-                return
-            if stopped:
-                self.save()
-            show(sim.steps_done, row)
+            setup, begin = perf_counter() - self.setup_began, perf_counter()
+            stopped = self.take_steps()
             self.close()
-            loop = perf_counter() - begin
-            tell_end(sim, self.plan, self.folder, self.screen, {"setup": setup, "loop": loop}, sim.steps_done - done)
+            if self.rehearsal:
+                return
+            seconds = {"setup": setup, "loop": perf_counter() - begin}
+            tell_end(sim, self.plan, self.folder, self.screen, seconds, sim.steps_done - begun_with)
         except (SceneError, StoppedError) as error:
             await_all(self.ranks, error)  # to close a file would wait for ranks that have no error
             self.close()
@@ -178,6 +145,42 @@ class Job:
             saved = f"stopped at step {sim.steps_done} of {self.last}, saved; continue with --resume {folder}/checkpoint.h5"
             command = f", as {PROGRAM} run {scene} --output {folder} --resume auto" if self.scene_file else ""
             raise Interrupted(saved + command)
+
+    def take_steps(self) -> bool:
+        """The steps, and all that is shown and written between them; was the run stopped before the last one?"""
+        sim, output, row, stopped = self.sim, self.scene.output, dict[str, Any](), False
+        pace = Forecaster(sim, self.last) if self.screen.loud or (self.rehearsal and self.ranks.is_root) else None
+        shown = sim.steps_done
+        show = self.screen.start(shown, self.last)
+        if not self.resumed:
+            row = self.report()
+            if pace:
+                pace.reported()
+            self.write_frame()
+        if not self.continues and (self.resumed or sim.steps_done == self.last):
+            self.save()  # what is in this folder begins here
+        periods = output.every, output.diagnostics_every, output.checkpoint_every
+        while sim.steps_done < self.last and not (stopped := self.request.poll(sim.steps_done)):
+            sim.step_towards(min(self.last, *(sim.steps_done // k * k + k for k in periods)))
+            n, final = sim.steps_done, sim.steps_done == self.last
+            if final or any(n % k == 0 for k in (WATCH_EVERY, output.every, output.checkpoint_every)):
+                sim.watch()
+            if n % output.diagnostics_every == 0 or final:
+                row = self.report(extra=n % output.diagnostics_every != 0)
+            if n % output.every == 0:
+                self.write_frame()
+            if n % output.checkpoint_every == 0 or final:
+                self.save()
+            if pace and (forecast := pace.due_forecast()) and (n < self.last or self.rehearsal):
+                self.foretell(forecast)
+            if n >= shown + SHOW_EVERY:
+                shown = n
+                show(n, row)
+        if not self.rehearsal:
+            if stopped:
+                self.save()
+            show(sim.steps_done, row)
+        return stopped
 
     def foretell(self, forecast: Forecast) -> None:
         """Say how long the run takes, and say it again where it turns out otherwise."""
