@@ -7,7 +7,8 @@ Each rank makes a block of ids, and the result does not depend on how many ranks
 - `attributes`: radius, mass, spin and velocities; `places`: where particles are
 - `random_numbers`: by (seed, population, quantity, number of the particle); `velocities` and `plummer` draw with them
 - `lattices`: places by a formula of the number; `container`: the room for them
-- `random_addition`: random places without overlap; each rank judges those in its part of space. `sphere_grid`: who overlaps whom
+- `random_addition`: random places without overlap; each rank judges those in its part of space
+- `sphere_grid`: who overlaps whom; `sphere_cells`: the linked cells in which spheres are found
 - `checks`: what only the particles can tell; `overlaps`: those that overlap, which may be pushed apart
 - `faults`: what is wrong, collected over the ranks, with the lowest ids
 """

@@ -7,7 +7,8 @@ import numpy as np
 from particles_mpi.errors import MOST_NAMED, listed
 from particles_mpi.initial.container import Container
 from particles_mpi.initial.faults import Faults
-from particles_mpi.initial.sphere_grid import LEVELS, SphereGrid, class_of
+from particles_mpi.initial.sphere_cells import LEVELS, class_of
+from particles_mpi.initial.sphere_grid import SphereGrid
 from particles_mpi.kernels.geometry import image_shift, image_shifts
 from particles_mpi.kernels.jit import inner, kernel
 from particles_mpi.neighbours.candidates import touching

@@ -9,7 +9,8 @@ import numpy as np
 
 from particles_mpi.initial.container import Container
 from particles_mpi.initial.random_numbers import LOW_HALF, random_pair
-from particles_mpi.initial.sphere_grid import FREE, LEVELS, SphereGrid, class_of
+from particles_mpi.initial.sphere_cells import LEVELS, class_of
+from particles_mpi.initial.sphere_grid import FREE, SphereGrid
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.neighbours.halo_region import build
 from particles_mpi.neighbours.rank_boxes import rows_near_box
