@@ -51,8 +51,8 @@ class Population(State):
         named = np.unique(np.concatenate([of.astype(np.int64) for of in given]))
         here = np.isin(self.rows.id, named)
         if self.ranks.total(np.count_nonzero(here))[0] < len(named):
-            known = np.concatenate(self.ranks.allgather(self.rows.id[here]))
-            raise ValueError(f"remove: no {listed(np.setdiff1d(named, known))}")
+            found = np.concatenate(self.ranks.allgather(self.rows.id[here]))
+            raise ValueError(f"remove: no {listed(np.setdiff1d(named, found))}")
         if "virial" in self.rows.arrays:  # of the collisions of those who stay, and of those only, from here on
             gone = exact_sums(self.ranks, [self.rows.virial[here]])[0]
             for since in self.observed.values():

@@ -64,8 +64,8 @@ class Saved(Population):
                 if name in metadata["scene"]["effects"]:
                     metadata["scene"]["effects"][name]["file"] = place
             scene = Scene.from_dict(metadata["scene"])
-            known, now = json.loads(str(saved.get("effect_files", "{}"))), scene.digests()
-            if other := [name for name in known if known[name] != now.get(name)]:
+            before, now = json.loads(str(saved.get("effect_files", "{}"))), scene.digests()
+            if other := [name for name in before if before[name] != now.get(name)]:
                 raise SceneError([f"effects.{name}.file: is not what it was when {path} was written" for name in other])
             rows = Particles(scene.dimension, file.rows(*ranks.share(file.total)))
             contacts = file.contacts(*ranks.share(file.number_of_contacts))._asdict()

@@ -78,6 +78,6 @@ def fill_velocities(columns: Columns, block: Block) -> None:
         columns.refuse(block, "velocity", ~fixed & (own["mass"] == 0.0), "a temperature needs a mass:")
         if columns.faults.found:
             return
-    velocity[:] = random_velocities(ranks, columns.scene, block.number, block.population, own, block.numbers)
+    velocity[:] = random_velocities(ranks, columns.scene, block, own)
     velocity[fixed] = 0.0
     columns.refuse(block, "velocity", ~(np.abs(velocity) <= LARGEST_NUMBER), f"beyond {LARGEST_NUMBER:g} for")

@@ -214,8 +214,8 @@ def value_limits(scene: Scene, particles: Particles, values: dict[str, Array], h
             allowed[name] = numbers.reshape(len(numbers), -1).all(axis=1)
     if "position" in values and scene.box:
         lower, length = np.array(scene.box.lower), np.subtract(scene.box.upper, scene.box.lower)
-        near = np.abs(values["position"] - lower) <= FARTHEST * np.where(scene.box.periodic, length, np.inf)
-        allowed["position"] &= near.all(axis=1)  # from further away round-off leaves no place in the box
+        within_reach = np.abs(values["position"] - lower) <= FARTHEST * np.where(scene.box.periodic, length, np.inf)
+        allowed["position"] &= within_reach.all(axis=1)  # from further away round-off leaves no place in the box
     if "velocity" in values:
         allowed["velocity"] &= ~crosses_too_often(scene, largest_component(values["velocity"]), h)
     if {"mass", "fixed"} & values.keys():

@@ -27,12 +27,10 @@ class Faults:
         """One that all ranks found."""
         self.found.append(fault)
 
-    def name(self, before: str, ids: Array, after: str = "") -> bool:
+    def name(self, before: str, ids: Array, after: str = "") -> None:
         """Add a fault that names particles, if any rank gives some: "before particles 0, 1 and 7 after". Collective."""
-        who = listed_ids(self.ranks, ids)
-        if who:
-            self.found.append(f"{before}{who}{after}")
-        return bool(who)
+        if who := listed_ids(self.ranks, ids):
+            self.add(f"{before}{who}{after}")
 
     def stop(self) -> None:
         """SceneError if there is a fault."""

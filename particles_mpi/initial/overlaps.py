@@ -100,17 +100,14 @@ def push_apart(ranks: Communicator, particles: Particles, room: Container) -> li
     They are moved one after the other, in the order of their ids, by every rank: each holds the places of all.
     """
     names = ("id", "position", "radius", "mass", "fixed")
-    all_ = allgather_rows(ranks, {name: particles[name] for name in names})
-    all_ = rows_of(all_, np.argsort(all_["id"]))
-    everyone = Particles(particles.dimension, all_)
+    arrived = allgather_rows(ranks, {name: particles[name] for name in names})
+    everyone = Particles(particles.dimension, rows_of(arrived, np.argsort(arrived["id"])))
     x, radius, w = everyone.position, everyone.radius, everyone.inverse_mass
-    for _ in range(MOST_SWEEPS):
+    for sweep in range(MOST_SWEEPS + 1):
         first, second, depth = overlapping_pairs(x, radius, everyone.fixed != 0, everyone.id, room.length)
-        if not len(first):
+        if not len(first) or sweep == MOST_SWEEPS:
             break
         separate(x, radius, w, first, second, room.lower, room.upper, room.length, room.point, room.normal)
-    else:
-        first, second, depth = overlapping_pairs(x, radius, everyone.fixed != 0, everyone.id, room.length)
     particles.position[...] = x[np.searchsorted(everyone.id, particles.id)]
     if not len(first):
         return []

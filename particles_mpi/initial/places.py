@@ -35,10 +35,10 @@ def fill_places(columns: Columns, blocks: list[Block], room: Container) -> None:
             columns.fill(block, "position", given)
     columns.faults.stop()
     if scattered := [block for block in blocks if block.population.position == "random"]:
-        known = np.ones(len(x), bool)
+        placed = np.ones(len(x), bool)
         for block in scattered:
-            known[block.rows] = False
-        addition = RandomAddition(ranks, room, x[known], radius[known], [radius[~known]])
+            placed[block.rows] = False
+        addition = RandomAddition(ranks, room, x[placed], radius[placed], [radius[~placed]])
         for block in sorted(scattered, key=lambda block: -largest[block.number]):
             if fault := scatter(columns, block, room, addition, largest[block.number]):
                 columns.faults.add(f"{block.key}.position: random: {fault}")

@@ -187,8 +187,8 @@ class Populator:
             self.faults.add(f"particles[{number}].count: missing")
             return 0
         reference, count = next(iter(lengths.items()))
-        known = f"count = {count}" if reference == "count" else f"{reference} has {count}"
+        expected = f"count = {count}" if reference == "count" else f"{reference} has {count}"
         for name, length in lengths.items():
             if length != count:
-                self.faults.add(f"particles[{number}].{name}: {length} entries, but {known}")
+                self.faults.add(f"particles[{number}].{name}: {length} entries, but {expected}")
         return count

@@ -113,9 +113,9 @@ class RandomAddition:
     def to_their_numbers(self, number: Array) -> Array:
         """The places that were found, to whoever asked for them: x (n, d) of the spheres with these numbers."""
         columns = {"id": np.empty(0, np.int64), "position": np.empty((0, self.dimension))}
-        held = {"id": self.grid.id, "position": self.grid.x}
+        in_grid = {"id": self.grid.id, "position": self.grid.x}
         found = {
-            name: np.concatenate([none, *(held[name][of] if isinstance(of, slice) else of[name] for of in self.found)])
+            name: np.concatenate([none, *(in_grid[name][of] if isinstance(of, slice) else of[name] for of in self.found)])
             for name, none in columns.items()
         }
         if self.ranks.size > 1:

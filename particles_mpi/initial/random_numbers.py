@@ -21,8 +21,10 @@ HALF_BITS = np.uint64(32)
 
 def stream_key(seed: int, population: int, quantity: str) -> Array:
     """The two uint64 that key the random numbers of one quantity of one population (by its number) of a scene with this seed."""
-    known = quantity in STREAMS
-    stream = population * len(STREAMS) + STREAMS[quantity] if known else crc32(f"{population} {quantity}".encode()) << 31
+    if quantity in STREAMS:
+        stream = population * len(STREAMS) + STREAMS[quantity]
+    else:
+        stream = crc32(f"{population} {quantity}".encode()) << 31
     return np.array([seed, stream], np.uint64)
 
 

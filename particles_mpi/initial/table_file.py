@@ -69,13 +69,13 @@ def columns_of(header: bytes, quantity: str, dimension: int) -> list[int] | str:
     """Numbers of the columns that a header gives to a quantity, or what is wrong with it."""
     given = [cell.strip().strip('"').lower() for cell in header.decode("utf-8", "replace").split(",")]
     names = NAMES.get(quantity, ())[:dimension]
-    known = [name for name in given if any(name in of for of in NAMES.values())]
-    if not known or not names or (dimension > 3 and given[:3] == list(names)):
+    named = [name for name in given if any(name in of for of in NAMES.values())]
+    if not named or not names or (dimension > 3 and given[:3] == list(names)):
         return list(range(dimension))
     if dimension > 3:
-        return f"its header has {', '.join(known)}; in dimension {dimension} columns are taken in order: leave it out"
+        return f"its header has {', '.join(named)}; in dimension {dimension} columns are taken in order: leave it out"
     if missing := [name for name in names if name not in given]:
-        have = [name for name in names if name in given] or known
+        have = [name for name in names if name in given] or named
         return f"its header has {', '.join(have)} and no {missing[0]}"
     return [given.index(name) for name in names]
 

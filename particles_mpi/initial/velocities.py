@@ -4,24 +4,20 @@ from functools import partial
 
 import numpy as np
 
+from particles_mpi.initial.blocks import Block
 from particles_mpi.initial.plummer import centered, plummer_speeds, plummer_velocities
 from particles_mpi.initial.random_numbers import directions, draw, normals, stream_key, uniform
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.particles import Array
-from particles_mpi.scene.population import Population
 from particles_mpi.scene.schema import Scene
 
 
-def random_velocities(
-    ranks: Communicator, scene: Scene, number: int, population: Population, own: dict[str, Array], numbers: tuple[int, int]
-) -> Array:
-    """Velocities (n, d) of this rank's particles of population `number`, by its `velocity`. Collective.
-
-    `own`: their positions, masses and `fixed`; `numbers`: (first, last + 1) of them in the population.
-    """
+def random_velocities(ranks: Communicator, scene: Scene, block: Block, own: dict[str, Array]) -> Array:
+    """Velocities (n, d) of this rank's part of a population, by its `velocity`; `own`: positions, masses, `fixed`. Collective."""
+    population, numbers = block.population, block.numbers
     value, d = population.velocity, scene.dimension
-    key = stream_key(scene.seed, number, "velocity")
+    key = stream_key(scene.seed, block.number, "velocity")
     if value == "equilibrium":
         gravity = scene.effects["mutual_gravity"]
         G = scene.G if gravity.G is None else gravity.G
@@ -32,7 +28,7 @@ def random_velocities(
         return warm(ranks, float(value["temperature"]), normal, own["mass"], own["fixed"] == 0)
     speed = value["speed"]
     if isinstance(speed, dict):
-        speeds = draw(stream_key(scene.seed, number, "speed"), *numbers, uniform)
+        speeds = draw(stream_key(scene.seed, block.number, "speed"), *numbers, uniform)
         speed = (speed["min"] + speeds * (speed["max"] - speed["min"]))[:, None]
     return draw(key, *numbers, partial(directions, d=d)) * speed
 

@@ -52,8 +52,8 @@ def save(
     lasting = rows_of(lasting, np.lexsort((lasting["partner"], lasting["id"])))
     columns = {f"particles/{name}": column for name, column in rows.items()}
     columns |= {f"contacts/{name}": column for name, column in lasting.items()}
-    held = ranks.allgather_array(np.array([len(rows["id"]), len(lasting["id"])]))
-    before, totals = held[: ranks.rank].sum(axis=0).tolist(), held.sum(axis=0).tolist()
+    counts = ranks.allgather_array(np.array([len(rows["id"]), len(lasting["id"])]))
+    before, totals = counts[: ranks.rank].sum(axis=0).tolist(), counts.sum(axis=0).tolist()
     first = {name: before[name.startswith("contacts")] for name in columns}
     total = {name: totals[name.startswith("contacts")] for name in columns}
     facts = {MARK: FORMAT, "total": ids.total, "dimension": dimension} | attributes
@@ -211,11 +211,11 @@ class Checkpoint:
         rough = rough_columns(self.dimension)
         for place, (found, dtype) in self.shapes.items():
             group, name = place.split("/")
-            known = group == "particles" and name in FIELDS
+            is_field = group == "particles" and name in FIELDS
             across = found[1:] if name == "taken" else ()  # of rough contacts: see `rough_columns`
             wrong = found[:1] != (self.total,) if group == "particles" else across not in ((), rough)
             wrong |= group == "contacts" and len(found) != 1 + len(across)
-            if wrong or (known and (found != shape(name, self.total, self.dimension) or dtype != FIELDS[name].dtype)):
+            if wrong or (is_field and (found != shape(name, self.total, self.dimension) or dtype != FIELDS[name].dtype)):
                 raise SceneError(f"{self.path}: {place} is not a field of {self.total} particles in dimension {self.dimension}")
 
     def rows(self, first: int, last: int) -> dict[str, Array]:

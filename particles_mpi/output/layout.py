@@ -60,10 +60,10 @@ def create(path: Path, columns: Columns, total: int) -> None:
             group[place.replace("PointData/", "Steps/PointDataOffsets/")] = group["Steps/PointOffsets"]
 
 
-def frames_up_to(path: Path, resume_step: int, columns: Columns, held: int) -> Kept:
+def frames_up_to(path: Path, resume_step: int, columns: Columns, last_count: int) -> Kept:
     """The frames of a file up to a step.
 
-    Raises a ValueError if they are not whole, if the file has other columns, or if the last of them has not `held` particles.
+    Raises a ValueError if they are not whole, if the file has other columns, or if the last has not `last_count` particles.
     """
     with h5py.File(path, "r", locking=False) as file:
         group, steps = file["VTKHDF"], file["VTKHDF/Steps"]
@@ -73,7 +73,7 @@ def frames_up_to(path: Path, resume_step: int, columns: Columns, held: int) -> K
         parts, sizes = steps["PartOffsets"][: len(kept)], group["NumberOfPoints"][:]
         whole = numbers[: len(kept)] == kept and bool(((parts >= 0) & (parts < len(sizes))).all())
         points = int(sizes[parts].sum()) if whole else 0
-        if whole and (found != columns.keys() or (kept and sizes[parts[-1]] != held)):
+        if whole and (found != columns.keys() or (kept and sizes[parts[-1]] != last_count)):
             raise ValueError("it holds other particles or fields than the run to be continued")
         if not whole or any(len(group[place]) < points for place in found):
             raise ValueError("it does not hold all of its frames")

@@ -36,17 +36,17 @@ class FrameReader:
 
     def __init__(self, path: Path):
         self.path = path
-        self.known: tuple[Any, Index | None] = (None, None)
+        self.cached: tuple[Any, Index | None] = (None, None)
 
     def index(self) -> Index:
         """What there is now; read again only if the file has changed."""
         if show := SHOW.get(self.path.resolve()):
             show()
         stamp = self._stamp()
-        if self.known[0] != stamp or self.known[1] is None:
-            self.known = stamp, self._read(_index)
-        assert self.known[1] is not None
-        return self.known[1]
+        if self.cached[0] != stamp or self.cached[1] is None:
+            self.cached = stamp, self._read(_index)
+        assert self.cached[1] is not None
+        return self.cached[1]
 
     def column(self, name: str, k: int) -> Array:
         """Rows of frame k >= 0, in id order: of `Points`, or of a field."""

@@ -14,8 +14,8 @@ from particles_mpi.output.replacing import replace_text
 from particles_mpi.parallel.agreement import differences
 from particles_mpi.parallel.communicator import Communicator
 
-STATE = ("trajectory.vtkhdf", "particles.pvd", "vtk", "checkpoint.h5", "diagnostics.csv", "run.json", "stopped.h5")
-OURS = (*STATE, "plots", "view.html", "view_paraview.py")  # what a run leaves, or what is made of it
+WRITTEN = ("trajectory.vtkhdf", "particles.pvd", "vtk", "checkpoint.h5", "diagnostics.csv", "run.json", "stopped.h5")
+OURS = (*WRITTEN, "plots", "view.html", "view_paraview.py")  # what a run leaves, or what is made of it
 INTERVALS = {f"output.{name}" for name in ("every", "formats", "checkpoint_every", "diagnostics_every")}
 EFFECT_FILE = re.compile(r"effects\.\w+\.file")
 CHANGEABLE = {"title", "time.end", "time.steps"} | INTERVALS  # keys of a scene that may change when a run is continued
@@ -38,12 +38,12 @@ def to_go_on(folder: Path, ranks: Communicator, scene: dict[str, Any]) -> Path |
     found = None
     with failing_together(ranks, f"cannot read {folder}"):
         if ranks.is_root:
-            held = [name for name in OURS if (folder / name).exists()]
-            found = path if path.name in held else None
-            if held and not found:
+            present = [name for name in OURS if (folder / name).exists()]
+            found = path if path.name in present else None
+            if present and not found:
                 record = folder / "run.json"
-                if record.name not in held:
-                    raise SceneError(f"--resume auto: {folder} holds {', '.join(held)} of an unknown run; use --overwrite")
+                if record.name not in present:
+                    raise SceneError(f"--resume auto: {folder} holds {', '.join(present)} of an unknown run; use --overwrite")
                 keys = list(changed(json.loads(record.read_text())["scene"], scene))
                 if keys:
                     raise SceneError([f"{key}: not as in {record}, the run that it holds; use --overwrite" for key in keys])
@@ -62,12 +62,12 @@ def claim(
     with failing_together(ranks, f"cannot use {folder}"):
         if ranks.is_root:
             refuse_what_is_no_folder(folder)
-            held = [name for name in OURS if (folder / name).exists()]
-            continues = resumed and ((own and "checkpoint.h5" in held) or _is_of(folder / "checkpoint.h5", about["scene"]))
-            if held and not continues and not overwrite:
+            present = [name for name in OURS if (folder / name).exists()]
+            continues = resumed and ((own and "checkpoint.h5" in present) or _is_of(folder / "checkpoint.h5", about["scene"]))
+            if present and not continues and not overwrite:
                 what = "another run than the one to be resumed" if resumed else "a run"
                 way = "--overwrite to replace it, or another folder" if resumed else "--overwrite or --resume"
-                raise SceneError(f"--output: {folder} already holds {what} ({', '.join(held)}); use {way}")
+                raise SceneError(f"--output: {folder} already holds {what} ({', '.join(present)}); use {way}")
     with failing_together(ranks, f"cannot write into {folder}"):  # only now, when no rank has found a fault
         if ranks.is_root:
             folder.mkdir(parents=True, exist_ok=True)

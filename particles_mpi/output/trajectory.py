@@ -40,8 +40,8 @@ class WaitingFrame(NamedTuple):
 class Trajectory(Continuing):
     """Writer of `trajectory.vtkhdf`; every method is collective.
 
-    path: the file; frames up to `resume_step` are kept, and the last one kept must have `held` particles (`total` if that is
-    None). particles_fields: names of fields; those not meant for frames are skipped. total: N at the start, of all ranks.
+    path: the file; frames up to `resume_step` are kept, and the last one kept must have `last_count` particles (`total` if
+    that is None). particles_fields: names of fields; those not meant for frames are skipped. total: N at the start, of all ranks.
     """
 
     def __init__(
@@ -53,9 +53,9 @@ class Trajectory(Continuing):
         total: int,
         resume_step: int | None = None,
         last: int | None = None,
-        held: int | None = None,
+        last_count: int | None = None,
     ):
-        self.dimension, self.held = dimension, total if held is None else held
+        self.dimension, self.last_count = dimension, total if last_count is None else last_count
         self.fields = [name for name in particles_fields if field(name).output]
         frame = frame_arrays({name: default_values(name, 0, dimension) for name in self.fields}, dimension)
         self.places = {name: name if name == "Points" else f"PointData/{name}" for name in frame}
@@ -246,8 +246,8 @@ class Trajectory(Continuing):
             layout.create(self.path, self.columns, self.parts[0])
 
     def read_kept(self, resume_step: int, last: int | None) -> None:
-        """How many frames of the old file are kept; the last of them must have `held` particles."""
-        kept = layout.frames_up_to(self.path, resume_step, self.columns, self.held)
+        """How many frames of the old file are kept; the last of them must have `last_count` particles."""
+        kept = layout.frames_up_to(self.path, resume_step, self.columns, self.last_count)
         check_last(kept.steps, resume_step, last)
         self.points, self.parts, self.frames, self.continued = kept.points, kept.parts, len(kept.steps), True
 

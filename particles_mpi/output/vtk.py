@@ -79,8 +79,8 @@ class VtkSeries(Continuing):
             if path.suffix == ".pvtu":
                 begin = (first - ids.first) // PIECE_IDS
                 files = [path.with_suffix("") / f"piece_{begin + rank:06d}.vtu" for rank in range(self.ranks.size)]
-            held = self.ranks.allgather_array(np.array(len(rows["id"])))
-            pieces += [f"{path.stem}/{file.name}" for file, count in zip(files, held, strict=True) if count]
+            counts = self.ranks.allgather_array(np.array(len(rows["id"])))
+            pieces += [f"{path.stem}/{file.name}" for file, count in zip(files, counts, strict=True) if count]
             file = files[self.ranks.rank]
             with failing_together(self.ranks, f"cannot write {file} at step {step}"):
                 if len(rows["id"]) or (self.ranks.is_root and not ids.total):

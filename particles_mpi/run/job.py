@@ -83,13 +83,13 @@ class Job:
         self.written = self.sim.written = self.sim.written if self.continues else {"row": -1, "frame": -1}
         output, d, ranks = self.scene.output, self.scene.dimension, self.ranks
         step = self.sim.steps_done if self.continues else None
-        frame, row, held = (self.written.get(name) for name in ("frame", "row", "frame_particles"))
+        frame, row, last_count = (self.written.get(name) for name in ("frame", "row", "frame_particles"))
         self.frames: list[Any] = []
         if "hdf5" in output.formats:
             from particles_mpi.output.trajectory import Trajectory
 
             path = self.folder / "trajectory.vtkhdf"
-            self.frames.append(Trajectory(path, ranks, list(self._frame()), d, self.sim.total, step, frame, held))
+            self.frames.append(Trajectory(path, ranks, list(self._frame()), d, self.sim.total, step, frame, last_count))
         if "vtk" in output.formats:
             from particles_mpi.output.vtk import VtkSeries
 
@@ -205,10 +205,10 @@ class Job:
         with sim.timers("diagnostics"):
             state = sim.measure(row=True)
             totals = self.ranks.allreduce_sum(np.array([sim.totals[name] for name in COUNTS]))
-            held = self.ranks.largest(len(sim.rows))[0]
+            most = self.ranks.largest(len(sim.rows))[0]
             row = {"step": sim.steps_done, "time": sim.time, "particles": sim.total, **state}
             row |= zip(COUNTS, (totals - np.array(sim.reported)).tolist())
-            row["imbalance"] = held * self.ranks.size / sim.total if sim.total else 1.0
+            row["imbalance"] = most * self.ranks.size / sim.total if sim.total else 1.0
             sim.reported = totals.tolist()
             self.diagnostics.write(row)
             self.written["row"] = sim.steps_done

@@ -50,16 +50,10 @@ def advice(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]
     """What an experienced user would say about the step. Collective."""
     h, lines = scene.time.step, list[str]()
     drag = particles["drag"] if "drag" in particles.arrays else np.empty(0)
-    square, k, minus_radius = ranks.allreduce_max(
-        np.array(
-            [
-                (particles.velocity**2).sum(axis=1).max(initial=0.0),
-                drag.max(initial=0.0),
-                (-particles.radius[particles.fixed == 0]).max(initial=-np.inf),
-            ]
-        )
-    ).tolist()
-    speed, radius = sqrt(square), -minus_radius  # of the fastest, and of the smallest that moves, if any does
+    square, smallest = (particles.velocity**2).sum(axis=1), particles.radius[particles.fixed == 0].min(initial=inf)
+    extremes = np.array([square.max(initial=0.0), drag.max(initial=0.0), -smallest])
+    largest_square, k, minus_radius = ranks.allreduce_max(extremes).tolist()
+    speed, radius = sqrt(largest_square), -minus_radius  # of the fastest, and of the smallest that moves, if any does
     if "collisions" in scene.effects and 0.0 < radius < inf and speed > 0.0:
         share = speed * h / (2.0 * radius)
         crossed, event = f"crosses {share:.2g} of the smallest diameter in a step", scene.effects["collisions"].mode == "event"

@@ -81,14 +81,14 @@ class Sources:
 
     def reached(self, places: set[Place]) -> set[Place]:
         """These places and all that their definitions use, directly or through others."""
-        known, waiting = set(places), list(places)
+        found, waiting = set(places), list(places)
         while waiting:
             place = waiting.pop()
             if place not in self.calls:
                 self.calls[place] = self.mentioned(place[0], self.defined.get(place, ()))
-            waiting += self.calls[place] - known
-            known |= self.calls[place]
-        return known
+            waiting += self.calls[place] - found
+            found |= self.calls[place]
+        return found
 
     @cached_property
     @keeping_garbage()

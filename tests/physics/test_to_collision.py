@@ -90,7 +90,7 @@ def test_nobody_to_meet_is_a_whole_step():
 
 def test_a_view_looks_after_whole_steps_only():
     seen, sim = [], Simulation(scene(2, DISCS, 0.3))
-    sim.views.append(SimpleNamespace(look=lambda sim: seen.append(sim.steps_done)))
+    sim.views.append(SimpleNamespace(after_step=lambda sim: seen.append(sim.steps_done)))
     found = [sim.step_to_collision() for _ in range(5)]
     assert found.count(None) == sim.steps_done > 1 and seen == list(range(1, sim.steps_done + 1))
 
