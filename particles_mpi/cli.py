@@ -54,7 +54,7 @@ def run(
 
     Example:   mpirun -n 2 particles-mpi run my.toml --output out/my --steps 100
     """
-    from particles_mpi.output.run_folder import changed, to_go_on
+    from particles_mpi.output.run_folder import changed_keys, checkpoint_to_continue
     from particles_mpi.run.job import Job
     from particles_mpi.simulation import Simulation
 
@@ -64,13 +64,13 @@ def run(
     if auto:
         if overwrite:
             raise SceneError("--overwrite: either this, or --resume auto")
-        resume = to_go_on(folder, Communicator(), described.to_dict())
+        resume = checkpoint_to_continue(folder, Communicator(), described.to_dict())
         overwrite = resume is None  # a run that was ended before its first checkpoint
     if resume:
         files = {name: options.file for name, options in described.effects.items() if options.file}
         sim = Simulation.resume(resume, files=files)
         other = [f"{scene}: {key}: not as in {resume}, which goes on with the scene that it began with"
-                 for key in changed(sim.scene.to_dict(), described.to_dict())]  # fmt: skip
+                 for key in changed_keys(sim.scene.to_dict(), described.to_dict())]  # fmt: skip
         if other:
             raise SceneError(other)
         sim.scene = described  # it may end later, or write more often
@@ -149,14 +149,14 @@ def doctor() -> None:
 
 def stop_after(wall_time: str | None) -> tuple[float | None, str]:
     """Seconds since STARTED after which a run stops, and a line about a limit that the user did not give. Collective."""
-    from particles_mpi.run.scheduler import seconds, slurm_limit
+    from particles_mpi.run.scheduler import parse_time, slurm_limit
 
     if wall_time is None:
         limit, note = slurm_limit() if IS_ROOT else (None, "")
         limit, note = Communicator().bcast((None if limit is None else limit + perf_counter() - STARTED, note))
         return limit, note
     try:
-        return None if wall_time == "none" else seconds(wall_time), ""
+        return None if wall_time == "none" else parse_time(wall_time), ""
     except ValueError:
         raise SceneError(f"--wall-time: {wall_time!r} is not HH:MM:SS") from None
 

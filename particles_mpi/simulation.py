@@ -72,10 +72,6 @@ class Simulation(Saved):
                 self.advance(self._h, collisions)
             self.particles.open()
             self.steps_done += done
-        self._show()
-
-    def _show(self) -> None:
-        """Let views in a notebook look, after a step. Collective."""
         for view in self.views:
             view.after_step(self)
 
@@ -108,8 +104,8 @@ class Simulation(Saved):
         before = self.steps_done
         with self.stepping():
             met = self.advance_to_collision()
-        if self.steps_done > before:
-            self._show()
+        for view in self.views if self.steps_done > before else ():
+            view.after_step(self)
         return met
 
     def advance_to_collision(self) -> tuple[int, int] | None:

@@ -20,7 +20,7 @@ class Population(State):
     """A state to which particles, and fields of theirs, may be added; all methods are collective."""
 
     def add(self, population: Mapping[str, Any]) -> Array:
-        """Add particles: the keys of a `[[particles]]` table, or arrays, the same on all ranks. Returns their ids. Collective.
+        """Add particles: the keys of a `[[particles]]` table, or arrays, the same on all ranks. Returns their ids.
 
         Ids go on from the largest there ever was; attached fields may be given too, and are 0 if not. Raises SceneError, as at
         the start, for particles that cannot be: overlapping others, outside, ...
@@ -40,10 +40,7 @@ class Population(State):
         return np.arange(self.next_id - added, self.next_id)
 
     def remove(self, ids: Any) -> None:
-        """Take away particles that any rank names by id, integers; ValueError, on all ranks, for what no particle has.
-
-        Collective.
-        """
+        """Take away particles that any rank names by id, integers; ValueError, on all ranks, for what no particle has."""
         self.take_changes()
         given = [np.asarray(of).reshape(-1) for of in self.ranks.allgather(ids)]
         if not all(of.dtype.kind in "iu" for of in given if len(of)):
@@ -62,7 +59,7 @@ class Population(State):
         self.build()
 
     def attach(self, name: str, values: Array) -> None:
-        """Give every particle data of the user's own: `values` (N, ...) in id order, any numeric type. Collective.
+        """Give every particle data of the user's own: `values` (N, ...) in id order, any numeric type.
 
         `sim.particles[name]` are this rank's rows from then on; they go with their particles, into checkpoints too.
         """

@@ -121,7 +121,7 @@ class Saved(Population):
 
     def __str__(self) -> str:
         self.particles.collect()
-        return f"{self!r}\n{snapshot.table(self.rows)}"
+        return f"{self!r}\n{snapshot.printed_table(self.rows)}"
 
     def __repr__(self) -> str:
         return f"Simulation({self.scene.title!r}: {self.total} particles, step {self.steps_done}, time {self.time:g})"

@@ -94,7 +94,7 @@ def center_names(dimension: int) -> tuple[str, ...]:
     return tuple(name.replace("momentum", "center") for name in momentum_names(dimension))
 
 
-def columns(dimension: int, observables: bool = False, gravity: bool = False, spins: bool = False) -> list[str]:
+def column_names(dimension: int, observables: bool = False, gravity: bool = False, spins: bool = False) -> list[str]:
     """The columns of diagnostics.csv, in order."""
     row = ["step", "time", "particles", "kinetic", "potential", "total_energy", *momentum_names(dimension), "max_speed"]
     about_gravity = [*angular_names(dimension), *center_names(dimension), "virial_ratio"] if gravity else []

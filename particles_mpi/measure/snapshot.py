@@ -31,7 +31,7 @@ def same(one: Particles, other: Particles) -> bool:
     return one.arrays.keys() == other.arrays.keys() and all(same_bits(one[name], other[name]) for name in one.arrays)
 
 
-def table(particles: Particles) -> str:
+def printed_table(particles: Particles) -> str:
     """The first particles as a table, a line each, lowest ids first."""
     order = np.argsort(particles.id)[:TABLE_ROWS]
     names = [name for name in particles.arrays if name not in RUN_MADE]

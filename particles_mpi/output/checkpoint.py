@@ -177,6 +177,7 @@ class Checkpoint:
                     for group in ("particles", "contacts")
                     for name in file[group]
                 }
+            self.number_of_contacts = int(self.shapes["contacts/id"][0][0])
             self._check_shapes()
         except FileNotFoundError:
             raise SceneError(f"{path}: no such checkpoint") from None
@@ -227,10 +228,6 @@ class Checkpoint:
     def contacts(self, first: int, last: int) -> Memory:
         """The contacts first ... last - 1, in the order of their ids."""
         return Memory(*(self._column(f"contacts/{name}", first, last) for name in Memory._fields))
-
-    @property
-    def number_of_contacts(self) -> int:
-        return int(self.shapes["contacts/id"][0][0])
 
     def _column(self, place: str, first: int, last: int) -> Array:
         """Rows first ... last - 1 of a column, from the pieces that have them."""

@@ -21,7 +21,7 @@ EFFECT_FILE = re.compile(r"effects\.\w+\.file")
 CHANGEABLE = {"title", "time.end", "time.steps"} | INTERVALS  # keys of a scene that may change when a run is continued
 
 
-def changed(one: dict[str, Any], two: dict[str, Any]) -> Iterator[str]:
+def changed_keys(one: dict[str, Any], two: dict[str, Any]) -> Iterator[str]:
     """The keys in which two scenes, as tables, differ so that they are different runs: all but those in CHANGEABLE.
 
     Nor does it matter where the file of an effect is: what is in it is compared when a run goes on.
@@ -29,7 +29,7 @@ def changed(one: dict[str, Any], two: dict[str, Any]) -> Iterator[str]:
     return (key for key, _, _ in differences(one, two) if key not in CHANGEABLE and not EFFECT_FILE.fullmatch(key))
 
 
-def to_go_on(folder: Path, ranks: Communicator, scene: dict[str, Any]) -> Path | None:
+def checkpoint_to_continue(folder: Path, ranks: Communicator, scene: dict[str, Any]) -> Path | None:
     """The checkpoint in the folder of a run; None if it has none, and the run begins. Rank 0 looks. Collective.
 
     What is there without a checkpoint must be the beginning of a run of this scene. Otherwise raises a SceneError on all ranks.
@@ -44,7 +44,7 @@ def to_go_on(folder: Path, ranks: Communicator, scene: dict[str, Any]) -> Path |
                 record = folder / "run.json"
                 if record.name not in present:
                     raise SceneError(f"--resume auto: {folder} holds {', '.join(present)} of an unknown run; use --overwrite")
-                keys = list(changed(json.loads(record.read_text())["scene"], scene))
+                keys = list(changed_keys(json.loads(record.read_text())["scene"], scene))
                 if keys:
                     raise SceneError([f"{key}: not as in {record}, the run that it holds; use --overwrite" for key in keys])
     return ranks.bcast(found)
@@ -92,6 +92,6 @@ def refuse_what_is_no_folder(folder: Path) -> None:
 def _is_of(path: Path, scene: dict[str, Any]) -> bool:
     """Is the file a checkpoint of this run?"""
     try:
-        return not any(changed(json.loads(Checkpoint(path).attributes["scene"]), scene))
+        return not any(changed_keys(json.loads(Checkpoint(path).attributes["scene"]), scene))
     except (SceneError, KeyError, ValueError):
         return False

@@ -172,13 +172,11 @@ class Trajectory(Continuing):
 
     def _raise_count(self) -> None:
         """Tell readers how many frames are whole; in parallel, rank 0 does while the file is closed."""
-        if not self.ranks.is_root:
-            return
         if not self.parallel:
             self.count.write(np.array(self.frames, np.int64))
-            return
-        with h5py.File(self.path, "r+", locking=False) as file:
-            file["VTKHDF/Steps"].attrs.modify("NSteps", np.int64(self.frames))
+        elif self.ranks.is_root:
+            with h5py.File(self.path, "r+", locking=False) as file:
+                file["VTKHDF/Steps"].attrs.modify("NSteps", np.int64(self.frames))
 
     def _append(self, place: str, first: int, frames: list[Array]) -> None:
         """Write this rank's rows of a column of several frames of equal size, from row `first` of the file on.

@@ -12,7 +12,7 @@ import numpy as np
 from particles_mpi.contacts.drift import COUNTS
 from particles_mpi.errors import Interrupted, SceneError, StateError, StoppedError
 from particles_mpi.kernels.validity import WATCH_EVERY
-from particles_mpi.measure.diagnostics import columns
+from particles_mpi.measure.diagnostics import column_names
 from particles_mpi.measure.snapshot import METADATA
 from particles_mpi.output import checkpoint, run_folder
 from particles_mpi.output.diagnostics_csv import Diagnostics
@@ -94,7 +94,7 @@ class Job:
             from particles_mpi.output.vtk import VtkSeries
 
             self.frames.append(VtkSeries(self.folder, ranks, d, step, frame))
-        names = columns(d, output.observables, "mutual_gravity" in self.scene.effects, "spin" in self.sim.rows.arrays)
+        names = column_names(d, output.observables, "mutual_gravity" in self.scene.effects, "spin" in self.sim.rows.arrays)
         self.diagnostics = Diagnostics(self.folder / "diagnostics.csv", ranks, names, step, row)
         try:
             for writer in (*self.frames, self.diagnostics):

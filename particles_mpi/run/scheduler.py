@@ -26,7 +26,7 @@ def slurm_limit() -> tuple[float | None, str]:
         text = "" if end else _squeue(job)
         if text == "UNLIMITED":
             return None, ""
-        left = float(end) - time() if end else seconds(text)
+        left = float(end) - time() if end else parse_time(text)
     except (OSError, ValueError, subprocess.SubprocessError) as error:
         return None, f"the time limit of job {job} is not known ({str(error).splitlines()[0]}): give --wall-time"
     margin = min(max(STOP_SECONDS, STOP_SHARE * left), LARGEST_SHARE * max(left, 0.0))
@@ -40,7 +40,7 @@ def _squeue(job: str) -> str:
     return subprocess.run(command, capture_output=True, text=True, check=True, timeout=SQUEUE_SECONDS).stdout.strip()
 
 
-def seconds(text: str) -> float:
+def parse_time(text: str) -> float:
     """The seconds of a time [days-][[hours:]minutes:]seconds. Raises a ValueError for any other text."""
     days, dash, clock = text.rpartition("-")
     parts = [float(part) for part in (days if dash else "0", *clock.split(":"))]

@@ -140,7 +140,7 @@ def in_order(value: Any) -> Any:
     return value
 
 
-def table(value: Any, *keys: str, check: Any = None) -> Any:
+def table_of(value: Any, *keys: str, check: Any = None) -> Any:
     """A table with these keys and no others, each of which holds a `value`."""
     return Annotated[dict[Literal[keys], value], Len(len(keys), len(keys)), check]  # type: ignore[valid-type]
 
@@ -165,22 +165,22 @@ Number = Annotated[int | float, AfterValidator(not_too_large)]
 Positive = Annotated[Number, Field(ge=0)]
 Numbers = list[Number]
 Points = Annotated[list[Numbers], Len(1)]
-File = table(str, "file")
-Range = table(Number, "min", "max", check=AfterValidator(in_order))
-Speed = table(Positive, "min", "max", check=AfterValidator(in_order))
+File = table_of(str, "file")
+Range = table_of(Number, "min", "max", check=AfterValidator(in_order))
+Speed = table_of(Positive, "min", "max", check=AfterValidator(in_order))
 
 Scalar = one_of("must be a number, {min = a, max = b} or a list of numbers", Number, Range, Numbers)
 Flags = one_of("must be true, false or a list of these", bool, list[bool])
 Vectors = one_of("must be a vector [ax, ay, ...] or a list of these", Numbers, Points)
-Warmth = table(Positive, "temperature")
+Warmth = table_of(Positive, "temperature")
 Spin = one_of("must be a number, {temperature = T} with T >= 0, or a list of numbers", Number, Numbers, Warmth)
 SpinVector = one_of("must be a vector [sx, sy, sz], a list of these or {temperature = T} with T >= 0", Numbers, Points, Warmth)
 Position = one_of(
     'must be "random", "lattice", a list of points [[x, y, ...], ...], {plummer = scale length > 0} or {file = "start.csv"}',
-    *(Literal["random", "lattice"], Points, File, table(Annotated[Number, Field(gt=0)], "plummer")),
+    *(Literal["random", "lattice"], Points, File, table_of(Annotated[Number, Field(gt=0)], "plummer")),
 )
 Velocity = one_of(
     "must be [vx, vy, ...], a list of these, {speed = s}, {speed = {min = a, max = b}}, {temperature = T} (all >= 0),"
     ' {file = "start.csv"} or, with position = {plummer = a}, "equilibrium"',
-    *(Literal["equilibrium"], Points, Numbers, File, Warmth, table(Positive | Speed, "speed")),
+    *(Literal["equilibrium"], Points, Numbers, File, Warmth, table_of(Positive | Speed, "speed")),
 )

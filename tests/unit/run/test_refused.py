@@ -6,7 +6,7 @@ import pytest
 
 from particles_mpi import Scene, SceneError, Simulation, StoppedError
 from particles_mpi.output.diagnostics_csv import Diagnostics
-from particles_mpi.output.run_folder import changed
+from particles_mpi.output.run_folder import changed_keys
 from particles_mpi.parallel.signals import SIGNALS
 from particles_mpi.run.console import Screen
 
@@ -60,5 +60,5 @@ def test_keys_that_differ_are_named():
     """Within a population, too; not where the file of an effect is."""
     one = {"particles": [{"radius": 0.5}, {"radius": 0.5, "mass": 1.0}], "effects": {"mine": {"file": "here", "size": 1.0}}}
     two = {"particles": [{"radius": 0.5}, {"radius": 0.4, "mass": 1.0}], "effects": {"mine": {"file": "there", "size": 1.0}}}
-    assert list(changed(one, two)) == ["particles[1].radius"]
-    assert list(changed(one, two | {"particles": []})) == ["particles"]
+    assert list(changed_keys(one, two)) == ["particles[1].radius"]
+    assert list(changed_keys(one, two | {"particles": []})) == ["particles"]

@@ -10,7 +10,7 @@ from conftest import ROOT
 
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.signals import StopRequest
-from particles_mpi.run.scheduler import seconds, slurm_limit
+from particles_mpi.run.scheduler import parse_time, slurm_limit
 
 
 def answers(folder, name, text):
@@ -49,7 +49,7 @@ def test_outside_of_a_job_there_is_no_limit(monkeypatch):
 @pytest.mark.parametrize("text", ["", "1:2:3:4", "ten", "-5", "1:-2", "nan", "inf", "NOT_SET"])
 def test_no_time(text):
     with pytest.raises(ValueError):
-        seconds(text)
+        parse_time(text)
 
 
 OPEN, MPICH, BOTH = "mpirun Open MPI 5.0.7", "HYDRA build details", "none pmi2 pmix_v4 pmix"
