@@ -6,7 +6,7 @@ Each rank makes a block of ids, and the result does not depend on how many ranks
 - `table_file`: columns of CSV files, of which each rank reads a part
 - `attributes`: radius, mass, spin and velocities; `places`: where particles are
 - `random_numbers`: by (seed, population, quantity, number of the particle); `velocities` and `plummer` draw with them
-- `lattices`: places by a formula of the number; `container`: the room for them
+- `lattices`: places by a formula of the number; `room`: the space that they have
 - `random_addition`: random places without overlap; each rank judges those in its part of space
 - `sphere_grid`: who overlaps whom; `sphere_cells`: the linked cells in which spheres are found
 - `checks`: what only the particles can tell; `overlaps`: those that overlap, which may be pushed apart

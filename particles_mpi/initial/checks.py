@@ -4,9 +4,9 @@ from math import floor, inf, log10
 
 import numpy as np
 
-from particles_mpi.initial.container import Container
 from particles_mpi.initial.faults import Faults, listed_ids
 from particles_mpi.initial.overlaps import check_overlaps, listed_pairs
+from particles_mpi.initial.room import Room
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.decomposition import bisect, to_owners
@@ -20,7 +20,7 @@ FARTHEST = 1e6  # lengths of a periodic box, from which a given place can be bro
 
 
 def check_start(
-    scene: Scene, particles: Particles, room: Container, faults: Faults, before: int = 0, judged: Array | None = None
+    scene: Scene, particles: Particles, room: Room, faults: Faults, before: int = 0, judged: Array | None = None
 ) -> list[str]:
     """Warnings of this rank's particles, and `faults`; overlaps that the scene allows are pushed apart in place. Collective.
 
@@ -103,7 +103,7 @@ def coincident_pairs(columns: dict[str, Array]) -> tuple[Array, Array]:
     return ids[rows[:-1][met]], ids[rows[1:][met]]
 
 
-def check_places(particles: Particles, room: Container, faults: Faults) -> None:
+def check_places(particles: Particles, room: Room, faults: Faults) -> None:
     """Centres outside the box, and movable spheres that are not fully inside a wall (fixed ones may stand in it)."""
     x = particles.position
     out = outside(x, room.lower, room.upper)

@@ -5,11 +5,11 @@ from math import exp, floor, inf, log, prod
 
 import numpy as np
 
-from particles_mpi.initial.container import Container
+from particles_mpi.initial.room import Room
 from particles_mpi.particles import Array
 
 
-def lattice(count: int, radius: float, room: Container, first: int, last: int) -> Array | None:
+def lattice(count: int, radius: float, room: Room, first: int, last: int) -> Array | None:
     """The centres first ... last - 1 of a lattice of `count` in the box: simple cubic if spheres fit, else face-centred.
 
     In two dimensions the latter is hexagonal. None if they fit in neither. Shape (last - first, d).
@@ -28,7 +28,7 @@ def thinned(sites: int, count: int, first: int, last: int) -> Array:
     return np.fromiter(numbers, np.int64, last - first)
 
 
-def simple_cubic(count: int, diameter: float, room: Container, margin: float, first: int, last: int) -> Array | None:
+def simple_cubic(count: int, diameter: float, room: Room, margin: float, first: int, last: int) -> Array | None:
     """Centres of `count` of the equal cells of the box, first ... last - 1; None if a cell would be narrower than `diameter`."""
     extent = (room.upper - room.lower).tolist()
     closed = [length == 0.0 for length in room.length.tolist()]
@@ -52,7 +52,7 @@ def simple_cubic(count: int, diameter: float, room: Container, margin: float, fi
     return x
 
 
-def face_centred(count: int, radius: float, room: Container, first: int, last: int) -> Array | None:
+def face_centred(count: int, radius: float, room: Room, first: int, last: int) -> Array | None:
     """Every second point of a grid with q_k layers at spacing h_k on axis k: neighbours are sqrt(h_k^2 + h_m^2) or 2 h_k apart.
 
     Equal spacings give the fcc lattice in 3D; h_1 = sqrt(3) h_0 gives the hexagonal lattice in 2D. Of all numbers of layers near

@@ -5,8 +5,8 @@ from itertools import chain
 import numpy as np
 
 from particles_mpi.errors import MOST_NAMED, listed
-from particles_mpi.initial.container import Container
 from particles_mpi.initial.faults import Faults
+from particles_mpi.initial.room import Room
 from particles_mpi.initial.sphere_cells import LEVELS, class_of
 from particles_mpi.initial.sphere_grid import SphereGrid
 from particles_mpi.kernels.geometry import image_shift, image_shifts
@@ -24,7 +24,7 @@ MOST_SWEEPS = 1000
 TOUCH = 1e-12  # relative overlap that still counts as touching
 
 
-def check_overlaps(particles: Particles, room: Container, allowed: bool, before: int, judged: Array, faults: Faults) -> list[str]:
+def check_overlaps(particles: Particles, room: Room, allowed: bool, before: int, judged: Array, faults: Faults) -> list[str]:
     """Overlapping spheres are a fault, or a warning and pushed apart where the scene allows them; returns warnings. Collective.
 
     Of this rank's particles the first `before` were there already, and those that are not `judged` (n,) overlap nobody.
@@ -94,7 +94,7 @@ def overlapping_pairs(x: Array, radius: Array, fixed: Array, ids: Array, length:
     return first[deep], second[deep], depth[deep]
 
 
-def push_apart(ranks: Communicator, particles: Particles, room: Container) -> list[str]:
+def push_apart(ranks: Communicator, particles: Particles, room: Room) -> list[str]:
     """Move overlapping spheres apart, in place; returns warnings of those that still overlap. Collective.
 
     They are moved one after the other, in the order of their ids, by every rank: each holds the places of all.

@@ -6,14 +6,14 @@ from math import inf
 import numpy as np
 
 from particles_mpi.initial.blocks import Block, Columns
-from particles_mpi.initial.container import Container, packing_fraction
 from particles_mpi.initial.lattices import lattice
 from particles_mpi.initial.plummer import centered, plummer_points
 from particles_mpi.initial.random_addition import JAMMED, RandomAddition
 from particles_mpi.initial.random_numbers import draw, stream_key
+from particles_mpi.initial.room import Room, packing_fraction
 
 
-def fill_places(columns: Columns, blocks: list[Block], room: Container) -> None:
+def fill_places(columns: Columns, blocks: list[Block], room: Room) -> None:
     """Lists and files first, then lattices, then random places around them, the largest spheres first. Collective."""
     x, radius, ranks = columns.arrays["position"], columns.arrays["radius"], columns.ranks
     largest = {block.number: ranks.largest(radius[block.rows].max(initial=0.0))[0] for block in blocks}
@@ -45,7 +45,7 @@ def fill_places(columns: Columns, blocks: list[Block], room: Container) -> None:
                 return
 
 
-def scatter(columns: Columns, block: Block, room: Container, addition: RandomAddition, largest: float) -> str:
+def scatter(columns: Columns, block: Block, room: Room, addition: RandomAddition, largest: float) -> str:
     """Random places for a population; returns why there are none, or "" . Collective."""
     advice, ranks, dimension = "use lattice, or fewer or smaller spheres", columns.ranks, columns.scene.dimension
     own, count = columns.arrays["radius"][block.rows], block.total

@@ -16,9 +16,9 @@ from particles_mpi.errors import SceneError
 from particles_mpi.initial.attributes import fill_attributes, fill_velocities
 from particles_mpi.initial.blocks import Block, Columns
 from particles_mpi.initial.checks import check_start
-from particles_mpi.initial.container import room_of
 from particles_mpi.initial.faults import Faults
 from particles_mpi.initial.places import fill_places
+from particles_mpi.initial.room import room_of
 from particles_mpi.initial.table_file import Table, read_table
 from particles_mpi.kernels import limits
 from particles_mpi.parallel.agreement import raising_together

@@ -7,8 +7,8 @@ same as one after the other in that order. Each rank judges those that fall into
 
 import numpy as np
 
-from particles_mpi.initial.container import Container
 from particles_mpi.initial.random_numbers import LOW_HALF, random_pair
+from particles_mpi.initial.room import Room
 from particles_mpi.initial.sphere_cells import LEVELS, class_of
 from particles_mpi.initial.sphere_grid import FREE, SphereGrid
 from particles_mpi.kernels.jit import kernel
@@ -36,7 +36,7 @@ class RandomAddition:
     `x` (n, d), `radius` (n,): the spheres of this rank that have a place; `radii`: of those of this rank that will get one.
     """
 
-    def __init__(self, ranks: Communicator, room: Container, x: Array, radius: Array, radii: list[Array]):
+    def __init__(self, ranks: Communicator, room: Room, x: Array, radius: Array, radii: list[Array]):
         self.ranks, self.room, self.dimension = ranks, room, x.shape[1]
         every = np.concatenate([radius, *radii])
         self.largest = ranks.largest(every.max(initial=0.0))[0]

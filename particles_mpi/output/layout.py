@@ -27,10 +27,10 @@ STEPS: dict[str, tuple[tuple[int, ...], str, int]] = {
     "Steps/CellOffsets": ((4,), "int64", 0),
     "Steps/ConnectivityIdOffsets": ((4,), "int64", 0),
 }
-Columns = dict[str, tuple[tuple[int, ...], Any]]  # of a frame, by place in the file: (shape of a row, dtype)
+ColumnShapes = dict[str, tuple[tuple[int, ...], Any]]  # of a frame, by place in the file: (shape of a row, dtype)
 
 
-class Kept(NamedTuple):
+class KeptFrames(NamedTuple):
     """The frames of a file up to a step."""
 
     steps: list[int]
@@ -38,7 +38,7 @@ class Kept(NamedTuple):
     parts: list[int]  # the number of particles in each part
 
 
-def create(path: Path, columns: Columns, total: int) -> None:
+def create(path: Path, columns: ColumnShapes, total: int) -> None:
     """Make a file without frames, for frames of `total` particles first."""
     with replacing(path) as part, h5py.File(part, "w", locking=False) as file:
         group = file.create_group("VTKHDF")
@@ -60,7 +60,7 @@ def create(path: Path, columns: Columns, total: int) -> None:
             group[place.replace("PointData/", "Steps/PointDataOffsets/")] = group["Steps/PointOffsets"]
 
 
-def frames_up_to(path: Path, resume_step: int, columns: Columns, last_count: int) -> Kept:
+def frames_up_to(path: Path, resume_step: int, columns: ColumnShapes, last_count: int) -> KeptFrames:
     """The frames of a file up to a step.
 
     Raises a ValueError if they are not whole, if the file has other columns, or if the last has not `last_count` particles.
@@ -77,10 +77,10 @@ def frames_up_to(path: Path, resume_step: int, columns: Columns, last_count: int
             raise ValueError("it holds other particles or fields than the run to be continued")
         if not whole or any(len(group[place]) < points for place in found):
             raise ValueError("it does not hold all of its frames")
-        return Kept(kept, points, sizes[: int(parts.max(initial=0)) + 1].tolist())
+        return KeptFrames(kept, points, sizes[: int(parts.max(initial=0)) + 1].tolist())
 
 
-def shorten(path: Path, columns: Columns, frames: int, points: int, parts: int) -> None:
+def shorten(path: Path, columns: ColumnShapes, frames: int, points: int, parts: int) -> None:
     """Remove all but the first frames: so many, of so many points and parts."""
     with h5py.File(path, "r+", locking=False) as file:
         group = file["VTKHDF"]

@@ -41,7 +41,7 @@ class Choice(NamedTuple):
     notes: list[str]
 
 
-class Column(NamedTuple):
+class PageColumn(NamedTuple):
     """A quantity of each particle: its type in the page, and what 0 and 1 in it mean; constant: stored once, for all frames.
 
     low, high: values of the first and the last colour, or None for what no colour tells.
@@ -72,7 +72,7 @@ def page(run: Any, largest: int = PAGE_BYTES) -> str:
     return assemble(run, largest)[0]
 
 
-def assemble(run: Any, largest: int, live: bool = False) -> tuple[str, list[Column], int]:
+def assemble(run: Any, largest: int, live: bool = False) -> tuple[str, list[PageColumn], int]:
     """(page, columns, of how many particles one is in it). live: more frames will be sent to it, in which anything may change."""
     counts = [len(frame) for frame in run]
     if not counts:
@@ -130,7 +130,7 @@ def quantities(frame: Any) -> dict[str, Array]:
     return found | {"speed": frame.speed}
 
 
-def survey(run: Any, choice: Choice, live: bool = False) -> tuple[list[Column], Array, Array]:
+def survey(run: Any, choice: Choice, live: bool = False) -> tuple[list[PageColumn], Array, Array]:
     """(columns, lower, upper): how numbers are stored, their ranges over the frames, and the extent (3,) of the spheres.
 
     live: more frames are to come, in which anything may change.
@@ -156,27 +156,27 @@ def survey(run: Any, choice: Choice, live: bool = False) -> tuple[list[Column], 
         lower, upper = np.full(3, -1.0), np.ones(3)
     middle, size = 0.5 * (lower + upper), np.maximum(upper - lower, 1e-300)
     if choice.kind == "f4":
-        columns = [Column("position", "f4", False, middle.tolist(), [1.0, 1.0, 1.0])]
+        columns = [PageColumn("position", "f4", False, middle.tolist(), [1.0, 1.0, 1.0])]
     else:
-        columns = [Column("position", "u2", False, lower.tolist(), (size / 65535).tolist())]
+        columns = [PageColumn("position", "u2", False, lower.tolist(), (size / 65535).tolist())]
     for name in first:
         lows, tops, highs = np.array(ranges.get(name, [np.array([0.0, 1.0, 1.0])])).T
         low, high = float(lows.min()), float(highs.max())
         top = high if constant[name] else float(tops.max())
         if name == "id":
-            columns.append(Column(name, "i4" if high < 2**31 else "f8", constant[name], 0.0, 1.0, low, high))
+            columns.append(PageColumn(name, "i4" if high < 2**31 else "f8", constant[name], 0.0, 1.0, low, high))
         elif name == "fixed":
-            columns.append(Column(name, "u1", constant[name]))
+            columns.append(PageColumn(name, "u1", constant[name]))
         elif choice.kind == "f4" or constant[name]:
-            columns.append(Column(name, "f4", constant[name], 0.0, 1.0, low, top))
+            columns.append(PageColumn(name, "f4", constant[name], 0.0, 1.0, low, top))
         else:
-            columns.append(Column(name, "u2", False, low, (high - low) / 65535 or 1.0, low, top))
+            columns.append(PageColumn(name, "u2", False, low, (high - low) / 65535 or 1.0, low, top))
     energies = np.array(ranges.get("energy", [np.array([0.0, 1.0, 1.0])])).T
-    columns.append(Column("energy", "", True, 0.0, 1.0, float(energies[0].min()), float(energies[1].max())))
+    columns.append(PageColumn("energy", "", True, 0.0, 1.0, float(energies[0].min()), float(energies[1].max())))
     return columns, lower, upper
 
 
-def pack(frame: Any, columns: list[Column], every: int) -> str:
+def pack(frame: Any, columns: list[PageColumn], every: int) -> str:
     """The numbers of these columns in base64: the count of particles, then column after column, each from a multiple of 8 on."""
     kept = frame.id % every == 0
     now = {"position": in_space(frame.position), "id": frame.id, **quantities(frame)}

@@ -162,17 +162,17 @@ def one_of(fault: str, *kinds: Any) -> Any:
 
 
 Number = Annotated[int | float, AfterValidator(not_too_large)]
-Positive = Annotated[Number, Field(ge=0)]
+NotNegativeNumber = Annotated[Number, Field(ge=0)]
 Numbers = list[Number]
 Points = Annotated[list[Numbers], Len(1)]
 File = table_of(str, "file")
 Range = table_of(Number, "min", "max", check=AfterValidator(in_order))
-Speed = table_of(Positive, "min", "max", check=AfterValidator(in_order))
+Speed = table_of(NotNegativeNumber, "min", "max", check=AfterValidator(in_order))
 
 Scalar = one_of("must be a number, {min = a, max = b} or a list of numbers", Number, Range, Numbers)
 Flags = one_of("must be true, false or a list of these", bool, list[bool])
 Vectors = one_of("must be a vector [ax, ay, ...] or a list of these", Numbers, Points)
-Warmth = table_of(Positive, "temperature")
+Warmth = table_of(NotNegativeNumber, "temperature")
 Spin = one_of("must be a number, {temperature = T} with T >= 0, or a list of numbers", Number, Numbers, Warmth)
 SpinVector = one_of("must be a vector [sx, sy, sz], a list of these or {temperature = T} with T >= 0", Numbers, Points, Warmth)
 Position = one_of(
@@ -182,5 +182,5 @@ Position = one_of(
 Velocity = one_of(
     "must be [vx, vy, ...], a list of these, {speed = s}, {speed = {min = a, max = b}}, {temperature = T} (all >= 0),"
     ' {file = "start.csv"} or, with position = {plummer = a}, "equilibrium"',
-    *(Literal["equilibrium"], Points, Numbers, File, Warmth, table_of(Positive | Speed, "speed")),
+    *(Literal["equilibrium"], Points, Numbers, File, Warmth, table_of(NotNegativeNumber | Speed, "speed")),
 )

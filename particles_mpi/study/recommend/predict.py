@@ -19,7 +19,7 @@ import numpy as np
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.errors import Interrupted, SceneError, StoppedError
-from particles_mpi.initial.container import packing_fraction, room_of
+from particles_mpi.initial.room import packing_fraction, room_of
 from particles_mpi.integrators.gauss_radau import TOLERANCE
 from particles_mpi.output.files import failing_together
 from particles_mpi.parallel.communicator import Communicator

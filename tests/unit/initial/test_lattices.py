@@ -6,14 +6,14 @@ from math import prod
 import numpy as np
 import pytest
 
-from particles_mpi.initial.container import Container
 from particles_mpi.initial.lattices import every_second, lattice, thinned
+from particles_mpi.initial.room import Room
 
 
 def room(d, periodic, edge=1.0):
     lower, upper = np.zeros(d), edge * (1.0 + 0.1 * np.arange(d))
     none = np.empty((0, d))
-    return Container(lower, upper, (upper - lower) * periodic, none, none, True, True)
+    return Room(lower, upper, (upper - lower) * periodic, none, none, True, True)
 
 
 @pytest.mark.parametrize("layers", [*product(range(1, 5), repeat=3), *product(range(1, 7), repeat=2), (7,)])

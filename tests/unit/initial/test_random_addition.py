@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from particles_mpi.initial import random_addition
-from particles_mpi.initial.container import Container
 from particles_mpi.initial.random_addition import RandomAddition, points_of
 from particles_mpi.initial.random_numbers import LOW_HALF
+from particles_mpi.initial.room import Room
 from particles_mpi.parallel.communicator import Communicator
 
 KEY = 0x123456789ABCDEF
@@ -16,7 +16,7 @@ NONE = np.empty((0, 2))
 def room(periodic=False, walls=(), d=2):
     lower, upper = np.zeros(d), np.full(d, 2.0)
     point, normal = (np.array(part, float).reshape(-1, d) for part in (walls or ((), ())))
-    return Container(lower, upper, 2.0 * np.full(d, float(periodic)), point, normal, True, True)
+    return Room(lower, upper, 2.0 * np.full(d, float(periodic)), point, normal, True, True)
 
 
 def one_after_the_other(room, x, radius, count, new_radius):

@@ -13,7 +13,7 @@ from particles_mpi.scene.active import ActiveEffects
 from particles_mpi.scene.schema import Scene
 
 
-class Container(NamedTuple):
+class Room(NamedTuple):
     """The space in which particles are placed, and what they must keep clear of."""
 
     lower: Array  # (d,) corners of the box
@@ -25,15 +25,15 @@ class Container(NamedTuple):
     bounded: bool  # spheres stay a radius away from faces of the box that are not periodic
 
 
-def room_of(scene: Scene) -> Container:
+def room_of(scene: Scene) -> Room:
     """Box and walls of a scene as arrays; an open side is infinite."""
     effects = ActiveEffects(scene, switched_off=True)
     walls, solid = effects.walls.planes if effects.walls else no_planes(scene.dimension), effects.pairs is not None
     bounded = solid or len(walls.point) > 0
-    return Container(*scene.corners, scene.periodic_length, walls.point, walls.normal, solid, bounded)
+    return Room(*scene.corners, scene.periodic_length, walls.point, walls.normal, solid, bounded)
 
 
-def packing_fraction(ranks: Communicator, radius: Array, room: Container) -> float:
+def packing_fraction(ranks: Communicator, radius: Array, room: Room) -> float:
     """The volume of the spheres of all ranks with these radii (n,), divided by that of the box. Collective."""
     d, edge = len(room.lower), float(np.exp(np.log(room.upper - room.lower).mean()))  # edge: of a cube with its volume
     return exact_sums(ranks, [(radius / edge) ** d])[0] * exp(0.5 * d * log(pi) - lgamma(0.5 * d + 1.0))
