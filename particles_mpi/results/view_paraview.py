@@ -14,7 +14,7 @@ from paraview import simple as pv
 # As the run fills it in: its folder, box (lower, upper corner), walls (corners of each), and whether it is planar.
 RUN: dict = {}
 LATEST = (5, 13)  # the first ParaView that reads a trajectory.vtkhdf in which the number of particles changes
-MANY_SPHERES = 20000  # particles: more are drawn as points shaded like spheres, which is faster
+MANY = 20000  # particles: more are drawn as points shaded like spheres, which is faster
 
 
 def folder():
@@ -44,7 +44,7 @@ def show_spheres(view, source, dot):
     """All particles with their radii, coloured by speed; those without radius as dots of radius `dot`."""
     data = source.GetDataInformation()
     radii = data.GetPointDataInformation().GetArrayInformation("radius")
-    many, points = data.GetNumberOfPoints() > MANY_SPHERES, radii is None or radii.GetComponentRange(0)[1] == 0.0
+    many, points = data.GetNumberOfPoints() > MANY, radii is None or radii.GetComponentRange(0)[1] == 0.0
     if many or points:
         shown = pv.Show(source, view)
         shown.SetRepresentationType("Point Gaussian")
@@ -101,7 +101,7 @@ def extent(source):
     return [[min(b[2 * k] for b in found) for k in range(3)], [max(b[2 * k + 1] for b in found) for k in range(3)]]
 
 
-def aim_camera(view, lower, upper):
+def look(view, lower, upper):
     """From a side and a little from above, so that all of the box is seen; a planar run from above, without perspective."""
     middle = [0.5 * (a + b) for a, b in zip(lower, upper)]
     size = sum((b - a) ** 2 for a, b in zip(lower, upper)) ** 0.5 or 1.0
@@ -126,7 +126,7 @@ def main():
     source.UpdatePipeline(source.TimestepValues[0])
     show_spheres(view, source, 0.01 * max(b - a for a, b in zip(lower, upper)))
     show_surroundings(view)
-    aim_camera(view, lower, upper)
+    look(view, lower, upper)
     text = pv.AnnotateTimeFilter(Input=source, Format="t = {time:g}")
     pv.Show(text, view).Color = [0.1, 0.1, 0.15]
     pv.SetActiveSource(source)
