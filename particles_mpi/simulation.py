@@ -31,6 +31,8 @@ class Simulation(Saved):
 
     def __init__(self, scene: Scene, comm: Any = None, start: Particles | None = None):
         """`start`: all particles in id order on every rank, with the fields that the scene needs, instead of its own."""
+        if not isinstance(scene, Scene):
+            raise TypeError(f"Simulation: {scene!r:.60} is no Scene; there are Scene.load(path) and Scene.from_dict(tables)")
         ranks = Communicator(comm)
         same_on_all(ranks, scene.to_dict(), start.arrays if start else {})
         with raising_together(ranks):
@@ -133,6 +135,8 @@ class Simulation(Saved):
 
     def run(self, output: str | Path | None = None, quiet: bool = True, **options: Any) -> None:
         """Step to the end of the scene; with `output` (a folder) write everything the scene asks for. Collective."""
+        if output is None and options:
+            raise TypeError(f"run: {', '.join(options)}: only with a folder for output")
         if output is not None:
             Job(self, Path(output), quiet=quiet, **options).run()
         else:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from numbers import Real
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -15,6 +16,7 @@ from particles_mpi.initial.checks import value_limits
 from particles_mpi.integrators.kicks_and_drifts import Accelerations, Kick, integrator_of
 from particles_mpi.integrators.many_steps import ManySteps
 from particles_mpi.kernels.planes import no_planes
+from particles_mpi.kernels.validity import find_invalid
 from particles_mpi.measure.watchdog import Watchdog
 from particles_mpi.parallel.agreement import same_on_all
 from particles_mpi.parallel.communicator import Communicator
@@ -25,6 +27,11 @@ from particles_mpi.scene.active import ActiveEffects, fields_of
 from particles_mpi.scene.effect import Context, Force
 from particles_mpi.scene.schema import Scene
 from particles_mpi.timers import Timers
+
+
+def is_number(value: Any) -> bool:
+    """Is it one real number, of Python's or of numpy's?"""
+    return isinstance(value, Real)
 
 
 class State:
@@ -152,6 +159,11 @@ class State:
                 raise StateError(
                     f"particles.{name}: particle {p.id[row]} on rank {self.ranks.rank} was given {given}, which it cannot have"
                 )
+        if "position" in values and self.active.walls:
+            fixed, planes, nowhere = values.get("fixed", p.fixed), tuple(self.active.walls.planes), np.zeros(p.dimension)
+            _, row, wall = find_invalid((0.0,) * p.dimension, values["position"], p.velocity, fixed, planes, nowhere, nowhere)
+            if row >= 0:
+                raise StateError(f"particles.position: particle {p.id[row]} on rank {self.ranks.rank} was put beyond wall {wall}")
 
     @property
     def particles(self) -> ParticleView:
@@ -166,8 +178,8 @@ class State:
 
     @time.setter
     def time(self, value: float) -> None:
-        if not np.isfinite(value):
-            raise ValueError(f"time: {value} is not finite")
+        if not (is_number(value) and np.isfinite(value)):
+            raise ValueError(f"time: {value!r} is no finite number")
         same_on_all(self.ranks, {"time": value})
         for since in self.observed.values():
             since[0] += value - self.time
@@ -181,8 +193,8 @@ class State:
 
     @h.setter
     def h(self, value: float) -> None:
-        if not 0.0 < value < np.inf:
-            raise ValueError(f"h: {value} is no length of a step, which is above 0")
+        if not (is_number(value) and 0.0 < value < np.inf):
+            raise ValueError(f"h: {value!r} is no length of a step, which is above 0")
         same_on_all(self.ranks, {"h": value})
         self.moment = self.time, self.steps_done
         self._h = float(value)

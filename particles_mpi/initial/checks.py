@@ -218,13 +218,16 @@ def value_limits(scene: Scene, particles: Particles, values: dict[str, Array], h
         allowed["position"] &= within_reach.all(axis=1)  # from further away round-off leaves no place in the box
     if "velocity" in values:
         allowed["velocity"] &= ~crosses_too_often(scene, largest_component(values["velocity"]), h)
+    if "fixed" in values:
+        allowed["fixed"] = values["fixed"] <= 1
     if {"mass", "fixed"} & values.keys():
         mass, fixed = (values.get(name, particles[name]) for name in ("mass", "fixed"))
         needed = np.zeros(len(mass), bool)
         for dividing in divided_masses(scene, fixed).values():
             needed |= dividing
         possible = (mass >= 1.0 / LARGEST_NUMBER) | ((mass == 0.0) & ~needed)
-        allowed["mass" if "mass" in values else "fixed"] = possible & (mass <= LARGEST_NUMBER)
+        name = "mass" if "mass" in values else "fixed"
+        allowed[name] = allowed.get(name, True) & possible & (mass <= LARGEST_NUMBER)
     return allowed
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import re
 from base64 import b64encode
+from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -126,7 +127,7 @@ def quantities(frame: Any) -> dict[str, Array]:
         if name in ("position", "id", "velocity"):
             continue
         values = frame[name]
-        found[name] = values if values.ndim == 1 else np.linalg.norm(values.reshape(len(values), -1), axis=1)
+        found[name] = values if values.ndim == 1 else np.linalg.norm(values.reshape(len(values), prod(values.shape[1:])), axis=1)
     return found | {"speed": frame.speed}
 
 

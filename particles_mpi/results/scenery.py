@@ -39,7 +39,7 @@ def scenery(scene: dict[str, Any], lower: Array, upper: Array) -> Scenery:
     elif not np.any(upper > lower):  # a single point, or no particle at all
         lower, upper = np.full(3, -1.0), np.ones(3)
     given = ((scene.get("effects") or {}).get("walls") or {}).get("planes") or []
-    planes = [(in_space(plane["point"]), in_space(plane["normal"])) for plane in given]
+    planes = [(in_space(plane["point"]), in_space(plane["normal"])) for plane in given if np.any(in_space(plane["normal"]))]
     walls = []
     for point, normal in planes:
         corners = section(point, normal, lower, upper)

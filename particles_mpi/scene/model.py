@@ -121,6 +121,7 @@ def faults_of(error: ValidationError, model: type[BaseModel], prefix: tuple[Any,
             faults.append(f"{key}: unknown key{suggestion(str(place[-1]), known)}")
         else:
             message = item["msg"].replace("Input should be", "must be").replace("Input", "input")
+            message = "must be a table" if kind == "model_type" else message
             short = isinstance(given, str | float | bool) or (isinstance(given, int) and abs(given) < 10**20)
             shown = f" (got {given!r})" if short else ""
             faults.append(f"{key}: missing" if kind == "missing" else f"{key}: {message}{shown}")

@@ -330,3 +330,27 @@ def test_a_sphere_without_room_is_told(mode):
     sim.run()
     assert sim.totals["missed"] > 0 and "had no room" in sim.remarks()[0]
     assert sim.measure()["kinetic"] == pytest.approx(0.5 * 1.49) and abs(sim.particles.position[0, 1] - 0.5) < 1e-12
+
+
+@pytest.mark.parametrize("collisions", [{}, {"collisions": {"mode": "rewind"}}, {"collisions": {"mode": "event"}}])
+@pytest.mark.parametrize("loss", [{"restitution": 0.1}, {"restitution": 0.5}, {"damping": 0.9}])
+def test_a_ceiling_holds_nothing_and_a_force_of_zero_changes_nothing(loss, collisions):
+    """Balls that come to a ceiling at any speed, also so slowly that on a floor they would stay: gravity pulls them off it."""
+    random, n, step = np.random.default_rng(1), 40, 0.03
+    height, speed = 4.6 - random.uniform(0.0, 0.1, n), random.uniform(0.0, 1.5, n)
+    balls = {
+        "position": np.column_stack((np.arange(n) + 0.5, height)).tolist(),
+        "velocity": np.column_stack((np.zeros(n), speed)).tolist(),
+        "radius": 0.4,
+    }
+    effects = {"uniform_gravity": {"acceleration": [0.0, -9.81]}, "walls": loss}
+    effects |= {name: {**options, "restitution": 0.8} for name, options in collisions.items()}
+    ends = []
+    for other in ({}, {"user_acceleration": {}}):
+        box, time = {"lower": [0.0, 0.0], "upper": [float(n), 5.0]}, {"step": step, "steps": 6}
+        sim = Simulation(Scene(dimension=2, box=box, time=time, particles=[balls], effects=effects | other))
+        for _ in range(6):
+            sim.step()
+            ends.append(np.concatenate((sim.particles.position, sim.particles.velocity), axis=1)[np.argsort(sim.particles.id)])
+    assert np.array(ends[:6]) == pytest.approx(np.array(ends[6:]), abs=1e-12)
+    assert (ends[5][:, 3] < 0.0).all()

@@ -207,6 +207,12 @@ def test_arrays_of_an_earlier_step_cannot_be_written_to_unnoticed():
         ("sim.effects['walls'].bounce = 2.0", AttributeError, "no option 'bounce'"),
         ("sim.scene.time.step = 0.5", AttributeError, r"set sim\.h"),
         ("sim.h = 0.0", ValueError, "above 0"),
+        ("sim.h = 'a'", ValueError, "h: 'a' is no length of a step"),
+        ("sim.time = None", ValueError, "time: None is no finite number"),
+        ("sim.particles.fixed[3] = 2; sim.step()", StateError, r"particles\.fixed: particle 3 on rank 0 was given 2"),
+        ("sim.particles.position[1] = 1e3; sim.step()", StateError, r"step 1: particles\.position: particle 1 on rank 0 was put"),
+        ("sim.run(steps=3)", TypeError, "run: steps: only with a folder"),
+        ("Simulation('x.toml')", TypeError, "'x.toml' is no Scene; there are Scene.load"),
         ("sim.remove(sim.particles.mass > 2.5)", ValueError, r"integers; of a mask those are sim\.particles\.id\[mask\]"),
         ("sim.remove([1.7])", ValueError, "takes ids, which are integers"),
         ("sim.remove([-1, 10**9])", ValueError, r"remove: no particles -1 and 1000000000"),
@@ -214,7 +220,7 @@ def test_arrays_of_an_earlier_step_cannot_be_written_to_unnoticed():
     ],
 )
 def test_what_cannot_be_changed_says_so(wrong, error, says):
-    there = {"sim": Simulation(Scene.from_dict(SCENES["elastic"]))}
+    there = {"sim": Simulation(Scene.from_dict(SCENES["elastic"])), "Simulation": Simulation}
     with pytest.raises(error, match=says):
         exec(wrong, there)
 
