@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import pdist
 
 from particles_mpi import Scene, Simulation
-from particles_mpi.contacts.persistent.descent import EXACT, OUTLIER
+from particles_mpi.contacts.persistent.descent import EXACT
+from particles_mpi.contacts.persistent.iterations import OUTLIER
 from particles_mpi.contacts.persistent.problem import TAKEN, Problem, bound_rows, table_of
 from particles_mpi.contacts.persistent.solver import Solver
 from particles_mpi.parallel.communicator import Communicator

@@ -26,19 +26,23 @@ from collections.abc import Callable
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.iterations import FINE, MOST, begin, iterations, whole_numbers, works
+from particles_mpi.contacts.persistent.iterations import (
+    CHECK,
+    FIRST_THETA,
+    MOST,
+    begin,
+    iterate_to_end,
+    iterations,
+    verdict,
+    whole_numbers,
+    works,
+)
 from particles_mpi.contacts.persistent.problem import Problem
 from particles_mpi.contacts.persistent.rough_iterations import taken_columns
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
 
-CHECK = 5  # iterations between two looks at what is left
-FIRST_THETA = 0.25  # where the sequence of momenta begins: not at 1, for solutions begin near the last one
-OUTLIER = 20.0  # times the root mean square that is allowed may the largest error be
 LITTLE_CHANGE = 0.2  # `balance` before the iterations is done only if its factor is within this of 1: else contacts have changed
-CALM = 1e-3  # of the allowed errors, root mean square: below it at least MORE iterations are done
-MORE = 150  # iterations in such a pile: fewer do not show what else has to fall
-GROWN = 3.0  # mean square errors
 EXACT = 100  # iterations: where at least so many are asked for, errors are followed down to round-off, not to a tolerance
 
 
@@ -70,16 +74,28 @@ class Iteration:
 
     def advance(self, count: int, looks: bool = False) -> tuple[float, float, float]:
         """So many iterations, with an exchange of ghosts after each; what the last one saw, if it `looks`."""
-        calls, count = (count, 1) if self.exchange else (1, count)
-        for to_go in range(calls - 1, -1, -1):
+        for to_go in range(count - 1, -1, -1):
             self.theta, *seen = iterations(
-                self.axes, count, self.problem, self.w, self.v0, self.v, self.other, self.theta, looks and not to_go, self.sums
+                self.axes, 1, self.problem, self.w, self.v0, self.v, self.other, self.theta, looks and not to_go, self.sums
             )
-            if count % 2:
-                self.v, self.other = self.other, self.v
+            self.v, self.other = self.other, self.v
             if self.exchange:
                 self.exchange(self.v)
         return seen[0], seen[1], seen[2]
+
+    def go_on(
+        self, rules: tuple[int, int, int, bool, bool], done: int, before: float, best: float
+    ) -> tuple[tuple[float, float, float], int, float, float]:  # fmt: skip
+        """Iterate until the `verdict` is that this may end: (what the last one saw, iterations done, before, best).
+
+        In one kernel, where no ghosts are exchanged: of a small pile, the calls would take longer than the iterations.
+        """
+        self.theta, until, before, best, *seen = iterate_to_end(
+            self.axes, self.problem, self.w, self.v0, self.v, self.other, self.theta, rules, done, before, best, self.sums
+        )
+        if (until - done) % 2:
+            self.v, self.other = self.other, self.v
+        return (seen[0], seen[1], seen[2]), until, before, best
 
     def factor(self, ranks: Communicator) -> float:
         """Times what p A p/2 + p (N v + c) is least: in sum over all contacts errors do no work then. Collective."""
@@ -113,30 +129,30 @@ class Iteration:
         errors are allowed, and the iterations done, 0 for a pile that is asleep. Collective.
         """
         done, exact, before, best = 1, least >= EXACT, np.inf, np.inf
+        rules = count, least, limit, exact, self.rough
         if not exact and not self.rough:
             self.balance(ranks, 1.0 - LITTLE_CHANGE, 1.0 + LITTLE_CHANGE)
         errors = self.advance(1, looks=True)
         while True:
             worst, over_round_off, most = ranks.largest(*errors)
-            squares, work = ranks.total(*whole_numbers(self.sums, (1.0, most if most > 0.0 else 1.0)))
-            good, calm = worst <= OUTLIER and squares <= count * FINE, self.rough and squares <= count * FINE * CALM**2
-            enough = done >= (max(MORE, least) if calm else least)
+            squares, work = map(float, ranks.total(*whole_numbers(self.sums, (1.0, most if most > 0.0 else 1.0))))
+            good, calm, ends, anew = verdict((worst, over_round_off, squares, work), rules, done, before, best)
             ask = asleep if done == 1 and (over_round_off <= 1.0 or (self.rough and good)) else None
             if ask:
                 self.restart()
                 if ask(self.result):
                     return True, 0
-            if over_round_off <= 1.0 or (good and enough) or done >= limit:
+            if ends:
                 break
             if self.rough and done == 1 and not (exact or calm or ask):
                 self.balance(ranks, 1.0 - LITTLE_CHANGE, 1.0 + LITTLE_CHANGE)
-            elif not ask:
-                grown = self.rough and squares > (GROWN * best if exact else before)
-                if grown or (work > 0.0 and (exact or not self.rough)):
-                    self.restart()
+            elif anew and not ask:
+                self.restart()
             before, best = squares, min(best, squares)
-            errors = self.advance(CHECK, looks=True)
-            done += CHECK
+            if self.exchange:
+                errors, done = self.advance(CHECK, looks=True), done + CHECK
+            else:
+                errors, done, before, best = self.go_on(rules, done, before, best)
         self.restart()  # errors that were looked at are of what is taken: what is ahead may be far past it already
         good = good or over_round_off <= 1.0
         if self.rough and not good:

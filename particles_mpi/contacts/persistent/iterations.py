@@ -14,6 +14,12 @@ from particles_mpi.kernels.jit import inner, kernel
 
 FINE, LARGE = 2.0**24, 2.0**14  # sums are of whole numbers, so that no order changes a bit: of units of 1/FINE, LARGE at most
 MOST = 5000  # iterations
+CHECK = 5  # iterations between two looks at what is left
+FIRST_THETA = 0.25  # where the sequence of momenta begins: not at 1, for solutions begin near the last one
+OUTLIER = 20.0  # times the root mean square that is allowed may the largest error be
+CALM = 1e-3  # of the allowed errors, root mean square: below it at least MORE iterations are done
+MORE = 150  # iterations in such a pile: fewer do not show what else has to fall
+GROWN = 3.0  # mean square errors
 
 
 @inner
@@ -59,9 +65,56 @@ def iterations(axes, count, problem, w, v0, v, other, theta, looks, sums):
         worst, over_round_off = iterate(axes, 0, len(problem[0]) - 1, problem, w, v0, v, other, beta, look, sums)
         v, other = other, v
     if looks:
-        for i in range(len(sums)):
-            most = max(most, abs(sums[i, 1]))
+        most = largest_work(sums)
     return theta, worst, over_round_off, most
+
+
+@inner
+def largest_work(sums):
+    """The largest absolute value of the works of rows, sums[:, 1]; see `iterate`."""
+    most = 0.0
+    for i in range(len(sums)):
+        most = max(most, abs(sums[i, 1]))
+    return most
+
+
+@inner
+def verdict(seen, rules, done, before, best):
+    """After `done` iterations: (are errors allowed, and far below that, may iterations end, should momentum be given up).
+
+    seen: what the last one saw, the two largest errors, and sums over all rows of squares of errors, and of works; before, best:
+    that sum of squares one look before, and the least so far. rules: half-edges that count, iterations at least, at most, are
+    errors followed down to round-off, are spheres rough.
+    """
+    worst, over_round_off, squares, work = seen
+    count, least, limit, exact, rough = rules
+    good, calm = worst <= OUTLIER and squares <= count * FINE, rough and squares <= count * FINE * CALM**2
+    enough = done >= (max(MORE, least) if calm else least)
+    ends = over_round_off <= 1.0 or (good and enough) or done >= limit
+    grown = rough and squares > (GROWN * best if exact else before)
+    return good, calm, ends, grown or (work > 0.0 and (exact or not rough))
+
+
+@kernel
+def iterate_to_end(axes, problem, w, v0, v, other, theta, rules, done, before, best, sums):
+    """`CHECK` iterations and a look, again and again, until the `verdict` is that they may end, where all rows are here.
+
+    Returns (theta, iterations done, before, best, and what the last look saw: see `iterations`).
+    """
+    n, count, looks = len(problem[0]) - 1, np.int64(CHECK), np.bool_(True)
+    while True:
+        theta, worst, over_round_off, most = iterations(axes, count, problem, w, v0, v, other, theta, looks, sums)
+        v, other = other, v  # for CHECK is odd
+        done += CHECK
+        squares, work = whole_numbers(sums, (1.0, most if most > 0.0 else 1.0))
+        seen = worst, over_round_off, float(squares), float(work)
+        _, _, ends, anew = verdict(seen, rules, done, before, best)
+        if ends:
+            return theta, done, before, best, worst, over_round_off, most
+        if anew:
+            theta = FIRST_THETA
+            begin(axes, 0, n, problem, w, v0, v)
+        before, best = float(squares), min(best, float(squares))
 
 
 @kernel

@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.descent import EXACT, OUTLIER
+from particles_mpi.contacts.persistent.descent import EXACT
 from particles_mpi.contacts.persistent.detection import PRECISE, SLOW, Contacts, find_contacts
 from particles_mpi.contacts.persistent.graph import ContactGraph, Exchange
+from particles_mpi.contacts.persistent.iterations import OUTLIER
 from particles_mpi.contacts.persistent.memory import along_normals
 from particles_mpi.contacts.persistent.problem import Targets
 from particles_mpi.contacts.persistent.rows import Local
