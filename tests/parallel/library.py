@@ -30,7 +30,7 @@ twin.step()
 met.append(("same again", sim == twin))
 
 piling = Simulation(Scene.from_dict(random_tables(np.random.default_rng(2059)) | {"output": {}}))  # with contacts that last
-for _ in range(20):
+for _ in range(10):
     met.append((piling.step_to_collision(), piling.time.hex()))
 
 tables["effects"]["collisions"] = {"restitution": 0.9}
