@@ -8,7 +8,7 @@ detection   which of these may have contacts that last; near_walls: which rows m
 slow        which contacts are slow, and so kept
 zone        where contacts are sought; crowds
 rows        state of the rows, copied from the particles and written back
-problem     the contacts as a table, one row for each half-edge
+problem     the contacts as a table, one row for each half-edge; rough_table: the same of rough spheres
 surfaces    what such a table says of smooth and of rough spheres
 solver      which way these are solved, by all ranks together
 descent     iterations to velocities at which none of them closes

@@ -38,7 +38,7 @@ from particles_mpi.contacts.persistent.iterations import (
     works,
 )
 from particles_mpi.contacts.persistent.problem import Problem
-from particles_mpi.contacts.persistent.rough_iterations import taken_columns
+from particles_mpi.contacts.persistent.rough_table import taken_columns
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
 
@@ -50,7 +50,7 @@ class Iteration:
     """The iterations of one solution for velocities v (size + 1, d), which stay as they are; `result` (n, d) has the last ones.
 
     w (size + 1,): inverse masses. Of rough spheres v has spins beside velocities, w the inverse moments of inertia, and the table
-    of the problem more columns; see `rough_iterations`. `exchange` refreshes the velocities of ghosts, if there are any.
+    of the problem more columns; see `rough_table`. `exchange` refreshes the velocities of ghosts, if there are any.
     """
 
     def __init__(self, axes: tuple[float, ...], problem: Problem, w: Array, v: Array, exchange: Callable[[Array], None] | None):

@@ -22,7 +22,7 @@ class Problem(NamedTuple):
     """The contacts that are solved for, as half-edges: those of row i are start[i] ... start[i + 1] - 1.
 
     start (n + 1,); partner (m,): a row or ghost, or the row of zeros behind them that stands for walls; table (m, 5 + d) with the
-    columns above, of rough spheres with more (`rough_iterations`). An error in speed is allowed up to 1/`loose` (m,), as root
+    columns above, of rough spheres with more (`rough_table`). An error in speed is allowed up to 1/`loose` (m,), as root
     mean square; below 1/`tight` (m,) nothing is left but round-off.
     """
 

@@ -12,7 +12,8 @@ from particles_mpi.contacts.persistent.detection import HELD, PRECISE, Contacts
 from particles_mpi.contacts.persistent.graph import ContactGraph
 from particles_mpi.contacts.persistent.memory import along_normals
 from particles_mpi.contacts.persistent.problem import Problem, Targets, bound_rows, table_of
-from particles_mpi.contacts.persistent.rough_iterations import bound_rough, rough_table, slide_loads, taken_columns
+from particles_mpi.contacts.persistent.rough_iterations import slide_loads
+from particles_mpi.contacts.persistent.rough_table import bound_rough, rough_table, taken_columns
 from particles_mpi.contacts.persistent.rows import Local
 from particles_mpi.contacts.persistent.slow import carried, felt_push
 from particles_mpi.contacts.warm_start import rough_columns
