@@ -78,6 +78,35 @@ def test_a_full_box_under_gravity_comes_to_rest(mode, e, friction):
     assert sim.measure()["kinetic"] < 1e-20
 
 
+@pytest.mark.parametrize("mode", ["event", "rewind"])
+@pytest.mark.parametrize("surface", [{"restitution": 0.95}, {"restitution": 0.5, "friction": 0.3}])
+@pytest.mark.parametrize(("across", "up"), [(3, 3), (10, 12)])
+def test_what_fills_a_box_from_side_to_side_has_thousands_of_contacts_not_millions(across, up, surface, mode):
+    """Gravity leans to one side, and there is room above: nine discs had eight million collisions in a step."""
+    places = [[R + 2.0 * R * i, R + 2.0 * R * k] for i in range(across) for k in range(up)]
+    scene = Scene(
+        dimension=2,
+        seed=1,
+        box={"lower": [0.0, 0.0], "upper": [2.0 * R * across, 2.0 * R * up + 1.0]},
+        time={"step": 0.01, "steps": 3},
+        particles=[{"position": places, "radius": R, "velocity": {"temperature": 4.0}}],
+        effects={
+            "collisions": {"mode": mode, **surface},
+            "walls": surface,
+            "uniform_gravity": {"acceleration": [1.0, -10.0]},
+        },
+    )
+    sim, energy = Simulation(scene), []
+    for _ in range(3):
+        sim.step()
+        energy.append(sim.measure()["total_energy"])
+    contacts = sim.totals["collisions"] + sim.totals["wall_hits"]
+    assert contacts < 3 * 3200 * len(places)  # in a step at most MOST_QUICK each, and few others
+    assert all(after <= before + 1e-3 for before, after in itertools.pairwise(energy))  # 0.1 m (g h)^2
+    x = sim.particles.position
+    assert pdist(x).min() > 2.0 * R * (1.0 - 1e-9) and (x > R * (1.0 - 1e-9)).all()
+
+
 def test_a_sphere_that_comes_to_a_jam_does_not_enter_it():
     """Four spheres fill the ground of a box; a fifth one is thrown at them, and leaves again with the energy that there is."""
     places = [[R + 2.0 * R * k, R] for k in range(4)]

@@ -72,7 +72,7 @@ class Engine:
         self.expiries = 0  # of lists since `load`
         self.ahead = 0.0
         self.pending = 0  # rows in work.stale
-        self.set_step(NEVER_CROWDED, no_rates(d), Collapse(0.0, 0, 0, False))
+        self.set_step(NEVER_CROWDED, no_rates(d), Collapse(0.0, 0, 0, False, NEVER_CROWDED))
 
     def set_step(self, crowded: int, rates: Rates, collapse: Collapse) -> None:
         """For this step: quick contacts that make a crowd, how velocities change, and which contacts take no energy."""

@@ -2,9 +2,9 @@
 
 `RAPID_EVENTS` of a row counts contacts in which it got nowhere, those that follow one another, and quick ones (`rows`). A row
 with many quick ones is one of a crowd, and waits for the drift to be done again. After a thousand contacts in which it got
-nowhere a row is squeezed: it is jammed from then on. It stands until the end of the drift, in the way of others, which are
-jammed too when they come to it. Its velocity is kept times HARDLY, a power of two, so that it moves nothing, and is exact again
-when `rows.end_drift` gives it back, if it does: see `Collapse`.
+nowhere, or thousands of quick ones where that has not helped, a row is squeezed: it is jammed from then on. It stands until the
+end of the drift, in the way of others, which are jammed too when they come to it. Its velocity is kept times HARDLY, a power of
+two, so that it moves nothing, and is exact again when `rows.end_drift` gives it back, if it does: see `Collapse`.
 """
 
 from typing import NamedTuple
@@ -40,13 +40,15 @@ class Collapse(NamedTuple):
     cradle, loses energy at all of them.
 
     `stands`: does what has no room come to rest? Where forces press it onto a wall it would else win, from step to step, the
-    speed of a fall that does not take place.
+    speed of a fall that does not take place. `most`: after so many quick contacts in a drift a row has no room, though it moves
+    by more than round-off from one to the next: spheres that fill a box from side to side would have millions.
     """
 
     duration: float
     before: int
     at_once: int
     stands: bool
+    most: int
 
 
 @lean_inner
@@ -103,7 +105,7 @@ def note_contact(axes, rows, i, t, partner, drift, elastic, collapse, crowded, a
     elif way > 0:
         state[i, RAPID_EVENTS] %= ZERO_TIME_EVENT
     state[i, RAPID_EVENTS] += abs(drift.moment + t - reals[i, LAST_CONTACT]) <= QUICK * drift.length
-    if state[i, RAPID_EVENTS] % FOLLOWING >= crowded and state[i, RAPID_EVENTS] < SQUEEZED:
+    if state[i, RAPID_EVENTS] % FOLLOWING >= min(crowded, collapse.most) and state[i, RAPID_EVENTS] < SQUEEZED:
         state[i, RAPID_EVENTS] += SQUEEZED
     any_squeezed[0] |= state[i, RAPID_EVENTS] >= SQUEEZED
     state[i, LAST_PARTNER] = partner

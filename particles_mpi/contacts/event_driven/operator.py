@@ -41,6 +41,7 @@ DURATION = 1e-4  # of a step: the `contact_duration` of a scene that gives none,
 EFFORT = 10_000  # particles times contacts that have to follow one another so soon until further ones take no energy,
 FOLLOWERS, AT_ONCE = (3, 4000), (50, 900)  # at least and at most; and those at one moment
 PRESSED = 8  # the same under forces
+MOST_QUICK = 3000  # quick contacts of a particle in the last attempt: then it has no room
 MOST_SKINS = 1e7  # times that a particle may leave its neighbourhood in a drift, some seconds of work
 CHANGING = ("position", "velocity", "contacted", "virial", "supported", "total_acceleration", "spin")
 
@@ -77,7 +78,8 @@ class EventDriven:
         stands = forces and len(planes.point) > 0 and loss.restitution * loss.velocity_factor < 1.0
         if forces:
             before = PRESSED
-        self.collapse = Collapse(0.0, 0 if duration is not None else before, at_once, stands)
+        most = MOST_QUICK if hold else NEVER_CROWDED
+        self.collapse = Collapse(0.0, 0 if duration is not None else before, at_once, stands, most)
         # Contacts of this rank that took no energy: how many; of the first step with some its moment, and (time, id, id or wall)
         self.tc_elastic: tuple[int, float, Array] = 0, np.inf, np.empty((0, 3))
         self.crowded_steps = 0
