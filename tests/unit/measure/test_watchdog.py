@@ -74,8 +74,8 @@ def test_a_run_keeps_the_rows_and_the_last_checkpoint(tmp_path):
     def faulty():
         step()
         if sim.steps_done == 15:
-            harmed.append(sim.particles.id[0])
-            sim.particles.position[0] = [50.0, 50.0]
+            harmed.append(sim.rows.id[0])
+            sim.rows.position[0] = [50.0, 50.0]  # not by a user, who would be told at once
 
     sim.step = faulty
     with pytest.raises(StoppedError, match=r"step 20: particle .* is beyond wall .* all rows are in .*stopped.h5") as raised:
