@@ -42,7 +42,7 @@ def settle_on_walls(axes, rows, fields, a, h, length, faces, planes):
     borne = table[:, TAKEN].copy()
     net_push, stress = np.zeros((n + 1, d)), np.zeros((n + 1, d, d))
     loads(axes, start, partner, normal, w, borne, push, net_push, stress)
-    pressed = pressing(axes, start, partner, normal, borne, nothing, net_push, stress)
+    pressed = pressing(axes, start, partner, normal, borne, nothing, push, net_push, stress)
     closing = approach(axes, start, partner, normal, v)
     chosen, may_close, loose, tight = slow(contacts, closing, nothing, (held, radius), pressed, h, 0.0, 0.0, 0.0)
     bound[:] = 0.0

@@ -1,7 +1,7 @@
 """Which contacts last: what presses each of them, and below which speed it is slow. See `operator`. Plain arrays.
 
-The speed that *presses* a contact with the normal n is the larger one of two: the speed at which forces and the other contacts
-move its partners towards one another in a step, and n S n, where S is the sum of the stresses of both partners (the stress of a
+The speed that *presses* a contact with the normal n is the larger one of two: the change of velocity along n that forces and
+the other contacts give its partners in a step, and n S n, where S is the sum of the stresses of both partners (the stress of a
 row: the sum of n' n' times what each of its contacts gives to it, which is w/(w + w') of what that bears). A contact is slow
 below that speed, or below HELD times it where one partner is held already. So a ball that rolls on a floor meets another one, or
 a wall, at any speed, for the floor bears nothing along that normal.
@@ -53,20 +53,26 @@ def loads(axes, start, partner, normal, w, borne, push, net_push, stress):
 
 
 @kernel
-def pressing(axes, start, partner, normal, borne, before, net_push, stress):
-    """The speed (m,) that presses each contact: the largest of `before`, of the speed at which the net pushes of both partners,
-    but for this contact itself, move them towards one another, and of what their stress is along its normal."""
+def pressing(axes, start, partner, normal, borne, before, push, net_push, stress):
+    """The speed (m,) that presses each contact: the largest of `before`, of what the net pushes of both partners, but for this
+    contact itself, are along its normal, and of what their stress is along it.
+
+    Where the pushes of forces alone (`push`) pull the partners apart, net pushes count only as far as they press them. Elsewhere
+    those that pull count by their size too: in a pile they press again soon.
+    """
     speeds, one = np.empty(len(partner)), np.uint64(1)
     for i in range(np.uint64(len(start) - 1)):
         for e in range(np.uint64(start[i]), np.uint64(start[i + one])):
-            along, others, j = 0.0, 0.0, np.uint64(partner[e])
+            along, others, forces, j = 0.0, 0.0, 0.0, np.uint64(partner[e])
             for k in range(len(axes)):
                 of = np.uint64(k)
                 others += (net_push[i, of] - net_push[j, of]) * normal[e, of]
+                forces += (push[i, of] - push[j, of]) * normal[e, of]
                 for m in range(len(axes)):
                     also = np.uint64(m)
                     along += normal[e, of] * normal[e, also] * (stress[i, of, also] + stress[j, of, also])
-            speeds[e] = max(before[e], borne[e] - others, along)
+            pressed = borne[e] - others
+            speeds[e] = max(before[e], pressed if forces > 0.0 else abs(pressed), along)
     return speeds
 
 

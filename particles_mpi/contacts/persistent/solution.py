@@ -147,7 +147,7 @@ class SlowContacts:
         loads(self.axes, *some, local.w, along, local.push, net_push, stress)
         self.kind.press(contacts, local.w, borne, net_push)
         exchange(net_push, stress)
-        return np.asarray(pressing(self.axes, *some, along, before, net_push, stress))
+        return np.asarray(pressing(self.axes, *some, along, before, local.push, net_push, stress))
 
     def chosen(
         self, local: Local, contacts: Contacts, before: Array, pressed: Array, h: float, effort: int
