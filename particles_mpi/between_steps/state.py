@@ -161,7 +161,7 @@ class State:
                 )
         if "position" in values and self.active.walls:
             fixed, planes, nowhere = values.get("fixed", p.fixed), tuple(self.active.walls.planes), np.zeros(p.dimension)
-            _, row, wall = find_invalid((0.0,) * p.dimension, values["position"], p.velocity, fixed, planes, nowhere, nowhere)
+            _, row, wall = find_invalid((0,) * p.dimension, values["position"], p.velocity, fixed, planes, nowhere, nowhere)
             if row >= 0:
                 raise StateError(f"particles.position: particle {p.id[row]} on rank {self.ranks.rank} was put beyond wall {wall}")
 
