@@ -54,6 +54,12 @@ def read_timing(run: Run) -> Timing:
         stop(f"no {name} in {run.folder / 'run.json'} (it is written when a run ends)")
 
 
+def odd_one(timings: list[Timing]) -> Path | None:
+    """The folder of the first run that did not compute what the first of them did."""
+    first, *others = ((timing.run.folder, timing.run.about["scene"], timing.run.about["plan"]["steps"]) for timing in timings)
+    return next((folder for folder, *what in others if what != list(first[1:])), None)
+
+
 def draw_one(timing: Timing) -> Figure:
     """Horizontal bars of the phases, longest first, then what no phase counts, then setup (not part of the loop)."""
     phases = sorted(timing.phases.items(), key=lambda item: -item[1]["mean"])
@@ -156,6 +162,8 @@ def main() -> None:
             stop("--weak needs several runs")
         figure, name = draw_one(timings[0]), "phases.png"
     else:
+        if not options.weak and (one := odd_one(timings)):
+            stop(f"{one} is of another scene, or of another number of steps: strong scaling compares the same work")
         figure, name = draw_several(timings, options.weak), "weak_scaling.png" if options.weak else "strong_scaling.png"
     finish(figure, save_path(options.save, options.runs[0], name), options.show)
 

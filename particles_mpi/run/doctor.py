@@ -180,14 +180,15 @@ def main(is_root: bool, size: int) -> int:
     """Print the table on rank 0. Exit code 0: all is right; 1: something has to be done, which the table says."""
     if not is_root:
         return 0
-    from rich.console import Console
     from rich.table import Table
+
+    from particles_mpi.run.console import Screen
 
     rows = report(size)
     table = Table("", "", "found", "what to do", title="particles_mpi doctor", title_justify="left", box=None, padding=(0, 1))
     for what, (found, advice) in rows:
         table.add_row("[red]NO[/]" if advice else "[green]ok[/]", what, found, advice)
-    Console(soft_wrap=False).print(table)
+    Screen(is_root, quiet=False).table(table)
     return int(any(advice for _, (_, advice) in rows))
 
 

@@ -119,6 +119,11 @@ def test_the_plan_is_that_of_all_ranks(tmp_path):
     assert plans[1] == plans[2] == plans[3] and plans[1]["fixed"] == 1
 
 
+def test_the_doctor_is_plain_where_nobody_watches():
+    done = particles_mpi(2, "doctor", fresh=True)  # to each of its ranks mpirun is a terminal
+    assert "numba" in done.stdout and "\x1b" not in done.stdout
+
+
 def test_counts_add_up(scene, tmp_path):
     particles_mpi(2, "run", scene, "--output", tmp_path / "o", "--quiet")
     table = list(csv.DictReader((tmp_path / "o" / "diagnostics.csv").read_text().splitlines()))

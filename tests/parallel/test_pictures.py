@@ -1,5 +1,7 @@
 """Every script of python_viz draws a run, and a film has all of its frames."""
 
+import json
+
 import pytest
 from conftest import ROOT, run_ranks
 from PIL import Image
@@ -43,3 +45,13 @@ def test_what_is_wrong_is_one_line(run, tmp_path):
     for words, told in (([run, "--frame", 9], "no frame 9: the run has frames 0 to 4"), ([tmp_path], "holds no run")):
         done = run_ranks(1, ROOT / "python_viz/plot_frame.py", *words)
         assert done.returncode == 2 and told in done.stderr and done.stderr.count("\n") == 1
+
+
+def test_only_runs_of_one_scene_show_strong_scaling(run, tmp_path):
+    table = json.loads((run / "run.json").read_text())
+    for name, seed, code, told in (("same", 0, 0, ""), ("other", 1, 2, "other is of another scene")):
+        table["scene"]["seed"] = table["scene"].get("seed", 0) + seed
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "run.json").write_text(json.dumps(table))
+        done = run_ranks(1, ROOT / "python_viz/plot_phases.py", run, tmp_path / name, "--save", tmp_path / "picture.png")
+        assert done.returncode == code and told in done.stderr, done.stderr

@@ -5,6 +5,7 @@ gives the errors. Takes about two seconds.
 """
 
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
@@ -33,8 +34,9 @@ from particles_mpi.study.timing import StepTimer, time_in_turns
 
 ERROR_SECONDS = 0.8  # seconds for errors, about
 MOST_ERROR_SECONDS = 3.0  # seconds that errors may take where steps take long; more is not tried
-LONGEST_TIMED_STEP = 0.1  # seconds: of longer ones it is not measured what each effect costs, which takes copies and time
-COST_SAMPLES, COST_SECONDS = 3, 0.02  # samples of a step without each effect, and least seconds of one
+LONGEST_TIMED_STEP = 0.05  # seconds: of longer ones it is not measured what each effect costs, which takes copies and time
+COST_SAMPLES = 5  # of a step without each effect
+COST_SECONDS, COST_STEPS = 0.03, 6  # least seconds and steps of a sample: some have a search that serves several steps
 LEAST_SHARE = 0.03  # of a step: less is not told from the noise
 COMPILING_SECONDS = 3.0  # if a trial takes longer kernels were compiled, and it is done again
 MOST_TO_REPEAT = 100_000  # particles for which it is
@@ -94,21 +96,24 @@ def costs_of(sim: Simulation, step: float) -> str:
         return ""
     timers = {}
     for name in ("", *(name for name, options in sim.scene.effects.items() if options.active)):
-        begin, steps = partial(without_effect, sim, name), int(COST_SECONDS / max(step, 1e-9)) + 1
+        begin = partial(without_effect, sim, name)
         try:
             twin = begin()
-            twin.step()
+            twin.steps(COST_STEPS)  # the first ones contain what is done only once
         except (SceneError, StoppedError):  # nothing can be without it
             continue
-        timers[name] = StepTimer(sim.ranks, begin, steps, sim=twin, left=steps)
-    time_in_turns(list(timers.values()), COST_SAMPLES, COST_SECONDS)
+        timers[name] = StepTimer(sim.ranks, begin, sys.maxsize, sim=twin, left=sys.maxsize)
+    try:
+        time_in_turns(list(timers.values()), COST_SAMPLES, max(COST_SECONDS, COST_STEPS * step))
+    except StoppedError:  # without some effect it goes nowhere
+        return ""
     seconds = {name: timer.seconds.median for name, timer in timers.items()}
     if "" not in seconds:
         return ""
     whole = seconds.pop("")
     shares = {name: 1.0 - less / whole for name, less in seconds.items()}
     return ", ".join(
-        f"{name} {1e3 * whole * share:.2g} ms ({share:.0%})" if share > LEAST_SHARE else f"{name} less than {LEAST_SHARE:.0%}"
+        f"{name} {1e3 * step * share:.2g} ms ({share:.0%})" if share > LEAST_SHARE else f"{name} less than {LEAST_SHARE:.0%}"
         for name, share in sorted(shares.items(), key=lambda item: -item[1])
     )
 

@@ -5,6 +5,7 @@ import pytest
 from particles_mpi import Scene, Simulation
 from particles_mpi.scene.schema import TOLERANCES
 from particles_mpi.study.experiment import Benchmark
+from particles_mpi.study.recommend import predict as predicting
 from particles_mpi.study.recommend.predict import predict, refined, share_missed
 
 PUBLISHED = [  # packing, Gamma dt, passes, share of collisions that is lost
@@ -47,6 +48,15 @@ def test_what_each_effect_costs_is_told(mode):
     costs = dict(part.split(maxsplit=1) for part in predict(sim, Benchmark()).costs.split(", "))
     assert costs.keys() == {"collisions", "walls", "drag"}
     assert " ms (" in costs["collisions"]
+
+
+def test_effects_are_timed_in_runs_that_go_on(monkeypatch):
+    """Each has one copy of the run: what is done only at the start of one is no part of a step."""
+    begun, begin = [], predicting.without_effect
+    monkeypatch.setattr(predicting, "without_effect", lambda sim, name: begun.append(name) or begin(sim, name))
+    sim = Simulation(scene(drag={"rate": 0.5}))
+    assert "drag" in predicting.costs_of(sim, 1e-6)
+    assert sorted(begun) == ["", "drag", "uniform_gravity"]
 
 
 def test_what_is_exact_is_said_to_be():
