@@ -96,8 +96,12 @@ class Screen:
         self.progress: Progress | None = None
 
     def table(self, table: Table) -> None:
-        """Print a table, in its full width if it is not shown on a terminal."""
-        self.console.print(table, width=None if self.console.is_terminal else LOG_WIDTH, crop=False)
+        """Print a table; in its full width, whatever the terminal's is, if that is a table of numbers, which may not be cut."""
+        console, width = self.console, self.console.width
+        if not console.is_terminal or any(column.no_wrap for column in table.columns):
+            console.width = LOG_WIDTH
+        console.print(table, crop=False)
+        console.width = width
 
     def plan(self, title: str, plan: dict[str, Any], warnings: list[str]) -> None:
         """Print the plan, before the run."""

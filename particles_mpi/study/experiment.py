@@ -18,6 +18,7 @@ from particles_mpi.run.console import Screen
 from particles_mpi.study.timing import QUICK_SAMPLE_SECONDS, SAMPLE_SECONDS, SAMPLES, Seconds, StepTimer, time_in_turns
 
 Errors = dict[str, float]
+ENDLESS_STEPS = 10**9  # steps that are timed without a new start: all cost the same
 ORDER_FLOOR = 1e-13  # errors below it say nothing of an order
 
 

@@ -14,14 +14,13 @@ from particles_mpi import Simulation
 from particles_mpi.particles import Array
 from particles_mpi.study.accuracy.bouncing import DURATION as BOUNCING_TIME
 from particles_mpi.study.accuracy.bouncing import FORCES, LOSSES, OBSTACLES, bounces, mean_errors, scene
-from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, all_particles, slope
+from particles_mpi.study.experiment import ENDLESS_STEPS, Benchmark, Errors, Experiment, Setting, all_particles, slope
 
 G, DRAG, DURATION, THROW = 9.81, 0.5, 2.0, (10.0, 10.0)
 STEPS, QUICK_STEPS = (2, 4, 16, 64, 256), (8, 16, 32, 64)
 REPEATS = 200  # particles alike, so that a run is no mere overhead
 STIFF_DRAG = 20.0 / DURATION  # rate of the stiff drag
 BOUNCE_STEPS = (0.01, 0.005, 0.0025, 0.00125)  # steps
-ENDLESS_STEPS = 10**9  # steps that are timed without a new start: all cost the same
 ERRORS = {"place": f"distance from the true place at t = {DURATION:g}", "velocity": "the same of the velocity"}
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from particles_mpi import Simulation
 from particles_mpi.particles import Array
-from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, all_particles, distance, slope
+from particles_mpi.study.experiment import ENDLESS_STEPS, Benchmark, Errors, Experiment, Setting, all_particles, distance, slope
 
 E, ORBITS = 0.5, 100
 ENERGY_SAMPLES = 2000  # moments of a run at which the energy is measured
@@ -68,15 +68,20 @@ def plummer_sphere(n: int, step: float, **options: Any) -> dict[str, Any]:
 def settings(
     benchmark: Benchmark, bodies: dict[str, Any], ladder: Ladder, period: float, periods: int, frames: int, errors: Any
 ) -> Iterator[Setting]:
-    """Each integrator over its ladder; `frames`: steps of `adaptive` in a period, between which it chooses its own."""
+    """Each integrator over its ladder; `frames`: steps of `adaptive` in a period, between which it chooses its own.
+
+    Where steps go on as they began they are timed in runs without an end: a few hundred are over before a call from Python is.
+    """
     for integrator, resolutions in ladder.items():
         for resolution in resolutions:
             if integrator == "adaptive":
                 tables = gravity(bodies, period / frames, frames * periods, integrator, resolution)
-                yield benchmark.setting(integrator, resolution, tables, errors)
+                timed = ENDLESS_STEPS if bodies is not PYTHAGOREAN else frames * periods
+                yield benchmark.setting(integrator, resolution, tables, errors, steps=timed)
             else:
-                tables = gravity(bodies, period / resolution, round(resolution) * periods, integrator)
-                yield benchmark.setting(integrator, period / resolution, tables, errors)
+                steps = round(resolution) * periods
+                tables = gravity(bodies, period / resolution, steps, integrator)
+                yield benchmark.setting(integrator, period / resolution, tables, errors, steps=ENDLESS_STEPS, seconds_of=steps)
 
 
 def worst_energy(sim: Simulation, energy: Callable[[Simulation], float]) -> float:

@@ -8,6 +8,7 @@ from math import isnan
 import pytest
 
 from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.run.console import Screen
 from particles_mpi.study import plots, report
 from particles_mpi.study.experiment import Benchmark, Experiment, Row, Setting, observe_orders, slope
 from particles_mpi.study.timing import Seconds, StepTimer, time_in_turns
@@ -99,6 +100,18 @@ def test_tables(found, tmp_path):
         read = list(csv.DictReader(file))
     assert [float(line["place"]) for line in read] == [row.errors["place"] for row in found.rows]
     assert [line["on the front"] for line in read] == ["1", "1", "1", "0", "0", "1"]
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_no_number_of_a_table_is_cut(terminal, monkeypatch, capsys):
+    """On a narrow terminal its lines are longer than that is wide."""
+    monkeypatch.setattr("particles_mpi.run.console.watched", lambda: terminal)
+    monkeypatch.setenv("COLUMNS", "60")
+    screen, table = Screen(is_root=True, quiet=False), report.numbers_table("setting", *10 * ["seconds"])
+    screen.console._force_terminal = terminal
+    table.add_row("leapfrog", *10 * ["1.234e-04 ±10%"])
+    screen.table(table)
+    assert capsys.readouterr().out.count("1.234e-04 ±10%") == 10
 
 
 def test_a_page_that_opens_offline(found, tmp_path):
