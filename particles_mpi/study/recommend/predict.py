@@ -1,7 +1,7 @@
 """What a scene will cost and how wrong it will be, before it runs: what `check` prints.
 
 The first half second of the run is tried, with output, for the forecast of seconds; a short run at steps of h, h/2 and h/4
-gives the errors. Takes about two seconds.
+gives the errors. Takes two to five seconds.
 """
 
 import os
@@ -34,8 +34,8 @@ from particles_mpi.study.timing import StepTimer, time_in_turns
 
 ERROR_SECONDS = 0.8  # seconds for errors, about
 MOST_ERROR_SECONDS = 3.0  # seconds that errors may take where steps take long; more is not tried
-LONGEST_TIMED_STEP = 0.05  # seconds: of longer ones it is not measured what each effect costs, which takes copies and time
-COST_SAMPLES = 5  # of a step without each effect
+LONGEST_TIMED_STEP = 0.03  # seconds: of longer ones it is not measured what each effect costs, which takes copies and time
+COST_SAMPLES = 4  # of a step without each effect
 COST_SECONDS, COST_STEPS = 0.03, 6  # least seconds and steps of a sample: some have a search that serves several steps
 LEAST_SHARE = 0.03  # of a step: less is not told from the noise
 COMPILING_SECONDS = 3.0  # if a trial takes longer kernels were compiled, and it is done again
