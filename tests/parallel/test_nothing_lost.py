@@ -40,7 +40,7 @@ def everything(folder):
 
 
 @pytest.mark.parametrize("ranks", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
-def test_a_pile_resumed_from_any_step_goes_on_with_the_same_bits(ranks, tmp_path):
+def test_a_resumed_pile_goes_on_with_the_same_bits(ranks, tmp_path):
     """What contacts took is in the checkpoint: some rows for each sphere, so that their ids repeat."""
     done = run_ranks(ranks, "tests/parallel/resumed_piles.py", tmp_path)
     assert "the same bits" in done.stdout, done.stderr
