@@ -19,7 +19,7 @@ from particles_mpi.initial.checks import check_start
 from particles_mpi.initial.faults import Faults
 from particles_mpi.initial.places import fill_places
 from particles_mpi.initial.room import room_of
-from particles_mpi.initial.table_file import Table, read_table
+from particles_mpi.initial.table_file import Table, gives, read_table
 from particles_mpi.kernels import limits
 from particles_mpi.parallel.agreement import raising_together
 from particles_mpi.parallel.communicator import Communicator
@@ -99,6 +99,7 @@ class Populator:
     def populate(self) -> tuple[Particles, list[str]]:
         """(the particles that are there and behind them this rank's part of the new ones; warnings). Collective."""
         self.check_box()
+        self.populations = {number: self.with_velocities(population) for number, population in self.populations.items()}
         files: list[dict[str, Table]] = [{} for _ in self.populations]
         counts = [self.count_of(number, p, read) for (number, p), read in zip(self.populations.items(), files, strict=True)]
         self.faults.stop()
@@ -168,6 +169,14 @@ class Populator:
                 f" this machine has {have / 1e9:.3g} GB"
                 + (f"; more than {limits.MOST} particles on a rank: use more ranks" if total / ranks > limits.MOST else "")
             )
+
+    def with_velocities(self, population: Population) -> Population:
+        """A file of places whose header names velocities too gives both, unless the scene says otherwise. Collective."""
+        place = population.position
+        if population.velocity is not None or not (isinstance(place, dict) and "file" in place):
+            return population
+        has_both = gives(self.ranks, self.scene.folder / place["file"], "velocity", self.scene.dimension)
+        return population.model_copy(update={"velocity": place}) if has_both else population
 
     def count_of(self, number: int, population: Population, files: dict[str, Table]) -> int:
         """Particles of a population: `count`, or the length of its lists and `files`, which it reads, and which must agree."""

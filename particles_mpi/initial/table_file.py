@@ -1,5 +1,6 @@
 """Columns of numbers in a CSV file, of which each rank reads a part: from about its share of the bytes, whole lines."""
 
+import os
 import warnings
 from io import BytesIO
 from pathlib import Path
@@ -50,6 +51,7 @@ def read_table(ranks: Communicator, path: Path, quantity: str, dimension: int) -
     columns = columns_of(max(headers), quantity, dimension)
     if isinstance(columns, str):
         return f"{path}: {columns}"
+    cells = max(ranks.allgather(block.partition(b"\n")[0].count(b",") + 1 if line == 1 and lines > 0 else 0))
     values = np.empty((0, dimension))
     try:
         values = parsed(block, columns, header)
@@ -57,12 +59,37 @@ def read_table(ranks: Communicator, path: Path, quantity: str, dimension: int) -
         fault = f"{path}: {wrong_line(block, columns, header, line)}"
     else:
         bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
-        if len(bad):
+        if uneven := uneven_line(block, cells, line):
+            fault = f"{path}: {uneven}"
+        elif len(bad):
             fault = f"{path}: {listed((bad + line + header).tolist(), 'line')} not finite"
     if first := first_of(ranks, fault, name_rank=False):
         return first
     counts = ranks.allgather(len(values))
     return Table(values, sum(counts[: ranks.rank]), sum(counts)) if sum(counts) else f"{path} holds no rows"
+
+
+def gives(ranks: Communicator, path: Path, quantity: str, dimension: int) -> bool:
+    """Has a CSV file a header that names columns of this quantity? False if it cannot be read. Collective."""
+    header = b""
+    if ranks.is_root and path.is_file() and os.access(path, os.R_OK):
+        with path.open("rb") as file:
+            header = file.readline().removeprefix(BOM)
+    names = {cell.strip().strip('"').lower() for cell in ranks.bcast(header).decode("utf-8", "replace").split(",")}
+    return dimension <= 3 and not names.isdisjoint(NAMES[quantity][:dimension])
+
+
+def uneven_line(block: bytes, cells: int, first: int) -> str:
+    """Which of the lines, of which the first has this number, has not so many `cells` as line 1, or ""; empty ones have none."""
+    text = np.frombuffer(block, np.uint8)
+    ends = np.append(np.flatnonzero(text == ord("\n")), len(text))
+    begins = np.append(0, ends[:-1] + 1)
+    commas = np.diff(np.searchsorted(np.flatnonzero(text == ord(",")), np.append(begins, len(text))))
+    for line in np.flatnonzero((commas + 1 != cells) & (ends > begins)).tolist():
+        content = block[begins[line] : ends[line]].strip()
+        if content and not content.startswith(b"#"):
+            return f"line {first + line} has {commas[line] + 1} columns, and line 1 has {cells}"
+    return ""
 
 
 def columns_of(header: bytes, quantity: str, dimension: int) -> list[int] | str:

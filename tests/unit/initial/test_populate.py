@@ -150,6 +150,23 @@ def test_a_header_tells_which_columns_are_meant(tmp_path):
     assert told == f"particles[0].velocity: {tmp_path / 'c.csv'}: its header has x, y and no vx"
 
 
+def test_a_file_of_places_gives_velocities_too_where_its_header_names_them(tmp_path):
+    (tmp_path / "a.csv").write_text("x,y,vx,vy\n0.1,0.2,1,-2\n0.5,0.6,3,4\n")
+    for more, expected in (({}, [[1.0, -2.0], [3.0, 4.0]]), ({"velocity": [5.0, 0.0]}, [[5.0, 0.0]] * 2)):
+        particles, _ = start({"position": {"file": "a.csv"}, "radius": 0.01} | more, folder=tmp_path)
+        assert particles.velocity.tolist() == expected
+    (tmp_path / "b.csv").write_text("x,y,vx\n0.1,0.2,1\n")
+    assert "its header has vx and no vy" in faults({"position": {"file": "b.csv"}}, folder=tmp_path)
+
+
+@pytest.mark.parametrize("header", ["", "x,y\n"])
+def test_a_line_has_as_many_columns_as_the_first(tmp_path, header):
+    """As it has more where a comma is meant to be a point."""
+    (tmp_path / "a.csv").write_text(f"{header}1,2\n\n1,5,2,5\n")
+    told = faults({"position": {"file": "a.csv"}}, folder=tmp_path)
+    assert told.endswith(f"a.csv: line {3 + bool(header)} has 4 columns, and line 1 has 2")
+
+
 @pytest.mark.filterwarnings("ignore")  # `catch_warnings` is one for all threads
 def test_a_header_counts_wherever_it_is_read(tmp_path):
     """Of a file with fewer bytes than there are ranks the first ones have no line, rank 0 neither."""
