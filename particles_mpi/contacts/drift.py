@@ -21,7 +21,7 @@ from particles_mpi.kernels.planes import no_planes
 from particles_mpi.kernels.turning import turn
 from particles_mpi.particles import Array, Particles, rows_with
 from particles_mpi.scene.active import ActiveEffects
-from particles_mpi.scene.effect import Context, Damping, Event, PairContacts, WallContacts
+from particles_mpi.scene.effect import Context, Damping, Event, PairContacts, RollingResistance, WallContacts
 
 HAPPENED = ("collisions", "wall_hits", "missed", "exchanges")  # in a drift
 COUNTS = (*HAPPENED, "unconverged")
@@ -75,7 +75,8 @@ class Drift:
         if persistent:
             persistent.totals = self.totals
         self.events = effects.events
-        self.pair_names, self.wall_names = effects.names(PairContacts), effects.names(WallContacts)
+        self.wall_names = effects.names(WallContacts, RollingResistance)
+        self.contact_names = effects.names(PairContacts, WallContacts, RollingResistance)
         self.damping, self.strength = effects.names(Damping), effects.friction.strength if effects.friction else 0.0
         self.total: Array | None = None  # accelerations that `rates` wrote last
         self.known = -1, -1  # version and edition of the particles then
@@ -130,7 +131,7 @@ class Drift:
             if stop:
                 h = self.near.reached
             happened = [*found, self.near.migrated - migrated]
-            self.calls.update([*self.pair_names, *self.wall_names])
+            self.calls.update(self.contact_names)
             wrapped = True  # ghosts too
         elif contacts and self.effects.walls:
             with context.timers("walls"):

@@ -39,6 +39,7 @@ PHASES = {
 LOG_AFTER, LOG_RARER = 10.0, 1.5  # seconds until the first line of progress in a log, and factor to the next
 NAMED_SHARE = 0.05  # of a step: phases that take less are not named in a forecast
 COMPILING_SECONDS = 20  # seconds to compile the kernels of one dimension that a scene uses
+FEW_ON_A_RANK = 2000  # particles: of fewer, messages take longer than what they save
 LOG_WIDTH = 200  # columns of a table that is not shown on a terminal
 
 
@@ -117,10 +118,14 @@ class Screen:
         table.add_row("drift", "dx/dt = v")
         say(table)
         say(f"  does not run: {', '.join(plan['not_run']) or 'nothing left out'}")
-        say(f"  ghosts: {plan['ghosts']}; memory about {decimal(plan['memory_bytes'])}; output {plan['frames']} frames, about "
-            f"{decimal(plan['output_bytes'])}")  # fmt: skip
+        shown = (plan["frames"] - 1) * plan["every"]
+        last = f" (the last of step {shown}: output.every = {plan['every']})" if shown < plan["steps"] else ""
+        say(f"  ghosts: {plan['ghosts']}; memory about {decimal(plan['memory_bytes'])}; output {plan['frames']} "
+            f"frame{'s' * (plan['frames'] > 1)}{last}, about {decimal(plan['output_bytes'])}")  # fmt: skip
         for line in plan["advice"]:
-            say(f"  step: {line}")
+            say(f"  {line}")
+        if plan["ranks"] > 1 and plan["particles"] < FEW_ON_A_RANK * plan["ranks"]:
+            say(f"  ranks: fewer than {FEW_ON_A_RANK} particles on each: one rank is as fast, or faster (RANKS=1 ./run.sh ...)")
         for line in warnings:
             say(f"  [yellow]warning:[/yellow] {line}")
 

@@ -15,15 +15,19 @@ from particles_mpi.parallel.communicator import mpi_library
 from particles_mpi.run.console import Screen
 
 PROGRAM = "./run.sh" if Path("run.sh").is_file() else "particles-mpi"  # as a user would start it here
+NOTICEABLE = 0.01  # change of the energy, where there should be none, of which a user is told
 LIBRARIES = ("numpy", "numba", "mpi4py", "h5py", "meshio", "particles-mpi")
 
 
-def tell_end(sim: Any, plan: dict[str, Any], folder: Path, screen: Screen, seconds: dict[str, float], steps: int) -> None:
+def tell_end(
+    sim: Any, plan: dict[str, Any], folder: Path, screen: Screen, seconds: dict[str, float], steps: int, rows: list[Any]
+) -> None:
     """Show the phase table and the remarks of a run of `steps` steps, and write `run.json` into its folder. Collective.
 
-    `seconds`: of this rank for the set-up and for the loop; those of the phases of the loop are in `sim.timers`.
+    `seconds`: of this rank for the set-up and for the loop; those of the phases of the loop are in `sim.timers`. `rows` of
+    diagnostics: those of the start, if this is not a part of a run, and of the end.
     """
-    timers, counts, remarks = phase_seconds(sim, seconds), run_counts(sim), sim.remarks()
+    timers, counts, remarks = phase_seconds(sim, seconds), run_counts(sim), sim.remarks() + energy_remarks(sim.active, rows)
     screen.phases(timers, steps, sim.total)
     say = screen.say
     if windows := counts.get("windows"):
@@ -41,6 +45,21 @@ def tell_end(sim: Any, plan: dict[str, Any], folder: Path, screen: Screen, secon
     if "hdf5" in formats:
         say(f"view: {PROGRAM} view {shown}")
         say(f"plots: python python_viz/plot_frame.py {shown}   (and plot_diagnostics.py, plot_phases.py, animate.py)")
+
+
+def energy_remarks(effects: Any, rows: list[Any]) -> list[str]:
+    """A line where nothing takes or gives energy, and yet it changed by more than NOTICEABLE of what there was."""
+    if len(rows) < 2 or not effects.conserves_energy:
+        return []
+    first, last = rows[0], rows[-1]
+    largest, change = max(first["kinetic"], abs(first["potential"])), last["total_energy"] - first["total_energy"]
+    if not abs(change) > NOTICEABLE * largest:
+        return []
+    integrator = "" if effects.integrator == "adaptive" or effects.pairs or effects.walls else ', or time.integrator = "adaptive"'
+    return [
+        f"total energy: from {first['total_energy']:.4g} to {last['total_energy']:.4g}, though nothing here takes or gives any:"
+        f" shorten time.step{integrator}"
+    ]
 
 
 def phase_seconds(sim: Any, seconds: dict[str, float]) -> dict[str, dict[str, float]]:

@@ -62,6 +62,7 @@ class Job:
         same_on_all(self.ranks, {f"--{name}": value for name, value in options.items()} | {"--wall-time": wall_time})
         self.rehearsal, self.notes, self.scene_file = rehearsal, notes, scene_file
         self.forecast: Forecast | None = None
+        self.rows: list[dict[str, Any]] = []  # of diagnostics: of the start, unless that was in another job, and of the end
         self.screen = Screen(self.ranks.is_root, quiet or rehearsal)
         output = self.scene.output
         if sim.total > MOST_VTK and "vtk" in output.formats and "formats" not in output.model_fields_set:
@@ -123,7 +124,7 @@ class Job:
             if self.rehearsal:
                 return
             seconds = {"setup": setup, "loop": perf_counter() - begin}
-            tell_end(sim, self.plan, self.folder, self.screen, seconds, sim.steps_done - begun_with)
+            tell_end(sim, self.plan, self.folder, self.screen, seconds, sim.steps_done - begun_with, self.rows)
         except (SceneError, StoppedError) as error:
             await_all(self.ranks, error)  # to close a file would wait for ranks that have no error
             self.close()
@@ -154,6 +155,7 @@ class Job:
         show = self.screen.start(shown, self.last)
         if not self.resumed:
             row = self.report()
+            self.rows.append(row)
             if pace:
                 pace.reported()
             self.write_frame()
@@ -176,6 +178,8 @@ class Job:
             if n >= shown + SHOW_EVERY:
                 shown = n
                 show(n, row)
+        if self.rows:
+            self.rows.append(row)
         if not self.rehearsal:
             if stopped:
                 self.save()

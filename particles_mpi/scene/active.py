@@ -57,6 +57,12 @@ class ActiveEffects:
         return self.integrator == "leapfrog" and bool(self.forces) and self.lossy
 
     @property
+    def conserves_energy(self) -> bool:
+        """Do forces with a potential alone change velocities, and contacts that take nothing?"""
+        known = all(type(force).potential is not kinds.Force.potential for force in self.forces.values())
+        return known and not (self.on_velocities or self.events or self.lossy)
+
+    @property
     def lossy(self) -> bool:
         """Do contacts take energy? Particles can crowd together then, and have many contacts in a step."""
         return any(contact.lossy for contact in (self.pairs, self.walls) if contact is not None)

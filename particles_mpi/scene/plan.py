@@ -39,6 +39,7 @@ def plan(scene: Scene, particles: Particles, ranks: Communicator) -> dict[str, A
         "ranks": ranks.size,
         "memory_bytes": int(total * (row_bytes + (350 if pairs else 50))),
         "frames": frames,
+        "every": scene.output.every,
         "output_bytes": int(frames * total * frame * len(scene.output.formats)),
         "predicted_seconds": None,  # of the loop, and between which two: known after the first steps
         "predicted_seconds_range": None,
@@ -47,7 +48,7 @@ def plan(scene: Scene, particles: Particles, ranks: Communicator) -> dict[str, A
 
 
 def advice(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]:
-    """What an experienced user would say about the step. Collective."""
+    """What an experienced user would say of the step and the box. Collective."""
     h, lines = scene.time.step, list[str]()
     drag = particles["drag"] if "drag" in particles.arrays else np.empty(0)
     square, smallest = (particles.velocity**2).sum(axis=1), particles.radius[particles.fixed == 0].min(initial=inf)
@@ -57,18 +58,23 @@ def advice(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]
     if "collisions" in scene.effects and 0.0 < radius < inf and speed > 0.0:
         share = speed * h / (2.0 * radius)
         crossed, event = f"crosses {share:.2g} of the smallest diameter in a step", scene.effects["collisions"].mode == "event"
-        lines.append(f"the fastest particle {crossed}{', any number will do' if event else ' (at most 1)'}")
+        lines.append(f"step: the fastest particle {crossed}{', any number will do' if event else ' (at most 1)'}")
         if event:
-            lines.append("mode event takes about 2 us a contact besides: longer steps cost less")
+            lines.append("step: mode event takes about 2 us a contact besides: longer steps cost less")
     if scene.time.integrator == "taylor" and "drag" in scene.effects:
         if k * h > 1.0:
-            lines.append(f"taylor with drag * step = {k * h:.3g} > 1 will oscillate: shorten the step, or use leapfrog")
-        lines.append("taylor is first order with drag; leapfrog is second order and exact in the velocity")
-    effects = ActiveEffects(scene)
+            lines.append(f"step: taylor with drag * step = {k * h:.3g} > 1 will oscillate: shorten the step, or use leapfrog")
+        lines.append("step: taylor is first order with drag; leapfrog is second order and exact in the velocity")
+    effects, open_axes = ActiveEffects(scene), np.flatnonzero(np.logical_not(scene.periodic))
+    if scene.box and effects.pairs and not effects.walls and len(open_axes):
+        axes = " and ".join(map(str, open_axes))
+        lines.append(f"box: particles leave it along {'axis' if len(open_axes) == 1 else 'axes'} {axes}: no [effects.walls]")
+    if effects.walls and not len(effects.walls.planes.point):
+        lines.append("effects.walls: the box is periodic along all axes, so there is no wall")
     if effects.walls and (effects.walls.planes.normal[:, scene.periodic] != 0.0).any():
         lines.append("effects.walls.planes: one is not along a periodic axis: what goes round on that may come out behind it")
     if scene.time.integrator == "taylor" and effects.forces and effects.lossy:
-        lines.append("with taylor nothing comes to rest on anything: it bounces on; with leapfrog it does")
+        lines.append("step: with taylor nothing comes to rest on anything: it bounces on; with leapfrog it does")
     return lines
 
 

@@ -68,7 +68,7 @@ class Rewind:
         self.loss, self.law, self.planes = tuple(loss), law, near.planes
         self.walls = len(self.planes[0]) > 0
         self.drifts, self.dense_steps, self.too_fast = 0, 0, False
-        self.collisions, self.late_collisions = 0, 0  # found by passes
+        self.collisions, self.late_collisions = 0, 0
         self.searches = -1  # the search of `near` that the arrays by row belong to
 
     def drift(self, h: float, moment: float, rates: Rates) -> Array:
@@ -93,7 +93,9 @@ class Rewind:
                 self.undo()
                 near.end_candidates()
                 self.dense_steps += 1
-                return self.exact.drift(h, moment, rates)
+                counts = self.exact.drift(h, moment, rates)
+                self.collisions += counts[COLLISIONS]
+                return counts
             except TooFarError as far:
                 self.undo()
                 travel = max(far.travel, 1.2 * travel)

@@ -68,8 +68,7 @@ class Start:
         self.dissipates = bool(effects.on_velocities or effects.events)
         self.smooth = not self.contacts and not self.dissipates  # forces depend on places alone: all integrators apply
         self.forces = list(effects.forces)
-        lossy = any(contact.lossy for contact in hard)
-        self.conserves = not self.dissipates and not lossy and not endless_falls(scene, self.particles, Communicator.alone())
+        self.conserves = effects.conserves_energy and not endless_falls(scene, self.particles, Communicator.alone())
         self.duration = scene.steps * scene.time.step
         self.length = scene.periodic_length  # of periodic axes, 0 of others
 

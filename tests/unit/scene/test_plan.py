@@ -30,3 +30,20 @@ def test_advice(planes, restitution, integrator, words):
     )
     lines = advice(scene, populate(scene)[0], Communicator.alone())
     assert len(lines) == len(words) and all(word in line for word, line in zip(words, lines))
+
+
+@pytest.mark.parametrize(
+    ("periodic", "effects", "words"),
+    [
+        ([True, False], {"collisions": {}}, "leave it along axis 1: no [effects.walls]"),
+        (False, {"collisions": {}}, "leave it along axes 0 and 1: no [effects.walls]"),
+        (False, {"collisions": {}, "walls": {}}, ""),
+        (True, {"collisions": {}}, ""),
+        (True, {"collisions": {}, "walls": {}}, "there is no wall"),
+    ],
+)
+def test_a_box_without_walls_is_open(periodic, effects, words):
+    box, particles = {"lower": [0, 0], "upper": [4, 4], "periodic": periodic}, [{"position": [[1.0, 2.0]], "radius": 0.1}]
+    scene = Scene(dimension=2, box=box, time={"step": 0.01, "steps": 1}, particles=particles, effects=effects)
+    lines = advice(scene, populate(scene)[0], Communicator.alone())
+    assert len(lines) == bool(words) and all(words in line for line in lines)

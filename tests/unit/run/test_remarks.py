@@ -1,0 +1,53 @@
+"""What a run says at its end, and counts, of what a user should know."""
+
+import json
+
+import pytest
+
+from particles_mpi import Scene, Simulation
+
+
+def ended(folder, **tables):
+    """run.json of a run in two dimensions."""
+    Simulation(Scene(dimension=2, output={"formats": []}, **tables)).run(folder, quiet=True)
+    return json.loads((folder / "run.json").read_text())
+
+
+@pytest.mark.parametrize(("step", "more", "told"), [(0.1, {}, True), (0.001, {}, False), (0.1, {"drag": {"rate": 0.1}}, False)])
+def test_energy_that_changes_though_nothing_takes_any_is_told(tmp_path, step, more, told):
+    """Two that fall onto one another, in steps in which they pass at any distance; where drag takes energy nobody can say."""
+    about = ended(
+        tmp_path / "o", G=1.0, time={"step": step, "steps": round(1.0 / step)},
+        particles=[{"position": [[0.0, 0.0], [1.0, 0.0]], "velocity": [[0.0, 0.3], [0.0, -0.3]], "mass": 1.0}],
+        effects={"mutual_gravity": {}, **more},
+    )  # fmt: skip
+    said = [remark for remark in about["remarks"] if remark.startswith("total energy: from ")]
+    assert bool(said) == told and all("shorten time.step" in remark and "adaptive" in remark for remark in said)
+
+
+def test_a_force_without_a_potential_may_change_the_energy(tmp_path):
+    pushed = {"position": [[0.0, 0.0]], "velocity": [1.0, 0.0], "acceleration": [1.0, 0.0]}
+    about = ended(tmp_path / "o", time={"step": 0.1, "steps": 10}, particles=[pushed], effects={"user_acceleration": {}})
+    assert not about["remarks"]
+
+
+def test_an_effect_that_acts_in_contacts_is_counted(tmp_path):
+    law, ball = {"restitution": 0.5, "friction": 0.5}, {"position": [[1.0, 0.1]], "velocity": [1.0, 0.0], "radius": 0.1}
+    about = ended(
+        tmp_path / "o", box={"lower": [0.0, 0.0], "upper": [4.0, 4.0]}, time={"step": 0.01, "steps": 20}, particles=[ball],
+        effects={"uniform_gravity": {"acceleration": [0.0, -1.0]}, "walls": law, "rolling": {"resistance": 0.01}},
+    )  # fmt: skip
+    calls = {row["effect"]: row["calls"] for row in about["plan"]["effects"]}
+    assert calls["walls"] == calls["rolling"] == 20
+
+
+def test_late_collisions_are_told_of_all(tmp_path):
+    """Also of those in steps that were done in order of time."""
+    discs = {"count": 150, "position": "random", "radius": 0.1, "velocity": {"speed": 1.0}}
+    about = ended(
+        tmp_path / "o", box={"lower": [0.0, 0.0], "upper": [3.2, 3.2]}, time={"step": 0.02, "steps": 100}, particles=[discs],
+        effects={"collisions": {"restitution": 0.9, "passes": 3}, "walls": {}},
+    )  # fmt: skip
+    late = [remark for remark in about["remarks"] if remark.startswith("collisions that came late")]
+    assert any("in order of time" in remark for remark in about["remarks"])
+    assert late and f" of {about['counts']['collisions']};" in late[0]
