@@ -21,7 +21,7 @@ import numpy as np
 from particles_mpi.kernels.jit import lean_inner
 from particles_mpi.particles import Array
 
-LONGEST = 0.5  # times the time in which drag and friction would stop a particle: see `change`
+LONGEST_CHANGE = 0.5  # times the time in which drag and friction would stop a particle: see `change`
 
 
 class Rates(NamedTuple):
@@ -56,8 +56,8 @@ def change(speed, k, b, time):
     rate = k + (b / speed if b > 0.0 else 0.0)
     if rate == 0.0:
         return 1.0, time
-    if rate * abs(time) > LONGEST:
-        time = copysign(LONGEST / rate, time)
+    if rate * abs(time) > LONGEST_CHANGE:
+        time = copysign(LONGEST_CHANGE / rate, time)
     half = 0.5 * time * (k + (b / (speed - 0.5 * b * time) if b > 0.0 else 0.0))
     return (1.0 - half) / (1.0 + half), time / (1.0 + half)
 

@@ -12,7 +12,7 @@ from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.kernels.motion import move_to
 
 # Where so many bounces of one particle take less than that part of a step, it has no room, or bounces in a wedge without end.
-BOUNCES, LEAST = 1000, 1e-4
+BOUNCES, LEAST_TIME = 1000, 1e-4
 
 
 @lean_inner
@@ -128,7 +128,7 @@ def bounce_until(axes, x, v, start, last_partner, i, radius, inverse_mass, h, pl
             return hits, 0
         hits += 1
         if hits % BOUNCES == 0:
-            if t - before < LEAST * h:
+            if t - before < LEAST_TIME * h:
                 start[i] = h
                 return hits, 1
             before = t

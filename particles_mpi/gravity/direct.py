@@ -1,6 +1,6 @@
 """The direct sum over all pairs. Arrays only.
 
-A target adds up its sources in the order of their ids: up to `FEW` particles in one sum, more in eight. Number j of all sources
+A target adds up its sources in the order of their ids: up to ONE_SUM particles in one sum, more in eight. Number j of all sources
 then enters lane j mod 8, and the lanes are added in the end. So the bits are the same however the sources are divided into
 blocks, and vectors of any length can compute the sums, of eight targets or of eight sources. Targets lie in tiles, axis by axis,
 which stay in the first-level cache.
@@ -18,7 +18,7 @@ from particles_mpi.kernels.jit import fma, inner, kernel, wide
 from particles_mpi.kernels.lanes import LANE_COUNT, eight, load, store
 from particles_mpi.particles import Array
 
-FEW = 256  # particles in all up to which a target makes one sum
+ONE_SUM = 256  # particles in all up to which a target makes one sum
 TILE = 8 * LANE_COUNT  # targets
 TOGETHER = 16  # tiles that act on another one in turn while the caches hold it
 
@@ -35,7 +35,7 @@ class Attraction:
     def __init__(self, x: Array, total: int, softening2: float):
         """`total`: of the sources that will come."""
         self.x, self.softening2, self.met = x, softening2, 0
-        self.axes, self.lanes = (0,) * x.shape[1], 1 if total <= FEW else LANE_COUNT
+        self.axes, self.lanes = (0,) * x.shape[1], 1 if total <= ONE_SUM else LANE_COUNT
         self.at = in_tiles(x)
         self.sums = np.zeros((len(self.at), self.lanes * self.at.shape[1]))
 
@@ -145,7 +145,7 @@ def attract_tiles(axes, at, mass, other, other_mass, softening2, first, own, sum
 
 @formula
 def attract_few(axes, x, mass, softening2, total):
-    """total (n, d) = what `attract` gives in one lane for x (n, d) as sources and targets, with the same bits; at most FEW.
+    """total (n, d) = what `attract` gives in one lane for x (n, d) as sources and targets, with the same bits; at most ONE_SUM.
 
     Each target takes its sources in their order, although each pair is looked at once.
     """

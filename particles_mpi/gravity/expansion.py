@@ -27,12 +27,12 @@ FAR_MASS, FAR_WIDTH = 3, 10  # rows of a list of far cells: r (3), mass, S/2 (xx
 
 POWERS = sorted((n for n in product(range(ORDER + 1), repeat=3) if sum(n) <= ORDER), key=lambda n: (sum(n), [-k for k in n]))
 COEFFICIENTS = len(POWERS)
-PLACE = {n: row for row, n in enumerate(POWERS)}
+COLUMN_OF = {n: row for row, n in enumerate(POWERS)}
 
 
 def higher(n: tuple[int, ...], axis: int, by: int = 1) -> int:
     """The coefficient whose power of one axis is higher than that of n; -1 if there is none."""
-    return PLACE.get(tuple(power + by * (k == axis) for k, power in enumerate(n)), -1)
+    return COLUMN_OF.get(tuple(power + by * (k == axis) for k, power in enumerate(n)), -1)
 
 
 AXIS = np.array([int(np.argmax(np.array(n) > 0)) for n in POWERS])  # each power is a lower one times a coordinate

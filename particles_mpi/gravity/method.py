@@ -6,12 +6,12 @@ particles with angles from 0.3 to 1; the formula follows the larger of the two, 
 
 from dataclasses import dataclass
 
-PAIR = 0.6  # ns for a pair in the direct sum
-BUILD, NEAR = 600.0, 0.25  # ns a particle for keys, cells and their nearest neighbours; and most for each of all particles
-FAR = {"quadrupole": 130.0, "monopole": 110.0}  # ns a particle for all that is not near, at an opening angle of 1
+PAIR_NS = 0.6  # ns for a pair in the direct sum
+BUILD_NS, NEAREST = 600.0, 0.25  # ns a particle for keys, cells and their nearest neighbours; and most for each of all particles
+FAR_NS = {"quadrupole": 130.0, "monopole": 110.0}  # ns a particle for all that is not near, at an opening angle of 1
 STEEP = 2.5  # the power of 1/angle by which that grows
 ERROR, SLOPE = 6e-3, 3.5  # error = ERROR * angle^SLOPE
-SMALLEST = 0.1  # opening angle below which a tree is of no use
+SMALLEST_ANGLE = 0.1  # opening angle below which a tree is of no use
 TREES = (1, 2, 3)  # dimensions in which there is a tree
 
 
@@ -26,7 +26,7 @@ class Choice:
 
 def choose(method: str, angle: float, accuracy: float, dimension: int, total: int, multipole: str = "quadrupole") -> Choice:
     """What `method` means for `total` particles; "auto": the cheaper one whose error is at most `accuracy`, with quadrupoles."""
-    direct = PAIR * total
+    direct = PAIR_NS * total
     if method == "direct":
         return Choice(None, direct, "direct sum")
     if method == "auto":
@@ -34,7 +34,7 @@ def choose(method: str, angle: float, accuracy: float, dimension: int, total: in
     tree = tree_cost(angle, total, multipole)
     if method == "tree":
         return Choice(angle, tree, f"tree, opening angle {angle:.3g}" + (", monopoles" if multipole == "monopole" else ""))
-    if dimension not in TREES or angle < SMALLEST or direct <= tree:
+    if dimension not in TREES or angle < SMALLEST_ANGLE or direct <= tree:
         why = "no more work than a tree" if dimension in TREES else f"there is no tree in dimension {dimension}"
         return Choice(None, direct, f"auto: direct sum, {why}")
     words = (
@@ -45,4 +45,4 @@ def choose(method: str, angle: float, accuracy: float, dimension: int, total: in
 
 def tree_cost(angle: float, total: int, multipole: str) -> float:
     """ns a particle; it no longer grows where far cells act on whole groups."""
-    return BUILD + min(FAR[multipole] * angle**-STEEP, NEAR * total)
+    return BUILD_NS + min(FAR_NS[multipole] * angle**-STEEP, NEAREST * total)

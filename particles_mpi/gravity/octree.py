@@ -23,7 +23,7 @@ DEEPEST = 31  # most levels
 # yy, yz, zz), and the radius of a sphere about it that contains all particles of the cell.
 MASS, CENTER, SECOND, RADIUS, WIDTH = 0, 1, 4, 10, 11
 FIRST, END = 0, 1  # columns of `groups`: first row, and last row + 1
-SAFE = 1.0 + 2.0**-40  # enlarges a radius by more than rounding can have taken from it
+ENLARGED = 1.0 + 2.0**-40  # enlarges a radius by more than rounding can have taken from it
 
 
 @kernel
@@ -161,7 +161,7 @@ def leaf_moments(cell, bound, x, mass):
     center_of_mass(cell, bound)
     for p in range(len(x)):
         r2 = add_second_moments(cell, x[p, 0] - cell[CENTER], x[p, 1] - cell[CENTER + 1], x[p, 2] - cell[CENTER + 2], mass[p])
-        cell[RADIUS] = max(cell[RADIUS], sqrt(r2) * SAFE)
+        cell[RADIUS] = max(cell[RADIUS], sqrt(r2) * ENLARGED)
 
 
 @inner
@@ -187,12 +187,12 @@ def combine_moments(i, skip, cells, bounds):
         r2 = add_second_moments(cell, dx, dy, dz, sub[MASS])
         for e in range(6):
             cell[SECOND + e] += cells[part, SECOND + e]
-        cell[RADIUS] = max(cell[RADIUS], (sqrt(r2) + cells[part, RADIUS]) * SAFE)
+        cell[RADIUS] = max(cell[RADIUS], (sqrt(r2) + cells[part, RADIUS]) * ENLARGED)
         part = skip[part]
     corner2 = 0.0
     for k in range(3):
         corner2 += max(cell[CENTER + k] - bound[k], bound[3 + k] - cell[CENTER + k]) ** 2
-    cell[RADIUS] = min(cell[RADIUS], sqrt(corner2) * SAFE)
+    cell[RADIUS] = min(cell[RADIUS], sqrt(corner2) * ENLARGED)
 
 
 @inner

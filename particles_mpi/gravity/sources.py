@@ -20,7 +20,7 @@ from particles_mpi.gravity.powers import formula, inverse_root, pull
 from particles_mpi.kernels.jit import as_kind, fma, inner, lean_inner, wide
 from particles_mpi.particles import Array
 
-BLOCK = 8  # the number of targets of a group is rounded up to a multiple of it
+BLOCK_TARGETS = 8  # the number of targets of a group is rounded up to a multiple of it
 LIST = 64  # sources that act in one go
 POTENTIAL = 3  # of the columns of a total: acceleration (3), potential
 
@@ -62,7 +62,7 @@ def begin_group(x, group, units, lists):
     """The targets of a group, rows of x (n, 3), in these units, the last one repeated to fill the blocks."""
     (ox, oy, oz), length = units.origin, units.length
     at, sums = lists.at, lists.sums
-    for t in range(group.blocks * BLOCK):
+    for t in range(group.blocks * BLOCK_TARGETS):
         p = min(group.begin + t, group.end - 1)
         at[0][t], at[1][t], at[2][t] = length * (x[p, 0] - ox), length * (x[p, 1] - oy), length * (x[p, 2] - oz)
         sums[0][t], sums[1][t], sums[2][t], sums[POTENTIAL][t] = 0.0, 0.0, 0.0, 0.0
@@ -129,7 +129,7 @@ def add_points(units, lists, n, blocks, total):
     (at, sums, points, own, _), softening2 = lists, units.softening2
     for p in range(n):
         x, y, z, mass, number = points[p, 0], points[p, 1], points[p, 2], points[p, 3], own[p]
-        for t in range(blocks * BLOCK):
+        for t in range(blocks * BLOCK_TARGETS):
             add_particle(at, t, number, x, y, z, mass, softening2, sums)
     add_sums(units, blocks, sums, total)
     return 0
@@ -144,7 +144,7 @@ def add_cells(units, lists, n, blocks, total):
         mass, x, y, z = cells[c, MASS], cells[c, CENTER], cells[c, CENTER + 1], cells[c, CENTER + 2]
         xx, xy, xz = cells[c, SECOND], cells[c, SECOND + 1], cells[c, SECOND + 2]
         yy, yz, zz = cells[c, SECOND + 3], cells[c, SECOND + 4], cells[c, SECOND + 5]
-        for t in range(blocks * BLOCK):
+        for t in range(blocks * BLOCK_TARGETS):
             add_quadrupole(at, t, x, y, z, mass, (xx, xy, xz, yy, yz, zz), softening2, sums)
     add_sums(units, blocks, sums, total)
     return 0
@@ -155,7 +155,7 @@ def add_sums(units, blocks, sums, total):
     """Add the sums of a list to the total in float64, in the units of that, and begin them anew."""
     depth = units.length / units.mass
     strength = units.length * depth
-    for t in range(blocks * BLOCK):
+    for t in range(blocks * BLOCK_TARGETS):
         total[0][t] += strength * sums[0][t]
         total[1][t] += strength * sums[1][t]
         total[2][t] += strength * sums[2][t]

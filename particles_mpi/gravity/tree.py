@@ -35,8 +35,8 @@ from particles_mpi.parallel.exchange import allgather_rows, rows_in_order, send_
 from particles_mpi.particles import Array, rows_of
 
 SECTIONS = 64  # into which the keys between two bounds of a cut are divided
-FEW = 0.02  # of the work of a rank: a cut is known well enough where there is no more between its bounds
-SMALLEST = -900  # the least power of two that the side of the cube may be
+KNOWN_WELL = 0.02  # of the work of a rank: a cut is known well enough where there is no more between its bounds
+SMALLEST_POWER = -900  # the least power of two that the side of the cube may be
 LAST_KEY = np.iinfo(np.int64).max
 
 
@@ -73,8 +73,8 @@ class Tree:
         lower, extent = -ends[3:6], float((ends[:3] + ends[3:6]).max())
         if not (extent < np.inf and ends[6] < 1.0):
             return named_columns(np.full((len(x), RESULT), np.nan))
-        side = max(int(np.frexp(extent)[1]), SMALLEST)  # of the cube, as a power of two, so that cells are halved exactly
-        unit = max(int(np.frexp(max(extent, self.law.softening2**0.5))[1]), SMALLEST)  # of length, as a power of two
+        side = max(int(np.frexp(extent)[1]), SMALLEST_POWER)  # of the cube, as a power of two, so that cells are halved exactly
+        unit = max(int(np.frexp(max(extent, self.law.softening2**0.5))[1]), SMALLEST_POWER)  # of length, as a power of two
         x, lower = np.ldexp(x, -unit), np.ldexp(lower, -unit)  # so that high powers of distances are never out of range
         keys = morton(x, lower, 2.0 ** (levels(d) - side + unit), d)
         before = self.order if len(self.order) == len(keys) else np.arange(len(keys))
@@ -171,7 +171,7 @@ def equal_shares(ranks: Communicator, keys: Array, work: Array) -> Array:
         at = np.minimum((reached <= wanted[:, None]).sum(axis=1), SECTIONS)  # the first edge beyond, if there is one
         at = np.maximum(at, 1)
         low, high = edges[every, at - 1], edges[every, at]
-        if not ((reached[every, at] - reached[every, at - 1] > FEW * total / ranks.size) & (high - low > 1)).any():
+        if not ((reached[every, at] - reached[every, at - 1] > KNOWN_WELL * total / ranks.size) & (high - low > 1)).any():
             return low
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from particles_mpi.gravity.expansion import CELL_LANES, CELLS, COEFFICIENTS, FAR_WIDTH, add_lanes, enter_cell, evaluate, expand
 from particles_mpi.gravity.octree import CENTER, END, FIRST, MASS, RADIUS, distance2, is_far
 from particles_mpi.gravity.sources import (
-    BLOCK,
+    BLOCK_TARGETS,
     LIST,
     POTENTIAL,
     SourceLists,
@@ -40,9 +40,9 @@ from particles_mpi.particles import Array
 # the expansion leaves out, M/r^2 (radius/r)^4, is less than (SMALL * opening angle)^4 of the sum of M/r^2 over all cells.
 # That sum is taken with the square COARSE2 of an opening angle.
 LARGEST, SMALL, COARSE2 = 0.5, 0.1, 4.0
-# Float32 from the opening angle SINGLE on, for sources further from the box around a group than CLOSE radii of the group; not for
-# groups below TINY of the whole tree, where powers of distances would leave the range of float32.
-SINGLE, CLOSE, TINY = 0.1, 0.05, 1e-6
+# Float32 from the opening angle SINGLE on, for sources further from the box around a group than BESIDE radii of the group; not
+# for groups below TINY of the whole tree, where powers of distances would leave the range of float32.
+SINGLE, BESIDE, TINY = 0.1, 0.05, 1e-6
 WORK, RESULT = POTENTIAL + 1, POTENTIAL + 2  # columns of a result: acceleration (3), potential, work; and how many these are
 # Work, in units of one particle acting on one target in float64: a far quadrupole for a target, a near particle for a target, a
 # cell of the expansion for a group, and a node that a group visits. Ranks get equal shares of it.
@@ -98,7 +98,7 @@ def walk(tree, groups, offset, law):
     """
     result, interactions, most = np.zeros((groups[-1, END] if len(groups) else 0, RESULT)), 0, np.int64(0)
     for g in range(len(groups)):
-        most = max(most, groups[g, END] - groups[g, FIRST] + BLOCK)
+        most = max(most, groups[g, END] - groups[g, FIRST] + BLOCK_TARGETS)
     total = np.empty(most), np.empty(most), np.empty(most), np.empty(most)
     far = np.empty((CELLS // CELL_LANES, FAR_WIDTH, CELL_LANES), np.float32)
     sums = np.empty(COEFFICIENTS * CELL_LANES, np.float32)
@@ -112,7 +112,7 @@ def walk(tree, groups, offset, law):
         begin_group(tree.x, group, double, room.double)
         begin_group(tree.x, group, single, room.single)
         for k in range(4):
-            total[k][: group.blocks * BLOCK] = 0.0
+            total[k][: group.blocks * BLOCK_TARGETS] = 0.0
         sums[:] = 0.0
         sources, work = add_sources(tree, law, group, double, single, room)
         give_results(tree.x, group, single, room, work, result[groups[g, FIRST] : groups[g, END]])
@@ -131,7 +131,7 @@ def group_of(x, begin, end):
     mx, my, mz, size2 = 0.5 * (lx + hx), 0.5 * (ly + hy), 0.5 * (lz + hz), 0.0
     for p in range(begin, end):
         size2 = max(size2, (x[p, 0] - mx) ** 2 + (x[p, 1] - my) ** 2 + (x[p, 2] - mz) ** 2)
-    return Group(begin, end, (end - begin + BLOCK - 1) // BLOCK, (lx, ly, lz, hx, hy, hz), (mx, my, mz), size2)
+    return Group(begin, end, (end - begin + BLOCK_TARGETS - 1) // BLOCK_TARGETS, (lx, ly, lz, hx, hy, hz), (mx, my, mz), size2)
 
 
 @adding
@@ -175,7 +175,7 @@ def add_sources(tree, law, group, double, single, room):
     begin, end, blocks, (lx, ly, lz, hx, hy, hz), (mx, my, mz), size2 = group
     angle2, size4, smallest2, close2, limit = angle * angle, size2 * size2, size2 / LARGEST**2, np.inf, -1.0
     if angle >= SINGLE and size2 > TINY * TINY:
-        close2, limit = CLOSE * CLOSE * size2, (SMALL * angle) ** 4 * strength(tree, group)
+        close2, limit = BESIDE * BESIDE * size2, (SMALL * angle) ** 4 * strength(tree, group)
     length, moment_unit = single.length, single.length * single.length * single.mass if quadrupoles else 0.0
     double_points = double_cells = single_points = single_cells = far_cells = np.int64(0)  # that wait
     expanded, on_targets, near, visits = 0, 0, 0, 0

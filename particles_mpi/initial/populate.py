@@ -161,13 +161,14 @@ class Populator:
         total, ranks = sum(counts), self.ranks.size
         need = total * 8 * (4 + 3 * self.scene.dimension) / ranks
         have = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-        if need > have or total / ranks > limits.MOST:
+        uncounted = total / ranks > limits.INT32_MAX
+        if need > have or uncounted:
             k = list(self.populations)[int(np.argmax(np.array(counts, float)))]
             each = f" on each of {ranks} ranks" if ranks > 1 else ""
             raise SceneError(
                 f"particles[{k}].count: {total} particles in all need {need / 1e9:.3g} GB{each},"
                 f" this machine has {have / 1e9:.3g} GB"
-                + (f"; more than {limits.MOST} particles on a rank: use more ranks" if total / ranks > limits.MOST else "")
+                + (f"; more than {limits.INT32_MAX} particles on a rank: use more ranks" if uncounted else "")
             )
 
     def with_velocities(self, population: Population) -> Population:

@@ -27,16 +27,16 @@ from particles_mpi.scene.schema import TOLERANCES
 LARGEST_TOLERANCE = TOLERANCES[1]
 MOST_ITERATIONS = 12
 SHAKEN = 32.0  # units in the last place by which a coordinate is moved, at most, to see what its round-off does
-ROUNDED = float(np.finfo(float).eps)  # round-off of a sum of forces, relative to the largest acceleration
+SUM_ROUND_OFF = float(np.finfo(float).eps)  # round-off of a sum of forces, relative to the largest acceleration
 CAUTION = 10.0  # times the change that the next iteration is expected to make
 NOISY = 8.0  # times the round-off: changes from one iteration to the next that are nothing else
 STALLED, DIVERGED = 1e-10, 1e-8  # of the largest acceleration: changes that need not shrink any more, and that must
-SAFE = 0.25  # a substep is taken if the next one may be so many times as long, or longer
+SAFE_GROWTH = 0.25  # a substep is taken if the next one may be so many times as long, or longer
 SHRINK, GROW = 0.1, 4.0  # bounds of the length of a substep, divided by that of the one before
 SHORTEST = 1e-11  # of a step of the scene: where masses meet head on there is no end to it
 BLIND = 4.0  # times the largest tolerance: more round-off hides the motion
 MOST_BLIND = 100  # tries in a row in which it does; then it is an error
-FAR = 1.5  # times the last step: for longer ones its polynomial is no guess
+GUESSED = 1.5  # times the last step: for longer ones its polynomial is no guess
 ROOT_ROUNDS = 60
 
 # What `go_on` asks for, or tells.
@@ -166,7 +166,7 @@ def guess(a, work, tables):
     """Accelerations at the nodes of a step that begins with a: the last polynomial goes on, if not for too long."""
     progress, _, _, at, last, row = work
     s = progress[0]
-    known = s["guessable"] and not s["length"] > FAR * s["last_length"]
+    known = s["guessable"] and not s["length"] > GUESSED * s["last_length"]
     for i in range(NODES):
         if known and i > 0:
             moment = s["last_begin"] + tables.c[i] * (s["length"] / s["last_length"])
@@ -216,10 +216,10 @@ def end_of_try(x, v, round_off, left, work, tables):
     if not s["top"] <= 0.0:
         ratio = max(tables.tolerance * largest, least) / s["top"]
         factor = seventh_root(min(max(ratio, SHRINK**7), GROW**7)) if ratio == ratio else np.nan
-    s["last_length"], s["last_begin"], s["guessable"] = h, 1.0 if factor >= SAFE else 0.0, 1
+    s["last_length"], s["last_begin"], s["guessable"] = h, 1.0 if factor >= SAFE_GROWTH else 0.0, 1
     for i in range(NODES):
         copy(at[i], last[i])
-    if factor >= SAFE:
+    if factor >= SAFE_GROWTH:
         for m in range(len(x)):
             add(x, lost, h * v[m] + h * h * combine(tables.twice_end, at, m), m)
             v[m] += h * combine(tables.once_end, at, m)
@@ -281,7 +281,7 @@ def go_on(x, v, d, force, work, tables):
         s["stage"] = OVER_RANKS
         return MAXIMA
     s["iterations"] += 1
-    round_off, left = s["noise"] + ROUNDED * s["largest"], still_to_come(s["change"], s["before"])
+    round_off, left = s["noise"] + SUM_ROUND_OFF * s["largest"], still_to_come(s["change"], s["before"])
     good = not left > round_off
     stalled = s["change"] >= s["before"] and s["change"] < max(STALLED * s["largest"], NOISY * round_off)
     if not (good or stalled) and s["iterations"] < MOST_ITERATIONS:
@@ -291,7 +291,7 @@ def go_on(x, v, d, force, work, tables):
         return FORCES
     length, next_length = s["length"], end_of_try(x, v, round_off, left, work, tables)
     s["tries"] += 1
-    if next_length >= SAFE * length:
+    if next_length >= SAFE_GROWTH * length:
         s["done"] = s["step"] if length == s["step"] - s["done"] else s["done"] + length
         s["substeps"] += 1
     s["length"] = next_length

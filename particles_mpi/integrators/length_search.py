@@ -1,9 +1,9 @@
 """The length of a step that ends with a contact."""
 
-CLOSE = 1e-14  # of the whole step: how well the length must be known
+LENGTH_TOLERANCE = 1e-14  # of the whole step: how well the length must be known
 SECANTS = 8  # tries after which the interval is halved
-MOST_TRIES = 64
-SHORT = 0.01  # of the whole step: what one goes on by at a jump
+MOST_ROOT_TRIES = 64
+PAST_JUMP = 0.01  # of the whole step: what one goes on by at a jump
 
 
 class LengthSearch:
@@ -13,7 +13,7 @@ class LengthSearch:
     the time of the contact minus h: it is below 0 in the whole step and above 0 in a very short one. In between is a zero,
     found by secants, which converge in about five tries, or by halving where they do not. It may be a jump instead, where a
     contact begins to last: no step ends with a contact then, and the longest that ends before it is taken. If that is shorter
-    than `SHORT`, it is the one that was nearest to its contact, so that time goes on.
+    than `PAST_JUMP`, it is the one that was nearest to its contact, so that time goes on.
 
     h: the length to try next, or, if `jump`, to go on by without a contact.
     """
@@ -30,7 +30,7 @@ class LengthSearch:
 
         late: how long after its end the contact is; met: whether there was one, or `whole` went by without.
         """
-        if self.last or (met and abs(late) <= CLOSE * self.whole):
+        if self.last or (met and abs(late) <= LENGTH_TOLERANCE * self.whole):
             return True
         self.tries.append((self.h, late))
         if met and abs(late) <= abs(self.best[1]):
@@ -39,8 +39,8 @@ class LengthSearch:
             self.below = self.h
         else:
             self.above = self.h
-        self.last = self.above - self.below <= CLOSE * self.whole or len(self.tries) == MOST_TRIES
-        self.jump = self.last and self.below >= SHORT * self.whole
+        self.last = self.above - self.below <= LENGTH_TOLERANCE * self.whole or len(self.tries) == MOST_ROOT_TRIES
+        self.jump = self.last and self.below >= PAST_JUMP * self.whole
         if self.jump:
             self.h = self.below
         elif self.last:

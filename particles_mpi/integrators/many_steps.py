@@ -13,7 +13,7 @@ import numpy as np
 
 from particles_mpi.contacts.drift import Drift
 from particles_mpi.contacts.rough import no_spins
-from particles_mpi.gravity.direct import FEW
+from particles_mpi.gravity.direct import ONE_SUM
 from particles_mpi.integrators.collocation import END, STUCK, work_for
 from particles_mpi.integrators.compiled_steps import (
     Bodies,
@@ -38,9 +38,9 @@ from particles_mpi.particles import Array, Particles, rows_of
 from particles_mpi.scene.active import ActiveEffects
 from particles_mpi.scene.effect import Context
 
-BLOCK = 4096  # rows that are advanced together: what is needed of them stays in the cache
-LONGEST = 1e8  # ns in one call, about, so that Ctrl-C is heard
-PAIR, ROW, BESIDES = 3.0, 8.0, 50.0  # ns of a pair, a row, and everything else in a step, at most
+BLOCK_ROWS = 4096  # rows that are advanced together: what is needed of them stays in the cache
+LONGEST_CALL = 1e8  # ns in one call, about, so that Ctrl-C is heard
+PAIR_NS, ROW_NS, STEP_NS = 3.0, 8.0, 50.0  # ns of a pair, a row, and everything else in a step, at most
 SUM = "sum of forces"  # a name that no field has
 
 
@@ -54,7 +54,7 @@ class RowsTogether(NamedTuple):
 
 
 class ManySteps:
-    """Computes steps of the rows of this rank, or of at most `FEW` particles of all ranks."""
+    """Computes steps of the rows of this rank, or of at most `ONE_SUM` particles of all ranks."""
 
     def __init__(
         self, rows: Particles, context: Context, effects: ActiveEffects, summed: Accelerations, drift: Drift, rule: Any,
@@ -82,7 +82,7 @@ class ManySteps:
         forces = effects.forces.values()
         together = effects.integrator == "adaptive" or any(force.direct for force in forces)
         known = all(force.direct or not force.place_dependent for force in forces)
-        return known and not (together and (persistent or total > FEW))
+        return known and not (together and (persistent or total > ONE_SUM))
 
     def advance(self, h: float, steps_done: int, most: int) -> int:
         """Up to `most` steps of length h, the first one after `steps_done`; returns how many. Collective."""
@@ -115,9 +115,9 @@ class ManySteps:
     def fixed_steps(self, h: float, most: int, watch: int) -> tuple[int, int, int, int, bool]:
         """Steps of `Composition` or `Taylor`: what `fixed_steps` returns, of all blocks."""
         n, parts = self.context.ids.total, len(self.scheme.kicks)
-        cost = BESIDES + ROW * n + (PAIR * n * n * parts if self.direct else 0.0)
-        budget = Budget(cost, LONGEST)
-        most = min(most, max(1, int(LONGEST / cost)))
+        cost = STEP_NS + ROW_NS * n + (PAIR_NS * n * n * parts if self.direct else 0.0)
+        budget = Budget(cost, LONGEST_CALL)
+        most = min(most, max(1, int(LONGEST_CALL / cost)))
         if len(self.blocks) > 1 or (self.own and self.context.ranks.size > 1):  # what stops one block must stop all
             most = min(most, watch)  # the watchdog of all looks then
             watch, budget = most + 1, Budget(cost, inf)
@@ -132,7 +132,7 @@ class ManySteps:
         (bodies, forces, _, space), rule = self.blocks[0], self.rule
         work, begun = work_for(bodies.x.size), np.zeros((2, bodies.x.size))
         n = len(bodies.x)
-        most = max(1, int(LONGEST / (BESIDES + 10.0 * ROW * n + PAIR * n * n)))
+        most = max(1, int(LONGEST_CALL / (STEP_NS + 10.0 * ROW_NS * n + PAIR_NS * n * n)))
         flat = tuple(vectors.reshape(-1) for vectors in (bodies.x, bodies.v, bodies.total))
         need, done, sums = END, 0, 0
         while need not in (END, STUCK) or sums == 0:
@@ -166,7 +166,7 @@ class ManySteps:
                     p.replace({name: every[name] for name in p.arrays})
             self.mine = np.searchsorted(every["id"], p.id)
         self.known = p.version, p.edition, h
-        n, size = len(every["id"]), FEW if self.together else BLOCK
+        n, size = len(every["id"]), ONE_SUM if self.together else BLOCK_ROWS
         slices = [slice(first, first + size) for first in range(0, max(n, 1), size)]
         parts = ({name: column[some] for name, column in every.items()} for some in slices)
         self.blocks = [self.block(Particles(p.dimension, part), h) for part in parts]

@@ -4,9 +4,9 @@ from math import exp, expm1, inf, log1p, sqrt
 
 from particles_mpi.kernels.jit import lean, lean_inner
 
-NEAR = 8.0  # times what force and friction do in a step: a standstill
+NEAR_STANDSTILL = 8.0  # times what force and friction do in a step: a standstill
 MOST_ROUNDS = 100
-MOST = 1e20  # of y in `slide`: (steep - 1) y is below 50 and steep - 1, if not 0, above 1e-16
+LARGEST_Y = 1e20  # of y in `slide`: (steep - 1) y is below 50 and steep - 1, if not 0, above 1e-16
 
 
 @lean_inner
@@ -70,7 +70,7 @@ def slide(v, a, i, pull, b, decay, h):
             y = log1p(h * unit) / (1.0 - steep)  # too long: the first part alone takes more than h
         else:
             y = 1.0
-            while y < MOST and sliding_time(y, steep, u * u)[0] < h * unit:
+            while y < LARGEST_Y and sliding_time(y, steep, u * u)[0] < h * unit:
                 y *= 2.0
         low, high = 0.0, y
         for _ in range(MOST_ROUNDS):
@@ -115,7 +115,7 @@ def kick_with_friction(v, a, mass, decay, push, strength, h, coast):
         a2 = 0.0
         for k in range(d):
             a2 += a[i, k] ** 2
-        if loss > 0.0 and a2 * h * h < inf and before < NEAR * (sqrt(a2) * h + loss):
+        if loss > 0.0 and a2 * h * h < inf and before < NEAR_STANDSTILL * (sqrt(a2) * h + loss):
             if stops(v, a, i, loss / h, sqrt(decay[i]), h):
                 for k in range(d):
                     v[i, k] = 0.0

@@ -8,7 +8,7 @@ from math import sqrt
 
 from particles_mpi.kernels.jit import lean
 
-LARGEST = 0.25  # radians of a half turn for which the series is good to round-off
+LARGEST_ANGLE = 0.25  # radians of a half turn for which the series is good to round-off
 TERMS = 7
 
 
@@ -24,7 +24,7 @@ def turn(orientation, spin, h):
         doublings, angle2 = 0, x * x + y * y + z * z
         if angle2 == 0.0:
             continue
-        while angle2 > LARGEST * LARGEST and doublings < 1000:
+        while angle2 > LARGEST_ANGLE * LARGEST_ANGLE and doublings < 1000:
             angle2 *= 0.25
             doublings += 1
         cosine, sine, part = 1.0, 1.0, 1.0  # sine: sin(a)/a

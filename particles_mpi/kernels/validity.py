@@ -5,7 +5,7 @@ import numpy as np
 from particles_mpi.kernels.jit import lean
 
 WATCH_EVERY = 10  # steps between two checks
-ROUND_OFF = 1e-9  # relative distance beyond a wall that counts as rounding
+WALL_ROUND_OFF = 1e-9  # relative distance beyond a wall that counts as rounding
 
 
 @lean
@@ -34,7 +34,7 @@ def find_invalid(axes, x, v, fixed, planes, lower, length):
             for k in range(len(axes)):
                 distance += (x[i, k] - point[w, k]) * normal[w, k]
                 scale += abs(point[w, k])
-            if distance < -ROUND_OFF * scale and astray < 0:
+            if distance < -WALL_ROUND_OFF * scale and astray < 0:
                 astray, at = i, w
     return numbers, astray, at
 

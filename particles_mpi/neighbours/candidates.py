@@ -9,7 +9,7 @@ from particles_mpi.kernels.limits import require_countable
 from particles_mpi.kernels.memory import aligned, whole_lines
 from particles_mpi.kernels.motion import Segments
 from particles_mpi.kernels.planes import no_planes
-from particles_mpi.neighbours.cells import FINE, GRIDDED, LinkedCells, grid, sort_rows, spacing
+from particles_mpi.neighbours.cells import CELLS_TO_A_SIDE, GRIDDED, LinkedCells, grid, sort_rows, spacing
 from particles_mpi.neighbours.halo_region import HaloRegion, everywhere
 from particles_mpi.neighbours.near_paths import WAITING
 from particles_mpi.neighbours.replacement import ALL, replace_candidates
@@ -18,8 +18,8 @@ from particles_mpi.neighbours.trajectories import AT_REST, Horizon, Paths, Spher
 from particles_mpi.particles import Array
 
 SLOWEST = 2.2  # times the mean bounding radius: rows beyond it are FAST, one in a hundred of a gas
-LARGEST = 8.0  # times the mean bounding radius: rows beyond it are OVERSIZE, if they are few
-FEW = 64
+OVERSIZE_FACTOR = 8.0  # times the mean bounding radius: rows beyond it are OVERSIZE, if they are few
+FEW_OVERSIZE = 64
 EXPECTED = 6  # contacts of a sphere in a heap, twice what are needed to rest
 ALONE = 4  # times as long takes a test for a row that asks alone: its surroundings are not in the cache
 
@@ -100,15 +100,15 @@ class Candidates:
         midpoint, bounding_radius, mean, box, own_box = start_paths(
             self.axes, self.x, self.v, radius, self.horizon, self.spheres.owned, path
         )
-        limit = LARGEST * mean
+        limit = OVERSIZE_FACTOR * mean
         largest, periodic = float(radius.max(initial=0.0)), self.length[self.length > 0.0]
         if len(periodic) and 2.0 * largest + 4.0 * self.horizon.bound > 0.5 * periodic.min():
             limit = np.inf  # no row is OVERSIZE: those only know the nearest image of a partner
-        level, oversize, count, reaches, slow_box = levels(midpoint, bounding_radius, SLOWEST * mean, limit, FEW)
+        level, oversize, count, reaches, slow_box = levels(midpoint, bounding_radius, SLOWEST * mean, limit, FEW_OVERSIZE)
         self.paths = Paths(path, midpoint, bounding_radius, level, midpoint[: n if len(periodic) else 0].copy())
         low, high = box
         apart = spacing(low, high, n)
-        fine = grid(midpoint, (low, high), max(1.8 * apart, 1.2 * mean), FINE)
+        fine = grid(midpoint, (low, high), max(1.8 * apart, 1.2 * mean), CELLS_TO_A_SIDE)
         order, start = sort_rows(midpoint, level, SLOW, fine)
         coarse = grid(midpoint, (low, high), max(2.0 * apart, 2.0 * mean), 1)
         farthest = np.abs(slow_box[:, :GRIDDED] - fine.origin[-min(len(low), GRIDDED) :]).max()

@@ -14,8 +14,8 @@ from particles_mpi.kernels.jit import in_place, kernel
 from particles_mpi.particles import Array
 
 GRIDDED = 3  # axes with cells; more would cost 3^d cells to visit, and the others are tested by distance anyway
-FINE = 6  # cells to a side on the last axis of a sorted grid: runs along it can be any length, so that they may be tight
-SMALLEST = 1e-300  # side of a cell, of points that are all at one place: a million of them in it, and its inverse, are numbers
+CELLS_TO_A_SIDE = 6  # on the last axis of a sorted grid: runs along it can be any length, so that they may be tight
+SMALLEST_SIDE = 1e-300  # of a cell, of points that are all at one place: a million of them in it, and its inverse, are numbers
 SLAB = 32  # cells on the second axis; see `order_in_space`
 MOST_SLABS = 60_000  # their numbers are sorted as uint16
 SAMPLE = 512  # rows that tell where the bulk of the particles is
@@ -48,8 +48,8 @@ def grid(x: Array, box: tuple[Array, Array], side: float, fine: int) -> Grid:
         return Grid(origin, per, cells)
     low, high = bulk(x[:, :g], box[0][:g], box[1][:g])
     extent = np.maximum(high - low, 0.0)
-    side = max(side, SMALLEST, float(extent.max()) * 1e-6)
-    while np.prod(np.floor(extent / side) + 1.0) > min(max(len(x), 64), limits.MOST // fine):
+    side = max(side, SMALLEST_SIDE, float(extent.max()) * 1e-6)
+    while np.prod(np.floor(extent / side) + 1.0) > min(max(len(x), 64), limits.INT32_MAX // fine):
         side *= 1.25
     origin[first:] = low
     per[first:] = 1.0 / side

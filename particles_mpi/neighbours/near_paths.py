@@ -12,7 +12,7 @@ from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import inner
 from particles_mpi.kernels.markers import RADIUS, START
 from particles_mpi.neighbours.cells import GRIDDED
-from particles_mpi.neighbours.search_index import ROUNDED
+from particles_mpi.neighbours.search_index import FLOAT32_LOSS
 from particles_mpi.particles import Array
 
 LOST = 1e-10  # of what is subtracted in `time_near`: more than double precision loses
@@ -58,7 +58,7 @@ def time_near(ru, u2, r2, cut2, start, window):
     begin, end = (-ru - half) / u2, (half - ru) / u2
     if not abs(begin) + abs(end) < MUCH * window:  # they hardly move, or not at all
         return np.float32(-inf), np.float32(inf)
-    margin = ROUNDED * (abs(begin) + abs(end) + start + window)
+    margin = FLOAT32_LOSS * (abs(begin) + abs(end) + start + window)
     return np.float32(start + begin - margin), np.float32(start + end + margin)
 
 

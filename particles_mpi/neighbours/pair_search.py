@@ -9,7 +9,7 @@ from particles_mpi.kernels.jit import inner, prefetch, spheres_within, trailing_
 from particles_mpi.kernels.markers import RADIUS, START
 from particles_mpi.neighbours.cells import cell_along
 from particles_mpi.neighbours.near_paths import WAITING, Waiting, keep_pairs
-from particles_mpi.neighbours.search_index import AT_ONCE, FAST, OVERSIZE, ROUNDED, SLOW
+from particles_mpi.neighbours.search_index import FAST, FLOAT32_LOSS, OVERSIZE, PLACES_AT_ONCE, SLOW
 
 
 @inner
@@ -59,8 +59,8 @@ def list_sorted(axes, low, high, sphere, cells, sorted_, firsts, around, listed,
 
     sphere: middle (g,), radius and largest radius of a partner, float32 in the units of `SortedCells.entry`, and its own row.
     firsts: scratch, (8,).
-    Runs are short: AT_ONCE places are tested whatever their length, and the bits of as many runs are read together, so that the
-    processor need not guess where each ends.
+    Runs are short: PLACES_AT_ONCE places are tested whatever their length, and the bits of as many runs are read together, so
+    that the processor need not guess where each ends.
     """
     middle, own, limit, i = sphere
     order, start, _, entry, _, _ = sorted_
@@ -75,11 +75,11 @@ def list_sorted(axes, low, high, sphere, cells, sorted_, firsts, around, listed,
             tests += int(end - first)
             while True:
                 left = end - first
-                taken = (np.int64(1) << (left if left < AT_ONCE else np.int64(AT_ONCE))) - np.int64(1)
-                bits |= (spheres_within(axes, middle, own, limit, entry, first) & taken) << (AT_ONCE * slot)
+                taken = (np.int64(1) << (left if left < PLACES_AT_ONCE else np.int64(PLACES_AT_ONCE))) - np.int64(1)
+                bits |= (spheres_within(axes, middle, own, limit, entry, first) & taken) << (PLACES_AT_ONCE * slot)
                 firsts[slot] = first
                 slot += 1
-                first += AT_ONCE
+                first += PLACES_AT_ONCE
                 if slot == len(firsts):
                     listed = list_bits(bits, firsts, order, i, around, listed, path)
                     bits = np.int64(0)
@@ -91,14 +91,14 @@ def list_sorted(axes, low, high, sphere, cells, sorted_, firsts, around, listed,
 
 @inner
 def list_bits(bits, firsts, order, i, around, listed, path):
-    """The rows whose bits are set, AT_ONCE of them from each of the places `firsts` on; behind the first `listed` of `around`.
+    """The rows whose bits are set, PLACES_AT_ONCE from each of the places `firsts` on; behind the first `listed` of `around`.
 
     Their paths are asked for, to be in the cache when they are tested.
     """
     while bits != 0:
         bit = trailing_zeros(bits)
         bits &= bits - 1
-        j = order[np.uint64(firsts[bit // AT_ONCE] + bit % AT_ONCE)]
+        j = order[np.uint64(firsts[bit // PLACES_AT_ONCE] + bit % PLACES_AT_ONCE)]
         prefetch(path, j)
         around[listed] = j
         listed += j != i
@@ -202,7 +202,7 @@ def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found)
                         r = (middle[k] - origin[k + 3 - g]) * scale
                         middle32[k] = r
                         at_most += abs(r)
-                    slip = ROUNDED * at_most
+                    slip = FLOAT32_LOSS * at_most
                     sphere = middle32, np.float32(own * scale + slip), np.float32(limit * scale + slip), i
                     near, tested = list_sorted(axes, low, high, sphere, cells, sorted_, firsts, around, listed, path)
                     tests += tested

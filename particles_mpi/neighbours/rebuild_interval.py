@@ -4,7 +4,7 @@ MOST_STEPS = 400
 STRIDE = 0.15  # of the steps, from one try to the next
 WORSE = 1.003  # times the cost before: above it the cost has risen
 # Costs of a search, a row in it, a row that asks for itself, a pair in a step; in the time of one pair test (about 5 ns).
-SEARCH, ROW, ASKED, PAIR = 2e4, 50.0, 100.0, 1.0
+SEARCH_COST, ROW_COST, ASKED_COST, PAIR_COST = 2e4, 50.0, 100.0, 1.0
 
 
 class RebuildTuner:
@@ -25,7 +25,7 @@ class RebuildTuner:
 
     def work(self, rows: int, tests: int, asked: int) -> float:
         """What the candidates have cost this rank since their search."""
-        return SEARCH + ROW * rows + tests + ASKED * asked + PAIR * self.pair_steps
+        return SEARCH_COST + ROW_COST * rows + tests + ASKED_COST * asked + PAIR_COST * self.pair_steps
 
     def next(self, work: float, crossing: float) -> int:
         """Steps that the next candidates shall last; `work` since the last search, of all ranks.

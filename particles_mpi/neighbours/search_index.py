@@ -13,19 +13,20 @@ import numpy as np
 
 from particles_mpi.kernels.jit import kernel, lean_inner, prefetch
 from particles_mpi.neighbours.cells import Grid, LinkedCells, cell_at, link, unlink
-from particles_mpi.neighbours.trajectories import AHEAD
+from particles_mpi.neighbours.trajectories import ROWS_AHEAD
 from particles_mpi.particles import Array
 
 SLOW, FAST, OVERSIZE, RENEWED = 0, 1, 2, 3
-AT_ONCE = 8  # places of the sorted cells that are tested together
-ROUNDED = 1e-6  # of the sum of the numbers that are compared: more than what float32 loses
+PLACES_AT_ONCE = 8  # places of the sorted cells that are tested together
+FLOAT32_LOSS = 1e-6  # of the sum of the numbers that are compared: more than what float32 loses
 
 
 class SortedCells(NamedTuple):
     """SLOW rows in the order of their cells: rows `order` (m,) by place, and places where each cell starts (cells + 1 or more).
 
-    place (n,): where a row is in `order`. entry (m + AT_ONCE, 4) float32: by place, midpoint on the g gridded axes, from the
-    grid's origin, and in the last column bounding radius, both times `scale`, with which no coordinate was above 1 at the search.
+    place (n,): where a row is in `order`. entry (m + PLACES_AT_ONCE, 4) float32: by place, midpoint on the g gridded axes, from
+    the grid's origin, and in the last column bounding radius, both times `scale`, with which no coordinate was above 1 at the
+    search.
     """
 
     order: Array
@@ -124,7 +125,7 @@ def fill_cells(paths, order, origin, scale, grid):
     _, midpoint, bounding_radius, level, _ = paths
     n = len(midpoint)
     place = np.empty(n, np.int32)
-    entry = np.empty((len(order) + AT_ONCE, 4), np.float32)
+    entry = np.empty((len(order) + PLACES_AT_ONCE, 4), np.float32)
     entry[len(order) :] = nan
     for e in range(len(order)):
         i = order[e]
@@ -149,11 +150,11 @@ def move_rows(rows, paths, owned, index):
     g = min(midpoint.shape[1], 3)
     for r in range(len(rows)):
         i = np.int64(rows[r])
-        if r + 2 * AHEAD < len(rows):
-            prefetch(place, rows[r + 2 * AHEAD])
-            prefetch(level, rows[r + 2 * AHEAD])
-        if r + AHEAD < len(rows):
-            ahead = rows[r + AHEAD]
+        if r + 2 * ROWS_AHEAD < len(rows):
+            prefetch(place, rows[r + 2 * ROWS_AHEAD])
+            prefetch(level, rows[r + 2 * ROWS_AHEAD])
+        if r + ROWS_AHEAD < len(rows):
+            ahead = rows[r + ROWS_AHEAD]
             if level[ahead] == FAST:
                 prefetch(before, ahead)
                 prefetch(after, ahead)
@@ -176,7 +177,7 @@ def move_rows(rows, paths, owned, index):
             for k in range(g):
                 away += ((midpoint[i, k] - origin[3 - g + k]) * scale - entry[e, k]) ** 2
             reach = bounding_radius[i] * scale + sqrt(away)
-            if level[i] == SLOW and reach <= largest[SLOW] * scale - ROUNDED:  # searches look that far from its cell
+            if level[i] == SLOW and reach <= largest[SLOW] * scale - FLOAT32_LOSS:  # searches look that far from its cell
                 level[i] = RENEWED
                 write_entry(i, e, midpoint, bounding_radius, origin, scale, entry)
                 continue

@@ -34,7 +34,7 @@ class Horizon(NamedTuple):
 
 
 AT_REST = Horizon(0.0, 0.0, 0.0)
-AHEAD = 16  # rows: a loop over rows that are scattered in memory fetches the row so many places later into the cache
+ROWS_AHEAD = 16  # rows: a loop over rows that are scattered in memory fetches the row so many places later into the cache
 
 
 class Spheres(NamedTuple):
@@ -141,8 +141,8 @@ def rows_turned(x, v, start, path, rows, time, horizon, length):
     found = 0
     for p in range(len(rows)):
         i = rows[p]
-        if p + AHEAD < len(rows):
-            ahead = rows[p + AHEAD]
+        if p + ROWS_AHEAD < len(rows):
+            ahead = rows[p + ROWS_AHEAD]
             prefetch(x, ahead)
             prefetch(v, ahead)
             prefetch(start, ahead)
@@ -177,10 +177,10 @@ def renew_paths(rows, segments, owned, paths, region, horizon, length, time, h):
     needed = 0.0
     for p in range(len(rows)):
         i = rows[p]
-        if p + AHEAD < len(rows):
-            prefetch(path, rows[p + AHEAD])
-            prefetch(midpoint, rows[p + AHEAD])
-            prefetch(bounding_radius, rows[p + AHEAD])
+        if p + ROWS_AHEAD < len(rows):
+            prefetch(path, rows[p + ROWS_AHEAD])
+            prefetch(midpoint, rows[p + ROWS_AHEAD])
+            prefetch(bounding_radius, rows[p + ROWS_AHEAD])
         start = time + starts[i]
         now = 0.0
         soon = 0.0

@@ -19,7 +19,7 @@ from particles_mpi.particles import Array
 LEVELS, FACTOR = 5, 3.0  # each level of cells is for sizes up to FACTOR times those of the one before
 WIDTH = 1.4  # of a cell, in sizes of the largest row in it
 NEXT_ROW, PREVIOUS_ROW, CELL = 6, 7, 8  # columns of `Lists.links`, after 2 d: behind the float64 numbers there
-NOWHERE = -1  # in place of a cell
+NO_CELL = -1  # in place of a cell
 MARGIN = 1.0 + 1e-9  # on distances between reference positions, far above round-off
 
 
@@ -55,7 +55,7 @@ def make_grid(x: Array, size: Array, box: Box, share: float) -> tuple[VerletGrid
             largest[step] = sizes.max()
             extent = np.maximum(high - low, 1e-300)
             side = max(WIDTH * float(largest[step]), float(extent.max()) * 1e-5, 1e-300)
-            while np.prod(np.floor(extent / side) + 1.0) > min(max(2 * len(sizes) * share, 64), limits.MOST // LEVELS):
+            while np.prod(np.floor(extent / side) + 1.0) > min(max(2 * len(sizes) * share, 64), limits.INT32_MAX // LEVELS):
                 side *= 1.25
             count = np.maximum(np.floor(extent / side), 1.0)
             cells[step, :g] = count.astype(np.int64)
@@ -161,7 +161,7 @@ def unlink(axes, lists, i):
     links = lists.links
     d = len(axes)
     after, before, cell = np.int64(links[i, 2 * d + NEXT_ROW]), np.int64(links[i, 2 * d + PREVIOUS_ROW]), links[i, 2 * d + CELL]
-    if cell == NOWHERE:
+    if cell == NO_CELL:
         return
     if before >= 0:
         links[before, 2 * d + NEXT_ROW] = after
@@ -169,4 +169,4 @@ def unlink(axes, lists, i):
         lists.head[cell] = after
     if after >= 0:
         links[after, 2 * d + PREVIOUS_ROW] = before
-    links[i, 2 * d + CELL] = NOWHERE
+    links[i, 2 * d + CELL] = NO_CELL

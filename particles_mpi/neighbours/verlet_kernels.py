@@ -15,7 +15,7 @@ from particles_mpi.kernels.lanes import LANE_COUNT, columns_of, eight
 from particles_mpi.neighbours.verlet_cells import CELL, MARGIN, NEXT_ROW, cell_of, first_in_cells, link, unlink
 from particles_mpi.particles import Array
 
-BLOCK = 32  # numbers of a row in the pool, two lines of the cache: its span and places for a list; longer ones stand behind
+BLOCK_NUMBERS = 32  # of a row in the pool, two lines of the cache: its span and places for a list; longer ones stand behind
 SIZE, SKIN, INVERSE_MASS = 0, 1, 2  # columns of `reference`, after the d coordinates
 BEGIN, COUNT, ROOM, PLACES = range(4)  # columns of `spans`; the last one is the first place of the list
 
@@ -26,7 +26,7 @@ class Lists(NamedTuple):
     reference: Array  # (n, width): reference position (d), then SIZE = R + skin, SKIN, INVERSE_MASS
     links: Array  # (n, 2 width) int32, the same memory: NEXT_ROW and PREVIOUS_ROW in the same cell (-1: none), and CELL
     level: Array  # (n,) int8, of each row in the grid
-    spans: Array  # (n, BLOCK) int32: where the list of a row begins in the pool, how many it holds, how many it has room for
+    spans: Array  # (n, BLOCK_NUMBERS) int32: where the list of a row begins in the pool, how many it holds and has room for
     pool: Array  # int32: `spans`, with the rows in all lists, and behind it lists that got too long for their blocks
     used: Array  # (1,) places of the pool that are in use
     head: Array  # (cells,) int32, first row in each cell, or -1

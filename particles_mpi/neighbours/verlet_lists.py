@@ -8,15 +8,26 @@ from particles_mpi.kernels.geometry import Box, boxes_per_length
 from particles_mpi.kernels.limits import require_countable
 from particles_mpi.kernels.memory import aligned, doubled, enlarged, whole_lines
 from particles_mpi.neighbours.cells import spacing
-from particles_mpi.neighbours.verlet_cells import CELL, NOWHERE, make_grid
-from particles_mpi.neighbours.verlet_kernels import BEGIN, BLOCK, COUNT, INVERSE_MASS, PLACES, ROOM, SIZE, SKIN, Lists, list_rows
+from particles_mpi.neighbours.verlet_cells import CELL, NO_CELL, make_grid
+from particles_mpi.neighbours.verlet_kernels import (
+    BEGIN,
+    BLOCK_NUMBERS,
+    COUNT,
+    INVERSE_MASS,
+    PLACES,
+    ROOM,
+    SIZE,
+    SKIN,
+    Lists,
+    list_rows,
+)
 from particles_mpi.particles import Array
 
 WANTED = {1: 3.0, 2: 7.0, 3: 12.0}  # neighbours in a list: fewer, and lists expire too often; more, and looks take longer
-MANY = 20.0  # in more dimensions
+WANTED_BEYOND = 20.0  # in more dimensions
 PLACES_IN_LISTS = "places in lists of neighbours"
 SHORTER = 0.99  # times as long must lists get by a narrower skin
-LOOSE = 1.3  # times more or fewer neighbours than wanted are accepted
+ACCEPTED = 1.3  # times more or fewer neighbours than wanted are accepted
 
 
 class VerletLists:
@@ -44,13 +55,13 @@ class VerletLists:
         widest = min(self.widest_skin(distance), everything or np.inf)
         if not self.width:
             self.width = max(0.5 * spacing(low, high, n), 0.05 * float(radius.mean()) if n else 0.0) or way or 1.0  # any, at rest
-        wanted = WANTED.get(d, MANY)
+        wanted = WANTED.get(d, WANTED_BEYOND)
         wider, longest = 0.0, np.inf  # the width before, if it was wider, and the mean length of lists with it
         for _ in range(6):
             self.width = min(self.width, widest)
             self.build(x, radius, w)
             mean = self.arrays.spans[:, COUNT].mean() if n else wanted
-            if wanted / LOOSE < mean < wanted * LOOSE or n < 3:
+            if wanted / ACCEPTED < mean < wanted * ACCEPTED or n < 3:
                 break
             if self.width < wider and mean > SHORTER * longest:  # as near as these are, a narrow skin only expires more often
                 self.width = wider
@@ -79,7 +90,7 @@ class VerletLists:
         """New lists with skins of the present width, and room for `spare` rows more. Arguments as in `tune`."""
         n, d = x.shape
         rows = n + spare
-        places = rows * (BLOCK + BLOCK // 8) + 64
+        places = rows * (BLOCK_NUMBERS + BLOCK_NUMBERS // 8) + 64
         require_countable(places, PLACES_IN_LISTS)
         self.skin = max(self.width, 64.0 * np.finfo(float).eps * float(np.abs(x).max(initial=0.0)))  # above round-off of x
         reference = aligned(rows, whole_lines(d + 5))
@@ -87,14 +98,14 @@ class VerletLists:
         size = reference[:n, d + SIZE] = radius + skin
         reference[:n, d + INVERSE_MASS] = w
         links = reference.view(np.int32)
-        links[:, 2 * d + CELL] = NOWHERE
+        links[:, 2 * d + CELL] = NO_CELL
         level = np.zeros(rows, np.int8)
         grid, level[:n] = make_grid(x, size, self.box, self.share)
         pool = new_pool(places)
         spans = spans_in(pool, rows)
         set_empty(spans, 0)
         self.arrays = Lists(
-            reference, links, level, spans, pool, np.array([rows * BLOCK]), np.full(grid.first[-1], -1, np.int32),
+            reference, links, level, spans, pool, np.array([rows * BLOCK_NUMBERS]), np.full(grid.first[-1], -1, np.int32),
             np.empty(rows + 2, np.int32), tuple(grid), tuple(self.box),
             boxes_per_length(self.box.length),
         )  # fmt: skip
@@ -108,7 +119,7 @@ class VerletLists:
         if short > 0:
             pool = self.arrays.pool
             require_countable(len(pool) + short, PLACES_IN_LISTS)
-            size = max(min(2 * len(pool), limits.MOST), len(pool) + short)
+            size = max(min(2 * len(pool), limits.INT32_MAX), len(pool) + short)
             pool = enlarged(pool, new_pool(size))
             self.arrays = self.arrays._replace(pool=pool, spans=spans_in(pool, len(self.arrays.spans)))
 
@@ -125,7 +136,7 @@ class VerletLists:
         old.used[0] += blocks
         more = doubled(old, "reference", "level", "nearby")
         self.arrays = more._replace(links=more.reference.view(np.int32), spans=spans, pool=pool)
-        self.arrays.links[rows:, 2 * len(self.box.length) + CELL] = NOWHERE
+        self.arrays.links[rows:, 2 * len(self.box.length) + CELL] = NO_CELL
 
 
 def new_pool(size: int) -> Array:
@@ -135,13 +146,13 @@ def new_pool(size: int) -> Array:
 
 def spans_in(pool: Array, rows: int) -> Array:
     """The blocks of so many rows, at the beginning of the pool."""
-    return pool[: rows * BLOCK].reshape(rows, BLOCK)
+    return pool[: rows * BLOCK_NUMBERS].reshape(rows, BLOCK_NUMBERS)
 
 
 def set_empty(spans: Array, first: int) -> None:
     """Rows from `first` on have an empty list in their block."""
-    spans[first:, BEGIN] = np.arange(first, len(spans)) * BLOCK + PLACES
-    spans[first:, COUNT], spans[first:, ROOM] = 0, BLOCK - PLACES
+    spans[first:, BEGIN] = np.arange(first, len(spans)) * BLOCK_NUMBERS + PLACES
+    spans[first:, COUNT], spans[first:, ROOM] = 0, BLOCK_NUMBERS - PLACES
 
 
 def contact_distance(radius: Array, w: Array) -> tuple[float, float]:

@@ -34,7 +34,7 @@ SETUP_PATIENCE = 3.0  # seconds in which the other ranks must end a phase of the
 TAG = 1664  # of the messages between ranks that fail; messages with rows have tag 0
 FRAMES = 6  # innermost calls that the message of an unexpected error names
 LENGTH = 2000  # characters of a message between ranks that fail: MPI sends short ones before the receiver asks for them
-SHORT = 60  # characters of the longest value that a message repeats
+SHORT_VALUE = 60  # characters of the longest value that a message repeats
 PACKAGE = Path(__file__).parents[1]
 
 
@@ -139,7 +139,7 @@ def differences(one: Any, two: Any, key: str = "") -> Iterator[tuple[str, Any, A
 def _beside(one: Any, two: Any) -> str:
     """Two values that differ, as a text; without the values if they are long."""
     texts = [value if isinstance(value, str) else json.dumps(value, default=str) for value in (one, two)]
-    return "not as on rank 0" if max(map(len, texts)) > SHORT else f"{texts[0]}, but {texts[1]} on rank 0"
+    return "not as on rank 0" if max(map(len, texts)) > SHORT_VALUE else f"{texts[0]}, but {texts[1]} on rank 0"
 
 
 def is_own(file: Path) -> bool:

@@ -11,7 +11,7 @@ from particles_mpi.parallel.exchange import allgather_rows, by_destination, send
 from particles_mpi.particles import MEETING, Array, Particles, field
 
 OWNER = "rank of the owner"  # a name that no field has
-AT_ONCE = 100_000  # rows that a rank sends away in one message to each other rank
+ROWS_AT_ONCE = 100_000  # rows that a rank sends away in one message to each other rank
 GROWTH = 1.2  # of the rows that are needed: how many new arrays have space for
 
 
@@ -69,19 +69,19 @@ class RowBuffers:
     def migrate(self, ranks: Communicator, owner: Array) -> int:
         """Send every row to its owner (n,), any rank; returns how many rows this rank sent away. Collective.
 
-        A rank sends at most AT_ONCE rows at a time: so messages need little memory, even where all rows move.
+        A rank sends at most ROWS_AT_ONCE rows at a time: so messages need little memory, even where all rows move.
         """
         if ranks.size == 1:
             return 0
         leaving = np.flatnonzero(owner != ranks.rank)
         away, most = len(leaving), int(ranks.largest(len(leaving))[0])
-        if 0 < most <= AT_ONCE:
+        if 0 < most <= ROWS_AT_ONCE:
             self.send(ranks, leaving, owner[leaving])
         elif most:
             self.buffers[OWNER] = np.resize(owner, len(self.buffers["id"]))  # goes where its row goes
             self.show(len(owner))
             while ranks.any(len(leaving)):
-                leaving = leaving[:AT_ONCE]
+                leaving = leaving[:ROWS_AT_ONCE]
                 self.send(ranks, leaving, self.buffers[OWNER][leaving])
                 leaving = np.flatnonzero(self.particles.arrays[OWNER] != ranks.rank)
             del self.buffers[OWNER]

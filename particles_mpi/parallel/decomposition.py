@@ -17,11 +17,11 @@ from particles_mpi.particles import Array, Particles
 from particles_mpi.timers import Timers
 
 BINS, ROUNDS = 128, 4  # of the search for a cut: each round divides an interval into so many bins
-FEW = 0.02  # of the work of a part: with less in it, a bin is not divided once more
-LOOK_EVERY = 8  # searches for neighbours between two comparisons of the ranks' times
+FINE_ENOUGH = 0.02  # of the work of a part: with less in it, a bin is not divided once more
+COMPARE_EVERY = 8  # searches for neighbours between two comparisons of the ranks' times
 NOISE = 0.05  # of the mean time: differences between ranks with equal work on a shared machine
 MOVING = 10.0  # cost of a new decomposition, in units of the time for the cuts: rows have to move too
-WORK = ("search", "collide", "drift", "pairs")  # phases in which a rank works, and does not wait for others
+WORKING = ("search", "collide", "drift", "pairs")  # phases in which a rank works, and does not wait for others
 
 
 class Decomposition(NamedTuple):
@@ -90,7 +90,7 @@ def best_cuts(ranks: Communicator, parts: list[Part], weight: float) -> list[tup
     """For each part the (axis, position) of a cut with half of its ranks' work on either side, across its longest axis.
 
     An interval is divided into BINS, and the cut lies in one of them, as if the work in it were spread evenly; a bin with more
-    than FEW of the part's work is divided in turn. Collective.
+    than FINE_ENOUGH of the part's work is divided in turn. Collective.
     """
     d = parts[0].rows.shape[1]
     sums = ranks.allreduce_sum([[work_in_bins(p.rows[:, k], p.low[k], p.high[k]) * weight for k in range(d)] for p in parts])
@@ -110,8 +110,8 @@ def best_cuts(ranks: Communicator, parts: list[Part], weight: float) -> list[tup
             before = beyond - 1
             lines[i], passed[i] = (float(edges[before]), float(edges[beyond])), reached[before]
             cuts[i] = np.interp(wanted[i], reached[before : beyond + 1], edges[before : beyond + 1])
-            small = in_line[before] <= FEW * total[i] or not edges[before] < 0.5 * (edges[before] + edges[beyond]) < edges[beyond]
-            left += [] if small else [i]
+            fine, (low, high) = in_line[before] <= FINE_ENOUGH * total[i], lines[i]
+            left += [] if fine or not low < 0.5 * (low + high) < high else [i]
         if not left:
             break
         searched = left
@@ -160,9 +160,9 @@ class LoadBalance:
 
     def update(self, particles: Particles, searches: int) -> None:
         """Cut space for the first time, or again if that saves time; `searches`: for neighbours, so far. Collective."""
-        if self.cuts and (self.ranks.size == 1 or searches % LOOK_EVERY):
+        if self.cuts and (self.ranks.size == 1 or searches % COMPARE_EVERY):
             return
-        worked = sum(self.timers.seconds.get(phase, 0.0) for phase in WORK)
+        worked = sum(self.timers.seconds.get(phase, 0.0) for phase in WORKING)
         mine, self.worked = worked - self.worked, worked
         if self.cuts == 0:
             self.cut(particles.position, 1.0)

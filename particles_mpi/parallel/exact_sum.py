@@ -1,8 +1,8 @@
 """Exact sums over all particles, which have the same bits in any order and on any number of ranks.
 
-A sum is kept as an integer multiple of 2^-1074, in base 2^32 with an int64 for each digit: AT_ONCE numbers can be added before
-one overflows. Then carries go to the next digit, so that those of 2^30 ranks can be added. Integers are added exactly across the
-ranks, and the total is rounded once.
+A sum is kept as an integer multiple of 2^-1074, in base 2^32 with an int64 for each digit: VALUES_AT_ONCE numbers can be added
+before one overflows. Then carries go to the next digit, so that those of 2^30 ranks can be added. Integers are added exactly
+across the ranks, and the total is rounded once.
 """
 
 from math import fsum, inf, isfinite, nan
@@ -13,15 +13,15 @@ from particles_mpi.kernels.jit import kernel
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
 
-AT_ONCE = 2**29
-FEW = 256  # values
+VALUES_AT_ONCE = 2**29
+FEW_VALUES = 256  # values
 MASK = 0xFFFFFFFF
 DIGITS = 68  # of 32 bits each, from 2^-1074 to beyond 2^1024; the last one counts values that are not finite
 
 
 @kernel
 def accumulate(values, digits):
-    """Add float64 values (n,), AT_ONCE at most, exactly to the sum with these digits (DIGITS,) int64. In place.
+    """Add float64 values (n,), VALUES_AT_ONCE at most, exactly to the sum with these digits (DIGITS,) int64. In place.
 
     In the end all digits but the highest one, which has the sign, are from 0 to 2^32 - 1.
     """
@@ -52,7 +52,7 @@ def accumulate(values, digits):
 
 def exact_sums(ranks: Communicator, columns: list[Array]) -> list[float]:
     """The sums of the columns (n,) over all ranks, correctly rounded; nan if a value is not finite. Collective: one reduction."""
-    if ranks.size == 1 and all(len(column) <= FEW for column in columns):
+    if ranks.size == 1 and all(len(column) <= FEW_VALUES for column in columns):
         return [sum_of_few(column) for column in columns]
     return sums_of_many(ranks, columns)
 
@@ -72,8 +72,8 @@ def sums_of_many(ranks: Communicator, columns: list[Array]) -> list[float]:
     """`exact_sums` by digits."""
     digits = np.zeros((len(columns), DIGITS), np.int64)
     for row, column in zip(digits, columns, strict=True):
-        for begin in range(0, len(column), AT_ONCE):
-            accumulate(np.ascontiguousarray(column[begin : begin + AT_ONCE], np.float64), row)
+        for begin in range(0, len(column), VALUES_AT_ONCE):
+            accumulate(np.ascontiguousarray(column[begin : begin + VALUES_AT_ONCE], np.float64), row)
     return [rounded(row) for row in ranks.allreduce_sum(digits)]
 
 

@@ -12,7 +12,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, rows_of
 
 TAG = 0  # of messages with rows; `agreement` uses another one
-FEW = 10_000  # particles: their rows are sent in one message; `blocks` and `in_id_order` send those of more piece by piece
+ONE_MESSAGE = 10_000  # particles whose rows are sent in one message; `blocks` and `in_id_order` send those of more in pieces
 WORD = 8  # bytes; all messages consist of such words
 MOST_WORDS = 2**31 - 1  # in one message, as MPI counts with 32 bits: longer ones are sent in pieces
 
@@ -212,7 +212,7 @@ def in_id_order(ranks: Communicator, arrays: dict[str, Array], ids: IdRange, wri
     if ranks.size == 1:
         return rows_of(arrays, rows_in_order(arrays["id"]))
     order, counts = by_range(arrays["id"], ids, writers, ranks.size)
-    arrived, _ = send_rows(ranks, arrays if ids.total <= FEW else {"id": arrays["id"]}, order, counts)
+    arrived, _ = send_rows(ranks, arrays if ids.total <= ONE_MESSAGE else {"id": arrays["id"]}, order, counts)
     places = rows_in_order(arrived["id"])
     for name in arrays:
         column = arrived[name] if name in arrived else send_rows(ranks, {name: arrays[name]}, order, counts)[0][name]
@@ -236,7 +236,7 @@ def blocks(ranks: Communicator, columns: dict[str, Array], ids: IdRange) -> Iter
     Few rows are a single block. Otherwise the next block is on its way while the caller works on one: a rank holds two blocks
     at a time, which are O(N/P) rows.
     """
-    if ranks.size == 1 or ids.total <= FEW:
+    if ranks.size == 1 or ids.total <= ONE_MESSAGE:
         rows = columns if ranks.size == 1 else allgather_rows(ranks, columns)
         yield rows if (rows["id"][1:] > rows["id"][:-1]).all() else rows_of(rows, rows_in_order(rows["id"]))
         return

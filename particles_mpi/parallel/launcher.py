@@ -15,7 +15,7 @@ import sys
 
 RULE = b"-" * 74 + b"\n"
 PATIENCE = 0.5  # seconds after which what looks like the beginning of a paragraph is passed on, if nothing follows
-LONGEST = 4000  # bytes of a paragraph; a longer text is none
+LONGEST_PARAGRAPH = 4000  # bytes of a paragraph; a longer text is none
 KNOWN = re.compile(
     rb"Primary job +terminated normally, but \d+ process"
     rb"|detected that one or more processes exited with non-zero status"
@@ -47,7 +47,7 @@ class Filter:
                     passed += self.paragraph(RULE[:-1] + inner + rule)
                     data = rest
                     continue
-                if len(data) < LONGEST:
+                if len(data) < LONGEST_PARAGRAPH:
                     self.held = data
                     break
             if self.at_start and data[:1] == b"[" and not re.search(rb"[\r\n]", data):  # "[host:pid] ..." has to be seen whole

@@ -6,7 +6,7 @@ import pytest
 from particles_mpi import Scene, Simulation
 from particles_mpi.contacts.persistent import solver
 from particles_mpi.contacts.persistent.descent import Iteration
-from particles_mpi.contacts.persistent.iterations import MOST
+from particles_mpi.contacts.persistent.iterations import MOST_ITERATIONS
 from particles_mpi.contacts.persistent.problem import AHEAD, TAKEN, Problem
 from particles_mpi.parallel.communicator import Communicator
 
@@ -79,7 +79,7 @@ def test_what_is_solved_directly_is_what_iterations_lead_to(d, seed, monkeypatch
         done = direct(axes, problem, w, v)
         result = Iteration(axes, Problem(*problem), w, v, None).result
         iteration = Iteration(axes, iterated, w, v, None)
-        good, _ = iteration.until_good(Communicator.alone(), len(iterated.partner), MOST)
+        good, _ = iteration.until_good(Communicator.alone(), len(iterated.partner), MOST_ITERATIONS)
         found.append((done and good, np.abs(iteration.result - result).max()))
         return done
 

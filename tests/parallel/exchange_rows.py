@@ -38,7 +38,7 @@ for seed, total, dimension, emptied in json.loads(Path(sys.argv[1]).read_text())
     for name, column in every.items():
         assert arrived[name].dtype == column.dtype and (arrived[name] == column[expected]).all(), (seed, name)
 
-    buffers.AT_ONCE = (100_000, 3)[seed % 2]
+    buffers.ROWS_AT_ONCE = (100_000, 3)[seed % 2]
     store = RowBuffers(Particles(dimension, held))
     store.adopt()
     left = store.migrate(ranks, owner[mine])

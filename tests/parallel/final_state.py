@@ -11,12 +11,12 @@ from particles_mpi.contacts.persistent import solver
 from particles_mpi.parallel import exchange
 from particles_mpi.parallel.exchange import in_id_order
 
-folder, FEW, FEW_CONTACTS = Path(sys.argv[2]), exchange.FEW, solver.FEW
+folder, FEW, FEW_CONTACTS = Path(sys.argv[2]), exchange.ONE_MESSAGE, solver.FEW_HALF_EDGES
 for name, tables in json.loads(Path(sys.argv[1]).read_text()).items():
     windows = tables.pop("windows", False)
-    exchange.FEW = tables.pop("few", FEW)
+    exchange.ONE_MESSAGE = tables.pop("few", FEW)
     large = tables.pop("large", False)
-    solver.FEW = 0 if large else FEW_CONTACTS  # no rank solves for contacts that are not its own
+    solver.FEW_HALF_EDGES = 0 if large else FEW_CONTACTS  # no rank solves for contacts that are not its own
     scene = Scene.from_dict(tables)
     sim = Simulation(scene)
     if windows and sim.ranks.size > 1:  # divide space however few there are
@@ -38,4 +38,4 @@ for name, tables in json.loads(Path(sys.argv[1]).read_text()).items():
         assert (frame["id"] == np.arange(sim.total)).all()  # a permutation: nobody lost, nobody twice
         about = {"counts": counts, "rows": np.array(rows), "traffic": traffic, "windows": windows, "interactions": interactions}
         np.savez(folder / f"{name}.{sim.ranks.size}.npz", **about, **frame)
-exchange.FEW, solver.FEW = FEW, FEW_CONTACTS
+exchange.ONE_MESSAGE, solver.FEW_HALF_EDGES = FEW, FEW_CONTACTS

@@ -9,11 +9,11 @@ when, limit, step = sys.argv.pop(1), int(sys.argv.pop(1)), Simulation.step
 
 
 def limited_step(sim):
-    limits.MOST = limit
+    limits.INT32_MAX = limit
     step(sim)
 
 
 if when == "setup":
-    limits.MOST = limit
+    limits.INT32_MAX = limit
 Simulation.step = limited_step
 cli.main()

@@ -7,7 +7,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, allgather_rows, blocks, by_destination, send_rows, sendrecv
 from particles_mpi.parallel.halo import Halo
 
-FULL, FEW = exchange.MOST_WORDS, exchange.FEW
+FULL, FEW = exchange.MOST_WORDS, exchange.ONE_MESSAGE
 ranks = Communicator()
 random = np.random.default_rng(ranks.rank)
 n, everyone = 40 + ranks.rank, range(ranks.size)
@@ -40,7 +40,7 @@ def all_messages(most):
         halo.refresh(table)
         found.append(table)
     wide = {name: columns[name] for name in ("id", "x")}
-    exchange.FEW = 0
+    exchange.ONE_MESSAGE = 0
     found += [column for block in blocks(ranks, wide, IdRange(0, 50 * ranks.size, total)) for column in block.values()]
     return [np.ascontiguousarray(one).tobytes() for one in found], ranks.messages - before
 
@@ -50,7 +50,7 @@ for most in (1, 2, 3, 7):
     found, many = all_messages(most)
     assert found == expected, (ranks.rank, most)
     assert many > 2 * few or ranks.size == 1, (few, many)
-exchange.MOST_WORDS, exchange.FEW = FULL, FEW
+exchange.MOST_WORDS, exchange.ONE_MESSAGE = FULL, FEW
 ranks.barrier()
 if ranks.is_root:
     print("the same bits")

@@ -129,7 +129,7 @@ def test_one_call_takes_a_moment_whatever_bodies_do(name):
 def test_many_blocks_take_fewer_steps_at_once(monkeypatch):
     """Where rows are advanced in blocks, all of them take the same number of steps, which is as many as there is time for."""
     sim = Simulation(Scene.from_dict(scenes()["elastic walls; "]))
-    monkeypatch.setattr(many_steps, "LONGEST", 3.5 * many_steps.ROW * sim.total)
+    monkeypatch.setattr(many_steps, "LONGEST_CALL", 3.5 * many_steps.ROW_NS * sim.total)
     sim.step_towards(40)
     assert len(sim.many_steps.blocks) > 1 and sim.steps_done == 3
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from particles_mpi import Scene, Simulation
-from particles_mpi.gravity.direct import FEW, TILE, Attraction, add_potential, in_tiles
+from particles_mpi.gravity.direct import ONE_SUM, TILE, Attraction, add_potential, in_tiles
 
 
 def cloud(n, d):
@@ -29,7 +29,7 @@ def exact(x, mass, softening):
 
 @pytest.mark.parametrize("softening", [0.0, 0.1])
 @pytest.mark.parametrize("d", [1, 2, 3])
-@pytest.mark.parametrize("n", [2, TILE, FEW, FEW + 1, 5 * TILE + 3])
+@pytest.mark.parametrize("n", [2, TILE, ONE_SUM, ONE_SUM + 1, 5 * TILE + 3])
 def test_against_extended_precision(n, d, softening):
     """Within some round-offs of what acts on a target, summed without signs."""
     x, mass = cloud(n, d)
@@ -44,7 +44,7 @@ def test_against_extended_precision(n, d, softening):
 
 
 @pytest.mark.parametrize("d", [1, 2, 3, 4])
-@pytest.mark.parametrize("n", [FEW + 1, 6 * TILE, 6 * TILE + 5])
+@pytest.mark.parametrize("n", [ONE_SUM + 1, 6 * TILE, 6 * TILE + 5])
 def test_same_bits_however_sources_are_divided(n, d):
     """All at once; in blocks; and the targets of a rank, which are sources too, in the midst of others, in several calls."""
     x, mass = cloud(n, d)
@@ -81,8 +81,8 @@ def test_each_of_a_pair_is_pulled_as_strongly():
 
 
 def test_a_particle_less_changes_from_many_to_few():
-    """A simulation in which particles were removed has the bits of a new one of those that are left, on both sides of FEW."""
-    x, mass = cloud(FEW + 2, 3)
+    """A simulation in which particles were removed has the bits of a new one of those that are left, on both sides of ONE_SUM."""
+    x, mass = cloud(ONE_SUM + 2, 3)
     scene = {
         "dimension": 3,
         "G": 1.0,
@@ -91,7 +91,7 @@ def test_a_particle_less_changes_from_many_to_few():
         "particles": [{"position": x.tolist(), "mass": mass.tolist()}],
     }
     sim = Simulation(Scene.from_dict(scene))
-    for left in (FEW + 1, FEW):
+    for left in (ONE_SUM + 1, ONE_SUM):
         sim.remove([int(sim.particles.id.max())])
         new = Simulation(sim.scene, start=sim.rows.select(np.argsort(sim.rows.id)))
         sim.step()

@@ -5,7 +5,7 @@ import pytest
 from random_scenes import random_scenes
 
 from particles_mpi import Scene, Simulation
-from particles_mpi.integrators.length_search import SHORT
+from particles_mpi.integrators.length_search import PAST_JUMP
 from particles_mpi.timers import Stopwatch
 
 COUNT = 25
@@ -98,7 +98,7 @@ def test_a_step_to_a_collision_ends_with_it(seed, axes):
             rows = [int(np.flatnonzero(sim.particles.id == member)[0]) for member in pair]
             assert abs(gaps(sim)[tuple(rows)]) <= TOUCHING, (name, before)
             # Contacts that last may be solved in another way in a step that is shorter by round-off.
-            if length > SHORT * sim.h and lasting == len(sim.lasting_contacts().id) == 0:
+            if length > PAST_JUMP * sim.h and lasting == len(sim.lasting_contacts().id) == 0:
                 twin.h = length * (1.0 - 1e-13)
                 twin.step()
                 here, there = (one.particles.position[np.argsort(one.particles.id)] for one in (sim, twin))

@@ -48,7 +48,7 @@ def in_id_order(sim):
 def test_cells_are_coarser_where_there_would_be_too_many(monkeypatch):
     expected = in_id_order(gas("rewind", 10))
     x = np.random.default_rng(1).random((1000, 3))
-    monkeypatch.setattr(cells, "limits", SimpleNamespace(MOST=100))
+    monkeypatch.setattr(cells, "limits", SimpleNamespace(INT32_MAX=100))
     for fine in (1, 4):
         assert cells.grid(x, (np.zeros(3), np.ones(3)), 0.01, fine).cells.prod() <= 100
     assert np.array_equal(in_id_order(gas("rewind", 10)), expected)
@@ -58,7 +58,7 @@ def test_lists_of_neighbours_do_not_outgrow_their_places(monkeypatch):
     x, ones = np.random.default_rng(1).random((50, 3)), np.ones(50)
     lists = VerletLists(OPEN)
     lists.width = 0.01
-    monkeypatch.setattr(limits, "MOST", 2000)
+    monkeypatch.setattr(limits, "INT32_MAX", 2000)
     lists.build(x, 0.01 * ones, ones)
     room = len(lists.arrays.pool)
     lists.enlarge(2000 - room)
@@ -72,19 +72,19 @@ def test_lists_of_neighbours_do_not_outgrow_their_places(monkeypatch):
 
 def test_candidate_pairs(monkeypatch):
     x, ones = np.random.default_rng(1).random((200, 3)), np.ones(200)
-    monkeypatch.setattr(limits, "MOST", 20)
+    monkeypatch.setattr(limits, "INT32_MAX", 20)
     with pytest.raises(StoppedError, match=r"candidate pairs on one rank, more than 20: use more ranks"):
         touching(x, 0.2 * ones, ones, np.arange(200), np.zeros(3))
 
 
 def test_rows_and_spheres(monkeypatch):
-    monkeypatch.setattr(limits, "MOST", 10)
+    monkeypatch.setattr(limits, "INT32_MAX", 10)
     particles = Particles(3, {"id": np.arange(10), "position": np.zeros((10, 3))})
     rows = RowBuffers(particles)
     rows.adopt()
     with pytest.raises(StoppedError, match=r"^11 particles and ghosts on one rank, more than 10: use more ranks$"):
         rows.reserve(11)
-    monkeypatch.setattr(limits, "MOST", 640)
+    monkeypatch.setattr(limits, "INT32_MAX", 640)
     counts, reach = np.array([30, *[0] * 9]), np.array([0.1, *[-1.0] * 9])
     spheres = SphereGrid(np.zeros(3), np.ones(3), np.zeros(3), counts, reach)
     with pytest.raises(StoppedError, match=r"^641 spheres on one rank"):
@@ -111,7 +111,7 @@ def test_sums_of_few_have_the_bits_of_sums_by_digits(values):
 def test_digits_of_sums_stay_small(monkeypatch):
     values = np.random.default_rng(1).standard_normal(1000) * 10.0 ** np.arange(-300, 200, 0.5)
     expected = exact_sum.exact_sums(Communicator.alone(), [values, -values, np.abs(values)])
-    monkeypatch.setattr(exact_sum, "AT_ONCE", 7)
+    monkeypatch.setattr(exact_sum, "VALUES_AT_ONCE", 7)
     assert exact_sum.exact_sums(Communicator.alone(), [values, -values, np.abs(values)]) == expected
     for sign in (1.0, -1.0):
         digits = np.zeros(exact_sum.DIGITS, np.int64)

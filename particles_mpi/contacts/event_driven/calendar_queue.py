@@ -23,9 +23,9 @@ TIME = 3  # column of `times`
 # Values of PARTNER: a row, which is >= 0; -1 - w for wall w; or
 NO_EVENT = -(2**30)  # nothing happens before the end of the drift
 LIST_EXPIRY = NO_EVENT + 1  # it gets to its skin, where its neighbour list expires
-MANY = 64  # events in a bucket: to search it for each of them would take longer than to sort it
+CROWDED_BUCKET = 64  # events in a bucket: to search it for each of them would take longer than to sort it
 ORDERED = 32  # contacts at one place and time that are in the order of ids: with e >= 0.5 eight spheres in a row have up to 24
-EMPTY, UNSORTED = -1, -2  # what `find_first` returns for a bucket without events, and for one with MANY
+EMPTY, UNSORTED = -1, -2  # what `find_first` returns for a bucket without events, and for one with CROWDED_BUCKET
 
 
 class Queue(NamedTuple):
@@ -141,7 +141,7 @@ def find_first(queue, state):
     if best < 0 or present[1]:
         return best
     i, count = np.int64(node[best, NEXT]), 1
-    while i >= 0 and count < MANY:
+    while i >= 0 and count < CROWDED_BUCKET:
         if earlier(queue, i, best, state):
             best = i
         i, count = np.int64(node[i, NEXT]), count + 1

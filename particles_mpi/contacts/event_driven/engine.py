@@ -41,7 +41,7 @@ from particles_mpi.parallel.signals import check_signals
 from particles_mpi.particles import Array, Particles
 
 EVENTS_PER_BUCKET = 0.5  # expected, in the queue: memory is prefetched for one in each
-AHEAD = 0.8  # of a skin: how far before it a particle's reference position lies, where flights are longer than skins;
+FLIGHT_AHEAD = 0.8  # of a skin: how far before it a particle's reference position lies, where flights are longer than skins;
 TURNING = 0.35  # and how much less where there are many collisions an expiry: fitted to fewest expiries at packing 0.05 to 0.45
 MOST_EXPIRIES = 8  # of the list of a row, on average; then all rows are sorted in space and listed anew
 NEVER_CROWDED = 2**31
@@ -178,7 +178,7 @@ class Engine:
         counts = self.work.counts
         self.expiries += int(counts[EXPIRIES])
         self.events = int(counts[COLLISIONS] + counts[WALL_HITS] + counts[EXPIRIES])
-        self.ahead = AHEAD / (1.0 + TURNING * counts[COLLISIONS] / max(counts[EXPIRIES], 1))
+        self.ahead = FLIGHT_AHEAD / (1.0 + TURNING * counts[COLLISIONS] / max(counts[EXPIRIES], 1))
         return int(squeezed)
 
     def write_back(self, p: Particles, own_rows: Array) -> None:

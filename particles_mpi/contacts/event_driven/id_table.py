@@ -12,7 +12,7 @@ from particles_mpi.particles import Array
 
 ID, ROW = range(2)  # columns of a table
 FREE = -1  # in place of an id
-NOWHERE = -1  # in place of a row: there is none with this id
+NO_ROW = -1  # in place of a row: there is none with this id
 SPREAD = -GOLDEN  # consecutive ids get places far apart
 
 
@@ -31,11 +31,11 @@ def home(table, name):
 
 @lean_inner
 def row_of(table, name):
-    """The row of the particle with this id, NOWHERE if it is not here."""
+    """The row of the particle with this id, NO_ROW if it is not here."""
     at = home(table, name)
     while table[at, ID] != name:
         if table[at, ID] == FREE:
-            return np.int64(NOWHERE)
+            return np.int64(NO_ROW)
         at = (at + 1) & (len(table) - 1)
     return table[at, ROW]
 
@@ -74,7 +74,7 @@ def put_all(table, ids, rows):
 
 @kernel
 def rows_of_ids(table, ids):
-    """The rows (n,) of the ids (n,), NOWHERE where one is not here."""
+    """The rows (n,) of the ids (n,), NO_ROW where one is not here."""
     rows = np.empty(len(ids), np.int64)
     for p in range(len(ids)):
         rows[p] = row_of(table, ids[p])

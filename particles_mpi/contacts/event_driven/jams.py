@@ -28,7 +28,7 @@ from particles_mpi.kernels.markers import RADIUS, START
 QUICK = 0.01  # of a drift: a contact so soon after the last one is quick
 STANDING = 1e-9  # of a drift: time that does not count as passed
 RATTLING = 1e-5  # of a drift: nor does this between contacts that take no energy because they follow one another so soon
-NOWHERE = 1e-14  # of a coordinate and a radius: a way that is round-off
+ROUND_OFF_WAY = 1e-14  # of a coordinate and a radius: a way that is round-off
 
 
 class Collapse(NamedTuple):
@@ -71,7 +71,7 @@ def progress(d, segment, i, t, h, elastic):
     at_rest = True
     for k in range(d):
         at_rest &= segment[i, d + k] == 0.0
-        moved |= abs(segment[i, d + k]) * passed > NOWHERE * (abs(segment[i, k]) + segment[i, 2 * d + RADIUS])
+        moved |= abs(segment[i, d + k]) * passed > ROUND_OFF_WAY * (abs(segment[i, k]) + segment[i, 2 * d + RADIUS])
     if at_rest:
         return 0
     return 1 if moved and not elastic else -1

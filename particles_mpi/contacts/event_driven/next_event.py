@@ -17,19 +17,19 @@ from particles_mpi.kernels.lanes import LANE_COUNT
 from particles_mpi.kernels.markers import NEVER, RADIUS, START
 from particles_mpi.neighbours.verlet_kernels import BEGIN, COUNT, SKIN
 
-BITS = 64  # of a mask
+MASK_BITS = 64  # of a mask
 EARLY, SOON, NEXT_ONES = 6, 4, 2  # buckets ahead of the present one, for which memory is prefetched
 
 
 @screening
 def likely_partners(axes, segment, lists, i, first, count, place, now, until):
-    """Which of the `count` <= BITS rows in the pool from place `first` on `may_touch` row i: bit p for place first + p."""
+    """Which of the `count` <= MASK_BITS rows in the pool from place `first` on `may_touch` row i: bit p for place first + p."""
     _, _, length = lists.box
     likely, last = np.int64(0), first + count - 1
     for p in range(0, count, LANE_COUNT):
         others = columns_of_segments(axes, segment, lists.pool, first + p, last)
         likely |= may_touch(axes, segment, i, others, place, now, until, length, lists.boxes_per_length) << p
-    return likely & ((np.int64(1) << count) - 1) if count < BITS else likely
+    return likely & ((np.int64(1) << count) - 1) if count < MASK_BITS else likely
 
 
 @in_place
@@ -60,8 +60,8 @@ def first_partner(axes, rows, lists, work, i, now, h):
     for k in range(d):
         work.place[k] = segment[i, k] + segment[i, d + k] * (now - segment[i, 2 * d + START])
     end = np.int64(spans[i, BEGIN] + spans[i, COUNT])
-    for first in range(np.int64(spans[i, BEGIN]), end, BITS):
-        likely = likely_partners(axes, segment, lists, i, first, min(end - first, BITS), work.place, now, h)
+    for first in range(np.int64(spans[i, BEGIN]), end, MASK_BITS):
+        likely = likely_partners(axes, segment, lists, i, first, min(end - first, MASK_BITS), work.place, now, h)
         while likely != 0:
             j = np.int64(pool[first + trailing_zeros(likely)])
             likely &= likely - 1

@@ -32,15 +32,15 @@ from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.particles import Array, Particles, row_dot, rows_of, rows_with
 from particles_mpi.timers import Timers
 
-LEAST = 2000  # particles a rank; with fewer, space is not divided
+LEAST_DIVIDED = 2000  # particles a rank; with fewer, space is not divided
 LONGEST_PAUSE = 64  # drifts
 # Quick contacts in a drift, after which a particle is one of a crowd that collapses, in each attempt at the drift. What an
 # attempt leaves is little as a rule, and dies away; else those that hit the crowd from outside have to be among it.
-CROWDED = (8, 1000, 8, 4, 2, 1, NEVER_CROWDED)
+QUICK_CONTACTS = (8, 1000, 8, 4, 2, 1, NEVER_CROWDED)
 DURATION = 1e-4  # of a step: the `contact_duration` of a scene that gives none,
-EFFORT = 10_000  # particles times contacts that have to follow one another so soon until further ones take no energy,
-FOLLOWERS, AT_ONCE = (3, 4000), (50, 900)  # at least and at most; and those at one moment
-PRESSED = 8  # the same under forces
+FOLLOWING_EFFORT = 10_000  # particles times contacts that have to follow one another so soon until further ones take no energy,
+FOLLOWERS, AT_ONE_MOMENT = (3, 4000), (50, 900)  # at least and at most; and those at one moment
+PRESSED_FOLLOWERS = 8  # the same under forces
 MOST_QUICK = 3000  # quick contacts of a particle in the last attempt: then it has no room
 MOST_SKINS = 1e7  # times that a particle may leave its neighbourhood in a drift, some seconds of work
 CHANGING = ("position", "velocity", "contacted", "virial", "supported", "total_acceleration", "spin")
@@ -72,12 +72,12 @@ class EventDriven:
         planes = planes or no_planes(particles.dimension)
         self.rules = box, loss, law, planes
         total = ranks.total(len(particles))[0]
-        self.divided = ranks.size > 1 and total >= LEAST * ranks.size
+        self.divided = ranks.size > 1 and total >= LEAST_DIVIDED * ranks.size
         # What forces press together has such contacts in each step, without end
-        before, at_once = (min(max(EFFORT // max(total, 1), least), most) for least, most in (FOLLOWERS, AT_ONCE))
+        before, at_once = (min(max(FOLLOWING_EFFORT // max(total, 1), least), most) for least, most in (FOLLOWERS, AT_ONE_MOMENT))
         stands = forces and len(planes.point) > 0 and loss.restitution * loss.velocity_factor < 1.0
         if forces:
-            before = PRESSED
+            before = PRESSED_FOLLOWERS
         most = MOST_QUICK if hold else NEVER_CROWDED
         self.collapse = Collapse(0.0, 0 if duration is not None else before, at_once, stands, most)
         # Contacts of this rank that took no energy: how many; of the first step with some its moment, and (time, id, id or wall)
@@ -125,7 +125,7 @@ class EventDriven:
             return self.drift_once(h, moment, stop, NEVER_CROWDED)
         p = self.particles
         undone = ["id", *(name for name in CHANGING if name in p.arrays and name != "supported")]
-        for tried, crowded in enumerate(CROWDED):
+        for tried, crowded in enumerate(QUICK_CONTACTS):
             before, tc_elastic_before = {name: p[name].copy() for name in undone}, self.tc_elastic
             happened = self.drift_once(h, moment, False, crowded)
             if crowded == NEVER_CROWDED or not self.ranks.any((p["supported"] == CROWD).any()):

@@ -27,9 +27,9 @@ LEAST_DEPTH, MOST_DEPTH = 1.0, 4.0  # of the ghosts, which is fitted: then windo
 DEEPER, MOST_REDONE = 0.2, 0.02  # added if more than this part of the windows was redone
 SHALLOWER, ENOUGH = 0.1, 100  # taken off after so many windows of which none was
 FASTER, SLOWER = 1.015, 0.6  # what success and failure do to the length of a window: in balance about 3 % fail
-FIRST, GROWING = 0.25, 1.2  # of the longest window: the first one; and how it grows until one fails
-LEAST = 1e-3  # of the longest window: with shorter ones it is no use
-MOST_TRIES = 8  # of a window, each of half the length; then contacts follow one another in no time (touching spheres)
+FIRST_WINDOW, GROWING = 0.25, 1.2  # of the longest window: the first one; and how it grows until one fails
+LEAST_WINDOW = 1e-3  # of the longest window: with shorter ones it is no use
+MOST_HALVINGS = 8  # of a window, each of half the length; then contacts follow one another in no time (touching spheres)
 WORTH = 10  # contacts a window and rank, or windows are not worth their messages
 CHEAP = 8  # windows in a step, which cost less than a drift without them
 UNTRIED = 1000  # windows a step at most where the number of contacts is not known yet
@@ -66,7 +66,7 @@ class Windows:
         self.longest = 0.9 * self.partition.regions.bound / speed if speed > 0.0 else np.inf
         if h / self.longest > (max(self.events / WORTH, CHEAP) if self.events else UNTRIED) and not self.always:
             return None
-        self.window = min(self.window or FIRST * self.longest, self.longest)
+        self.window = min(self.window or FIRST_WINDOW * self.longest, self.longest)
         with self.timers("ghosts"):
             self.partition.send_motion()
         with self.timers("search"):
@@ -85,7 +85,7 @@ class Windows:
                 self.window *= SLOWER if tries == 0 else 1.0  # one contact may need many tries
                 self.growing = False
                 tries += 1
-                if tries > MOST_TRIES or self.window < LEAST * self.longest:
+                if tries > MOST_HALVINGS or self.window < LEAST_WINDOW * self.longest:
                     self.partition.version = -1  # rows of the engine mean nothing now; those of the particles were not touched
                     self.window, self.growing = 0.0, True
                     return None

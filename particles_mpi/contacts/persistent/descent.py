@@ -29,7 +29,7 @@ import numpy as np
 from particles_mpi.contacts.persistent.iterations import (
     CHECK,
     FIRST_THETA,
-    MOST,
+    MOST_ITERATIONS,
     begin,
     iterate_to_end,
     iterations,
@@ -117,8 +117,13 @@ class Iteration:
             self.multiply(factor)
 
     def until_good(
-        self, ranks: Communicator, count: int, least: int, asleep: Callable[[Array], bool] | None = None, limit: int = MOST
-    ) -> tuple[bool, int]:  # fmt: skip
+        self,
+        ranks: Communicator,
+        count: int,
+        least: int,
+        asleep: Callable[[Array], bool] | None = None,
+        limit: int = MOST_ITERATIONS,
+    ) -> tuple[bool, int]:
         """Iterate until errors are allowed and `least` iterations are done, or only round-off is left, or `limit` are done.
 
         Rough piles whose errors are CALM get at least MORE iterations. At the end, all that is taken may be multiplied by a

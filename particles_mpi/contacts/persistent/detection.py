@@ -1,8 +1,8 @@
 """Who is near enough for a contact that may last: all half-edges that may be slow. See `operator`.
 
 `push` (d,) of a row: SLOW times the change of velocity by forces in a step. A row counts as wider by its *reach*, the way that
-it goes in a step at HELD times that speed: contacts within that may be slow. The reach of a sphere is at most NEAR radii, and of
-one in a crowd NEAR_IN_CROWDS, so that none has more than some hundred contacts, whatever forces, speeds and steps there are.
+it goes in a step at HELD times that speed: contacts within that may be slow. The reach of a sphere is at most REACH radii, and of
+one in a crowd REACH_IN_CROWDS, so that none has more than some hundred contacts, whatever forces, speeds and steps there are.
 """
 
 from math import sqrt
@@ -17,7 +17,7 @@ from particles_mpi.particles import Array
 SLOW = 2.0  # times what forces do in a step: a ball that leaves a floor at e times that is back after 4 e steps
 PRECISE = 1e-12  # of the slow speed: approach that does not matter
 HELD = 5.0  # times the slow speed, where a partner is held already: else piles would rattle
-NEAR, NEAR_IN_CROWDS = 1.0, 3.0  # radii that a sphere reaches at most, and in a crowd, however far it moves in a step
+REACH, REACH_IN_CROWDS = 1.0, 3.0  # radii that a sphere reaches at most, and in a crowd, however far it moves in a step
 
 
 class Contacts(NamedTuple):
@@ -110,10 +110,10 @@ def find_contacts(axes, state, graph, inside, h, length, faces, planes):
             of_crowd = crowd[i] or crowd[j]
             radius_i, radius_j = radius[i], radius[j]
             far_i, far_j = HELD * pushes[i] * h, HELD * pushes[j] * h
-            reach = min(max(far_i, far_j), reach_of(radius_i, far_i, NEAR) + reach_of(radius_j, far_j, NEAR))
+            reach = min(max(far_i, far_j), reach_of(radius_i, far_i, REACH) + reach_of(radius_j, far_j, REACH))
             if of_crowd:
                 reach = max(
-                    reach, reach_of(radius_i, speeds[i] * h, NEAR_IN_CROWDS) + reach_of(radius_j, speeds[j] * h, NEAR_IN_CROWDS)
+                    reach, reach_of(radius_i, speeds[i] * h, REACH_IN_CROWDS) + reach_of(radius_j, speeds[j] * h, REACH_IN_CROWDS)
                 )
             r2, both = 0.0, radius_i + radius_j
             for k in range(len(axes)):

@@ -24,7 +24,7 @@ from particles_mpi.contacts.persistent.problem import MAY_CLOSE, NORMAL, STEP, T
 from particles_mpi.kernels.jit import inner, kernel
 from particles_mpi.particles import Array
 
-ROUNDED = 1e-14  # of the impulses times the inverse masses: errors below it are round-off,
+IMPULSE_ROUND_OFF = 1e-14  # of the impulses times the inverse masses: errors below it are round-off,
 ROUNDED_SPEED = 1e-15  # as are those of velocities
 REFINED = 3  # times that what is left of the equations is solved for
 
@@ -106,7 +106,7 @@ def round_off(axes, c, system, active):
     for i in system.rows[c]:
         for k in range(len(axes)):
             speed += abs(system.v0[i, k])
-    return ROUNDED * total + ROUNDED_SPEED * speed
+    return IMPULSE_ROUND_OFF * total + ROUNDED_SPEED * speed
 
 
 @inner

@@ -18,7 +18,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.halo import Halo
 from particles_mpi.particles import Array, Particles
 
-CLOSE = 1.0 + 1e-9  # times the widths, so that ranks agree on who is near the border, whatever the round-off
+AGREED = 1.0 + 1e-9  # times the widths, so that ranks agree on who is near the border, whatever the round-off
 
 
 class ContactGraph:
@@ -49,7 +49,7 @@ class ContactGraph:
         known["inverse_inertia"] = p.inverse_inertia[rows] if "spin" in p.arrays else np.empty((len(rows), 0))
         self.halo: Halo | None = None
         if ranks.size > 1 and pairs:
-            still = self.place, np.zeros_like(self.place), CLOSE * known["reach"]
+            still = self.place, np.zeros_like(self.place), AGREED * known["reach"]
             _, sent, counts, theirs, arriving = fetch_near_rows(ranks, known, still, AT_REST, length)
             known = {name: np.concatenate((column, theirs[name])) for name, column in known.items()}
             self.halo = Halo(ranks, sent, counts, arriving, len(rows), 0)

@@ -8,7 +8,7 @@ from particles_mpi.contacts.warm_start import Memory, nothing
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles
 
-SKIN = 0.3  # of the smallest radius: so far rows may move, two together, before the graph is made anew
+GRAPH_SKIN = 0.3  # of the smallest radius: so far rows may move, two together, before the graph is made anew
 DILUTE = 1.0  # the same, in a gas: few pairs come near, but rows move far
 ROUND_UP = 1.000001  # times a width: so the graph has all that `inside_zone` finds, whatever is rounded
 
@@ -51,7 +51,7 @@ class ContactHistory:
         old = self.graph if self.graph and self.graph.holds(p, ROUND_UP * wide, zone) else None
         if self.ranks.any(old is None):
             least = p.radius.min(initial=np.inf, where=p.radius > 0.0)
-            skin = (DILUTE if self.dilute else SKIN) * self.ranks.least(least)
+            skin = (DILUTE if self.dilute else GRAPH_SKIN) * self.ranks.least(least)
             skin = skin if skin < np.inf else 0.0
             rows = rows_in(p.position, ROUND_UP * wide + skin, zone)
             graph = ContactGraph(self.ranks, p, rows, wide, skin, self.length, points=self.points)

@@ -12,8 +12,9 @@ from particles_mpi.contacts.persistent.rough_iterations import rough_begin, roug
 from particles_mpi.contacts.persistent.smooth_iterations import smooth_begin, smooth_iterate, smooth_works
 from particles_mpi.kernels.jit import inner, kernel
 
-FINE, LARGE = 2.0**24, 2.0**14  # sums are of whole numbers, so that no order changes a bit: of units of 1/FINE, LARGE at most
-MOST = 5000  # iterations
+# Sums are of whole numbers, so that no order changes a bit: of units of 1/SUM_UNITS, LARGEST_SUM at most.
+SUM_UNITS, LARGEST_SUM = 2.0**24, 2.0**14
+MOST_ITERATIONS = 5000
 CHECK = 5  # iterations between two looks at what is left
 FIRST_THETA = 0.25  # where the sequence of momenta begins: not at 1, for solutions begin near the last one
 OUTLIER = 20.0  # times the root mean square that is allowed may the largest error be
@@ -88,7 +89,7 @@ def verdict(seen, rules, done, before, best):
     """
     worst, over_round_off, squares, work = seen
     count, least, limit, exact, rough = rules
-    good, calm = worst <= OUTLIER and squares <= count * FINE, rough and squares <= count * FINE * CALM**2
+    good, calm = worst <= OUTLIER and squares <= count * SUM_UNITS, rough and squares <= count * SUM_UNITS * CALM**2
     enough = done >= (max(MORE, least) if calm else least)
     ends = over_round_off <= 1.0 or (good and enough) or done >= limit
     grown = rough and squares > (GROWN * best if exact else before)
@@ -134,8 +135,8 @@ def whole_numbers(sums, unit):
     """The columns of sums (n, 2), in these units, as sums of whole numbers, alike in any order and on any number of ranks."""
     first, second = np.int64(0), np.int64(0)
     for i in range(len(sums)):
-        first += np.int64(min(sums[i, 0] / unit[0], LARGE) * FINE)
-        second += np.int64(sums[i, 1] / unit[1] * FINE)
+        first += np.int64(min(sums[i, 0] / unit[0], LARGEST_SUM) * SUM_UNITS)
+        second += np.int64(sums[i, 1] / unit[1] * SUM_UNITS)
     return first, second
 
 
@@ -151,7 +152,7 @@ def solve_each(axes, problem, w, v):
     begin(axes, 0, n, problem, w, v0, v)
     for i in range(n):
         theta, swapped, before = 1.0, False, inf
-        for _ in range(MOST):
+        for _ in range(MOST_ITERATIONS):
             here, there = (other, v) if swapped else (v, other)
             beta, theta = momentum(theta)
             _, over_round_off = iterate(axes, i, i + 1, problem, w, v0, here, there, beta, True, sums)

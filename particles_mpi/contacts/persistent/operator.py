@@ -18,7 +18,7 @@ press free ones onto one another, all that touch. Each rank solves for its own r
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.detection import HELD, NEAR, NEAR_IN_CROWDS, SLOW, widths
+from particles_mpi.contacts.persistent.detection import HELD, REACH, REACH_IN_CROWDS, SLOW, widths
 from particles_mpi.contacts.persistent.graph import ContactGraph
 from particles_mpi.contacts.persistent.history import ContactHistory
 from particles_mpi.contacts.persistent.rows import Local, gather, hand_over
@@ -81,7 +81,7 @@ class PersistentContacts:
             zone = self.zone(p, wide, involved, bool(known))
             graph = self.history.graph_of(p, wide, zone)
             local = self.local(p, a, h, graph)
-            inside = inside_zone(local.x, widths(local.radius, local.push, HELD * h, NEAR), zone)
+            inside = inside_zone(local.x, widths(local.radius, local.push, HELD * h, REACH), zone)
             self.history.taken[:] = self.solve(p, local, graph, inside, h, self.history.taken, bool(known))
 
     def keep_crowds(self, p: Particles, a: Array, h: float, tried: int) -> None:
@@ -92,7 +92,7 @@ class PersistentContacts:
         self.undamped = None
         with self.timers("rest"):
             touch = slow_widths(p, a, h)
-            wide = np.maximum(touch, widths(p.radius, p.velocity, h, NEAR_IN_CROWDS))
+            wide = np.maximum(touch, widths(p.radius, p.velocity, h, REACH_IN_CROWDS))
             graph = ContactGraph(self.ranks, p, np.arange(len(p)), wide, 0.0, self.length, points=self.history.points)
             local = self.local(p, a, h, graph)
             ghost_touch = np.zeros(graph.size + 1)
@@ -165,4 +165,4 @@ class PersistentContacts:
 
 def slow_widths(p: Particles, a: Array, h: float) -> Array:
     """Widths (n,) of rows with accelerations a (n, d): two with a slow contact are no further apart than the sum of theirs."""
-    return np.asarray(widths(p.radius, a, HELD * SLOW * h * h, NEAR))
+    return np.asarray(widths(p.radius, a, HELD * SLOW * h * h, REACH))

@@ -14,10 +14,10 @@ import numpy as np
 from particles_mpi.contacts.persistent.detection import HELD, PRECISE
 from particles_mpi.kernels.jit import kernel
 
-MARGIN = 1e-3  # of the widest slow gap: closer nothing gets, so that round-off makes no contact
+SLOW_MARGIN = 1e-3  # of the widest slow gap: closer nothing gets, so that round-off makes no contact
 RETURN = 0.2  # of the deviation from the gap that contacts keep is corrected in a step
 PUSH = 0.01  # of the widest push: so fast contacts that are nearer than their margin are moved apart
-CROWDED = 0.5  # of the gap, up to the margin, may errors in crowds close: so what is left is no hit in this step
+CROWD_GAP = 0.5  # of the gap, up to the margin, may errors in crowds close: so what is left is no hit in this step
 MOST_RETURN = 5.0  # allowed errors: what is further off its margin returns no faster
 
 
@@ -100,14 +100,14 @@ def slow(contacts, closing, took, of_rows, pressed, h, tolerance, margin, slight
                 size = min(one, other) if one > 0.0 and other > 0.0 else max(one, other)
                 allowed = tolerance * size if size < inf else 0.0  # else a point is on a wall
                 apart = margin * allowed
-                room = gap[e] - apart - MARGIN * most * h
+                room = gap[e] - apart - SLOW_MARGIN * most * h
                 if apart > 0.0:
                     room = max(room - (1.0 - RETURN) * min(room, MOST_RETURN * allowed), -PUSH * widest[e] * h)
                 else:
                     room = max(room, 0.0)
                 chosen[e], may_close[e] = True, room / h
                 speed = most if crowd[e] else max(speed, slight * widest[e])
-                left = CROWDED * min(gap[e] / h, MARGIN * most) if crowd[e] else 0.0
+                left = CROWD_GAP * min(gap[e] / h, SLOW_MARGIN * most) if crowd[e] else 0.0
                 tight[e] = 1.0 / max(PRECISE * speed, left)
                 loose[e] = min(h / allowed, tight[e]) if allowed > 0.0 else tight[e]
     return chosen, may_close, loose, tight

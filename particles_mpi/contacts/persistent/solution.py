@@ -15,7 +15,7 @@ from particles_mpi.contacts.persistent.memory import along_normals
 from particles_mpi.contacts.persistent.problem import Targets
 from particles_mpi.contacts.persistent.rows import Local
 from particles_mpi.contacts.persistent.slow import approach, carried, loads, pressing, slow
-from particles_mpi.contacts.persistent.solver import EFFORT, TRIED, Solver
+from particles_mpi.contacts.persistent.solver import SOLUTION_EFFORT, TRIED, Solver
 from particles_mpi.contacts.persistent.surfaces import Pile, RoughContacts, SmoothContacts, Surfaces
 from particles_mpi.contacts.persistent.walls import Walls
 from particles_mpi.parallel.communicator import Communicator
@@ -59,7 +59,7 @@ class SlowContacts:
         self.axes = (0.0,) * len(length)
         self.kind = RoughContacts(self.axes, surfaces) if surfaces.rough else SmoothContacts(self.axes)
         self.solver = Solver(ranks, self.axes)
-        self.effort = EFFORT  # see there; with 0 any pile is solved as a large one
+        self.effort = SOLUTION_EFFORT  # see there; with 0 any pile is solved as a large one
         self.found: Found | None = None
         self.last: Solution | None = None  # if its errors were allowed
 

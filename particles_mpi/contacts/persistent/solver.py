@@ -10,16 +10,16 @@ import numpy as np
 
 from particles_mpi.contacts.persistent.descent import Iteration
 from particles_mpi.contacts.persistent.direct import solve_directly
-from particles_mpi.contacts.persistent.iterations import MOST, solve_each
+from particles_mpi.contacts.persistent.iterations import MOST_ITERATIONS, solve_each
 from particles_mpi.contacts.persistent.problem import STEP, Problem
-from particles_mpi.contacts.persistent.together import FEW, Together
+from particles_mpi.contacts.persistent.together import FEW_HALF_EDGES, Together
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
 
 DIRECT = 2000  # half-edges: if so many of smooth spheres are not solved after TRIED iterations, they are solved directly
 TRIED = 1000
 DIFFERENT = 1e4  # times the least inverse mass of rough spheres: if the largest is more, friction is given up where need be
-EFFORT = 200_000  # half-edges times iterations that every solution gets: small piles are solved to round-off
+SOLUTION_EFFORT = 200_000  # half-edges times iterations that every solution gets: small piles are solved to round-off
 
 Asleep = Callable[[Array], bool]  # do rows with these velocities, after the iterations, move at all?
 
@@ -50,9 +50,9 @@ class Solver:
         count, every = ranks.total(int((problem.table[:, STEP] > 0.0).sum()), len(problem.partner))
         if not count:
             return v[: len(problem.start) - 1], True, False
-        few = count <= DIRECT and every <= FEW
-        limit = TRIED if few and smooth else MOST
-        if ranks.size > 1 and every <= FEW:
+        few = count <= DIRECT and every <= FEW_HALF_EDGES
+        limit = TRIED if few and smooth else MOST_ITERATIONS
+        if ranks.size > 1 and every <= FEW_HALF_EDGES:
             result, good, done = self.by_each_rank(problem, w, v, ids, (count, least, limit), asleep)
         else:
             run = Iteration(self.axes, problem, w, v, exchange if ranks.size > 1 else None)
@@ -90,7 +90,7 @@ class Solver:
         if without_friction(run):
             good = not run.rough or improve(run, count, least)
         elif not run.rough:  # then it takes as many iterations as it takes
-            good, _ = run.until_good(Communicator.alone(), count, least, limit=MOST)
+            good, _ = run.until_good(Communicator.alone(), count, least, limit=MOST_ITERATIONS)
         else:
             return result, good
         return together.ours(run.result, v, problem.table, run.taken), good

@@ -23,7 +23,7 @@ from particles_mpi.particles import Array, Particles, row_dot
 STEADY = 45  # iterations that rough spheres always get: with fewer a pile creeps by what is left of errors, and never rests
 SLIGHT = 0.01  # of the widest push: rough contacts that bear less are solved as if they bore that; errors below are round-off
 QUIET = 1e-3  # of the allowed errors: a rough pile in which nothing is faster is asleep
-ROUND_OFF = 2.0 * HELD * PRECISE  # of the push that it feels: what a solution may leave a smooth sphere between two others
+LEFT_BETWEEN = 2.0 * HELD * PRECISE  # of the push that it feels: what a solution may leave a smooth sphere between two others
 STILL = 1e-6  # of the push that they feel: slower rough spheres that are held stand still
 
 
@@ -113,7 +113,7 @@ class SmoothContacts:
 
     def quick(self, pile: Pile, bears: Array, v: Array) -> Array:
         """Which rows (n,) with velocities and spins v (n, columns) are faster than what errors leave."""
-        return np.asarray(row_dot(v, v) > (ROUND_OFF * pile.pushes(bears)) ** 2)
+        return np.asarray(row_dot(v, v) > (LEFT_BETWEEN * pile.pushes(bears)) ** 2)
 
     def at_rest(self, ranks: Communicator, pile: Pile, bears: Array, held: Array, v: Array) -> Array:
         """Velocities and spins v (n, columns), where those that are `held` and all but at rest stand still. Collective.

@@ -7,7 +7,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.particles import Array, rows_of
 
-FEW = 2_000  # half-edges of all ranks: so many are solved for by each
+FEW_HALF_EDGES = 2_000  # half-edges of all ranks: so many are solved for by each
 
 
 class Together:

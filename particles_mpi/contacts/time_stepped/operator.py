@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 NONE = np.empty(0)
 DEEP = 0.5e-3  # of a radius: an overlap at the end of a drift, which nobody may keep
-LOOK_EVERY = 10  # drifts between two looks at the speeds, until one is too fast
+SPEEDS_EVERY = 10  # drifts between two looks at the speeds, until one is too fast
 LOOK_AFTER = 3  # passes, after which partners that overlap are taken as a sign of a crowd, not of two who soon move apart
 
 
@@ -80,7 +80,7 @@ class Rewind:
         near = self.near
         near.prepare(h)
         self.drifts += 1
-        if self.drifts % LOOK_EVERY == 0 and not self.too_fast:
+        if self.drifts % SPEEDS_EVERY == 0 and not self.too_fast:
             self.look_at_speeds(h)
         travel = 0.0
         while True:

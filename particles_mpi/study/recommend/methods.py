@@ -5,7 +5,7 @@ from itertools import product
 from typing import Any
 
 from particles_mpi import Scene
-from particles_mpi.gravity.method import PAIR, TREES, tree_cost
+from particles_mpi.gravity.method import PAIR_NS, TREES, tree_cost
 from particles_mpi.integrators.gauss_radau import TOLERANCE
 from particles_mpi.study.recommend.runs import SNAPSHOTS, Changes, Start, variant, whole_parts
 
@@ -81,7 +81,7 @@ def ways_to_attract(start: Start) -> list[tuple[str, Changes]]:
     options, angles = start.scene.effects["mutual_gravity"], set(OPENING_ANGLES if start.scene.dimension in TREES else ())
     if options.method == "tree" and angles:
         angles.add(options.opening_angle or 0.5)
-    less_work = [angle for angle in angles if tree_cost(angle, start.total, "quadrupole") < PAIR * start.total]
+    less_work = [angle for angle in angles if tree_cost(angle, start.total, "quadrupole") < PAIR_NS * start.total]
     return [*((f"angle {angle:g}", tree_of(angle)) for angle in sorted(less_work, reverse=True)), ("direct sum", DIRECT)]
 
 

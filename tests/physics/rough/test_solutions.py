@@ -30,7 +30,7 @@ def test_what_is_not_found_adds_no_energy(monkeypatch):
         return good, done
 
     monkeypatch.setattr(Iteration, "until_good", watched)
-    monkeypatch.setattr(solver, "MOST", 16)
+    monkeypatch.setattr(solver, "MOST_ITERATIONS", 16)
     surfaces = {"restitution": 0.5, "friction": 10.0}
     tables = {
         "dimension": 3,

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
 
-from particles_mpi.contacts.event_driven.id_table import NOWHERE, drop, put, row_of, rows_of_ids, table_of
+from particles_mpi.contacts.event_driven.id_table import NO_ROW, drop, put, row_of, rows_of_ids, table_of
 from particles_mpi.contacts.event_driven.messages import add_holder, holds, ownership
 from particles_mpi.contacts.event_driven.regions import Regions, mark_holders
 from particles_mpi.contacts.event_driven.rows import OWN, SHARED
@@ -19,7 +19,7 @@ IDS = st.integers(0, 30) | st.integers(2**62, 2**62 + 10)
 def take_turns(table, names, row):
     """Every id that is there leaves, every one that is not enters, with the next row."""
     for name in names:
-        if row_of(table, name) == NOWHERE:
+        if row_of(table, name) == NO_ROW:
             put(table, name, row)
         else:
             drop(table, name)
@@ -38,7 +38,7 @@ def test_a_table_finds_what_is_in_it(first, then):
         if expected.pop(name, None) is None:
             expected[name] = row
     names = np.array([*first, *then], np.int64)
-    assert rows_of_ids(table, names).tolist() == [expected.get(name, NOWHERE) for name in names.tolist()]
+    assert rows_of_ids(table, names).tolist() == [expected.get(name, NO_ROW) for name in names.tolist()]
 
 
 def test_more_known_ranks_than_bits_in_a_word():

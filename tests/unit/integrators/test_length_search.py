@@ -2,7 +2,7 @@
 
 import pytest
 
-from particles_mpi.integrators.length_search import MOST_TRIES, SHORT, LengthSearch
+from particles_mpi.integrators.length_search import MOST_ROOT_TRIES, PAST_JUMP, LengthSearch
 
 
 def search(moment, whole=1.0):
@@ -14,7 +14,7 @@ def search(moment, whole=1.0):
         late = (whole if at is None else min(at, whole)) - h
         if found.ends_with(late, at is not None) or found.jump:
             return found, late, tries
-        assert tries <= MOST_TRIES
+        assert tries <= MOST_ROOT_TRIES
 
 
 @pytest.mark.parametrize("where", [0.0, 1e-12, 1e-4, 0.3, 0.999])
@@ -38,6 +38,6 @@ def test_a_zero_beyond_a_jump_is_found():
 
 
 def test_at_a_jump_soon_after_the_start_time_goes_on_with_a_contact():
-    found, late, _ = search(lambda h: 0.2 * SHORT if h >= 0.5 * SHORT else 0.6 * SHORT)
-    assert not found.jump and abs(late) <= SHORT
-    assert late == pytest.approx(0.1 * SHORT, abs=1e-12)  # the shorter step: less late than the other is early
+    found, late, _ = search(lambda h: 0.2 * PAST_JUMP if h >= 0.5 * PAST_JUMP else 0.6 * PAST_JUMP)
+    assert not found.jump and abs(late) <= PAST_JUMP
+    assert late == pytest.approx(0.1 * PAST_JUMP, abs=1e-12)  # the shorter step: less late than the other is early

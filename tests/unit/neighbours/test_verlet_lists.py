@@ -6,7 +6,7 @@ import pytest
 from particles_mpi import Scene, Simulation
 from particles_mpi.kernels.geometry import Box, image_shifts
 from particles_mpi.neighbours.verlet_cells import make_grid
-from particles_mpi.neighbours.verlet_kernels import BEGIN, BLOCK, COUNT, PLACES, SIZE, list_rows
+from particles_mpi.neighbours.verlet_kernels import BEGIN, BLOCK_NUMBERS, COUNT, PLACES, SIZE, list_rows
 from particles_mpi.neighbours.verlet_lists import VerletLists
 
 
@@ -40,7 +40,7 @@ def test_lists_follow_every_move(d, periodic):
     x = random.uniform(0.0, side, (n, d))
     x[3] = 0.5 * side
     lists.build(x, radius, np.ones(n))
-    assert lists.arrays.spans[3, COUNT] > BLOCK - PLACES
+    assert lists.arrays.spans[3, COUNT] > BLOCK_NUMBERS - PLACES
     for move in range(60):
         i = int(random.integers(n)) if move % 10 else 3
         far = random.integers(-2, 3, d) * length  # in whole boxes, which changes nothing
