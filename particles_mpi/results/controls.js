@@ -32,6 +32,7 @@ function resize() {
     one.height = Math.max(1, Math.round(canvas.clientHeight * ratio));
   }
   over.scale(ratio, ratio);
+  if (!camera.chosen) camera.reset(sides, canvas.width / canvas.height);
   draw();
   drawCurves();
 }
@@ -44,7 +45,7 @@ function recolor() {
 
 function view(azimuth, elevation) {
   camera.reset(sides, canvas.width / canvas.height);
-  if (azimuth !== undefined) [camera.azimuth, camera.elevation] = [azimuth, elevation];
+  if (azimuth !== undefined) [camera.azimuth, camera.elevation, camera.chosen] = [azimuth, elevation, true];
   draw();
 }
 
@@ -161,7 +162,6 @@ function begin() {
     return;
   }
   camera = new Camera(Math.hypot(...sides) || 1, run.planar || !(sides[2] > 0));
-  camera.reset(sides, canvas.clientWidth / canvas.clientHeight);
   tell();
   listen();
   resize();

@@ -192,6 +192,7 @@ class Camera {
 
   // Sees all of a box of these lengths around the origin; aspect: width of the picture over its height.
   reset([wide, high], aspect) {
+    this.chosen = false;  // by the user: then another size of the window leaves the view as it is
     this.target = [0, 0, 0];
     this.distance = this.flat ? 0.6 * Math.max(high, wide / aspect) : 1.72 * this.size * Math.max(1, 1 / aspect);
     this.azimuth = -Math.PI / 3;
@@ -227,16 +228,19 @@ class Camera {
   }
 
   turn(dx, dy) {
+    this.chosen = true;
     this.azimuth -= dx;
     this.elevation = Math.max(-Math.PI / 2, Math.min(Math.PI / 2, this.elevation + dy));
   }
 
   move(dx, dy, height) {  // by pixels
+    this.chosen = true;
     const scale = this.pixel(height) * (this.flat ? 1 : this.distance), [right, up] = this.axes();
     for (let k = 0; k < 3; k++) this.target[k] -= scale * (dx * right[k] - dy * up[k]);
   }
 
   zoom(factor) {
+    this.chosen = true;
     this.distance = Math.max(1e-5 * this.size, Math.min(20 * this.size, this.distance * factor));
   }
 }

@@ -202,6 +202,26 @@ def test_other_dimensions_and_nobody(opened, tmp_path, dimension, count):
     assert page.evaluate("range()") == pytest.approx([0.5, 1.5] if count else [0, 1])
 
 
+CORNERS = """[-0.5, 0.5].map(k => project([k * sides[0], k * sides[1], 0])).flatMap(([x, y]) => [
+  x / canvas.clientWidth, y / canvas.clientHeight])"""
+
+
+@pytest.mark.parametrize("upper", [[6.0, 1.5], [1.5, 6.0]])
+def test_all_of_a_plane_is_seen_in_a_window_of_any_size(opened, tmp_path, upper):
+    """Until the user moves it or comes nearer."""
+    box, particles = {"lower": [0, 0], "upper": upper}, [{"position": [[1.0, 1.0]], "radius": 0.1}]
+    time, effects = {"step": 0.1, "steps": 2}, {"walls": {}}
+    page = opened(ran(tmp_path / "run", dimension=2, box=box, time=time, particles=particles, effects=effects))
+    for width, height in ((1200, 800), (700, 900), (1600, 500)):
+        page.set_viewport_size({"width": width, "height": height})
+        places = np.array(page.evaluate(f"new Promise(ready => requestAnimationFrame(() => ready({CORNERS})))"))
+        assert places.min() > 0.0 and places.max() < 1.0
+        assert np.abs(np.diff(places.reshape(2, 2), axis=0)).max() > 0.75  # nor is it small
+    page.evaluate("camera.zoom(0.5)")
+    page.set_viewport_size({"width": 1200, "height": 800})
+    assert np.abs(np.diff(np.array(page.evaluate(CORNERS)).reshape(2, 2), axis=0)).max() > 1.0  # the user's choice stays
+
+
 def test_particles_that_come_and_go_have_trails(opened, tmp_path):
     scene = {
         "dimension": 2,
