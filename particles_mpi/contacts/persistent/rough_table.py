@@ -34,11 +34,19 @@ def table_width(axes):
     return NORMAL + len(axes) + SLID + 2 * len(axes) + 2 * spins_of(axes)
 
 
+@inner(inline="always")
+def arms_of(radius, other_radius, gap):
+    """Lengths of the arms of two spheres: their radii, and shares of the gap between them, or impulses there would turn the pair."""
+    both = radius + other_radius
+    stretched = 1.0 + gap / both if both > 0.0 else 1.0
+    return radius * stretched, other_radius * stretched
+
+
 @kernel
-def rough_table(axes, smooth, wall, start, partner, arms, inverse_inertia, w, which, surfaces, slid):
+def rough_table(axes, smooth, wall, start, partner, gap, radii, inverse_inertia, w, which, surfaces, slid):
     """The table of half-edges from that of smooth spheres (m, 5 + d) with the bounds of `bound_rough`.
 
-    wall (m,): which walls are partners, -1 for rows; arms (size + 1,): radii; surfaces (2, m): mu, resistance; slid (m, d + s):
+    wall (m,): which walls are partners, -1 for rows; gap (m,): to the partner; radii (size + 1,); surfaces (2, m): mu, resistance; slid (m, d + s):
     what was taken across the normal, and the couple. What is not across the normal any longer is left out.
     """
     d, s = len(axes), spins_of(axes)
@@ -49,7 +57,7 @@ def rough_table(axes, smooth, wall, start, partner, arms, inverse_inertia, w, wh
             both, row = w[i] + w[j], table[e]
             row[: NORMAL + d] = smooth[e]
             at = NORMAL + d
-            arm, far = arms[i], arms[j] if wall[e] < 0 else 0.0
+            arm, far = arms_of(radii[i], radii[j], gap[e]) if wall[e] < 0 else (radii[i], 0.0)
             row[at + ARM], row[at + OTHER_ARM] = arm, far
             row[at + FRICTION], row[at + RESISTANCE] = surfaces[0, e], surfaces[1, e]
             row[at + SPIN_SHARE] = inverse_inertia[i] / both
@@ -70,7 +78,7 @@ def rough_table(axes, smooth, wall, start, partner, arms, inverse_inertia, w, wh
 
 
 @kernel
-def bound_rough(axes, start, partner, normal, wall, arms, inverse_inertia, w, which, resistance, bound):
+def bound_rough(axes, start, partner, normal, wall, gap, radii, inverse_inertia, w, which, resistance, bound):
     """Of each row a bound of the largest eigenvalue of what its contacts do to its velocity and spin: see `problem.bound_rows`.
 
     Steps across the normal are shorter by the part that translation has in what such an impulse moves, of couples too.
@@ -84,7 +92,7 @@ def bound_rough(axes, start, partner, normal, wall, arms, inverse_inertia, w, wh
             if not which[e]:
                 continue
             j = partner[e]
-            arm, far = arms[i], arms[j] if wall[e] < 0 else 0.0
+            arm, far = arms_of(radii[i], radii[j], gap[e]) if wall[e] < 0 else (radii[i], 0.0)
             both, turns = w[i] + w[j], inverse_inertia[i] + inverse_inertia[j]
             part = both / (both + (arm * arm * inverse_inertia[i] + far * far * inverse_inertia[j]))
             lever[:] = 0.0  # what an impulse does to the spin: - arm n x

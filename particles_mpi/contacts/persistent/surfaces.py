@@ -153,11 +153,11 @@ class RoughContacts(SmoothContacts):
         friction = np.append(self.surfaces.walls, self.surfaces.pairs)[wall]
         law = np.stack((friction, np.full(len(friction), self.surfaces.resistance)))
         bodies = graph.radius, graph.inverse_inertia, local.w, which
-        bound_rough(self.axes, *some, contacts.normal, wall, *bodies, law[1], bound)
+        bound_rough(self.axes, *some, contacts.normal, wall, contacts.gap, *bodies, law[1], bound)
         graph.exchange(bound)
         smooth = self.smooth_table(local, contacts, which, bound, targets, taken)
         across = np.ascontiguousarray(taken[:, 1:])
-        table = rough_table(self.axes, smooth, wall, *some, *bodies, law, across)
+        table = rough_table(self.axes, smooth, wall, *some, contacts.gap, *bodies, law, across)
         return Problem(*some, table, targets.loose, targets.tight)
 
     def motion(self, local: Local, graph: ContactGraph, v: Array, spin: Array) -> tuple[Array, Array]:
