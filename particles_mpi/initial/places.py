@@ -12,6 +12,8 @@ from particles_mpi.initial.random_addition import JAMMED, RandomAddition
 from particles_mpi.initial.random_numbers import draw, stream_key
 from particles_mpi.initial.room import Room, packing_fraction
 
+DENSEST = {1: 1.0, 2: 0.9069, 3: 0.7405}  # packing of equal spheres
+
 
 def fill_places(columns: Columns, blocks: list[Block], room: Room) -> None:
     """Lists and files first, then lattices, then random places around them, the largest spheres first. Collective."""
@@ -47,7 +49,7 @@ def fill_places(columns: Columns, blocks: list[Block], room: Room) -> None:
 
 def scatter(columns: Columns, block: Block, room: Room, addition: RandomAddition, largest: float) -> str:
     """Random places for a population; returns why there are none, or "" . Collective."""
-    advice, ranks, dimension = "use lattice, or fewer or smaller spheres", columns.ranks, columns.scene.dimension
+    ranks, dimension = columns.ranks, columns.scene.dimension
     own, count = columns.arrays["radius"][block.rows], block.total
     smallest = ranks.least(own.min(initial=inf))
     wide = np.flatnonzero((room.length == 0.0) & (2.0 * largest > room.upper - room.lower))
@@ -56,11 +58,17 @@ def scatter(columns: Columns, block: Block, room: Room, addition: RandomAddition
     most, fraction = JAMMED.get(dimension, inf), packing_fraction(ranks, own, room)
     if room.solid and count > 1000 and smallest == largest and fraction > most:
         said = f"{count} spheres have packing fraction {fraction:.3g}, above the {most} at which"
-        return f"{said} random places run out; {advice}"
+        return f"{said} random places run out; {advice(fraction, dimension)}"
     key = int(np.random.Philox(key=stream_key(columns.scene.seed, block.number, "position")).random_raw())
     columns.arrays["position"][block.rows], missing = addition.place(key, np.arange(*block.numbers), own)
     if not missing:
         return ""
     fraction = packing_fraction(ranks, columns.arrays["radius"], room)
     said = f"only {count - missing} of {count} spheres fit after {addition.tries} tries (packing fraction {fraction:.3g})"
-    return f"{said}; {advice}"
+    return f"{said}; {advice(fraction, dimension)}"
+
+
+def advice(fraction: float, dimension: int) -> str:
+    """What to do where spheres with this packing fraction find no random places: up to DENSEST a lattice may have them."""
+    lattice = "use lattice, or " if fraction < DENSEST.get(dimension, 0.0) else ""
+    return f"{lattice}fewer or smaller spheres"

@@ -85,8 +85,9 @@ def wrong_length(key: str, value: Any, dimension: int) -> list[str]:
 
 
 def suggestion(name: str, known: list[str]) -> str:
-    near = difflib.get_close_matches(name, known, 1)
-    return f" (did you mean '{near[0]}'?)" if near else f" (known: {', '.join(known)})"
+    near = difflib.get_close_matches(name, known)
+    meant = [one for one in near if name in one] or near[:1]  # of gravity: both kinds
+    return f" (did you mean {' or '.join(map(repr, meant))}?)" if meant else f" (known: {', '.join(known)})"
 
 
 def key_of(location: tuple[Any, ...]) -> str:
@@ -121,6 +122,7 @@ def faults_of(error: ValidationError, model: type[BaseModel], prefix: tuple[Any,
             faults.append(f"{key}: unknown key{suggestion(str(place[-1]), known)}")
         else:
             message = item["msg"].replace("Input should be", "must be").replace("Input", "input")
+            message = message.replace("a valid list", "a list")
             message = "must be a table" if kind == "model_type" else message
             short = isinstance(given, str | float | bool) or (isinstance(given, int) and abs(given) < 10**20)
             shown = f" (got {given!r})" if short else ""

@@ -36,7 +36,7 @@ def table_width(axes):
 
 @inner(inline="always")
 def arms_of(radius, other_radius, gap):
-    """Lengths of the arms of two spheres: their radii, and shares of the gap between them, or impulses there would turn the pair."""
+    """Lengths of the arms of two spheres: radii and shares of the gap, so that an impulse across it does not turn the pair."""
     both = radius + other_radius
     stretched = 1.0 + gap / both if both > 0.0 else 1.0
     return radius * stretched, other_radius * stretched
@@ -46,8 +46,9 @@ def arms_of(radius, other_radius, gap):
 def rough_table(axes, smooth, wall, start, partner, gap, radii, inverse_inertia, w, which, surfaces, slid):
     """The table of half-edges from that of smooth spheres (m, 5 + d) with the bounds of `bound_rough`.
 
-    wall (m,): which walls are partners, -1 for rows; gap (m,): to the partner; radii (size + 1,); surfaces (2, m): mu, resistance; slid (m, d + s):
-    what was taken across the normal, and the couple. What is not across the normal any longer is left out.
+    wall (m,): which walls are partners, -1 for rows; gap (m,): to the partner; radii (size + 1,); surfaces (2, m): mu and
+    resistance; slid (m, d + s): what was taken across the normal, and the couple. What is not across the normal any longer is
+    left out.
     """
     d, s = len(axes), spins_of(axes)
     table = np.zeros((len(partner), table_width(axes)))

@@ -58,6 +58,8 @@ def test_scene_survives_its_own_tables(path):
     ("changes", "words"),
     [
         ({"dimensions": 2}, ["dimensions", "did you mean 'dimension'"]),
+        ({"effects": {"gravity": {}}}, ["effects.gravity", "did you mean 'mutual_gravity' or 'uniform_gravity'?"]),
+        ({"effects": {"uniform_gravity": {"acceleration": -9.81}}}, ["effects.uniform_gravity.acceleration: must be a list"]),
         ({"dimension": None}, ["dimension: missing"]),
         ({"dimension": 0}, ["dimension"]),
         ({"time": {"step": 1e101, "steps": 3}}, ["time.step: 1e+101 is not a number between -1e+100 and 1e+100"]),
