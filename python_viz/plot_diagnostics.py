@@ -1,5 +1,7 @@
 """Plot the sums of a run against time: energy, momentum, events per unit time (collisions, wall hits, missed), largest speed.
 
+Where bodies attract one another, and never meet, angular momentum takes the place of events.
+
 The heading of the energy panel says how far the total energy has moved from its first value: a run without losses should
 keep it; with friction, drag or inelastic collisions it must fall. Steady momentum is the same check for the forces.
 
@@ -40,16 +42,24 @@ def plot_energy(axes: Axes, rows: dict[str, np.ndarray]) -> None:
 
 def plot_momentum(axes: Axes, rows: dict[str, np.ndarray]) -> None:
     """Every component of the total momentum; round-off is not blown up, for the sum of m|v| is at least 2 K / (largest speed)."""
-    names = [name for name in rows if name.startswith("momentum_")]
-    for name in names:
-        axes.plot(rows["time"], rows[name], label=name.removeprefix("momentum_"))
-    change = max(float(np.abs(rows[name] - rows[name][0]).max()) for name in names)
-    axes.set_title(f"momentum   (changed by at most {change:.2g})")
+    plot_components(axes, rows, "momentum")
     at_least(axes, 1e-9 * float((2 * rows["kinetic"] / np.maximum(rows["max_speed"], 1e-300)).max()))
 
 
+def plot_components(axes: Axes, rows: dict[str, np.ndarray], what: str) -> None:
+    """Every component of a vector; the heading says how far any of them has moved from its first value."""
+    names = [name for name in rows if name.startswith(f"{what}_")]
+    for name in names:
+        axes.plot(rows["time"], rows[name], label=name.removeprefix(f"{what}_"))
+    change = max(float(np.abs(rows[name] - rows[name][0]).max()) for name in names)
+    axes.set_title(f"{what.replace('_', ' ')}   (changed by at most {change:.2g})")
+
+
 def plot_rates(axes: Axes, rows: dict[str, np.ndarray]) -> None:
-    """Events per unit time: the counts since the previous row over the time since then."""
+    """Events per unit time: the counts since the previous row over the time since then; angular momentum where there are none."""
+    if not any(rows[name].any() for name in EVENTS) and any(name.startswith("angular_momentum_") for name in rows):
+        plot_components(axes, rows, "angular_momentum")
+        return
     group = 1 + len(rows["time"]) // BINS
     edges = rows["time"][::group]
     if len(edges) < 2:
