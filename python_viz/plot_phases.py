@@ -22,7 +22,6 @@ from matplotlib.ticker import LogLocator
 from run_files import BLUE, DEFAULT_RUN, RED, finish, new_parser, parse, save_path, start, stop
 
 from particles_mpi import Run
-from particles_mpi.run.console import PHASES
 
 OUTSIDE = ("setup", "loop")  # timers that are not phases of the loop
 MOST = 8  # phases with a colour of their own in stacked bars
@@ -50,7 +49,7 @@ def read_timing(run: Run) -> Timing:
     try:
         timers = dict(info["timers"])
         setup, loop = (timers.pop(name) for name in OUTSIDE)
-        return Timing(run, int(info["ranks"]), setup, loop, {PHASES.get(name, name): phase for name, phase in timers.items()})
+        return Timing(run, int(info["ranks"]), setup, loop, timers)
     except KeyError as name:
         stop(f"no {name} in {run.folder / 'run.json'} (it is written when a run ends)")
 

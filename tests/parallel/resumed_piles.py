@@ -43,9 +43,13 @@ def save_and_resume(job, save=Job.save):
     resumed_with[rows] += 1
 
 
-Job.save = save_and_resume
-for name, scene in {"four": pile(4, 120), "eight": pile(8, 120), "rough": pile(8, 120, friction=0.3)}.items():
-    Simulation(scene).run(folder / name)
+saved_by = Job.save
+try:
+    Job.save = save_and_resume
+    for name, scene in {"four": pile(4, 120), "eight": pile(8, 120), "rough": pile(8, 120, friction=0.3)}.items():
+        Simulation(scene).run(folder / name)
+finally:
+    Job.save = saved_by  # ranks may stay, for other scripts
 assert {4, 8} <= resumed_with.keys()  # as many as ids, whose order is found in another way
 if ranks.is_root:
     print("the same bits")
