@@ -1,7 +1,7 @@
 """Columns of numbers in a CSV file, of which each rank reads a part: from about its share of the bytes, whole lines."""
 
-import os
 import warnings
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -72,9 +72,10 @@ def read_table(ranks: Communicator, path: Path, quantity: str, dimension: int) -
 def gives(ranks: Communicator, path: Path, quantity: str, dimension: int) -> bool:
     """Has a CSV file a header that names columns of this quantity? False if it cannot be read. Collective."""
     header = b""
-    if ranks.is_root and path.is_file() and os.access(path, os.R_OK):
-        with path.open("rb") as file:
-            header = file.readline().removeprefix(BOM)
+    with suppress(OSError):  # that is told where the places are read
+        if ranks.is_root:
+            with path.open("rb") as file:
+                header = file.readline().removeprefix(BOM)
     names = {cell.strip().strip('"').lower() for cell in ranks.bcast(header).decode("utf-8", "replace").split(",")}
     return dimension <= 3 and not names.isdisjoint(NAMES[quantity][:dimension])
 

@@ -39,7 +39,8 @@ PHASES = {
 LOG_AFTER, LOG_RARER = 10.0, 1.5  # seconds until the first line of progress in a log, and factor to the next
 NAMED_SHARE = 0.05  # of a step: phases that take less are not named in a forecast
 COMPILING_SECONDS = 20  # seconds to compile the kernels of one dimension that a scene uses
-FEW_ON_A_RANK = 2000  # particles: of fewer, messages take longer than what they save
+# Particles: of fewer, messages take longer than what they save; and where all attract one another.
+FEW_ON_A_RANK, FEW_WITH_GRAVITY = 2000, 200
 LOG_WIDTH = 200  # columns of a table that is not shown on a terminal
 
 
@@ -124,8 +125,9 @@ class Screen:
             f"frame{'s' * (plan['frames'] > 1)}{last}, about {decimal(plan['output_bytes'])}")  # fmt: skip
         for line in plan["advice"]:
             say(f"  {line}")
-        if plan["ranks"] > 1 and plan["particles"] < FEW_ON_A_RANK * plan["ranks"]:
-            say(f"  ranks: fewer than {FEW_ON_A_RANK} particles on each: one rank is as fast, or faster (RANKS=1 ./run.sh ...)")
+        few = FEW_WITH_GRAVITY if any(row["effect"] == "mutual_gravity" for row in plan["effects"]) else FEW_ON_A_RANK
+        if plan["ranks"] > 1 and plan["particles"] < few * plan["ranks"]:
+            say(f"  ranks: fewer than {few} particles on each: one rank is as fast, or faster (RANKS=1 ./run.sh ...)")
         for line in warnings:
             say(f"  [yellow]warning:[/yellow] {line}")
 
