@@ -76,8 +76,12 @@ def gives(ranks: Communicator, path: Path, quantity: str, dimension: int) -> boo
         if ranks.is_root:
             with path.open("rb") as file:
                 header = file.readline().removeprefix(BOM)
-    names = {cell.strip().strip('"').lower() for cell in ranks.bcast(header).decode("utf-8", "replace").split(",")}
-    return dimension <= 3 and not names.isdisjoint(NAMES[quantity][:dimension])
+    return dimension <= 3 and not set(names_in(ranks.bcast(header))).isdisjoint(NAMES[quantity][:dimension])
+
+
+def names_in(header: bytes) -> list[str]:
+    """Names of the columns."""
+    return [cell.strip().strip('"').lower() for cell in header.decode("utf-8", "replace").split(",")]
 
 
 def uneven_line(block: bytes, cells: int, first: int) -> str:
@@ -95,7 +99,7 @@ def uneven_line(block: bytes, cells: int, first: int) -> str:
 
 def columns_of(header: bytes, quantity: str, dimension: int) -> list[int] | str:
     """Numbers of the columns that a header gives to a quantity, or what is wrong with it."""
-    given = [cell.strip().strip('"').lower() for cell in header.decode("utf-8", "replace").split(",")]
+    given = names_in(header)
     names = NAMES.get(quantity, ())[:dimension]
     named = [name for name in given if any(name in of for of in NAMES.values())]
     if not named or not names or (dimension > 3 and given[:3] == list(names)):

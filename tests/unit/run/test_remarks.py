@@ -25,9 +25,28 @@ def test_energy_that_changes_though_nothing_takes_any_is_told(tmp_path, step, mo
     assert bool(said) == told and all("shorten time.step" in remark and "adaptive" in remark for remark in said)
 
 
+WIND = """from particles_mpi.effects import EffectOptions, Force
+
+class Options(EffectOptions):
+    pass
+
+class Effect(Force):
+    formula = "dv/dt = 1 along x"
+
+    def __init__(self, options, scene):
+        pass
+
+    def add(self, particles, acceleration):
+        acceleration[:, 0] += 1.0
+"""
+
+
 def test_a_force_without_a_potential_may_change_the_energy(tmp_path):
-    pushed = {"position": [[0.0, 0.0]], "velocity": [1.0, 0.0], "acceleration": [1.0, 0.0]}
-    about = ended(tmp_path / "o", time={"step": 0.1, "steps": 10}, particles=[pushed], effects={"user_acceleration": {}})
+    (tmp_path / "wind.py").write_text(WIND)
+    about = ended(
+        tmp_path / "o", time={"step": 0.1, "steps": 10}, particles=[{"position": [[0.0, 0.0]], "velocity": [1.0, 0.0]}],
+        effects={"wind": {"file": str(tmp_path / "wind.py")}},
+    )  # fmt: skip
     assert not about["remarks"]
 
 
