@@ -18,8 +18,9 @@ iterations and after them: then errors do no work in sum over all contacts. Roug
 are not multiplied: the factor itself is rounded, and would be what moves them.
 
 With friction the problem is no minimum, and work past one says less: there, momentum is given up where errors grow, and in
-solutions that end at round-off where errors do work, or are more than GROWN times the least so far. What does not get to errors
-that are allowed is multiplied by that factor, if it is less than 1: so it adds no energy.
+solutions that end at round-off where errors do work, or, in the first half of the iterations, are more than GROWN times the
+least so far. What does not get to errors that are allowed is multiplied by that factor, if it is less than 1: so it adds no
+energy.
 """
 
 from collections.abc import Callable
@@ -33,6 +34,7 @@ from particles_mpi.contacts.persistent.iterations import (
     begin,
     iterate_to_end,
     iterations,
+    unit_of_squares,
     verdict,
     whole_numbers,
     works,
@@ -140,7 +142,9 @@ class Iteration:
         errors = self.advance(1, looks=True)
         while True:
             worst, over_round_off, most = ranks.largest(*errors)
-            squares, work = map(float, ranks.total(*whole_numbers(self.sums, (1.0, most if most > 0.0 else 1.0))))
+            unit = unit_of_squares(worst)
+            counts = ranks.total(*whole_numbers(self.sums, (unit, most if most > 0.0 else 1.0)))
+            squares, work = counts[0] * unit, float(counts[1])
             good, calm, ends, anew = verdict((worst, over_round_off, squares, work), rules, done, before, best)
             ask = asleep if done == 1 and (over_round_off <= 1.0 or (self.rough and good)) else None
             if ask:

@@ -14,6 +14,7 @@ from particles_mpi.kernels.jit import inner, kernel
 
 # Sums are of whole numbers, so that no order changes a bit: of units of 1/SUM_UNITS, LARGEST_SUM at most.
 SUM_UNITS, LARGEST_SUM = 2.0**24, 2.0**14
+LARGEST_UNIT = 1e300  # of squares of errors, which may be infinite
 MOST_ITERATIONS = 5000
 CHECK = 5  # iterations between two looks at what is left
 FIRST_THETA = 0.25  # where the sequence of momenta begins: not at 1, for solutions begin near the last one
@@ -80,6 +81,15 @@ def largest_work(sums):
 
 
 @inner
+def unit_of_squares(worst):
+    """In which unit the squares of errors are summed, of which the worst error is the largest: 1 where that may be allowed.
+
+    Else it grows with the worst, so that no row with less than LARGEST_SUM/512 such errors is cut: cut ones do not show growth.
+    """
+    return min(max(worst * worst / 512.0, 1.0), LARGEST_UNIT)
+
+
+@inner
 def verdict(seen, rules, done, before, best):
     """After `done` iterations: (are errors allowed, and far below that, may iterations end, should momentum be given up).
 
@@ -92,7 +102,8 @@ def verdict(seen, rules, done, before, best):
     good, calm = worst <= OUTLIER and squares <= count * SUM_UNITS, rough and squares <= count * SUM_UNITS * CALM**2
     enough = done >= (max(MORE, least) if calm else least)
     ends = over_round_off <= 1.0 or (good and enough) or done >= limit
-    grown = rough and squares > (GROWN * best if exact else before)
+    late = exact and 2 * done > limit  # what was not found with that rule is looked for without it
+    grown = rough and not late and squares > (GROWN * best if exact else before)
     return good, calm, ends, grown or (work > 0.0 and (exact or not rough))
 
 
@@ -107,15 +118,16 @@ def iterate_to_end(axes, problem, w, v0, v, other, theta, rules, done, before, b
         theta, worst, over_round_off, most = iterations(axes, count, problem, w, v0, v, other, theta, looks, sums)
         v, other = other, v  # for CHECK is odd
         done += CHECK
-        squares, work = whole_numbers(sums, (1.0, most if most > 0.0 else 1.0))
-        seen = worst, over_round_off, float(squares), float(work)
+        unit = unit_of_squares(worst)
+        squares, work = whole_numbers(sums, (unit, most if most > 0.0 else 1.0))
+        seen = worst, over_round_off, squares * unit, float(work)
         _, _, ends, anew = verdict(seen, rules, done, before, best)
         if ends:
             return theta, done, before, best, worst, over_round_off, most
         if anew:
             theta = FIRST_THETA
             begin(axes, 0, n, problem, w, v0, v)
-        before, best = float(squares), min(best, float(squares))
+        before, best = seen[2], min(best, seen[2])
 
 
 @kernel

@@ -51,7 +51,7 @@ class Solver:
         if not count:
             return v[: len(problem.start) - 1], True, False
         few = count <= DIRECT and every <= FEW_HALF_EDGES
-        limit = TRIED if few and smooth else MOST_ITERATIONS
+        limit = MOST_ITERATIONS if not few else TRIED if smooth else 2 * MOST_ITERATIONS
         if ranks.size > 1 and every <= FEW_HALF_EDGES:
             result, good, done = self.by_each_rank(problem, w, v, ids, (count, least, limit), asleep)
         else:
