@@ -90,28 +90,26 @@ def unit_of_squares(worst):
 
 
 @inner
-def verdict(seen, rules, done, before, best):
+def verdict(seen, rules, done, best):
     """After `done` iterations: (are errors allowed, and far below that, may iterations end, should momentum be given up).
 
-    seen: what the last one saw, the two largest errors, and sums over all rows of squares of errors, and of works; before, best:
-    that sum of squares one look before, and the least so far. rules: half-edges that count, iterations at least, at most, are
-    errors followed down to round-off, are spheres rough.
+    seen: what the last one saw, the two largest errors, and sums over all rows of squares of errors, and of works; best: the
+    least sum of squares so far. rules: half-edges that count, iterations at least, at most, are spheres rough.
     """
     worst, over_round_off, squares, work = seen
-    count, least, limit, exact, rough = rules
+    count, least, limit, rough = rules
     good, calm = worst <= OUTLIER and squares <= count * SUM_UNITS, rough and squares <= count * SUM_UNITS * CALM**2
     enough = done >= (max(MORE, least) if calm else least)
     ends = over_round_off <= 1.0 or (good and enough) or done >= limit
-    late = exact and 2 * done > limit  # what was not found with that rule is looked for without it
-    grown = rough and not late and squares > (GROWN * best if exact else before)
-    return good, calm, ends, grown or (work > 0.0 and (exact or not rough))
+    grown = rough and 2 * done <= limit and squares > GROWN * best  # in the second half what was not found is sought without it
+    return good, calm, ends, grown or work > 0.0
 
 
 @kernel
-def iterate_to_end(axes, problem, w, v0, v, other, theta, rules, done, before, best, sums):
+def iterate_to_end(axes, problem, w, v0, v, other, theta, rules, done, best, sums):
     """`CHECK` iterations and a look, again and again, until the `verdict` is that they may end, where all rows are here.
 
-    Returns (theta, iterations done, before, best, and what the last look saw: see `iterations`).
+    Returns (theta, iterations done, best, and what the last look saw: see `iterations`).
     """
     n, count, looks = len(problem[0]) - 1, np.int64(CHECK), np.bool_(True)
     while True:
@@ -121,13 +119,13 @@ def iterate_to_end(axes, problem, w, v0, v, other, theta, rules, done, before, b
         unit = unit_of_squares(worst)
         squares, work = whole_numbers(sums, (unit, most if most > 0.0 else 1.0))
         seen = worst, over_round_off, squares * unit, float(work)
-        _, _, ends, anew = verdict(seen, rules, done, before, best)
+        _, _, ends, anew = verdict(seen, rules, done, best)
         if ends:
-            return theta, done, before, best, worst, over_round_off, most
+            return theta, done, best, worst, over_round_off, most
         if anew:
             theta = FIRST_THETA
             begin(axes, 0, n, problem, w, v0, v)
-        before, best = seen[2], min(best, seen[2])
+        best = min(best, seen[2])
 
 
 @kernel
