@@ -74,7 +74,6 @@ def plot(axes: Axes, run: Run, span: float) -> None:
     if run.dimension == 1:
         moments, places = paths_of(run[:], smooth)
         axes.plot(moments, places[:, :, 0], lw=0.8)
-        axes.set(xlabel="t", ylabel="x")
     elif len(last.position) <= FEW:
         plot_few(axes, paths_of(run[:], smooth)[1])
         if box := scene.get("box"):
@@ -96,6 +95,9 @@ def plot(axes: Axes, run: Run, span: float) -> None:
               bbox={"facecolor": axes.get_facecolor(), "alpha": 0.7, "lw": 0, "pad": 1},
               color="white" if len(last.position) > FEW and not last.radius.any() else "black")  # fmt: skip
     axes.tick_params(labelsize=7)
+    across, up = ("x", "y") if run.dimension > 1 else ("t", "x")
+    axes.set_xlabel(across, fontsize=8)
+    axes.set_ylabel(up, fontsize=8)
 
 
 def main() -> None:

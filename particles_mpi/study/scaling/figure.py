@@ -1,6 +1,7 @@
 """The figure of `study scaling`: times, efficiency, phases, and the model."""
 
 from collections.abc import Sequence
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -15,19 +16,18 @@ COURSE_SECONDS = {4: 148.0, 8: 37.9, 16: 10.3, 32: 3.13, 64: 1.036}  # cores: se
 COURSE_STEPS, COURSE_LABEL = 500, "course code, N = 32000, Xeon Gold 6230"
 COLORS = ("#2e86ab", "#1b4965", "#d1495b")  # of the curves: strong ones first, the weak one last
 GREY = "#b6bcc6"
+TITLE_LETTERS = 80  # in a line of the title of a panel
 
 
 def draw(result: Result) -> Figure:
     """Four panels; three without a model."""
     figure = Figure(figsize=(12, 9), dpi=130, layout="constrained")
-    times, efficiency, phases, extrapolated = figure.subplots(2, 2).flat
-    draw_times(times, result)
-    draw_efficiency(efficiency, result)
-    draw_phases(phases, result)
+    panels = figure.subplot_mosaic([["times", "efficiency"], ["phases", "model" if result.model else "phases"]])
+    draw_times(panels["times"], result)
+    draw_efficiency(panels["efficiency"], result)
+    draw_phases(panels["phases"], result)
     if result.model:
-        draw_model(extrapolated, result, result.model)
-    else:
-        extrapolated.remove()
+        draw_model(panels["model"], result, result.model)
     for axes in figure.axes:
         axes.spines[["top", "right"]].set_visible(False)
     figure.suptitle(result.title, fontsize=14)
@@ -127,4 +127,4 @@ def draw_model(axes: Axes, result: Result, model: Model) -> None:
         draw_markers(axes, curve, [p.seconds for p in curve.points], color)
     axes.plot([], [], "o", color=GREY, label="measured")
     axes.set(yscale="log", ylabel="seconds a step")
-    against_ranks(axes, [1 << k for k in range(0, 11, 2)], result.origin(model), loc="upper right")
+    against_ranks(axes, [1 << k for k in range(0, 11, 2)], fill(result.origin(model), TITLE_LETTERS), loc="upper right")
