@@ -16,7 +16,7 @@ COURSE_SECONDS = {4: 148.0, 8: 37.9, 16: 10.3, 32: 3.13, 64: 1.036}  # cores: se
 COURSE_STEPS, COURSE_LABEL = 500, "course code, N = 32000, Xeon Gold 6230"
 COLORS = ("#2e86ab", "#1b4965", "#d1495b")  # of the curves: strong ones first, the weak one last
 GREY = "#b6bcc6"
-TITLE_LETTERS = 80  # in a line of the title of a panel
+TITLE_LETTERS = 60  # in a line of the title of a panel
 
 
 def draw(result: Result) -> Figure:
