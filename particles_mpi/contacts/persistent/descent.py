@@ -38,7 +38,7 @@ from particles_mpi.contacts.persistent.iterations import (
     whole_numbers,
     works,
 )
-from particles_mpi.contacts.persistent.problem import Problem
+from particles_mpi.contacts.persistent.problem import MAY_CLOSE, Problem
 from particles_mpi.contacts.persistent.rough_table import taken_columns
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
@@ -47,6 +47,9 @@ LITTLE_CHANGE = 0.2  # `balance` before the iterations is done only if its facto
 # Where at least so many iterations are asked for, errors are followed down to round-off, not to a tolerance: of rough spheres
 # more, for what fewer leave of errors is hit after hit where contacts keep no gap.
 EXACT, ROUGH_EXACT = 100, 400
+# Iterations, after which contacts are no longer asked to go back to the gap that they keep: it seems that there is no room, as
+# in a box that is full from side to side; and those that are done then, for contacts without a gap.
+ASKED, WITHOUT_GAP = 500, 1500
 
 
 class Iteration:
@@ -87,7 +90,7 @@ class Iteration:
         return seen[0], seen[1], seen[2]
 
     def go_on(
-        self, rules: tuple[int, int, int, bool], done: int, best: float
+        self, rules: tuple[int, int, int, int, bool], done: int, best: float
     ) -> tuple[tuple[float, float, float], int, float]:  # fmt: skip
         """Iterate until the `verdict` is that this may end: (what the last one saw, iterations done, best).
 
@@ -137,7 +140,7 @@ class Iteration:
         errors are allowed, and the iterations done, 0 for a pile that is asleep. Collective.
         """
         done, exact, best = 1, least >= (ROUGH_EXACT if self.rough else EXACT), np.inf
-        rules = count, least, limit, self.rough
+        rules = count, least, limit if exact else min(limit, ASKED), limit, self.rough
         if not exact and not self.rough:
             self.balance(ranks, 1.0 - LITTLE_CHANGE, 1.0 + LITTLE_CHANGE)
         errors = self.advance(1, looks=True)
@@ -152,8 +155,12 @@ class Iteration:
                 self.restart()
                 if ask(self.result):
                     return True, 0
-            if ends:
+            if ends and (good or over_round_off <= 1.0 or done >= limit):
                 break
+            if ends:
+                may_close = self.problem[2][:, MAY_CLOSE]
+                np.maximum(may_close, 0.0, out=may_close)
+                rules, anew, best = (count, WITHOUT_GAP, limit, limit, self.rough), True, np.inf
             if self.rough and done == 1 and not (exact or calm or ask):
                 self.balance(ranks, 1.0 - LITTLE_CHANGE, 1.0 + LITTLE_CHANGE)
             elif anew and not ask:

@@ -94,13 +94,14 @@ def verdict(seen, rules, done, best):
     """After `done` iterations: (are errors allowed, and far below that, may iterations end, should momentum be given up).
 
     seen: what the last one saw, the two largest errors, and sums over all rows of squares of errors, and of works; best: the
-    least sum of squares so far. rules: half-edges that count, iterations at least, at most, are spheres rough.
+    least sum of squares so far. rules: half-edges that count, iterations at least, at most for now, at most at all, are spheres
+    rough.
     """
     worst, over_round_off, squares, work = seen
-    count, least, limit, rough = rules
+    count, least, until, limit, rough = rules
     good, calm = worst <= OUTLIER and squares <= count * SUM_UNITS, rough and squares <= count * SUM_UNITS * CALM**2
     enough = done >= (max(MORE, least) if calm else least)
-    ends = over_round_off <= 1.0 or (good and enough) or done >= limit
+    ends = over_round_off <= 1.0 or (good and enough) or done >= until
     grown = rough and 2 * done <= limit and squares > GROWN * best  # in the second half what was not found is sought without it
     return good, calm, ends, grown or work > 0.0
 
