@@ -132,8 +132,8 @@ class Iteration:
     ) -> tuple[bool, int]:
         """Iterate until errors are allowed and `least` iterations are done, or only round-off is left, or `limit` are done.
 
-        Rough piles whose errors are CALM get at least MORE iterations. At the end, all that is taken may be multiplied by a
-        factor.
+        Rough piles whose errors are CALM get at least MORE iterations. Contacts that keep a gap, and have no solution by ASKED,
+        are no longer asked to go back to it. At the end, all that is taken may be multiplied by a factor.
 
         `count`: half-edges of all ranks that may take something; `asleep`: if given, asked whether a pile moves at all that
         begins with errors that are allowed, or, of smooth spheres, with round-off; if not, it is left like that. Returns whether
