@@ -354,3 +354,26 @@ def test_a_ceiling_holds_nothing_and_a_force_of_zero_changes_nothing(loss, colli
             ends.append(np.concatenate((sim.particles.position, sim.particles.velocity), axis=1)[np.argsort(sim.particles.id)])
     assert np.array(ends[:6]) == pytest.approx(np.array(ends[6:]), abs=1e-12)
     assert (ends[5][:, 3] < 0.0).all()
+
+
+@pytest.mark.parametrize("mode", ["rewind", "event"])
+@pytest.mark.parametrize("e", [0.9, 0.95, 1.0])
+def test_a_rack_of_balls_on_a_floor_breaks_as_without_one(e, mode):
+    """Fifteen that touch, hit by one at 6 m/s: as a crowd that collapses they lost 59 % of the energy."""
+    radius, row = 0.03, [(k, j) for k in range(5) for j in range(k + 1)]
+    plane = [[-0.2, 0.002], *([np.sqrt(3.0) * radius * k, radius * (2 * j - k)] for k, j in row)]
+    law = {"mode": mode, "restitution": e}
+
+    def energy(d, **more):
+        places, velocity = [[*place, radius][:d] for place in plane], np.zeros((16, d))
+        velocity[0, 0] = 6.0
+        balls = {"position": places, "velocity": velocity, "radius": radius, "mass": 0.17}
+        sim = Simulation(Scene(dimension=d, time={"step": 0.004, "steps": 15}, particles=[balls], **more))
+        sim.steps(15)
+        return 0.5 * 0.17 * (sim.particles.velocity[:, :2] ** 2).sum()
+
+    floor = {"planes": [{"point": [0.0] * 3, "normal": [0.0, 0.0, 1.0]}], "restitution": 0.5}
+    gravity = {"acceleration": [0.0, 0.0, -9.81]}
+    without = energy(2, effects={"collisions": law})
+    lying = energy(3, effects={"collisions": law, "walls": floor, "uniform_gravity": gravity})
+    assert lying == pytest.approx(without, rel=1e-3)

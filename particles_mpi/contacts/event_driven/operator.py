@@ -34,9 +34,12 @@ from particles_mpi.timers import Timers
 
 LEAST_DIVIDED = 2000  # particles a rank; with fewer, space is not divided
 LONGEST_PAUSE = 64  # drifts
-# Quick contacts in a drift, after which a particle is one of a crowd that collapses, in each attempt at the drift. What an
-# attempt leaves is little as a rule, and dies away; else those that hit the crowd from outside have to be among it.
-QUICK_CONTACTS = (8, 1000, 8, 4, 2, 1, NEVER_CROWDED)
+# Quick contacts in a drift, after which a particle is one of a crowd that collapses: in the first attempt TAKING/(1 - e), for so
+# many take a given part of the energy, and a rack of balls with e = 0.95 is none, within LEAST_QUICK and MOST_FIRST_QUICK; then
+# in each further attempt. What an attempt leaves is little as a rule, and dies away; else those that hit the crowd from outside
+# have to be among it.
+TAKING, LEAST_QUICK, MOST_FIRST_QUICK = 4.0, 8.0, 160.0
+QUICK_CONTACTS = (1000, 8, 4, 2, 1, NEVER_CROWDED)
 DURATION = 1e-4  # of a step: the `contact_duration` of a scene that gives none,
 FOLLOWING_EFFORT = 10_000  # particles times contacts that have to follow one another so soon until further ones take no energy,
 FOLLOWERS, AT_ONE_MOMENT = (3, 4000), (50, 900)  # at least and at most; and those at one moment
@@ -78,6 +81,8 @@ class EventDriven:
         stands = forces and len(planes.point) > 0 and loss.restitution * loss.velocity_factor < 1.0
         if forces:
             before = PRESSED_FOLLOWERS
+        first = TAKING / max(1.0 - loss.restitution * loss.velocity_factor, TAKING / MOST_FIRST_QUICK)
+        self.attempts = int(max(first, LEAST_QUICK)), *QUICK_CONTACTS
         most = MOST_QUICK if hold else NEVER_CROWDED
         self.collapse = Collapse(0.0, 0 if duration is not None else before, at_once, stands, most)
         # Contacts of this rank that took no energy: how many; of the first step with some its moment, and (time, id, id or wall)
@@ -125,7 +130,7 @@ class EventDriven:
             return self.drift_once(h, moment, stop, NEVER_CROWDED)
         p = self.particles
         undone = ["id", *(name for name in CHANGING if name in p.arrays and name != "supported")]
-        for tried, crowded in enumerate(QUICK_CONTACTS):
+        for tried, crowded in enumerate(self.attempts):
             before, tc_elastic_before = {name: p[name].copy() for name in undone}, self.tc_elastic
             happened = self.drift_once(h, moment, False, crowded)
             if crowded == NEVER_CROWDED or not self.ranks.any((p["supported"] == CROWD).any()):

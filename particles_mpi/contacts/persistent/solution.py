@@ -96,6 +96,8 @@ class SlowContacts:
             effort = TRIED if tried else IN_CROWDS
         pressed = self.pressed(local, contacts, borne, along_normals(AS_PUSH * before), graph.exchange)
         chosen, targets = self.chosen(local, contacts, before, pressed, h, effort)
+        if again and not self.kind.rough:  # given twice, the way back to a margin lifts beds of smooth spheres by 1e-6
+            np.maximum(targets.may_close, 0.0, out=targets.may_close)
         taken = np.where(chosen, (before if known else borne / AS_PUSH).T, 0.0).T * (not again)
         problem = self.kind.problem(local, graph, contacts, chosen, targets, taken)
         w, v = self.kind.motion(local, graph, local.v, local.spin)
