@@ -78,10 +78,11 @@ class EventDriven:
         self.divided = ranks.size > 1 and total >= LEAST_DIVIDED * ranks.size
         # What forces press together has such contacts in each step, without end
         before, at_once = (min(max(FOLLOWING_EFFORT // max(total, 1), least), most) for least, most in (FOLLOWERS, AT_ONE_MOMENT))
-        stands = forces and len(planes.point) > 0 and loss.restitution * loss.velocity_factor < 1.0
+        left = loss.restitution * loss.velocity_factor  # of the speed along the normal, after a contact
+        stands = forces and len(planes.point) > 0 and left < 1.0
         if forces:
             before = PRESSED_FOLLOWERS
-        first = TAKING / max(1.0 - loss.restitution * loss.velocity_factor, TAKING / MOST_FIRST_QUICK)
+        first = TAKING / max(1.0 - left, TAKING / MOST_FIRST_QUICK)
         self.attempts = int(max(first, LEAST_QUICK)), *QUICK_CONTACTS
         most = MOST_QUICK if hold else NEVER_CROWDED
         self.collapse = Collapse(0.0, 0 if duration is not None else before, at_once, stands, most)

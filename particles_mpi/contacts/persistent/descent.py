@@ -52,6 +52,11 @@ EXACT, ROUGH_EXACT = 100, 400
 ASKED, WITHOUT_GAP = 500, 1500
 
 
+def exact_from(rough: bool) -> int:
+    """From how many iterations that are asked for errors are followed down to round-off, of smooth or of rough spheres."""
+    return ROUGH_EXACT if rough else EXACT
+
+
 class Iteration:
     """The iterations of one solution for velocities v (size + 1, d), which stay as they are; `result` (n, d) has the last ones.
 
@@ -139,7 +144,7 @@ class Iteration:
         begins with errors that are allowed, or, of smooth spheres, with round-off; if not, it is left like that. Returns whether
         errors are allowed, and the iterations done, 0 for a pile that is asleep. Collective.
         """
-        done, exact, best = 1, least >= (ROUGH_EXACT if self.rough else EXACT), np.inf
+        done, exact, best = 1, least >= exact_from(self.rough), np.inf
         rules = count, least, limit if exact else min(limit, ASKED), limit, self.rough
         if not exact and not self.rough:
             self.balance(ranks, 1.0 - LITTLE_CHANGE, 1.0 + LITTLE_CHANGE)

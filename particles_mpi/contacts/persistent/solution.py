@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from particles_mpi.contacts.persistent.descent import exact_from
 from particles_mpi.contacts.persistent.detection import PRECISE, SLOW, Contacts, find_contacts
 from particles_mpi.contacts.persistent.graph import ContactGraph, Exchange
 from particles_mpi.contacts.persistent.iterations import OUTLIER
@@ -58,6 +59,7 @@ class SlowContacts:
         self.axes = (0.0,) * len(length)
         self.kind = RoughContacts(self.axes, surfaces) if surfaces.rough else SmoothContacts(self.axes)
         self.solver = Solver(ranks, self.axes)
+        self.exact = exact_from(self.kind.rough)
         self.effort = SOLUTION_EFFORT  # see there; with 0 any pile is solved as a large one
         self.found: Found | None = None
         self.last: Solution | None = None  # if its errors were allowed
@@ -90,9 +92,9 @@ class SlowContacts:
     ) -> Solution:  # fmt: skip
         """A new solution for `count` half-edges of all ranks; see `solve`. Collective."""
         before, known, again = for_these[0], bool(for_these[-1]), tried is not None
-        effort = max(self.effort // count * (1 if known else UNKNOWN), self.kind.least) if self.pairs else self.kind.exact
+        effort = max(self.effort // count * (1 if known else UNKNOWN), self.kind.least) if self.pairs else self.exact
         borne = AS_PUSH * before if known else self.borne(local, graph, contacts, h, effort)
-        if again and effort >= self.kind.exact and not self.kind.rough:
+        if again and effort >= self.exact and not self.kind.rough:
             effort = TRIED if tried else IN_CROWDS
         pressed = self.pressed(local, contacts, borne, along_normals(AS_PUSH * before), graph.exchange)
         chosen, targets = self.chosen(local, contacts, before, pressed, h, effort)
@@ -101,7 +103,7 @@ class SlowContacts:
         taken = np.where(chosen, (before if known else borne / AS_PUSH).T, 0.0).T * (not again)
         problem = self.kind.problem(local, graph, contacts, chosen, targets, taken)
         w, v = self.kind.motion(local, graph, local.v, local.spin)
-        pile = Pile(contacts, local, self.tolerance / h if effort < self.kind.exact else 0.0)
+        pile = Pile(contacts, local, self.tolerance / h if effort < self.exact else 0.0)
 
         def asleep(v: Array) -> bool:
             return self.kind.asleep(self.ranks, pile, along_normals(self.kind.taken(problem)), v)
@@ -155,7 +157,7 @@ class SlowContacts:
         closing = approach(self.axes, contacts.start, contacts.partner, contacts.normal, local.v)
         which, *targets = slow(
             tuple(contacts), closing, along_normals(before), (local.supported, local.radius), pressed, h,
-            self.tolerance, OUTLIER * (effort < self.kind.exact), self.kind.slight,
+            self.tolerance, OUTLIER * (effort < self.exact), self.kind.slight,
         )  # fmt: skip
         return which, Targets(*targets)
 

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.descent import EXACT, ROUGH_EXACT
 from particles_mpi.contacts.persistent.detection import HELD, PRECISE, Contacts
 from particles_mpi.contacts.persistent.graph import ContactGraph
 from particles_mpi.contacts.persistent.memory import along_normals
@@ -69,7 +68,6 @@ class SmoothContacts:
 
     rough = False
     least = 0  # iterations that a solution always gets
-    exact = EXACT  # iterations, from which on piles are solved to round-off
     slight = 0.0  # see SLIGHT
     columns: tuple[int, ...] = ()  # of what is taken, by each half-edge
 
@@ -134,7 +132,6 @@ class RoughContacts(SmoothContacts):
 
     rough = True
     least = STEADY
-    exact = ROUGH_EXACT
     slight = SLIGHT
 
     def __init__(self, axes: tuple[float, ...], surfaces: Surfaces):
