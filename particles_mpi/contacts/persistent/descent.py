@@ -23,6 +23,7 @@ allowed is multiplied by that factor, if it is less than 1: so it adds no energy
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,6 +51,23 @@ EXACT, ROUGH_EXACT = 100, 400
 # Iterations, after which contacts are no longer asked to go back to the gap that they keep: it seems that there is no room, as
 # in a box that is full from side to side; and those that are done then, for contacts without a gap.
 ASKED, WITHOUT_GAP = 500, 1500
+
+
+Rules = tuple[int, int, int, int, bool]  # of `verdict`
+
+
+class Seen(NamedTuple):
+    """What an iteration that looks sees on all ranks: errors divided by those allowed, and by round-off; see `verdict`."""
+
+    worst: float
+    over_round_off: float
+    squares: float
+    work: float
+
+    @property
+    def round_off(self) -> bool:
+        """Is nothing else left?"""
+        return self.over_round_off <= 1.0
 
 
 def exact_from(rough: bool) -> int:
@@ -94,19 +112,36 @@ class Iteration:
                 self.exchange(self.v)
         return seen[0], seen[1], seen[2]
 
-    def go_on(
-        self, rules: tuple[int, int, int, int, bool], done: int, best: float
-    ) -> tuple[tuple[float, float, float], int, float]:  # fmt: skip
-        """Iterate until the `verdict` is that this may end: (what the last one saw, iterations done, best).
+    def seen(self, ranks: Communicator, errors: tuple[float, float, float]) -> Seen:
+        """What the last iteration, which looked, saw on all ranks, of its `errors` on this one. Collective."""
+        worst, over_round_off, most = ranks.largest(*errors)
+        unit = unit_of_squares(worst)
+        squares, work = ranks.total(*whole_numbers(self.sums, (unit, most if most > 0.0 else 1.0)))
+        return Seen(worst, over_round_off, squares * unit, float(work))
 
-        In one kernel, where no ghosts are exchanged: of a small pile, the calls would take longer than the iterations.
+    def until(self, ranks: Communicator, rules: Rules, done: int, best: float) -> tuple[Seen, int]:
+        """Iterate until the `verdict` is that this may end: what was seen last, and the iterations done. Collective.
+
+        `done` and `best`: iterations, and the least sum of squares of errors, so far. Where no ghosts are exchanged, all is done
+        in one kernel: of a small pile, the calls would take longer than the iterations.
         """
-        self.theta, until, best, *seen = iterate_to_end(
-            self.axes, self.problem, self.w, self.v0, self.v, self.other, self.theta, rules, done, best, self.sums
-        )
-        if (until - done) % 2:
-            self.v, self.other = self.other, self.v
-        return (seen[0], seen[1], seen[2]), until, best
+        while True:
+            if self.exchange:
+                errors, done = self.advance(CHECK, looks=True), done + CHECK
+            else:
+                before = done
+                self.theta, done, best, *errors = iterate_to_end(
+                    self.axes, self.problem, self.w, self.v0, self.v, self.other, self.theta, rules, done, best, self.sums
+                )
+                if (done - before) % 2:
+                    self.v, self.other = self.other, self.v
+            seen = self.seen(ranks, (errors[0], errors[1], errors[2]))
+            _, _, ends, anew = verdict(seen, rules, done, best)
+            if ends:
+                return seen, done
+            if anew:
+                self.restart()
+            best = min(best, seen.squares)
 
     def factor(self, ranks: Communicator) -> float:
         """Times what p A p/2 + p (N v + c) is least: in sum over all contacts errors do no work then. Collective."""
@@ -144,39 +179,32 @@ class Iteration:
         begins with errors that are allowed, or, of smooth spheres, with round-off; if not, it is left like that. Returns whether
         errors are allowed, and the iterations done, 0 for a pile that is asleep. Collective.
         """
-        done, exact, best = 1, least >= exact_from(self.rough), np.inf
+        exact, near_one = least >= exact_from(self.rough), (1.0 - LITTLE_CHANGE, 1.0 + LITTLE_CHANGE)
         rules = count, least, limit if exact else min(limit, ASKED), limit, self.rough
         if not exact and not self.rough:
-            self.balance(ranks, 1.0 - LITTLE_CHANGE, 1.0 + LITTLE_CHANGE)
-        errors = self.advance(1, looks=True)
-        while True:
-            worst, over_round_off, most = ranks.largest(*errors)
-            unit = unit_of_squares(worst)
-            counts = ranks.total(*whole_numbers(self.sums, (unit, most if most > 0.0 else 1.0)))
-            squares, work = counts[0] * unit, float(counts[1])
-            good, calm, ends, anew = verdict((worst, over_round_off, squares, work), rules, done, best)
-            ask = asleep if done == 1 and (over_round_off <= 1.0 or (self.rough and good)) else None
-            if ask:
-                self.restart()
-                if ask(self.result):
-                    return True, 0
-            if ends and (good or over_round_off <= 1.0 or done >= limit):
-                break
-            if ends:
-                may_close = self.problem[2][:, MAY_CLOSE]
-                np.maximum(may_close, 0.0, out=may_close)
-                rules, anew, best = (count, WITHOUT_GAP, limit, limit, self.rough), True, np.inf
-            if self.rough and done == 1 and not (exact or calm or ask):
-                self.balance(ranks, 1.0 - LITTLE_CHANGE, 1.0 + LITTLE_CHANGE)
-            elif anew and not ask:
-                self.restart()
-            best = min(best, squares)
-            if self.exchange:
-                errors, done = self.advance(CHECK, looks=True), done + CHECK
-            else:
-                errors, done, best = self.go_on(rules, done, best)
+            self.balance(ranks, *near_one)
+        seen, done = self.seen(ranks, self.advance(1, looks=True)), 1
+        good, calm, ends, anew = verdict(seen, rules, done, np.inf)
+        if asleep and (seen.round_off or (self.rough and good)):
+            self.restart()
+            if asleep(self.result):
+                return True, 0
+        elif self.rough and not (exact or calm or ends):
+            self.balance(ranks, *near_one)
+        elif anew and not ends:
+            self.restart()
+        if not ends:
+            seen, done = self.until(ranks, rules, done, seen.squares)
+            good, calm, _, _ = verdict(seen, rules, done, np.inf)
+        if not (good or seen.round_off) and done < limit:
+            may_close = self.problem[2][:, MAY_CLOSE]
+            np.maximum(may_close, 0.0, out=may_close)
+            self.restart()
+            rules = count, WITHOUT_GAP, limit, limit, self.rough
+            seen, done = self.until(ranks, rules, done, seen.squares)
+            good, calm, _, _ = verdict(seen, rules, done, np.inf)
         self.restart()  # errors that were looked at are of what is taken: what is ahead may be far past it already
-        good = good or over_round_off <= 1.0
+        good = good or seen.round_off
         if self.rough and not good:
             self.multiply(min(max(self.factor(ranks), 0.0), 1.0))
         elif not exact and not calm:  # errors of one sign, however small, would lift a bed, or let it sink
