@@ -9,7 +9,8 @@ The files, in the order in which one reads them:
 - `next_event`: what each row meets next, and when.
 - `event_loop`: the compiled loop that takes one event after the other from the queue.
 - `engine`: rows, lists and queue of a rank as one object.
-- `operator`: the effect's way in: a drift by `Whole`, where every rank computes all contacts, or by `Windows`.
+- `operator`: the effect's way in: a drift, by `Whole` or by `Windows`, and once more where particles crowd together.
+- `whole`: the drift where every rank computes all contacts.
 - `windows`: the drift where space is divided among ranks, in short windows of time that are verified.
 - `partition`: which rows a rank has then: its own, and ghosts of those near them.
 - `regions`: which ranks must know a row, and which ghosts can affect own rows.

@@ -12,24 +12,19 @@ from functools import cached_property
 
 import numpy as np
 
-from particles_mpi.contacts.event_driven.engine import MOST_EXPIRIES, NAMED, NEVER_CROWDED, Engine
-from particles_mpi.contacts.event_driven.event_loop import COLLISIONS, HIGHER, LOWER, TC_ELASTIC, WALL_HITS
+from particles_mpi.contacts.event_driven.engine import NAMED, NEVER_CROWDED, Engine
+from particles_mpi.contacts.event_driven.event_loop import HIGHER, LOWER, TC_ELASTIC
 from particles_mpi.contacts.event_driven.jams import Collapse
+from particles_mpi.contacts.event_driven.whole import CHANGING, Whole
 from particles_mpi.contacts.event_driven.windows import Windows
 from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.velocity_flow import Rates
-from particles_mpi.errors import StateError
 from particles_mpi.kernels.geometry import Box
 from particles_mpi.kernels.markers import CROWD
 from particles_mpi.kernels.planes import Planes, no_planes
-from particles_mpi.neighbours.cells import bounds, order_in_space
-from particles_mpi.neighbours.trajectories import fastest
-from particles_mpi.neighbours.verlet_lists import contact_distance
-from particles_mpi.parallel.agreement import require_finite
-from particles_mpi.parallel.buffers import Replica, RowBuffers
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows
-from particles_mpi.particles import Array, Particles, row_dot, rows_of, rows_with
+from particles_mpi.particles import Array, Particles, rows_of, rows_with
 from particles_mpi.timers import Timers
 
 LEAST_DIVIDED = 2000  # particles a rank; with fewer, space is not divided
@@ -45,8 +40,6 @@ FOLLOWING_EFFORT = 10_000  # particles times contacts that have to follow one an
 FOLLOWERS, AT_ONE_MOMENT = (3, 4000), (50, 900)  # at least and at most; and those at one moment
 PRESSED_FOLLOWERS = 8  # the same under forces
 MOST_QUICK = 3000  # quick contacts of a particle in the last attempt: then it has no room
-MOST_SKINS = 1e7  # times that a particle may leave its neighbourhood in a drift, some seconds of work
-CHANGING = ("position", "velocity", "contacted", "virial", "supported", "total_acceleration", "spin")
 
 
 class EventDriven:
@@ -207,71 +200,3 @@ class EventDriven:
             f"inelastic collapse: {count} contacts took no energy, because others were so shortly before, "
             f"the first in the step from t = {moment:g} among {where}",
         ]
-
-
-class Whole:
-    """Every rank has all particles during a drift and computes all contacts: as fast as one rank, and nothing to agree on."""
-
-    def __init__(self, particles: Particles, ranks: Communicator, engine: Engine, timers: Timers):
-        self.engine, self.ranks, self.timers = engine, ranks, timers
-        self.replica = Replica(particles, ranks, [name for name in CHANGING if name in particles.arrays])
-        self.particles = self.replica.all_particles
-        self.row_buffers = RowBuffers(self.particles)
-        self.version = -1
-        self.searches = 0
-
-    def drift(self, h: float, moment: float, stop: bool) -> Array:
-        """Of all particles; returns the (collisions, wall hits, missed) of all. Collective."""
-        p, engine = self.particles, self.engine
-        with self.timers("exchange"):
-            self.replica.gather()
-        with self.timers("pairs"):
-            if self.version != p.version or engine.expiries > MOST_EXPIRIES * len(p):
-                speed = fastest(p.position, p.velocity)
-                self.check(speed, moment)
-                self.reload(speed * h)
-        with self.timers("search"):
-            moved, speed = engine.start_drift(p, self.own_rows)
-            self.check(speed, moment)
-            if moved:
-                self.reload(speed * h)
-                engine.start_drift(p, self.own_rows)
-            self.check_way(speed * h, moment)
-            engine.work.stop[:] = stop, -1, -1
-            engine.begin(h)
-        with self.timers("collide"):
-            engine.run(0.0, np.inf, moment)
-        with self.timers("drift"):
-            squeezed = engine.end_drift()
-            engine.write_back(p, self.own_rows)
-        with self.timers("exchange"):
-            self.replica.write_back()
-        return np.array([engine.work.counts[COLLISIONS], engine.work.counts[WALL_HITS], squeezed])
-
-    def check(self, speed: float, moment: float) -> None:
-        """Raise where the largest speed shows that a number is not finite."""
-        require_finite(self.ranks, self.particles, speed, f"t = {moment:g}")
-
-    def check_way(self, longest: float, moment: float) -> None:
-        """Raise where the fastest particle would leave its neighbourhood again and again for minutes, on the way of a drift."""
-        times = longest / self.engine.lists.skin
-        if times > MOST_SKINS:
-            p, square = self.particles, row_dot(self.particles.velocity, self.particles.velocity)
-            name = p.id[square == square.max()].min()
-            raise StateError(
-                f"t = {moment:g}: particle {name} crosses {longest:.3g} in a step, {times:.1g} times as far as its list of"
-                " neighbours reaches: shorten time.step"
-            )
-
-    def reload(self, way: float) -> None:
-        """Sort the particles in space and load them into the engine, with new lists. `way`: the longest one in a drift."""
-        p = self.particles
-        self.row_buffers.adopt()
-        if len(p) > 1:
-            self.row_buffers.sort(order_in_space(p.position, bounds(p.position)))
-        w = p.inverse_mass
-        self.engine.lists.tune(p.position, p.radius, w, sum(contact_distance(p.radius, w)), way)
-        self.engine.load(p, len(p))
-        self.own_rows = np.arange(len(p), dtype=np.int32)
-        self.version = p.version
-        self.searches += 1
