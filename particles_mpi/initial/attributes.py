@@ -16,7 +16,10 @@ def fill_attributes(columns: Columns, block: Block) -> None:
     """radius, mass, fixed, spin, and the fields of effects. Collective."""
     scene, population, rows, arrays = columns.scene, block.population, block.rows, columns.arrays
     arrays["fixed"][rows] = columns.of(block, "fixed", population.fixed)
-    given = {"radius": population.radius, "mass": 1.0 if population.mass is None else population.mass}
+    given = {
+        "radius": 0.0 if population.radius is None else population.radius,
+        "mass": 1.0 if population.mass is None else population.mass,
+    }
     if "drag" in arrays:
         given["drag"] = scene.effects["drag"].rate if population.drag is None else population.drag
     if "acceleration" in arrays:

@@ -46,7 +46,8 @@ class Columns:
         first, last = block.numbers
         if isinstance(value, dict) and "file" in value:
             table = block.files[name]
-            return self.own_rows(table.values, block.begin + table.first)
+            rows = self.own_rows(table.values, block.begin + table.first)
+            return rows if FIELDS[name].vector else rows[:, 0]
         if isinstance(value, dict):
             key = stream_key(self.scene.seed, block.number, name)
             return value["min"] + draw(key, first, last, uniform) * (value["max"] - value["min"])

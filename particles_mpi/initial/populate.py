@@ -19,7 +19,7 @@ from particles_mpi.initial.checks import check_start
 from particles_mpi.initial.faults import Faults
 from particles_mpi.initial.places import fill_places
 from particles_mpi.initial.room import room_of
-from particles_mpi.initial.table_file import Table, gives, read_table
+from particles_mpi.initial.table_file import Table, columns_in, read_table
 from particles_mpi.kernels import limits
 from particles_mpi.parallel.agreement import raising_together
 from particles_mpi.parallel.communicator import Communicator
@@ -95,11 +95,12 @@ class Populator:
         self.scene, self.populations, self.ranks, self.there, self.next_id = scene, populations, ranks, there, next_id
         self.before = 0 if there is None else len(there)
         self.faults = Faults(ranks)
+        self.notes: list[str] = []  # warnings
 
     def populate(self) -> tuple[Particles, list[str]]:
         """(the particles that are there and behind them this rank's part of the new ones; warnings). Collective."""
         self.check_box()
-        self.populations = {number: self.with_velocities(population) for number, population in self.populations.items()}
+        self.populations = {number: self.with_columns(number, some) for number, some in self.populations.items()}
         files: list[dict[str, Table]] = [{} for _ in self.populations]
         counts = [self.count_of(number, p, read) for (number, p), read in zip(self.populations.items(), files, strict=True)]
         self.faults.stop()
@@ -123,7 +124,7 @@ class Populator:
             judged[block.rows] = block.population.position != "random"
         warnings = check_start(self.scene, particles, room, self.faults, self.before, judged)
         self.faults.stop()
-        return particles, warnings
+        return particles, self.notes + warnings
 
     def blocks(self, counts: list[int], files: list[dict[str, Table]]) -> list[Block]:
         """This rank's part of each population."""
@@ -171,13 +172,15 @@ class Populator:
                 + (f"; more than {limits.INT32_MAX} particles on a rank: use more ranks" if uncounted else "")
             )
 
-    def with_velocities(self, population: Population) -> Population:
-        """A file of places whose header names velocities too gives both, unless the scene says otherwise. Collective."""
+    def with_columns(self, number: int, population: Population) -> Population:
+        """A file of places whose header names more columns gives those too, unless the scene says otherwise. Collective."""
         place = population.position
-        if population.velocity is not None or not (isinstance(place, dict) and "file" in place):
+        if not (isinstance(place, dict) and "file" in place):
             return population
-        has_both = gives(self.ranks, self.scene.folder / place["file"], "velocity", self.scene.dimension)
-        return population.model_copy(update={"velocity": place}) if has_both else population
+        given, unread = columns_in(self.ranks, self.scene.folder / place["file"], self.scene.dimension)
+        if unread:
+            self.notes.append(f"particles[{number}].position: {unread}")
+        return population.model_copy(update={name: place for name in given if getattr(population, name) is None})
 
     def count_of(self, number: int, population: Population, files: dict[str, Table]) -> int:
         """Particles of a population: `count`, or the length of its lists and `files`, which it reads, and which must agree."""

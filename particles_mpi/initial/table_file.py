@@ -3,6 +3,7 @@
 import warnings
 from contextlib import suppress
 from io import BytesIO
+from itertools import chain
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 from zlib import crc32
@@ -14,7 +15,8 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
 
 BOM = b"\xef\xbb\xbf"  # with which some programs begin a text
-NAMES = {"position": ("x", "y", "z"), "velocity": ("vx", "vy", "vz")}  # of columns in a header
+# Of columns in a header, by what they give
+NAMES = {"position": ("x", "y", "z"), "velocity": ("vx", "vy", "vz"), "radius": ("radius",), "mass": ("mass",)}
 
 
 class Table(NamedTuple):
@@ -25,17 +27,36 @@ class Table(NamedTuple):
     total: int
 
 
+class Beginning(NamedTuple):
+    """The first line of a file that says anything, with `lines` before it that are empty or begin with "#".
+
+    `header`: has it names, and no numbers? `at`: the byte where numbers begin.
+    """
+
+    line: bytes
+    header: bool
+    lines: int
+    at: int
+
+    @property
+    def cells(self) -> list[str]:
+        """What stands in the line's columns."""
+        return names_in(self.line)
+
+
 def read_table(ranks: Communicator, path: Path, quantity: str, dimension: int) -> Table | str:
-    """The d columns of a quantity in a CSV file, or what is wrong with it, the same on all ranks. Collective.
+    """The columns of a quantity in a CSV file, or what is wrong with it, the same on all ranks. Collective.
 
     A first line that begins with no number is a header: columns with the names of the quantity's components (NAMES) are taken,
     or, if no column has a name in NAMES, the first ones. Files that are not the same on all ranks are refused: each rank also
     looks at what the next one reads.
     """
-    fault, block, seen = "", b"", (0, 0)
+    fault, block, seen, start = "", b"", (0, 0), Beginning(b"", False, 0, 0)
     try:
-        block = lines_of(path, ranks.rank, ranks.size)
-        seen = crc32(block), crc32(lines_of(path, (ranks.rank + 1) % ranks.size, ranks.size))
+        start = beginning(path)
+        block = lines_of(path, start.at, ranks.rank, ranks.size)
+        after = lines_of(path, start.at, (ranks.rank + 1) % ranks.size, ranks.size)
+        seen = crc32(start.line + block), crc32(start.line + after)
     except OSError as error:
         fault = f"{path} cannot be read ({error.strerror})"
     if first := first_of(ranks, fault):
@@ -45,38 +66,57 @@ def read_table(ranks: Communicator, path: Path, quantity: str, dimension: int) -
         if crcs[rank - 1][1] != crcs[rank][0]:
             return f"{path}: not the same on rank {rank} as on rank {rank - 1}"
     lines = block.count(b"\n") + (not block.endswith(b"\n") and len(block) > 0)
-    line = 1 + sum(ranks.allgather(lines)[: ranks.rank])  # the number of the first line of this rank
-    header = line == 1 and lines > 0 and not begins_with_number(block)
-    headers = ranks.allgather(block.partition(b"\n")[0] if header else b"")  # of the rank that has the first line
-    columns = columns_of(max(headers), quantity, dimension)
+    line = 1 + start.lines + start.header + sum(ranks.allgather(lines)[: ranks.rank])  # the number of this rank's first line
+    columns = columns_of(start.line if start.header else b"", quantity, dimension)
     if isinstance(columns, str):
         return f"{path}: {columns}"
-    cells = max(ranks.allgather(block.partition(b"\n")[0].count(b",") + 1 if line == 1 and lines > 0 else 0))
-    values = np.empty((0, dimension))
+    values = np.empty((0, len(columns)))
     try:
-        values = parsed(block, columns, header)
+        values = parsed(block, columns)
     except ValueError:
-        fault = f"{path}: {wrong_line(block, columns, header, line)}"
+        fault = f"{path}: {wrong_line(block, columns, line)}"
     else:
         bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
-        if uneven := uneven_line(block, cells, line):
+        if uneven := uneven_line(block, start, line):
             fault = f"{path}: {uneven}"
         elif len(bad):
-            fault = f"{path}: {listed((bad + line + header).tolist(), 'line')} not finite"
+            fault = f"{path}: {listed((bad + line).tolist(), 'line')} not finite"
     if first := first_of(ranks, fault, name_rank=False):
         return first
     counts = ranks.allgather(len(values))
     return Table(values, sum(counts[: ranks.rank]), sum(counts)) if sum(counts) else f"{path} holds no rows"
 
 
-def gives(ranks: Communicator, path: Path, quantity: str, dimension: int) -> bool:
-    """Has a CSV file a header that names columns of this quantity? False if it cannot be read. Collective."""
-    header = b""
-    with suppress(OSError):  # that is told where the places are read
-        if ranks.is_root:
-            with path.open("rb") as file:
-                header = file.readline().removeprefix(BOM)
-    return dimension <= 3 and not set(names_in(ranks.bcast(header))).isdisjoint(NAMES[quantity][:dimension])
+def beginning(path: Path) -> Beginning:
+    """Where the numbers of a file begin, and what stands before them."""
+    at = lines = 0
+    with path.open("rb") as file:
+        for line in file:
+            content = (line if lines else line.removeprefix(BOM)).strip()
+            if content and not content.startswith(b"#"):
+                header = not begins_with_number(content)
+                return Beginning(content, header, lines, at + len(line) * header)
+            at, lines = at + len(line), lines + 1
+    return Beginning(b"", False, lines, at)
+
+
+def columns_in(ranks: Communicator, path: Path, dimension: int) -> tuple[list[str], str]:
+    """(which quantities a CSV file gives by the names in its header, which columns are not read). Collective.
+
+    Nothing where it cannot be read, which is told where the places are, or in more than three dimensions: there are no names.
+    """
+    start = Beginning(b"", False, 0, 0)
+    with suppress(OSError):
+        start = ranks.bcast(beginning(path) if ranks.is_root else start)
+    known = {quantity: of[:dimension] for quantity, of in NAMES.items()}
+    given = [quantity for quantity, of in known.items() if start.header and not set(of).isdisjoint(start.cells)]
+    if dimension > 3:
+        return [], ""
+    unread = [name for name in start.cells if name not in chain.from_iterable(known.values())] if given else []
+    if not given and len(start.cells) > dimension:
+        return [], f"columns behind the first {dimension} of {path} are not read: a header tells what they hold"
+    names = ", ".join(chain.from_iterable(known.values()))
+    return given, f"columns {', '.join(unread)} of {path} are not read, but {names}" if unread else ""
 
 
 def names_in(header: bytes) -> list[str]:
@@ -84,16 +124,16 @@ def names_in(header: bytes) -> list[str]:
     return [cell.strip().strip('"').lower() for cell in header.decode("utf-8", "replace").split(",")]
 
 
-def uneven_line(block: bytes, cells: int, first: int) -> str:
-    """Which of the lines, of which the first has this number, has not so many `cells` as line 1, or ""; empty ones have none."""
+def uneven_line(block: bytes, start: Beginning, first: int) -> str:
+    """Which of the lines, of which the first has this number, has not so many cells as `start`, or ""; empty ones have none."""
     text = np.frombuffer(block, np.uint8)
     ends = np.append(np.flatnonzero(text == ord("\n")), len(text))
     begins = np.append(0, ends[:-1] + 1)
     commas = np.diff(np.searchsorted(np.flatnonzero(text == ord(",")), np.append(begins, len(text))))
-    for line in np.flatnonzero((commas + 1 != cells) & (ends > begins)).tolist():
+    for line in np.flatnonzero((commas + 1 != len(start.cells)) & (ends > begins)).tolist():
         content = block[begins[line] : ends[line]].strip()
         if content and not content.startswith(b"#"):
-            return f"line {first + line} has {commas[line] + 1} columns, and line 1 has {cells}"
+            return f"line {first + line} has {commas[line] + 1} columns, and line {start.lines + 1} has {len(start.cells)}"
     return ""
 
 
@@ -101,7 +141,7 @@ def columns_of(header: bytes, quantity: str, dimension: int) -> list[int] | str:
     """Numbers of the columns that a header gives to a quantity, or what is wrong with it."""
     given = names_in(header)
     names = NAMES.get(quantity, ())[:dimension]
-    named = [name for name in given if any(name in of for of in NAMES.values())]
+    named = [name for name in given if name in chain.from_iterable(NAMES.values())]
     if not named or not names or (dimension > 3 and given[:3] == list(names)):
         return list(range(dimension))
     if dimension > 3:
@@ -121,11 +161,11 @@ def first_of(ranks: Communicator, fault: str, name_rank: bool = True) -> str:
     return f"rank {rank}: {faults[rank]}" if name_rank and set(faults) != {faults[rank]} else faults[rank]
 
 
-def lines_of(path: Path, rank: int, size: int) -> bytes:
-    """The lines that begin in the part of a rank of so many."""
-    total = path.stat().st_size
+def lines_of(path: Path, at: int, rank: int, size: int) -> bytes:
+    """The lines that begin in the part of a rank of so many, of those from the byte `at` on."""
+    length = path.stat().st_size - at
     with open(path, "rb") as file:
-        begin, end = (line_start(file, total * r // size) for r in (rank, rank + 1))
+        begin, end = (line_start(file, at + length * r // size) for r in (rank, rank + 1))
         file.seek(begin)
         return file.read(end - begin).removeprefix(BOM)
 
@@ -138,28 +178,27 @@ def line_start(file: BinaryIO, at: int) -> int:
     return file.tell()
 
 
-def begins_with_number(block: bytes) -> bool:
+def begins_with_number(line: bytes) -> bool:
     try:
-        float(block.partition(b"\n")[0].split(b",")[0])
+        float(line.split(b",")[0])
     except ValueError:
         return False
     return True
 
 
-def parsed(block: bytes, columns: list[int], header: bool) -> Array:
+def parsed(block: bytes, columns: list[int]) -> Array:
     """The numbers (n, columns) of some lines; ValueError if one has none."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # no line at all: an empty array
-        text = BytesIO(block)
-        table = np.loadtxt(text, delimiter=",", skiprows=int(header), usecols=columns, ndmin=2, encoding="utf-8")
+        table = np.loadtxt(BytesIO(block), delimiter=",", usecols=columns, ndmin=2, encoding="utf-8")
         return table.reshape(-1, len(columns))
 
 
-def wrong_line(block: bytes, columns: list[int], header: bool, first: int) -> str:
+def wrong_line(block: bytes, columns: list[int], first: int) -> str:
     """Which of the lines, of which the first has this number, cannot be read."""
-    for number, line in enumerate(block.split(b"\n")[int(header) :], first + header):
+    for number, line in enumerate(block.split(b"\n"), first):
         try:
-            parsed(line, columns, header=False)
+            parsed(line, columns)
         except ValueError as error:
             return f"line {number}: {' '.join(str(error).split())}"
     return "cannot be read as columns of numbers"

@@ -27,7 +27,7 @@ class Population(Model):
     count: Annotated[int, Field(ge=0, le=10**18)] | None = None
     position: Position
     velocity: Velocity = None
-    radius: Scalar = 0.0
+    radius: Scalar = None
     mass: Scalar = None
     fixed: Flags = False
     drag: Scalar = None

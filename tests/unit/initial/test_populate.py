@@ -147,7 +147,7 @@ def test_a_header_tells_which_columns_are_meant(tmp_path):
         assert told == f"particles[0].{name}: {tmp_path / 'b.csv'}: its header has {says}"
     (tmp_path / "c.csv").write_text("x,y,mass\n0.1,0.2,3\n")
     told = faults({"position": {"file": "c.csv"}, "velocity": {"file": "c.csv"}}, folder=tmp_path)
-    assert told == f"particles[0].velocity: {tmp_path / 'c.csv'}: its header has x, y and no vx"
+    assert told == f"particles[0].velocity: {tmp_path / 'c.csv'}: its header has x, y, mass and no vx"
 
 
 def test_a_file_of_places_gives_velocities_too_where_its_header_names_them(tmp_path):
@@ -206,6 +206,21 @@ def test_a_byte_order_mark_is_no_text(tmp_path, header):
     (tmp_path / "a.csv").write_bytes(b"\xef\xbb\xbf" + f"{header}0.1,0.2\n0.5,0.6\n".encode())
     particles, _ = start({"position": {"file": "a.csv"}, "radius": 0.01}, folder=tmp_path)
     assert particles.position[:, :: -1 if header else 1].tolist() == [[0.1, 0.2], [0.5, 0.6]]
+
+
+def test_a_file_of_places_gives_radii_and_masses_too_and_tells_what_is_not_read(tmp_path):
+    """Behind comments and empty lines; the scene's own values come first."""
+    (tmp_path / "a.csv").write_text("# from a lab\n\nx,y,radius,mass,colour\n0.1,0.2,0.03,2,7\n0.5,0.6,0.04,3,8\n")
+    own = {"position": {"file": "a.csv"}}
+    for more, radius, mass in (({}, [0.03, 0.04], [2.0, 3.0]), ({"mass": 5.0, "radius": 0.01}, [0.01] * 2, [5.0] * 2)):
+        particles, warnings = start(own | more, folder=tmp_path)
+        assert particles.radius.tolist() == radius and particles.mass.tolist() == mass
+        assert len(warnings) == 1 and "columns colour of" in warnings[0]
+    (tmp_path / "b.csv").write_text("0.1,0.2,1,2\n")
+    _, warnings = start({"position": {"file": "b.csv"}}, folder=tmp_path)
+    assert len(warnings) == 1 and "a header tells what they hold" in warnings[0]
+    (tmp_path / "a.csv").write_text("# from a lab\n\nx,y,radius\n0.1,0.2,0.03\n0.5,0.6,a\n")
+    assert "line 5: " in faults(own, folder=tmp_path)
 
 
 def test_csv_with_and_without_header(tmp_path):
@@ -286,6 +301,19 @@ def test_mass_zero_where_nothing_divides_by_it():
     assert "effects.friction" in faults(
         {"position": [[0.5, 0.5]], "mass": 0.0, "fixed": True}, effects={"friction": {"strength": 1.0}}
     )
+
+
+@pytest.mark.parametrize("walls", [{"friction": 0.3}, {"tangential_restitution": 0.5}])
+def test_rough_walls_divide_by_masses(walls):
+    """For what they turn has a moment of inertia; smooth ones do not, until they are made rough."""
+    ball = {"position": [[0.5, 0.5]], "radius": 0.1, "mass": 0.0}
+    assert "particles[0].mass: 0, but [effects.walls]" in faults(ball, effects={"walls": walls})
+    tables = {"box": {"lower": [0.0, 0.0], "upper": [1.0, 1.0]}, "time": {"step": 0.01, "steps": 1}, "particles": [ball]}
+    sim = Simulation(Scene(dimension=2, effects={"walls": {}}, **tables))
+    for key, value in walls.items():
+        with pytest.raises(SceneError, match=f"effects.walls.{key}: .* particle 0 has none"):
+            setattr(sim.effects["walls"], key, value)
+    sim.step()
 
 
 # the start
