@@ -11,8 +11,8 @@ import numpy as np
 
 from particles_mpi.between_steps.views import ParticleView, RunningEffect, changed_options
 from particles_mpi.contacts.drift import COUNTS, Drift, keeper_of_contacts
-from particles_mpi.errors import StateError
-from particles_mpi.initial.checks import value_limits
+from particles_mpi.errors import SceneError, StateError
+from particles_mpi.initial.checks import divided_masses, value_limits
 from particles_mpi.integrators.kicks_and_drifts import Accelerations, Kick, integrator_of
 from particles_mpi.integrators.many_steps import ManySteps
 from particles_mpi.kernels.planes import no_planes
@@ -138,7 +138,7 @@ class State:
             self.particles.collect()
         except StateError as error:
             raise StateError(f"step {self.steps_done + 1}: {error}") from None
-        if self.persistent and self.persistent.pairs and self.ranks.any(self.rows.edition != self.known_edition):
+        if self.persistent and self.persistent.remembers and self.ranks.any(self.rows.edition != self.known_edition):
             self.forget_contacts()
         self.known_edition = self.rows.edition
 
@@ -212,14 +212,24 @@ class State:
         """The effects of the scene by name; setting an option of one changes the run. See `RunningEffect`."""
         return MappingProxyType({name: RunningEffect(self, name) for name in self.scene.effects})
 
+    def require_masses(self, scene: Scene, name: str, key: str) -> None:
+        """Raise SceneError if the effect, as in `scene`, divides by masses and there is a particle without. Collective."""
+        p = self.rows
+        without = p.id[divided_masses(scene, p.fixed).get(name, False) & (p.mass == 0.0)]
+        first = self.ranks.least(float(without.min()) if len(without) else np.inf)
+        if first < np.inf:
+            raise SceneError([f"effects.{name}.{key}: masses would be divided by, and particle {first:.0f} has none"])
+
     def change_effect(self, name: str, key: str, value: Any) -> None:
         """Give an option of an effect another value, from the next step on; checked as in a scene file. Collective."""
         options = changed_options(self.scene, name, key, value)
         same_on_all(self.ranks, {"effects": {name: options.model_dump(mode="json")}})
         self.take_changes()
+        scene = self.scene.model_copy(update={"effects": {**self.scene.effects, name: options.running()}})
+        self.require_masses(scene, name, key)
         options.effect_class().option_changed(self.rows, self.scene.effects[name], options)
         self.particles.show()
-        self.scene = self.scene.model_copy(update={"effects": {**self.scene.effects, name: options.running()}})
+        self.scene = scene
         if issubclass(options.effect_class(), Force) and options.active and key != "active":  # nothing else depends on it
             force = self.scene.effects[name].build(self.scene)
             force.bind(self.context)

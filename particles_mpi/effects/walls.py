@@ -29,6 +29,11 @@ class Options(Losses, EffectOptions):
 
     planes: list[Plane] | None = None
 
+    @property
+    def divides_by_mass(self) -> bool:
+        """What rough walls turn has a moment of inertia."""
+        return any(losses.rough for losses in self.parts().values())
+
     def faults(self, scene: Scene) -> list[str]:
         d, faults = scene.dimension, self.rough_faults(scene)
         for number, plane in enumerate(self.planes or []):

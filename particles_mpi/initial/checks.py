@@ -31,7 +31,7 @@ def check_start(
     new = particles.select(np.arange(before, len(particles))) if before else particles
     check_places(new, room, faults)
     check_crossings(scene, new, faults)
-    warnings, more = endless_falls(scene, particles, ranks) + ([] if before else rounded_end(scene)), []
+    warnings, more = endless_falls(scene, particles, ranks) + ([] if before else rounded_end(scene) + planes_that_end(scene)), []
     if "collisions" in scene.effects and not faults.found and ranks.total(len(new))[0]:
         collisions = scene.effects["collisions"]
         more = check_step(scene, new, collisions.mode == "event", faults)
@@ -47,6 +47,18 @@ def rounded_end(scene: Scene) -> list[str]:
     if end is None or abs(steps * step - end) <= 1e-6 * step:
         return []
     return [f"time.end: {end:g} is no whole number of steps of {step:g}: the run ends at t = {steps * step:g}, after {steps}"]
+
+
+def planes_that_end(scene: Scene) -> list[str]:
+    """Warnings of planes that stop at the border of the box, where particles go round."""
+    planes = (scene.effects["walls"].planes or []) if "walls" in scene.effects else []
+    axes = [[k for k in np.flatnonzero(scene.periodic).tolist() if plane.normal[k] != 0.0] for plane in planes]
+    return [
+        f"effects.walls.planes[{number}].normal: not zero along periodic axis {crossed[0]}:"
+        " what goes round on that may come out behind the plane"
+        for number, crossed in enumerate(axes)
+        if crossed
+    ]
 
 
 def endless_falls(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]:
@@ -237,7 +249,7 @@ def divided_masses(scene: Scene, fixed: Array) -> dict[str, Array]:
     return {
         name: np.full(len(fixed), True) if issubclass(effect, ConstantFriction) else fixed == 0
         for name, effect in classes.items()
-        if effect.needs.divides_by_mass
+        if scene.effects[name].divides_by_mass
     }
 
 

@@ -26,6 +26,11 @@ class EffectOptions(Model):
         """The class `Effect` of the file in which these options are defined."""
         return vars(sys.modules[cls.__module__])["Effect"]
 
+    @property
+    def divides_by_mass(self) -> bool:
+        """Is a mass of 0 refused with these options?"""
+        return bool(self.effect_class().needs.divides_by_mass)
+
     def build(self, scene: Any) -> Any:
         """The effect with these options."""
         return self.effect_class()(self, scene)

@@ -71,8 +71,6 @@ def advice(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]
         lines.append(f"box: particles leave it along {'axis' if len(open_axes) == 1 else 'axes'} {axes}: no [effects.walls]")
     if effects.walls and not len(effects.walls.planes.point):
         lines.append("effects.walls: the box is periodic along all axes, so there is no wall")
-    if effects.walls and (effects.walls.planes.normal[:, scene.periodic] != 0.0).any():
-        lines.append("effects.walls.planes: one is not along a periodic axis: what goes round on that may come out behind it")
     if scene.time.integrator == "taylor" and effects.forces and effects.lossy:
         lines.append("step: with taylor nothing comes to rest on anything: it bounces on; with leapfrog it does")
     return lines

@@ -486,6 +486,21 @@ LATTICE = {  # spheres that touch exactly; contacts that take nothing along thei
 }
 
 
+@pytest.mark.parametrize("e", [0.0, 0.5, 0.9])
+def test_what_has_no_mass_comes_to_rest_on_walls_too(e):
+    """A wall takes what comes, whatever that weighs."""
+    ends = []
+    for mass in (0.0, 1.0, 8.0):
+        ball = {"position": [[0.1, 0.3]], "velocity": [0.3, 0.0], "radius": 0.1, "mass": mass}
+        planes = [{"point": [0.0, 0.0], "normal": [0.0, 1.0]}, {"point": [1.0, 0.0], "normal": [-1.0, 1.0]}]
+        effects = {"uniform_gravity": {"acceleration": [0.0, -10.0]}, "walls": {"restitution": e, "planes": planes}}
+        sim = Simulation(Scene(dimension=2, time={"step": 0.01, "steps": 1000}, particles=[ball], effects=effects))
+        sim.steps(1000)
+        assert sim.particles.velocity[0, 1] == 0.0
+        ends.append(sim.particles.position[0])
+    assert (ends[0] == ends[1]).all() and (ends[1] == ends[2]).all()
+
+
 @pytest.mark.parametrize("tables", [NARROW, LATTICE], ids=["narrow", "lattice"])
 def test_a_copy_goes_on_with_the_same_bits(tables):
     sim = Simulation(Scene.from_dict(tables))

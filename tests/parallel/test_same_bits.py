@@ -341,6 +341,16 @@ for name in EVENTS:
 
 
 SCENES |= {
+    "rough discs that spin in corners, among walls alone": dict(
+        dimension=2,
+        box={"lower": [0, 0], "upper": [3.0, 3.0]},
+        time={"step": 0.01, "steps": 120},
+        particles=[
+            {"position": [[0.1, 0.1], [2.9, 0.1], [0.1, 0.5], [1.0, 0.1]], "radius": 0.1, "spin": [20.0, -20.0, 5.0, 9.0]},
+            {"count": 6, "position": "random", "velocity": {"speed": 2.0}, "radius": 0.1, "spin": {"temperature": 1.0}},
+        ],
+        effects={"uniform_gravity": {"acceleration": [-1.0, -9.81]}, "walls": {"restitution": 0.4, "friction": 0.3}},
+    ),
     "spheres that fill a box": dict(
         dimension=2,
         box={"lower": [0, 0], "upper": [2.0, 2.0]},

@@ -27,8 +27,8 @@ def settle_on_walls(axes, rows, fields, a, h, length, faces, planes):
     for r in range(n):
         i = rows[r]
         radius[r] = radii[i]
-        if fixed[i] == 0 and mass[i] > 0.0:
-            w[r] = 1.0 / mass[i]
+        if fixed[i] == 0:  # whatever the mass is: walls take what comes
+            w[r] = 1.0 / mass[i] if mass[i] > 0.0 else 1.0
         held[r] = was[r] != 0.0 and w[r] > 0.0
     nobody, all_rows = (np.zeros(n + 1, np.int64), np.empty(0, np.int32)), np.ones(n + 1, np.bool_)
     state = x, v, push, radius, w, np.zeros(n + 1, np.bool_)

@@ -56,6 +56,7 @@ class PersistentContacts:
         self.history = ContactHistory(self.ranks, length, len(self.walls), self.kind.columns, points)
         self.given: tuple[Array, Array] = np.empty(0, np.int64), np.empty(0)  # our rows, velocities given to them, but for drag
         self.undamped: Array | None = None  # see `keep`
+        self.remembers = pairs or self.kind.rough  # what contacts took, from one kick to the next
         self.awake = True  # else particles pass through one another and through walls
         self.totals = {"unconverged": 0}  # of this rank, which are counted for all by rank 0
 
@@ -144,15 +145,20 @@ class PersistentContacts:
         return solution.taken
 
     def keep_on_walls(self, p: Particles, a: Array, h: float, rows: Array) -> None:
-        """As `keep`, of rows that nothing but walls can hold: each by itself, to the end, so that nothing need be remembered."""
+        """As `keep`, of rows that nothing but walls can hold: each by itself, to the end.
+
+        Smooth ones need no memory. Of rough ones friction at one wall may be all that presses them onto another.
+        """
+        history = self.history
         if not len(rows):
-            return
-        if not self.kind.rough:
+            history.forget()
+        elif not self.kind.rough:
             self.give_back(p, rows, *self.walls.settle(p, a, h, rows, self.length))
-            return
-        graph = ContactGraph(self.ranks, p, rows, np.zeros(len(p)), 0.0, self.length, pairs=False)
-        local, inside = self.local(p, a, h, graph), np.ones(graph.size + 1, np.bool_)
-        self.solve(p, local, graph, inside, h, np.zeros((len(rows) * len(self.walls), *self.kind.columns)), False)
+        else:
+            graph = ContactGraph(self.ranks, p, rows, np.zeros(len(p)), 0.0, self.length, pairs=False)
+            took, local = history.taken_before(p, graph), self.local(p, a, h, graph)
+            inside = np.ones(graph.size + 1, np.bool_)
+            history.graph, history.taken = graph, self.solve(p, local, graph, inside, h, took, False)
 
     def give_back(self, p: Particles, rows: Array, v: Array, held: Array) -> None:
         """To our particles: velocities v of `rows`, and which of them contacts hold."""

@@ -94,13 +94,16 @@ class SlowContacts:
         before, known, again = for_these[0], bool(for_these[-1]), tried is not None
         effort = max(self.effort // count * (1 if known else UNKNOWN), self.kind.least) if self.pairs else self.exact
         borne = AS_PUSH * before if known else self.borne(local, graph, contacts, h, effort)
+        if not self.pairs:  # each row by itself: those of which something is remembered bear what they bore
+            rows = carried(contacts.start, along_normals(before)) != 0
+            borne[np.repeat(rows, np.diff(contacts.start))] = AS_PUSH * before[np.repeat(rows, np.diff(contacts.start))]
         if again and effort >= self.exact and not self.kind.rough:
             effort = TRIED if tried else IN_CROWDS
         pressed = self.pressed(local, contacts, borne, along_normals(AS_PUSH * before), graph.exchange)
         chosen, targets = self.chosen(local, contacts, before, pressed, h, effort)
         if again and not self.kind.rough:  # given twice, the way back to a margin lifts beds of smooth spheres by 1e-6
             np.maximum(targets.may_close, 0.0, out=targets.may_close)
-        taken = np.where(chosen, (before if known else borne / AS_PUSH).T, 0.0).T * (not again)
+        taken = np.where(chosen, borne.T / AS_PUSH, 0.0).T * (not again)
         problem = self.kind.problem(local, graph, contacts, chosen, targets, taken)
         w, v = self.kind.motion(local, graph, local.v, local.spin)
         pile = Pile(contacts, local, self.tolerance / h if effort < self.exact else 0.0)

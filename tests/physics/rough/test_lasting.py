@@ -57,6 +57,33 @@ def test_a_sliding_ball_starts_to_roll(d):
 
 
 @pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize(("d", "e"), [(2, 0.0), (2, 0.9), (3, 0.9)])
+def test_a_spinning_cylinder_in_a_corner(d, e, mode):
+    """Friction at the floor is all that presses it onto the wall (I. Irodov, Problems in General Physics, 1.253): it stays, and
+    its spin falls at mu (1 + mu)/(1 + mu^2) g R m/I."""
+    mu, radius, spin = 0.3, 0.5, 20.0
+    planes = [{"point": [0.0] * d, "normal": [float(k == axis) for k in range(d)]} for axis in (0, d - 1)]
+    effects = {
+        "uniform_gravity": {"acceleration": [0.0] * (d - 1) + [-G]},
+        "walls": {"restitution": e, "friction": mu, "planes": planes},
+    }
+    turning = {"radius": radius, "spin": [spin if d == 2 else [0.0, -spin, 0.0]]}
+    ball = {"position": [[radius] + [0.0] * (d - 2) + [radius]]} | turning
+    sim = simulation(d, [ball], effects | ({"collisions": {"mode": mode}} if mode else {}), 0.002)
+    rate = mu * (1.0 + mu) / (1.0 + mu**2) * G / ((0.5 if d == 2 else 0.4) * radius)
+    run(sim, 0.5)
+    twin = sim.copy()  # what contacts took goes with it
+    for each in (sim, twin):
+        p = run(each, 0.5)
+        assert abs(np.linalg.norm(p["spin"]) - (spin - rate * sim.time)) <= 1e-9
+        assert np.abs(p.velocity).max() <= 1e-12
+    assert sim == twin
+    p = run(sim, 2.0 * spin / rate - 1.0)
+    assert not p["spin"].any() and not p.velocity.any()
+    assert np.abs(p.position[0, [0, d - 1]] - radius).max() <= 1e-5
+
+
+@pytest.mark.parametrize("mode", MODES)
 def test_balls_side_by_side_start_to_roll(mode):
     """Each as if it were alone: they have contacts with the floor only, and none of them is asleep."""
     speeds = np.linspace(0.8, 1.2, 60)
