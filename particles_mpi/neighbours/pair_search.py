@@ -5,7 +5,7 @@ from math import inf, sqrt
 import numpy as np
 
 from particles_mpi.kernels.geometry import nearest
-from particles_mpi.kernels.jit import inner, prefetch, spheres_within, trailing_zeros
+from particles_mpi.kernels.jit import in_place, inner, prefetch, spheres_within, trailing_zeros
 from particles_mpi.kernels.markers import RADIUS, START
 from particles_mpi.neighbours.cells import cell_along
 from particles_mpi.neighbours.near_paths import WAITING, Waiting, keep_pairs
@@ -119,6 +119,55 @@ def list_linked(low, high, cells, head, after, around, listed):
     return listed
 
 
+@in_place
+def list_near(axes, at, reaches, i, ranges, index, paths, firsts, around, listed):
+    """The rows in cells near the path of row i, or of an image of it, behind the first `listed` of `around`.
+
+    Returns (how many are listed then, tests). `at`: the middle (d,) of the path and its extent (g,), and scratch; `reaches`: see
+    `find_partners`; `ranges`: scratch, (3,) each.
+    """
+    middle, extent, middle32 = at
+    own, limit, to_slow, to_fast, also_fast = reaches
+    low, high = ranges
+    path, midpoint, bounding_radius, _, _ = paths
+    sorted_, linked, _, _, largest, _, _, _, _, _ = index
+    _, _, _, _, scale, (origin, per, cells) = sorted_
+    d, g = len(axes), len(extent)
+    cover(d, middle, extent, to_slow, origin, per, cells, low, high)
+    at_most = 1.0 + (own + largest[SLOW]) * scale
+    for k in range(g):
+        r = (middle[k] - origin[k + 3 - g]) * scale
+        middle32[k] = r
+        at_most += abs(r)
+    slip = FLOAT32_LOSS * at_most
+    sphere = middle32, np.float32(own * scale + slip), np.float32(limit * scale + slip), i
+    near, tests = list_sorted(axes, low, high, sphere, cells, sorted_, firsts, around, listed, path)
+    if also_fast:
+        head, after, _, _, (linked_origin, linked_per, linked_cells) = linked
+        cover(d, middle, extent, to_fast, linked_origin, linked_per, linked_cells, low, high)
+        fast = list_linked(low, high, linked_cells, head, after, around, near)
+        tests += fast - near
+        for p in range(near, fast):
+            j = np.uint64(around[p])
+            r2 = 0.0
+            for k in range(g):
+                r2 += (middle[k] - midpoint[j, k]) ** 2
+            prefetch(path, j)
+            around[near] = j
+            near += (r2 <= (own + bounding_radius[j]) ** 2) & (i != j)
+    return near, tests
+
+
+@in_place
+def bring_near(d, path, i, other, length, place, part):
+    """To place[part]: where row i is, in the image that is nearest to the row `other`."""
+    for k in range(d):
+        place[part, k] = path[i, k]
+    for k in range(min(d, 3)):
+        r = path[i, k] - (path[other, k] + path[other, d + k] * (path[i, 2 * d + START] - path[other, 2 * d + START]))
+        place[part, k] = path[i, k] + nearest(r, length[k]) - r
+
+
 @inner(error_model="numpy")
 def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found):
     """Candidate pairs of `rows` (all of them marked), from rows[begin] on, with all rows, each once, behind the first `found`.
@@ -132,15 +181,13 @@ def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found)
     would count references to all the arrays, and the whole search take twice as long.
     """
     paths, index, spheres, _, _, length, _, around, _ = holding
-    path, midpoint, bounding_radius, level, _ = paths
+    path, _, bounding_radius, level, _ = paths
     end, tolerance, _ = horizon
-    sorted_, linked, oversize, number, largest, _, lowest, highest, own_low, own_high = index
-    _, _, _, _, scale, (origin, per, cells) = sorted_
-    head, after, _, _, (linked_origin, linked_per, linked_cells) = linked
+    _, _, oversize, number, largest, _, lowest, highest, own_low, own_high = index
     owned = spheres[3]
     d = len(axes)
     g = min(d, 3)
-    low, high = np.zeros(3, np.int64), np.zeros(3, np.int64)
+    ranges = np.zeros(3, np.int64), np.zeros(3, np.int64)
     by, images = np.zeros((3, 3)), np.ones(3, np.int64)
     middle, extent = np.empty(d), np.empty(g)
     middle32, firsts = np.empty(g, np.float32), np.empty(8, np.int64)
@@ -172,11 +219,7 @@ def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found)
             tests += number[0]
             for a in range(number[0]):
                 other = np.int64(oversize[a])
-                for k in range(d):
-                    place[parts, k] = path[i, k]
-                for k in range(g):
-                    r = path[i, k] - (path[other, k] + path[other, d + k] * (path[i, 2 * d + START] - path[other, 2 * d + START]))
-                    place[parts, k] = path[i, k] + nearest(r, length[k]) - r
+                bring_near(d, path, i, other, length, place, parts)
                 around[listed] = other
                 listed += 1
                 asking[parts], until[parts] = i, listed
@@ -196,28 +239,9 @@ def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found)
                         apart = max(apart, own_low[k] - middle[k] - extent[k], middle[k] - extent[k] - own_high[k])
                     if outside and apart > far:  # a ghost, nowhere near an owned row
                         continue
-                    cover(d, middle, extent, to_slow, origin, per, cells, low, high)
-                    at_most = 1.0 + (own + largest[SLOW]) * scale
-                    for k in range(g):
-                        r = (middle[k] - origin[k + 3 - g]) * scale
-                        middle32[k] = r
-                        at_most += abs(r)
-                    slip = FLOAT32_LOSS * at_most
-                    sphere = middle32, np.float32(own * scale + slip), np.float32(limit * scale + slip), i
-                    near, tested = list_sorted(axes, low, high, sphere, cells, sorted_, firsts, around, listed, path)
+                    at, reaches = (middle, extent, middle32), (own, limit, to_slow, to_fast, also_fast)
+                    near, tested = list_near(axes, at, reaches, i, ranges, index, paths, firsts, around, listed)
                     tests += tested
-                    if also_fast:
-                        cover(d, middle, extent, to_fast, linked_origin, linked_per, linked_cells, low, high)
-                        fast = list_linked(low, high, linked_cells, head, after, around, near)
-                        tests += fast - near
-                        for p in range(near, fast):
-                            j = np.uint64(around[p])
-                            r2 = 0.0
-                            for k in range(g):
-                                r2 += (middle[k] - midpoint[j, k]) ** 2
-                            prefetch(path, j)
-                            around[near] = j
-                            near += (r2 <= (own + bounding_radius[j]) ** 2) & (i != j)
                     if near > listed:
                         listed = near
                         asking[parts], until[parts] = i, listed

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.kernels.geometry import nearest
-from particles_mpi.kernels.jit import kernel, lean_inner
+from particles_mpi.kernels.jit import in_place, kernel, lean_inner
 from particles_mpi.particles import Array
 
 SLOW = 2.0  # times what forces do in a step: a ball that leaves a floor at e times that is back after 4 e steps
@@ -55,6 +55,83 @@ def widths(radius, vectors, scale, most):
     return found
 
 
+@in_place
+def lengths_of(axes, vectors, lengths):
+    """To lengths (n,): those of vectors (n, d)."""
+    for row in range(len(vectors)):
+        square = 0.0
+        for k in range(len(axes)):
+            square += vectors[row, k] * vectors[row, k]
+        lengths[row] = sqrt(square)
+
+
+@in_place
+def contacts_with_walls(axes, row, body, reach, walls, made, contacts):
+    """The contacts of a row with walls, behind the first `made` of the columns `contacts`; returns how many there are then.
+
+    `body`: x (size + 1, d) of all; radius and push of the row, is it one of a crowd; `reach`: how far away a wall may be;
+    `walls`: (faces, planes, place of the row's first wall in the arrays of what was taken).
+    """
+    x, radius, push, crowd = body
+    (lower, upper, oblique), (point, normal), first = walls
+    partner, slot, normals, gaps, widest, any_speed = contacts
+    i, near_face = np.uint64(row), bool(oblique)
+    for k in range(len(axes)):  # most rows are near no face
+        room = 1.000001 * (radius + reach)
+        near_face |= x[i, np.uint64(k)] - lower[k] < room or upper[k] - x[i, np.uint64(k)] < room
+    for wall in range(len(point) if near_face else 0):
+        distance = 0.0
+        for k in range(len(axes)):
+            distance += (x[i, np.uint64(k)] - point[wall, k]) * normal[wall, k]
+        if distance - radius <= reach:
+            for k in range(len(axes)):
+                normals[made, np.uint64(k)] = normal[wall, k]
+            partner[made], widest[made], gaps[made] = len(x) - 1, push, distance - radius
+            slot[made], any_speed[made] = first + wall, crowd
+            made += np.uint64(1)
+    return made
+
+
+@in_place
+def contacts_with_rows(axes, row, state, graph, inside, h, length, made, contacts):
+    """The contacts of a row with others of the near pairs, behind the first `made`; see `contacts_with_walls`.
+
+    `state`: as of `find_contacts`, with the lengths of v and push.
+    """
+    x, speeds, pushes, radius, w, crowd = state
+    near, other = graph
+    partner, slot, normals, gaps, widest, any_speed = contacts
+    i = np.uint64(row)
+    for e in range(np.uint64(near[row]), np.uint64(near[row + 1])):
+        j = np.uint64(other[e])
+        wide = max(pushes[i], pushes[j])
+        if not inside[j] or w[i] + w[j] == 0.0 or not wide > 0.0:
+            continue
+        of_crowd = crowd[i] or crowd[j]
+        radius_i, radius_j = radius[i], radius[j]
+        far_i, far_j = HELD * pushes[i] * h, HELD * pushes[j] * h
+        reach = min(max(far_i, far_j), reach_of(radius_i, far_i, REACH) + reach_of(radius_j, far_j, REACH))
+        if of_crowd:
+            way_i, way_j = speeds[i] * h, speeds[j] * h
+            reach = max(reach, reach_of(radius_i, way_i, REACH_IN_CROWDS) + reach_of(radius_j, way_j, REACH_IN_CROWDS))
+        r2, both = 0.0, radius_i + radius_j
+        for k in range(len(axes)):
+            r = nearest(x[i, np.uint64(k)] - x[j, np.uint64(k)], length[k])
+            normals[made, np.uint64(k)] = r
+            r2 += r * r
+        if r2 > (1.0 + 1e-9) * (both + reach) ** 2:
+            continue
+        distance = sqrt(r2)
+        gap = distance - both
+        if not distance > 0.0 or gap > reach:
+            continue
+        for k in range(len(axes)):
+            normals[made, np.uint64(k)] /= distance
+        partner[made], slot[made], widest[made], gaps[made], any_speed[made] = other[e], e, wide, gap, of_crowd
+        made += np.uint64(1)
+    return made
+
+
 @kernel
 def find_contacts(axes, state, graph, inside, h, length, faces, planes):
     """All half-edges between rows `inside` that may be slow, or that are among a crowd: the columns of `Contacts`.
@@ -64,73 +141,27 @@ def find_contacts(axes, state, graph, inside, h, length, faces, planes):
     """
     x, v, push, radius, w, crowd = state
     near, other = graph
-    lower, upper, oblique = faces
-    point, normal = planes
-    n, d, walls, size = len(near) - 1, len(axes), len(point), len(x) - 1
+    n, walls = len(near) - 1, len(planes[0])
     most = len(other)
     for row in range(n):
         most += walls * inside[row]
     start, partner, slot = np.zeros(n + 1, np.int64), np.empty(most, np.int32), np.empty(most, np.int64)
-    normals, gaps, widest = np.empty((most, d)), np.empty(most), np.empty(most)
+    normals, gaps, widest = np.empty((most, len(axes))), np.empty(most), np.empty(most)
     any_speed = np.empty(most, np.bool_)
+    contacts = partner, slot, normals, gaps, widest, any_speed
     pushes, speeds = np.empty(len(x)), np.empty(len(x))
-    for row in range(len(x)):
-        push2, speed2 = 0.0, 0.0
-        for k in range(d):
-            push2 += push[row, k] * push[row, k]
-            speed2 += v[row, k] * v[row, k]
-        pushes[row], speeds[row] = sqrt(push2), sqrt(speed2)
+    lengths_of(axes, push, pushes)
+    lengths_of(axes, v, speeds)
+    state = x, speeds, pushes, radius, w, crowd
     made = np.uint64(0)
     for row in range(n):
         start[row] = made
         if not inside[row]:
             continue
-        i = np.uint64(row)
-        reach = max(HELD * pushes[i], speeds[i] * crowd[i]) * h
-        by_wall = bool(oblique)
-        for k in range(len(axes)):  # most rows are near no face
-            room = 1.000001 * (radius[i] + reach)
-            by_wall |= x[i, np.uint64(k)] - lower[k] < room or upper[k] - x[i, np.uint64(k)] < room
-        for wall in range(walls if by_wall else 0):
-            distance = 0.0
-            for k in range(len(axes)):
-                distance += (x[i, np.uint64(k)] - point[wall, k]) * normal[wall, k]
-            wide, gap = pushes[i], distance - radius[i]
-            if w[i] > 0.0 and wide > 0.0 and gap <= reach:
-                for k in range(len(axes)):
-                    normals[made, np.uint64(k)] = normal[wall, k]
-                partner[made], widest[made], gaps[made] = size, wide, gap
-                slot[made], any_speed[made] = len(other) + row * walls + wall, crowd[i]
-                made += np.uint64(1)
-        for e in range(np.uint64(near[row]), np.uint64(near[row + 1])):
-            j = np.uint64(other[e])
-            wide = max(pushes[i], pushes[j])
-            if not inside[j] or w[i] + w[j] == 0.0 or not wide > 0.0:
-                continue
-            of_crowd = crowd[i] or crowd[j]
-            radius_i, radius_j = radius[i], radius[j]
-            far_i, far_j = HELD * pushes[i] * h, HELD * pushes[j] * h
-            reach = min(max(far_i, far_j), reach_of(radius_i, far_i, REACH) + reach_of(radius_j, far_j, REACH))
-            if of_crowd:
-                reach = max(
-                    reach, reach_of(radius_i, speeds[i] * h, REACH_IN_CROWDS) + reach_of(radius_j, speeds[j] * h, REACH_IN_CROWDS)
-                )
-            r2, both = 0.0, radius_i + radius_j
-            for k in range(len(axes)):
-                r = nearest(x[i, np.uint64(k)] - x[j, np.uint64(k)], length[k])
-                normals[made, np.uint64(k)] = r
-                r2 += r * r
-            if r2 > (1.0 + 1e-9) * (both + reach) ** 2:
-                continue
-            distance = sqrt(r2)
-            gap = distance - both
-            if not distance > 0.0 or gap > reach:
-                continue
-            for k in range(len(axes)):
-                normals[made, np.uint64(k)] /= distance
-            partner[made], slot[made], widest[made], gaps[made] = other[e], e, wide, gap
-            any_speed[made] = of_crowd
-            made += np.uint64(1)
+        if w[row] > 0.0 and pushes[row] > 0.0:
+            body, reach = (x, radius[row], pushes[row], crowd[row]), max(HELD * pushes[row], speeds[row] * crowd[row]) * h
+            made = contacts_with_walls(axes, row, body, reach, (faces, planes, len(other) + row * walls), made, contacts)
+        made = contacts_with_rows(axes, row, state, graph, inside, h, length, made, contacts)
     start[n] = made
     of = slice(0, start[n])
     return start, partner[of], slot[of], normals[of], gaps[of], widest[of], any_speed[of]
