@@ -46,7 +46,10 @@ class Time(Model):
 
 
 class Output(Model):
-    """What is written, and how often (in steps); may be changed while a simulation goes by it, and is checked then too."""
+    """What is written, and how often (in steps); may be changed while a simulation goes by it, and is checked then too.
+
+    A run of fewer steps than `every` writes its end too, if the scene says nothing of `every`.
+    """
 
     model_config = ConfigDict(validate_assignment=True)
     every: Annotated[int, Field(ge=1)] = 100
@@ -179,6 +182,8 @@ class Scene(Model):
             self.output.formats.remove("vtk")
             if not self.output.formats:
                 faults.append(f'output.formats: files of VTK have three axes at most; in dimension {d} use "hdf5"')
+        if "every" not in self.output.model_fields_set and 0 < self.steps < self.output.every:
+            self.output.every = self.steps
         for number, population in enumerate(self.particles):
             faults += population_faults(self, f"particles[{number}]", population)
         if self.output.orientation and not self.rough:

@@ -50,4 +50,4 @@ def test_outside_a_notebook_view_says_what_to_do(tmp_path):
         sim.view()
     assert not sim.views
     sim.run(tmp_path / "run")
-    assert frames_in(Run(tmp_path / "run").view()._repr_html_()) == 1
+    assert frames_in(Run(tmp_path / "run").view()._repr_html_()) == 2

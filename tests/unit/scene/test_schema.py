@@ -266,3 +266,11 @@ def test_files_of_vtk_have_three_axes():
     assert Scene(**tables).output.formats == ["hdf5"]
     with pytest.raises(SceneError, match=r'output\.formats: .*use "hdf5"'):
         Scene(**tables, output={"formats": ["vtk"]})
+
+
+@pytest.mark.parametrize(("steps", "output", "every"), [(30, {}, 30), (30, {"every": 100}, 100), (300, {}, 100), (0, {}, 100)])
+def test_a_short_run_writes_its_end_unless_it_is_told_how_often(steps, output, every):
+    tables = {"dimension": 1, "particles": [{"position": [[0.0]]}], "output": output}
+    scene = Scene.from_dict(tables | {"time": {"step": 0.1, "steps": steps}})
+    assert scene.output.every == every and Scene.from_dict(scene.to_dict()) == scene
+    assert Scene.from_dict(tables | {"time": {"step": 0.1, "end": 0.1 * steps}}).output.every == every
