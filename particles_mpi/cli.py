@@ -1,4 +1,4 @@
-"""The command line. Exit codes: 0 done, 2 bad scene or arguments, 3 stopped by the run, 130 interrupted."""
+"""The command line. Exit codes: 0 done, 2 bad scene or arguments, 3 stopped by the run, 130 interrupted; 1 is of `doctor`."""
 
 import gc
 import os

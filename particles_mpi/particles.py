@@ -52,7 +52,7 @@ FIELDS = {
     "rate": Column(vector=True, output=False),  # dv/dt at the start of a `taylor` step
 }
 RUN_MADE = tuple(name for name, column in FIELDS.items() if not column.output)  # fields that a run fills by itself
-OWN = tuple(FIELDS)  # those of the program; effects from outside bring more
+BUILT_IN = tuple(FIELDS)  # those of the program; effects from outside bring more
 USER = Column("", output=False)  # any other name: data of the user's, of any type and shape, that goes where its particle goes
 ALWAYS = ("id", "position", "velocity", "radius", "mass", "fixed")
 # Fields that decide who meets whom, with what outcome

@@ -6,7 +6,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from particles_mpi.between_steps.population import Population
+from particles_mpi.between_steps.membership import Membership
 from particles_mpi.contacts.drift import COUNTS
 from particles_mpi.contacts.warm_start import NOTHING, Memory
 from particles_mpi.errors import SceneError
@@ -19,7 +19,7 @@ from particles_mpi.particles import Particles
 from particles_mpi.scene.schema import Scene
 
 
-class Saved(Population):
+class Saved(Membership):
     """A state that can be copied and saved."""
 
     def metadata(self) -> dict[str, Any]:

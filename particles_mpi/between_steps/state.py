@@ -37,15 +37,20 @@ def is_number(value: Any) -> bool:
 class State:
     """What a simulation is between two steps. Its user may change it; going on is then as in a new simulation of that state.
 
-    scene: what it goes by; ranks; rows: this rank's particles (`particles` is what a user sees of them); ids: where the ids of
-    all lie; total: how many there are on all ranks; steps_done; warnings: of the start; next_id: of a particle that is added;
-    reported, written: counts and steps at the last row of diagnostics and the last frame; observed: time, collisions and virial
-    at the last row of diagnostics with observables, and when `measure` was last called for them. Of this rank, since the start:
-    totals: the COUNTS of what happened; calls: how often each effect was asked. forces: those that are switched on, by name;
-    g (d,): the acceleration that all particles have in common; near: the search for neighbours, or None. moment: the time and
-    the number of steps that the clock counts from; saved: where the last checkpoint is, and of which step; views: what shows the
-    particles in a notebook; additions: how often particles were added. What `build` makes of all this: context, active, watchdog,
-    persistent, drift, accelerations, kick, integrator, many_steps.
+    A user sets: scene, what it goes by; time; h; particles; effects.
+
+    Kept: ranks; rows, this rank's particles (`particles` is what a user sees of them); ids, where the ids of all lie; total, how
+    many there are on all ranks; next_id, of a particle that is added; additions, how often some were; steps_done; moment, the
+    time and the number of steps that the clock counts from. Of this rank, since the start: totals, the COUNTS of what happened,
+    and calls, how often each effect was asked.
+
+    For output: warnings, of the start; reported and written, counts and steps at the last row of diagnostics and the last frame;
+    observed, time, collisions and virial at the last row of diagnostics with observables, and when `measure` was last called;
+    saved, where the last checkpoint is, and of which step; views, what shows the particles in a notebook.
+
+    Made of all this by `build`: context, active, watchdog, persistent, drift, near (the search for neighbours, or None),
+    accelerations, forces (those that are switched on, by name), g (d,) (the acceleration that all have in common), kick,
+    integrator, many_steps.
     """
 
     broken = ""  # why the state cannot be used any more
@@ -138,7 +143,7 @@ class State:
             self.particles.collect()
         except StateError as error:
             raise StateError(f"step {self.steps_done + 1}: {error}") from None
-        if self.persistent and self.persistent.remembers and self.ranks.any(self.rows.edition != self.known_edition):
+        if self.persistent and self.persistent.needs_memory and self.ranks.any(self.rows.edition != self.known_edition):
             self.forget_contacts()
         self.known_edition = self.rows.edition
 

@@ -15,6 +15,8 @@ from particles_mpi.scene.schema import Scene
 class Options(Losses, EffectOptions):
     """`mode`; `restitution` or `damping`; `passes` a step, in mode rewind.
 
+    `allow_overlap`: spheres that overlap at the start are pushed apart, with a warning, instead of being refused.
+
     `contact_duration` t_c, in mode event: a contact within t_c of the last one of either partner takes no energy (TC model);
     if not given, one within a ten-thousandth of a step, without forces only after many that followed one another so soon.
     `contact_tolerance`: where forces keep spheres in contact, by which part of a radius contacts may close in a step, as root
@@ -40,7 +42,7 @@ class Options(Losses, EffectOptions):
 class Effect(PairContacts):
     """Pairs of spheres collide. The operator lives in `contacts/`; this names what it needs."""
 
-    formula = "v_i -= (1+e) mu/m_i (k.v_r) k at |x_i - x_j| = R_i + R_j"
+    formula = "v_i -= (1+e) m_j/(m_i+m_j) (k.v_r) k at |x_i - x_j| = R_i + R_j"
     needs = Needs(divides_by_mass=True, integrators=FORWARD)
 
     def __init__(self, options: Options, scene: Scene):

@@ -10,7 +10,7 @@ from particles_mpi.initial.room import Room
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.decomposition import bisect, to_owners
-from particles_mpi.particles import FIELDS, OWN, Array, Particles, row_dot
+from particles_mpi.particles import BUILT_IN, FIELDS, Array, Particles, row_dot
 from particles_mpi.scene.effect import ConstantFriction
 from particles_mpi.scene.model import LARGEST_NUMBER
 from particles_mpi.scene.schema import Scene
@@ -221,7 +221,7 @@ def value_limits(scene: Scene, particles: Particles, values: dict[str, Array], h
     for name in values.keys() & FIELDS.keys():
         if FIELDS[name].least > -np.inf:
             allowed[name] = (values[name] >= FIELDS[name].least) & (values[name] <= LARGEST_NUMBER)
-        elif name in OWN and FIELDS[name].dtype == "float64":
+        elif name in BUILT_IN and FIELDS[name].dtype == "float64":
             numbers = np.isfinite(values[name]) | (values[name] == FIELDS[name].default)
             allowed[name] = numbers.reshape(len(numbers), -1).all(axis=1)
     if "position" in values and scene.box:

@@ -23,7 +23,7 @@ from particles_mpi.initial.table_file import Table, columns_in, read_table
 from particles_mpi.kernels import limits
 from particles_mpi.parallel.agreement import raising_together
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.particles import OWN, Array, Particles, default_values
+from particles_mpi.particles import BUILT_IN, Array, Particles, default_values
 from particles_mpi.scene.active import fields_of
 from particles_mpi.scene.model import LARGEST_NUMBER, faults_of, python_values
 from particles_mpi.scene.population import Population, population_faults
@@ -51,7 +51,7 @@ def add_population(
     """
     key = f"particles[{number}]"
     tables = python_values(dict(table))
-    own = {name: tables.pop(name) for name in there.arrays.keys() - set(fields_of(scene)) - set(OWN) if name in tables}
+    own = {name: tables.pop(name) for name in there.arrays.keys() - set(fields_of(scene)) - set(BUILT_IN) if name in tables}
     try:
         population = Population.model_validate(tables)
     except ValidationError as error:

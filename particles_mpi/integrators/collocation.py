@@ -22,9 +22,7 @@ import numpy as np
 from particles_mpi.integrators.radau_tables import NODES
 from particles_mpi.kernels.jit import in_place, lean, lean_in_place
 from particles_mpi.particles import Array
-from particles_mpi.scene.schema import TOLERANCES
 
-LARGEST_TOLERANCE = TOLERANCES[1]
 MOST_ITERATIONS = 12
 SHAKEN = 32.0  # units in the last place by which a coordinate is moved, at most, to see what its round-off does
 SUM_ROUND_OFF = float(np.finfo(float).eps)  # round-off of a sum of forces, relative to the largest acceleration
@@ -208,8 +206,8 @@ def end_of_try(x, v, round_off, left, work, tables):
     s = progress[0]
     h, largest = s["length"], s["largest"]
     copy(x0, x)
-    s["blind"] = s["blind"] + 1 if tables.gain * round_off > BLIND * LARGEST_TOLERANCE * largest else 0
-    least = min(tables.gain * round_off, LARGEST_TOLERANCE * largest)  # that the highest coefficient can tell
+    s["blind"] = s["blind"] + 1 if tables.gain * round_off > BLIND * tables.coarsest * largest else 0
+    least = min(tables.gain * round_off, tables.coarsest * largest)  # that the highest coefficient can tell
     if not s["change"] < np.inf or left > max(DIVERGED * largest, NOISY * least / tables.gain):  # far too long
         return SHRINK * h
     factor = GROW

@@ -15,8 +15,8 @@ from particles_mpi.gravity.direct import attract_few
 from particles_mpi.integrators.collocation import END, FORCES, STUCK, begin, copy, go_on
 from particles_mpi.kernels.geometry import wrap
 from particles_mpi.kernels.jit import in_place, kernel, lean, lean_inner
-from particles_mpi.kernels.motion import free_drift, kick, kick_with_drag
-from particles_mpi.kernels.sliding import kick_with_friction, press, release
+from particles_mpi.kernels.motion import free_drift, kick, kick_with_drag, press, release
+from particles_mpi.kernels.sliding import kick_with_friction
 from particles_mpi.kernels.validity import WATCH_EVERY, find_invalid
 from particles_mpi.particles import Array
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from particles_mpi.integrators.gauss_radau import TOLERANCE, Adaptive
 from particles_mpi.kernels.fingerprint import places_of
-from particles_mpi.kernels.motion import kick, kick_with_drag
-from particles_mpi.kernels.sliding import press, release
+from particles_mpi.kernels.motion import kick, kick_with_drag, press, release
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles
 from particles_mpi.scene.active import ActiveEffects

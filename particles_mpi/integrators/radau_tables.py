@@ -6,12 +6,14 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from particles_mpi.particles import Array
+from particles_mpi.scene.schema import TOLERANCES
 
 NODES = 8
 
 
 class Tables(NamedTuple):
-    """Of the Gauss-Radau nodes, as `radau` gives them; tolerance: of the highest coefficient.
+    """Of the Gauss-Radau nodes, as `radau` gives them; tolerance: of the highest coefficient;
+    coarsest: the largest one that a scene may give.
 
     c (8,): nodes in [0, 1). twice (8, 8): what the accelerations at the nodes add to the places there; once_end, twice_end (8,):
     to velocity and place at the end. lagrange (8, 8): polynomials; highest (8,): their highest coefficients. gain: of round-off,
@@ -26,6 +28,7 @@ class Tables(NamedTuple):
     highest: Array
     gain: float
     tolerance: float
+    coarsest: float
 
 
 def radau(tolerance: float) -> Tables:
@@ -51,7 +54,15 @@ def radau(tolerance: float) -> Tables:
     highest = lagrange[:, -1].astype(float)
     gain = 4.0 * float(np.sqrt((highest**2).sum()))
     return Tables(
-        c.astype(float), twice[:-1].copy(), once[-1].copy(), twice[-1].copy(), lagrange.astype(float), highest, gain, tolerance
+        c.astype(float),
+        twice[:-1].copy(),
+        once[-1].copy(),
+        twice[-1].copy(),
+        lagrange.astype(float),
+        highest,
+        gain,
+        tolerance,
+        TOLERANCES[1],
     )
 
 

@@ -2,7 +2,7 @@
 
 - `jit`: the decorators that compile; `loading`: kernels come from numba's cache quickly
 - `lanes`: eight numbers at once; `memory`: arrays that begin with lines of the cache, and larger ones
-- `limits`: what 32 bits can count; `markers`: numbers for what is not there
+- `limits`: what 32 bits can count; `markers`: numbers with a meaning in arrays
 - `geometry`: distances and places in a periodic box; `planes`: walls as arrays
 - `motion`: kicks and straight segments; `sliding`: under friction; `turning`: orientations that follow spins
 - `validity`: is everyone there, and inside? `fingerprint`: was an array changed?

@@ -53,3 +53,29 @@ def end_segments(axes, x, v, start, h):
     for i in range(len(x)):
         for k in range(len(axes)):
             x[i, k] += v[i, k] * (h - start[i])
+
+
+@lean
+def press(a, fixed, held, pressed, alone):
+    """Accelerations a (n, d) of `held` rows become those by forces and contacts, `pressed`; `alone` (n, d) keeps what they were.
+
+    What lies on something neither falls nor is pulled along by friction in the direction in which it would fall.
+    """
+    for i in range(len(held)):
+        if held[i] != 0 and fixed[i] == 0:
+            for k in range(a.shape[1]):
+                alone[i, k] = a[i, k]
+                a[i, k] = pressed[i, k]
+
+
+@lean
+def release(v, a, fixed, held, pressed, alone, push):
+    """The end of `press`: velocities v (n, d) lose what contacts gave in the kick, for that is found anew after it.
+
+    push (n,): the times that accelerations acted.
+    """
+    for i in range(len(held)):
+        if held[i] != 0 and fixed[i] == 0:
+            for k in range(a.shape[1]):
+                v[i, k] -= (pressed[i, k] - alone[i, k]) * push[i]
+                a[i, k] = alone[i, k]

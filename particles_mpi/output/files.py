@@ -1,4 +1,4 @@
-"""What all writers share: errors of the file system on all ranks, files that are replaced as a whole, the columns of a frame."""
+"""What all writers share: errors of the file system on all ranks, folders, the columns of a frame."""
 
 import os
 import re

@@ -2,7 +2,7 @@
 
 from typing import TypeVar
 
-from particles_mpi.particles import ALWAYS, FIELDS, OWN
+from particles_mpi.particles import ALWAYS, BUILT_IN, FIELDS
 from particles_mpi.scene import effect as kinds
 from particles_mpi.scene.schema import Scene
 
@@ -84,4 +84,4 @@ def fields_of(scene: Scene) -> list[str]:
     }
     needed = {*ALWAYS, *(name for name, condition in conditions.items() if condition)}
     needed |= {name for effect in effects.all.values() for name in effect.needs.columns}
-    return [name for name in OWN if name in needed] + sorted(needed & FIELDS.keys() - set(OWN))
+    return [name for name in BUILT_IN if name in needed] + sorted(needed & FIELDS.keys() - set(BUILT_IN))

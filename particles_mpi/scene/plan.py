@@ -15,13 +15,13 @@ from particles_mpi.scene.schema import Scene
 def plan(scene: Scene, particles: Particles, ranks: Communicator) -> dict[str, Any]:
     """The plan as plain data: for the screen, and for `run.json`. `particles`: this rank's. Collective, the same on all ranks."""
     total, fixed = (int(n) for n in ranks.allreduce_sum(np.array([len(particles), np.count_nonzero(particles.fixed)])))
-    runs = []
-    for name, options in scene.effects.items():
+    runs, active = [], scene.active
+    for name, options in active.items():
         effect, how = options.effect_class(), options.described(scene, total)
         runs.append({"effect": name, "role": effect.role, "law": effect.formula} | ({"how": how} if how else {}))
-    pairs = "collisions" in scene.effects
+    pairs = "collisions" in active
     ghosts = "particles that may meet those of another rank before the next search"
-    if pairs and scene.effects["collisions"].mode == "event":
+    if pairs and active["collisions"].mode == "event":
         ghosts = "about three layers of particles around each region, or all on every rank where that is no less work"
     row_bytes = sum(column.itemsize * int(np.prod(column.shape[1:])) for column in particles.arrays.values())
     frame = 8 * (3 + 3 + 3) + 8
@@ -34,7 +34,7 @@ def plan(scene: Scene, particles: Particles, ranks: Communicator) -> dict[str, A
         "step": scene.time.step,
         "integrator": scene.time.integrator,
         "effects": runs,
-        "not_run": [name for name in effect_names() if name not in scene.effects],
+        "not_run": sorted({*effect_names(), *scene.effects} - active.keys()),
         "ghosts": ghosts if pairs and ranks.size > 1 else "none",
         "ranks": ranks.size,
         "memory_bytes": int(total * (row_bytes + (350 if pairs else 50))),
@@ -49,19 +49,19 @@ def plan(scene: Scene, particles: Particles, ranks: Communicator) -> dict[str, A
 
 def advice(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]:
     """What an experienced user would say of the step and the box. Collective."""
-    h, lines = scene.time.step, list[str]()
+    h, active, lines = scene.time.step, scene.active, list[str]()
     drag = particles["drag"] if "drag" in particles.arrays else np.empty(0)
     square, smallest = (particles.velocity**2).sum(axis=1), particles.radius[particles.fixed == 0].min(initial=inf)
     extremes = np.array([square.max(initial=0.0), drag.max(initial=0.0), -smallest])
     largest_square, k, minus_radius = ranks.allreduce_max(extremes).tolist()
     speed, radius = sqrt(largest_square), -minus_radius  # of the fastest, and of the smallest that moves, if any does
-    if "collisions" in scene.effects and 0.0 < radius < inf and speed > 0.0:
+    if "collisions" in active and 0.0 < radius < inf and speed > 0.0:
         share = speed * h / (2.0 * radius)
-        crossed, event = f"crosses {share:.2g} of the smallest diameter in a step", scene.effects["collisions"].mode == "event"
+        crossed, event = f"crosses {share:.2g} of the smallest diameter in a step", active["collisions"].mode == "event"
         lines.append(f"step: the fastest particle {crossed}{', any number will do' if event else ' (at most 1)'}")
         if event:
             lines.append("step: mode event takes about 2 us a contact besides: longer steps cost less")
-    if scene.time.integrator == "taylor" and "drag" in scene.effects:
+    if scene.time.integrator == "taylor" and "drag" in active:
         if k * h > 1.0:
             lines.append(f"step: taylor with drag * step = {k * h:.3g} > 1 will oscillate: shorten the step, or use leapfrog")
         lines.append("step: taylor is first order with drag; leapfrog is second order and exact in the velocity")

@@ -144,7 +144,7 @@ def describe_machine(ranks: Communicator) -> dict[str, Any]:
     return {"machine": name, "cores": usable_cores(), "ranks": ranks.size, **versions, "when": when}
 
 
-def write_report(folder: Path, title: str, all_found: list[Experiment], about: dict[str, Any], notes: list[str]) -> Path:
+def write_report(folder: Path, title: str, all_found: list[Experiment], about: dict[str, Any]) -> Path:
     """Write report.html, a CSV and an SVG for each experiment, study.json and accuracy.png into a folder; on one rank."""
     from particles_mpi.study import plots
 
@@ -157,11 +157,11 @@ def write_report(folder: Path, title: str, all_found: list[Experiment], about: d
     (folder / "study.json").write_text(json.dumps({**about, "experiments": experiments}, indent=1) + "\n")
     plots.draw_for_readme(folder / "accuracy.png", all_found)
     path = folder / "report.html"
-    path.write_text(page(title, all_found, figures, about, notes), encoding="utf-8")
+    path.write_text(page(title, all_found, figures, about), encoding="utf-8")
     return path
 
 
-def page(title: str, all_found: list[Experiment], figures: dict[str, str], about: dict[str, Any], notes: list[str]) -> str:
+def page(title: str, all_found: list[Experiment], figures: dict[str, str], about: dict[str, Any]) -> str:
     """The whole page; `figures`: SVG by key of the experiment."""
     place = "{machine}, {cores} cores, {ranks} rank(s), {mpi}, {when}".format(**about)
     links = "".join(f'<li><a href="#{found.key}">{found.key}: {escape(found.title)}</a></li>\n' for found in all_found)
@@ -181,7 +181,7 @@ def page(title: str, all_found: list[Experiment], figures: dict[str, str], about
             f"<ul>\n{answers}</ul><ul>\n{errors}</ul>",
             table_html(errors_table(found)),
         ]
-    body = "\n".join([*parts, *(f"<p>{escape(note)}</p>" for note in notes)])
+    body = "\n".join(parts)
     head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{escape(title)}</title>'
     return f'<!doctype html>\n<html lang="en"><head>{head}<style>{PAGE_STYLE}</style></head>\n<body>\n{body}\n</body></html>\n'
 

@@ -112,7 +112,8 @@ def test_every_folder_says_what_it_is_for(folder):
     text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text())) or ""
     assert text.partition("\n")[0].rstrip().endswith(".")
     files = {path.stem for path in folder.glob("*.py")} - {"__init__"}
-    assert folder.name == "effects" or files <= set(re.findall(r"\w+", text))
+    entries = set(re.findall(r"(?m)(?:^\s*(?:- )?|[;,] |`)`?(\w+)", text))  # where one begins, not any word
+    assert folder.name == "effects" or files <= entries
 
 
 def test_plots_know_a_run_by_its_results_only():

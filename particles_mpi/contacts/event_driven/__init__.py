@@ -21,7 +21,7 @@ The files, in the order in which one reads them:
 The way of one drift: `EventDriven.drift` is called with the length of the step. `Engine.start_drift` puts each particle on a
 straight segment, `begin` empties the queue, and `run` hands everything to `event_loop.run`. There, `next_event` finds for each
 row its first contact with a row in its list or with a wall, or the time at which the list expires, and `push` queues it. Then
-again and again the first event takes place: `collide` or `bounce` changes velocities, or the row gets a new list, and the rows
+again and again the first event takes place: `hit_row` or `hit_wall` changes velocities, or the row gets a new list, and the rows
 concerned look for their next events. At the end `end_drift` moves all rows to the same time, and `write_back` copies them to the
 particles. With `Windows` there are many `run`, and after each one ranks compare what they found: `verify` says whether to
 `roll_back`, or to `reconcile` the ghosts and `apply_moves` of those that came, went, or changed owner.

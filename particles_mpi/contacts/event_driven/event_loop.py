@@ -95,7 +95,7 @@ class Rules(NamedTuple):
     rates: Rates
 
 
-class Drift(NamedTuple):
+class Clock(NamedTuple):
     """What is known of the time: `length` of the drift, and the `moment` at which it began; events count from that moment."""
 
     length: float
@@ -205,7 +205,7 @@ def stands_still(work, t, h, rows):
 def run(axes, rows, lists, queue, rules, interval, work, log, pending):
     """All events of an interval, in order. work.stale[:pending] are rows whose next event is not known.
 
-    rules: see `Rules`. interval: the `Drift`, from when until when in it, and how many skins before a particle its new reference
+    rules: see `Rules`. interval: the `Clock`, from when until when in it, and how many skins before a particle its new reference
     position lies.
     Returns 0; or how many places the pool of the lists is short of: then call again with a larger one; or INTERRUPTED after so
     many events that a user may have pressed Ctrl-C: then call again; or FULL_BUCKET: sort it, and call again; or STANDSTILL,
@@ -219,7 +219,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
     rules = Rules(Loss(*loss), law, Collapse(*collapse), crowded, Planes(*planes), rates)
     rough = Rough(rows.spin, rows.inverse_inertia, law, work.normal, work.impulse)
     drift, now, until, ahead = interval
-    drift = Drift(*drift)
+    drift = Clock(*drift)
     state, node, times, stale = rows.state, queue.node, queue.times, work.stale
     events = 0
     while True:

@@ -79,7 +79,7 @@ def progress(d, segment, i, t, h, elastic):
 
 @in_place
 def takes_nothing(d, rows, i, t, drift, collapse):
-    """Does a contact of row i at time t of a drift (`event_loop.Drift`) take no energy? See `Collapse`."""
+    """Does a contact of row i at time t of a drift (`event_loop.Clock`) take no energy? See `Collapse`."""
     soon = abs(drift.moment + t - rows.reals[i, LAST_CONTACT]) < collapse.duration
     if collapse.before == 0:
         return soon

@@ -46,7 +46,7 @@ class Partition:
     version: of the particles that the rows are of, or -1; own_rows (particles,): the row of each; neighbours: the ranks that
     messages go to; directory: who holds which row; skin: of the neighbour lists of all ranks, a length; depth: of the ghosts, in
     mean diameters; crowded: does a rank hold nearly all?
-    Counted: redistributions (`searches`), particles that came from other ranks (`migrated`), and ghosts.
+    Counted: redistributions (`searches`), particles that this rank sent to other ranks (`migrated`), and ghosts.
     """
 
     directory: Directory

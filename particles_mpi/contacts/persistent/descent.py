@@ -31,6 +31,7 @@ from particles_mpi.contacts.persistent.iterations import (
     CHECK,
     FIRST_THETA,
     MOST_ITERATIONS,
+    Rules,
     begin,
     iterate_to_end,
     iterations,
@@ -51,9 +52,6 @@ EXACT, ROUGH_EXACT = 100, 400
 # Iterations, after which contacts are no longer asked to go back to the gap that they keep: it seems that there is no room, as
 # in a box that is full from side to side; and those that are done then, for contacts without a gap.
 ASKED, WITHOUT_GAP = 500, 1500
-
-
-Rules = tuple[int, int, int, int, bool]  # of `verdict`
 
 
 class Seen(NamedTuple):
@@ -131,7 +129,7 @@ class Iteration:
             else:
                 before = done
                 self.theta, done, best, *errors = iterate_to_end(
-                    self.axes, self.problem, self.w, self.v0, self.v, self.other, self.theta, rules, done, best, self.sums
+                    self.axes, self.problem, self.w, self.v0, self.v, self.other, self.theta, tuple(rules), done, best, self.sums
                 )
                 if (done - before) % 2:
                     self.v, self.other = self.other, self.v
@@ -180,7 +178,7 @@ class Iteration:
         errors are allowed, and the iterations done, 0 for a pile that is asleep. Collective.
         """
         exact, near_one = least >= exact_from(self.rough), (1.0 - LITTLE_CHANGE, 1.0 + LITTLE_CHANGE)
-        rules = count, least, limit if exact else min(limit, ASKED), limit, self.rough
+        rules = Rules(count, least, limit if exact else min(limit, ASKED), limit, self.rough)
         if not exact and not self.rough:
             self.balance(ranks, *near_one)
         seen, done = self.seen(ranks, self.advance(1, looks=True)), 1
@@ -200,7 +198,7 @@ class Iteration:
             may_close = self.problem[2][:, MAY_CLOSE]
             np.maximum(may_close, 0.0, out=may_close)
             self.restart()
-            rules = count, WITHOUT_GAP, limit, limit, self.rough
+            rules = Rules(count, WITHOUT_GAP, limit, limit, self.rough)
             seen, done = self.until(ranks, rules, done, seen.squares)
             good, calm, _, _ = verdict(seen, rules, done, np.inf)
         self.restart()  # errors that were looked at are of what is taken: what is ahead may be far past it already

@@ -42,7 +42,7 @@ class ContactHistory:
             self.memory = remember(self.graph, self.taken, self.walls)
         return self.memory
 
-    def remembers(self) -> bool:
+    def took_something(self) -> bool:
         """Did any contact of our rows take something?"""
         return bool(self.taken.any()) if self.graph else len(self.memory.id) > 0
 

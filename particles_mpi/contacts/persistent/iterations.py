@@ -5,6 +5,7 @@ that kind is compiled.
 """
 
 from math import inf, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -89,13 +90,23 @@ def unit_of_squares(worst):
     return min(max(worst * worst / 512.0, 1.0), LARGEST_UNIT)
 
 
+class Rules(NamedTuple):
+    """When iterations end: how many `half_edges` may take something; iterations at `least`, `until` how many for now, and at most
+    at all (`limit`); are spheres `rough`?"""
+
+    half_edges: int
+    least: int
+    until: int
+    limit: int
+    rough: bool
+
+
 @inner
 def verdict(seen, rules, done, best):
     """After `done` iterations: (are errors allowed, and far below that, may iterations end, should momentum be given up).
 
     seen: what the last one saw, the two largest errors, and sums over all rows of squares of errors, and of works; best: the
-    least sum of squares so far. rules: half-edges that count, iterations at least, at most for now, at most at all, are spheres
-    rough.
+    least sum of squares so far. rules: `Rules`, as a plain tuple in kernels.
     """
     worst, over_round_off, squares, work = seen
     count, least, until, limit, rough = rules

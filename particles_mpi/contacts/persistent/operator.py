@@ -56,7 +56,7 @@ class PersistentContacts:
         self.history = ContactHistory(self.ranks, length, len(self.walls), self.kind.columns, points)
         self.given: tuple[Array, Array] = np.empty(0, np.int64), np.empty(0)  # our rows, velocities given to them, but for drag
         self.undamped: Array | None = None  # see `keep`
-        self.remembers = pairs or self.kind.rough  # what contacts took, from one kick to the next
+        self.needs_memory = pairs or self.kind.rough  # of what contacts took, from one kick to the next
         self.awake = True  # else particles pass through one another and through walls
         self.totals = {"unconverged": 0}  # of this rank, which are counted for all by rank 0
 
@@ -74,7 +74,7 @@ class PersistentContacts:
             if not self.pairs:
                 self.keep_on_walls(p, a, h, involved)
                 return
-            some, known = self.ranks.largest(len(involved) > 0, self.history.remembers())
+            some, known = self.ranks.largest(len(involved) > 0, self.history.took_something())
             if not some and self.uniform:
                 self.history.forget()
                 return

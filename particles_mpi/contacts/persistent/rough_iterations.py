@@ -21,7 +21,7 @@ import numpy as np
 from particles_mpi.contacts.persistent.problem import AHEAD, MAY_CLOSE, NORMAL, SHARE, STEP, TAKEN
 from particles_mpi.contacts.persistent.rough_table import (
     ARM,
-    FRICTION,
+    MU,
     OTHER_ARM,
     RESISTANCE,
     ROLL_STEP,
@@ -132,7 +132,7 @@ def rough_iterate(axes, first, last, problem, w, v0, v, after, beta, looks, sums
                 across = slip[k] - approach * table[e, NORMAL + k]
                 slip = with_item(slip, k, table[e, at + SLID + d + k] - across * slide_step)
             if slide_step > 0.0:
-                most = table[e, at + FRICTION] * new if new > 0.0 else 0.0
+                most = table[e, at + MU] * new if new > 0.0 else 0.0
                 more, done = cut(table, e, at + SLID, d, slide_step, most, beta, slip)
                 error2, worked = error2 + more, worked + done
             if roll_step > 0.0:

@@ -10,7 +10,7 @@ from particles_mpi.kernels.jit import inner, kernel
 from particles_mpi.particles import spin_components
 
 # Columns behind the d components of the normal
-ARM, OTHER_ARM, FRICTION, RESISTANCE, SPIN_SHARE, SLIDE_STEP, ROLL_STEP, SLID = range(8)
+ARM, OTHER_ARM, MU, RESISTANCE, SPIN_SHARE, SLIDE_STEP, ROLL_STEP, SLID = range(8)
 # From SLID on stand four vectors: what the contact has taken across its normal, and the same moved on along the last change; the
 # couple that it has taken, and the same moved on.
 
@@ -60,7 +60,7 @@ def rough_table(axes, smooth, wall, start, partner, gap, radii, inverse_inertia,
             at = NORMAL + d
             arm, far = arms_of(radii[i], radii[j], gap[e]) if wall[e] < 0 else (radii[i], 0.0)
             row[at + ARM], row[at + OTHER_ARM] = arm, far
-            row[at + FRICTION], row[at + RESISTANCE] = surfaces[0, e], surfaces[1, e]
+            row[at + MU], row[at + RESISTANCE] = surfaces[0, e], surfaces[1, e]
             row[at + SPIN_SHARE] = inverse_inertia[i] / both
             if not which[e]:
                 continue

@@ -21,7 +21,7 @@ from particles_mpi.contacts.persistent.walls import Walls
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, same_bits
 
-UNKNOWN = 10  # times the effort where nothing is remembered
+UNKNOWN = 10  # times as many iterations where nothing is remembered
 IN_CROWDS = 900  # iterations in small crowds, at first; TRIED lead to a direct solution where they are not enough
 AS_PUSH = 2.0 * SLOW  # times what a contact took in a kick, which lasts half a step, is the push that it bears
 
@@ -92,27 +92,27 @@ class SlowContacts:
     ) -> Solution:  # fmt: skip
         """A new solution for `count` half-edges of all ranks; see `solve`. Collective."""
         before, known, again = for_these[0], bool(for_these[-1]), tried is not None
-        effort = max(self.effort // count * (1 if known else UNKNOWN), self.kind.least) if self.pairs else self.exact
-        borne = AS_PUSH * before if known else self.borne(local, graph, contacts, h, effort)
+        least = max(self.effort // count * (1 if known else UNKNOWN), self.kind.least) if self.pairs else self.exact
+        borne = AS_PUSH * before if known else self.borne(local, graph, contacts, h, least)
         if not self.pairs:  # each row by itself: those of which something is remembered bear what they bore
             rows = carried(contacts.start, along_normals(before)) != 0
             borne[np.repeat(rows, np.diff(contacts.start))] = AS_PUSH * before[np.repeat(rows, np.diff(contacts.start))]
-        if again and effort >= self.exact and not self.kind.rough:
-            effort = TRIED if tried else IN_CROWDS
+        if again and least >= self.exact and not self.kind.rough:
+            least = TRIED if tried else IN_CROWDS
         pressed = self.pressed(local, contacts, borne, along_normals(AS_PUSH * before), graph.exchange)
-        chosen, targets = self.chosen(local, contacts, before, pressed, h, effort)
+        chosen, targets = self.chosen(local, contacts, before, pressed, h, least)
         if again and not self.kind.rough:  # given twice, the way back to a margin lifts beds of smooth spheres by 1e-6
             np.maximum(targets.may_close, 0.0, out=targets.may_close)
         taken = np.where(chosen, borne.T / AS_PUSH, 0.0).T * (not again)
         problem = self.kind.problem(local, graph, contacts, chosen, targets, taken)
         w, v = self.kind.motion(local, graph, local.v, local.spin)
-        pile = Pile(contacts, local, self.tolerance / h if effort < self.exact else 0.0)
+        pile = Pile(contacts, local, self.tolerance / h if least < self.exact else 0.0)
 
         def asleep(v: Array) -> bool:
             return self.kind.asleep(self.ranks, pile, along_normals(self.kind.taken(problem)), v)
 
         look = None if again else asleep
-        v, good, sleeps = self.solver.solve(problem, w, v, graph.id, graph.exchange, effort, self.pairs, look)
+        v, good, sleeps = self.solver.solve(problem, w, v, graph.id, graph.exchange, least, self.pairs, look)
         taken = taken if sleeps else self.kind.taken(problem)  # who is asleep bears what they bore
         bears = along_normals(np.maximum(taken, before) if again else taken)
         held = carried(contacts.start, bears)
@@ -135,13 +135,13 @@ class SlowContacts:
         self.found = None if crowd else Found(graph, for_these, contacts)
         return contacts
 
-    def borne(self, local: Local, graph: ContactGraph, contacts: Contacts, h: float, effort: int) -> Array:
+    def borne(self, local: Local, graph: ContactGraph, contacts: Contacts, h: float, least: int) -> Array:
         """What all contacts that touch bear if nothing but the pushes acts. Collective."""
         touch = contacts.gap <= contacts.widest * h
         nothing = np.zeros((len(touch), *self.kind.columns))
         problem = self.kind.problem(local, graph, contacts, touch, exactly(contacts), nothing)
         w, push = self.kind.motion(local, graph, local.push, np.zeros_like(local.spin))
-        self.solver.solve(problem, w, push, graph.id, graph.exchange, effort, self.pairs)
+        self.solver.solve(problem, w, push, graph.id, graph.exchange, least, self.pairs)
         return self.kind.taken(problem)
 
     def pressed(self, local: Local, contacts: Contacts, borne: Array, before: Array, exchange: Exchange) -> Array:
@@ -154,13 +154,13 @@ class SlowContacts:
         return np.asarray(pressing(self.axes, *some, along, before, local.push, net_push, stress))
 
     def chosen(
-        self, local: Local, contacts: Contacts, before: Array, pressed: Array, h: float, effort: int
+        self, local: Local, contacts: Contacts, before: Array, pressed: Array, h: float, least: int
     ) -> tuple[Array, Targets]:
         """Which contacts are slow, and how fast each of them may close, of those that took `before` and are `pressed` now."""
         closing = approach(self.axes, contacts.start, contacts.partner, contacts.normal, local.v)
         which, *targets = slow(
             tuple(contacts), closing, along_normals(before), (local.supported, local.radius), pressed, h,
-            self.tolerance, OUTLIER * (effort < self.exact), self.kind.slight,
+            self.tolerance, OUTLIER * (least < self.exact), self.kind.slight,
         )  # fmt: skip
         return which, Targets(*targets)
 

@@ -11,7 +11,6 @@ from particles_mpi.study import report
 from particles_mpi.study.accuracy import effects, fluid, losses, orbits, resting, rough, scene_accuracy, softening, tree
 from particles_mpi.study.experiment import Benchmark, Experiment
 
-NOTES = ["E, float32 against float64: nothing here is offered in float32, so there is nothing to compare."]
 EXPERIMENTS: dict[str, tuple[Callable[[Benchmark], list[Experiment]], bool]] = {  # are bodies so few that one rank does?
     "A": (orbits.regular_orbits, True),
     "B": (orbits.close_encounters, True),
@@ -59,6 +58,6 @@ def study_accuracy(scene: Scene | None, keys: str, quick: bool, folder: Path) ->
     with failing_together(ranks, f"cannot write into {folder}"):
         if ranks.is_root:
             timing = {"samples": benchmark.samples, "least_seconds": benchmark.sample_seconds, "seconds": seconds}
-            path = report.write_report(folder, title, found, report.describe_machine(ranks) | timing, [] if scene else NOTES)
+            path = report.write_report(folder, title, found, report.describe_machine(ranks) | timing)
             screen.table(report.tenfold_table(found))
             screen.say(f"{seconds:.0f} s; all of it, with pictures: {path}   (CSV: {folder}/*.csv)")

@@ -70,7 +70,7 @@ def predict(sim: Simulation, benchmark: Benchmark) -> Prediction:
         if start and ranks.any(compiled):
             forecast = rehearse(start)
         costs = costs_of(sim, forecast.step)
-        errors = predict_contacts(sim) if "collisions" in scene.effects else predict_steps(benchmark, scene, forecast.step)
+        errors = predict_contacts(sim) if "collisions" in scene.active else predict_steps(benchmark, scene, forecast.step)
     except StoppedError as error:
         return Prediction(None, [f"predicted: stops within the first steps: {str(error).splitlines()[0]}"])
     return Prediction(forecast, errors, costs)

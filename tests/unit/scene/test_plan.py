@@ -5,7 +5,7 @@ import pytest
 from particles_mpi import Scene
 from particles_mpi.initial.populate import populate
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.scene.plan import advice
+from particles_mpi.scene.plan import advice, plan
 
 FLOOR = {"point": [0.0, 0.0], "normal": [0.0, 1.0]}
 
@@ -28,6 +28,17 @@ def test_advice(planes, restitution, integrator, words):
     )
     lines = advice(scene, populate(scene)[0], Communicator.alone())
     assert len(lines) == len(words) and all(word in line for word, line in zip(words, lines))
+
+
+def test_what_is_switched_off_does_not_run():
+    tables = {"dimension": 2, "time": {"step": 0.01, "steps": 1}, "particles": [{"position": [[1.0, 2.0]], "radius": 0.1}]}
+    effects = {"collisions": {"active": False}, "uniform_gravity": {"acceleration": [0.0, -1.0]}}
+    scene = Scene.from_dict(tables | {"effects": effects})
+    told = plan(scene, populate(scene)[0], Communicator.alone())
+    assert [row["effect"] for row in told["effects"]] == ["uniform_gravity"] and not told["advice"]
+    assert "collisions" in told["not_run"] and "uniform_gravity" not in told["not_run"]
+    without = Scene.from_dict(tables | {"effects": {"uniform_gravity": effects["uniform_gravity"]}})
+    assert told == plan(without, populate(without)[0], Communicator.alone())
 
 
 def test_a_plane_across_a_periodic_axis_is_told():

@@ -117,7 +117,7 @@ def test_no_number_of_a_table_is_cut(terminal, monkeypatch, capsys):
 def test_a_page_that_opens_offline(found, tmp_path):
     found.answers = ["twice as fast & right"]
     about = report.describe_machine(Communicator.alone()) | {"samples": 7, "least_seconds": 0.2, "seconds": 1.0}
-    path = report.write_report(tmp_path / "there", "What accuracy costs", [found], about, ["nothing else"])
+    path = report.write_report(tmp_path / "there", "What accuracy costs", [found], about)
     text = path.read_text()
     assert "<svg" in text and "A &lt;problem&gt;" in text and "twice as fast &amp; right" in text
     assert not re.search(r"(src|href)\s*=\s*[\"'](?!#)|@import|url\((?!#)", text.replace("xlink:href", "href"))

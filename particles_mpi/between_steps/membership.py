@@ -11,13 +11,13 @@ from particles_mpi.errors import listed
 from particles_mpi.initial.populate import add_population
 from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.parallel.exact_sum import exact_sums
-from particles_mpi.particles import OWN, Array
+from particles_mpi.particles import BUILT_IN, Array
 from particles_mpi.scene.active import fields_of
 from particles_mpi.scene.model import python_values
 
 
-class Population(State):
-    """A state to which particles, and fields of theirs, may be added; all methods are collective."""
+class Membership(State):
+    """A state whose particles come and go, and carry data of the user's own; all methods are collective."""
 
     def add(self, population: Mapping[str, Any]) -> Array:
         """Add particles: the keys of a `[[particles]]` table, or arrays, the same on all ranks. Returns their ids.
@@ -64,7 +64,7 @@ class Population(State):
         `sim.particles[name]` are this rank's rows from then on; they go with their particles, into checkpoints too.
         """
         values = np.asarray(values)
-        taken = name in OWN or name in fields_of(self.scene)  # FIELDS also has columns of effects that this scene lacks
+        taken = name in BUILT_IN or name in fields_of(self.scene)  # FIELDS also has columns of effects that this scene lacks
         if taken or name in dir(ParticleView) or not name.isidentifier() or name.startswith("_"):
             raise ValueError(f"attach: {name!r} must be a new name, of letters, digits and _, which is not the first of them")
         if values.shape[:1] != (self.total,) or values.dtype.kind not in "biuf":
