@@ -24,6 +24,7 @@ STEADY = 45  # iterations that rough spheres always get: with fewer a pile creep
 SLIGHT = 0.01  # of the widest push: rough contacts that bear less are solved as if they bore that; errors below are round-off
 QUIET = 1e-3  # of the allowed errors: a rough pile in which nothing is faster is asleep
 LEFT_BETWEEN = 2.0 * HELD * PRECISE  # of the push that it feels: what a solution may leave a smooth sphere between two others
+DUST = 1e-30  # of its own push: a slower spin of a rough sphere that is held is round-off of round-off, until it underflows
 STILL = 1e-6  # of the push that they feel: slower rough spheres that are held stand still
 
 
@@ -181,8 +182,15 @@ class RoughContacts(SmoothContacts):
         In a pile, all spheres that bear others come to rest at once: one by one, each would be a small blow to its neighbours.
         """
         quick, piled = self.quick(pile, bears, v), pile.piled(bears)
+        self.forget_dust(pile, held, v)
         awake, stands = ranks.largest(bool((quick & piled).any()), pile.stands(bears))
         if not stands:
             return v
         rests = (held != 0) & ~quick & ~(piled & bool(awake))
         return np.asarray(np.where(rests[:, None], 0.0, v))
+
+    def forget_dust(self, pile: Pile, held: Array, v: Array) -> None:
+        """Spins in v (n, columns), in place, of which each solution so far has left a factor 1e-16, component by component."""
+        spin, radius = v[:, len(self.axes) :], pile.local.radius[: len(v), None]
+        least = DUST * np.abs(pile.local.push[: len(v)]).max(axis=1, initial=0.0, keepdims=True)
+        spin[(held != 0)[:, None] & (radius * np.abs(spin) < least)] = 0.0
