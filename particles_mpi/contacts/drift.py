@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.rough import FRICTION
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.kernels.geometry import Box, wrap
@@ -91,7 +90,7 @@ class Drift:
     def load_operator(self, pairs: PairContacts, accelerations: Callable[[], Any]) -> None:
         """The collision operator that the scene names, and its search for neighbours."""
         context, planes = self.context, self.effects.walls.planes if self.effects.walls else None
-        box, loss = Box(context.lower, context.upper, context.length), Loss(pairs.restitution, pairs.velocity_factor)
+        box, loss = Box(context.lower, context.upper, context.length), pairs.loss
         law = surfaces(self.effects)
         exact: Any = None
         if pairs.options.mode == "event" or self.effects.lossy:

@@ -47,6 +47,6 @@ class Effect(PairContacts):
 
     def __init__(self, options: Options, scene: Scene):
         self.options = options
-        self.restitution, self.velocity_factor = loss(options.restitution, options.damping)
+        self.loss = loss(options.restitution, options.damping)
         self.surface = options.surface
-        self.lossy = self.restitution < 1.0 or self.velocity_factor < 1.0 or takes_energy(self.surface)
+        self.lossy = min(self.loss) < 1.0 or takes_energy(self.surface)

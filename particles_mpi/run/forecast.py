@@ -4,6 +4,7 @@ Later steps, frames, rows of diagnostics and checkpoints are assumed to take as 
 compiled or loaded is not counted. Where the scene shows that later steps may cost more or less, the forecast is a range.
 """
 
+from math import prod
 from time import perf_counter
 from typing import Any, NamedTuple, Self
 
@@ -33,7 +34,7 @@ def outlook(scene: Scene) -> Outlook:
     if scene.time.integrator == "adaptive":
         return Outlook(0.3, 3.0, "steps are cut where bodies come close, and how often that will be is not known")
     if effects.forces and effects.pairs:
-        if effects.pairs.restitution * effects.pairs.velocity_factor < HEAPING:
+        if prod(effects.pairs.loss) < HEAPING:
             return Outlook(1.0 / TRUST, 10.0, "what falls heaps up, and contacts that last are not counted")
         return Outlook(1.0 / TRUST, 4.0, "what falls gets faster and denser, and later contacts are not counted")
     if effects.keeps_contacts:

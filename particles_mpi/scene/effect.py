@@ -178,13 +178,12 @@ class WallContacts(Effect):
 
 
 class PairContacts(Effect):
-    """Spheres that bounce off one another. restitution, velocity_factor: see `contacts.law.loss`; surface: (mu, beta_0), see
+    """Spheres that bounce off one another. loss: a `contacts.law.Loss`; surface: (mu, beta_0), see
     `contacts.rough`; lossy: does a contact take energy?"""
 
     role = "event"
     options: Any
-    restitution: float
-    velocity_factor: float
+    loss: Any
     surface: tuple[float, float]
     lossy: bool
 

@@ -53,39 +53,38 @@ class Solver:
         few = count <= DIRECT and every <= FEW_HALF_EDGES
         limit = MOST_ITERATIONS if not few else TRIED if smooth else 2 * MOST_ITERATIONS
         if ranks.size > 1 and every <= FEW_HALF_EDGES:
-            result, good, done = self.by_each_rank(problem, w, v, ids, (count, least, limit), asleep)
+            result, good, done = self.by_each_rank(problem, w, v, ids, count, least, limit, asleep)
         else:
             run = Iteration(self.axes, problem, w, v, exchange if ranks.size > 1 else None)
             good, done = run.until_good(ranks, count, least, asleep, limit)
             result = run.result
         if few and (not good or (smooth and done >= limit)):
-            result, good = self.directly(problem, w, v, ids, (count, least), (result, good))
+            result, good = self.directly(problem, w, v, ids, count, least, (result, good))
         self.iterations += done
         return result, good, done == 0
 
     def by_each_rank(
-        self, problem: Problem, w: Array, v: Array, ids: Array, how: tuple[int, int, int], asleep: Asleep | None
+        self, problem: Problem, w: Array, v: Array, ids: Array, count: int, least: int, limit: int, asleep: Asleep | None
     ) -> tuple[Array, bool, int]:
-        """Few contacts, by iterations of each rank for all; `how`: count, least and limit of `Iteration.until_good`."""
+        """Few contacts, by iterations of each rank for all; `count`, `least`, `limit`: see `Iteration.until_good`."""
         together = Together(self.ranks, ids, problem, w, v)
         run = Iteration(self.axes, together.problem, together.w, together.v, None)
 
         def ours(result: Array) -> Array:
             return together.ours(result, v, problem.table, run.taken)
 
-        count, least, limit = how
         look = asleep and (lambda result: asleep(ours(result)))
         good, done = run.until_good(Communicator.alone(), count, least, look, limit)
         return ours(run.result), good, done
 
     def directly(
-        self, problem: Problem, w: Array, v: Array, ids: Array, how: tuple[int, int], so_far: tuple[Array, bool]
+        self, problem: Problem, w: Array, v: Array, ids: Array, count: int, least: int, so_far: tuple[Array, bool]
     ) -> tuple[Array, bool]:
         """Few contacts that iterations do not solve, by each rank for all, in the order of ids: (velocities, is it a solution?).
 
-        `how`: count and least of `Iteration.until_good`; `so_far`: what is returned where nothing better is found.
+        `count`, `least`: see `Iteration.until_good`; `so_far`: what is returned where nothing better is found.
         """
-        together, (count, least), (result, good) = Together(self.ranks, ids, problem, w, v), how, so_far
+        together, (result, good) = Together(self.ranks, ids, problem, w, v), so_far
         run = Iteration(self.axes, together.problem, together.w, together.v, None)
         if without_friction(run):
             good = not run.rough or improve(run, count, least)
