@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from mpi4py import MPI
 
-from particles_mpi.errors import SceneError
+from particles_mpi.errors import SceneError, StateError, StoppedError
 from particles_mpi.parallel.agreement import abort_all, same_on_all
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.run.scene_file import SceneFile, load
@@ -193,6 +193,9 @@ def main() -> None:
     except BaseException as error:
         wrong_arguments = getattr(error, "format_message", None)  # typer's own
         code = abort_all(SceneError(wrong_arguments()) if wrong_arguments else error)
+        if isinstance(error, StoppedError) and not isinstance(error, StateError):
+            sys.stdout.flush()
+            os._exit(code)  # where a file could not be written, HDF5 may crash when it is closed, which the error's end would do
     sys.stdout.flush()
     gc.freeze()
     sys.exit(code)

@@ -59,16 +59,19 @@ class Membership(State):
         self.build()
 
     def attach(self, name: str, values: Array) -> None:
-        """Give every particle data of the user's own: `values` (N, ...) in id order, any numeric type.
+        """Give every particle data of the user's own, or others than before: `values` (N, ...) in id order, any numeric type.
 
         `sim.particles[name]` are this rank's rows from then on; they go with their particles, into checkpoints too.
         """
         values = np.asarray(values)
         taken = name in BUILT_IN or name in fields_of(self.scene)  # FIELDS also has columns of effects that this scene lacks
         if taken or name in dir(ParticleView) or not name.isidentifier() or name.startswith("_"):
-            raise ValueError(f"attach: {name!r} must be a new name, of letters, digits and _, which is not the first of them")
+            raise ValueError(
+                f"attach: {name!r} must be a name of your own, of letters, digits and _, which is not the first of them"
+            )
         if values.shape[:1] != (self.total,) or values.dtype.kind not in "biuf":
             raise ValueError(f"attach: {name!r} must come with an array of numbers for {self.total} particles")
         self.take_changes()
         ids = np.sort(np.concatenate(self.ranks.allgather(self.rows.id)))
         self.rows.arrays[name] = values[np.searchsorted(ids, self.rows.id)]
+        self.particles.forget(name)

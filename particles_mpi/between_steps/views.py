@@ -107,6 +107,11 @@ class ParticleView:
         for name, copy in self._copies.items():
             copy[...] = self._rows.arrays[name]
 
+    def forget(self, name: str) -> None:
+        """Arrays of this field that the user was given are of the past."""
+        self._copies.pop(name, None)
+        self._shown.pop(name, None)
+
     def open(self) -> None:
         """The state belongs to the user."""
         vars(self)["_open"] = True

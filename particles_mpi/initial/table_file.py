@@ -47,9 +47,9 @@ class Beginning(NamedTuple):
 def read_table(ranks: Communicator, path: Path, quantity: str, dimension: int) -> Table | str:
     """The columns of a quantity in a CSV file, or what is wrong with it, the same on all ranks. Collective.
 
-    A first line that begins with no number is a header: columns with the names of the quantity's components (NAMES) are taken,
-    or, if no column has a name in NAMES, the first ones. Files that are not the same on all ranks are refused: each rank also
-    looks at what the next one reads.
+    A first line of names, that is of cells which begin with a letter and are no numbers, is a header: columns with the names of
+    the quantity's components (NAMES) are taken, or, if no column has a name in NAMES, the first ones. Files that are not the
+    same on all ranks are refused: each rank also looks at what the next one reads.
     """
     fault, block, seen, start = "", b"", (0, 0), Beginning(b"", False, 0, 0)
     try:
@@ -94,7 +94,7 @@ def beginning(path: Path) -> Beginning:
         for line in file:
             content = (line if lines else line.removeprefix(BOM)).strip()
             if content and not content.startswith(b"#"):
-                header = not begins_with_number(content)
+                header = has_names(content)
                 return Beginning(content, header, lines, at + len(line) * header)
             at, lines = at + len(line), lines + 1
     return Beginning(b"", False, lines, at)
@@ -112,7 +112,7 @@ def columns_in(ranks: Communicator, path: Path, dimension: int) -> tuple[list[st
     given = [quantity for quantity, of in known.items() if start.header and not set(of).isdisjoint(start.cells)]
     if dimension > 3:
         return [], ""
-    unread = [name for name in start.cells if name not in chain.from_iterable(known.values())] if given else []
+    unread = [name for name in filter(None, start.cells) if name not in chain.from_iterable(known.values())] if given else []
     if not given and len(start.cells) > dimension:
         return [], f"columns behind the first {dimension} of {path} are not read: a header tells what they hold"
     names = ", ".join(chain.from_iterable(known.values()))
@@ -149,6 +149,8 @@ def columns_of(header: bytes, quantity: str, dimension: int) -> list[int] | str:
     if missing := [name for name in names if name not in given]:
         have = [name for name in names if name in given] or named
         return f"its header has {', '.join(have)} and no {missing[0]}"
+    if twice := [name for name in names if given.count(name) > 1]:
+        return f"its header has {twice[0]} twice"
     return [given.index(name) for name in names]
 
 
@@ -178,9 +180,15 @@ def line_start(file: BinaryIO, at: int) -> int:
     return file.tell()
 
 
-def begins_with_number(line: bytes) -> bool:
+def has_names(line: bytes) -> bool:
+    """Is this a header? Each cell of one that is not empty begins with a letter, and none is a number, as nan would be."""
+    cells = [cell for cell in names_in(line) if cell]
+    return bool(cells) and all((cell[0].isalpha() or cell[0] == "_") and not is_number(cell) for cell in cells)
+
+
+def is_number(cell: str) -> bool:
     try:
-        float(line.split(b",")[0])
+        float(cell)
     except ValueError:
         return False
     return True

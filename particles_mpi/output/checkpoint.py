@@ -21,7 +21,7 @@ import numpy as np
 
 from particles_mpi.contacts.warm_start import NOTHING, Memory, rough_columns
 from particles_mpi.errors import SceneError
-from particles_mpi.output.files import failing_together, mpi_io_errors, sync_folder
+from particles_mpi.output.files import FILE_PATIENCE, failing_together, mpi_io_errors, sync_folder
 from particles_mpi.output.replacing import part_of, replacing
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, allgather_rows, in_id_order
@@ -102,12 +102,12 @@ def _make(part: Path, columns: dict[str, Array], total: dict[str, int], facts: d
 
 def _write_all(part: Path, ranks: Communicator, writes: list[tuple[int, Array]], task: str) -> None:
     """Write the columns of each rank at these bytes of the file. Collective."""
-    with failing_together(ranks, task), mpi_io_errors():
+    with failing_together(ranks, task, FILE_PATIENCE), mpi_io_errors():
         file = SharedFile(ranks, part)
-    with failing_together(ranks, task), mpi_io_errors():
+    with failing_together(ranks, task, FILE_PATIENCE), mpi_io_errors():
         for place, column in writes:
             file.write(place, column)
-    with failing_together(ranks, task), mpi_io_errors():
+    with failing_together(ranks, task, FILE_PATIENCE), mpi_io_errors():
         file.close()
 
 

@@ -11,19 +11,23 @@ import numpy as np
 
 from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.output.replacing import replace_text
-from particles_mpi.parallel.agreement import describe_unexpected, raise_first
+from particles_mpi.parallel.agreement import await_all, describe_unexpected, raise_first
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import FIELDS, Array
 
 MPI_IO_ERROR = re.compile(r"error in \(?p?\)?\(?(?:write|read)\(?v?\)?: *(.+)")
 
 
+FILE_PATIENCE = 10.0  # seconds that ranks wait for one another in parallel HDF5 and MPI-IO, after one of them has failed
+
+
 @contextmanager
-def failing_together(ranks: Communicator, task: str) -> Iterator[None]:
+def failing_together(ranks: Communicator, task: str, patience: float = 0.0) -> Iterator[None]:
     """Run a block that uses files; what the file system refuses on any rank is a StoppedError on all ranks. Collective.
 
-    `task` begins the message: "cannot write out/particles.pvd at step 100". A SceneError remains one, on all ranks. A block may
-    contain one collective call at most, as its last: otherwise a rank that fails leaves the others waiting in that call.
+    `task` begins the message: "cannot write out/particles.pvd at step 100". A SceneError remains one, on all ranks. In a block
+    with collective calls a rank that fails may leave others waiting in one of them: if they do not come within `patience`
+    seconds, it ends all ranks.
     """
     failure: Exception | None = None
     try:
@@ -34,6 +38,8 @@ def failing_together(ranks: Communicator, task: str) -> Iterator[None]:
         failure = StoppedError(f"{task}: {_reason(error)}")
     except Exception as error:  # also memory that is refused
         failure = StoppedError(f"{task}: {describe_unexpected(error)}")
+    if patience and ranks.size > 1:
+        await_all(ranks, failure, patience)
     raise_first(ranks, failure, root_reads=True)
 
 

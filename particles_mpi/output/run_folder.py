@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from particles_mpi.parallel.communicator import Communicator
 
 WRITTEN = ("trajectory.vtkhdf", "particles.pvd", "vtk", "checkpoint.h5", "diagnostics.csv", "run.json", "stopped.h5")
 OURS = (*WRITTEN, "plots", "view.html", "view_paraview.py")  # what a run leaves, or what is made of it
+IN_FOLDERS = {"vtk": ("particles_*",), "plots": ("*.png", "*.mp4", "*.gif", "*.svg", "*.pdf")}
 INTERVALS = {f"output.{name}" for name in ("every", "formats", "checkpoint_every", "diagnostics_every")}
 EFFECT_FILE = re.compile(r"effects\.\w+\.file")
 CHANGEABLE = {"title", "time.end", "time.steps"} | INTERVALS  # keys of a scene that may change when a run is continued
@@ -73,10 +75,21 @@ def claim(
             folder.mkdir(parents=True, exist_ok=True)
             record = folder / "run.json"  # from the beginning it tells whose folder this is
             for path in (folder / name for name in OURS if not continues and name != record.name):
-                shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+                remove(path)
             if not continues:
                 replace_text(record, json.dumps(about, indent=2) + "\n")
     return bool(ranks.bcast(continues))
+
+
+def remove(path: Path) -> None:
+    """Delete what a run left, or what was made of it: of folders only the files that have such names, and folders left empty."""
+    if path.is_dir() and not path.is_symlink():
+        for one in (one for pattern in IN_FOLDERS.get(path.name, ("*",)) for one in path.glob(pattern)):
+            shutil.rmtree(one) if one.is_dir() and not one.is_symlink() else one.unlink()
+        with suppress(OSError):  # it holds something else
+            path.rmdir()
+    else:
+        path.unlink(missing_ok=True)
 
 
 def refuse_what_is_no_folder(folder: Path) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 
 from particles_mpi.errors import StoppedError
 from particles_mpi.output import layout
-from particles_mpi.output.files import Continuing, check_last, failing_together, frame_arrays, mpi_io_errors
+from particles_mpi.output.files import FILE_PATIENCE, Continuing, check_last, failing_together, frame_arrays, mpi_io_errors
 from particles_mpi.output.read_frames import SHOW
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
@@ -149,10 +149,10 @@ class Trajectory(Continuing):
     def _do(self, step: int, actions: list[Callable[[], None]]) -> None:
         """Change the file. With parallel HDF5 all ranks do, and ask one another after each action whether it went well."""
         rounds = [[action] for action in actions] if self.parallel else [actions]
-        reasons = mpi_io_errors if self.parallel else nullcontext
+        reasons, patience = (mpi_io_errors, FILE_PATIENCE) if self.parallel else (nullcontext, 0.0)
         try:
             for together in rounds:
-                with failing_together(self.ranks, f"cannot write {self.path} at step {step}"), reasons():
+                with failing_together(self.ranks, f"cannot write {self.path} at step {step}", patience), reasons():
                     for action in together if self.parallel or self.ranks.is_root else ():
                         action()
         except StoppedError:  # HDF5 crashes when it closes a file that it cannot flush, also at the end of the process

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.filesize import decimal
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Column, Table
+from rich.text import Text
 
 from particles_mpi.run.forecast import Forecast
 from particles_mpi.scene.plan import duration
@@ -94,8 +95,11 @@ class Screen:
             width=None if shown else 110,
             quiet=not self.loud,
         )
-        self.say = self.console.print
         self.progress: Progress | None = None
+
+    def say(self, line: Any = "", head: str = "") -> None:
+        """Print a line, behind a `head` in bold, if there is one. Brackets in them are text, and no markup."""
+        self.console.print(Text(head, "bold") + Text(line) if isinstance(line, str) else line)
 
     def table(self, table: Table) -> None:
         """Print a table; in its full width, whatever the terminal's is, if that is a table of numbers, which may not be cut."""
@@ -108,14 +112,13 @@ class Screen:
     def plan(self, title: str, plan: dict[str, Any], warnings: list[str]) -> None:
         """Print the plan, before the run."""
         say = self.say
-        say(f"[bold]{title or 'untitled scene'}[/bold]: {plan['particles']} particles ({plan['fixed']} fixed) in dimension "
-            f"{plan['dimension']}, {plan['steps']} steps of {plan['step']:g}, "
-            f"{plan['integrator']}, {plan['ranks']} rank(s)")  # fmt: skip
+        say(f": {plan['particles']} particles ({plan['fixed']} fixed) in dimension {plan['dimension']}, {plan['steps']} steps of "
+            f"{plan['step']:g}, {plan['integrator']}, {plan['ranks']} rank(s)", head=title or "untitled scene")  # fmt: skip
         table = Table("runs", "law", box=None, padding=(0, 2, 0, 2))
         for row in plan["effects"]:
-            table.add_row(row["effect"], row["law"])
+            table.add_row(row["effect"], Text(row["law"]))
             if "how" in row:
-                table.add_row("", row["how"])
+                table.add_row("", Text(row["how"]))
         table.add_row("drift", "dx/dt = v")
         say(table)
         say(f"  does not run: {', '.join(plan['not_run']) or 'nothing left out'}")
@@ -129,7 +132,7 @@ class Screen:
         if plan["ranks"] > 1 and plan["particles"] < few * plan["ranks"]:
             say(f"  ranks: fewer than {few} particles on each: one rank is as fast, or faster (RANKS=1 ./run.sh ...)")
         for line in warnings:
-            say(f"  [yellow]warning:[/yellow] {line}")
+            say(f" {line}", head="  warning:")
 
     def forecast(self, forecast: Forecast, again: bool = False) -> None:
         """Print how long the run will take; `again`: the forecast before was wrong."""

@@ -70,7 +70,8 @@ def advice(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]
         axes = " and ".join(map(str, open_axes))
         lines.append(f"box: particles leave it along {'axis' if len(open_axes) == 1 else 'axes'} {axes}: no [effects.walls]")
     if effects.walls and not len(effects.walls.planes.point):
-        lines.append("effects.walls: the box is periodic along all axes, so there is no wall")
+        why = "planes is an empty list" if scene.active["walls"].planes == [] else "the box is periodic along all axes"
+        lines.append(f"effects.walls: {why}, so there is no wall")
     if scene.time.integrator == "taylor" and effects.forces and effects.lossy:
         lines.append("step: with taylor nothing comes to rest on anything: it bounces on; with leapfrog it does")
     return lines

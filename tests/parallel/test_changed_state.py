@@ -216,7 +216,10 @@ def test_arrays_of_an_earlier_step_cannot_be_written_to_unnoticed():
         ("sim.remove(sim.particles.mass > 2.5)", ValueError, r"integers; of a mask those are sim\.particles\.id\[mask\]"),
         ("sim.remove([1.7])", ValueError, "takes ids, which are integers"),
         ("sim.remove([-1, 10**9])", ValueError, r"remove: no particles -1 and 1000000000"),
-        *((f"sim.attach({name!r}, sim.particles.mass)", ValueError, "must be a new name") for name in ("a/b", "_mine", "")),
+        *(
+            (f"sim.attach({name!r}, sim.particles.mass)", ValueError, "must be a name of your own")
+            for name in ("a/b", "_mine", "")
+        ),
     ],
 )
 def test_what_cannot_be_changed_says_so(wrong, error, says):

@@ -192,6 +192,24 @@ def test_full_disk_leaves_a_checkpoint_to_go_on_from(whole, tmp_path):
     assert contents(out) == contents(run) and final_state(out) == final_state(run)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("kilobytes", [60, 120, 200, 400])
+def test_a_disk_that_is_full_from_the_first_frame_on_is_one_line(whole, tmp_path, kilobytes):
+    """A rank that fails in parallel HDF5 leaves others waiting there; and HDF5 crashes when it closes what it cannot write."""
+    made = subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={kilobytes}k", "none", tmp_path], capture_output=True)
+    if made.returncode:
+        pytest.skip("no disk can be mounted here")
+    try:
+        scene = tmp_path.parent / "full.toml"
+        scene.write_text(killing.SCENE.replace("steps = 400", "steps = 4000"))
+        for ranks in (1, 2):
+            done = particles_mpi(ranks, "run", scene, "--output", tmp_path / f"o{ranks}", "--quiet")
+            assert done.returncode == 3 and "cannot " in done.stderr and "Traceback" not in done.stderr, done.stderr
+            shutil.rmtree(tmp_path / f"o{ranks}")
+    finally:
+        subprocess.run(["umount", "-l", tmp_path], check=True)
+
+
 @pytest.mark.parametrize("below", ["file", "proc", "long"])
 def test_a_folder_that_cannot_be_written_is_one_line(whole, tmp_path, below):
     (tmp_path / "file").write_text("text")

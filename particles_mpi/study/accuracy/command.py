@@ -49,7 +49,7 @@ def study_accuracy(scene: Scene | None, keys: str, quick: bool, folder: Path) ->
     title = f"What accuracy costs: {scene.title or 'a scene'}" if scene else "What accuracy costs"
     found = []
     for one in scene_accuracy.experiments(benchmark, scene) if scene else built_in(keys, benchmark):
-        screen.say(f"\n[bold]{one.key}: {one.title}[/bold]   (reference: {one.reference})")
+        screen.say(f"   (reference: {one.reference})", head=f"\n{one.key}: {one.title}")
         screen.table(report.errors_table(one))
         for answer in one.answers:
             screen.say(f"  {answer}")

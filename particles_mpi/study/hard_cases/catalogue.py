@@ -158,12 +158,12 @@ def study_hard_cases(only: str | None, full: bool, into: Path | None) -> bool:
     advance = screen.count("cases", len(waiting))
     for one, mode, dimension in waiting:
         if one is not before:
-            screen.say(f"[bold]{one.name}[/bold]\n  naive programs: {one.naive}\n  must hold: {one.must}")
+            screen.say(f"\n  naive programs: {one.naive}\n  must hold: {one.must}", head=one.name)
             before = one
         advance(f"{one.name} {where(mode, dimension)}")
         outcome = examine(one, mode, dimension)
         wrong = "" if outcome.same_bits or not outcome.holds else f", other bits on {ranks.size} ranks"
-        verdict = "pass" if outcome.holds and outcome.same_bits else f"[red]FAIL[/red]{wrong}"
+        verdict = "pass" if outcome.holds and outcome.same_bits else f"FAIL{wrong}"
         screen.say(f"  {where(mode, dimension):<10} {verdict}   {outcome.measured}")
         about = {"case": one.name, "naive": one.naive, "must": one.must, "mode": mode, "dimension": dimension}
         rows.append(about | outcome._asdict())

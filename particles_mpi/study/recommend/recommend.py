@@ -113,12 +113,12 @@ def report(screen: Screen, found: Recommendation) -> None:
     """All of it on the screen."""
     metric, error, trial, s, say = found.metric, found.error, found.best, found.best.timed, screen.say
     scene, method = metric.start.scene, trial.method
-    say(f"[bold]{scene.title or 'untitled scene'}[/bold]: {metric.start.total} particles, {error} to {found.tolerance:g}")
+    say(f": {metric.start.total} particles, {error} to {found.tolerance:g}", head=scene.title or "untitled scene")
     say(f"  reference: {metric.reference}; {error} can be measured down to {metric.limits[error]:.1g} ({metric.why})")
     if metric.part < 1.0:
         say(
-            f"  [yellow]errors are those of the first 1/{1 / metric.part:.0f} of the run (t = {metric.span:.4g})[/yellow]: a "
-            f"reference of all of it would take too long; {error} is held to {found.search.tolerance:.2g} there"
+            f": a reference of all of it would take too long; {error} is held to {found.search.tolerance:.2g} there",
+            head=f"  errors are those of the first 1/{1 / metric.part:.0f} of the run (t = {metric.span:.4g})",
         )
     screen.table(trials_table(found))
     for name, why in found.search.refused.items():
@@ -130,9 +130,9 @@ def report(screen: Screen, found: Recommendation) -> None:
     if method.adaptive:
         finer, tolerance = "a tenth of the tolerance", f", {method.describe(trial.resolution)}"
     say(
-        f"[bold]recommended: {method.name}, {steps} steps of {metric.start.duration / steps:.6g}{tolerance}[/bold]: {error} "
-        f"{trial.errors[error]:.2g}; the whole run takes {s.median:.3g} s ({s.low:.3g} to {s.high:.3g}) on {found.ranks} "
-        "rank(s), output not counted"
+        f": {error} {trial.errors[error]:.2g}; the whole run takes {s.median:.3g} s ({s.low:.3g} to {s.high:.3g}) on "
+        f"{found.ranks} rank(s), output not counted",
+        head=f"recommended: {method.name}, {steps} steps of {metric.start.duration / steps:.6g}{tolerance}",
     )
     say(f"  verified at {finer}: {error} {found.half[error]:.2g}, the two runs differ by {found.difference:.2g}")
 

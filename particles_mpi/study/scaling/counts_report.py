@@ -85,7 +85,7 @@ def say_counts(scene: str, curve: Curve, points: list[Counted], law: Law, screen
     table = numbers_table("a rank and step", *(f"P = {point.ranks}" for point in points), "largest")
     for name, words in COLUMNS.items():
         table.add_row(words, *(amount(point.mean[name]) for point in points), amount(points[-1].most[name]))
-    screen.say(f"[bold]{scene}[/bold]: {curve.name}, counted")
+    screen.say(f": {curve.name}, counted", head=scene)
     screen.table(table)
     past = [point for point in points if point.ranks >= FLAT_FROM]
     if len(past) < 2:

@@ -95,7 +95,7 @@ def say_curve(result: Result, curve: Curve, screen: Screen) -> None:
         counts = (f"{p.counts[name]:.3g}" for name in ("ghost_rows", "messages", "reductions"))
         table.add_row(name, *milliseconds, f"{efficiency * p.ranks:.2f}", f"{efficiency:.0%}", *counts)
         parts.add_row(name, *(f"{share:.0%}" for share in row.values()))
-    screen.say(f"[bold]{result.title}[/bold]: {curve.name}")
+    screen.say(f": {curve.name}", head=result.title)
     screen.table(table)
     screen.table(parts)
 
@@ -105,12 +105,12 @@ def say_model(result: Result, model: Model, screen: Screen) -> None:
     layer = "all particles" if model.law.fetches_all else f"a layer of {model.thickness:.2g} mean distances"
     fetched = f"rows of {layer} fetched {model.fetches:.2g} times" if model.thickness else "no rows fetched"
     screen.say(
-        f"[bold]{result.origin(model)}[/bold]\n"
-        f"  t = {model.fixed * 1e6:.3g} us + {model.imbalance:.2f} x {model.each * 1e9:.3g} ns x work{'/P' * model.law.shared}"
+        f"\n  t = {model.fixed * 1e6:.3g} us + {model.imbalance:.2f} x {model.each * 1e9:.3g} ns x work{'/P' * model.law.shared}"
         f" + {model.row * 1e6:.3g} us x rows + {model.latency * 1e6:.3g} us x stages; work = {model.law.growth}\n"
         f"  counted in a step: {fetched}, {model.messages:.2g} messages to"
         f" each neighbour, {model.reductions:.2g} reductions, {model.all_to_alls:.2g} exchanges of all with all\n"
-        "  ms a step, efficiency, share of work in the step:"
+        "  ms a step, efficiency, share of work in the step:",
+        head=result.origin(model),
     )
     table, rows = numbers_table("ranks", *(curve.name for curve in result.curves)), list(result.predicted_rows(model))
     for ranks in EXTRAPOLATED:

@@ -223,6 +223,18 @@ def test_a_file_of_places_gives_radii_and_masses_too_and_tells_what_is_not_read(
     assert "line 5: " in faults(own, folder=tmp_path)
 
 
+@pytest.mark.parametrize("line", [",0.1", "1.0D0,0.1", "--,0.1", '"0.1","0.1"', "0x1,0.1", "nan,nan", "--,--", "0.1 0.2"])
+def test_a_line_of_broken_numbers_is_no_header(tmp_path, line):
+    (tmp_path / "a.csv").write_text(f"{line}\n0.2,0.2\n0.3,0.3\n")
+    told = faults({"position": {"file": "a.csv"}}, folder=tmp_path)
+    assert "a.csv: line " in told
+
+
+def test_a_column_that_is_named_twice_is_refused(tmp_path):
+    (tmp_path / "a.csv").write_text("x,x,y\n0.1,0.2,0.3\n")
+    assert "its header has x twice" in faults({"position": {"file": "a.csv"}}, folder=tmp_path)
+
+
 def test_csv_with_and_without_header(tmp_path):
     (tmp_path / "a.csv").write_text("x,y,note\n0.1,0.2,7\n0.5,0.6,8\n")
     (tmp_path / "b.csv").write_text("1.0,2.0\n3.0,4.0\n")

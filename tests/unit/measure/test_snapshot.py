@@ -102,6 +102,10 @@ def test_printed_as_a_table():
 def test_data_of_the_users_own_goes_with_the_particles(tmp_path):
     sim = simulation()
     sim.attach("charge", np.arange(40) * 0.5)
+    assert sim.particles.charge[3] == 1.5
+    sim.attach("charge", np.arange(40) * 0.25)  # others than those that were looked at
+    assert sim.particles.charge[4] == 1.0
+    sim.attach("charge", np.arange(40) * 0.5)
     sim.attach("tag", np.arange(80, dtype=np.int16).reshape(40, 2))
     sim.run()
     sim.to_json(tmp_path / "state.json")
@@ -109,7 +113,7 @@ def test_data_of_the_users_own_goes_with_the_particles(tmp_path):
         p = other.particles
         assert (p.charge == p.id * 0.5).all() and p.tag.dtype == np.int16
         assert (p.tag == p.id[:, None] * 2 + [0, 1]).all()
-    with pytest.raises(ValueError, match="new name"):
+    with pytest.raises(ValueError, match="name of your own"):
         sim.attach("mass", np.ones(40))
     with pytest.raises(ValueError, match="40 particles"):
         sim.attach("short", np.ones(3))

@@ -48,6 +48,30 @@ def test_a_refused_run_can_be_done_again(hindrance, error, tmp_path, monkeypatch
     assert sim.steps_done == 3 and (tmp_path / "out/run.json").exists()
 
 
+def test_overwriting_deletes_only_what_runs_leave(tmp_path):
+    """A file of the user's in a folder of the run stays, and so does what a link points to."""
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/a.txt").write_text("mine")
+    simulation().run(tmp_path / "out")
+    (tmp_path / "out/plots").mkdir()
+    (tmp_path / "out/vtk/notes.txt").write_text("mine")
+    (tmp_path / "out/plots/frame.png").write_text("old")
+    (tmp_path / "out/checkpoint.h5").unlink()
+    (tmp_path / "out/checkpoint.h5").symlink_to(tmp_path / "mine")
+    old = (tmp_path / "out/vtk/particles_000003.vtu").stat().st_mtime_ns
+    simulation().run(tmp_path / "out", overwrite=True)
+    assert (tmp_path / "out/vtk/notes.txt").read_text() == (tmp_path / "mine/a.txt").read_text() == "mine"
+    assert not (tmp_path / "out/plots").exists()
+    assert (tmp_path / "out/vtk/particles_000003.vtu").stat().st_mtime_ns > old
+
+
+def test_brackets_in_a_title_are_no_markup(tmp_path, capsys):
+    sim = simulation()
+    sim.scene = sim.scene.model_copy(update={"title": "[bold]hey[/nope] [red]x"})
+    sim.run(tmp_path / "a[b]", quiet=False)
+    assert capsys.readouterr().out.startswith("[bold]hey[/nope] [red]x: 1 particles")
+
+
 @pytest.mark.parametrize("place", ["file", "file/under", "n" * 300])
 def test_what_is_no_folder_is_refused(place, tmp_path):
     (tmp_path / "file").write_text("something")
