@@ -107,7 +107,9 @@ def columns_in(ranks: Communicator, path: Path, dimension: int) -> tuple[list[st
     """
     start = Beginning(b"", False, 0, 0)
     with suppress(OSError):
-        start = ranks.bcast(beginning(path) if ranks.is_root else start)
+        if ranks.is_root:
+            start = beginning(path)
+    start = ranks.bcast(start)
     known = {quantity: of[:dimension] for quantity, of in NAMES.items()}
     given = [quantity for quantity, of in known.items() if start.header and not set(of).isdisjoint(start.cells)]
     if dimension > 3:
