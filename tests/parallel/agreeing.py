@@ -82,7 +82,7 @@ FAULTS = {
     "damaged": lambda: Simulation.resume(here("damaged.h5")),
     "json": lambda: Simulation.from_json(here("state.json")),
     "another json": lambda: Simulation.from_json(here("damaged.json")),
-    "scenes": lambda: Simulation(scene(time={"step": 0.01, "steps": 4 + rank})),
+    "scenes": lambda: Simulation(scene(time={"step": 0.01, "steps": 4 + rank}, output={"every": 100})),
     "option": lambda: Simulation(scene()).run(folder / "new", steps=2 + rank),
     "memory": little_memory,
     "populate": lambda: failing(Populator, "columns"),
