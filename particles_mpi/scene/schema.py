@@ -116,7 +116,7 @@ class Scene(Model):
         """Read and validate a scene file; every fault names the file and the key."""
         path = Path(path)
         try:
-            tables = tomllib.loads(path.read_text(encoding="utf-8"))
+            tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
         except OSError as error:
             raise SceneError(f"{path}: cannot be read ({error.strerror})") from None
         except (ValueError, RecursionError) as error:  # also bytes that are no text, numbers of thousands of digits

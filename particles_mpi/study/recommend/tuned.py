@@ -35,7 +35,7 @@ def written(tables: Tables, source: Path, target: Path, remark: str) -> str:
     Files that the scene names are looked for beside the scene: a target in another folder needs other names for them.
     """
     scene, wanted = Scene.load(source), moved(tables, source.parent, target.parent)
-    document = tomlkit.parse(source.read_text(encoding="utf-8"))
+    document = tomlkit.parse(source.read_text(encoding="utf-8-sig"))
     try:
         enter(document, scene.to_dict(), wanted)
         text = tomlkit.dumps(document)

@@ -274,3 +274,11 @@ def test_a_short_run_writes_its_end_unless_it_is_told_how_often(steps, output, e
     scene = Scene.from_dict(tables | {"time": {"step": 0.1, "steps": steps}})
     assert scene.output.every == every and Scene.from_dict(scene.to_dict()) == scene
     assert Scene.from_dict(tables | {"time": {"step": 0.1, "end": 0.1 * steps}}).output.every == every
+
+
+def test_a_mark_of_byte_order_does_not_matter(tmp_path):
+    """Some editors begin a text with one."""
+    text = "dimension = 1\nparticles = [{position = [[0.0]]}]\n[time]\nstep = 0.1\nsteps = 1\n"
+    for name, encoding in (("a.toml", "utf-8"), ("b.toml", "utf-8-sig")):
+        (tmp_path / name).write_text(text, encoding=encoding)
+    assert Scene.load(tmp_path / "a.toml") == Scene.load(tmp_path / "b.toml")
