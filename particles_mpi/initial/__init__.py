@@ -9,6 +9,7 @@ Each rank makes a block of ids, and the result does not depend on how many ranks
 - `lattices`: places by a formula of the number; `room`: the space that they have
 - `random_addition`: random places without overlap; each rank judges those in its part of space
 - `sphere_grid`: who overlaps whom; `sphere_cells`: the linked cells in which spheres are found
-- `checks`: what only the particles can tell; `overlaps`: those that overlap, which may be pushed apart
+- `checks`: what only the particles can tell; `start_warnings`: what is no fault, but told
+- `overlaps`: spheres that overlap, which may be pushed apart
 - `faults`: what is wrong, collected over the ranks, with the lowest ids
 """

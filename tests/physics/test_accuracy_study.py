@@ -70,6 +70,15 @@ def test_losses(found):
     assert len(fine) > 1 and slope(fine, "place") == pytest.approx(2.0, abs=0.05)
 
 
+@pytest.mark.slow
+def test_bounces_and_that_they_are_the_same_twice(lab):
+    """Of second order, as test_order_of_bounces.py finds by itself."""
+    bounces, again = (losses.bouncing(lab) for _ in range(2))
+    assert [(row.errors, row.work) for row in bounces.rows] == [(row.errors, row.work) for row in again.rows]
+    assert all(max(row.errors.values()) <= 0.03 * row.setting.parameter for row in bounces.rows)
+    assert all(slope(bounces.curve(curve), "fixed sphere") == pytest.approx(2.0, abs=0.3) for curve in bounces.curves)
+
+
 def test_sliding_keeps_what_it_should():
     """Friction of the weight: |v| - v_y stays as it is, so it falls at half the speed in the end (reference/README.md)."""
     for t in (0.5, 20.0):

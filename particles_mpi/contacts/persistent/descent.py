@@ -117,8 +117,8 @@ class Iteration:
         squares, work = ranks.total(*whole_numbers(self.sums, (unit, most if most > 0.0 else 1.0)))
         return Seen(worst, over_round_off, squares * unit, float(work))
 
-    def until(self, ranks: Communicator, rules: Rules, done: int, best: float) -> tuple[Seen, int]:
-        """Iterate until the `verdict` is that this may end: what was seen last, and the iterations done. Collective.
+    def until(self, ranks: Communicator, rules: Rules, done: int, best: float) -> tuple[Seen, int, bool, bool]:
+        """Iterate until the `verdict` is that this may end: what was seen last, the iterations done, good, calm. Collective.
 
         `done` and `best`: iterations, and the least sum of squares of errors, so far. Where no ghosts are exchanged, all is done
         in one kernel: of a small pile, the calls would take longer than the iterations.
@@ -134,9 +134,9 @@ class Iteration:
                 if (done - before) % 2:
                     self.v, self.other = self.other, self.v
             seen = self.seen(ranks, (errors[0], errors[1], errors[2]))
-            _, _, ends, anew = verdict(seen, rules, done, best)
+            good, calm, ends, anew = verdict(seen, rules, done, best)
             if ends:
-                return seen, done
+                return seen, done, good, calm
             if anew:
                 self.restart()
             best = min(best, seen.squares)
@@ -192,15 +192,13 @@ class Iteration:
         elif anew and not ends:
             self.restart()
         if not ends:
-            seen, done = self.until(ranks, rules, done, seen.squares)
-            good, calm, _, _ = verdict(seen, rules, done, np.inf)
+            seen, done, good, calm = self.until(ranks, rules, done, seen.squares)
         if not (good or seen.round_off) and done < limit:
             may_close = self.problem[2][:, MAY_CLOSE]
             np.maximum(may_close, 0.0, out=may_close)
             self.restart()
             rules = Rules(count, WITHOUT_GAP, limit, limit, self.rough)
-            seen, done = self.until(ranks, rules, done, seen.squares)
-            good, calm, _, _ = verdict(seen, rules, done, np.inf)
+            seen, done, good, calm = self.until(ranks, rules, done, seen.squares)
         self.restart()  # errors that were looked at are of what is taken: what is ahead may be far past it already
         good = good or seen.round_off
         if self.rough and not good:

@@ -95,8 +95,8 @@ class SlowContacts:
         least = max(self.effort // count * (1 if known else UNKNOWN), self.kind.least) if self.pairs else self.exact
         borne = AS_PUSH * before if known else self.borne(local, graph, contacts, h, least)
         if not self.pairs:  # each row by itself: those of which something is remembered bear what they bore
-            rows = carried(contacts.start, along_normals(before)) != 0
-            borne[np.repeat(rows, np.diff(contacts.start))] = AS_PUSH * before[np.repeat(rows, np.diff(contacts.start))]
+            remembered = np.repeat(carried(contacts.start, along_normals(before)) != 0, np.diff(contacts.start))
+            borne[remembered] = AS_PUSH * before[remembered]
         if again and least >= self.exact and not self.kind.rough:
             least = TRIED if tried else IN_CROWDS
         pressed = self.pressed(local, contacts, borne, along_normals(AS_PUSH * before), graph.exchange)

@@ -12,10 +12,11 @@ import numpy as np
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.errors import StoppedError
-from particles_mpi.initial.checks import check_start, endless_falls
+from particles_mpi.initial.checks import check_start
 from particles_mpi.initial.faults import Faults
 from particles_mpi.initial.populate import populate
 from particles_mpi.initial.room import room_of
+from particles_mpi.initial.start_warnings import endless_falls
 from particles_mpi.kernels.geometry import image_shifts
 from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.parallel.communicator import Communicator

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from particles_mpi import Scene, SceneError, Simulation
-from particles_mpi.initial.checks import coincident
+from particles_mpi.initial.start_warnings import coincident
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Particles
 

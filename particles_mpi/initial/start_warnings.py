@@ -1,0 +1,84 @@
+"""What a start may be, and will surprise: no fault, but told."""
+
+import numpy as np
+
+from particles_mpi.initial.faults import listed_ids
+from particles_mpi.initial.overlaps import listed_pairs
+from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.decomposition import bisect, to_owners
+from particles_mpi.particles import Array, Particles
+from particles_mpi.scene.schema import Scene
+
+
+def rounded_end(scene: Scene) -> list[str]:
+    """A warning where no whole number of steps ends at `time.end`."""
+    step, end, steps = scene.time.step, scene.time.end, scene.steps
+    if end is None or abs(steps * step - end) <= 1e-6 * step:
+        return []
+    return [f"time.end: {end:g} is no whole number of steps of {step:g}: the run ends at t = {steps * step:g}, after {steps}"]
+
+
+def planes_that_end(scene: Scene) -> list[str]:
+    """Warnings of planes that stop at the border of the box, where particles go round."""
+    planes = (scene.effects["walls"].planes or []) if "walls" in scene.effects else []
+    axes = [[k for k in np.flatnonzero(scene.periodic).tolist() if plane.normal[k] != 0.0] for plane in planes]
+    return [
+        f"effects.walls.planes[{number}].normal: not zero along periodic axis {crossed[0]}:"
+        " what goes round on that may come out behind the plane"
+        for number, crossed in enumerate(axes)
+        if crossed
+    ]
+
+
+def endless_falls(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]:
+    """Warnings of forces with a component along a periodic axis: their work has no potential, for each turn takes more of it."""
+    axes, drawn = np.flatnonzero(scene.periodic), []
+    if "uniform_gravity" in scene.effects:
+        along = np.array(scene.effects["uniform_gravity"].acceleration)[axes] != 0.0
+        drawn.append(("uniform_gravity.acceleration: not zero", axes[along]))
+    if "user_acceleration" in scene.effects and len(axes):
+        pushed = (particles["acceleration"][:, axes] != 0.0) & (particles.fixed == 0)[:, None]
+        who = listed_ids(ranks, particles.id[pushed.any(axis=1)])
+        along = ranks.allreduce_max(pushed.any(axis=0).astype(np.int64)) > 0
+        drawn.append((f"user_acceleration: not zero for {who}", axes[along]))
+    return [
+        f"effects.{what} along periodic {'axis' if len(along) == 1 else 'axes'} {' and '.join(map(str, along))}:"
+        " there is no potential energy along an axis without an end; potential and total_energy will be nan"
+        for what, along in drawn
+        if len(along)
+    ]
+
+
+def coincident(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]:
+    """A warning of bodies at the same place that attract one another without softening: the law has no value there."""
+    gravity = scene.effects.get("mutual_gravity")
+    if gravity is None or gravity.softening > 0.0 or (scene.G if gravity.G is None else gravity.G) == 0.0:
+        return []
+    columns = {name: particles[name] for name in ("id", "position", "mass", "fixed")}
+    if ranks.size > 1:  # those at the same place to the same rank
+        columns = to_owners(ranks, columns, bisect(ranks, particles.position, 1.0))
+    pairs = coincident_pairs(columns)
+    text = listed_pairs(ranks, *pairs)
+    if not text:
+        return []
+    verb = "are" if text.startswith("pairs") else "is"
+    return [
+        f"effects.mutual_gravity: {text} {verb} at the same place at the start:"
+        " no force acts between the two; move one, or give a softening"
+    ]
+
+
+def coincident_pairs(columns: dict[str, Array]) -> tuple[Array, Array]:
+    """(lower ids, higher ids) of those that follow one another, by id, at a place where one attracts and one can be moved."""
+    x, ids, mass, fixed = (columns[name] for name in ("position", "id", "mass", "fixed"))
+    order = np.argsort(x[:, 0], kind="stable")
+    equal = x[order[1:], 0] == x[order[:-1], 0]
+    rows = order[(np.append(equal, False) | np.append(False, equal))[: len(order)]]  # few or none, but for a lattice
+    if not len(rows):
+        return ids[:0], ids[:0]
+    place = np.unique(x[rows], axis=0, return_inverse=True)[1].ravel()
+    by_id = np.lexsort((ids[rows], place))
+    rows, place = rows[by_id], place[by_id]
+    active = (np.bincount(place, fixed[rows] == 0) > 0) & (np.bincount(place, mass[rows] > 0.0) > 0)
+    met = (place[1:] == place[:-1]) & active[place[1:]]
+    return ids[rows[:-1][met]], ids[rows[1:][met]]
