@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from with_all import with_all
 
 from particles_mpi import Scene, Simulation
 
@@ -29,7 +30,7 @@ def falling(count, mode, e):
 
 @pytest.mark.parametrize(
     ("mode", "e"),
-    [("rewind", 0.8), pytest.param("event", 0.8, marks=pytest.mark.slow), pytest.param("rewind", 0.5, marks=pytest.mark.slow)],
+    [("rewind", 0.8), *with_all(("event", 0.8), ("rewind", 0.5))],
 )
 def test_a_falling_bed_has_no_contacts_without_end(mode, e):
     """In no step there are more than a thousand contacts a disc, and the energy falls from step to step."""
@@ -44,7 +45,7 @@ def test_a_falling_bed_has_no_contacts_without_end(mode, e):
         before, hits = now, new
 
 
-@pytest.mark.parametrize("mode", [pytest.param("rewind", marks=pytest.mark.slow), "event"])
+@pytest.mark.parametrize("mode", ["event", *with_all("rewind")])
 def test_elastic_discs_come_to_rest_on_walls_that_take_energy(mode):
     """Each hit of the floor takes its part of what the discs have, and in the end there is nothing left."""
     sim = falling(60, mode, 1.0)

@@ -4,6 +4,7 @@ from math import sqrt
 
 import numpy as np
 import pytest
+from with_all import with_all
 
 from particles_mpi import Scene, SceneError, Simulation
 
@@ -161,7 +162,7 @@ def test_only_walls_are_lossy(mode, speed):
 
 @pytest.mark.parametrize("mode", [None, *MODES])
 @pytest.mark.parametrize("faces", [True, False])
-@pytest.mark.parametrize("d", [1, pytest.param(2, marks=pytest.mark.slow), 3])
+@pytest.mark.parametrize("d", [3, *with_all(1, 2)])
 def test_a_point_comes_to_rest(d, faces, mode):
     """As a ball does: no bounces after a while, and no speed."""
     up = [0.0] * (d - 1) + [1.0]

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import pdist
+from with_all import with_all
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.contacts.persistent.descent import EXACT
@@ -17,7 +18,7 @@ from particles_mpi.parallel.communicator import Communicator
 
 MODES = ("rewind", "event")
 FLOOR = {d: [{"point": [0.0] * d, "normal": [0.0] * (d - 1) + [1.0]}] for d in (2, 3)}
-LOSSES = (pytest.param(0.0, marks=pytest.mark.slow), 0.5, pytest.param(0.9, marks=pytest.mark.slow))
+LOSSES = (0.5, *with_all(0.0, 0.9))
 
 
 def column(mode, e, n, steps, d=2, apart=1.02):
@@ -174,7 +175,7 @@ def test_balls_of_spheres_fall_toward_one_another(apart, surface):
 
 
 @pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("step", [pytest.param(0.01, marks=pytest.mark.slow), 0.1])
+@pytest.mark.parametrize("step", [0.1, *with_all(0.01)])
 def test_two_spheres_rest_upon_one_another(mode, step):
     """rebound#865: masses 1, radii 2, from x = +-10 with G = 1 and e = 0.5: at rest at separation 4."""
     sim = Simulation(
@@ -192,7 +193,7 @@ def test_two_spheres_rest_upon_one_another(mode, step):
     assert (sim.particles.velocity == 0.0).all()
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", ["rewind", *with_all("event")])
 def test_a_pile_of_its_own_gravity(mode):
     """150 spheres fall together, e = 0.5: no overlap, energy only falls, and they settle."""
     sim = Simulation(
@@ -397,7 +398,7 @@ def test_a_sphere_that_is_slowed_less_pushes_the_one_before_it(mode, surface, ef
     assert -sim.particles.velocity[:, 1] == pytest.approx(speed(sim.time), rel=0.02)
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", ["rewind", *with_all("event")])
 def test_a_step_in_which_gravity_moves_spheres_by_many_radii(mode):
     """g h^2 is 2.5 radii: they come to rest all the same, and none has contacts with more than those around it."""
     n, radius = 300, 0.01

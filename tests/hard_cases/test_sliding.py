@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from with_all import with_all
 
 from particles_mpi import Scene, Simulation
 
@@ -39,7 +40,7 @@ def test_a_ball_on_a_slope_stays_where_friction_is_stronger(mode, strength):
 
 
 @pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("tilt", [0.0, 0.3, -0.3])
+@pytest.mark.parametrize("tilt", [0.3, *with_all(0.0, -0.3)])
 def test_it_stops_after_the_right_way(mode, tilt):
     """v^2/(2 (alpha/m - g sin)), after v/(alpha/m - g sin); errors fall with the step as its square, but for the first step."""
     slowing = 3.5 - G * sin(tilt)

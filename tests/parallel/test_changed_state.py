@@ -17,12 +17,13 @@ from conftest import run_ranks
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from random_scenes import random_scenes
+from with_all import with_all
 
 from particles_mpi import Scene, SceneError, Simulation
 from particles_mpi.errors import StateError
 from particles_mpi.measure import snapshot
 
-RANKS = (1, 2, pytest.param(3, marks=pytest.mark.slow))
+RANKS = (1, 2, *with_all(3))
 TOGETHER = (  # what is changed at once, so that all of it is tried in every scene within seconds
     ("reversed", "radius"),
     ("fixed", "velocity", "position"),
@@ -98,9 +99,7 @@ def test_changed_on_ranks_is_the_same_as_on_one(results, ranks):
 
 
 @pytest.mark.parallel
-@pytest.mark.parametrize(
-    ("seed", "count", "on_three"), [(31, 20, 5), *(pytest.param(*one, 1, marks=pytest.mark.slow) for one in ((31, 20), *MORE))]
-)
+@pytest.mark.parametrize(("seed", "count", "on_three"), [(31, 9, 4), *with_all(*((*one, 1) for one in ((31, 20), *MORE)))])
 def test_random_scenes_that_are_changed(seed, count, on_three, tmp_path):
     """A copy and a fresh start take the same steps, and so do two ranks, and three for one case of so many; or all refuse it."""
     rng = np.random.default_rng(seed)

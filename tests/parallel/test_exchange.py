@@ -7,12 +7,13 @@ import pytest
 from conftest import run_ranks
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from with_all import with_all
 
 pytestmark = pytest.mark.parallel
 case = st.tuples(st.integers(0, 10**6), st.integers(0, 60), st.integers(1, 4), st.integers(0, 4))
 
 
-@pytest.mark.parametrize("ranks", [2, 3, pytest.param(5, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("ranks", [2, 3, *with_all(5)])
 def test_rows_arrive(tmp_path_factory, ranks):
     @settings(max_examples=2, deadline=None)
     @given(st.lists(case, min_size=30, max_size=60))
@@ -25,7 +26,7 @@ def test_rows_arrive(tmp_path_factory, ranks):
     rows_arrive()
 
 
-@pytest.mark.parametrize("ranks", [2, 3, pytest.param(8, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("ranks", [2, 3, *with_all(8)])
 def test_ranks_get_equal_work(ranks):
     """Space, and the keys of the tree, are divided evenly, with one reduction a level of cuts where positions are spread."""
     done = run_ranks(ranks, "tests/parallel/equal_work.py")

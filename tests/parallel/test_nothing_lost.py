@@ -14,6 +14,7 @@ import killing
 import pytest
 from conftest import ROOT, run_ranks
 from killing import contents, final_state, kill_and_resume, ranks_of, start
+from with_all import with_all
 
 pytestmark = pytest.mark.parallel
 SLOW = killing.SCENE.replace("steps = 400", "steps = 100000000")
@@ -39,14 +40,14 @@ def everything(folder):
     return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
-@pytest.mark.parametrize("ranks", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("ranks", [2, *with_all(1, 3)])
 def test_a_resumed_pile_goes_on_with_the_same_bits(ranks, tmp_path):
     """What contacts took is in the checkpoint: some rows for each sphere, so that their ids repeat."""
     done = run_ranks(ranks, "tests/parallel/resumed_piles.py", tmp_path)
     assert "the same bits" in done.stdout, done.stderr
 
 
-@pytest.mark.parametrize("kills", [2, pytest.param(10, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kills", [2, *with_all(10)])
 def test_killed_again_and_again_the_run_has_the_same_bits(whole, tmp_path, kills):
     scene, run = whole
     kill_and_resume(tmp_path / "o", scene, contents(run), kills, random.Random(os.urandom(8)))

@@ -6,22 +6,23 @@ import numpy as np
 import pytest
 from conftest import run_ranks
 from random_scenes import random_scenes
+from with_all import with_all
 
 pytestmark = pytest.mark.parallel
 
-COUNT = 40
 SHARED = [{}, {"few": 0}, {"large": True}, {"windows": True}]  # of final_state.py
 
 
 @pytest.mark.parametrize(
-    ("seed", "axes", "on_three"), [(50, 3, 5), *(pytest.param(seed, 4, 1, marks=pytest.mark.slow) for seed in range(22, 31))]
+    ("seed", "count", "axes", "on_three"),
+    [(50, 24, 3, 6), *with_all((50, 40, 3, 1), *((seed, 40, 4, 1) for seed in range(22, 31)))],
 )
-def test_same_bits(seed, axes, on_three, tmp_path):
-    """One rank and two; and three, which share two cores and take three times as long, for each fifth scene or for all.
+def test_same_bits(seed, count, axes, on_three, tmp_path):
+    """One rank and two; and three, which share two cores and take three times as long, for some of the scenes or for all.
 
     `interactions` is left out: where all are fixed, forces may be summed once or twice.
     """
-    scenes = random_scenes(seed, COUNT, axes)
+    scenes = random_scenes(seed, count, axes)
     for number, tables in enumerate(scenes.values()):
         how = SHARED[number % len(SHARED)]
         event = tables["effects"].get("collisions", {}).get("mode") == "event"

@@ -5,6 +5,7 @@ import shutil
 import numpy as np
 import pytest
 from conftest import ROOT, run_ranks
+from with_all import with_all
 
 from particles_mpi import Run, Scene, Simulation
 
@@ -52,7 +53,7 @@ def folder(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("name", ["break_shot", "hourglass"])
+@pytest.mark.parametrize("name", ["break_shot", *with_all("hourglass")])
 def test_the_same_bits_on_one_rank_and_on_two(folder, name):
     for ranks in (1, 2):
         words = "run", folder / f"{name}.toml", "--output", folder / f"{name}{ranks}", "--quiet"

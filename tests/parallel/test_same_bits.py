@@ -480,7 +480,7 @@ SCENES |= {
     f"{HEAP}, solved as a large one, in windows": SCENES[HEAP + IN_ORDER] | {"large": True, "windows": True, "few": 0},
 }
 MANY = (4, 7, 8)  # ranks, only with --all
-LONG = 60  # steps
+LONG = 40  # steps
 
 
 def most_ranks(name):

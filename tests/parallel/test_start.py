@@ -5,6 +5,7 @@ import math
 
 import pytest
 from conftest import run_ranks
+from with_all import with_all
 
 pytestmark = pytest.mark.parallel
 FILES = {
@@ -53,7 +54,7 @@ def started(tmp_path_factory):
     return start
 
 
-@pytest.mark.parametrize("ranks", [2, 3, *(pytest.param(n, marks=pytest.mark.slow) for n in (4, 7, 8))])
+@pytest.mark.parametrize("ranks", [3, *with_all(2, 4, 7, 8)])
 def test_same_start_on_any_number_of_ranks(started, ranks):
     """Every field to the bit, warnings and faults word by word."""
     one, several = dict(started(1)), dict(started(ranks))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from random_scenes import random_scenes
+from with_all import with_all
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.integrators.length_search import PAST_JUMP
@@ -11,7 +12,7 @@ from particles_mpi.timers import Stopwatch
 COUNT = 25
 OVERLAP, UNTOLD = 1e-9, 1e-6  # of the smaller radius
 TOUCHING = 1e-9
-MORE = [pytest.param(seed, 4, marks=pytest.mark.slow) for seed in range(3, 12)]
+MORE = with_all(*((seed, 4) for seed in range(3, 12)))
 
 
 @pytest.fixture(autouse=True)
@@ -32,9 +33,7 @@ def phases_are_not_nested(monkeypatch):
     monkeypatch.setattr(Stopwatch, "__exit__", end)
 
 
-@pytest.mark.parametrize(
-    ("seed", "axes"), [(26, 3), (27, 3), *(pytest.param(seed, 3, marks=pytest.mark.slow) for seed in (1, 2)), *MORE]
-)
+@pytest.mark.parametrize(("seed", "axes"), [(26, 3), *with_all((27, 3), (1, 3), (2, 3)), *MORE])
 def test_every_way_on_is_the_same(seed, axes, tmp_path):
     for name, tables in random_scenes(seed, COUNT, axes).items():
         steps = tables["time"]["steps"]
@@ -57,7 +56,7 @@ def test_every_way_on_is_the_same(seed, axes, tmp_path):
             assert other == at_once, (name, way)
 
 
-@pytest.mark.parametrize(("seed", "axes"), [(1, 3), (2, 3), *MORE])
+@pytest.mark.parametrize(("seed", "axes"), [(2, 3), *with_all((1, 3)), *MORE])
 def test_nothing_overlaps_that_did_not_at_the_start(seed, axes):
     """Whatever moves, slows or presses the spheres, in mode event."""
     for name, tables in random_scenes(seed, COUNT, axes, "event").items():
@@ -68,7 +67,7 @@ def test_nothing_overlaps_that_did_not_at_the_start(seed, axes):
             assert overlaps(sim)[~before].max(initial=0.0) <= OVERLAP, (name, sim.steps_done)
 
 
-@pytest.mark.parametrize(("seed", "axes"), [(1, 3), (2, 3), *MORE])
+@pytest.mark.parametrize(("seed", "axes"), [(2, 3), *with_all((1, 3)), *MORE])
 def test_no_overlap_stays_untold_in_mode_rewind(seed, axes):
     """Where spheres overlap, collisions were missed or came late, or spheres were too fast for the step, and a user is told."""
     for name, tables in random_scenes(seed, COUNT, axes, "rewind").items():
@@ -81,7 +80,7 @@ def test_no_overlap_stays_untold_in_mode_rewind(seed, axes):
                 break
 
 
-@pytest.mark.parametrize(("seed", "axes"), [(1, 3), pytest.param(2, 3, marks=pytest.mark.slow), *MORE[-3:]])
+@pytest.mark.parametrize(("seed", "axes"), [(1, 3), *with_all((2, 3)), *MORE[-3:]])
 def test_a_step_to_a_collision_ends_with_it(seed, axes):
     """The two touch; the time gone by is the length of a step that leads everybody to the same places."""
     met = 0

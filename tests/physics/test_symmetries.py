@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 from random_scenes import random_scenes
+from with_all import with_all
 
 from particles_mpi import Scene, Simulation
 
@@ -105,9 +106,7 @@ def test_units_change_no_bit(name, unit):
     assert_same_in_unit(SCENES[name], size, 60)
 
 
-@pytest.mark.parametrize(
-    ("seed", "count", "axes"), [(41, 25, 3), *(pytest.param(seed, 50, 4, marks=pytest.mark.slow) for seed in range(41, 50))]
-)
+@pytest.mark.parametrize(("seed", "count", "axes"), [(41, 25, 3), *with_all(*((seed, 50, 4) for seed in range(41, 50)))])
 def test_units_change_no_bit_of_random_scenes(seed, count, axes):
     for number, tables in enumerate(random_scenes(seed, count, axes).values()):
         if tables["time"]["integrator"] != "adaptive":

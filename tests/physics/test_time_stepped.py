@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from with_all import with_all
 
 from particles_mpi import Scene, Simulation
 
@@ -35,7 +36,7 @@ def test_oblique_pair_is_exact_at_every_step_and_phase(step, phase):
     assert sim.totals == {"collisions": 1, "wall_hits": 0, "missed": 0, "exchanges": 0, "unconverged": 0}
 
 
-@pytest.mark.parametrize("dimension", [2, 3, pytest.param(4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("dimension", [3, *with_all(2, 4)])
 @settings(max_examples=60, deadline=None)
 @given(st.floats(0.0, 0.99), st.floats(0.0, 1.0), st.floats(0.1, 10.0), st.floats(0.01, 0.9), st.floats(0.05, 0.95))
 def test_pair_keeps_momentum_and_loses_what_restitution_says(dimension, b, e, mass, step, offset):
@@ -100,7 +101,7 @@ def test_elastic_rods_are_sorted_lines(seed):
     assert sim.totals["collisions"] == inversions
 
 
-@pytest.mark.parametrize("dimension", [1, 2, 3, pytest.param(4, marks=pytest.mark.slow)])  # its kernels take a minute
+@pytest.mark.parametrize("dimension", [1, 2, 3, *with_all(4)])  # its kernels take a minute
 def test_gas_in_a_box_keeps_energy_and_stays_inside(dimension):
     sim = Simulation(
         Scene(
@@ -226,7 +227,7 @@ def carnahan_starling(packing: float) -> float:
 
 
 @pytest.mark.parametrize("mode", ["rewind", "event"])
-@pytest.mark.parametrize("step", [0.01, 0.003])
+@pytest.mark.parametrize("step", [0.01, *with_all(0.003)])
 def test_a_ball_among_pegs_keeps_its_energy_at_any_step(mode, step):
     """Elastic contacts with fixed spheres and walls under gravity, wherever in a step they are."""
     sim = Simulation(

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from soft_discs import FRICTION, GRAVITY, MASS, MOMENTS, RADIUS, RESTITUTION, column
+from with_all import with_all
 
 from particles_mpi import Scene, Simulation
 
@@ -36,7 +37,7 @@ def fall(sim, moments):
     return np.array(seen).T
 
 
-@pytest.mark.parametrize("moments", [5, pytest.param(10, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("moments", [5, *with_all(10)])
 def test_falls_as_soft_discs_do(moments):
     """Heights within a radius, of 0.5 in all, and the front within three; springs of two stiffnesses differ by 0.3 and by 2.5."""
     height, front = fall(simulation(), moments)

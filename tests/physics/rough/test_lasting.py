@@ -5,6 +5,7 @@ from math import atan, cos, sin, tan
 import numpy as np
 import pytest
 from scenes import G, simulation, slope
+from with_all import with_all
 
 from particles_mpi.errors import SceneError
 from particles_mpi.particles import same_bits
@@ -40,7 +41,7 @@ def test_the_moment_of_inertia_counts():
     assert abs(p.velocity[0, 0] / (0.05 * G * sin(atan(0.3))) - 1.0) <= 1e-6
 
 
-@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("d", [3, *with_all(2)])
 def test_a_sliding_ball_starts_to_roll(d):
     """At t = 2 v/(7 mu g) in space, at 5/7 v; what is off in the place falls with the step."""
     part, mu, speed = (0.5 if d == 2 else 0.4), 0.2, 1.0
@@ -170,7 +171,7 @@ def test_three_cylinders_stand_only_with_friction(mu, stands):
     assert (top > 0.5 + 3**0.5 / 2 - 1e-3) == stands
 
 
-@pytest.mark.parametrize(("count", "large"), [(100, False), (100, True), pytest.param(200, True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("count", "large"), [(100, True), *with_all((100, False), (200, True))])
 def test_a_bed_comes_to_rest_and_then_takes_no_work(count, large):
     """With resistance to rolling, K falls to nothing at all; without it only what rolls or spins freely on the floor goes on.
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numba import njit
+from with_all import with_all
 
 from particles_mpi.contacts.event_driven.engine import Engine
 from particles_mpi.contacts.event_driven.regions import Regions, can_affect_owned
@@ -79,7 +80,7 @@ def some_rows(d, periodic, seed):
 
 
 @pytest.mark.parametrize("periodic", [False, True])
-@pytest.mark.parametrize("d", [1, 2, 3])
+@pytest.mark.parametrize("d", [3, *with_all(1, 2)])
 def test_ghosts_that_can_have_touched_an_own_row(d, periodic):
     """Wherever rows are within their skins, and whatever became of them in the window: it is where they began that counts."""
     touching = 0

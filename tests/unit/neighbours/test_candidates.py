@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from with_all import with_all
 
 from particles_mpi.kernels.motion import Segments
 from particles_mpi.kernels.planes import no_planes
@@ -173,7 +174,7 @@ def test_touching_spheres_against_all_pairs():
     assert len(first) == near.sum()
 
 
-@pytest.mark.parametrize("d", [1, 2, 3, pytest.param(4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("d", [1, 2, 3, *with_all(4)])
 @pytest.mark.parametrize("unit", [1.0, 1e-25, 1e25])
 @pytest.mark.parametrize("far", [1.0, 1e3, 1e9])
 def test_screening_in_float32_loses_no_pair(d, unit, far):
