@@ -5,7 +5,7 @@ Each rank makes a block of ids, and the result does not depend on how many ranks
 - `populate`: one quantity after the other, population by population; `blocks`: a rank's part of a population, in its columns
 - `table_file`: columns of CSV files, of which each rank reads a part
 - `attributes`: radius, mass, spin and velocities; `places`: where particles are
-- `random_numbers`: by (seed, population, quantity, number of the particle); `velocities` and `plummer` draw with them
+- `random_numbers`: by (seed, population, quantity, number of the particle); `plummer`: places and speeds of a star cluster
 - `lattices`: places by a formula of the number; `room`: the space that they have
 - `random_addition`: random places without overlap; each rank judges those in its part of space
 - `sphere_grid`: who overlaps whom; `sphere_cells`: the linked cells in which spheres are found
