@@ -153,8 +153,7 @@ def stop_after(wall_time: str | None) -> tuple[float | None, str]:
 
     if wall_time is None:
         limit, note = slurm_limit() if IS_ROOT else (None, "")
-        limit, note = Communicator().bcast((None if limit is None else limit + perf_counter() - STARTED, note))
-        return limit, note
+        return Communicator().bcast((None if limit is None else limit + perf_counter() - STARTED, note))
     try:
         return None if wall_time == "none" else parse_time(wall_time), ""
     except ValueError:

@@ -135,10 +135,10 @@ class Simulation(Saved):
 
     def run(self, output: str | Path | None = None, quiet: bool = True, **options: Any) -> None:
         """Step to the end of the scene; with `output` (a folder) write everything the scene asks for. Collective."""
-        if output is None and options:
-            raise TypeError(f"run: {', '.join(options)}: only with a folder for output")
         if output is not None:
             Job(self, Path(output), quiet=quiet, **options).run()
+        elif options:
+            raise TypeError(f"run: {', '.join(options)}: only with a folder for output")
         else:
             while self.steps_done < self.last_step:
                 self.step_towards(self.last_step)
