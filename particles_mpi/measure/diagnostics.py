@@ -37,24 +37,24 @@ def energies_and_momenta(ranks: Communicator, p: Particles, potentials: dict[str
     """
     d, movable, gravity, turning = p.dimension, p.fixed == 0, "mutual_gravity" in potentials, "spin" in p.arrays
     mass, square = p.mass * movable, row_dot(p.velocity, p.velocity)
-    terms = {"kinetic": 0.5 * mass * square} | dict(zip(momentum_names(d), mass * p.velocity.T, strict=True))
+    terms = {"kinetic": 0.5 * mass * square} | dict(zip(vector_names("momentum", d), mass * p.velocity.T, strict=True))
     terms |= {f"potential of {name}": np.where(movable, energy, 0.0) for name, energy in potentials.items()}
     if gravity or turning:
         terms |= angular_momenta(p, mass)
     if gravity:
-        terms |= {"mass": mass} | dict(zip(center_names(d), mass * p.position.T, strict=True))
+        terms |= {"mass": mass} | dict(zip(vector_names("center", d), mass * p.position.T, strict=True))
     if turning:
         terms |= spins(p)
     sums = dict(zip(terms, exact_sums(ranks, list(terms.values())), strict=True))  # by one reduction
 
     kinetic, potential = sums["kinetic"], float(sum(sums[f"potential of {name}"] for name in potentials))
     row = {"kinetic": kinetic, "potential": potential, "total_energy": kinetic + potential}
-    row |= {name: sums[name] for name in momentum_names(d)}
+    row |= {name: sums[name] for name in vector_names("momentum", d)}
     row["max_speed"] = float(np.sqrt(ranks.largest(square.max(initial=0.0))[0]))
     row |= {name: sums[name] for name in angular_names(d) if gravity or turning}
     if gravity:
         binding, total = sums["potential of mutual_gravity"], sums["mass"]
-        row |= {name: sums[name] / total if total else nan for name in center_names(d)}
+        row |= {name: sums[name] / total if total else nan for name in vector_names("center", d)}
         row["virial_ratio"] = 2.0 * kinetic / abs(binding) if binding else nan
     if turning:
         row["rotational"] = sums["rotational"]
@@ -83,21 +83,15 @@ def angular_names(dimension: int) -> tuple[str, ...]:
 
 
 @cache
-def momentum_names(dimension: int) -> tuple[str, ...]:
-    """momentum_x, _y, _z; beyond three axes momentum_0, momentum_1, ..."""
-    return tuple(f"momentum_{'xyz'[k] if dimension <= 3 else k}" for k in range(dimension))
-
-
-@cache
-def center_names(dimension: int) -> tuple[str, ...]:
-    """center_x, ...: the same of the centre of mass."""
-    return tuple(name.replace("momentum", "center") for name in momentum_names(dimension))
+def vector_names(vector: str, dimension: int) -> tuple[str, ...]:
+    """Names of the components of a vector: momentum_x, _y, _z; beyond three axes momentum_0, momentum_1, ..."""
+    return tuple(f"{vector}_{'xyz'[k] if dimension <= 3 else k}" for k in range(dimension))
 
 
 def column_names(dimension: int, observables: bool = False, gravity: bool = False, spins: bool = False) -> list[str]:
     """The columns of diagnostics.csv, in order."""
-    row = ["step", "time", "particles", "kinetic", "potential", "total_energy", *momentum_names(dimension), "max_speed"]
-    about_gravity = [*angular_names(dimension), *center_names(dimension), "virial_ratio"] if gravity else []
+    row = ["step", "time", "particles", "kinetic", "potential", "total_energy", *vector_names("momentum", dimension), "max_speed"]
+    about_gravity = [*angular_names(dimension), *vector_names("center", dimension), "virial_ratio"] if gravity else []
     turning = ["rotational", *(angular_names(dimension) if not gravity else ())] if spins else []
     row += [*COUNTS, "imbalance", *about_gravity, *turning]
     return [*row, *(OBSERVABLES if observables else ())]
