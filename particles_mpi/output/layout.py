@@ -5,7 +5,7 @@ all frames share one topology: particle i is cell i.
 """
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import h5py
 import numpy as np
@@ -30,14 +30,6 @@ STEPS: dict[str, tuple[tuple[int, ...], str, int]] = {
 ColumnShapes = dict[str, tuple[tuple[int, ...], Any]]  # of a frame, by place in the file: (shape of a row, dtype)
 
 
-class KeptFrames(NamedTuple):
-    """The frames of a file up to a step."""
-
-    steps: list[int]
-    points: int  # rows of all of them
-    parts: list[int]  # the number of particles in each part
-
-
 def create(path: Path, columns: ColumnShapes, total: int) -> None:
     """Make a file without frames, for frames of `total` particles first."""
     with replacing(path) as part, h5py.File(part, "w", locking=False) as file:
@@ -60,8 +52,8 @@ def create(path: Path, columns: ColumnShapes, total: int) -> None:
             group[place.replace("PointData/", "Steps/PointDataOffsets/")] = group["Steps/PointOffsets"]
 
 
-def frames_up_to(path: Path, resume_step: int, columns: ColumnShapes, last_count: int) -> KeptFrames:
-    """The frames of a file up to a step.
+def frames_up_to(path: Path, resume_step: int, columns: ColumnShapes, last_count: int) -> tuple[list[int], int, list[int]]:
+    """Of the frames of a file up to a step: (their steps, rows of all of them, the number of particles in each part).
 
     Raises a ValueError if they are not whole, if the file has other columns, or if the last has not `last_count` particles.
     """
@@ -77,7 +69,7 @@ def frames_up_to(path: Path, resume_step: int, columns: ColumnShapes, last_count
             raise ValueError("it holds other particles or fields than the run to be continued")
         if not whole or any(len(group[place]) < points for place in found):
             raise ValueError("it does not hold all of its frames")
-        return KeptFrames(kept, points, sizes[: int(parts.max(initial=0)) + 1].tolist())
+        return kept, points, sizes[: int(parts.max(initial=0)) + 1].tolist()
 
 
 def shorten(path: Path, columns: ColumnShapes, frames: int, points: int, parts: int) -> None:

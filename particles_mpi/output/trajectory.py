@@ -245,9 +245,9 @@ class Trajectory(Continuing):
 
     def read_kept(self, resume_step: int, last: int | None) -> None:
         """How many frames of the old file are kept; the last of them must have `last_count` particles."""
-        kept = layout.frames_up_to(self.path, resume_step, self.columns, self.last_count)
-        check_last(kept.steps, resume_step, last)
-        self.points, self.parts, self.frames, self.continued = kept.points, kept.parts, len(kept.steps), True
+        steps, self.points, self.parts = layout.frames_up_to(self.path, resume_step, self.columns, self.last_count)
+        check_last(steps, resume_step, last)
+        self.frames, self.continued = len(steps), True
 
 
 def _leave() -> None:
