@@ -13,7 +13,6 @@ from particles_mpi.contacts.drift import COUNTS
 from particles_mpi.errors import Interrupted, SceneError, StateError, StoppedError
 from particles_mpi.kernels.validity import WATCH_EVERY
 from particles_mpi.measure.diagnostics import column_names
-from particles_mpi.measure.snapshot import METADATA
 from particles_mpi.output import checkpoint, run_folder
 from particles_mpi.output.diagnostics_csv import Diagnostics
 from particles_mpi.output.files import write_text
@@ -238,7 +237,7 @@ class Job:
                 writer.show()  # a run that goes on from here counts on all frames up to here
         with sim.timers("checkpoint"):
             metadata = sim.metadata()
-            kept = {name: metadata[name] for name in METADATA} | {"reported": sim.reported, "written": self.written}
+            kept = metadata | {"reported": sim.reported, "written": self.written}
             state = {name: json.dumps(value) for name, value in kept.items()} | {"step": metadata["step"], "time": sim.time}
             state["effect_files"] = json.dumps(sim.scene.digests())
             contacts = sim.lasting_contacts()
