@@ -28,20 +28,16 @@ class Table(NamedTuple):
 
 
 class Beginning(NamedTuple):
-    """The first line of a file that says anything, with `lines` before it that are empty or begin with "#".
+    """The first line of a file that says anything, what stands in its columns, and how many `lines` before it say nothing.
 
-    `header`: has it names, and no numbers? `at`: the byte where numbers begin.
+    Those are empty or begin with "#". `header`: has it names, and no numbers? `at`: the byte where numbers begin.
     """
 
-    line: bytes
-    header: bool
-    lines: int
-    at: int
-
-    @property
-    def cells(self) -> list[str]:
-        """What stands in the line's columns."""
-        return names_in(self.line)
+    line: bytes = b""
+    cells: tuple[str, ...] = ()
+    header: bool = False
+    lines: int = 0
+    at: int = 0
 
 
 def read_table(ranks: Communicator, path: Path, quantity: str, dimension: int) -> Table | str:
@@ -51,7 +47,7 @@ def read_table(ranks: Communicator, path: Path, quantity: str, dimension: int) -
     the quantity's components (NAMES) are taken, or, if no column has a name in NAMES, the first ones. Files that are not the
     same on all ranks are refused: each rank also looks at what the next one reads.
     """
-    fault, block, seen, start = "", b"", (0, 0), Beginning(b"", False, 0, 0)
+    fault, block, seen, start = "", b"", (0, 0), Beginning()
     try:
         start = beginning(path)
         block = lines_of(path, start.at, ranks.rank, ranks.size)
@@ -67,7 +63,7 @@ def read_table(ranks: Communicator, path: Path, quantity: str, dimension: int) -
             return f"{path}: not the same on rank {rank} as on rank {rank - 1}"
     lines = block.count(b"\n") + (not block.endswith(b"\n") and len(block) > 0)
     line = 1 + start.lines + start.header + sum(ranks.allgather(lines)[: ranks.rank])  # the number of this rank's first line
-    columns = columns_of(start.line if start.header else b"", quantity, dimension)
+    columns = columns_of(start.cells if start.header else (), quantity, dimension)
     if isinstance(columns, str):
         return f"{path}: {columns}"
     values = np.empty((0, len(columns)))
@@ -94,10 +90,11 @@ def beginning(path: Path) -> Beginning:
         for line in file:
             content = (line if lines else line.removeprefix(BOM)).strip()
             if content and not content.startswith(b"#"):
-                header = has_names(content)
-                return Beginning(content, header, lines, at + len(line) * header)
+                cells = tuple(cell.strip().strip('"').lower() for cell in content.decode("utf-8", "replace").split(","))
+                header = are_names(cells)
+                return Beginning(content, cells, header, lines, at + len(line) * header)
             at, lines = at + len(line), lines + 1
-    return Beginning(b"", False, lines, at)
+    return Beginning(lines=lines, at=at)
 
 
 def columns_in(ranks: Communicator, path: Path, dimension: int) -> tuple[list[str], str]:
@@ -105,7 +102,7 @@ def columns_in(ranks: Communicator, path: Path, dimension: int) -> tuple[list[st
 
     Nothing where it cannot be read, which is told where the places are, or in more than three dimensions: there are no names.
     """
-    start = Beginning(b"", False, 0, 0)
+    start = Beginning()
     with suppress(OSError):
         if ranks.is_root:
             start = beginning(path)
@@ -121,11 +118,6 @@ def columns_in(ranks: Communicator, path: Path, dimension: int) -> tuple[list[st
     return given, f"columns {', '.join(unread)} of {path} are not read, but {names}" if unread else ""
 
 
-def names_in(header: bytes) -> list[str]:
-    """Names of the columns."""
-    return [cell.strip().strip('"').lower() for cell in header.decode("utf-8", "replace").split(",")]
-
-
 def uneven_line(block: bytes, start: Beginning, first: int) -> str:
     """Which of the lines, of which the first has this number, has not so many cells as `start`, or ""; empty ones have none."""
     text = np.frombuffer(block, np.uint8)
@@ -139,12 +131,11 @@ def uneven_line(block: bytes, start: Beginning, first: int) -> str:
     return ""
 
 
-def columns_of(header: bytes, quantity: str, dimension: int) -> list[int] | str:
-    """Numbers of the columns that a header gives to a quantity, or what is wrong with it."""
-    given = names_in(header)
+def columns_of(given: tuple[str, ...], quantity: str, dimension: int) -> list[int] | str:
+    """Numbers of the columns that a header with these names gives to a quantity, or what is wrong with it."""
     names = NAMES.get(quantity, ())[:dimension]
     named = [name for name in given if name in chain.from_iterable(NAMES.values())]
-    if not named or not names or (dimension > 3 and given[:3] == list(names)):
+    if not named or not names or (dimension > 3 and given[:3] == names):
         return list(range(dimension))
     if dimension > 3:
         return f"its header has {', '.join(named)}; in dimension {dimension} columns are taken in order: leave it out"
@@ -182,18 +173,15 @@ def line_start(file: BinaryIO, at: int) -> int:
     return file.tell()
 
 
-def has_names(line: bytes) -> bool:
-    """Is this a header? Each cell of one that is not empty begins with a letter, and none is a number, as nan would be."""
-    cells = [cell for cell in names_in(line) if cell]
-    return bool(cells) and all((cell[0].isalpha() or cell[0] == "_") and not is_number(cell) for cell in cells)
-
-
-def is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
+def are_names(cells: tuple[str, ...]) -> bool:
+    """Are these the cells of a header? Each that is not empty begins with a letter, and none is a number, as nan would be."""
+    for cell in filter(None, cells):
+        if not (cell[0].isalpha() or cell[0] == "_"):
+            return False
+        with suppress(ValueError):
+            float(cell)
+            return False
+    return any(cells)
 
 
 def parsed(block: bytes, columns: list[int]) -> Array:
