@@ -30,13 +30,12 @@ class Options(Losses, EffectOptions):
     contact_tolerance: Annotated[float, Field(gt=0.0, le=0.1)] = 1e-4
 
     def faults(self, scene: Scene) -> list[str]:
-        others = {"passes": (10, "rewind"), "contact_duration": (None, "event")}
-        wrong = [
-            f'{key}: only in mode "{mode}"'
-            for key, (default, mode) in others.items()
-            if getattr(self, key) != default and self.mode != mode
-        ]
-        return wrong + self.rough_faults(scene)
+        faults = []
+        if self.passes != 10 and self.mode != "rewind":
+            faults.append('passes: only in mode "rewind"')
+        if self.contact_duration is not None and self.mode != "event":
+            faults.append('contact_duration: only in mode "event"')
+        return faults + self.rough_faults(scene)
 
 
 class Effect(PairContacts):

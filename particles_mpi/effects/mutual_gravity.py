@@ -40,15 +40,13 @@ class Options(EffectOptions):
     accuracy: Annotated[float, Field(gt=0.0, le=0.1)] | None = None
 
     def faults(self, scene: Scene) -> list[str]:
-        d, auto = scene.dimension, self.method == "auto"
+        d, auto, periodic = scene.dimension, self.method == "auto", any(scene.periodic)
         faults = {
             f'method: there is no tree in dimension {d}; use "direct"': self.method == "tree" and d not in TREES,
             'opening_angle: method "auto" chooses it; give accuracy': self.opening_angle is not None and auto,
             'accuracy: only with method "auto"': self.accuracy is not None and not auto,
             'multipole: "monopole" only with method "tree"': self.multipole == "monopole" and self.method != "tree",
-            "method: no images of a periodic box attract one another here; use a box that is not periodic, or none": any(
-                scene.periodic
-            ),
+            "method: no images of a periodic box attract one another here; use a box that is not periodic, or none": periodic,
         }
         return [fault for fault, wrong in faults.items() if wrong]
 

@@ -230,11 +230,10 @@ def described(run: Any, choice: Choice) -> dict[str, Any]:
 def surroundings(run: Any, lower: Array, upper: Array) -> dict[str, Any]:
     """Box and walls; lower, upper: the extent of the spheres."""
     around = scenery(run.about.get("scene", {}), lower, upper)
-    walls = [{"corners": corners.tolist(), "normal": normal.tolist()} for corners, normal in around.walls]
     low, high = np.minimum(lower, around.lower), np.maximum(upper, around.upper)  # open walls let spheres out of the box
     return {
         "box": {"lower": around.lower.tolist(), "upper": around.upper.tolist(), "real": around.real},
         "periodic": around.periodic.tolist(),
         "extent": [low.tolist(), high.tolist()],
-        "walls": walls,
+        "walls": [{"corners": corners.tolist(), "normal": normal.tolist()} for corners, normal in around.walls],
     }

@@ -240,9 +240,8 @@ class Job:
             kept = metadata | {"reported": sim.reported, "written": self.written}
             state = {name: json.dumps(value) for name, value in kept.items()} | {"step": metadata["step"], "time": sim.time}
             state["effect_files"] = json.dumps(sim.scene.digests())
-            contacts = sim.lasting_contacts()
             path, d = self.folder / "checkpoint.h5", self.scene.dimension
-            checkpoint.save(path, self.ranks, sim.rows.arrays, sim.ids, d, state, contacts)
+            checkpoint.save(path, self.ranks, sim.rows.arrays, sim.ids, d, state, sim.lasting_contacts())
         sim.saved = self.folder.resolve(), sim.steps_done
         self.request.reserve = max(self.request.reserve, SAFETY * (perf_counter() - began))
 

@@ -81,7 +81,8 @@ def duration(seconds: float) -> str:
     """Seconds for people."""
     if seconds < 10.0:
         return f"{max(seconds, 0.01):.2g} s"
-    for longest, unit, name in ((120.0, 1.0, "s"), (7200.0, 60.0, "min")):
-        if seconds < longest:
-            return f"{seconds / unit:.0f} {name}"
+    if seconds < 120.0:
+        return f"{seconds:.0f} s"
+    if seconds < 7200.0:
+        return f"{seconds / 60:.0f} min"
     return f"{seconds / 3600:.1f} h"

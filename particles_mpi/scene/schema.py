@@ -173,11 +173,9 @@ class Scene(Model):
             faults += wrong_length("box.lower", self.box.lower, d) + wrong_length("box.upper", self.box.upper, d)
             if len(self.periodic) != d:
                 faults.append(f"box.periodic: {len(self.periodic)} flags in dimension {d}")
-            faults += [
-                f"box.upper: {hi} is not above box.lower {lo} on axis {k}"
-                for k, (lo, hi) in enumerate(zip(self.box.lower, self.box.upper))
-                if not hi > lo
-            ]
+            for k, (lo, hi) in enumerate(zip(self.box.lower, self.box.upper)):
+                if not hi > lo:
+                    faults.append(f"box.upper: {hi} is not above box.lower {lo} on axis {k}")
         if "vtk" in self.output.formats and d > 3:
             self.output.formats.remove("vtk")
             if not self.output.formats:
