@@ -78,7 +78,7 @@ def assemble(run: Any, largest: int, live: bool = False) -> tuple[str, list[Page
     counts = [len(frame) for frame in run]
     if not counts:
         raise SceneError(f"{run.folder}: no frame yet")
-    choice = choose(counts, changing(run) if not live else len(quantities(run[0])) + 1, (largest - FOR_THE_REST) / BASE64)
+    choice = choose(counts, changing(run) if not live else len(quantities(run[0])), (largest - FOR_THE_REST) / BASE64)
     columns, lower, upper = survey(run, choice, live)
     header = {**described(run, choice), **surroundings(run, lower, upper), "columns": [c._asdict() for c in columns]}
     constant = pack(run[choice.frames[0]], [c for c in columns if c.constant], choice.every)
@@ -94,7 +94,7 @@ def assemble(run: Any, largest: int, live: bool = False) -> tuple[str, list[Page
 
 def changing(run: Any) -> int:
     """How many numbers of a particle, besides its position, are not the same in the first frame and the last; at least one."""
-    first, last = ({"id": frame.id, **quantities(frame)} for frame in (run[0], run[-1]))
+    first, last = quantities(run[0]), quantities(run[-1])
     return max(1, sum(name not in last or not np.array_equal(values, last[name]) for name, values in first.items()))
 
 
@@ -121,8 +121,8 @@ def choose(counts: list[int], quantities: int, room: float) -> Choice:
 
 
 def quantities(frame: Any) -> dict[str, Array]:
-    """What is known of each particle as one number, (N,) each: fields, lengths of vectors; speed in place of velocity."""
-    found = {}
+    """What is known of each particle as one number, (N,) each: id, fields, lengths of vectors; speed in place of velocity."""
+    found = {"id": frame.id}
     for name in frame.fields:
         if name in ("position", "id", "velocity"):
             continue
@@ -138,14 +138,14 @@ def survey(run: Any, choice: Choice, live: bool = False) -> tuple[list[PageColum
     """
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
     ranges: dict[str, list[Array]] = {}
-    first = {"id": run[choice.frames[0]].id, **quantities(run[choice.frames[0]])}
+    first = quantities(run[choice.frames[0]])
     constant = dict.fromkeys(first, not live)
     for k in choice.frames:
         frame = run[k]
         position, radius = in_space(frame.position), frame.radius[:, None]
         lower = np.minimum(lower, (position - radius).min(axis=0, initial=np.inf))
         upper = np.maximum(upper, (position + radius).max(axis=0, initial=-np.inf))
-        now = {"id": frame.id, **quantities(frame)}
+        now = quantities(frame)
         for name, values in (now | {"energy": 0.5 * frame.mass * frame.speed**2}).items():
             values = values[np.isfinite(values)]
             if len(values):
@@ -180,7 +180,7 @@ def survey(run: Any, choice: Choice, live: bool = False) -> tuple[list[PageColum
 def pack(frame: Any, columns: list[PageColumn], every: int) -> str:
     """The numbers of these columns in base64: the count of particles, then column after column, each from a multiple of 8 on."""
     kept = frame.id % every == 0
-    now = {"position": in_space(frame.position), "id": frame.id, **quantities(frame)}
+    now = {"position": in_space(frame.position), **quantities(frame)}
     parts = [np.array([int(kept.sum())], "<i8").tobytes()]
     for column in columns:
         if not column.type:
