@@ -81,7 +81,7 @@ class Iteration:
     """
 
     def __init__(self, axes: tuple[float, ...], problem: Problem, w: Array, v: Array, exchange: Callable[[Array], None] | None):
-        self.axes, self.problem, self.exchange, self.w, self.v0 = axes, tuple(problem), exchange, w, v
+        self.axes, self.problem, self.table, self.exchange, self.w, self.v0 = axes, tuple(problem), problem.table, exchange, w, v
         self.rough = w.ndim > 1
         self.taken = taken_columns(len(axes), self.rough)
         self.v, self.other, self.sums = v.copy(), v.copy(), np.empty((len(problem.start) - 1, 2))
@@ -151,7 +151,7 @@ class Iteration:
 
     def multiply(self, factor: float) -> None:
         """All that is taken."""
-        self.problem[2][:, self.taken] *= factor
+        self.table[:, self.taken] *= factor
         self.restart()
 
     def balance(self, ranks: Communicator, least: float, most: float) -> None:
@@ -194,7 +194,7 @@ class Iteration:
         if not ends:
             seen, done, good, calm = self.until(ranks, rules, done, seen.squares)
         if not (good or seen.round_off) and done < limit:
-            may_close = self.problem[2][:, MAY_CLOSE]
+            may_close = self.table[:, MAY_CLOSE]
             np.maximum(may_close, 0.0, out=may_close)
             self.restart()
             rules = Rules(count, WITHOUT_GAP, limit, limit, self.rough)

@@ -100,7 +100,7 @@ def without_friction(run: Iteration) -> bool:
 
     All rows are here, in the order of ids. Returns whether that was done.
     """
-    w, table = (run.w[:, 0].copy(), run.problem[2]) if run.rough else (run.w, run.problem[2])
+    w, table = (run.w[:, 0].copy(), run.table) if run.rough else (run.w, run.table)
     movable = w[w > 0.0]
     if run.rough and not movable.max(initial=0.0) > DIFFERENT * movable.min(initial=np.inf):
         return False
@@ -115,9 +115,9 @@ def without_friction(run: Iteration) -> bool:
 
 def improve(run: Iteration, count: int, least: int) -> bool:
     """Iterate from what is taken; if that leads to no errors that are allowed, go back. Returns whether it does."""
-    before = run.problem[2][:, run.taken]
+    before = run.table[:, run.taken]
     good, _ = run.until_good(Communicator.alone(), count, least, limit=TRIED)
     if not good:
-        run.problem[2][:, run.taken] = before
+        run.table[:, run.taken] = before
         run.restart()
     return good
