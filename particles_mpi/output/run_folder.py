@@ -1,6 +1,8 @@
 """The folder of a run: may a run write into it, and from which checkpoint in it does it go on?"""
 
+import fcntl
 import json
+import os
 import re
 import shutil
 from collections.abc import Iterator
@@ -52,15 +54,40 @@ def checkpoint_to_continue(folder: Path, ranks: Communicator, scene: dict[str, A
     return ranks.bcast(found)
 
 
+class Lock:
+    """Keeps a folder for one run until it is released, or its process is gone; a SceneError if another run keeps it.
+
+    A file system that knows no locks, as some of clusters, lets both write.
+    """
+
+    def __init__(self, folder: Path):
+        self.descriptor: int | None = os.open(folder, os.O_RDONLY)
+        try:
+            fcntl.flock(self.descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise SceneError(f"--output: another run is writing into {folder}") from None
+        except OSError:
+            pass
+
+    def release(self) -> None:
+        """Let others write there."""
+        if self.descriptor is not None:
+            os.close(self.descriptor)
+            self.descriptor = None
+
+    __del__ = release
+
+
 def claim(
     folder: Path, ranks: Communicator, about: dict[str, Any], resumed: bool, overwrite: bool, own: bool = False
-) -> bool:  # fmt: skip
-    """Take the folder for a run of about["scene"]; True if a resumed run continues there, where its checkpoint is. Collective.
+) -> tuple[bool, Lock | None]:  # fmt: skip
+    """Take the folder for a run of about["scene"], and lock it on rank 0. Collective.
 
-    `own`: this simulation wrote the checkpoint there, and has taken no step since; its user may have changed the scene. Otherwise
-    files of an earlier run are a SceneError, or are deleted with `overwrite`.
+    Returns whether a resumed run continues there, where its checkpoint is, and rank 0's lock. `own`: this simulation wrote the
+    checkpoint there, and has taken no step since; its user may have changed the scene. Otherwise files of an earlier run are a
+    SceneError, or are deleted with `overwrite`.
     """
-    continues = False
+    continues, lock = False, None
     with failing_together(ranks, f"cannot use {folder}"):
         if ranks.is_root:
             refuse_what_is_no_folder(folder)
@@ -73,12 +100,13 @@ def claim(
     with failing_together(ranks, f"cannot write into {folder}"):  # only now, when no rank has found a fault
         if ranks.is_root:
             folder.mkdir(parents=True, exist_ok=True)
+            lock = Lock(folder)
             record = folder / "run.json"  # from the beginning it tells whose folder this is
             for path in (folder / name for name in OURS if not continues and name != record.name):
                 remove(path)
             if not continues:
                 replace_text(record, json.dumps(about, indent=2) + "\n")
-    return bool(ranks.bcast(continues))
+    return bool(ranks.bcast(continues)), lock
 
 
 def remove(path: Path) -> None:

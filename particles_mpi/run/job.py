@@ -79,7 +79,7 @@ class Job:
         """Claim the folder, and open the writers; all have looked at their files before the first one changes its own."""
         not_run = [{"effect": name} for name in self.plan["not_run"]]
         about = scene_and_folder(self.scene) | {"plan": self.plan | {"not_run": not_run}}
-        self.continues = run_folder.claim(self.folder, self.ranks, about, self.resumed, overwrite, own)
+        self.continues, self.lock = run_folder.claim(self.folder, self.ranks, about, self.resumed, overwrite, own)
         self.written = self.sim.written = self.sim.written if self.continues else {"row": -1, "frame": -1}
         output, d, ranks = self.scene.output, self.scene.dimension, self.ranks
         step = self.sim.steps_done if self.continues else None
@@ -140,6 +140,8 @@ class Job:
         finally:
             self.screen.stop()
             self.request.close()
+            if self.lock:
+                self.lock.release()
         if stopped:
             folder, scene = quote(str(self.folder)), quote(str(self.scene_file))
             saved = f"stopped at step {sim.steps_done} of {self.last}, saved; continue with --resume {folder}/checkpoint.h5"

@@ -151,6 +151,24 @@ def test_a_signal_at_any_time_leaves_a_checkpoint_or_nothing(tmp_path, number, t
     assert done.returncode == 130, done.stderr
 
 
+def test_a_folder_has_one_run_at_a_time(tmp_path):
+    """A second one writes nothing, and the first one goes on; when it has ended, the folder is free."""
+    scene, out = tmp_path / "scene.toml", tmp_path / "o"
+    scene.write_text(SLOW)
+    launcher = start(2, "run", scene, "--output", out)
+    while not (out / "checkpoint.h5").exists():
+        assert launcher.poll() is None
+        time.sleep(0.01)
+    for way in (["--resume", "auto"], ["--overwrite"]):
+        done = particles_mpi(2, "run", scene, "--output", out, *way)
+        assert (done.returncode, done.stderr) == (2, f"particles-mpi: --output: another run is writing into {out}\n")
+    assert launcher.poll() is None
+    launcher.terminate()
+    killing.finish(launcher)
+    done = particles_mpi(2, "run", scene, "--output", out, "--resume", "auto", "--wall-time", "0")
+    assert done.returncode == 130 and "saved" in done.stderr
+
+
 def test_a_run_goes_on_in_its_own_folder_only(whole, tmp_path):
     scene, run = whole
     other, out = tmp_path / "other.toml", tmp_path / "o"
