@@ -44,7 +44,7 @@ class Simulation(Saved):
             self.begin(scene, ranks, rows)
         self.warnings = warnings
 
-    def step(self, collisions: bool = True) -> None:
+    def step(self, *, collisions: bool = True) -> None:
         """Advance by one step; `collisions=False` lets particles pass through one another and through walls. Collective."""
         self.steps_at_once(1, collisions)
 

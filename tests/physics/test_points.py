@@ -110,3 +110,11 @@ def test_a_number_of_steps_is_a_number(number):
     sim = Simulation(Scene(dimension=1, time={"step": 0.1, "steps": 9}, particles=[{"position": [[0.0]]}]))
     with pytest.raises(ValueError, match="is not a number of steps"):
         sim.steps(number)
+
+
+def test_a_single_step_takes_no_number():
+    """It would be read as `collisions=5`."""
+    sim = Simulation(Scene(dimension=1, time={"step": 0.1, "steps": 9}, particles=[{"position": [[0.0]]}]))
+    with pytest.raises(TypeError):
+        sim.step(5)
+    assert sim.steps_done == 0
