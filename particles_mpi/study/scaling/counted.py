@@ -10,6 +10,7 @@ compared. Memory is the largest sum of all arrays of a rank (of tracemalloc; wha
 """
 
 import tracemalloc
+from functools import partial
 from math import inf
 from pathlib import Path
 from time import perf_counter
@@ -17,20 +18,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.neighbours.neighbour_list import Neighbourhood
 from particles_mpi.output.files import failing_together, make_folder
-from particles_mpi.parallel.agreement import raise_first, raising_together
+from particles_mpi.parallel.agreement import raising_together
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.run.console import Screen
 from particles_mpi.scene.schema import Scene
 from particles_mpi.simulation import Simulation
 from particles_mpi.study.report import write_csv
-from particles_mpi.study.scaling.counts_report import BYTE_COLUMNS, Counted, say_counts, table_rows
-from particles_mpi.study.scaling.measure import HEADLINE, counters, divides, law_of, rank_counts, row_bytes, unable_to_grow
-from particles_mpi.study.scaling.performance_model import fit
+from particles_mpi.study.scaling.counts_report import BYTE_COLUMNS, say_counts, table_rows
+from particles_mpi.study.scaling.measure import HEADLINE, counters, divides, found_by, law_of, rank_counts, row_bytes
+from particles_mpi.study.scaling.performance_model import Point, fit
 from particles_mpi.study.scaling.report import Curve, Result, say_model
-from particles_mpi.study.scaling.scale_scene import scale_scene
+from particles_mpi.study.scaling.scale_scene import scale_scene, unable_to_grow
 
 PER_RANK = 2000  # particles; fewer would be blocks of space that are all surface
 STRONG_RANKS, QUICK_RANKS = 32, 8  # ranks of the strong curve's scene; ranks at most with --quick
@@ -50,15 +50,13 @@ def count_scaling(described: Scene | None, folder: Path, quick: bool) -> None:
     counts = [number for number in rank_counts(world.size) if number <= (QUICK_RANKS if quick else inf)]
     tables: dict[str, list[dict[str, Any]]] = {"counts.csv": [], "counts_model.csv": []}
     for scene in scenes:
-        counted, divided = count_scene(scene, world, counts, screen)
+        curves, divided = count_scene(scene, world, counts, screen)
         if not world.is_root:
             continue
-        law = law_of(scene, counted[0][0].particles, divided)
-        names = [f"strong, N = {counted[0][0].particles}", f"weak, N/P = {counted[-1][0].particles}"]
-        curves = [Curve(name, weak, [one.point() for one in points]) for name, weak, points in zip(names, (False, True), counted)]
-        for curve, points in zip(curves, counted, strict=True):
-            tables["counts.csv"] += table_rows(title(scene), curve.name, points)
-            say_counts(title(scene), curve, points, law, screen)
+        law = law_of(scene, curves[0].particles(1), divided)
+        for curve in curves:
+            tables["counts.csv"] += table_rows(title(scene), curve)
+            say_counts(title(scene), curve, law, screen)
         if counts[-1] > 1:
             measured = [point for curve in curves for point in curve.points]
             model = fit(measured, law, row_bytes(scene))
@@ -84,8 +82,8 @@ def title(scene: Scene) -> str:
     return (scene.title or "untitled scene") + (f", mode {collisions.mode}" if collisions else "")
 
 
-def count_scene(scene: Scene, world: Communicator, counts: list[int], screen: Screen) -> tuple[list[list[Counted]], bool]:
-    """The points of the strong curve, and of the weak one if the scene can grow; do ranks divide space? Collective."""
+def count_scene(scene: Scene, world: Communicator, counts: list[int], screen: Screen) -> tuple[list[Curve], bool]:
+    """The strong curve, and the weak one if the scene can grow; do ranks divide space? Collective."""
     own, weak = sum(population.count or 0 for population in scene.particles), not unable_to_grow(scene)
     strong = PER_RANK * min(STRONG_RANKS, counts[-1])
     curves = [[(strong, ranks) for ranks in counts], [(PER_RANK * ranks, ranks) for ranks in counts]][: 1 + weak]
@@ -96,22 +94,15 @@ def count_scene(scene: Scene, world: Communicator, counts: list[int], screen: Sc
     run_counted(scaled(PER_RANK * pairs.size), pairs)  # loads modules and kernels, which are not to be counted as memory
     found, divided = {}, True
     for particles, ranks in wanted:
-        subset, mine, error = world.subset(ranks), None, None
-        if subset:
-            try:
-                mine = run_counted(scaled(particles), subset)
-            except (SceneError, StoppedError) as raised:  # on all of the subset together
-                error = raised
-        world.sleeping_barrier()
-        raise_first(world, error)
-        parts = [part for part in world.allgather(mine) if part]
+        parts = found_by(world, world.subset(ranks), partial(run_counted, scaled(particles)))
         columns, first = [part.columns for part in parts], parts[0]
         mean, most = ({name: float(of([one[name] for one in columns])) for name in columns[0]} for of in (np.mean, np.max))
-        found[particles, ranks] = Counted(first.particles, ranks, mean, most, first.seconds)
+        s = first.seconds  # of a step; only a rank that was alone was timed
+        found[particles, ranks] = Point(first.particles, ranks, s, s, s, s, s, 0.0, mean, oversubscribed=ranks > 1, most=most)
         divided &= ranks == 1 or first.divided
         progress("counting")
     screen.stop()
-    return [[found[setting] for setting in curve] for curve in curves], divided
+    return [Curve(weak, [found[setting] for setting in curve]) for weak, curve in zip((False, True), curves)], divided
 
 
 class RankCounts(NamedTuple):

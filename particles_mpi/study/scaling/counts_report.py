@@ -1,7 +1,6 @@
 """What `study scaling --counts` found: which columns stay flat as ranks grow, as lines on the screen and rows of CSV files."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from math import log
 from typing import Any
 
@@ -32,26 +31,10 @@ CAUSES = {
 }
 
 
-@dataclass(frozen=True)
-class Counted:
-    """One scene on so many ranks: the counts of a step, mean over the ranks and largest of a rank. `seconds`: on one rank."""
-
-    particles: int
-    ranks: int
-    mean: dict[str, float]
-    most: dict[str, float]
-    seconds: float
-
-    def point(self) -> Point:
-        """As the model takes it: only a rank that was alone was timed."""
-        s = self.seconds
-        return Point(self.particles, self.ranks, s, s, s, s, s, 0.0, self.mean, oversubscribed=self.ranks > 1)
-
-
-def verdict(name: str, points: list[Counted], law: Law) -> str:
+def verdict(name: str, points: list[Point], law: Law) -> str:
     """How the mean of a column changes past FLAT_FROM ranks: "flat", or as geometry makes it, or what is wrong with it."""
     first, last = points[0], points[-1]
-    before, after = first.mean[name], last.mean[name]
+    before, after = first.counts[name], last.counts[name]
     ideal, reason = expected(name, first, last, law)
     if abs(after - before) <= FLAT_WITHIN * before and ideal >= 1.0 - FLAT_WITHIN:
         return "flat"
@@ -60,14 +43,14 @@ def verdict(name: str, points: list[Counted], law: Law) -> str:
         return f"{grows}: as {reason}"
     power = f", as P^{log(after / before) / log(last.ranks / first.ranks):.2f}" if before and after else ""
     if name == "bytes":  # of all bytes, the kind that grew most
-        name = max(BYTE_COLUMNS, key=lambda kind: last.mean[kind] - first.mean[kind])
+        name = max(BYTE_COLUMNS, key=lambda kind: last.counts[kind] - first.counts[kind])
     return f"NOT FLAT, {grows}{power}: {CAUSES[name]}"
 
 
-def expected(name: str, first: Counted, last: Counted, law: Law) -> tuple[float, str]:
+def expected(name: str, first: Point, last: Point, law: Law) -> tuple[float, str]:
     """By which factor a column changes where ranks divide space perfectly, and as what; 1 and "" for what should not change."""
     if name in ("bytes", "bytes_rows", "ghosts"):
-        layer = law.thickness(first.particles, first.ranks, first.mean["ghosts"])
+        layer = law.thickness(first.particles, first.ranks, first.counts["ghosts"])
         if layer > (first.particles / first.ranks) ** (1.0 / len(law.edges)):  # thicker than the block
             return 1.0, ""
         rows = [law.rows(point.particles, point.ranks, layer) for point in (first, last)]
@@ -75,16 +58,17 @@ def expected(name: str, first: Counted, last: Counted, law: Law) -> tuple[float,
     if name == "messages":
         return law.neighbours(last.ranks) / law.neighbours(first.ranks), "the number of neighbours of a block"
     if name.startswith("memory"):
-        rows = [p.particles / p.ranks + (p.mean["ghosts"] if name == "memory" else 0.0) for p in (first, last)]
+        rows = [p.particles / p.ranks + (p.counts["ghosts"] if name == "memory" else 0.0) for p in (first, last)]
         return rows[1] / rows[0], "the rows of a rank and its ghosts" if name == "memory" else "the particles of a rank"
     return 1.0, ""
 
 
-def say_counts(scene: str, curve: Curve, points: list[Counted], law: Law, screen: Screen) -> None:
+def say_counts(scene: str, curve: Curve, law: Law, screen: Screen) -> None:
     """A line for each column: its mean over the ranks for every number of ranks, and the largest of a rank; then the verdicts."""
+    points = curve.points
     table = numbers_table("a rank and step", *(f"P = {point.ranks}" for point in points), "largest")
     for name, words in COLUMNS.items():
-        table.add_row(words, *(amount(point.mean[name]) for point in points), amount(points[-1].most[name]))
+        table.add_row(words, *(amount(point.counts[name]) for point in points), amount(points[-1].most[name]))
     screen.say(f": {curve.name}, counted", head=scene)
     screen.table(table)
     past = [point for point in points if point.ranks >= FLAT_FROM]
@@ -104,10 +88,10 @@ def amount(value: float) -> str:
     return grouped(value) if value >= 100.0 else f"{value:.3g}"
 
 
-def table_rows(scene: str, curve: str, points: list[Counted]) -> Iterator[dict[str, Any]]:
+def table_rows(scene: str, curve: Curve) -> Iterator[dict[str, Any]]:
     """Of counts.csv: a row for each point, mean and largest of each column."""
-    for point in points:
-        row = {"scene": scene, "curve": curve, "ranks": point.ranks, "particles": point.particles}
+    for point in curve.points:
+        row = {"scene": scene, "curve": curve.name, "ranks": point.ranks, "particles": point.particles}
         for name in COLUMNS:
-            row |= {name: point.mean[name], f"{name}_largest": point.most[name]}
+            row |= {name: point.counts[name], f"{name}_largest": point.most[name]}
         yield row

@@ -7,9 +7,11 @@ then finds the cost of rows, and none of messages.
 
 import os
 import platform
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +28,7 @@ from particles_mpi.study.report import write_csv
 from particles_mpi.study.scaling.figure import draw
 from particles_mpi.study.scaling.performance_model import Law, Point, fit
 from particles_mpi.study.scaling.report import Curve, Result, say_curve, say_model
-from particles_mpi.study.scaling.scale_scene import edges, scale_scene
+from particles_mpi.study.scaling.scale_scene import edges, scale_scene, unable_to_grow
 from particles_mpi.study.timing import QUICK_SAMPLE_SECONDS, SAMPLE_SECONDS, SAMPLES, StepTimer, time_in_turns
 
 HEADLINE = Path(__file__).parents[2] / "scenes" / "headline.toml"
@@ -40,29 +42,19 @@ PHASE_PREFIX = "phase "  # begins the name of what a phase takes
 class RankSubsetTimer(StepTimer):
     """Times the steps of one setting on the first ranks of `world`, and notes phases and counts.
 
-    `inside`: is this rank one of them? `sums`: seconds and counts on this rank over all samples, by name.
+    `subset`: these ranks, None on the others. `sums`: seconds and counts on this rank over all samples, by name.
     """
 
     world: Communicator = field(kw_only=True)
-    inside: bool = field(kw_only=True)
+    subset: Communicator | None = field(kw_only=True)
     sums: dict[str, float] = field(default_factory=dict)
 
     def sample(self, sample_seconds: float) -> float:
         """Seconds of a step, known to all of the world. Collective there."""
         if not self.samples:
             self.sums.clear()  # those of the warm-up
-        seconds, error = 0.0, None
-        if self.inside:
-            try:
-                seconds = super().sample(sample_seconds)
-            except (SceneError, StoppedError) as raised:  # on all of the subset together
-                error = raised
-        self.world.sleeping_barrier()
-        for slowest, failed in self.world.allgather((seconds, error)):
-            seconds = max(seconds, slowest)
-            if failed:
-                raise failed
-        return seconds
+        sample = super().sample
+        return max(found_by(self.world, self.subset, lambda subset: sample(sample_seconds)))
 
     def clock(self, sim: Simulation, steps: int) -> float:
         """The same, and what was done meanwhile is added to the sums."""
@@ -95,6 +87,22 @@ class RankSubsetTimer(StepTimer):
         )  # fmt: skip
 
 
+def found_by(world: Communicator, subset: Communicator | None, work: Callable[[Communicator], Any]) -> list[Any]:
+    """What `work(subset)` gives on each rank of a subset, while the others (None) sleep; its error on all. Collective."""
+    value, error = None, None
+    if subset:
+        try:
+            value = work(subset)
+        except (SceneError, StoppedError) as raised:  # on all of the subset together
+            error = raised
+    world.sleeping_barrier()
+    found = world.allgather((subset is not None, value, error))
+    for _, _, failed in found:
+        if failed:
+            raise failed
+    return [one for inside, one, _ in found if inside]
+
+
 def divides(sim: Simulation) -> bool:
     """Does each rank compute its part of space? Mode event puts all on every rank where that is no less work."""
     return sim.near is None or bool(sim.near.divided)
@@ -125,15 +133,6 @@ def settings(scene: Scene, counts: list[int], sizes: list[float], weak: bool) ->
     return list(dict.fromkeys(wanted))
 
 
-def unable_to_grow(scene: Scene) -> list[str]:
-    """Why the scene has no weak scaling; nothing if it has."""
-    try:
-        scale_scene(scene, 1.0)
-    except SceneError as error:
-        return error.faults
-    return []
-
-
 def time_settings(
     scene: Scene, world: Communicator, wanted: Iterable[tuple[float, int]], sample_seconds: float, screen: Screen
 ) -> tuple[dict[tuple[float, int], Point], bool]:
@@ -141,11 +140,10 @@ def time_settings(
     subsets = {count: world.subset(count) for count in rank_counts(world.size)}
     timers = {}
     for factor, count in wanted:
-        ranks, scaled = subsets[count], scene if factor == 1 else scale_scene(scene, factor)
-        begin = lambda scaled=scaled, ranks=ranks: Simulation(scaled, comm=ranks.comm if ranks else None)  # noqa: E731
-        timers[factor, count] = RankSubsetTimer(
-            ranks or world, begin, max(scaled.steps, 1), world=world, inside=ranks is not None
-        )
+        subset, scaled = subsets[count], scene if factor == 1 else scale_scene(scene, factor)
+        ranks = subset or world  # ranks outside begin nothing
+        begin = partial(Simulation, scaled, comm=ranks.comm)
+        timers[factor, count] = RankSubsetTimer(ranks, begin, max(scaled.steps, 1), world=world, subset=subset)
     progress = screen.count("scaling", len(timers) * (1 + SAMPLES))
     time_in_turns(list(timers.values()), SAMPLES, sample_seconds, lambda: progress("scaling: time"))
     screen.stop()
@@ -175,13 +173,10 @@ def measure_scaling(described: Scene | None, folder: Path, quick: bool) -> None:
     sizes = [1.0] if described or quick else [1.0, LARGER_FACTOR]
     sample_seconds = QUICK_SAMPLE_SECONDS if quick else SAMPLE_SECONDS
     points, divided = time_settings(scene, ranks, settings(scene, counts, sizes, not no_weak), sample_seconds, screen)
-    curves = [
-        Curve(f"strong, N = {points[size, 1].particles}", False, [points[size, count] for count in counts]) for size in sizes
-    ]
-    particles = curves[0].particles(1)
+    curves = [Curve(False, [points[size, count] for count in counts]) for size in sizes]
     if not no_weak:
-        curves.append(Curve(f"weak, N/P = {particles}", True, [points[float(count), count] for count in counts]))
-    law, measured = law_of(scene, particles, divided), list(points.values())
+        curves.append(Curve(True, [points[float(count), count] for count in counts]))
+    law, measured = law_of(scene, points[1.0, 1].particles, divided), list(points.values())
     model = fit(measured, law, row_bytes(scene)) if ranks.size > 1 else None
     result = Result(scene.title or "untitled scene", law, curves, measured, model, no_weak, described is None)
     with failing_together(ranks, f"cannot write into {folder}"):

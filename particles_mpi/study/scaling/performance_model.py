@@ -31,7 +31,7 @@ class Point:
     """One scene on so many ranks, measured. Seconds and counts are those of a step; counts also of one rank, on average.
 
     own: seconds that a rank computes, mean over the ranks, and of the `slowest`; talk: seconds in phases that communicate, of
-    the rank that waits least; phases: seconds by phase; oversubscribed: did ranks share cores?
+    the rank that waits least; phases: seconds by phase; oversubscribed: did ranks share cores? most: largest counts of a rank.
     """
 
     particles: int
@@ -45,6 +45,7 @@ class Point:
     counts: dict[str, float]
     phases: dict[str, float] = field(default_factory=dict)
     oversubscribed: bool = False
+    most: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

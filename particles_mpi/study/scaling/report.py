@@ -19,9 +19,13 @@ SHOWN_PHASES = 7  # phases of a table, and of the figure
 class Curve:
     """Points of growing rank counts, from one rank on. `weak`: with a constant number of particles a rank, not in all."""
 
-    name: str
     weak: bool
     points: list[Point]
+
+    @property
+    def name(self) -> str:
+        """Which kind it is, and its number of particles: of all ranks, or of one of them."""
+        return f"{'weak, N/P' if self.weak else 'strong, N'} = {self.points[0].particles}"
 
     def particles(self, ranks: int) -> int:
         """Particles of all ranks."""

@@ -1,7 +1,6 @@
 """A scene with more particles, or fewer, and just as many in a unit of volume: what weak scaling compares."""
 
 from math import prod
-from typing import Any
 
 from particles_mpi.errors import SceneError
 from particles_mpi.initial.populate import is_listed
@@ -16,9 +15,7 @@ def scale_scene(scene: Scene, factor: float) -> Scene:
     """
     tables, stretch = scene.to_dict(), factor ** (1.0 / scene.dimension)
     origin = tables["box"]["lower"] if scene.box else [0.0] * scene.dimension
-    if faults := [
-        fault for number, one in enumerate(tables["particles"]) for fault in listed(scene, f"particles[{number}]", one)
-    ]:
+    if faults := unable_to_grow(scene):
         raise SceneError(faults)
 
     def moved(point: list[float]) -> list[float]:
@@ -35,14 +32,15 @@ def scale_scene(scene: Scene, factor: float) -> Scene:
     return Scene.from_dict(tables, scene.folder)
 
 
-def listed(scene: Scene, key: str, population: dict[str, Any]) -> list[str]:
-    """What of a population is given particle by particle, and so for no other number of them; a line each."""
+def unable_to_grow(scene: Scene) -> list[str]:
+    """What is given particle by particle, and so for no other number of particles: a line each, none if the scene can grow."""
     faults = []
-    for name, value in population.items():
-        if is_listed(scene, name, value):
-            faults.append(f"{key}.{name}: is listed, particle by particle")
-        if isinstance(value, dict) and "file" in value:
-            faults.append(f"{key}.{name}: comes from a file")
+    for number, population in enumerate(scene.to_dict()["particles"]):
+        for name, value in population.items():
+            if is_listed(scene, name, value):
+                faults.append(f"particles[{number}].{name}: is listed, particle by particle")
+            if isinstance(value, dict) and "file" in value:
+                faults.append(f"particles[{number}].{name}: comes from a file")
     return faults
 
 

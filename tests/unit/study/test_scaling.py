@@ -8,11 +8,11 @@ import pytest
 
 from particles_mpi import Scene, SceneError
 from particles_mpi.initial.populate import populate
-from particles_mpi.study.scaling.counts_report import Counted, verdict
-from particles_mpi.study.scaling.measure import HEADLINE, rank_counts, settings, unable_to_grow
+from particles_mpi.study.scaling.counts_report import verdict
+from particles_mpi.study.scaling.measure import HEADLINE, rank_counts, settings
 from particles_mpi.study.scaling.performance_model import NETWORK_BANDWIDTH, NETWORK_LATENCY, Law, Model, Point, fit
 from particles_mpi.study.scaling.report import Curve, Result, what_ends
-from particles_mpi.study.scaling.scale_scene import edges, scale_scene
+from particles_mpi.study.scaling.scale_scene import edges, scale_scene, unable_to_grow
 
 CUBE = Law("N", (1.0, 1.0, 1.0), (False, False, False))
 
@@ -174,7 +174,7 @@ def test_efficiency_is_what_the_course_calls_so():
         return Point(particles, ranks, seconds, seconds, seconds, seconds, seconds, 0.0, {})
 
     one = point(1000, 1, 8.0)
-    strong, weak = Curve("strong", False, [one, point(1000, 4, 2.5)]), Curve("weak", True, [one, point(4000, 4, 10.0)])
+    strong, weak = Curve(False, [one, point(1000, 4, 2.5)]), Curve(True, [one, point(4000, 4, 10.0)])
     result = Result("", CUBE, [strong, weak], [], None, [], False)
     assert result.efficiency(strong, one) == 1.0
     assert result.efficiency(strong, strong.points[1]) == pytest.approx(8.0 / (4 * 2.5))  # T1 / (P TP)
@@ -186,7 +186,7 @@ def test_efficiency_is_what_the_course_calls_so():
 
 def test_what_ends_the_scaling():
     made, quick = synthetic(), replace(synthetic(), latency=0.0)
-    weak, strong = (Curve("", kind, [measured(made, 32_000, 1)]) for kind in (True, False))
+    weak, strong = (Curve(kind, [measured(made, 32_000, 1)]) for kind in (True, False))
     assert what_ends(made, strong).startswith("on 1024 ranks latency of messages to neighbours, ")
     assert what_ends(made, weak).endswith("bytes for all other ranks grow most, by 0.26 ms")  # 40 to each of 64 512 more
     assert what_ends(replace(made, for_each=0.0), weak).endswith("latency of reductions grow most, by 0.24 ms")  # 5 in 6 stages
@@ -203,7 +203,7 @@ def counted(ranks, particles, **columns):
     """A point with these columns; ghosts: those of a layer of one mean distance."""
     known = {"ghosts": CUBE.rows(particles, ranks, 1.0), "bytes_rows": 0.0, "bytes_counts": 0.0} | columns
     known |= {"bytes_gathers": known.get("bytes_gathers", 0.0), "bytes_reductions": 0.0}
-    return Counted(particles, ranks, known, known, 0.0)
+    return Point(particles, ranks, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, known, most=known)
 
 
 @pytest.mark.parametrize("weak", [True, False])
