@@ -15,7 +15,7 @@ from particles_mpi.measure import snapshot
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Particles
 from particles_mpi.run.console import Screen
-from particles_mpi.study.timing import QUICK_SAMPLE_SECONDS, SAMPLE_SECONDS, SAMPLES, Seconds, StepTimer, time_in_turns
+from particles_mpi.study.timing import NOT_TIMED, QUICK_SAMPLE_SECONDS, SAMPLE_SECONDS, SAMPLES, Seconds, StepTimer, time_in_turns
 
 Errors = dict[str, float]
 ENDLESS_STEPS = 10**9  # steps that are timed without a new start: all cost the same
@@ -29,7 +29,7 @@ class Setting:
     `curve`: name of the line of the plot that it lies on; `parameter`: what changes along that line (a step, a tolerance).
     `begin` gives a simulation at its start, `errors` runs one to the end and measures its errors (both collective, the same
     bits every time). `steps`: of the whole run; `by_forces`: steps differ, so evaluations of the forces are timed instead;
-    `seconds_of`: seconds are reported of so many steps, if not of the whole run. `tags`: values that the analysis needs.
+    `seconds_of`: seconds are reported of so many steps, if not of the whole run.
     """
 
     curve: str
@@ -39,18 +39,17 @@ class Setting:
     errors: Callable[[Simulation], Errors]
     by_forces: bool = False
     seconds_of: int = 0
-    tags: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass
 class Row:
-    """A setting, measured. `orders`: of each error, from the setting before it on its curve."""
+    """A setting, measured; times come last. `orders`: of each error, from the setting before it on its curve."""
 
     setting: Setting
     errors: Errors
-    orders: Errors
-    seconds: Seconds
     work: dict[str, int]
+    seconds: Seconds = NOT_TIMED
+    orders: Errors = field(default_factory=dict)
 
 
 @dataclass
@@ -136,33 +135,28 @@ class Benchmark:
         """The experiment: errors of all settings, then their times, by turns; `more`: its other fields. Collective."""
         settings = list(settings)
         progress = self.screen.count(title, len(settings) * (2 + self.samples))
-        found, work = [], []
+        rows = []
         for setting in settings:
             progress(f"{title}: errors, {setting.curve}")
             sim = setting.begin()
             before = sim.work()
-            found.append(setting.errors(sim))
-            work.append({kind: count - before[kind] for kind, count in sim.work().items()})
-        rows = self.time(settings, found, work, lambda: progress(f"{title}: time"))
+            found = setting.errors(sim)
+            rows.append(Row(setting, found, {kind: count - before[kind] for kind, count in sim.work().items()}))
+        self.time(rows, lambda: progress(f"{title}: time"))
         return Experiment(key, title, parameter, errors, reference, rows, **more)
 
-    def time(
-        self, settings: Sequence[Setting], errors: Sequence[Errors], work: Sequence[dict[str, int]],
-        progress: Callable[[], None], sample_seconds: float | None = None,
-    ) -> list[Row]:  # fmt: skip
-        """Times of settings whose errors and work are known, by turns; ends the progress bar. Collective.
+    def time(self, rows: list[Row], progress: Callable[[], None], sample_seconds: float | None = None) -> None:
+        """Enter times, measured by turns, and orders into rows; ends the progress bar. Collective.
 
         `sample_seconds`: those of a sample, at least, if not as in the benchmark.
         """
-        timers = [StepTimer(self.ranks, setting.begin, setting.steps, setting.by_forces) for setting in settings]
-        time_in_turns(timers, self.samples, self.sample_seconds if sample_seconds is None else sample_seconds, progress)
+        timers = [StepTimer(self.ranks, row.setting.begin, row.setting.steps, row.setting.by_forces) for row in rows]
+        time_in_turns(timers, self.samples, sample_seconds or self.sample_seconds, progress)
         self.screen.stop()
-        rows = []
-        for setting, wrong, done, timer in zip(settings, errors, work, timers, strict=True):
-            units = setting.seconds_of or (done["forces"] if setting.by_forces else setting.steps)
-            rows.append(Row(setting, wrong, {}, timer.seconds.of(units), done))
+        for row, timer in zip(rows, timers, strict=True):
+            units = row.work["forces"] if row.setting.by_forces else row.setting.steps
+            row.seconds = timer.seconds.of(row.setting.seconds_of or units)
         observe_orders(rows)
-        return rows
 
 
 def observe_orders(rows: list[Row]) -> None:

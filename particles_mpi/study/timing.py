@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from math import nan
 from time import perf_counter
 
 import numpy as np
@@ -30,6 +31,9 @@ class Seconds:
 
     def of(self, steps: int) -> Seconds:
         return Seconds(self.median * steps, self.low * steps, self.high * steps)
+
+
+NOT_TIMED = Seconds(nan, nan, nan)
 
 
 @dataclass

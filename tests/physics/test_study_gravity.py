@@ -56,8 +56,8 @@ def made_up(n, direct, trees):
     """An experiment with these seconds: of the direct sum, and (median error, seconds) of trees."""
 
     def row(curve, error, seconds):
-        setting = Setting(curve, 1.0, lambda: None, 1, lambda sim: {}, tags={"N": n})
-        return Row(setting, {"median": error}, {}, Seconds(seconds, seconds, seconds), {"interactions": int(1e9 * seconds)})
+        setting = Setting(curve, 1.0, lambda: None, 1, lambda sim: {})
+        return Row(setting, {"median": error}, {"interactions": int(1e9 * seconds)}, Seconds(seconds, seconds, seconds))
 
     rows = [row("direct sum", 1e-15, direct), *(row(curve, *pair) for curve in tree.TREE_CURVES.values() for pair in trees)]
     return Experiment(f"D{n}", "", "", tree.ERRORS, "", rows)
@@ -65,14 +65,15 @@ def made_up(n, direct, trees):
 
 def test_costs_and_crossover_lie_between_what_was_measured():
     """Direct ~ N^2, tree ~ N, equal at 3162: straight lines in logarithms."""
-    found = [made_up(n, n * n / 3162.2776, [(1e-2, 0.1 * n), (1e-4, 10.0 * n)]) for n in (1000, 10_000)]
+    sizes = (1000, 10_000)
+    found = [made_up(n, n * n / 3162.2776, [(1e-2, 0.1 * n), (1e-4, 10.0 * n)]) for n in sizes]
     rows = found[0].curve("quadrupoles")
     assert tree.at_error(rows, 1e-3) == pytest.approx(1000.0)
     assert tree.at_error(rows, 0.5) == pytest.approx(100.0)  # the coarsest is better than that
     assert np.isnan(tree.at_error(rows, 1e-5))
-    assert tree.crossover(found, "quadrupoles") == pytest.approx(3162.2776)
-    assert tree.crossover(found[1:], "quadrupoles") == 0.0
-    assert tree.crossover(found[:1], "quadrupoles") == np.inf
+    assert tree.crossover(sizes, found, "quadrupoles") == pytest.approx(3162.2776)
+    assert tree.crossover(sizes[1:], found[1:], "quadrupoles") == 0.0
+    assert tree.crossover(sizes[:1], found[:1], "quadrupoles") == np.inf
 
 
 def test_softening_of_an_orbit(softened):

@@ -4,7 +4,6 @@ For an orbit the latter is the error of the integrator; for particles that stand
 finite number, as in W. Dehnen, MNRAS 324, 273 (2001).
 """
 
-from collections.abc import Sequence
 from functools import cache
 from math import log, pi, sqrt
 from typing import Any
@@ -16,7 +15,7 @@ from particles_mpi.gravity.direct import Attraction
 from particles_mpi.initial.plummer import MASS_SHARE, plummer_places
 from particles_mpi.particles import Array
 from particles_mpi.study.accuracy.orbits import gravity, place_on_ellipse, plummer_sphere
-from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Row, Setting, all_particles, distance, slope
+from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, all_particles, distance, slope
 
 E, LARGER_E = 0.9, 0.99  # eccentricities
 SOFTENINGS, ORBIT_STEPS = (0.0, 1e-3, 1e-2), (500, 2000, 8000)  # softening, of the semi-major axis; steps an orbit
@@ -64,7 +63,7 @@ def kepler(benchmark: Benchmark) -> Experiment:
             whole, model = distance(place, exact), distance(softened[eps], exact)
             return {"total": whole, "model": model, "numerical": distance(place, softened[eps])}
 
-        return Setting(f"softening {eps:g}", 2.0 * pi / n, lambda: orbit(benchmark, eps, n), n, errors, tags={"softening": eps})
+        return Setting(f"softening {eps:g}", 2.0 * pi / n, lambda: orbit(benchmark, eps, n), n, errors)
 
     steps = ORBIT_STEPS[:2] if benchmark.quick else ORBIT_STEPS
     reference = (
@@ -83,7 +82,9 @@ def kepler(benchmark: Benchmark) -> Experiment:
             f" with {worst.setting.curve} it is {worst.errors['total']:.1e}"
         )
     orders = ", ".join(f"{slope(found.curve(curve)[-2:], 'numerical'):.2f}" for curve in found.curves)
-    grows = f"the model error grows as softening^{power(found.rows, 'model'):.2f} at first; orders of the numerical one: {orders}"
+    small, large = SOFTENINGS[1:3]
+    power = log(distance(softened[large], exact) / distance(softened[small], exact)) / log(large / small)
+    grows = f"the model error grows as softening^{power:.2f} at first; orders of the numerical one: {orders}"
     far = place_on_ellipse(3.0 * pi, LARGER_E)
     point, soft = (distance(end(orbit(benchmark, eps, ORBIT_STEPS[0], LARGER_E)), far) for eps in (0.0, ENCOUNTER_SOFTENING))
     found.answers += [
@@ -92,13 +93,6 @@ def kepler(benchmark: Benchmark) -> Experiment:
         f" {point:.2g} away at the end; with {ENCOUNTER_SOFTENING:g} it is {soft:.2g} away, on an orbit, but on another one",
     ]
     return found
-
-
-def power(rows: Sequence[Row], error: str) -> float:
-    """p, where an error grows as softening^p, from the two smallest softenings that are not 0."""
-    errors = {row.setting.tags["softening"]: row.errors[error] for row in rows if row.setting.tags["softening"] > 0.0}
-    x, y = sorted(errors)[:2]
-    return log(errors[y] / errors[x]) / log(y / x)
 
 
 def smooth_field(r: Array, eps: float) -> Array:
@@ -145,18 +139,18 @@ def plummer(benchmark: Benchmark) -> Experiment:
             return fields(N)[eps]
 
         begin = cache(lambda: benchmark.simulate(plummer_sphere(N, 1e-6, softening=eps)))  # a step evaluates all forces once
-        return Setting("direct sum", eps, begin, 1, errors, tags={"softening": eps})
+        return Setting("direct sum", eps, begin, 1, errors)
 
     title = f"Softened forces of {N} particles that stand for a smooth sphere"
     reference = f"exact: Plummer's formula, at {FIELD_PLACES} places; noise over {SPHERES} spheres"
     found = benchmark.compare("F2", title, [one(eps) for eps in FIELD_SOFTENINGS], FIELD, reference, "softening")
-    rows, best = found.rows, min(found.rows, key=lambda row: row.errors["total"])
+    smallest, best = found.rows[:2], min(found.rows, key=lambda row: row.errors["total"])
     published = 0.98 * N**-0.26  # E. Athanassoula et al., MNRAS 314, 475 (2000), for Plummer spheres
     found.answers = [
         f"the error is least, {best.errors['total']:.2g}, with a softening of {best.setting.parameter:g} scale lengths"
         f" (bias {best.errors['model']:.2g}, noise {best.errors['numerical']:.2g}); Athanassoula et al. (2000): {published:.2g}",
-        f"at first the bias grows as softening^{power(rows, 'model'):.2f}, the noise falls as"
-        f" softening^{power(rows, 'numerical'):.2f}; a force takes the same time with any",
+        f"at first the bias grows as softening^{slope(smallest, 'model'):.2f}, the noise falls as"
+        f" softening^{slope(smallest, 'numerical'):.2f}; a force takes the same time with any",
     ]
     return found
 

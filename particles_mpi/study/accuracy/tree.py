@@ -47,7 +47,7 @@ def settings(benchmark: Benchmark, n: int) -> Iterator[Setting]:
 
     def one(curve: str, angle: float, **gravity: Any) -> Setting:
         begin = cache(lambda: benchmark.simulate(plummer_sphere(n, STEP, **gravity)))
-        return Setting(curve, angle, begin, 1, errors, tags={"N": n})
+        return Setting(curve, angle, begin, 1, errors)
 
     yield one(DIRECT_SUM, 0.0, method="direct")
     for multipole, curve in TREE_CURVES.items():
@@ -97,24 +97,22 @@ def compared(found: Experiment) -> Iterator[str]:
             )
 
 
-def crossover(found: Sequence[Experiment], curve: str) -> float:
+def crossover(sizes: Sequence[int], found: Sequence[Experiment], curve: str) -> float:
     """N above which a tree of median error COMPARED_ERROR costs less than the direct sum, between sizes in logarithms.
 
     0 if it does at all of them, inf if at none.
     """
     gain = [log(e.curve(DIRECT_SUM)[0].seconds.median / at_error(e.curve(curve), COMPARED_ERROR)) for e in found]
-    sizes = [log(e.rows[0].setting.tags["N"]) for e in found]
     if not gain[-1] > 0.0:
         return inf
     k = max((k for k in range(len(gain)) if not gain[k] > 0.0), default=-1)  # the last size at which the direct sum is cheaper
-    return 0.0 if k < 0 else exp(np.interp(0.0, gain[k : k + 2], sizes[k : k + 2]))
+    return 0.0 if k < 0 else exp(np.interp(0.0, gain[k : k + 2], np.log(sizes[k : k + 2])))
 
 
-def conclusions(found: Sequence[Experiment], ranks: int) -> Iterator[str]:
+def conclusions(sizes: Sequence[int], found: Sequence[Experiment], ranks: int) -> Iterator[str]:
     """From which number of particles on trees cost less, as measured and by the cost model of the plan; their errors."""
-    sizes = [e.rows[0].setting.tags["N"] for e in found]
     for curve in TREE_CURVES.values():
-        n = crossover(found, curve)
+        n = crossover(sizes, found, curve)
         where = {0.0: f"at N = {sizes[0]} already", inf: f"not yet at N = {sizes[-1]}"}.get(n, f"from N = {n:.0f} on")
         tree = f"a tree of {curve} with a median error of {COMPARED_ERROR:.0e}"
         yield f"{tree} costs less than the direct sum {where}, on {ranks} rank{'s' if ranks > 1 else ''}"
@@ -138,6 +136,7 @@ def experiment(benchmark: Benchmark, k: int, n: int) -> Experiment:
 
 def experiments(benchmark: Benchmark) -> list[Experiment]:
     """D, an experiment for each number of particles. Collective."""
-    found = [experiment(benchmark, k, n) for k, n in enumerate(QUICK_SIZES if benchmark.quick else SIZES, 1)]
-    found[-1].answers += conclusions(found, benchmark.ranks.size)
+    sizes = QUICK_SIZES if benchmark.quick else SIZES
+    found = [experiment(benchmark, k, n) for k, n in enumerate(sizes, 1)]
+    found[-1].answers += conclusions(sizes, found, benchmark.ranks.size)
     return found

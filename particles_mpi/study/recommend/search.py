@@ -2,7 +2,8 @@
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from math import inf, isfinite, log, log2, log10, nan
+from functools import partial
+from math import inf, isfinite, log, log2, log10
 from time import perf_counter
 
 from particles_mpi import Scene
@@ -11,7 +12,7 @@ from particles_mpi.study.experiment import Errors, Row, Setting
 from particles_mpi.study.recommend.error_metric import ErrorMetric
 from particles_mpi.study.recommend.methods import Method
 from particles_mpi.study.recommend.runs import SNAPSHOTS, Record, Start, TooLongError, follow
-from particles_mpi.study.timing import Seconds
+from particles_mpi.study.timing import NOT_TIMED, Seconds
 
 BUDGET_SECONDS = 60.0  # seconds of measuring, about: a third each for the reference, the search, and times
 AIMED_SHARE = 0.85  # of the tolerance: what a refined step aims at
@@ -21,7 +22,6 @@ GIVEN_UP_FACTOR = 2.0  # times the seconds of the best: where a method is given 
 MOST_REFUSALS = 5  # of settings of a method, one after the other
 NEGLIGIBLE_SECONDS = 0.2  # seconds that are no reason to give anything up
 COARSEST, FINEST = 1e3, 1e11  # 1/tolerance of `adaptive`
-NOT_TIMED = Seconds(nan, nan, nan)
 LEAST_GAIN = 1.15  # a finer setting whose error is not smaller by this: something else limits it
 
 
@@ -51,13 +51,15 @@ def time_trials(start: Start, trials: list[Trial], sample_seconds: float | None 
     benchmark = start.benchmark
     progress = benchmark.screen.count("time", len(trials) * (1 + benchmark.samples))
 
-    def setting(trial: Trial) -> Setting:
+    def row(trial: Trial) -> Row:
         parameter = 1.0 / trial.resolution if trial.method.adaptive else trial.scene.time.step
-        begin = lambda: start.simulate(trial.scene)  # noqa: E731
-        return Setting(trial.method.name, parameter, begin, trial.scene.steps, lambda sim: trial.errors, trial.method.adaptive)
+        begin, steps = partial(start.simulate, trial.scene), trial.scene.steps
+        setting = Setting(trial.method.name, parameter, begin, steps, lambda sim: trial.errors, trial.method.adaptive)
+        return Row(setting, trial.errors, trial.work)
 
-    errors, work = [trial.errors for trial in trials], [trial.work for trial in trials]
-    return benchmark.time([setting(trial) for trial in trials], errors, work, lambda: progress("time"), sample_seconds)
+    rows = [row(trial) for trial in trials]
+    benchmark.time(rows, lambda: progress("time"), sample_seconds)
+    return rows
 
 
 class Search:

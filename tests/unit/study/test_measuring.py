@@ -35,7 +35,7 @@ def rows_of(curve, errors, seconds):
     for k, (error, s) in enumerate(zip(errors, seconds, strict=True)):
         setting = Setting(curve, 2.0**-k, lambda: None, 10, lambda sim: {})
         work = {"forces": 10, "events": 0}
-        rows.append(Row(setting, {"place": error, "calls": 0.0}, {}, Seconds(s, 0.9 * s, 1.1 * s), work))
+        rows.append(Row(setting, {"place": error, "calls": 0.0}, work, Seconds(s, 0.9 * s, 1.1 * s)))
     observe_orders(rows)
     return rows
 
