@@ -1,13 +1,12 @@
 """I: contacts that last. What the tolerance of their solution costs in a bed of spheres, and what it changes."""
 
-from functools import cache, partial
 from typing import Any
 
 import numpy as np
 
 from particles_mpi import Simulation
 from particles_mpi.particles import Array
-from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, all_particles, slope
+from particles_mpi.study.experiment import Benchmark, Errors, Experiment, all_particles, slope
 from particles_mpi.study.hard_cases.resting import deepest_overlap
 
 TOLERANCES, EXACT_TOLERANCE = (1e-2, 1e-3, 1e-4, 1e-5), 1e-8
@@ -44,13 +43,7 @@ def bed(
 def experiments(benchmark: Benchmark) -> list[Experiment]:
     """I: a bed that has settled goes on with each tolerance. Collective."""
     n, steps = (QUICK_N, QUICK_STEPS) if benchmark.quick else (N, STEPS)
-
-    @cache
-    def settled() -> dict[str, Any]:
-        return benchmark.at_end(bed(n, LAYERS, STEP, SETTLING_STEPS, TOLERANCES[2]), "position", "radius")
-
-    def begin(tolerance: float) -> Simulation:
-        return benchmark.simulate(bed(n, LAYERS, STEP, steps, tolerance, settled()))
+    settled = benchmark.at_end(bed(n, LAYERS, STEP, SETTLING_STEPS, TOLERANCES[2]), "position", "radius")
 
     def heights(sim: Simulation) -> tuple[Array, float]:
         """(heights of all spheres at the end of the run, largest rise of the energy)."""
@@ -61,19 +54,20 @@ def experiments(benchmark: Benchmark) -> list[Experiment]:
             rise, before = max(rise, energy - before), energy
         return all_particles(sim).position[:, 2], rise
 
-    exact = cache(lambda: heights(begin(EXACT_TOLERANCE))[0].mean())
+    exact = heights(benchmark.simulate(bed(n, LAYERS, STEP, steps, EXACT_TOLERANCE, settled)))[0].mean()
 
     def errors(sim: Simulation) -> Errors:
         z, rise = heights(sim)
         speed = (all_particles(sim).velocity ** 2).sum(axis=1).mean() ** 0.5
         return {
-            "height": abs(float(z.mean() - exact())) / R,
+            "height": abs(float(z.mean() - exact)) / R,
             "speed": float(speed) / (G * STEP),
             "overlap": max(deepest_overlap(sim), 0.0),
             "energy": rise / (n * G * R),
         }
 
-    settings = [Setting("event", tolerance, partial(begin, tolerance), steps, errors) for tolerance in TOLERANCES]
+    beds = {tolerance: bed(n, LAYERS, STEP, steps, tolerance, settled) for tolerance in TOLERANCES}
+    settings = [benchmark.setting("event", tolerance, tables, errors) for tolerance, tables in beds.items()]
     title = f"A bed of {n} spheres that has settled, {steps * STEP:g} s more"
     reference = f"a solution at a tolerance of {EXACT_TOLERANCE:g}"
     found = benchmark.compare("I", title, settings, ERRORS, reference, "contact_tolerance")

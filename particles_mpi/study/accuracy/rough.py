@@ -1,6 +1,6 @@
 """J: rough spheres. A ball that slides, then rolls, by the step; and how far a bed of rough spheres creeps down a slope."""
 
-from functools import cache, partial
+from functools import cache
 from math import cos, pi, sin
 from typing import Any
 
@@ -9,7 +9,7 @@ import numpy as np
 from particles_mpi import Simulation
 from particles_mpi.kernels.geometry import image_shifts
 from particles_mpi.study.accuracy.resting import G, R, bed
-from particles_mpi.study.experiment import Benchmark, Errors, Experiment, Setting, all_particles, slope
+from particles_mpi.study.experiment import Benchmark, Errors, Experiment, all_particles, slope
 
 MU, FLOOR = 0.2, [{"point": [0.0] * 3, "normal": [0.0, 0.0, 1.0]}]
 BALLS, ROLL_TIME = 200, 0.6  # number of balls; seconds
@@ -80,9 +80,6 @@ def creeping(benchmark: Benchmark) -> list[Experiment]:
     def settled(step: float) -> dict[str, Any]:
         return benchmark.at_end(rough_bed(n, step, SETTLING_TIME, TOLERANCE), "position", "radius")
 
-    def begin(step: float, tolerance: float) -> Simulation:
-        return benchmark.simulate(rough_bed(n, step, watched, tolerance, settled(step)))
-
     def errors(sim: Simulation) -> Errors:
         before = all_particles(sim)
         sim.run()
@@ -101,7 +98,7 @@ def creeping(benchmark: Benchmark) -> list[Experiment]:
         tried = []
         for step, tolerance in settings:
             value = step if parameter == "step" else tolerance
-            tried.append(Setting("event", value, partial(begin, step, tolerance), round(watched / step), errors))
+            tried.append(benchmark.setting("event", value, rough_bed(n, step, watched, tolerance, settled(step)), errors))
         title = f"A bed of {n} rough spheres that has settled on a slope with that step, {watched:g} s more, by {parameter}"
         found = benchmark.compare(key, title, tried, CREEP, "rest", parameter)
         creep, longer = [row.errors["creep"] for row in found.rows], found.rows[-1].seconds.median / found.rows[0].seconds.median

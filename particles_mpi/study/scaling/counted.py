@@ -25,6 +25,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.run.console import Screen
 from particles_mpi.scene.schema import Scene
 from particles_mpi.simulation import Simulation
+from particles_mpi.study.recommend.runs import variant
 from particles_mpi.study.report import write_csv
 from particles_mpi.study.scaling.counts_report import BYTE_COLUMNS, say_counts, table_rows
 from particles_mpi.study.scaling.measure import HEADLINE, counters, divides, found_by, law_of, rank_counts, row_bytes
@@ -46,7 +47,9 @@ def count_scaling(described: Scene | None, folder: Path, quick: bool) -> None:
     screen = Screen(world.is_root, False)
     make_folder(world, folder)
     with raising_together(world):
-        scenes = [described] if described else [in_mode(Scene.load(HEADLINE), mode) for mode in ("rewind", "event")]
+        scene = described or Scene.load(HEADLINE)
+        time, modes = scene.to_dict()["time"], ("rewind", "event")
+        scenes = [described] if described else [variant(scene, time, {"collisions": {"mode": mode}}) for mode in modes]
     counts = [number for number in rank_counts(world.size) if number <= (QUICK_RANKS if quick else inf)]
     tables: dict[str, list[dict[str, Any]]] = {"counts.csv": [], "counts_model.csv": []}
     for scene in scenes:
@@ -67,13 +70,6 @@ def count_scaling(described: Scene | None, folder: Path, quick: bool) -> None:
     with failing_together(world, f"cannot write into {folder}"):
         world.run_on_root(lambda: [write_csv(path, rows) for path, rows in files.items()])
     screen.say(f"written: {', '.join(map(str, files))}")
-
-
-def in_mode(scene: Scene, mode: str) -> Scene:
-    """The scene with another mode of collisions."""
-    tables = scene.to_dict()
-    tables["effects"]["collisions"]["mode"] = mode
-    return Scene.from_dict(tables, scene.folder)
 
 
 def title(scene: Scene) -> str:

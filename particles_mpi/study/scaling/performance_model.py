@@ -70,13 +70,9 @@ class Law:
         """Units of work that one of the ranks does in a step."""
         return self.work(particles) / (ranks if self.shared else 1)
 
-    def efficiency(self, one: tuple[float, int, float], other: tuple[float, int, float]) -> float:
-        """Work that a rank does in a second, over that of one rank alone; each (particles, ranks, seconds of a step).
-
-        T1/(P TP) at a fixed size, T1/TP at a fixed size of a rank where work is in proportion to particles.
-        """
-        alone, together = (self.work(particles) / (ranks * seconds) for particles, ranks, seconds in (one, other))
-        return together / alone
+    def rate(self, particles: float, ranks: int, seconds: float) -> float:
+        """Units of work for each rank and second, where a step takes `seconds`."""
+        return self.work(particles) / (ranks * seconds)
 
     def cuts(self, ranks: int) -> list[float]:
         """Blocks of space along each axis: the longest edge is halved again and again. Broken numbers between powers of two."""
@@ -184,8 +180,7 @@ class Model:
 
     def efficiency(self, particles: float, ranks: int, alone: float) -> float:
         """Compared with `alone` particles on one rank."""
-        one, many = ((n, p, self.seconds(n, p)) for n, p in ((alone, 1), (particles, ranks)))
-        return self.law.efficiency(one, many)
+        return self.law.rate(particles, ranks, self.seconds(particles, ranks)) / self.law.rate(alone, 1, self.seconds(alone, 1))
 
     def residual(self, point: Point) -> float:
         """Relative error of the model at a measured point."""

@@ -48,9 +48,9 @@ class Result:
     headline: bool
 
     def efficiency(self, curve: Curve, point: Point) -> float:
-        """T1/(P TP), or T1/TP on a weak curve; where work grows faster than N, of the work done."""
-        one, many = ((p.particles, p.ranks, p.seconds) for p in (curve.points[0], point))
-        return self.law.efficiency(one, many)
+        """Work that a rank does in a second, over that of one rank alone: T1/(P TP); T1/TP on a weak curve if work is as N."""
+        alone, together = (self.law.rate(p.particles, p.ranks, p.seconds) for p in (curve.points[0], point))
+        return together / alone
 
     def origin(self, model: Model) -> str:
         """Whose measurements the model extrapolates."""
