@@ -85,20 +85,17 @@ def time_in_turns(
     timers: Sequence[StepTimer], samples: int, sample_seconds: float, progress: Callable[[], None] = lambda: None
 ) -> None:
     """Take `samples` samples of each timer by turns, after one that is not counted; calls `progress` after each. Collective."""
-    collecting = gc.isenabled()
     gc.collect()
     gc.freeze()  # what is there need not be looked at again in each turn
+    gc.disable()  # a collection within a sample would make that sample slower by chance
     try:
         for turn in range(samples + 1):
             gc.collect()
-            gc.disable()  # a collection within a sample would make that sample slower by chance
             for timer in timers if turn % 2 else timers[::-1]:  # each is first in half of the turns
                 seconds = timer.sample(sample_seconds if turn else 0.25 * sample_seconds)
                 if turn:
                     timer.samples.append(seconds)
                 progress()
-            gc.enable()
     finally:
         gc.unfreeze()
-        if collecting:
-            gc.enable()
+        gc.enable()

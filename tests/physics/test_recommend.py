@@ -24,10 +24,10 @@ def test_its_setting_reaches_the_tolerance_in_truth(number):
     sim = Simulation(Scene.from_dict(found.tables))
     sim.run()
     assert sim.time == pytest.approx(case.scene.steps * case.scene.time.step, rel=1e-12)
-    assert case.truth(sim, found.metric.size) <= case.tolerance
-    reached = [one for one in found.timed if one.errors[found.error] <= case.tolerance]
+    assert case.truth(sim, found.search.metric.size) <= case.tolerance
+    reached = [one for one in found.timed if one.errors[found.search.error] <= case.tolerance]
     assert found.best in reached and found.best.timed.median <= 1.2 * min(one.timed.median for one in reached)
-    assert found.half[found.error] <= case.tolerance and found.difference <= 2.0 * case.tolerance
+    assert found.half[found.search.error] <= case.tolerance and found.difference <= 2.0 * case.tolerance
 
 
 def test_the_cases_are_nine_and_careless():

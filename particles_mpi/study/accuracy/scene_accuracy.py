@@ -26,9 +26,10 @@ def experiments(benchmark: Benchmark, scene: Scene) -> list[Experiment]:
 def settings(start: Start) -> Experiment:
     """Errors of each integrator, mode or angle over a ladder of steps, in BUDGET_SECONDS; times then take as long again."""
     quick, metric = start.benchmark.quick, reference(start, BUDGET_SECONDS)
-    if not metric.names:
+    if not metric.limits:
         raise SceneError("particles: nothing in this scene has an error")
-    search = Search(start, metric, metric.names[0], 1.0, 2.0 * BUDGET_SECONDS / 3.0)
+    error, limit = next(iter(metric.limits.items()))  # the most telling
+    search = Search(start, metric, error, 1.0, 2.0 * BUDGET_SECONDS / 3.0)
     steps = [k * max(start.scene.steps, 4) for k in (STEP_FACTORS[1:4] if quick else STEP_FACTORS)]
     search.attempt(*as_it_is(start))
     for method in methods(start):
@@ -42,8 +43,7 @@ def settings(start: Start) -> Experiment:
     if metric.part < 1.0:
         answers.append(f"errors are those of the first 1/{1 / metric.part:.0f} of the run, to t = {metric.span:.4g}")
     answers += [f"not compared: {name}: {why}" for name, why in search.refused.items()]
-    limit = metric.limits[metric.names[0]]
-    errors = {name: MEANING.get(name, f"{name}, relative to that of the reference") for name in metric.names}
+    errors = {name: MEANING.get(name, f"{name}, relative to that of the reference") for name in metric.limits}
     title = f"{start.scene.title or 'the scene'}, {start.total} particles"
     how = f"{metric.reference}; floor {limit:.1g}: {metric.why}"
     return Experiment("S", title, "step or tolerance", errors, how, rows, (), limit, answers)

@@ -105,10 +105,9 @@ def bouncing(run: CaseRun) -> Finding:
     ball = {"position": [place[: run.dimension]], "velocity": [speeds[: run.dimension]], "radius": 0.4}
     effects: Effects = {"walls": {}, "collisions": run.in_passes(60)}
     sim = run.simulate([ball], 5.0 if run.mode == "event" else 0.06, effects=effects, box=run.cube(1.0))
-    before, hits = sim.measure()["kinetic"], 0
-    while hits < 100000:
+    before = sim.measure()["kinetic"]
+    while (hits := total_count(sim, "wall_hits")) < 100000:
         sim.step()
-        hits = total_count(sim, "wall_hits")
     drift = abs(sim.measure()["kinetic"] / before - 1.0)
     return f"{drift:.0e} after {hits} bounces", drift <= 1e-9
 

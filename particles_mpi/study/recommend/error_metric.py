@@ -51,11 +51,6 @@ class ErrorMetric:
         """Time units that the reference covers."""
         return self.part * self.start.duration
 
-    @property
-    def names(self) -> list[str]:
-        """Of the errors that this scene has, the most telling first."""
-        return list(self.limits)
-
     def errors(self, record: Record) -> Errors:
         """How wrong a run over the span is."""
         found: Errors = {}
@@ -98,7 +93,7 @@ class ErrorMetric:
         """The error that a tolerance is for ("": the most telling); SceneError where it cannot be measured, or not so finely."""
         error = error or next(iter(self.limits), "")
         if error not in self.limits:
-            there = "; ".join(self.names) or "none"
+            there = "; ".join(self.limits) or "none"
             raise SceneError(f"--error {error or 'any'}: cannot be measured here ({self.why}); there are: {there}")
         limit = self.limits[error] / self.share(error)
         if tolerance < limit:

@@ -12,7 +12,6 @@ from particles_mpi.output.replacing import replace_text
 from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.run.console import Screen
 from particles_mpi.study.experiment import Benchmark, Errors
-from particles_mpi.study.recommend.error_metric import ErrorMetric
 from particles_mpi.study.recommend.methods import as_it_is, methods
 from particles_mpi.study.recommend.reference import reference
 from particles_mpi.study.recommend.runs import Start
@@ -26,14 +25,14 @@ SHORT_RUN_SECONDS = 0.05  # seconds of a run that is begun anew so often that sh
 
 @dataclass
 class Recommendation:
-    """`best`: the cheapest setting measured that reaches the `tolerance` for `error`; `timed`: all that were compared.
+    """`best`: the cheapest setting measured that reaches the `tolerance` of the whole run; `timed`: all that were compared.
 
     `tables`: of the tuned scene. `half`: errors of the best at half the step (`adaptive`: a tenth of the tolerance), and the
-    `difference` between the two runs. `dropped`: settings that half the step did not confirm. `search`: all that were tried.
+    `difference` between the two runs. `dropped`: settings that half the step did not confirm. `search`: all that were tried,
+    for which error, by which metric, on which ranks.
     """
 
     tolerance: float
-    error: str
     best: Trial
     tables: Tables
     half: Errors
@@ -41,11 +40,6 @@ class Recommendation:
     timed: list[Trial]
     dropped: list[str]
     search: Search
-    ranks: int
-
-    @property
-    def metric(self) -> ErrorMetric:
-        return self.search.metric
 
 
 def recommend(
@@ -94,8 +88,7 @@ def find(start: Start, tolerance: float, error: str, seconds: float) -> Recommen
             difference = metric.difference(error, trial.record, finer.record)
             if difference <= 2.0 * search.tolerance:
                 tables = tuned(start.scene, trial.scene, trial.method.steps(trial.resolution, 1.0))
-                ranks = benchmark.ranks.size
-                return Recommendation(tolerance, error, trial, tables, finer.errors, difference, timed, dropped, search, ranks)
+                return Recommendation(tolerance, trial, tables, finer.errors, difference, timed, dropped, search)
         dropped.append(trial.name)
     raise StoppedError(f"--tolerance {tolerance:g}: reached by chance only: half the step does not confirm " + dropped[0])
 
@@ -111,7 +104,7 @@ def nearest(search: Search) -> str:
 
 def report(screen: Screen, found: Recommendation) -> None:
     """All of it on the screen."""
-    metric, error, trial, s, say = found.metric, found.error, found.best, found.best.timed, screen.say
+    metric, error, trial, s, say = found.search.metric, found.search.error, found.best, found.best.timed, screen.say
     scene, method = metric.start.scene, trial.method
     say(f": {metric.start.total} particles, {error} to {found.tolerance:g}", head=scene.title or "untitled scene")
     say(f"  reference: {metric.reference}; {error} can be measured down to {metric.limits[error]:.1g} ({metric.why})")
@@ -131,7 +124,7 @@ def report(screen: Screen, found: Recommendation) -> None:
         finer, tolerance = "a tenth of the tolerance", f", {method.describe(trial.resolution)}"
     say(
         f": {error} {trial.errors[error]:.2g}; the whole run takes {s.median:.3g} s ({s.low:.3g} to {s.high:.3g}) on "
-        f"{found.ranks} rank(s), output not counted",
+        f"{metric.start.benchmark.ranks.size} rank(s), output not counted",
         head=f"recommended: {method.name}, {steps} steps of {metric.start.duration / steps:.6g}{tolerance}",
     )
     say(f"  verified at {finer}: {error} {found.half[error]:.2g}, the two runs differ by {found.difference:.2g}")
@@ -139,7 +132,7 @@ def report(screen: Screen, found: Recommendation) -> None:
 
 def trials_table(found: Recommendation) -> Table:
     """All settings that were tried, with the times of those that were compared; the best is bold."""
-    names, trials = found.metric.names, sorted(found.search.trials, key=lambda t: (t.method.name, t.resolution))
+    names, trials = found.search.metric.limits, sorted(found.search.trials, key=lambda t: (t.method.name, t.resolution))
     works = [name for name in WORK_TITLES if any(trial.work[name] for trial in trials)]
     table = numbers_table("setting", *names, "seconds", *(WORK_TITLES[name] for name in works))
     for trial in trials:
@@ -171,9 +164,10 @@ def recommend_scene(
 
 def save(found: Recommendation, source: Path, target: Path) -> None:
     """Write the tuned scene; on one rank."""
+    error, ranks = found.search.error, found.search.start.benchmark.ranks.size
     remark = (
-        f"by study recommend: {found.error} {found.best.errors[found.error]:.2g} (wanted: {found.tolerance:g}), "
-        f"about {found.best.timed.median:.2g} s on {found.ranks} rank(s)"
+        f"by study recommend: {error} {found.best.errors[error]:.2g} (wanted: {found.tolerance:g}), "
+        f"about {found.best.timed.median:.2g} s on {ranks} rank(s)"
     )
     try:
         target.parent.mkdir(parents=True, exist_ok=True)

@@ -34,7 +34,8 @@ def written(tables: Tables, source: Path, target: Path, remark: str) -> str:
 
     Files that the scene names are looked for beside the scene: a target in another folder needs other names for them.
     """
-    scene, wanted = Scene.load(source), moved(tables, source.parent, target.parent)
+    scene, old, new = Scene.load(source), source.parent, target.parent
+    wanted = tables if old.resolve() == new.resolve() else {key: moved(table, old, new) for key, table in tables.items()}
     document = tomlkit.parse(source.read_text(encoding="utf-8-sig"))
     try:
         enter(document, scene.to_dict(), wanted)
@@ -47,18 +48,13 @@ def written(tables: Tables, source: Path, target: Path, remark: str) -> str:
     return f"# {remark}\n{text}"
 
 
-def moved(tables: Tables, old: Path, new: Path) -> Tables:
-    """The tables with names of the same files relative to another folder."""
-    if old.resolve() == new.resolve():
-        return tables
-    populations = [dict(table) for table in tables["particles"]]
-    for table in populations:
-        named = {key: value["file"] for key, value in table.items() if isinstance(value, dict) and "file" in value}
-        table |= {key: {"file": os.path.relpath(old / file, new)} for key, file in named.items()}
-    effects = {name: dict(table) for name, table in tables["effects"].items()}
-    for table in (table for table in effects.values() if "file" in table):
-        table["file"] = os.path.relpath(old / table["file"], new)
-    return tables | {"particles": populations, "effects": effects}
+def moved(value: Any, old: Path, new: Path) -> Any:
+    """A value of a scene, with the names of files in all of its tables relative to another folder: the same files."""
+    if isinstance(value, list):
+        return [moved(one, old, new) for one in value]
+    if not isinstance(value, dict):
+        return value
+    return {key: os.path.relpath(old / one, new) if key == "file" else moved(one, old, new) for key, one in value.items()}
 
 
 def enter(document: Any, old: Tables, new: Tables) -> None:
