@@ -103,15 +103,14 @@ def costs_of(sim: Simulation, step: float) -> str:
         except (SceneError, StoppedError):  # nothing can be without it
             continue
         timers[name] = StepTimer(sim.ranks, begin, sys.maxsize, sim=twin, left=sys.maxsize)
+    if "" not in timers:
+        return ""
     try:
         time_in_turns(list(timers.values()), COST_SAMPLES, max(COST_SECONDS, COST_STEPS * step))
     except StoppedError:  # without some effect it goes nowhere
         return ""
-    seconds = {name: timer.seconds.median for name, timer in timers.items()}
-    if "" not in seconds:
-        return ""
-    whole = seconds.pop("")
-    shares = {name: 1.0 - less / whole for name, less in seconds.items()}
+    whole = timers.pop("").seconds.median
+    shares = {name: 1.0 - timer.seconds.median / whole for name, timer in timers.items()}
     return ", ".join(
         f"{name} {1e3 * step * share:.2g} ms ({share:.0%})" if share > LEAST_SHARE else f"{name} less than {LEAST_SHARE:.0%}"
         for name, share in sorted(shares.items(), key=lambda item: -item[1])

@@ -60,7 +60,7 @@ class Start:
     def __init__(self, benchmark: Benchmark, scene: Scene):
         self.benchmark, self.scene = benchmark, scene
         with raising_together(benchmark.ranks):
-            self.particles, self.warnings = populate(scene)
+            self.particles, _ = populate(scene)
         same_on_all(benchmark.ranks, scene.to_dict(), self.particles.arrays)
         self.total = len(self.particles)
         effects = ActiveEffects(scene, switched_off=True)
