@@ -1,6 +1,7 @@
-"""The three ways in which a run ends early, and their exit codes; how particles are named in a fault."""
+"""The three ways in which a run ends early, and their exit codes; how particles are named in a fault; what no count is."""
 
 from collections.abc import Sequence
+from operator import index
 from typing import Any
 
 EXIT_ON_SIGNAL = 130
@@ -39,3 +40,14 @@ def listed(names: Sequence[Any] | Any, what: str = "particle", total: int | None
     parts = [str(name) for name in names[:MOST_NAMED]] + ([f"{total - MOST_NAMED} more"] if total > MOST_NAMED else [])
     text = parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
     return f"{what}{'s' if total > 1 else ''} {text}"
+
+
+def whole_number(name: str, value: Any, least: int = 0) -> int:
+    """A number of steps that a user gave, as an integer of at least that size. ValueError, with the name, for what is none."""
+    try:
+        number = index(value)
+    except TypeError:
+        number = least - 1
+    if number < least:
+        raise ValueError(f"{name}: {value!r} is not a number of steps" + (f", {least} or more" if least else ""))
+    return number

@@ -129,9 +129,14 @@ class Particles:
 
 
 def add_column(name: str, column: Column) -> None:
-    """Enter a column that an effect brings into the table. ValueError if another one has the name."""
-    if not name.isidentifier() or FIELDS.get(name, column) != column or hasattr(Particles, name):
+    """Enter a column that an effect brings into the table. ValueError if another one has the name, or it holds no numbers."""
+    known = FIELDS.get(name, column)
+    if not name.isidentifier() or hasattr(Particles, name) or (known != column and name in BUILT_IN):
         raise ValueError(f"column {name!r}: the name is taken, or is no identifier")
+    if known != column:
+        raise ValueError(f"column {name!r}: this Python knows it otherwise, from another file or version of one; restart it")
+    if np.dtype(column.dtype).kind not in "biuf":
+        raise ValueError(f"column {name!r}: {column.dtype} is no type of real numbers")
     FIELDS[name] = column
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.between_steps.saved import Saved, StepTrial
-from particles_mpi.errors import SceneError
+from particles_mpi.errors import SceneError, whole_number
 from particles_mpi.initial.populate import populate
 from particles_mpi.integrators.length_search import LengthSearch
 from particles_mpi.kernels.validity import WATCH_EVERY
@@ -34,6 +34,8 @@ class Simulation(Saved):
         if not isinstance(scene, Scene):
             raise TypeError(f"Simulation: {scene!r:.60} is no Scene; there are Scene.load(path) and Scene.from_dict(tables)")
         ranks = Communicator(comm)
+        with raising_together(ranks):
+            scene = scene.checked()
         same_on_all(ranks, scene.to_dict(), start.arrays if start else {})
         with raising_together(ranks):
             if start is None:
@@ -50,9 +52,7 @@ class Simulation(Saved):
 
     def steps(self, number: int) -> None:
         """Advance by a number of steps: where `ManySteps` computes them, far faster than one by one. Collective."""
-        if not isinstance(number, (int, np.integer)) or number < 0:
-            raise ValueError(f"steps: {number!r} is not a number of steps")
-        last = self.steps_done + int(number)
+        last = self.steps_done + whole_number("steps", number)
         while self.steps_done < last:
             self.step_towards(last)
 
@@ -134,7 +134,12 @@ class Simulation(Saved):
         return met
 
     def run(self, output: str | Path | None = None, quiet: bool = True, **options: Any) -> None:
-        """Step to the end of the scene; with `output` (a folder) write everything the scene asks for. Collective."""
+        """Step to the end of the scene; with `output` (a folder) write everything the scene asks for. Collective.
+
+        `quiet=False` shows the plan, progress and phase table. Further options, with a folder: `overwrite=True` deletes what an
+        earlier run left there; `resumed=True` goes on with the run there, whose state this is; `steps`: the number of the step to
+        end with; `wall_time`: seconds after which a checkpoint is written and the run stops.
+        """
         if output is not None:
             Job(self, Path(output), quiet=quiet, **options).run()
         elif options:
@@ -149,7 +154,8 @@ class Simulation(Saved):
 
     def view(self, every: int | None = None) -> None:
         """Show the particles in a notebook, now and every `every` steps (or `output.every` of the scene). Collective."""
-        self.views.append(LiveView(self, every or self.scene.output.every))
+        every = self.scene.output.every if every is None else whole_number("view: every", every, 1)
+        self.views.append(LiveView(self, every))
 
     def watch(self) -> None:
         """Raises StateError if a particle is lost, astray or not a number. Collective; cheap."""

@@ -86,8 +86,8 @@ def finish(figure: Figure, path: Path, show: bool) -> None:
 
     try:
         figure.savefig(path, dpi=figure.dpi)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, MemoryError) as error:
         stop(f"cannot write {path}: {error}")
-    print(path)
+    print(path if path.suffix else path.with_suffix(".png"))
     if show:
         pyplot.show()

@@ -25,6 +25,8 @@ class Membership(State):
         Ids go on from the largest there ever was; attached fields may be given too, and are 0 if not. Raises SceneError, as at
         the start, for particles that cannot be: overlapping others, outside, ...
         """
+        if not isinstance(population, Mapping):
+            raise TypeError(f"add: takes the keys of one [[particles]] table by name, and not {population!r:.60}")
         self.take_changes()
         number = len(self.scene.particles) + self.additions
         same_on_all(self.ranks, {"add": python_values(dict(population))})
@@ -64,6 +66,7 @@ class Membership(State):
         `sim.particles[name]` are this rank's rows from then on; they go with their particles, into checkpoints too.
         """
         values = np.asarray(values)
+        same_on_all(self.ranks, {"attach": [name, str(values.dtype), list(values.shape)]})
         taken = name in BUILT_IN or name in fields_of(self.scene)  # FIELDS also has columns of effects that this scene lacks
         if taken or name in dir(ParticleView) or not name.isidentifier() or name.startswith("_"):
             raise ValueError(
@@ -71,6 +74,7 @@ class Membership(State):
             )
         if values.shape[:1] != (self.total,) or values.dtype.kind not in "biuf":
             raise ValueError(f"attach: {name!r} must come with an array of numbers for {self.total} particles")
+        same_on_all(self.ranks, {}, {name: values})
         self.take_changes()
         ids = np.sort(np.concatenate(self.ranks.allgather(self.rows.id)))
         self.rows.arrays[name] = values[np.searchsorted(ids, self.rows.id)]

@@ -25,6 +25,7 @@ from particles_mpi.parallel.signals import HeldInterrupt
 from particles_mpi.particles import Array, Particles, default_values, moment_of_sphere
 from particles_mpi.scene.active import ActiveEffects, fields_of
 from particles_mpi.scene.effect import Context, Force
+from particles_mpi.scene.model import python_values
 from particles_mpi.scene.schema import Scene
 from particles_mpi.timers import Timers
 
@@ -183,9 +184,9 @@ class State:
 
     @time.setter
     def time(self, value: float) -> None:
+        same_on_all(self.ranks, {"time": value})
         if not (is_number(value) and np.isfinite(value)):
             raise ValueError(f"time: {value!r} is no finite number")
-        same_on_all(self.ranks, {"time": value})
         for since in self.observed.values():
             since[0] += value - self.time
         self.moment = float(value), self.steps_done
@@ -198,9 +199,9 @@ class State:
 
     @h.setter
     def h(self, value: float) -> None:
+        same_on_all(self.ranks, {"h": value})
         if not (is_number(value) and 0.0 < value < np.inf):
             raise ValueError(f"h: {value!r} is no length of a step, which is above 0")
-        same_on_all(self.ranks, {"h": value})
         self.moment = self.time, self.steps_done
         self._h = float(value)
         self.forget_contacts()
@@ -227,8 +228,8 @@ class State:
 
     def change_effect(self, name: str, key: str, value: Any) -> None:
         """Give an option of an effect another value, from the next step on; checked as in a scene file. Collective."""
+        same_on_all(self.ranks, {"effects": {name: {key: python_values(value)}}})
         options = changed_options(self.scene, name, key, value)
-        same_on_all(self.ranks, {"effects": {name: options.model_dump(mode="json")}})
         self.take_changes()
         scene = self.scene.model_copy(update={"effects": {**self.scene.effects, name: options.running()}})
         self.require_masses(scene, name, key)

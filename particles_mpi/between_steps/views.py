@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from particles_mpi.errors import SceneError, StateError
 from particles_mpi.particles import Array, Particles, moment_of_sphere, same_bits
-from particles_mpi.scene.effect import EffectOptions
+from particles_mpi.scene.effect import EffectOptions, faults_in
 from particles_mpi.scene.model import faults_of, python_values
 from particles_mpi.scene.schema import Scene
 
@@ -108,9 +108,10 @@ class ParticleView:
             copy[...] = self._rows.arrays[name]
 
     def forget(self, name: str) -> None:
-        """Arrays of this field that the user was given are of the past."""
-        self._copies.pop(name, None)
-        self._shown.pop(name, None)
+        """Arrays of this field that the user was given are of the past, and can only be read."""
+        for arrays in (self._copies, self._shown):
+            if name in arrays:
+                arrays.pop(name).flags.writeable = False
 
     def open(self) -> None:
         """The state belongs to the user."""
@@ -183,11 +184,12 @@ def changed_options(scene: Scene, name: str, key: str, value: Any) -> EffectOpti
     """The options of an effect with another value of one key. Raises SceneError as a scene file with it would."""
     old: EffectOptions = scene.effects[name]
     kind = type(old)
+    if key == "file":
+        raise SceneError(f"effects.{name}.file: cannot be changed between two steps; make another scene")
     try:
         new = kind.model_validate(old.model_dump() | {key: python_values(value)})
     except ValidationError as error:
         raise SceneError(faults_of(error, kind, ("effects", name))) from None
-    faults = [f"effects.{name}.{fault}" for fault in new.faults(scene)]
-    if faults:
+    if faults := faults_in(name, new, scene):
         raise SceneError(faults)
     return new

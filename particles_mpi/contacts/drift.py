@@ -20,7 +20,7 @@ from particles_mpi.kernels.planes import no_planes
 from particles_mpi.kernels.turning import turn
 from particles_mpi.particles import Array, Particles, rows_with
 from particles_mpi.scene.active import ActiveEffects
-from particles_mpi.scene.effect import Context, Damping, Event, PairContacts, RollingResistance, WallContacts
+from particles_mpi.scene.effect import Context, Damping, Event, PairContacts, RollingResistance, WallContacts, number_from
 
 HAPPENED = ("collisions", "wall_hits", "missed", "exchanges")  # in a drift
 COUNTS = (*HAPPENED, "unconverged")
@@ -159,7 +159,7 @@ class Drift:
         changed = 0
         for name, event in events.items():
             with self.context.timers("events"):
-                changed += event.act(self.rows, h)
+                changed += number_from(name, event.act(self.rows, h))
             self.calls[name] += 1
         self.rows.version += changed > 0  # nothing that was known of neighbours holds any longer
         return changed > 0

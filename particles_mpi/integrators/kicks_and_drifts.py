@@ -14,7 +14,7 @@ from particles_mpi.kernels.motion import kick, kick_with_drag, press, release
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles
 from particles_mpi.scene.active import ActiveEffects
-from particles_mpi.scene.effect import Force
+from particles_mpi.scene.effect import Force, call_in_place
 from particles_mpi.scene.schema import Scene
 from particles_mpi.timers import Timers
 
@@ -78,7 +78,7 @@ class Accelerations:
             return self.total
         a = np.zeros_like(p.velocity)
         for name, force in self.forces.items():
-            force.add(p, a)
+            call_in_place(name, force.add, p, a)
             self.calls[name] += 1
         a[p.fixed != 0] = 0.0
         self.total, self.known = a, known
@@ -104,7 +104,7 @@ class Kick:
     """
 
     def __init__(self, effects: ActiveEffects, forces: Callable[[], Array | None], timers: Timers):
-        self.damping, self.friction, self.flows = effects.damping, effects.friction, list(effects.flows.values())
+        self.damping, self.friction, self.flows = effects.damping, effects.friction, effects.flows
         self.forces, self.timers = forces, timers
         self.presses = effects.keeps_contacts and bool(self.friction or self.flows)
         self.known: tuple[int, int, float] | None = None
@@ -118,10 +118,10 @@ class Kick:
                 assert a is not None  # contacts last only where there are forces
                 contacts = particles.fixed, particles["supported"], particles["total_acceleration"], np.empty_like(a)
                 press(a, *contacts)
-            for flow in self.flows:
-                flow.advance(particles, 0.5 * h)
+            for name, flow in self.flows.items():
+                call_in_place(name, flow.advance, particles, 0.5 * h)
             self.force_and_losses(particles, a, h, drift if a is None and not self.damping and not self.flows else 0.0)
-            for flow in reversed(self.flows):
+            for flow in reversed(self.flows.values()):
                 flow.advance(particles, 0.5 * h)
             if self.presses:
                 release(particles.velocity, a, *contacts, self.factors_of(particles, h)[1])
@@ -158,7 +158,7 @@ class Kick:
         """dv/dt (n, d) by the other flows at the present velocities, or None without any."""
         if not self.flows:
             return None
-        total = sum((flow.rate(particles) for flow in self.flows), np.zeros_like(particles.velocity))
+        total = sum((flow.rate(particles) for flow in self.flows.values()), np.zeros_like(particles.velocity))
         total[particles.fixed != 0] = 0.0
         return total
 

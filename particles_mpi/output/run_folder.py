@@ -104,8 +104,7 @@ def claim(
             record = folder / "run.json"  # from the beginning it tells whose folder this is
             for path in (folder / name for name in OURS if not continues and name != record.name):
                 remove(path)
-            if not continues:
-                replace_text(record, json.dumps(about, indent=2) + "\n")
+            replace_text(record, json.dumps(about, indent=2) + "\n")
     return bool(ranks.bcast(continues)), lock
 
 

@@ -46,7 +46,8 @@ class StopRequest(SignalCaught):
         self.end = np.inf if wall_time is None else began + wall_time
         self.reserve = 0.0  # seconds before the end that a checkpoint needs
         self.polled, self.step, self.next = perf_counter(), 0, 0
-        self.before = {number: signal.signal(number, self.ask) for number in SIGNALS}
+        caught = SIGNALS if current_thread() is main_thread() else ()  # no other thread may catch any
+        self.before = {number: signal.signal(number, self.ask) for number in caught}
         _requests.append(self)
 
     def poll(self, step: int) -> bool:

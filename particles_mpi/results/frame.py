@@ -36,6 +36,8 @@ class Frame:
         return values
 
     def __getitem__(self, name: str) -> Array:
+        if name not in self.fields and name != "fixed":
+            raise KeyError(f"frame {self.index} has no field {name!r}; stored are {', '.join(self.fields)}")
         values: Array = getattr(self, name)
         return values
 

@@ -202,7 +202,8 @@ def described(run: Any, choice: Choice) -> dict[str, Any]:
     frames = [run[k] for k in choice.frames]
     notes = list(choice.notes)
     if not run.ended:
-        notes.insert(0, f"The run was going on, at t = {frames[-1].time:.6g}, when this page was made; make it again to see more")
+        now = f"at t = {frames[-1].time:.6g}, when this page was made"
+        notes.insert(0, f"The run was stopped, or going on, {now}; make it again to see more")
     if run.dimension > 3:
         notes.append(f"the first three of {run.dimension} axes are shown")
     facts = [f"{max(len(frame) for frame in frames):_} particles".replace("_", "\u202f"), f"dimension {run.dimension}"]

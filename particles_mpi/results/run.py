@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, overload
@@ -29,7 +30,7 @@ class Run:
     def __init__(self, folder: str | Path):
         self.folder = Path(folder)
         if not any((self.folder / name).is_file() for name in FILES):
-            raise SceneError(f"{self.folder}: holds no run" if self.folder.is_dir() else f"{self.folder}: no such folder")
+            raise SceneError(f"{self.folder}: {'holds no run' if self.folder.exists() else 'no such folder'}")
         self.frames = FrameReader(self.folder / FILES[0])
 
     @property
@@ -50,15 +51,17 @@ class Run:
         count = len(self)
         if isinstance(k, slice):
             return [self[i] for i in range(*k.indices(count))]
+        if not isinstance(k, int | np.integer):
+            raise TypeError(f"{self.folder}: {k!r} is no number of a frame, and no slice of them")
         if not -count <= k < count:
             there = f"frames 0 to {count - 1}" if count else "no frame yet"
             raise IndexError(f"{self.folder}: no frame {k}: the run has {there}")
         index, k = self.frames.index(), k % count
         fields = ("position", *(name for name in index.fields if name != "position" and not name.endswith("_full")))
         place = float(index.times[k]), int(index.steps[k]), int(index.counts[k])
-        return Frame(k, *place, fields, lambda name: self._column(name, k))
+        return Frame(k, *place, fields, partial(self._column, k))
 
-    def _column(self, name: str, k: int) -> Array:
+    def _column(self, k: int, name: str) -> Array:
         """A field as the simulation has it: (N,), or with components (N, .), those of a vector being d.
 
         In files vectors have three components, and beyond three axes a second column with all of them; a spin in the plane is
@@ -90,8 +93,8 @@ class Run:
 
     @property
     def ended(self) -> bool:
-        """Has the run reached its end? Then run.json has the timers."""
-        return "timers" in self.about
+        """Has the run reached its end? If not, it is going on, was stopped, or killed."""
+        return bool(self.about.get("ended"))
 
     @property
     def dimension(self) -> int:
@@ -136,6 +139,8 @@ class Run:
         xarray, frames = _library("xarray"), self[:]
         if not frames:
             raise SceneError(f"{self.folder}: no frame yet")
+        if missing := [name for name in fields if name not in frames[0].fields]:
+            raise KeyError(f"{self.folder}: no field {missing[0]!r}; stored are {', '.join(frames[0].fields)}")
         names = [name for name in fields or frames[0].fields if name != "id"]
         ids = np.unique(np.concatenate([frame.id for frame in frames]))
         constant = all(len(frame) == len(ids) for frame in frames)

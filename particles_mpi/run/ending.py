@@ -20,10 +20,12 @@ LIBRARIES = ("numpy", "numba", "mpi4py", "h5py", "meshio", "particles-mpi")
 
 
 def tell_end(
-    sim: Any, plan: dict[str, Any], folder: Path, screen: Screen, seconds: dict[str, float], steps: int, rows: list[Any]
-) -> None:
+    sim: Any, plan: dict[str, Any], folder: Path, screen: Screen, seconds: dict[str, float], steps: int, rows: list[Any],
+    ended: bool,
+) -> None:  # fmt: skip
     """Show the phase table and the remarks of a run of `steps` steps, and write `run.json` into its folder. Collective.
 
+    `ended`: was that its last one, or was the run stopped?
     `seconds`: of this rank for the set-up and for the loop; those of the phases of the loop are in `sim.timers`. `rows` of
     diagnostics: those of the start, if this is not a part of a run, and of the end.
     """
@@ -35,7 +37,8 @@ def tell_end(
         say(f"{windows} windows of time verified by the ranks, {redone} redone ({100 * redone / windows:.1f} %)")
     for remark in remarks:
         say(remark)
-    about = about_run(sim, plan) | {"timers": timers, "remarks": remarks, "counts": {"steps": sim.steps_done, **counts}}
+    told = {"ended": ended, "timers": timers, "remarks": remarks, "counts": {"steps": sim.steps_done, **counts}}
+    about = about_run(sim, plan) | told
     write_text(folder / "run.json", sim.ranks, json.dumps(about, indent=2) + "\n")
     formats, shown = sim.scene.output.formats, quote(str(folder))
     if formats:

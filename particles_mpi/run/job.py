@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from numbers import Real
 from pathlib import Path
 from shlex import quote
 from time import perf_counter
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.contacts.drift import COUNTS
-from particles_mpi.errors import Interrupted, SceneError, StateError, StoppedError
+from particles_mpi.errors import Interrupted, SceneError, StateError, StoppedError, whole_number
 from particles_mpi.kernels.validity import WATCH_EVERY
 from particles_mpi.measure.diagnostics import column_names
 from particles_mpi.output import checkpoint, run_folder
@@ -55,7 +56,10 @@ class Job:
         self.sim, self.folder, self.scene, self.ranks = sim, folder, sim.scene, sim.ranks
         own = sim.saved == (folder.resolve(), sim.steps_done) and self.ranks.bcast((folder / "checkpoint.h5").exists())
         self.resumed = resumed or (own and not overwrite)  # a simulation goes on with its own run
-        self.last = sim.last_step if steps is None else steps  # number of the step with which the job ends
+        self.last = sim.last_step if steps is None else whole_number("run: steps", steps)  # the step with which the job ends
+        limit: Any = wall_time
+        if not isinstance(limit, Real | None):
+            raise ValueError(f"run: wall_time: {limit!r} is no number of seconds")
         self.setup_began = perf_counter() if setup_began is None else setup_began
         options = {"output": str(folder), "steps": self.last, "overwrite": overwrite, "resume": self.resumed}
         same_on_all(self.ranks, {f"--{name}": value for name, value in options.items()} | {"--wall-time": wall_time})
@@ -123,7 +127,7 @@ class Job:
             if self.rehearsal:
                 return
             seconds = {"setup": setup, "loop": perf_counter() - begin}
-            tell_end(sim, self.plan, self.folder, self.screen, seconds, sim.steps_done - begun_with, self.rows)
+            tell_end(sim, self.plan, self.folder, self.screen, seconds, sim.steps_done - begun_with, self.rows, not stopped)
         except (SceneError, StoppedError) as error:
             await_all(self.ranks, error)  # to close a file would wait for ranks that have no error
             self.close()

@@ -1,10 +1,13 @@
 """The kinds of effect. How to write one stands in `effects/__init__.py`; `effect_files` loads it."""
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
+import numpy as np
+
+from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.particles import Array, Column, Particles, add_column
 from particles_mpi.scene.model import Model
 
@@ -42,6 +45,16 @@ class EffectOptions(Model):
     def faults(self, scene: Any) -> list[str]:
         """What is wrong with these options in this scene, each beginning with the key; [] if nothing is."""
         return []
+
+
+def faults_in(name: str, options: EffectOptions, scene: Any) -> list[str]:
+    """What is wrong with the options of the effect of that name in a scene, each beginning with its key in the scene file."""
+    try:
+        found: Any = options.faults(scene) or []
+        return [f"effects.{name}.{fault}" for fault in ([found] if isinstance(found, str) else found)]
+    except Exception as error:  # of a user's own
+        said = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise SceneError(f"effects.{name}: its `faults` failed: {said}") from error
 
 
 class Needs(NamedTuple):
@@ -193,3 +206,16 @@ class RollingResistance(Effect):
 
     role = "dissipation"
     resistance: float
+
+
+def call_in_place(name: str, method: Callable[..., Any], *arguments: Any) -> None:
+    """Call a method of an effect that changes arrays in place. StoppedError if it returns something, which would be lost."""
+    if method(*arguments) is not None:
+        raise StoppedError(f"effects.{name}: its `{method.__name__}` must change the arrays that it is given, and return nothing")
+
+
+def number_from(name: str, returned: Any) -> int:
+    """How many particles an event says that it changed. StoppedError for what is no such number."""
+    if isinstance(returned, int | np.integer) and not isinstance(returned, bool) and returned >= 0:
+        return int(returned)
+    raise StoppedError(f"effects.{name}: its `act` returned {returned!r:.60}, and not how many particles it has changed")

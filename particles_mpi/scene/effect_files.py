@@ -1,6 +1,6 @@
 """The files of effects: those of the program, and those of a user."""
 
-import importlib.util
+import importlib
 import pkgutil
 import sys
 from hashlib import sha256
@@ -14,8 +14,9 @@ from particles_mpi.scene.effect import EffectOptions, Event, Force, VelocityFlow
 from particles_mpi.scene.model import faults_of, key_of, suggestion
 
 PACKAGE = "particles_mpi.effects"
-FROM_FILES = (Force, VelocityFlow, Event)  # other kinds are planned, and computed, by their names
-OUTSIDE = "particles_mpi_effect"  # modules of effects from outside the package are called so, with a digest of their path
+METHODS = {Force: "add", VelocityFlow: "advance", Event: "act"}  # what a user's effect must have
+FROM_FILES = tuple(METHODS)  # other kinds are planned, and computed, by their names
+OUTSIDE = "particles_mpi_effect"  # modules of effects from outside the package are called so, with the digest of their file
 
 
 def effect_names() -> list[str]:
@@ -26,30 +27,36 @@ def effect_names() -> list[str]:
 def load_effect(name: str, file: Path | None) -> ModuleType:
     """The module of an effect of the program, by its name; or of a `file` of the user's, whatever it is called in the scene.
 
-    A file is loaded once; `digest` of its module is its sha256.
+    A file that has changed is loaded anew, as another module; what goes on with the one before keeps that. `digest` of a module
+    is the sha256 of its file.
 
     Raises ValueError, one line without the key, for a file that cannot be read, fails, or does not hold the two classes.
     """
     if file is None:
         return importlib.import_module(f"{PACKAGE}.{name}")
     path = file.resolve()
-    title = f"{OUTSIDE}_{sha256(str(path).encode()).hexdigest()[:12]}_{path.stem}"
+    try:
+        text = path.read_bytes()
+    except OSError:
+        raise ValueError(f"{file}: no such Python file") from None
+    digest = sha256(text).hexdigest()
+    title = f"{OUTSIDE}_{sha256(str(path).encode() + text).hexdigest()[:12]}_{path.stem}"
     if title in sys.modules:
         return sys.modules[title]
-    spec = importlib.util.spec_from_file_location(title, path)
-    if spec is None or spec.loader is None or not path.is_file():
-        raise ValueError(f"{file}: no such Python file")
-    module = sys.modules[title] = importlib.util.module_from_spec(spec)
-    module.digest = sha256(path.read_bytes()).hexdigest()  # type: ignore[attr-defined]
+    module = sys.modules[title] = ModuleType(title)
+    vars(module).update(__file__=str(path), digest=digest)
     try:
-        spec.loader.exec_module(module)
+        exec(compile(text, path, "exec"), vars(module))
         options, effect = getattr(module, "Options", None), getattr(module, "Effect", None)
-        if not (isinstance(options, type) and issubclass(options, EffectOptions)):
-            raise ValueError("needs a class Options(EffectOptions)")
+        if not (isinstance(options, type) and issubclass(options, EffectOptions) and options.__module__ == title):
+            raise ValueError("needs a class Options(EffectOptions) of its own")
         if not (isinstance(effect, type) and issubclass(effect, FROM_FILES)):
             raise ValueError("needs a class Effect that is a Force, a VelocityFlow or an Event")
         if not isinstance(getattr(effect, "formula", None), str):
             raise ValueError("its class Effect needs a formula, in one line")
+        base, method = next((base, method) for base, method in METHODS.items() if issubclass(effect, base))
+        if getattr(effect, method) is getattr(base, method):
+            raise ValueError(f"its class Effect, a {base.__name__}, needs a method `{method}`")
     except (Exception, SystemExit) as error:
         del sys.modules[title]
         kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "

@@ -64,15 +64,17 @@ def python_values(value: Any) -> Any:
     if isinstance(value, list | tuple):
         kinds = set(map(type, value))
         if kinds == {list} and set(map(type, chain.from_iterable(value))) <= NUMBER_TYPES:
-            return list(value)  # rows of numbers, of which there may be very many
+            return [row[:] for row in value]  # rows of numbers, of which there may be very many
         return list(value) if kinds <= NUMBER_TYPES else [python_values(inner) for inner in value]
     return value
 
 
 def sealed(value: Any) -> Any:
-    """A value of a table, with `running` copies of the tables in it."""
+    """A value of a table, with `running` copies of the tables in it, and lists of its own."""
     if isinstance(value, dict):
         return {name: sealed(inner) for name, inner in value.items()}
+    if isinstance(value, list):
+        return python_values(value) if not value or not isinstance(value[0], Model) else [sealed(inner) for inner in value]
     return value.running() if isinstance(value, Model) else value
 
 
@@ -88,6 +90,12 @@ def suggestion(name: str, known: list[str]) -> str:
     near = difflib.get_close_matches(name, known)
     meant = [one for one in near if name in one] or near[:1]  # of gravity: both kinds
     return f" (did you mean {' or '.join(map(repr, meant))}?)" if meant else f" (known: {', '.join(known)})"
+
+
+def misspelt(missing: Any, given: Any) -> str:
+    """Which of the keys that are given may be meant by the one that is missing."""
+    near = difflib.get_close_matches(str(missing), map(str, given), 1, 0.75) if isinstance(given, dict) else []
+    return f" (got {near[0]!r})" if near else ""
 
 
 def key_of(location: tuple[Any, ...]) -> str:
@@ -126,7 +134,7 @@ def faults_of(error: ValidationError, model: type[BaseModel], prefix: tuple[Any,
             message = "must be a table" if kind == "model_type" else message
             short = isinstance(given, str | float | bool) or (isinstance(given, int) and abs(given) < 10**20)
             shown = f" (got {given!r})" if short else ""
-            faults.append(f"{key}: missing" if kind == "missing" else f"{key}: {message}{shown}")
+            faults.append(f"{key}: missing{misspelt(place[-1], given)}" if kind == "missing" else f"{key}: {message}{shown}")
     return faults
 
 

@@ -1,5 +1,6 @@
 """The scene file: TOML in, validated model out. What needs the particles to be judged is judged in `populate`."""
 
+import sys
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -9,7 +10,8 @@ from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, field_
 
 from particles_mpi.errors import SceneError
 from particles_mpi.particles import Array
-from particles_mpi.scene.effect_files import load_effect, validated_effects
+from particles_mpi.scene.effect import faults_in
+from particles_mpi.scene.effect_files import validated_effects
 from particles_mpi.scene.losses import Losses
 from particles_mpi.scene.model import Flags, Model, NotNegative, faults_of, python_values, wrong_length
 from particles_mpi.scene.population import Population, population_faults
@@ -105,11 +107,11 @@ class Scene(Model):
         return isinstance(other, Scene) and self.to_dict() == other.to_dict()
 
     @classmethod
-    def from_dict(cls, tables: dict[str, Any], folder: Path = Path()) -> Self:
+    def from_dict(cls, tables: dict[str, Any], folder: str | Path = "") -> Self:
         """A scene from the tables of the TOML layout; file names in it are relative to `folder`."""
         if "folder" in tables:
             raise SceneError("folder: unknown key")
-        return cls(**tables, folder=folder)
+        return cls(**tables, folder=Path(folder))
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -126,17 +128,23 @@ class Scene(Model):
         except SceneError as error:
             raise SceneError([f"{path}: {fault}" for fault in error.faults]) from None
 
+    def checked(self) -> Self:
+        """The same scene, validated again: since it was made, its tables may have been changed. Raises `SceneError`."""
+        tables = self.to_dict()
+        scene = self.from_dict({name: table for name, table in tables.items() if name != "output"}, self.folder)
+        return scene.model_copy(update={"output": self.output})  # which is checked when it is changed, and knows what was given
+
     def to_dict(self) -> dict[str, Any]:
         """The tables that give this scene back; plain lists, numbers and text."""
-        tables = self.model_dump(mode="json", exclude_none=True, exclude={"effects"})
-        effects = {name: options.model_dump(mode="json", exclude_none=True) for name, options in self.effects.items()}
+        plain: dict[str, Any] = {"mode": "json", "exclude_none": True, "warnings": False}  # of what was changed, see `checked`
+        tables = self.model_dump(**plain, exclude={"effects"})
+        effects = {name: options.model_dump(**plain) for name, options in self.effects.items()}
         shown = {name: {k: v for k, v in table.items() if (k, v) != ("active", True)} for name, table in effects.items()}
         return tables | {"effects": shown}
 
     def digests(self) -> dict[str, str]:
         """sha256 of the files of effects from outside the program, by effect."""
-        outside = {name: Path(options.file) for name, options in self.effects.items() if options.file}
-        return {name: load_effect(name, path).digest for name, path in outside.items()}
+        return {name: sys.modules[type(options).__module__].digest for name, options in self.effects.items() if options.file}
 
     @property
     def periodic(self) -> list[bool]:
@@ -199,7 +207,7 @@ class Scene(Model):
             if integrator not in effect.needs.integrators:
                 why = f"{reason}, which {name} does not allow" if reason else f"knows no {name}"
                 faults.append(f'time.integrator: "{integrator}" {why}; use "leapfrog"')
-            faults += [f"effects.{name}.{fault}" for fault in options.faults(self)]
+            faults += faults_in(name, options, self)
         return faults
 
     @property

@@ -278,3 +278,69 @@ def test_a_run_goes_on_where_its_folder_has_been_moved_to_and_not_with_another_e
     file.write_text(file.read_text() + "\n# changed")
     done = run(there, "parts", "--resume", "auto")
     assert done.returncode == 2 and "effects.magnetic_field.file: is not what it was when " in done.stderr, done.stderr
+
+
+def written(folder, **parts):
+    """A file with a force on one axis, some parts of which are as given."""
+    lines = {
+        "add": "def add(self, particles, a):\n        a -= self.k * particles.position",
+        "faults": "def faults(self, scene):\n        return []",
+        "options": "k: float = 1.0",
+    } | parts
+    (folder / "own.py").write_text(
+        "from particles_mpi.scene.effect import EffectOptions, Force\n\n\n"
+        f"class Options(EffectOptions):\n    {lines['options']}\n    {lines['faults']}\n\n\n"
+        'class Effect(Force):\n    formula = "-k x"\n\n    def __init__(self, options, scene):\n        self.k = options.k\n'
+        f"    {lines['add']}\n"
+    )
+    table = {"own": {"file": "own.py"}}
+    tables = {"dimension": 1, "time": {"step": 0.1, "steps": 9}, "particles": [{"position": [[1.0]]}], "effects": table}
+    return Simulation(Scene.from_dict(tables, folder))
+
+
+def test_a_file_that_was_changed_is_read_anew_and_a_simulation_keeps_what_it_began_with(tmp_path):
+    """As in a notebook, where a file of effects is written again and again."""
+    pulled = written(tmp_path)
+    pushed = written(
+        tmp_path, add="def add(self, particles, a):\n        a += self.k * particles.position", options="k: float = 2.0"
+    )
+    for sim in (pulled, pushed, pulled.copy()):
+        sim.step()
+    assert pulled.particles.velocity[0, 0] < 0.0 < pushed.particles.velocity[0, 0]
+    assert pulled.scene.digests() != pushed.scene.digests()
+    (tmp_path / "own.py").unlink()
+    pulled.step()
+    with pytest.raises(SceneError, match="no such Python file"):
+        Scene.from_dict(pulled.scene.to_dict())
+
+
+def test_what_a_method_returns_is_not_lost(tmp_path):
+    sim = written(tmp_path, add="def add(self, particles, a):\n        return -self.k * particles.position")
+    with pytest.raises(StoppedError, match=r"effects.own: its `add` must change the arrays that it is given, and return nothing"):
+        sim.step()
+    with pytest.raises(SceneError, match=r"effects.own.file: .*own.py: its class Effect, a Force, needs a method `add`"):
+        written(tmp_path, add="pass")
+    (tmp_path / "count.py").write_text(
+        "from particles_mpi.scene.effect import EffectOptions as Options, Event\n\n\n"
+        'class Effect(Event):\n    formula = "nothing"\n\n    def act(self, particles, h):\n        pass\n'
+    )
+    with pytest.raises(SceneError, match="needs a class Options"):
+        counts = Scene.from_dict({**sim.scene.to_dict(), "effects": {"count": {"file": "count.py"}}}, tmp_path)
+    (tmp_path / "count.py").write_text(
+        (tmp_path / "count.py").read_text().replace("EffectOptions as Options", "EffectOptions")
+        + "\n\nclass Options(EffectOptions):\n    pass\n"
+    )
+    counts = Scene.from_dict({**sim.scene.to_dict(), "effects": {"count": {"file": "count.py"}}}, tmp_path)
+    with pytest.raises(StoppedError, match=r"effects.count: its `act` returned None, and not how many particles"):
+        Simulation(counts).step()
+
+
+@pytest.mark.parametrize(
+    ("returned", "says"),
+    [("'k is odd'", "effects.own.k is odd"), ("1 / 0", "effects.own: its `faults` failed: ZeroDivisionError: division by zero")],
+)
+def test_faults_of_an_effect_are_one_line(tmp_path, returned, says):
+    with pytest.raises(SceneError) as told:
+        written(tmp_path, faults=f"def faults(self, scene):\n        return {returned}")
+    assert told.value.faults == [says]
+    written(tmp_path, faults="def faults(self, scene):\n        pass")
