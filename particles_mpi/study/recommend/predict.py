@@ -128,13 +128,11 @@ def without_effect(sim: Simulation, name: str) -> Simulation:
 @contextmanager
 def temporary_folder(ranks: Communicator) -> Iterator[Path]:
     """A folder that is gone afterwards; where runs write theirs, if one may, for disks differ in speed. Collective."""
-    folder = None
     with failing_together(ranks, "cannot write into the working directory"):
-        if ranks.is_root:
-            place = Path.cwd() if os.access(Path.cwd(), os.W_OK) else None
-            folder = TemporaryDirectory(prefix=".check-", dir=place, ignore_cleanup_errors=True)
-    with folder or nullcontext(""):
-        yield Path(ranks.bcast(folder.name if folder else ""))
+        place = Path.cwd() if os.access(Path.cwd(), os.W_OK) else None
+        made = TemporaryDirectory(prefix=".check-", dir=place, ignore_cleanup_errors=True) if ranks.is_root else nullcontext("")
+    with made as name:
+        yield Path(ranks.bcast(name))
 
 
 def share_missed(rate: float, step: float, packing: float, passes: int) -> float:
