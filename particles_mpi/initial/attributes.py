@@ -12,7 +12,6 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.particles import FIELDS, Array, moment_of_sphere
 from particles_mpi.scene.model import LARGEST_NUMBER
-from particles_mpi.scene.schema import Scene
 
 
 def fill_attributes(columns: Columns, block: Block) -> None:
@@ -67,49 +66,45 @@ def fill_spins(columns: Columns, block: Block) -> None:
 
 def fill_velocities(columns: Columns, block: Block) -> None:
     """Given, or drawn; what is fixed has none. Collective."""
-    value, ranks, arrays = block.population.velocity, columns.ranks, columns.arrays
-    own = {name: arrays[name][block.rows] for name in ("position", "mass", "fixed")}
-    velocity, fixed = arrays["velocity"][block.rows], own["fixed"] != 0
+    value, arrays = block.population.velocity, columns.arrays
+    velocity, fixed = arrays["velocity"][block.rows], arrays["fixed"][block.rows] != 0
     if value is None:
         return
     if isinstance(value, list) or "file" in value:
         columns.fill(block, "velocity", value)
         columns.refuse(block, "velocity", fixed & (velocity != 0.0).any(axis=1), "not zero, but fixed:")
         return
-    movable = ranks.total(np.count_nonzero(~fixed))[0]
+    movable = columns.ranks.total(np.count_nonzero(~fixed))[0]
     if value != "equilibrium" and not movable and value not in ({"speed": 0}, {"temperature": 0}):
         columns.refuse(block, "velocity", fixed, "given, but fixed:")
         return
     if isinstance(value, dict) and "temperature" in value:
-        columns.refuse(block, "velocity", ~fixed & (own["mass"] == 0.0), "a temperature needs a mass:")
+        columns.refuse(block, "velocity", ~fixed & (arrays["mass"][block.rows] == 0.0), "a temperature needs a mass:")
         if columns.faults.found:
             return
-    velocity[:] = drawn_velocities(ranks, columns.scene, block, own)
+    velocity[:] = drawn_velocities(columns, block)
     velocity[fixed] = 0.0
     columns.refuse(block, "velocity", ~(np.abs(velocity) <= LARGEST_NUMBER), f"beyond {LARGEST_NUMBER:g} for")
 
 
-def drawn_velocities(ranks: Communicator, scene: Scene, block: Block, own: dict[str, Array]) -> Array:
-    """Velocities (n, d) of this rank's part of a population, by its `velocity`; `own`: positions, masses, `fixed`. Collective.
-
-    They are given by a speed, by a temperature, or by the equilibrium of a Plummer sphere.
-    """
-    population, numbers = block.population, block.numbers
-    value, d = population.velocity, scene.dimension
+def drawn_velocities(columns: Columns, block: Block) -> Array:
+    """Velocities (n, d) of this rank's part of a population by a speed, a temperature, or in a Plummer sphere. Collective."""
+    scene, ranks, numbers, value = columns.scene, columns.ranks, block.numbers, block.population.velocity
+    position, mass, fixed = (columns.arrays[name][block.rows] for name in ("position", "mass", "fixed"))
     key = stream_key(scene.seed, block.number, "velocity")
     if value == "equilibrium":
         gravity = scene.effects["mutual_gravity"]
         G = scene.G if gravity.G is None else gravity.G
         speeds = draw(key, *numbers, plummer_speeds)
-        return plummer_velocities(ranks, speeds, own["position"], population.position["plummer"], own["mass"], G)
+        return plummer_velocities(ranks, speeds, position, block.population.position["plummer"], mass, G)
     if "temperature" in value:
-        normal = draw(key, *numbers, partial(normals, width=d))
-        return warm(ranks, float(value["temperature"]), normal, own["mass"], own["fixed"] == 0)
+        normal = draw(key, *numbers, partial(normals, width=scene.dimension))
+        return warm(ranks, float(value["temperature"]), normal, mass, fixed == 0)
     speed = value["speed"]
     if isinstance(speed, dict):
         speeds = draw(stream_key(scene.seed, block.number, "speed"), *numbers, uniform)
         speed = (speed["min"] + speeds * (speed["max"] - speed["min"]))[:, None]
-    return draw(key, *numbers, partial(directions, d=d)) * speed
+    return draw(key, *numbers, partial(directions, d=scene.dimension)) * speed
 
 
 def warm(ranks: Communicator, temperature: float, normal: Array, mass: Array, movable: Array) -> Array:

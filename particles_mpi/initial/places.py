@@ -11,12 +11,16 @@ from particles_mpi.initial.plummer import centered, plummer_points
 from particles_mpi.initial.random_addition import JAMMED, RandomAddition
 from particles_mpi.initial.random_numbers import draw, stream_key
 from particles_mpi.initial.room import Room, packing_fraction
+from particles_mpi.particles import Array
 
 DENSEST = {1: 1.0, 2: 0.9069, 3: 0.7405}  # packing of equal spheres
 
 
-def fill_places(columns: Columns, blocks: list[Block], room: Room) -> None:
-    """Lists and files first, then lattices, then random places around them, the largest spheres first. Collective."""
+def fill_places(columns: Columns, blocks: list[Block], room: Room, scattered: Array) -> None:
+    """Lists, files and lattices first, then random places around them, the largest spheres first. Collective.
+
+    `scattered` (n,): which rows of this rank get random places.
+    """
     x, radius, ranks = columns.arrays["position"], columns.arrays["radius"], columns.ranks
     largest = {block.number: ranks.largest(radius[block.rows].max(initial=0.0))[0] for block in blocks}
     for block in blocks:
@@ -36,12 +40,9 @@ def fill_places(columns: Columns, blocks: list[Block], room: Room) -> None:
         elif given != "random":
             columns.fill(block, "position", given)
     columns.faults.stop()
-    if scattered := [block for block in blocks if block.population.position == "random"]:
-        placed = np.ones(len(x), bool)
-        for block in scattered:
-            placed[block.rows] = False
-        addition = RandomAddition(ranks, room, x[placed], radius[placed], [radius[~placed]])
-        for block in sorted(scattered, key=lambda block: -largest[block.number]):
+    if random := [block for block in blocks if block.population.position == "random"]:
+        addition = RandomAddition(ranks, room, x[~scattered], radius[~scattered], [radius[scattered]])
+        for block in sorted(random, key=lambda block: -largest[block.number]):
             if fault := scatter(columns, block, room, addition, largest[block.number]):
                 columns.faults.add(f"{block.key}.position: random: {fault}")
                 return

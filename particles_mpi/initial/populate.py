@@ -113,15 +113,15 @@ class Populator:
         for block in blocks:
             fill_attributes(columns, block)
         self.faults.stop()
-        room = room_of(self.scene)
-        fill_places(columns, blocks, room)
+        room, scattered = room_of(self.scene), np.zeros(len(columns.arrays["id"]), bool)
+        for block in blocks:
+            scattered[block.rows] = block.population.position == "random"
+        fill_places(columns, blocks, room, scattered)
         for block in blocks:
             fill_velocities(columns, block)
         self.faults.stop()
         particles = Particles(self.scene.dimension, columns.arrays)
-        judged = np.ones(len(particles), bool)  # by whether they overlap: those with random places overlap nobody
-        for block in blocks:
-            judged[block.rows] = block.population.position != "random"
+        judged = ~scattered  # by whether they overlap: those with random places overlap nobody
         warnings = check_start(self.scene, particles, room, self.faults, self.before, judged)
         self.faults.stop()
         return particles, self.notes + warnings
