@@ -201,7 +201,9 @@ class Drift:
         more = [f"contacts that last: {unsolved} solutions ended above contact_tolerance"] if unsolved else []
         if missed:
             crowded = "a particle had no room, or more contacts in a step than could be put in order"
-            more.append(f"missed: {missed} times {crowded}; diagnostics.csv tells when")
+            rewind = self.effects.pairs and self.effects.pairs.options.mode == "rewind"
+            cure = "; shorter steps, more collisions.passes, or mode event have fewer" if rewind else ""
+            more.append(f"missed: {missed} times {crowded}; diagnostics.csv tells when{cure}")
         return [*more, *self.remarks_of_operators()]
 
     def remarks_of_operators(self) -> list[str]:

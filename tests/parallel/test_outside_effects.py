@@ -205,7 +205,7 @@ def test_what_would_be_ignored_is_refused(tmp_path):
         ("ending", "import sys\nsys.exit(5)", "SystemExit: 5"),
         (
             "kind",
-            "from particles_mpi.effects import EffectOptions as Options\nclass Effect: pass",
+            "from particles_mpi.effects import EffectOptions\nclass Options(EffectOptions): pass\nclass Effect: pass",
             "needs a class Effect that is",
         ),
         *(

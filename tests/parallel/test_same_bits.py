@@ -65,6 +65,16 @@ SCENES = {
         ],
         effects={"collisions": {"restitution": 0.8}, "walls": {"restitution": 0.5}, "drag": {}, "user_acceleration": {}},
     ),
+    "a fixed disc that scatters many in a step": dict(
+        dimension=2,
+        box={"lower": [0, 0], "upper": [1, 1], "periodic": True},
+        time={"step": 0.03, "steps": 20},
+        particles=[
+            {"position": [[0.5, 0.5]], "radius": 0.35, "fixed": True},
+            {"count": 150, "position": "random", "velocity": {"speed": 1.0}},
+        ],
+        effects={"collisions": {}},
+    ),
     "oblique planes, open space": dict(
         dimension=2,
         time={"step": 0.01, "steps": 200},

@@ -167,6 +167,34 @@ def test_rate_of_a_dense_gas_is_that_of_the_hard_sphere_fluid():
     assert measured / gamma == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.parametrize(("d", "radius"), [(2, 0.4), *with_all((3, 0.4))])
+def test_a_fixed_sphere_scatters_any_number_in_a_step(d, radius):
+    """A Lorentz gas, whose mean free path is pi|Q|/|dQ| in the plane and 4|Q|/|dQ| in space (L. A. Santalo; N. Chernov, J. Stat.
+    Phys. 88, 1 (1997)): ten passes a step lost a fifth of the hits, and points came to the middle of the disc."""
+    random, n, h, steps = np.random.default_rng(0), 400, 0.02, 500
+    places = [x for x in random.random((4000, d)) if np.linalg.norm(x - 0.5) > radius + 1e-3][:n]
+    ways = random.normal(size=(n, d))
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    disc = {"position": [[0.5] * d], "radius": radius, "fixed": True}
+    points = {"position": [x.tolist() for x in places], "velocity": ways.tolist()}
+    hits, ends = {}, {}
+    for mode in ("rewind", "event"):
+        tables = {"dimension": d, "box": {"lower": [0.0] * d, "upper": [1.0] * d, "periodic": True}}
+        tables |= {"time": {"step": h, "steps": 1}, "particles": [disc, points], "effects": {"collisions": {"mode": mode}}}
+        sim = Simulation(Scene(**tables))
+        sim.steps(5)
+        ends[mode] = sim.particles.position[np.argsort(sim.particles.id)]
+        for _ in range(steps):
+            sim.step()
+            away = np.linalg.norm(sim.particles.position[sim.particles.id > 0] - 0.5, axis=1)
+            assert away.min() > radius * (1.0 - 1e-9)
+        assert sim.totals["missed"] == 0
+        hits[mode] = sim.totals["collisions"]
+    free = (1.0 - np.pi * radius**2) / (2.0 * radius) if d == 2 else (1.0 - 4.0 / 3.0 * np.pi * radius**3) / (np.pi * radius**2)
+    assert n * (steps + 5) * h / hits["rewind"] == pytest.approx(free, rel=0.025)
+    assert ends["rewind"] == pytest.approx(ends["event"], abs=1e-9)
+
+
 @pytest.mark.parametrize(("share", "some"), [(0.003, False), (1.0, True)])
 def test_collisions_that_come_late_are_told(share, some):
     """Passes go forward in time for each sphere, not for all: with long steps of a dense gas some meet when they overlap."""

@@ -52,18 +52,22 @@ def approaching(axes, x, v, radius, pairs, drift, length, periodic, a, b):
 
 
 @lean_inner
-def with_active_row(start, last_partner, ids, active, first, second, a, b):
+def with_active_row(start, last_partner, spheres, active, first, second, a, b):
     """Candidate pairs (first, second) of which one row is active; into a and b, returns how many.
 
-    Partners whose segments both began when they met each other are left out: round-off must not make them meet twice.
+    Partners whose segments both began when they met each other are left out: round-off must not make them meet twice. A fixed
+    partner has the same segment all the time.
     """
+    _, w, ids, _ = spheres
     found = 0
     for p in range(len(first)):
         i = np.int64(first[p])
         j = np.int64(second[p])
-        if active[np.uint64(i)] | active[np.uint64(j)] and not (
-            last_partner[i] == ids[j] and last_partner[j] == ids[i] and start[i] == start[j]
-        ):
+        if not (active[np.uint64(i)] | active[np.uint64(j)]):
+            continue
+        fixed_i, fixed_j = w[i] == 0.0, w[j] == 0.0
+        met = (fixed_i or last_partner[i] == ids[j]) and (fixed_j or last_partner[j] == ids[i])
+        if not (met and (fixed_i or fixed_j or start[i] == start[j])):
             a[found] = i
             b[found] = j
             found += 1
@@ -77,7 +81,7 @@ def find_contacts(axes, segments, spheres, pairs, drift, length, everything, act
     In the first pass, in which all segments begin at time 0, with `everything`; later of the pairs with an active row only.
     """
     x, v, start, last_partner = segments
-    radius, _, ids, _ = spheres
+    radius, _, _, _ = spheres
     a, b, time = hits
     h = drift[1]
     if everything:
@@ -86,7 +90,7 @@ def find_contacts(axes, segments, spheres, pairs, drift, length, everything, act
             periodic |= length[k] > 0.0
         likely = approaching(axes, x, v, radius, pairs, drift, length, periodic, a, b)
     else:
-        likely = with_active_row(start, last_partner, ids, active, pairs[0], pairs[1], a, b)
+        likely = with_active_row(start, last_partner, spheres, active, pairs[0], pairs[1], a, b)
     found = 0
     for p in range(likely):
         i = np.int64(a[p])

@@ -215,7 +215,7 @@ class Rewind:
         """
         near, selected = self.near, self.selection.partner
         with self.timers("collide"):
-            select_contacts(near.spheres.id, near.spheres.owned, tuple(hits), tuple(self.selection))
+            select_contacts(near.rows[1], tuple(hits), tuple(self.selection))
         if concerned == ACROSS:
             with self.timers("ghosts"):
                 exchange_selections(near.halo, selected, hits.first, hits.second, near.candidates.marked)

@@ -46,8 +46,13 @@ def comes_first(row, t, wall, low, high, selection):
 
 
 @lean
-def select_contacts(ids, owned, hits, selection):
-    """For every owned row with a hit the partner of its earliest one, in place on `selection`."""
+def select_contacts(spheres, hits, selection):
+    """For every owned row with a hit the partner of its earliest one, in place on `selection`.
+
+    Fixed rows, whose inverse mass is 0, select nobody: a contact changes nothing of theirs, so that they may have any number of
+    them in a pass, as walls may.
+    """
+    _, w, ids, owned = spheres
     a, b, time = hits
     partner, _ = selection
     for p in range(len(a)):
@@ -57,15 +62,17 @@ def select_contacts(ids, owned, hits, selection):
             if comes_first(i, time[p], True, ids[i], -1 - j, selection):
                 partner[i] = j
             continue
-        if i < owned and comes_first(i, time[p], False, ids[i], ids[j], selection):
+        if i < owned and w[i] > 0.0 and comes_first(i, time[p], False, ids[i], ids[j], selection):
             partner[i] = ids[j]
-        if j < owned and comes_first(j, time[p], False, ids[i], ids[j], selection):
+        if j < owned and w[j] > 0.0 and comes_first(j, time[p], False, ids[i], ids[j], selection):
             partner[j] = ids[i]
 
 
 @kernel
 def apply_contacts(axes, segments, spheres, hits, selected_partner, rules, active, log, counts, virial):
-    """Apply the hits that both partners selected; `rules`: loss of a pair, planes, `Rates`, `Rough`, periodic lengths (d,).
+    """Apply the hits that both partners selected, or the one that is not fixed.
+
+    `rules`: loss of a pair, planes, `Rates`, `Rough`, periodic lengths (d,).
 
     Rows that changed, and rows with a hit that has to wait, are active in the next pass, and no others. `log` gets the owned rows
     of which this was the first contact. `counts` (4,) += collisions, wall hits and collisions that came late, each collision
@@ -84,7 +91,8 @@ def apply_contacts(axes, segments, spheres, hits, selected_partner, rules, activ
     for p in range(len(a)):
         i = np.int64(a[p])
         j = np.int64(b[p])
-        found = activate(i, is_active, active_rows, found)
+        if w[i] > 0.0:
+            found = activate(i, is_active, active_rows, found)
         if j < 0:
             if selected_partner[i] != j:
                 continue
@@ -96,14 +104,20 @@ def apply_contacts(axes, segments, spheres, hits, selected_partner, rules, activ
             last_partner[i] = j
             counts[WALL_HITS] += 1
             continue
-        found = activate(j, is_active, active_rows, found)
-        if selected_partner[i] != ids[j] or selected_partner[j] != ids[i]:
+        if w[j] > 0.0:
+            found = activate(j, is_active, active_rows, found)
+        if (w[i] > 0.0 and selected_partner[i] != ids[j]) or (w[j] > 0.0 and selected_partner[j] != ids[i]):
             continue
-        note_start(segments, rough.spin, i, owned, log)
-        note_start(segments, rough.spin, j, owned, log)
+        if w[i] > 0.0:
+            note_start(segments, rough.spin, i, owned, log)
+        if w[j] > 0.0:
+            note_start(segments, rough.spin, j, owned, log)
         given = collide_pair(axes, segments, spheres, i, j, time[p], loss, length, rates, rough, r)
-        last_partner[i] = ids[j]
-        last_partner[j] = ids[i]
+        for one, other in ((i, j), (j, i)):
+            if w[one] > 0.0:
+                last_partner[one] = ids[other]
+            else:  # its segment is that of the whole drift: others may meet it earlier, and be found later
+                start[one] = 0.0
         if i < owned:
             counts[COLLISIONS] += 1
             counts[LATE] += is_late(time[p], r, radius[i], radius[j])
