@@ -97,14 +97,20 @@ def claim(
                 what = "another run than the one to be resumed" if resumed else "a run"
                 way = "--overwrite to replace it, or another folder" if resumed else "--overwrite or --resume"
                 raise SceneError(f"--output: {folder} already holds {what} ({', '.join(present)}); use {way}")
-    with failing_together(ranks, f"cannot write into {folder}"):  # only now, when no rank has found a fault
-        if ranks.is_root:
-            folder.mkdir(parents=True, exist_ok=True)
-            lock = Lock(folder)
-            record = folder / "run.json"  # from the beginning it tells whose folder this is
-            for path in (folder / name for name in OURS if not continues and name != record.name):
-                remove(path)
-            replace_text(record, json.dumps(about, indent=2) + "\n")
+    try:
+        with failing_together(ranks, f"cannot write into {folder}"):  # only now, when no rank has found a fault
+            if ranks.is_root:
+                folder.mkdir(parents=True, exist_ok=True)
+                lock = Lock(folder)
+                record = folder / "run.json"  # from the beginning it tells whose folder this is
+                for path in (folder / name for name in OURS if not continues and name != record.name):
+                    remove(path)
+                if not continues:
+                    replace_text(record, json.dumps(about, indent=2) + "\n")
+    except BaseException:
+        if lock:
+            lock.release()
+        raise
     return bool(ranks.bcast(continues)), lock
 
 

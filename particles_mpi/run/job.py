@@ -72,11 +72,12 @@ class Job:
             output.formats.remove("vtk")
             sim.warnings.append(f"output.formats: no VTK files of more than {MOST_VTK} particles, unless it asks for them")
         self.plan = plan(self.scene, sim.rows, self.ranks)
+        self.lock: run_folder.Lock | None = None
         self.request = StopRequest(self.ranks, self.setup_began, wall_time)  # from here on a signal must not leave half a file
         try:
             self._open(overwrite, own)
         except BaseException:
-            self.request.close()
+            self.leave()
             raise
 
     def _open(self, overwrite: bool, own: bool) -> None:
@@ -103,6 +104,8 @@ class Job:
         try:
             for writer in (*self.frames, self.diagnostics):
                 writer.open()
+            if self.continues:  # what it tells of an end is no longer true
+                write_text(self.folder / "run.json", ranks, json.dumps(about, indent=2) + "\n")
             if output.formats:
                 write_text(self.folder / "view_paraview.py", ranks, paraview_script(self.folder, self.scene.to_dict()))
         except (SceneError, StoppedError):  # on all ranks
@@ -143,9 +146,7 @@ class Job:
             raise
         finally:
             self.screen.stop()
-            self.request.close()
-            if self.lock:
-                self.lock.release()
+            self.leave()
         if stopped:
             folder, scene = quote(str(self.folder)), quote(str(self.scene_file))
             saved = f"stopped at step {sim.steps_done} of {self.last}, saved; continue with --resume {folder}/checkpoint.h5"
@@ -250,6 +251,12 @@ class Job:
             checkpoint.save(path, self.ranks, sim.rows.arrays, sim.ids, d, state, sim.lasting_contacts())
         sim.saved = self.folder.resolve(), sim.steps_done
         self.request.reserve = max(self.request.reserve, SAFETY * (perf_counter() - began))
+
+    def leave(self) -> None:
+        """Signals mean again what they did before, and the folder is free."""
+        self.request.close()
+        if self.lock:
+            self.lock.release()
 
     def close(self) -> None:
         """Close every file."""

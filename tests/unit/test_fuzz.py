@@ -186,7 +186,7 @@ def test_cut_short_anywhere_is_refused_and_nothing_is_touched(stopped, tmp_path,
             Simulation.resume(folder / "checkpoint.h5").run(folder, resumed=True)
         check_faults(caught.value)
         assert (folder / name).read_bytes() == whole[:length]
-        assert all(path.read_bytes() == old for path, old in others.items())
+        assert not [path.name for path, old in others.items() if path.read_bytes() != old]
     (folder / name).write_bytes(whole)
     Simulation.resume(folder / "checkpoint.h5").run(folder, resumed=True)
 
