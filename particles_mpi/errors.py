@@ -1,4 +1,4 @@
-"""The three ways in which a run ends early, and their exit codes; how particles are named in a fault; what no count is."""
+"""The three ways in which a run ends early, and their exit codes; how particles are named in a fault; numbers of steps."""
 
 from collections.abc import Sequence
 from operator import index

@@ -25,11 +25,11 @@ class Membership(State):
         Ids go on from the largest there ever was; attached fields may be given too, and are 0 if not. Raises SceneError, as at
         the start, for particles that cannot be: overlapping others, outside, ...
         """
+        same_on_all(self.ranks, {"add": python_values(population)})
         if not isinstance(population, Mapping):
             raise TypeError(f"add: takes the keys of one [[particles]] table by name, and not {population!r:.60}")
         self.take_changes()
         number = len(self.scene.particles) + self.additions
-        same_on_all(self.ranks, {"add": python_values(dict(population))})
         with raising_together(self.ranks):
             rows, warnings = add_population(self.scene, self.ranks, self.rows, population, self.next_id, number)
         self.warnings += warnings

@@ -12,6 +12,7 @@ from particles_mpi.contacts.warm_start import NOTHING, Memory
 from particles_mpi.errors import SceneError
 from particles_mpi.measure import snapshot
 from particles_mpi.output.checkpoint import Checkpoint
+from particles_mpi.output.files import identity_of
 from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows, by_destination, holders, in_id_order, send_rows
@@ -76,7 +77,7 @@ class Saved(Membership):
             sim = cls.restored(scene, ranks, rows, metadata, Memory(**contacts))
         sim.reported, sim.written = json.loads(saved["reported"]), json.loads(saved["written"])
         if Path(path).name == "checkpoint.h5":  # a run into that folder goes on there
-            sim.saved = Path(path).resolve().parent, sim.steps_done
+            sim.saved = Path(path).resolve().parent, sim.steps_done, identity_of(Path(path), ranks)
         return sim
 
     def copy(self) -> Self:
@@ -121,17 +122,17 @@ class Saved(Membership):
         for sim in (self, other):
             sim.take_changes()
         clocks = [(sim.time, sim.h, sim.next_id) for sim in (self, other)]
-        if self.scene != other.scene or clocks[0] != clocks[1]:
+        ranks = max(self.ranks, other.ranks, key=lambda ranks: ranks.size)  # who must come to the same answer
+        if not ranks.all(self.scene == other.scene and clocks[0] == clocks[1]):
             return False
-        if self.ranks.size != other.ranks.size:  # particles that are divided in another way
+        if ranks.any(self.ranks.size != other.ranks.size):  # particles that are divided in another way
             here, there = (Particles(self.scene.dimension, allgather_rows(sim.ranks, sim.rows.arrays)) for sim in (self, other))
-            pair = [one.select(np.argsort(one.id)) for one in (here, there)]
-            return self.ranks.all(snapshot.same(*pair))
-        if self.ids != other.ids:
+            return ranks.all(snapshot.same(*(one.select(np.argsort(one.id)) for one in (here, there))))
+        if not ranks.all(self.ids == other.ids):
             return False
         mine, theirs = (in_id_order(sim.ranks, sim.rows.arrays, sim.ids, sim.ranks.size) for sim in (self, other))
         d = self.scene.dimension
-        return self.ranks.all(snapshot.same(Particles(d, mine), Particles(d, theirs)))
+        return ranks.all(snapshot.same(Particles(d, mine), Particles(d, theirs)))
 
     __hash__ = None  # type: ignore[assignment]
 

@@ -69,7 +69,7 @@ class State:
         self.moment = 0.0, 0  # (time, steps done) that the clock counts from
         self.reported = [0] * len(COUNTS)
         self.written: dict[str, int] = {}
-        self.saved: tuple[Path, int] | None = None  # folder and step of its last checkpoint
+        self.saved: tuple[Path, int, Any] | None = None  # folder, step and `identity_of` its last checkpoint
         self.views: list[Any] = []  # in a notebook
         self.observed = {"row": [0.0, 0.0, 0.0], "call": [0.0, 0.0, 0.0]}
         self.additions = 0  # populations added while it ran

@@ -6,12 +6,15 @@ The file is `effects/NAME.py` in this package, or a file of the user's that the 
     file = "magnetic.py"
     strength = [0.0, 0.0, 2.0]
 
-It holds two classes, `Options` and `Effect`. `Options(EffectOptions)` has one field for each key of the scene's table and
+It holds two classes of its own, `Options` and `Effect`. `Options(EffectOptions)` has one field for each key of the scene's table and
 checks them. `Effect` derives from one of these kinds, which say when it acts:
 
-- `Force`: adds to the acceleration of each particle, given the positions;
-- `VelocityFlow`: changes velocities at fixed positions, exactly, for instance a rotation in a magnetic field;
-- `Event`: acts on positions and velocities at the end of the drift of each step.
+- `Force`: `add` adds to the acceleration of each particle, given the positions;
+- `VelocityFlow`: `advance` changes velocities at fixed positions, exactly, for instance a rotation in a magnetic field;
+- `Event`: `act` acts on positions and velocities at the end of the drift of each step.
+
+All three change arrays in place. `add` and `advance` return nothing, `act` the number of particles that it has changed. A file
+that was edited is read anew by the next scene; simulations that there are go on with what it was.
 
 What an effect needs stands in `needs`: a column of its own per particle (a charge, say) is then a key of every
 `[[particles]]` table, and is written to frames and checkpoints. An effect that no scene names is never imported.

@@ -3,7 +3,7 @@
 import os
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +48,16 @@ def make_folder(ranks: Communicator, folder: Path) -> None:
     with failing_together(ranks, f"cannot write into {folder}"):
         if ranks.is_root:
             folder.mkdir(parents=True, exist_ok=True)
+
+
+def identity_of(path: Path, ranks: Communicator) -> tuple[int, int] | None:
+    """What tells a file from another one that takes its place, on all ranks; None if there is none. Collective."""
+    found = None
+    if ranks.is_root:
+        with suppress(OSError):
+            status = path.stat()
+            found = status.st_ino, status.st_mtime_ns
+    return ranks.bcast(found)
 
 
 class Continuing:

@@ -57,7 +57,7 @@ def checkpoint_to_continue(folder: Path, ranks: Communicator, scene: dict[str, A
 class Lock:
     """Keeps a folder for one run until it is released, or its process is gone; a SceneError if another run keeps it.
 
-    A file system that knows no locks, as some of clusters, lets both write.
+    A file system that knows no locks of folders, as NFS and some of clusters, lets both write.
     """
 
     def __init__(self, folder: Path):
@@ -72,6 +72,8 @@ class Lock:
     def release(self) -> None:
         """Let others write there."""
         if self.descriptor is not None:
+            with suppress(OSError):  # at once, for a process that was forked meanwhile has it too
+                fcntl.flock(self.descriptor, fcntl.LOCK_UN)
             os.close(self.descriptor)
             self.descriptor = None
 
@@ -84,8 +86,8 @@ def claim(
     """Take the folder for a run of about["scene"], and lock it on rank 0. Collective.
 
     Returns whether a resumed run continues there, where its checkpoint is, and rank 0's lock. `own`: this simulation wrote the
-    checkpoint there, and has taken no step since; its user may have changed the scene. Otherwise files of an earlier run are a
-    SceneError, or are deleted with `overwrite`.
+    checkpoint there, or was read from it, and has taken no step since; its user may have changed the scene. Otherwise files of an
+    earlier run are a SceneError, or are deleted with `overwrite`.
     """
     continues, lock = False, None
     with failing_together(ranks, f"cannot use {folder}"):

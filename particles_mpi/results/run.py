@@ -94,7 +94,8 @@ class Run:
     @property
     def ended(self) -> bool:
         """Has the run reached its end? If not, it is going on, was stopped, or killed."""
-        return bool(self.about.get("ended"))
+        about = self.about
+        return bool(about.get("ended", "timers" in about))  # earlier versions told nothing of it
 
     @property
     def dimension(self) -> int:

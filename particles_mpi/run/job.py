@@ -16,7 +16,7 @@ from particles_mpi.kernels.validity import WATCH_EVERY
 from particles_mpi.measure.diagnostics import column_names
 from particles_mpi.output import checkpoint, run_folder
 from particles_mpi.output.diagnostics_csv import Diagnostics
-from particles_mpi.output.files import write_text
+from particles_mpi.output.files import identity_of, write_text
 from particles_mpi.parallel.agreement import await_all, same_on_all
 from particles_mpi.parallel.signals import StopRequest
 from particles_mpi.particles import Array, field
@@ -54,15 +54,16 @@ class Job:
         scene_file: Path | None = None,
     ):
         self.sim, self.folder, self.scene, self.ranks = sim, folder, sim.scene, sim.ranks
-        own = sim.saved == (folder.resolve(), sim.steps_done) and self.ranks.bcast((folder / "checkpoint.h5").exists())
+        known = identity_of(folder / "checkpoint.h5", self.ranks)
+        own = known is not None and sim.saved == (folder.resolve(), sim.steps_done, known)
         self.resumed = resumed or (own and not overwrite)  # a simulation goes on with its own run
-        self.last = sim.last_step if steps is None else whole_number("run: steps", steps)  # the step with which the job ends
         limit: Any = wall_time
+        options = {"output": str(folder), "steps": steps, "overwrite": overwrite, "resume": self.resumed}
+        same_on_all(self.ranks, {f"--{name}": value for name, value in options.items()} | {"--wall-time": wall_time})
+        self.last = sim.last_step if steps is None else whole_number("run: steps", steps)  # the step with which the job ends
         if not isinstance(limit, Real | None):
             raise ValueError(f"run: wall_time: {limit!r} is no number of seconds")
         self.setup_began = perf_counter() if setup_began is None else setup_began
-        options = {"output": str(folder), "steps": self.last, "overwrite": overwrite, "resume": self.resumed}
-        same_on_all(self.ranks, {f"--{name}": value for name, value in options.items()} | {"--wall-time": wall_time})
         self.rehearsal, self.notes, self.scene_file = rehearsal, notes, scene_file
         self.forecast: Forecast | None = None
         self.rows: list[dict[str, Any]] = []  # of diagnostics: of the start, unless that was in another job, and of the end
@@ -249,7 +250,7 @@ class Job:
             state["effect_files"] = json.dumps(sim.scene.digests())
             path, d = self.folder / "checkpoint.h5", self.scene.dimension
             checkpoint.save(path, self.ranks, sim.rows.arrays, sim.ids, d, state, sim.lasting_contacts())
-        sim.saved = self.folder.resolve(), sim.steps_done
+        sim.saved = self.folder.resolve(), sim.steps_done, identity_of(path, self.ranks)
         self.request.reserve = max(self.request.reserve, SAFETY * (perf_counter() - began))
 
     def leave(self) -> None:

@@ -30,6 +30,7 @@ class Model(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
     _running: bool = PrivateAttr(False)  # does a simulation go by it?
+    _changed: bool = PrivateAttr(False)  # has a key been set since it was validated?
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name in type(self).model_fields and self._running:
@@ -38,6 +39,8 @@ class Model(BaseModel):
                 " set sim.h, sim.time, or an option of sim.effects[name]"
             )
         super().__setattr__(name, value)
+        if name in type(self).model_fields:
+            self._changed = True
 
     @field_validator("*")
     @classmethod
@@ -67,6 +70,14 @@ def python_values(value: Any) -> Any:
             return [row[:] for row in value]  # rows of numbers, of which there may be very many
         return list(value) if kinds <= NUMBER_TYPES else [python_values(inner) for inner in value]
     return value
+
+
+def was_changed(value: Any) -> bool:
+    """Has a key of this table, or of one in it, been set since it was validated?"""
+    if isinstance(value, Model):
+        return value._changed or any(was_changed(inner) for _, inner in value)
+    tables = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return any(was_changed(inner) for inner in tables if isinstance(inner, Model)) if tables else False
 
 
 def sealed(value: Any) -> Any:

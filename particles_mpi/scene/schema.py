@@ -6,16 +6,17 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, PrivateAttr, ValidationError, field_validator, model_validator
 
 from particles_mpi.errors import SceneError
 from particles_mpi.particles import Array
 from particles_mpi.scene.effect import faults_in
 from particles_mpi.scene.effect_files import validated_effects
 from particles_mpi.scene.losses import Losses
-from particles_mpi.scene.model import Flags, Model, NotNegative, faults_of, python_values, wrong_length
+from particles_mpi.scene.model import Flags, Model, NotNegative, faults_of, python_values, was_changed, wrong_length
 from particles_mpi.scene.population import Population, population_faults
 
+FORMATS: list[Literal["hdf5", "vtk"]] = ["hdf5", "vtk"]
 TOLERANCES = 1e-12, 1e-3  # of `adaptive`, smallest and largest: below, round-off of the forces alone is more
 
 
@@ -55,7 +56,7 @@ class Output(Model):
 
     model_config = ConfigDict(validate_assignment=True)
     every: Annotated[int, Field(ge=1)] = 100
-    formats: list[Literal["hdf5", "vtk"]] = Field(default=["hdf5", "vtk"])
+    formats: list[Literal["hdf5", "vtk"]] = Field(default=FORMATS)
     checkpoint_every: Annotated[int, Field(ge=1)] = 1000
     diagnostics_every: Annotated[int, Field(ge=1)] = 10
     observables: bool = False
@@ -95,6 +96,7 @@ class Scene(Model):
     particles: list[Population]
     effects: Annotated[dict[str, Any], BeforeValidator(validated_effects)] = Field(default_factory=dict)
     output: Output = Output()
+    _tables: list[Any] = PrivateAttr(default_factory=list)  # those that were validated
 
     def __init__(self, **tables: Any):
         try:
@@ -129,16 +131,37 @@ class Scene(Model):
             raise SceneError([f"{path}: {fault}" for fault in error.faults]) from None
 
     def checked(self) -> Self:
-        """The same scene, validated again: since it was made, its tables may have been changed. Raises `SceneError`."""
-        tables = self.to_dict()
-        scene = self.from_dict({name: table for name, table in tables.items() if name != "output"}, self.folder)
-        return scene.model_copy(update={"output": self.output})  # which is checked when it is changed, and knows what was given
+        """The same scene, validated again if its tables were changed since it was made. Raises `SceneError`.
+
+        Numbers that were changed within a list are not looked at.
+        """
+        if not was_changed(self) and self._tables == self.tables():
+            return self
+        output: Any = self.output
+        if isinstance(output, Output):  # defaults follow what was changed
+            output = output.model_dump(exclude_unset=True) | ({"formats": output.formats} if output.formats != FORMATS else {})
+        return self.from_dict(self.to_dict() | {"output": output}, self.folder)
+
+    def tables(self) -> list[Any]:
+        """Which tables there are: the identities of those of particles, the effects, the formats of frames."""
+        return [
+            *map(id, self.particles),
+            *((name, id(options)) for name, options in self.effects.items()),
+            str(self.output.formats),
+        ]
 
     def to_dict(self) -> dict[str, Any]:
         """The tables that give this scene back; plain lists, numbers and text."""
-        plain: dict[str, Any] = {"mode": "json", "exclude_none": True, "warnings": False}  # of what was changed, see `checked`
+        plain: dict[str, Any] = {
+            "mode": "json",
+            "exclude_none": True,
+            "warnings": False,
+            "fallback": python_values,
+        }  # of what was changed
         tables = self.model_dump(**plain, exclude={"effects"})
-        effects = {name: options.model_dump(**plain) for name, options in self.effects.items()}
+        effects = {
+            name: options if isinstance(options, dict) else options.model_dump(**plain) for name, options in self.effects.items()
+        }
         shown = {name: {k: v for k, v in table.items() if (k, v) != ("active", True)} for name, table in effects.items()}
         return tables | {"effects": shown}
 
@@ -190,12 +213,14 @@ class Scene(Model):
                 faults.append(f'output.formats: files of VTK have three axes at most; in dimension {d} use "hdf5"')
         if "every" not in self.output.model_fields_set and 0 < self.steps < self.output.every:
             self.output.every = self.steps
+            self.output.model_fields_set.discard("every")  # nobody has set it
         for number, population in enumerate(self.particles):
             faults += population_faults(self, f"particles[{number}]", population)
         if self.output.orientation and not self.rough:
             faults.append("output.orientation: nothing turns spheres without friction in [effects.collisions] or [effects.walls]")
         if faults:
             raise ValueError("\n".join(faults))
+        self._tables, self.output._changed = self.tables(), False
         return self
 
     def effect_faults(self) -> list[str]:

@@ -19,6 +19,7 @@ MIXED = {"radius": {"min": 0.05, "max": 0.15}, "mass": {"min": 0.1, "max": 0.5},
 GRAVITY = {"acceleration": [0, 0, -9.80665]}
 JAM = {"mass": {"min": 1.0, "max": 2.0}, "velocity": {"speed": 1.0}}
 
+LATTICE = [[0.2 + 0.4 * (k % 4), 0.2 + 0.4 * (k // 4 % 4), 0.2 + 0.4 * (k // 16)] for k in (3 * n % 64 for n in range(48))]
 CLOUD = np.random.default_rng(5).standard_normal((90, 3)).tolist()
 
 SCENES = {
@@ -74,6 +75,7 @@ SCENES = {
             {"count": 150, "position": "random", "velocity": {"speed": 1.0}},
         ],
         effects={"collisions": {}},
+        output={"observables": True},
     ),
     "oblique planes, open space": dict(
         dimension=2,
@@ -300,6 +302,21 @@ SCENES = {
         effects={
             "uniform_gravity": {"acceleration": [3.0, 1.0, -9.0]},
             "walls": {"planes": [{"point": [0, 0, 0], "normal": [0, 0, 1]}], "restitution": 0.4, "friction": 0.1},
+        },
+    ),
+    "elastic points and spheres that attract one another, on rough walls": dict(
+        dimension=3,
+        G=0.01,
+        box={"lower": [0, 0, 0], "upper": [1.6, 1.6, 1.6]},
+        time={"step": 0.1, "steps": 6},
+        particles=[
+            {"position": LATTICE[:46], "mass": 1000.0, "velocity": {"temperature": 1.0}, "moment_of_inertia": 0.01},
+            {"position": LATTICE[46:48], "radius": 0.2, "spin": [0.5, -0.4, 1.0]},
+        ],
+        effects={
+            "mutual_gravity": {"softening": 0.05},
+            "collisions": {},
+            "walls": {"restitution": 0.9, "friction": 0.1},
         },
     ),
     "no particles": dict(

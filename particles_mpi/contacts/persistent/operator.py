@@ -40,11 +40,12 @@ class PersistentContacts:
 
     `uniform`: all forces give all particles the same acceleration, so that free ones never press onto
     one another. `tolerance`: by which part of a radius contacts may close in a step. `points`: do points touch one another?
+    `migrating`: do rows change their rank, though no `pairs` are kept?
     """
 
     def __init__(
         self, ranks: Communicator, length: Array, pairs: bool, planes: Planes, taking: Array, surfaces: Surfaces, uniform: bool,
-        tolerance: float, timers: Timers, points: bool = False,
+        tolerance: float, timers: Timers, points: bool = False, migrating: bool = False,
     ):  # fmt: skip
         self.ranks, self.length = ranks if pairs else Communicator.alone(), length
         self.pairs, self.uniform, self.timers = pairs, uniform, timers
@@ -53,7 +54,8 @@ class PersistentContacts:
         surfaces = surfaces._replace(walls=surfaces.walls[taking])
         self.slow = SlowContacts(self.ranks, length, pairs, self.walls, surfaces, tolerance)
         self.kind = self.slow.kind
-        self.history = ContactHistory(self.ranks, length, len(self.walls), self.kind.columns, points)
+        self.migrating = migrating and ranks.size > 1
+        self.history = ContactHistory(ranks if self.migrating else self.ranks, length, len(self.walls), self.kind.columns, points)
         self.given: tuple[Array, Array] = np.empty(0, np.int64), np.empty(0)  # our rows, velocities given to them, but for drag
         self.undamped: Array | None = None  # see `keep`
         self.needs_memory = pairs or self.kind.rough  # of what contacts took, from one kick to the next
@@ -61,7 +63,8 @@ class PersistentContacts:
         self.totals = {"unconverged": 0}  # of this rank, which are counted for all by rank 0
 
     def keep(self, p: Particles, a: Array, h: float, undamped: Array | None = None) -> None:
-        """After a kick by accelerations a (n, d) in a step of h: velocities that keep slow contacts. Collective with pairs.
+        """After a kick by accelerations a (n, d) in a step of h: velocities that keep slow contacts. Collective with pairs,
+        and where rows are migrating.
 
         undamped (n,): which part drag has left of what constant forces gave in the kick (`Kick.undamped`). Contacts push all
         through the kick, as those do: so drag takes as much of what they give, as if masses were larger.
@@ -147,13 +150,15 @@ class PersistentContacts:
     def keep_on_walls(self, p: Particles, a: Array, h: float, rows: Array) -> None:
         """As `keep`, of rows that nothing but walls can hold: each by itself, to the end.
 
-        Smooth ones need no memory. Of rough ones friction at one wall may be all that presses them onto another.
+        Smooth ones need no memory. Of rough ones friction at one wall may be all that presses them onto another; what their
+        contacts took goes where rows go, which is collective where these are migrating.
         """
         history = self.history
-        if not len(rows):
+        if not self.kind.rough:
+            if len(rows):
+                self.give_back(p, rows, *self.walls.settle(p, a, h, rows, self.length))
+        elif not len(rows) and not self.migrating:
             history.forget()
-        elif not self.kind.rough:
-            self.give_back(p, rows, *self.walls.settle(p, a, h, rows, self.length))
         else:
             graph = ContactGraph(self.ranks, p, rows, np.zeros(len(p)), 0.0, self.length, pairs=False)
             took, local = history.taken_before(p, graph), self.local(p, a, h, graph)

@@ -76,7 +76,8 @@ def apply_contacts(axes, segments, spheres, hits, selected_partner, rules, activ
 
     Rows that changed, and rows with a hit that has to wait, are active in the next pass, and no others. `log` gets the owned rows
     of which this was the first contact. `counts` (4,) += collisions, wall hits and collisions that came late, each collision
-    counted by the owner of the lower id; so is its virial -r.dp, where that is wanted: else `virial` (owned,) is empty.
+    counted by the owner of the lower id. Its virial -r.dp, where that is wanted (else `virial` (owned,) is empty), is told to the
+    lower id, or to the other one if that is fixed.
     """
     x, v, start, last_partner = segments
     radius, w, ids, owned = spheres
@@ -121,8 +122,9 @@ def apply_contacts(axes, segments, spheres, hits, selected_partner, rules, activ
         if i < owned:
             counts[COLLISIONS] += 1
             counts[LATE] += is_late(time[p], r, radius[i], radius[j])
-            if len(virial):
-                virial[i] += given
+        told = i if w[i] > 0.0 else j  # of a pass, it has one contact only: no order changes a bit
+        if told < owned and len(virial):
+            virial[told] += given
     for p in range(found):
         selected_partner[active_rows[p]] = NOBODY
     active_number[0] = found

@@ -1,5 +1,6 @@
 """Scenes that a script makes and changes: what it keeps is its own, and what it changes is checked."""
 
+import numpy as np
 import pytest
 
 from particles_mpi import Run, Scene, SceneError, Simulation
@@ -36,6 +37,8 @@ CHANGES = {
     'time.integrator: "order4" goes back': lambda s: setattr(s.time, "integrator", "order4"),
     "time.steps: give one of time.end and time.steps": lambda s: setattr(s.time, "end", 1.0),
     "particles\\[0\\].position\\[0\\]: 1 components in dimension 3": lambda s: setattr(s, "dimension", 3),
+    "output.formats": lambda s: s.output.formats.append("hfd5"),
+    "effects.drag.rate: must be": lambda s: s.effects.update(drag={"rate": -1.0}),
     "particles\\[1\\].position: missing": lambda s: s.particles.append({"positon": [[2.0]]}),
 }
 
@@ -77,3 +80,25 @@ def test_a_folder_may_be_text(tmp_path):
     (tmp_path / "start.csv").write_text("0.5\n")
     tables = TABLES | {"particles": [{"position": {"file": "start.csv"}}], "effects": {}}
     assert Simulation(Scene.from_dict(tables, str(tmp_path))).particles.position.tolist() == [[0.5]]
+
+
+def test_steps_that_are_changed_are_those_of_the_default_between_frames():
+    """All of a shorter run, also if the scene had more steps, or fewer, when it was made."""
+    for first, then, every in ((20, 1000, 100), (1000, 50, 50)):
+        changed = Scene.from_dict(TABLES | {"time": {"step": 0.1, "steps": first}})
+        changed.time.steps = then
+        assert Simulation(changed).scene.output.every == every
+
+
+def test_what_numpy_gives_is_a_number_in_a_scene_too():
+    changed = scene()
+    changed.time.steps, changed.time.step = np.int64(7), np.float64(0.5)
+    sim = Simulation(changed)
+    assert sim.last_step == 7 and sim.h == 0.5
+
+
+def test_a_scene_that_was_not_changed_is_not_checked_twice():
+    one = scene()
+    assert one.checked() is one
+    one.output.every = 7
+    assert one.checked().output.every == 7
