@@ -6,8 +6,8 @@ The file is `effects/NAME.py` in this package, or a file of the user's that the 
     file = "magnetic.py"
     strength = [0.0, 0.0, 2.0]
 
-It holds two classes of its own, `Options` and `Effect`. `Options(EffectOptions)` has one field for each key of the scene's table and
-checks them. `Effect` derives from one of these kinds, which say when it acts:
+It holds two classes of its own, `Options` and `Effect`. `Options(EffectOptions)` has one field for each key of the scene's
+table and checks them. `Effect` derives from one of these kinds, which say when it acts:
 
 - `Force`: `add` adds to the acceleration of each particle, given the positions;
 - `VelocityFlow`: `advance` changes velocities at fixed positions, exactly, for instance a rotation in a magnetic field;

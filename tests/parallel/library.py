@@ -4,9 +4,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from mpi4py import MPI
 from random_scenes import random_tables
 
-from particles_mpi import Scene, Simulation
+from particles_mpi import Scene, SceneError, Simulation
 
 folder = Path(sys.argv[1])
 tables = {
@@ -43,6 +44,27 @@ met.append(("charge", bool((p.charge == p.id * 0.5).all()), away > 0 or roaming.
 roaming.to_json(folder / f"{roaming.ranks.size}.json")
 roaming.ranks.comm.Barrier()
 met.append(("json", Simulation.from_json(folder / f"{roaming.ranks.size}.json") == roaming))
+alone = Simulation(Scene.from_dict(tables), comm=MPI.COMM_SELF)
+again = Simulation(Scene.from_dict(tables))
+met.append(("the same on other ranks", again == alone, alone == again))
+if roaming.ranks.rank == roaming.ranks.size - 1:
+    alone.step()
+met.append(("a step later on the last rank", again == alone))
+mine = roaming.ranks.rank
+for what, change in {
+    "attach": lambda: again.attach("weight", np.arange(30.0) + mine),
+    "name": lambda: again.attach(f"weight{mine}", np.arange(30.0)),
+    "time": lambda: setattr(again, "time", "now" if mine else 1.0),
+    "option": lambda: setattr(again.effects["collisions"], "restitution", 7.0 if mine else 0.5),
+    "add": lambda: again.add([1.0] if mine else {"position": [[0.1, 0.1]]}),
+    "steps": lambda: again.run(folder / "none", steps="5" if mine else 5),
+}.items():  # told on all ranks, if it is not the same on all
+    if roaming.ranks.size > 1:
+        try:
+            change()
+        except SceneError:
+            continue
+        met.append(f"{what} may differ on ranks")
 everywhere = roaming.ranks.allgather(met)
 assert all(other == met for other in everywhere), everywhere
 if roaming.ranks.is_root:

@@ -42,6 +42,15 @@ def test_a_run_goes_on_from_its_checkpoint_in_its_own_folder_and_in_no_other(tmp
         resumed.run(tmp_path / "other")
 
 
+def test_a_simulation_does_not_go_on_in_a_folder_where_another_one_has(tmp_path):
+    simulation().run(tmp_path / "o", steps=20)
+    late = Simulation.resume(tmp_path / "o" / "checkpoint.h5")
+    Simulation.resume(tmp_path / "o" / "checkpoint.h5").run(tmp_path / "o")
+    with pytest.raises(SceneError, match="already holds a run"):
+        late.run(tmp_path / "o", steps=30)
+    assert len(Run(tmp_path / "o")) == 5
+
+
 def test_a_run_that_was_stopped_has_not_ended(tmp_path):
     sim = simulation()
     with pytest.raises(Exception, match="stopped at step"):
