@@ -180,6 +180,9 @@ class Populator:
         given, unread = columns_in(self.ranks, self.scene.folder / place["file"], self.scene.dimension)
         if unread:
             self.notes.append(f"particles[{number}].position: {unread}")
+        for name in given:
+            if name != "position" and getattr(population, name) not in (None, place):
+                self.notes.append(f"particles[{number}].{name}: that of the scene is taken, and not that in {place['file']}")
         return population.model_copy(update={name: place for name in given if getattr(population, name) is None})
 
     def count_of(self, number: int, population: Population, files: dict[str, Table]) -> int:

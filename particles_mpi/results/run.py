@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from contextlib import suppress
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 
 from particles_mpi.errors import SceneError
 from particles_mpi.output.read_frames import FrameReader
-from particles_mpi.particles import Array
+from particles_mpi.particles import BUILT_IN, Array
 from particles_mpi.results.frame import Frame
 
 ROTATION = "spin"  # the field with a component for each plane of two axes
@@ -73,7 +74,15 @@ class Run:
         values = self.frames.column(whole if whole in stored else shown, k)
         if values.ndim == 1 or self.dimension > 2:
             return values
-        return np.ascontiguousarray(values[:, 2:] if name == ROTATION else values[:, : self.dimension])
+        return np.ascontiguousarray(values[:, 2:] if self._turns(name) else values[:, : self.dimension])
+
+    def _turns(self, name: str) -> bool:
+        """Has a field a component for each plane of two axes? A column of an effect's file is as the file says."""
+        if name == ROTATION or name in BUILT_IN:
+            return name == ROTATION
+        with suppress(SceneError):
+            return name in (columns := self.scene.columns) and columns[name].rotation
+        return False
 
     def view(self) -> Any:
         """The page of `particles-mpi view` in a notebook: the last expression of a cell is shown."""

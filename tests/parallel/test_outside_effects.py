@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from conftest import run_ranks
 
-from particles_mpi import Scene, SceneError, Simulation, StoppedError
+from particles_mpi import Run, Scene, SceneError, Simulation, StoppedError
 
 OUTSIDE = Path(__file__).parent / "outside"
 BOX = """
@@ -344,3 +344,18 @@ def test_faults_of_an_effect_are_one_line(tmp_path, returned, says):
         written(tmp_path, faults=f"def faults(self, scene):\n        return {returned}")
     assert told.value.faults == [says]
     written(tmp_path, faults="def faults(self, scene):\n        pass")
+
+
+def test_a_column_with_a_component_for_each_plane_is_read_back(tmp_path):
+    (tmp_path / "turning.py").write_text(
+        "from particles_mpi.effects import Column, EffectOptions, Event, Needs\n\n\n"
+        "class Options(EffectOptions):\n    pass\n\n\n"
+        'class Effect(Event):\n    formula = "nothing"\n'
+        '    needs = Needs(columns={"twist": Column(rotation=True, default=2.5)})\n\n'
+        "    def act(self, particles, h):\n        return 0\n"
+    )
+    time, output = {"step": 0.1, "steps": 2}, {"every": 1, "formats": ["hdf5"]}
+    tables = {"dimension": 2, "time": time, "particles": [{"position": [[1.0, 1.0]]}], "output": output}
+    sim = Simulation(Scene.from_dict(tables | {"effects": {"turning": {"file": "turning.py"}}}, tmp_path))
+    sim.run(tmp_path / "o")
+    assert Run(tmp_path / "o")[-1].twist.tolist() == sim.particles.twist.tolist() == [[2.5]]

@@ -159,6 +159,13 @@ def test_a_file_of_places_gives_velocities_too_where_its_header_names_them(tmp_p
     assert "its header has vx and no vy" in faults({"position": {"file": "b.csv"}}, folder=tmp_path)
 
 
+def test_columns_that_the_scene_overrides_are_told(tmp_path):
+    (tmp_path / "a.csv").write_text("x,y,radius\n0.1,0.2,0.05\n0.5,0.6,0.05\n")
+    particles, warnings = start({"position": {"file": "a.csv"}, "radius": 0.01}, folder=tmp_path)
+    assert particles.radius.tolist() == [0.01, 0.01]
+    assert warnings == ["particles[0].radius: that of the scene is taken, and not that in a.csv"]
+
+
 @pytest.mark.parametrize("header", ["", "x,y\n"])
 def test_a_line_has_as_many_columns_as_the_first(tmp_path, header):
     """As it has more where a comma is meant to be a point."""
@@ -215,7 +222,7 @@ def test_a_file_of_places_gives_radii_and_masses_too_and_tells_what_is_not_read(
     for more, radius, mass in (({}, [0.03, 0.04], [2.0, 3.0]), ({"mass": 5.0, "radius": 0.01}, [0.01] * 2, [5.0] * 2)):
         particles, warnings = start(own | more, folder=tmp_path)
         assert particles.radius.tolist() == radius and particles.mass.tolist() == mass
-        assert len(warnings) == 1 and "columns colour of" in warnings[0]
+        assert len(warnings) == 1 + len(more) and "columns colour of" in warnings[0]
     (tmp_path / "b.csv").write_text("0.1,0.2,1,2\n")
     _, warnings = start({"position": {"file": "b.csv"}}, folder=tmp_path)
     assert len(warnings) == 1 and "a header tells what they hold" in warnings[0]
