@@ -45,9 +45,8 @@ FIELDS = {
     "orientation": Column(orientation=True),  # from that at the start
     # when it last met anyone or a wall, in mode event; -inf: never
     "contacted": Column(ghost=True, output=False, default=-np.inf),
-    "virial": Column(
-        output=False
-    ),  # -r.dp of its collisions so far, told to the lower id, or to one that is not fixed; for the observables
+    # -r.dp of its collisions so far, told to the lower id, or to the other one if that is fixed; for the observables
+    "virial": Column(output=False),
     "supported": Column("uint8", output=False),  # pressed onto something by forces: see contacts/persistent
     # of forces and lasting contacts, in this step
     "total_acceleration": Column(vector=True, ghost=True, output=False),

@@ -25,7 +25,8 @@ class Membership(State):
         Ids go on from the largest there ever was; attached fields may be given too, and are 0 if not. Raises SceneError, as at
         the start, for particles that cannot be: overlapping others, outside, ...
         """
-        same_on_all(self.ranks, {"add": python_values(population)})
+        given = dict(population) if isinstance(population, Mapping) else population
+        same_on_all(self.ranks, {"add": python_values(given)})
         if not isinstance(population, Mapping):
             raise TypeError(f"add: takes the keys of one [[particles]] table by name, and not {population!r:.60}")
         self.take_changes()

@@ -48,18 +48,9 @@ def keeper_of_contacts(effects: ActiveEffects, context: Context, p: Particles) -
     friction, resistance = surfaces(effects)[:, FRICTION], effects.rolling.resistance if effects.rolling else 0.0
     rough = Surfaces(float(friction[0]), friction[1:], resistance)
     return PersistentContacts(
-        context.ranks,
-        context.length,
-        pairs,
-        planes,
-        taking,
-        rough,
-        effects.uniform,
-        tolerance,
-        context.timers,
-        points,
+        context.ranks, context.length, pairs, planes, taking, rough, effects.uniform, tolerance, context.timers, points,
         migrating=effects.pairs is not None,
-    )
+    )  # fmt: skip
 
 
 def surfaces(effects: ActiveEffects) -> Array:

@@ -16,8 +16,6 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import FIELDS, Array
 
 MPI_IO_ERROR = re.compile(r"error in \(?p?\)?\(?(?:write|read)\(?v?\)?: *(.+)")
-
-
 FILE_PATIENCE = 10.0  # seconds that ranks wait for one another in parallel HDF5 and MPI-IO, after one of them has failed
 
 

@@ -57,7 +57,7 @@ class Job:
         known = identity_of(folder / "checkpoint.h5", self.ranks)
         own = known is not None and sim.saved == (folder.resolve(), sim.steps_done, known)
         self.resumed = resumed or (own and not overwrite)  # a simulation goes on with its own run
-        limit: Any = wall_time
+        limit: Any = wall_time  # a script may give anything
         options = {"output": str(folder), "steps": steps, "overwrite": overwrite, "resume": self.resumed}
         same_on_all(self.ranks, {f"--{name}": value for name, value in options.items()} | {"--wall-time": wall_time})
         self.last = sim.last_step if steps is None else whole_number("run: steps", steps)  # the step with which the job ends

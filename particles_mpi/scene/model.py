@@ -76,8 +76,9 @@ def was_changed(value: Any) -> bool:
     """Has a key of this table, or of one in it, been set since it was validated?"""
     if isinstance(value, Model):
         return value._changed or any(was_changed(inner) for _, inner in value)
-    tables = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    return any(was_changed(inner) for inner in tables if isinstance(inner, Model)) if tables else False
+    if isinstance(value, dict):
+        value = list(value.values())
+    return isinstance(value, list) and any(was_changed(inner) for inner in value if isinstance(inner, Model))
 
 
 def sealed(value: Any) -> Any:

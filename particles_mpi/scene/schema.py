@@ -2,6 +2,7 @@
 
 import sys
 import tomllib
+from operator import is_
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -96,7 +97,7 @@ class Scene(Model):
     particles: list[Population]
     effects: Annotated[dict[str, Any], BeforeValidator(validated_effects)] = Field(default_factory=dict)
     output: Output = Output()
-    _tables: list[Any] = PrivateAttr(default_factory=list)  # those that were validated
+    _validated: tuple[list[Any], list[Any]] = PrivateAttr(([], []))  # see `parts`
 
     def __init__(self, **tables: Any):
         try:
@@ -135,29 +136,23 @@ class Scene(Model):
 
         Numbers that were changed within a list are not looked at.
         """
-        if not was_changed(self) and self._tables == self.tables():
-            return self
+        if not was_changed(self):
+            (before, known), (now, there) = self._validated, self.parts()
+            if before == now and len(known) == len(there) and all(map(is_, known, there)):
+                return self
         output: Any = self.output
         if isinstance(output, Output):  # defaults follow what was changed
             output = output.model_dump(exclude_unset=True) | ({"formats": output.formats} if output.formats != FORMATS else {})
         return self.from_dict(self.to_dict() | {"output": output}, self.folder)
 
-    def tables(self) -> list[Any]:
-        """Which tables there are: the identities of those of particles, the effects, the formats of frames."""
-        return [
-            *map(id, self.particles),
-            *((name, id(options)) for name, options in self.effects.items()),
-            str(self.output.formats),
-        ]
+    def parts(self) -> tuple[list[Any], list[Any]]:
+        """What a script may put others in the place of without setting a key: names of effects and formats; tables."""
+        return [*self.effects, *self.output.formats], [*self.particles, *self.effects.values()]
 
     def to_dict(self) -> dict[str, Any]:
         """The tables that give this scene back; plain lists, numbers and text."""
-        plain: dict[str, Any] = {
-            "mode": "json",
-            "exclude_none": True,
-            "warnings": False,
-            "fallback": python_values,
-        }  # of what was changed
+        plain = dict[str, Any](mode="json", exclude_none=True)
+        plain |= {"warnings": False, "fallback": python_values}  # for values that a script has set, see `checked`
         tables = self.model_dump(**plain, exclude={"effects"})
         effects = {
             name: options if isinstance(options, dict) else options.model_dump(**plain) for name, options in self.effects.items()
@@ -220,7 +215,7 @@ class Scene(Model):
             faults.append("output.orientation: nothing turns spheres without friction in [effects.collisions] or [effects.walls]")
         if faults:
             raise ValueError("\n".join(faults))
-        self._tables, self.output._changed = self.tables(), False
+        self._validated, self.output._changed = self.parts(), False
         return self
 
     def effect_faults(self) -> list[str]:

@@ -102,3 +102,14 @@ def test_a_scene_that_was_not_changed_is_not_checked_twice():
     assert one.checked() is one
     one.output.every = 7
     assert one.checked().output.every == 7
+
+
+def test_a_table_in_the_place_of_another_one_is_checked_wherever_it_is_kept():
+    """Python may keep a new table where the old one was."""
+    for _ in range(50):
+        changed = scene()
+        kind = type(changed.particles[0])
+        changed.particles[0] = None
+        changed.particles[0] = kind(position=[[0.0, 0.0]])
+        with pytest.raises(SceneError, match="2 components in dimension 1"):
+            Simulation(changed)
