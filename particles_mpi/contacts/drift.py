@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from particles_mpi.contacts.closing_kick import ClosingKick
 from particles_mpi.contacts.rough import FRICTION
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.kernels.geometry import Box, wrap
@@ -85,8 +86,15 @@ class Drift:
         self.past_remarks: list[str] = []
         self.near: Any = None
         self.operator: Any = None
+        self.meeting: Any = None  # what does the contacts
         if effects.pairs:
             self.load_operator(effects.pairs, accelerations)
+        self.closing: ClosingKick | None = None
+        if effects.finishes_bounces:
+            self.meeting = self.operator or effects.walls
+            self.meeting.noting = True
+            normal = (effects.walls.planes if effects.walls else no_planes(rows.dimension)).normal
+            self.closing = ClosingKick(rows, context.ranks, context.length, normal)
 
     def load_operator(self, pairs: PairContacts, accelerations: Callable[[], Any]) -> None:
         """The collision operator that the scene names, and its search for neighbours."""
@@ -142,6 +150,8 @@ class Drift:
                 free_drift(p.position, p.velocity, h)
             happened = [0, 0, 0, 0]
             p.version += self.effects.pairs is not None  # what is known of neighbours does not hold any longer
+        if self.closing and contacts and self.meeting.last is not None:
+            self.closing.note(self.meeting.last, h)
         if before:  # the first hit of two particles is at the end; rows may have been put in another order
             ids, spin = before
             turn(p["orientation"], spin[rows_with(ids, p.id)], h)

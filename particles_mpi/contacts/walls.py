@@ -118,19 +118,19 @@ def meet_wall(axes, v, column, i, w, radius, inverse_mass, t, loss, normal, rate
 def bounce_until(axes, x, v, start, last_partner, i, radius, inverse_mass, h, planes, rates, rough):
     """Take row i through all its wall contacts up to time h.
 
-    Returns (their number, 1 if it gets nowhere, or 0): then it stays where it is until h, at its last contact.
+    Returns (their number, 1 if it gets nowhere, or 0: then it stays where it is until h, at its last contact; the last partner).
     """
     _, normal, restitution, velocity_factor, _, _, _ = planes
     hits, before = 0, start[i]
     while True:
         t, w = wall_contact(axes, x, v, np.int64(0), start[i], i, radius, last_partner, h, planes)
         if w < 0:
-            return hits, 0
+            return hits, 0, last_partner
         hits += 1
         if hits % BOUNCES == 0:
             if t - before < LEAST_TIME * h:
                 start[i] = h
-                return hits, 1
+                return hits, 1, last_partner
             before = t
         move_to(axes, x, v, start, i, t)
         loss = restitution[w], velocity_factor[w]
@@ -139,14 +139,16 @@ def bounce_until(axes, x, v, start, last_partner, i, radius, inverse_mass, h, pl
 
 
 @lean
-def drift_with_walls(axes, x, v, radius, inverse_mass, start, h, planes, rates, rough, reach, near):
+def drift_with_walls(axes, x, v, radius, inverse_mass, last, h, planes, rates, rough, reach, near):
     """x += v h, reflected by walls on the way. In place on x, v (n, d).
 
-    Returns how many hits there were, how many rows got nowhere, and how many are in `near`.
-    `inverse_mass` (n,), or no row where nothing depends on it. start (n,): room for the starts of the last segments. To `near`
-    (n,), if it has room, the rows that may be within `reach` of a wall at the end.
+    Returns how many hits there were, how many rows got nowhere, how many are in `near`, and how many in `last`.
+    `inverse_mass` (n,), or no row where nothing depends on it. last: room for the starts of the last segments (n,), and for
+    rows with hits, the walls of their last ones as -1 - wall, and the times of these, if that has room. To `near` (n,), if it has
+    room, the rows that may be within `reach` of a wall at the end.
     """
-    hits, missed, found = 0, 0, 0
+    start, last_row, last_wall, last_time = last
+    hits, missed, found, noted = 0, 0, 0, 0
     for i in range(len(x)):
         if not may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i] + reach, h, planes):  # far from all walls, as most are
             for k in range(len(axes)):
@@ -155,11 +157,30 @@ def drift_with_walls(axes, x, v, radius, inverse_mass, start, h, planes, rates, 
         start[i] = 0.0
         if may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i], h, planes):
             w = inverse_mass[i] if len(inverse_mass) > 0 else 1.0
-            more, stuck = bounce_until(axes, x, v, start, np.int64(NOBODY), i, radius[i], w, h, planes, rates, rough)
+            more, stuck, wall = bounce_until(axes, x, v, start, np.int64(NOBODY), i, radius[i], w, h, planes, rates, rough)
             hits, missed = hits + more, missed + stuck
+            if more > 0 and len(last_row) > 0:
+                last_row[noted], last_wall[noted], last_time[noted] = i, wall, start[i]
+                noted += 1
         for k in range(len(axes)):
             x[i, k] += v[i, k] * (h - start[i])
         if len(near) > 0:
             near[found] = i
             found += 1
-    return hits, missed, found
+    return hits, missed, found, noted
+
+
+@lean
+def finish_bounces(v, before, after, row, wall, time, number, h, normal):
+    """The first `number` of rows, whose last contact in a drift over h was with a wall: what `closing_kick` gives them.
+
+    before, after (n, d): accelerations at the start of the drift, and at its end; wall: as -1 - wall. In place on v (n, d).
+    """
+    for p in range(number):
+        i, w = row[p], -1 - wall[p]
+        lacking = 0.0
+        for k in range(v.shape[1]):
+            lacking += (after[i, k] - before[i, k]) * normal[w, k]
+        lacking *= time[p] ** 2 / h
+        for k in range(v.shape[1]):
+            v[i, k] -= lacking * normal[w, k]

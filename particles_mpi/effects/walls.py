@@ -4,6 +4,7 @@ from math import inf
 
 import numpy as np
 
+from particles_mpi.contacts.closing_kick import LastContacts
 from particles_mpi.contacts.law import loss
 from particles_mpi.contacts.rough import Rough, takes_energy
 from particles_mpi.contacts.velocity_flow import Rates
@@ -91,5 +92,9 @@ class Effect(WallContacts):
         d, spin = p.dimension, p.arrays.get("spin", np.empty((0, 1)))
         rough = Rough(spin, p.inverse_inertia, self.law, np.empty(d), np.empty(d))
         nobody = np.empty(0, np.int64)  # who ends near walls is not asked
-        hits, missed, _ = drift_with_walls(axes, *fields, np.empty(len(p)), h, tuple(self.planes), rates, rough, 0.0, nobody)
+        n = len(p) if self.noting else 0
+        row, wall, time = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n)
+        last = np.empty(len(p)), row, wall, time
+        hits, missed, _, noted = drift_with_walls(axes, *fields, last, h, tuple(self.planes), rates, rough, 0.0, nobody)
+        self.last = LastContacts(row[:noted], wall[:noted], time[:noted], nobody, np.empty((0, d)))
         return hits, missed

@@ -10,7 +10,7 @@ from particles_mpi.contacts.persistent.on_walls import settle_on_walls
 from particles_mpi.contacts.persistent.rows import hand_over
 from particles_mpi.contacts.rough import Rough
 from particles_mpi.contacts.velocity_flow import Rates
-from particles_mpi.contacts.walls import drift_with_walls
+from particles_mpi.contacts.walls import drift_with_walls, finish_bounces
 from particles_mpi.gravity.direct import attract_few
 from particles_mpi.integrators.collocation import END, FORCES, STUCK, begin, copy, go_on
 from particles_mpi.kernels.geometry import wrap
@@ -84,7 +84,7 @@ class Space(NamedTuple):
     lower: Array  # (d,): of the box
     upper: Array
     length: Array
-    start: Array  # (n,): room for the times at which segments start
+    last: tuple[Array, Array, Array, Array]  # of `drift_with_walls`; room for hits only where the closing kick finishes bounces
     smooth: Rough  # for walls, which are not rough here
     reach: float  # rows that may be so near to walls are found, if contacts with walls last
     on_walls: OnWalls
@@ -176,17 +176,17 @@ def set_rates(axes, bodies, space, before, pushed, t_mid):
 @in_place
 def move(axes, bodies, space, strength, h, t_mid):
     """The drift of `Drift.advance`, without pairs; returns what `drift_with_walls` does, of rows in `on_walls.near`."""
-    hits, missed, near = 0, 0, 0
+    hits, missed, near, noted = 0, 0, 0, 0
     if space.bounded:
         rates = Rates(space.rates, bodies.drag, strength, t_mid)
         fields = bodies.x, bodies.v, bodies.radius, bodies.inverse_mass
-        hits, missed, near = drift_with_walls(
-            axes, *fields, space.start, h, space.planes, rates, space.smooth, space.reach, space.on_walls.near
+        hits, missed, near, noted = drift_with_walls(
+            axes, *fields, space.last, h, space.planes, rates, space.smooth, space.reach, space.on_walls.near
         )
     else:
         free_drift(bodies.x, bodies.v, h)
     wrap(bodies.x, space.lower, space.upper, space.length)
-    return hits, missed, near
+    return hits, missed, near, noted
 
 
 @in_place
@@ -223,7 +223,7 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
     Returns (steps done, wall hits, how often a row had no room, sums of forces, are the forces in `bodies.total` those of the
     present places?).
     """
-    hits, missed, sums, known = 0, 0, 0, True
+    hits, missed, sums, known, noted = 0, 0, 0, True, 0
     before, near, pushed = -1, -1, 0
     resting = 0
     for step in range(1, steps + 1):
@@ -249,11 +249,13 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
                 if space.own_rates:
                     set_rates(axes, bodies, space, before, pushed, 0.5 * h)
                     before = pushed
-                hit, stuck, near = move(axes, bodies, space, losses.strength, drifted, 0.5 * h)
+                hit, stuck, near, noted = move(axes, bodies, space, losses.strength, drifted, 0.5 * h)
                 hits, missed = hits + hit, missed + stuck
                 known = not forces.attracts
             if scheme.taylor:
                 kick(bodies.v, rate, kicked)
+        if noted > 0:
+            finish_bounces(bodies.v, space.rates, bodies.total, *space.last[1:], noted, h, space.planes[1])
         spent = budget.step * step + HIT * hits + ON_WALLS * resting
         if spent >= budget.most or (step >= watch and (step - watch) % WATCH_EVERY == 0 and invalid(axes, bodies, space)):
             return step, hits, missed, sums, known

@@ -185,7 +185,9 @@ class ManySteps:
         on_walls = self.on_walls_of(p)
         reach = self.persistent.walls.reach(p.fixed, p[SUM], h) if on_walls.kept and n else 0.0
         smooth = no_spins(d, np.zeros((1 + len(planes.point), 2)))
-        space = Space(tuple(planes), bool(effects.walls), a, own, *box, np.empty(n), smooth, reach, on_walls)
+        noting = n if effects.finishes_bounces else 0
+        last = np.empty(n), np.empty(noting, np.int64), np.empty(noting, np.int64), np.empty(noting)
+        space = Space(tuple(planes), bool(effects.walls), a, own, *box, last, smooth, reach, on_walls)
         return RowsTogether(bodies, self.forces_on(p), self.losses_of(p, h), space)
 
     def forces_on(self, p: Particles) -> Forces:

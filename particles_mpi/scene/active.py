@@ -63,6 +63,14 @@ class ActiveEffects:
         return known and not (self.on_velocities or self.events or self.lossy)
 
     @property
+    def finishes_bounces(self) -> bool:
+        """Does the closing kick give something to contacts (`contacts.closing_kick`)? To elastic ones, under forces alone, which
+        depend on places."""
+        depends = any(force.place_dependent for force in self.forces.values())
+        contacts = self.integrator == "leapfrog" and bool(self.pairs or self.walls)
+        return depends and contacts and not (self.lossy or self.rough or self.on_velocities or self.events)
+
+    @property
     def lossy(self) -> bool:
         """Do contacts take energy? Particles can crowd together then, and have many contacts in a step."""
         return any(contact.lossy for contact in (self.pairs, self.walls) if contact is not None)

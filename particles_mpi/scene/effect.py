@@ -174,13 +174,15 @@ class ConstantFriction(Effect):
 
 class WallContacts(Effect):
     """`planes` that particles bounce off. lossy: does a bounce take energy? taking (w,): at which of them;
-    surfaces: (mu, beta_0) of each, see `contacts.rough`."""
+    surfaces: (mu, beta_0) of each, see `contacts.rough`. noting: does `last` tell the `LastContacts` of each drift?"""
 
     role = "event"
     planes: Any
     lossy: bool
     taking: Any
     surfaces: list[tuple[float, float]]
+    noting = False
+    last: Any = None
 
     def drift(self, particles: Particles, h: float, rates: Any) -> tuple[int, int]:
         """Drift over h with walls alone, while velocities change by `rates`. Purely local.

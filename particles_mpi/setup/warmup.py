@@ -100,6 +100,7 @@ def rewind(d: int, ranks: Communicator) -> None:
     run(ranks, d, {"collisions": {}, "drag": {"rate": 0.1}}, periodic=True)
     run(ranks, d, {"uniform_gravity": down(d), "friction": {"strength": 0.1}} | lossy)
     run(ranks, d, {"mutual_gravity": {}} | lossy)
+    run(ranks, d, {"mutual_gravity": {}, "collisions": {}, "walls": {}})
     crowd = [{"count": 2, "position": [[1.0] * d, [1.1] * d], "radius": 0.3}, {"position": [[2.0] * d], "radius": 0.3}]
     run(ranks, d, {"collisions": {"allow_overlap": True}, "walls": {}}, particles=crowd)
     lasting = {"uniform_gravity": down(d), "collisions": {"restitution": 0.9}}

@@ -499,6 +499,19 @@ SCENES["rough columns that stand still, and are hit"] = dict(
     },
     large=True,
 )
+BOUNCING = "elastic discs that attract one another, among fixed ones and walls"
+SCENES[BOUNCING] = dict(
+    dimension=2,
+    G=1.0,
+    box={"lower": [0, 0], "upper": [4, 4]},
+    time={"step": 0.02, "steps": 40},
+    particles=[
+        {"position": [[1.0, 1.0], [3.0, 2.0], [2.0, 3.2]], "radius": 0.3, "mass": 2.0, "fixed": True},
+        {"count": 100, "position": "random", "radius": 0.08, "velocity": {"speed": 1.0}, "mass": {"min": 0.0, "max": 0.3}},
+    ],
+    effects={"mutual_gravity": {}, "collisions": {"mode": "event"}, "walls": {}},
+)
+SCENES[f"{BOUNCING}, by passes"] = SCENES[BOUNCING] | {"effects": {"mutual_gravity": {}, "collisions": {}, "walls": {}}}
 WINDOWS = [name for name in SCENES if SCENES[name]["effects"].get("collisions", {}).get("mode") == "event" and name != LARGE]
 SCENES |= {name + IN_WINDOWS: SCENES[name] | {"windows": True, "few": 0} for name in WINDOWS}
 SCENES |= {

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from particles_mpi.contacts.closing_kick import LastContacts
 from particles_mpi.contacts.event_driven.calendar_queue import LIST_EXPIRY, NO_EVENT, NODE, PARTNER, Queue, sort_present
 from particles_mpi.contacts.event_driven.event_loop import (
     COLLISIONS,
@@ -19,6 +20,7 @@ from particles_mpi.contacts.event_driven.rows import (
     GHOST,
     ID,
     LAST_CONTACT,
+    LAST_PARTNER,
     NOT_HERE,
     OWN,
     OWNERSHIP,
@@ -33,9 +35,10 @@ from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.velocity_flow import Rates, no_rates
 from particles_mpi.errors import StateError
 from particles_mpi.kernels.geometry import Box
-from particles_mpi.kernels.markers import RADIUS
+from particles_mpi.kernels.markers import NOBODY, RADIUS
 from particles_mpi.kernels.memory import aligned, doubled, enlarged
 from particles_mpi.kernels.planes import Planes
+from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS
 from particles_mpi.neighbours.verlet_lists import VerletLists
 from particles_mpi.parallel.signals import check_signals
 from particles_mpi.particles import Array, Particles
@@ -180,6 +183,15 @@ class Engine:
         self.events = int(counts[COLLISIONS] + counts[WALL_HITS] + counts[EXPIRIES])
         self.ahead = FLIGHT_AHEAD / (1.0 + TURNING * counts[COLLISIONS] / max(counts[EXPIRIES], 1))
         return int(squeezed)
+
+    def last_contacts(self, own_rows: Array, moment: float) -> LastContacts:
+        """Those of own rows in the drift that began at `moment` and has ended; particle r in row own_rows[r]."""
+        state, reference, d = self.rows.state, self.lists.arrays.reference, len(self.axes)
+        fixed = (reference[:, d + INVERSE_MASS] == 0.0) & (state[:, OWNERSHIP] != NOT_HERE)
+        moved = np.flatnonzero((state[own_rows, LAST_PARTNER] != NOBODY) & ~fixed[own_rows])
+        rows = own_rows[moved]
+        times = self.rows.reals[rows, LAST_CONTACT] - moment
+        return LastContacts(moved, state[rows, LAST_PARTNER], times, state[fixed, ID], self.rows.segment[fixed, :d])
 
     def write_back(self, p: Particles, own_rows: Array) -> None:
         """Particle r of p as row own_rows[r] is."""

@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from particles_mpi.contacts.closing_kick import no_contacts
 from particles_mpi.contacts.event_driven.engine import NAMED, NEVER_CROWDED, Engine
 from particles_mpi.contacts.event_driven.event_loop import HIGHER, LOWER, TC_ELASTIC
 from particles_mpi.contacts.event_driven.jams import Collapse
@@ -85,6 +86,7 @@ class EventDriven:
         self.pause, self.next_pause = 0, 1  # drifts that every rank computes as a whole, after windows that did not pay
         self.stop, self.stopped = np.array([0, -1, -1]), np.zeros(1)
         self.hold = hold
+        self.noting, self.last = False, no_contacts(particles.dimension)  # does `last` tell the last contacts of a drift?
         self.parts: list[Whole | Windows] = []  # what has been needed so far
 
     @cached_property
@@ -158,11 +160,15 @@ class EventDriven:
             if in_windows is not None:
                 self.next_pause = 1
                 self.count_tc_elastic(moment, windows.engine)
+                if self.noting:
+                    self.last = windows.engine.last_contacts(windows.partition.own_rows, moment)
                 return in_windows
             self.pause, self.next_pause = self.next_pause, min(2 * self.next_pause, LONGEST_PAUSE)
         engine = self.whole.engine
         engine.set_step(*step)
         happened = self.whole.drift(h, moment, stop)
+        if self.noting:
+            self.last = engine.last_contacts(self.whole.rows_of_rank(), moment)
         if self.divided:
             self.windows.engine.events = engine.events // self.ranks.size  # what a rank has to expect
         self.stop[:], self.stopped[:] = engine.work.stop, engine.work.stopped

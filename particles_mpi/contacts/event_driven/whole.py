@@ -57,6 +57,10 @@ class Whole:
             self.replica.write_back()
         return np.array([engine.work.counts[COLLISIONS], engine.work.counts[WALL_HITS], squeezed])
 
+    def rows_of_rank(self) -> Array:
+        """Where the particles of this rank are among all."""
+        return self.own_rows if self.ranks.size == 1 else self.replica.row_of[self.replica.particles.id]
+
     def check(self, speed: float, moment: float) -> None:
         """Raise where the largest speed shows that a number is not finite."""
         require_finite(self.ranks, self.particles, speed, f"t = {moment:g}")

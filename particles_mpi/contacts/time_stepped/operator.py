@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from particles_mpi.contacts.closing_kick import LastContacts, no_contacts
 from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.rough import Rough
 from particles_mpi.contacts.time_stepped.contact_search import NOTICEABLE, deepest_overlap, find_contacts, find_wall_hits
@@ -69,6 +70,7 @@ class Rewind:
         self.walls = len(self.planes[0]) > 0
         self.drifts, self.dense_steps, self.too_fast = 0, 0, False
         self.collisions, self.late_collisions = 0, 0
+        self.noting, self.last = False, no_contacts(len(near.axes))  # does `last` tell the last contacts of a drift?
         self.searches = -1  # the search of `near` that the arrays by row belong to
 
     def drift(self, h: float, moment: float, rates: Rates) -> Array:
@@ -100,6 +102,8 @@ class Rewind:
                 self.undo()
                 travel = max(far.travel, 1.2 * travel)
                 near.search(h, travel)
+        if self.noting:
+            self.last = self.last_contacts()
         with self.timers("drift"):
             near.advance(h)
             self.forget_contacts()
@@ -250,6 +254,14 @@ class Rewind:
             left = self.find(h, False)
         counts[MISSED] = stuck + np.count_nonzero((left.second >= 0) & (left.first < near.spheres.owned))
         return needed
+
+    def last_contacts(self) -> LastContacts:
+        """Those of owned rows in this drift."""
+        near, rows = self.near, self.log.rows[: self.log.number[0]].astype(np.int64)
+        fixed = np.flatnonzero(near.spheres.inverse_mass == 0.0)
+        return LastContacts(
+            rows, near.segments.last_partner[rows], near.segments.start[rows], near.spheres.id[fixed], near.x[fixed]
+        )
 
     def undo(self) -> None:
         """Owned rows go back to where they were before their contacts in this drift."""

@@ -200,8 +200,9 @@ def finish_walls(axes, segments, spheres, hits, h, rules, active, log):
             found = activate(np.int64(b[p]), is_active, active_rows, found)
             continue
         note_start(segments, rough.spin, i, owned, log)
-        more, stuck = bounce_until(axes, x, v, start, last_partner[i], i, radius[i], w[i], h, planes, rates, rough)
+        more, stuck, last_partner[i] = bounce_until(
+            axes, x, v, start, last_partner[i], i, radius[i], w[i], h, planes, rates, rough
+        )
         count, missed = count + more, missed + stuck
-        last_partner[i] = b[p]
     active_number[0] = found
     return count, missed
