@@ -37,12 +37,6 @@ class LastContacts(NamedTuple):
     fixed_places: Array  # (f, d)
 
 
-def no_contacts(dimension: int) -> LastContacts:
-    """Nobody met anybody."""
-    nobody = np.empty(0, np.int64)
-    return LastContacts(nobody, nobody, np.empty(0), nobody, np.empty((0, dimension)))
-
-
 class ClosingKick:
     """Remembers the contacts of a drift until the accelerations at its end are known."""
 
@@ -58,7 +52,7 @@ class ClosingKick:
     def note(self, last: LastContacts, h: float) -> None:
         """These were the last contacts of a drift over h, at the end of which the rows are now."""
         p, (row, partner, time, fixed_ids, fixed_places) = self.rows, last
-        self.h, walls, pairs = h, partner < 0, partner >= 0
+        self.h, walls, pairs = h or 1.0, partner < 0, partner >= 0  # in no time nothing is lacking
         self.on_walls = row[walls], partner[walls], time[walls]
         self.in_pairs, partner, time = row[pairs], partner[pairs], time[pairs]
         ids, place = p.id[self.in_pairs], p.position[self.in_pairs] - p.velocity[self.in_pairs] * (h - time)[:, None]

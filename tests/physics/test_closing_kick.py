@@ -50,3 +50,14 @@ def test_energy_does_not_drift(name, mode):
     np.testing.assert_allclose(energies, energies[0], rtol=0.0, atol=bound)
     if not walls and not sim.particles.fixed.any():
         np.testing.assert_allclose(momenta, [momenta[0]] * 41, rtol=0.0, atol=1e-13)
+
+
+def test_a_step_that_ends_with_its_first_moment():
+    """Spheres that touch and approach meet at once; a drift in no time gives nothing to a closing kick."""
+    touching = [body((0.0, 0.0), (2.0, 0.0), velocity=[[1.0, 0.0], [-1.0, 0.0]], radius=1.0)]
+    effects = {"mutual_gravity": {}, "collisions": {"mode": "event"}}
+    tables = {"dimension": 2, "G": 1.0, "time": {"step": 0.01, "steps": 1}, "particles": touching, "effects": effects}
+    sim = Simulation(Scene.from_dict(tables))
+    assert sim.step_to_collision() == (0, 1)
+    assert sim.time == 0.0
+    np.testing.assert_array_equal(sim.particles.velocity, [[-1.0, 0.0], [1.0, 0.0]])

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from particles_mpi.contacts.closing_kick import no_contacts
+from particles_mpi.contacts.closing_kick import LastContacts
 from particles_mpi.contacts.event_driven.engine import NAMED, NEVER_CROWDED, Engine
 from particles_mpi.contacts.event_driven.event_loop import HIGHER, LOWER, TC_ELASTIC
 from particles_mpi.contacts.event_driven.jams import Collapse
@@ -86,7 +86,8 @@ class EventDriven:
         self.pause, self.next_pause = 0, 1  # drifts that every rank computes as a whole, after windows that did not pay
         self.stop, self.stopped = np.array([0, -1, -1]), np.zeros(1)
         self.hold = hold
-        self.noting, self.last = False, no_contacts(particles.dimension)  # does `last` tell the last contacts of a drift?
+        self.noting = False  # does `last` tell the last contacts of each drift?
+        self.last: LastContacts | None = None
         self.parts: list[Whole | Windows] = []  # what has been needed so far
 
     @cached_property

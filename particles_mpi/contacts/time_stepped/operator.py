@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from particles_mpi.contacts.closing_kick import LastContacts, no_contacts
+from particles_mpi.contacts.closing_kick import LastContacts
 from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.rough import Rough
 from particles_mpi.contacts.time_stepped.contact_search import NOTICEABLE, deepest_overlap, find_contacts, find_wall_hits
@@ -70,7 +70,8 @@ class Rewind:
         self.walls = len(self.planes[0]) > 0
         self.drifts, self.dense_steps, self.too_fast = 0, 0, False
         self.collisions, self.late_collisions = 0, 0
-        self.noting, self.last = False, no_contacts(len(near.axes))  # does `last` tell the last contacts of a drift?
+        self.noting = False  # does `last` tell the last contacts of each drift?
+        self.last: LastContacts | None = None
         self.searches = -1  # the search of `near` that the arrays by row belong to
 
     def drift(self, h: float, moment: float, rates: Rates) -> Array:
