@@ -153,6 +153,20 @@ MUTATIONS = (
         "                pass\n",
         ("tests/unit",),
     ),
+    Mutation(
+        "bounces get nothing from the closing kick",
+        "contacts/closing_kick.py",
+        "        p.velocity[rows] += by[: len(rows)]\n",
+        "",
+        ("tests/physics/test_closing_kick.py",),
+    ),
+    Mutation(
+        "partners on two ranks get nothing from the closing kick",
+        "contacts/closing_kick.py",
+        "            by[~met] = self.across_ranks",
+        "            by[~met] *= self.across_ranks",
+        ("tests/parallel/test_same_bits.py", "-k", "elastic and attract and -2"),
+    ),
 )
 
 
