@@ -6,13 +6,14 @@ the drift and a1 at its end, and the velocity v of its middle, that is
     v(t) = v + a0 (t - h/2) + (a1 - a0) t^2/(2 h),
 
 and so it is seen from both ends: the rule is the same backwards in time. But a1 is known after the drift only. So a contact is
-computed with a0 (`velocity_flow`), and by as much as its impulse along the unit normal n then lacks,
+computed with a0 (`velocity_flow`), and lacks the last term; an elastic one along the unit normal n, that reverses the velocity of
+one partner relative to the other, lacks twice as much of its impulse,
 
-    -mu (n.(a1 - a0) t^2/h) n,    a: of one partner minus that of the other, mu: their reduced mass,
+    -mu (n.(a1 - a0) t^2/h) n,    a: of one partner minus that of the other, mu: their reduced mass.
 
-both get it in the closing kick. Without it all bounces err to one side, and the energy drifts with their number. Nothing is
-given where accelerations do not change. Given it is to the last contact of a particle in a drift, if it is the last one of its
-partner too.
+Both get it in the closing kick. Without it all bounces err to one side, and the energy drifts with their number. Nothing is given
+where accelerations do not change. What gets it is the last contact of a particle in a drift, if it is the last one of its partner
+too.
 """
 
 from __future__ import annotations
