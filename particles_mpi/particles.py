@@ -50,6 +50,7 @@ FIELDS = {
     "supported": Column("uint8", output=False),  # pressed onto something by forces: see contacts/persistent
     # of forces and lasting contacts, in this step
     "total_acceleration": Column(vector=True, ghost=True, output=False),
+    "free_acceleration": Column(vector=True, output=False),  # of forces alone, where lasting contacts push too
     "rate": Column(vector=True, output=False),  # dv/dt at the start of a `taylor` step
 }
 RUN_MADE = tuple(name for name, column in FIELDS.items() if not column.output)  # fields that a run fills by itself
@@ -58,6 +59,9 @@ USER = Column("", output=False)  # any other name: data of the user's, of any ty
 ALWAYS = ("id", "position", "velocity", "radius", "mass", "fixed")
 # Fields that decide who meets whom, with what outcome
 MEETING = ("position", "velocity", "radius", "mass", "fixed", "drag", "spin", "moment_of_inertia", "contacted", "virial")
+
+
+OWN = {"dimension", "arrays", "version", "edition"}  # attributes of `Particles` that are no fields
 
 
 class Particles:
@@ -84,6 +88,20 @@ class Particles:
         except KeyError:
             raise AttributeError(f"these particles have no field {name!r}") from None
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        """`particles.velocity *= 0.9`, and any values for a field, go into its array, which others hold too."""
+        if name in OWN:
+            object.__setattr__(self, name, value)
+        elif name in self.arrays:
+            self[name] = value
+        else:
+            raise AttributeError(f"these particles have no field {name!r}")
+
+    def __setitem__(self, name: str, values: Any) -> None:
+        column = self.arrays[name]
+        if values is not column:  # else they are there already
+            column[...] = values
+
     def select(self, rows: Array) -> Particles:
         """A copy of the rows (indices), in that order."""
         return Particles(self.dimension, rows_of(self.arrays, rows))
@@ -100,7 +118,7 @@ class Particles:
     def change(self, values: dict[str, Array]) -> None:
         """New values (n, ...) of some fields. Fixed particles have no velocity: any that is given to them is taken away."""
         for name, value in values.items():
-            self.arrays[name][...] = value
+            self[name] = value
         self.hold_fixed()
         self.edition += 1
         self.version += not values.keys().isdisjoint(MEETING)

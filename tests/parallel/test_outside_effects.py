@@ -359,3 +359,16 @@ def test_a_column_with_a_component_for_each_plane_is_read_back(tmp_path):
     sim = Simulation(Scene.from_dict(tables | {"effects": {"turning": {"file": "turning.py"}}}, tmp_path))
     sim.run(tmp_path / "o")
     assert Run(tmp_path / "o")[-1].twist.tolist() == sim.particles.twist.tolist() == [[2.5]]
+
+
+def test_particles_have_their_fields_and_no_other():
+    """Values for a field, and `*=`, go into the array that the program has; a misspelt name is told."""
+    p = Simulation(scene({})).rows
+    velocity = p.velocity
+    p.velocity *= 0.5
+    p.radius = 0.25
+    assert p.velocity is velocity and velocity.tolist() == [[0.5, 0.25, 0.25]] and p["radius"].tolist() == [0.25]
+    with pytest.raises(AttributeError, match="no field 'velocty'"):
+        p.velocty = 1.0
+    with pytest.raises(ValueError, match="broadcast"):
+        p.mass = [1.0, 2.0]

@@ -2,6 +2,7 @@
 
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field
 
 from particles_mpi.effects import Column, EffectOptions, Event, Needs
@@ -25,6 +26,6 @@ class Effect(Event):
         after = particles.position[:, 0] - self.place
         before = after - particles.velocity[:, 0] * h
         through = (before < 0.0) != (after < 0.0)
-        particles["crossings"][through] += 1
-        particles.velocity[through] *= self.kept
+        particles["crossings"] += through
+        particles.velocity *= np.where(through, self.kept, 1.0)[:, None]
         return int(through.sum())
