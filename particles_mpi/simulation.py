@@ -88,8 +88,6 @@ class Simulation(Saved):
             self.drift.advance(length, self.time, rates, contacts, stop)
 
         self.integrator.advance(self.rows, h, drift)
-        if self.drift.closing:
-            self.drift.closing.finish(self.accelerations.total)
         for name in self.active.on_velocities:
             self.calls[name] += 2
 

@@ -107,7 +107,7 @@ class State:
         self.accelerations = Accelerations(effects.forces, ranks, scene.dimension, self.calls, done)
         self.forces, self.g = self.accelerations.forces, self.accelerations.g
         self.kick = Kick(effects, self.sum_forces, self.timers)
-        self.integrator = integrator_of(scene, ranks, self.kick, self.persistent)
+        self.integrator = integrator_of(scene, ranks, self.kick, self.persistent, self.drift.closing)
         self.look_for_many_steps()
         self.known_edition = p.edition
         self.particles.open()

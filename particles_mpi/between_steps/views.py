@@ -18,7 +18,7 @@ from particles_mpi.scene.effect import EffectOptions, faults_in
 from particles_mpi.scene.model import faults_of, python_values
 from particles_mpi.scene.schema import Scene
 
-READ_ONLY = ("id", "rate", "total_acceleration")
+READ_ONLY = ("id", "rate", "total_acceleration", "free_acceleration")
 GUARDED = 8  # arrays of earlier steps that are looked after, in case somebody writes into them
 
 

@@ -1,28 +1,31 @@
-"""What the closing kick of a step gives to elastic contacts in its drift, under forces that depend on the place.
+"""What the closing kick of a step gives to contacts in its drift, under forces that depend on the place.
 
-A contact at time t of a drift over h reflects the velocity that its partners have then. With the accelerations a0 at the start of
-the drift and a1 at its end, and the velocity v of its middle, that is
+A contact at time t of a drift over h takes place between the velocities that its partners have then. With the accelerations a0 at
+the start of the drift and a1 at its end, and the velocity v of its middle, that is
 
     v(t) = v + a0 (t - h/2) + (a1 - a0) t^2/(2 h),
 
 and so it is seen from both ends: the rule is the same backwards in time. But a1 is known after the drift only. So a contact is
-computed with a0 (`velocity_flow`), and lacks the last term; an elastic one along the unit normal n, that reverses the velocity of
-one partner relative to the other, lacks twice as much of its impulse,
+computed with a0 (`velocity_flow`), and lacks the last term. Both partners get what the impulse lacks in the closing kick,
 
-    -mu (n.(a1 - a0) t^2/h) n,    a: of one partner minus that of the other, mu: their reduced mass.
+    -(1 + e) mu (n.u) n,    u = (a1 - a0) t^2/(2 h),    a: of one partner minus that of the other, mu: their reduced mass,
 
-Both get it in the closing kick. Without it all bounces err to one side, and the energy drifts with their number. Nothing is given
-where accelerations do not change. What gets it is the last contact of a particle in a drift, if it is the last one of its partner
-too.
+with the unit vector n between their centres; and rough ones that stick for any impulse what it lacks across n, as in `rough`.
+Without it all bounces err to one side, and the energy drifts with their number. It is given at the places at the end of the
+drift, so that angular momentum is kept, and nothing where accelerations do not change. What gets it is the last contact of a
+particle in a drift, if it is the last one of its partner too.
 """
 
 from __future__ import annotations
 
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
 
+from particles_mpi.contacts.rough import FRICTION, TANGENTIAL, plane_of
 from particles_mpi.contacts.walls import finish_bounces
+from particles_mpi.kernels.planes import Planes
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import by_destination, send_rows
 from particles_mpi.particles import Array, Particles, row_dot
@@ -34,85 +37,129 @@ class LastContacts(NamedTuple):
     row: Array  # (m,)
     partner: Array  # (m,): an id, or a wall as -1 - wall
     time: Array  # (m,): since the start of the drift
-    fixed_ids: Array  # (f,) of the fixed particles that are known here
-    fixed_places: Array  # (f, d)
+    fixed: dict[str, Array]  # "id" (f,), "place" (f, d) and "radius" (f,) of the fixed particles that are known here
 
 
 class ClosingKick:
     """Remembers the contacts of a drift until the accelerations at its end are known."""
 
-    def __init__(self, rows: Particles, ranks: Communicator, length: Array, normal: Array):
-        """length (d,): of the box on periodic axes, 0 on others; normal (walls, d): of walls."""
-        self.rows, self.ranks, self.length, self.normal = rows, ranks, length, normal
+    def __init__(self, rows: Particles, ranks: Communicator, length: Array, planes: Planes, restitution: float, law: Array):
+        """length (d,): of the box on periodic axes, 0 on others; restitution: of pairs; law: see `contacts.rough.Rough`."""
+        self.rows, self.ranks, self.length, self.planes = rows, ranks, length, planes
+        self.restitution, self.law = np.append(restitution, planes.restitution), law
+        self.rough = bool((law[:, FRICTION] > 0.0).any())
         self.forget()
 
     def forget(self) -> None:
         """There was no contact."""
-        self.on_walls: tuple[Array, ...] | None = None
+        self.last: LastContacts | None = None
 
     def note(self, last: LastContacts, h: float) -> None:
         """These were the last contacts of a drift over h, at the end of which the rows are now."""
-        p, (row, partner, time, fixed_ids, fixed_places) = self.rows, last
-        self.h, walls, pairs = h or 1.0, partner < 0, partner >= 0  # in no time nothing is lacking
-        self.on_walls = row[walls], partner[walls], time[walls]
-        self.in_pairs, partner, time = row[pairs], partner[pairs], time[pairs]
-        ids, place = p.id[self.in_pairs], p.position[self.in_pairs] - p.velocity[self.in_pairs] * (h - time)[:, None]
-        at_fixed = np.flatnonzero(np.isin(partner, fixed_ids))
-        where = np.argsort(fixed_ids)
-        where = where[np.searchsorted(fixed_ids, partner[at_fixed], sorter=where)]
-        ids, partner = np.append(ids, partner[at_fixed]), np.append(partner, ids[at_fixed])
-        self.table = {
-            "id": ids,
-            "low": np.minimum(ids, partner),
-            "high": np.maximum(ids, partner),
-            "time": np.append(time, time[at_fixed]),
-            "place": np.append(place, fixed_places[where], axis=0),
-        }
+        self.last, self.h = last, h or 1.0  # in no time nothing is lacking
 
     def finish(self, a: Array) -> None:
         """The velocities after the closing kick, with accelerations a (n, d), get what they lack. Collective."""
-        if self.on_walls is None:
+        if self.last is None:
             return
-        p, before = self.rows, self.rows["total_acceleration"]
-        finish_bounces(p.velocity, before, a, *self.on_walls, len(self.on_walls[0]), self.h, self.normal)
-        n, rows = len(self.table["id"]), self.in_pairs
-        change, w = np.zeros((n, p.dimension)), np.zeros(n)
-        change[: len(rows)], w[: len(rows)] = a[rows] - before[rows], p.inverse_mass[rows]
-        table = self.table | {"change": change, "inverse_mass": w}
+        p, (row, partner, time, fixed) = self.rows, self.last
+        before = p.arrays.get("free_acceleration", p["total_acceleration"])
+        if not self.rough:
+            walls, pairs = partner < 0, partner >= 0
+            hits = row[walls], partner[walls], time[walls]
+            finish_bounces(p.velocity, before, a, *hits, len(hits[0]), self.h, self.planes.normal, self.planes.restitution)
+            row, partner, time = row[pairs], partner[pairs], time[pairs]
+        table = self.table(row, partner, time, fixed, a[row] - before[row])
         by, met = self.impulses(table)
         if self.ranks.size > 1:
             by[~met] = self.across_ranks({name: column[~met] for name, column in table.items()})
-        p.velocity[rows] += by[: len(rows)]
+        p.velocity[row] += by[: len(row), : p.dimension]
+        if self.rough:
+            p["spin"][row] += by[: len(row), p.dimension :]
         self.forget()
+
+    def table(self, row: Array, partner: Array, time: Array, fixed: dict[str, Array], change: Array) -> dict[str, Array]:
+        """What is known of both partners: of each of our rows, then of partners that are fixed, and of walls."""
+        p = self.rows
+        none = np.zeros(len(row))
+        ours = {
+            "id": p.id[row],
+            "place": p.position[row],
+            "change": change,
+            "radius": p.radius[row],
+            "inverse_mass": p.inverse_mass[row],
+            "inverse_inertia": p.inverse_inertia[row] if self.rough else none,
+            "spin": p["spin"][row] if self.rough else none[:, None],
+        }
+        order = np.argsort(fixed["id"])
+        at_fixed = np.flatnonzero(np.isin(partner, fixed["id"]))
+        where = order[np.searchsorted(fixed["id"], partner[at_fixed], sorter=order)]
+        at_wall = np.flatnonzero(partner < 0)
+        other = np.append(at_fixed, at_wall)
+        theirs = {name: np.zeros_like(column[other]) for name, column in ours.items()} | {
+            "id": partner[other],
+            "place": np.append(fixed["place"][where], ours["place"][at_wall], axis=0),
+            "radius": np.append(fixed["radius"][where], np.zeros(len(at_wall))),
+        }
+        both = {name: np.append(column, theirs[name], axis=0) for name, column in ours.items()}
+        partners, times = np.append(partner, ours["id"][other]), np.append(time, time[other])
+        return both | {"low": np.minimum(both["id"], partners), "high": np.maximum(both["id"], partners), "time": times}
 
     def across_ranks(self, table: dict[str, Array]) -> Array:
         """`impulses` of contacts whose partners are on different ranks, which meet on a third one. Collective."""
         if not self.ranks.any(len(table["id"]) > 0):
-            return np.empty_like(table["change"])
+            return np.empty((0, 1))
         rows, counts = by_destination(table["low"] % self.ranks.size, self.ranks.size)
         arrived, arriving = send_rows(self.ranks, table, rows, counts)
-        by = np.empty_like(table["change"])
-        answers = {"by": self.impulses(arrived)[0]}
-        by[rows] = send_rows(self.ranks, answers, np.arange(len(answers["by"])), arriving)[0]["by"]
+        found = self.impulses(arrived)[0]
+        answered = send_rows(self.ranks, {"by": found}, np.arange(len(found)), arriving)[0]["by"]
+        by = np.empty_like(answered)
+        by[rows] = answered
         return by
 
     def impulses(self, table: dict[str, Array]) -> tuple[Array, Array]:
-        """By how much velocities change (m, d), and whose contact is the last one of both partners (m,)."""
-        ids, low, high, time = (table[name] for name in ("id", "low", "high", "time"))
-        by, met = np.zeros_like(table["change"]), np.zeros(len(ids), bool)
-        order = np.lexsort((ids, time, high, low))
-        same = [column[order[1:]] == column[order[:-1]] for column in (low, high, time)]
+        """By how much velocities, and behind them spins, change (m, d + spins); whose contact is the last of both (m,)."""
+        d, ids, w = self.rows.dimension, table["id"], table["inverse_mass"]
+        by, met = np.zeros((len(ids), d + table["spin"].shape[1])), np.zeros(len(ids), bool)
+        names = "low", "high", "time"
+        order = np.lexsort((ids, *(table[name] for name in reversed(names))))
+        same = [table[name][order[1:]] == table[name][order[:-1]] for name in names]
         both = np.flatnonzero(np.logical_and.reduce(same))
         one, other = order[both], order[both + 1]
+        met[one] = met[other] = True
         r = table["place"][one] - table["place"][other]
         for k in np.flatnonzero(self.length):
             r[:, k] -= self.length[k] * np.rint(r[:, k] / self.length[k])
-        if r.shape[1] == 1:  # on a line there is one normal even for points
+        if d == 1:  # on a line there is one normal even for points
             r[:] = 1.0
-        w = table["inverse_mass"]
-        weight = row_dot(r, r) * (w[one] + w[other])
-        lacking = row_dot(table["change"][one] - table["change"][other], r) * time[one] ** 2 / self.h
-        impulse = np.divide(lacking, weight, out=np.zeros(len(one)), where=weight > 0.0)[:, None] * r
-        by[one], by[other] = -impulse * w[one][:, None], impulse * w[other][:, None]
-        met[one] = met[other] = True
+        distance = np.sqrt(row_dot(r, r))
+        normal = np.divide(r, distance[:, None], out=np.zeros_like(r), where=distance[:, None] > 0.0)
+        kind = np.where(table["low"][one] < 0, -table["low"][one], 0)  # a row of `law`
+        wall = kind > 0
+        normal[wall] = -self.planes.normal[kind[wall] - 1]
+        u = (table["change"][one] - table["change"][other]) * (0.5 * table["time"][one] ** 2 / self.h)[:, None]
+        along = row_dot(u, normal)
+        impulse = (-(1.0 + self.restitution[kind]) * along / (w[one] + w[other]))[:, None] * normal
+        if self.rough:
+            sizes = table["radius"][one] + table["radius"][other]
+            scale = np.divide(distance, sizes, out=np.zeros_like(sizes), where=sizes > 0.0)
+            scale[wall] = 1.0
+            arm, q = scale * np.stack((table["radius"][one], table["radius"][other])), table["inverse_inertia"]
+            mobility = w[one] + w[other] + arm[0] ** 2 * q[one] + arm[1] ** 2 * q[other]
+            grip = np.where(self.law[kind, FRICTION] == inf, (1.0 + self.law[kind, TANGENTIAL]) / mobility, 0.0)
+            impulse -= grip[:, None] * (u - along[:, None] * normal)
+            torque = moments(normal, impulse)
+            by[one, d:], by[other, d:] = -(q[one] * arm[0])[:, None] * torque, -(q[other] * arm[1])[:, None] * torque
+        by[one, :d], by[other, :d] = w[one][:, None] * impulse, -w[other][:, None] * impulse
         return by, met
+
+
+def moments(normal: Array, impulse: Array) -> Array:
+    """n x J (m, d(d-1)/2) of unit vectors and impulses (m, d), in the components of spins."""
+    d = normal.shape[1]
+    found = np.empty((len(normal), d * (d - 1) // 2))
+    for p in range(d):
+        for q in range(p + 1, d):
+            c, sign = plane_of((0,) * d, p, q)
+            found[:, c] = sign * (normal[:, p] * impulse[:, q] - normal[:, q] * impulse[:, p])
+    return found

@@ -93,8 +93,9 @@ class Drift:
         if effects.finishes_bounces:
             self.meeting = self.operator or effects.walls
             self.meeting.noting = True
-            normal = (effects.walls.planes if effects.walls else no_planes(rows.dimension)).normal
-            self.closing = ClosingKick(rows, context.ranks, context.length, normal)
+            planes = effects.walls.planes if effects.walls else no_planes(rows.dimension)
+            restitution = effects.pairs.loss.restitution if effects.pairs else 1.0
+            self.closing = ClosingKick(rows, context.ranks, context.length, planes, restitution, surfaces(effects))
 
     def load_operator(self, pairs: PairContacts, accelerations: Callable[[], Any]) -> None:
         """The collision operator that the scene names, and its search for neighbours."""
@@ -159,8 +160,11 @@ class Drift:
             turn(p["orientation"], p["spin"], 0.5 * h)
         for name, number in zip(HAPPENED, happened, strict=True):
             self.totals[name] += int(number)
-        if self.events and self.act(self.events, h):
-            wrapped = False
+        if self.events:
+            changed = self.act(self.events, h)
+            wrapped = wrapped and not changed
+            if self.closing and context.ranks.any(changed):
+                self.closing.forget()  # places and velocities are not those of the contacts any longer
         if context.length.any() and not wrapped:
             with context.timers("drift"):
                 wrap(p.position, context.lower, context.upper, context.length)
@@ -192,6 +196,8 @@ class Drift:
             else:
                 field[:] = 0.0 if total is None else total
             self.total, self.known, self.pushed = total, known, np.empty(0, np.int64)
+            if "free_acceleration" in p.arrays:
+                p["free_acceleration"][:] = field
         if self.persistent:  # contacts that last push too: what lies on something does not fall
             self.pushed, given = self.persistent.given
             field[self.pushed] += given.reshape(len(given), p.dimension) / middle

@@ -171,7 +171,7 @@ def drift_with_walls(axes, x, v, radius, inverse_mass, last, h, planes, rates, r
 
 
 @lean
-def finish_bounces(v, before, after, row, wall, time, number, h, normal):
+def finish_bounces(v, before, after, row, wall, time, number, h, normal, restitution):
     """The first `number` of rows, whose last contact in a drift over h was with a wall: what `closing_kick` gives them.
 
     before, after (n, d): accelerations at the start of the drift, and at its end; wall: as -1 - wall. In place on v (n, d).
@@ -181,6 +181,6 @@ def finish_bounces(v, before, after, row, wall, time, number, h, normal):
         lacking = 0.0
         for k in range(v.shape[1]):
             lacking += (after[i, k] - before[i, k]) * normal[w, k]
-        lacking *= time[p] ** 2 / h
+        lacking *= (1.0 + restitution[w]) * (0.5 * time[p] ** 2 / h)
         for k in range(v.shape[1]):
             v[i, k] -= lacking * normal[w, k]

@@ -96,5 +96,6 @@ class Effect(WallContacts):
         row, wall, time = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n)
         last = np.empty(len(p)), row, wall, time
         hits, missed, _, noted = drift_with_walls(axes, *fields, last, h, tuple(self.planes), rates, rough, 0.0, nobody)
-        self.last = LastContacts(row[:noted], wall[:noted], time[:noted], nobody, np.empty((0, d)))
+        fixed = {"id": nobody, "place": np.empty((0, d)), "radius": np.empty(0)}
+        self.last = LastContacts(row[:noted], wall[:noted], time[:noted], fixed)
         return hits, missed

@@ -255,7 +255,7 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
             if scheme.taylor:
                 kick(bodies.v, rate, kicked)
         if noted > 0:
-            finish_bounces(bodies.v, space.rates, bodies.total, *space.last[1:], noted, h, space.planes[1])
+            finish_bounces(bodies.v, space.rates, bodies.total, *space.last[1:], noted, h, space.planes[1], space.planes[2])
         spent = budget.step * step + HIT * hits + ON_WALLS * resting
         if spent >= budget.most or (step >= watch and (step - watch) % WATCH_EVERY == 0 and invalid(axes, bodies, space)):
             return step, hits, missed, sums, known

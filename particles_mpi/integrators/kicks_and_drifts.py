@@ -29,15 +29,17 @@ COMPOSITIONS = {
 }
 
 
-def integrator_of(scene: Scene, ranks: Communicator, kick: Kick, persistent: Any) -> Adaptive | Taylor | Composition:
-    """The integrator that a scene names; `persistent` keeps contacts that last, if any do.
+def integrator_of(
+    scene: Scene, ranks: Communicator, kick: Kick, persistent: Any, closing: Any
+) -> Adaptive | Taylor | Composition:
+    """The integrator that a scene names; `persistent` keeps contacts that last, and `closing` finishes others, if any do.
 
     It advances particles by a step of length h, and calls `drift` to move them for a time, with contacts on the way. Collective.
     """
     name = scene.time.integrator
     if name == "adaptive":
         return Adaptive(ranks, scene.time.tolerance or TOLERANCE, kick.forces, kick.timers)
-    return Taylor(kick) if name == "taylor" else Composition(kick, persistent, *COMPOSITIONS[name])
+    return Taylor(kick) if name == "taylor" else Composition(kick, persistent, closing, *COMPOSITIONS[name])
 
 
 class Accelerations:
@@ -164,20 +166,23 @@ class Kick:
 
 
 class Composition:
-    """Kicks and drifts by turns, for parts of a step; `persistent`, if given, keeps contacts that last after each kick.
+    """Kicks and drifts by turns, for parts of a step; `persistent`, if given, keeps contacts that last after each kick, and
+    `closing` gives others, after the last one, what they lack.
 
     Leapfrog is V(h/2) D(h) V(h/2): v to n+1/2, x to n+1, v to n+1. Kicks and drifts are symmetric, so it is of second order with
     dissipation too, needs one force evaluation, and stays stable for any drag (an explicit -k v in the kicks would not).
     """
 
-    def __init__(self, kick: Kick, persistent: Any, kicks: tuple[float, ...], drifts: tuple[float, ...]):
-        self.kick, self.persistent = kick, persistent
+    def __init__(self, kick: Kick, persistent: Any, closing: Any, kicks: tuple[float, ...], drifts: tuple[float, ...]):
+        self.kick, self.persistent, self.closing = kick, persistent, closing
         self.parts = list(zip(kicks, (*drifts, 0.0), strict=True))
 
     def advance(self, particles: Particles, h: float, drift: Callable[[float], None]) -> None:
         """Each kick is followed by a drift, but for the last."""
         for kicked, drifted in self.parts:
             a = self.kick.advance(particles, kicked * h, drifted * h)
+            if self.closing and not drifted:
+                self.closing.finish(a)
             if self.persistent:
                 self.persistent.keep(particles, a, h, self.kick.undamped(particles, kicked * h))
             if drifted:

@@ -64,11 +64,9 @@ class ActiveEffects:
 
     @property
     def finishes_bounces(self) -> bool:
-        """Does the closing kick give something to contacts (`contacts.closing_kick`)? To elastic ones, under forces alone, which
-        depend on places."""
+        """Does the closing kick give something to contacts (`contacts.closing_kick`)?"""
         depends = any(force.place_dependent for force in self.forces.values())
-        contacts = self.integrator == "leapfrog" and bool(self.pairs or self.walls)
-        return depends and contacts and not (self.lossy or self.rough or self.on_velocities or self.events)
+        return depends and self.integrator == "leapfrog" and bool(self.pairs or self.walls)
 
     @property
     def lossy(self) -> bool:
@@ -88,6 +86,7 @@ def fields_of(scene: Scene) -> list[str]:
         "spin": effects.rough,
         "moment_of_inertia": effects.rough,
         "orientation": effects.rough and scene.output.orientation,
+        "free_acceleration": keeps and effects.finishes_bounces,
         "total_acceleration": (pairs or effects.walls) and (keeps or not effects.uniform),
     }
     needed = {*ALWAYS, *(name for name, condition in conditions.items() if condition)}

@@ -156,7 +156,7 @@ MUTATIONS = (
     Mutation(
         "bounces get nothing from the closing kick",
         "contacts/closing_kick.py",
-        "        p.velocity[rows] += by[: len(rows)]\n",
+        "        p.velocity[row] += by[: len(row), : p.dimension]\n",
         "",
         ("tests/physics/test_closing_kick.py",),
     ),

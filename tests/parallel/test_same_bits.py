@@ -511,6 +511,13 @@ SCENES[BOUNCING] = dict(
     ],
     effects={"mutual_gravity": {}, "collisions": {"mode": "event"}, "walls": {}},
 )
+TURNING = {"restitution": 0.9, "tangential_restitution": 1.0}
+SCENES["rough discs that attract one another, with drag"] = SCENES[BOUNCING] | {
+    "effects": {"mutual_gravity": {}, "collisions": TURNING | {"mode": "event"}, "walls": TURNING, "drag": {"rate": 0.1}}
+}
+SCENES["super balls that attract one another"] = SCENES[BOUNCING] | {
+    "effects": {"mutual_gravity": {}, "collisions": {"tangential_restitution": 1.0}, "walls": {"tangential_restitution": 1.0}}
+}
 SCENES[f"{BOUNCING}, by passes"] = SCENES[BOUNCING] | {"effects": {"mutual_gravity": {}, "collisions": {}, "walls": {}}}
 WINDOWS = [name for name in SCENES if SCENES[name]["effects"].get("collisions", {}).get("mode") == "event" and name != LARGE]
 SCENES |= {name + IN_WINDOWS: SCENES[name] | {"windows": True, "few": 0} for name in WINDOWS}

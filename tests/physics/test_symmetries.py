@@ -44,6 +44,7 @@ KEYS = {
 COLUMNS = ("position", "velocity", "radius", "mass", "acceleration", "drag", "spin", "moment_of_inertia")
 COLUMNS = {name: KEYS[name] for name in COLUMNS} | {
     "total_acceleration": KEYS["acceleration"],
+    "free_acceleration": KEYS["acceleration"],
     "rate": KEYS["acceleration"],  # dv/dt
     "virial": (2, -1, 1),  # of impulses, -r.dp
     "contacted": (0, 1, 0),

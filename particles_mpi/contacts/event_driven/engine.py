@@ -186,12 +186,13 @@ class Engine:
 
     def last_contacts(self, own_rows: Array, moment: float) -> LastContacts:
         """Those of own rows in the drift that began at `moment` and has ended; particle r in row own_rows[r]."""
-        state, reference, d = self.rows.state, self.lists.arrays.reference, len(self.axes)
+        (segment, _, state, reals), d = self.rows[:4], len(self.axes)
+        reference = self.lists.arrays.reference
         fixed = (reference[:, d + INVERSE_MASS] == 0.0) & (state[:, OWNERSHIP] != NOT_HERE)
         moved = np.flatnonzero((state[own_rows, LAST_PARTNER] != NOBODY) & ~fixed[own_rows])
         rows = own_rows[moved]
-        times = self.rows.reals[rows, LAST_CONTACT] - moment
-        return LastContacts(moved, state[rows, LAST_PARTNER], times, state[fixed, ID], self.rows.segment[fixed, :d])
+        known = {"id": state[fixed, ID], "place": segment[fixed, :d], "radius": segment[fixed, 2 * d + RADIUS]}
+        return LastContacts(moved, state[rows, LAST_PARTNER], reals[rows, LAST_CONTACT] - moment, known)
 
     def write_back(self, p: Particles, own_rows: Array) -> None:
         """Particle r of p as row own_rows[r] is."""

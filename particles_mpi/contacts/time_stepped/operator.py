@@ -96,7 +96,9 @@ class Rewind:
                 self.undo()
                 near.end_candidates()
                 self.dense_steps += 1
+                self.exact.noting = self.noting
                 counts = self.exact.drift(h, moment, rates)
+                self.last = self.exact.last
                 self.collisions += counts[COLLISIONS]
                 return counts
             except TooFarError as far:
@@ -259,10 +261,10 @@ class Rewind:
     def last_contacts(self) -> LastContacts:
         """Those of owned rows in this drift."""
         near, rows = self.near, self.log.rows[: self.log.number[0]].astype(np.int64)
-        fixed = np.flatnonzero(near.spheres.inverse_mass == 0.0)
-        return LastContacts(
-            rows, near.segments.last_partner[rows], near.segments.start[rows], near.spheres.id[fixed], near.x[fixed]
-        )
+        radius, w, ids, _ = near.spheres
+        fixed = np.flatnonzero(w == 0.0)
+        known = {"id": ids[fixed], "place": near.x[fixed], "radius": radius[fixed]}
+        return LastContacts(rows, near.segments.last_partner[rows], near.segments.start[rows], known)
 
     def undo(self) -> None:
         """Owned rows go back to where they were before their contacts in this drift."""
