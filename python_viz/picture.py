@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
-from run_files import spaced
+from run_files import finite, spaced
 from spheres import paint_spheres
 
 from particles_mpi import Run
@@ -39,7 +39,7 @@ def spin(frame: Frame) -> np.ndarray:
 
 def add_picture_options(parser: ArgumentParser) -> None:
     parser.add_argument("--color", choices=COLORS, default="speed", help="what the colour tells (default: speed)")
-    parser.add_argument("--view", type=float, nargs=2, default=(-60, 20), metavar=("AZIMUTH", "ELEVATION"),
+    parser.add_argument("--view", type=finite, nargs=2, default=(-60, 20), metavar=("AZIMUTH", "ELEVATION"),
                         help="where the viewer stands, in degrees, for runs in space (default: -60 20)")  # fmt: skip
 
 

@@ -11,7 +11,7 @@ draws the last frame into out/marbles/plots/frame_000005.png (if 5 is the last)
 from pathlib import Path
 
 from picture import Picture, add_picture_options
-from run_files import DEFAULT_RUN, finish, new_parser, parse, save_path, start
+from run_files import DEFAULT_RUN, dots, finish, new_parser, parse, save_path, start
 
 from particles_mpi import Run
 
@@ -21,7 +21,7 @@ def main() -> None:
     parser.add_argument("run", nargs="?", type=Path, default=DEFAULT_RUN, metavar="RUN_DIR", help=f"default: {DEFAULT_RUN}")
     parser.add_argument("--frame", type=int, default=-1, help="number of the frame; -1 is the last (default)")
     parser.add_argument(
-        "--dpi", type=int, default=150, help="pixels for an inch: half makes a picture half as large (default: 150)"
+        "--dpi", type=dots, default=150, help="pixels for an inch: half makes a picture half as large (default: 150)"
     )
     add_picture_options(parser)
     options = parse(parser)

@@ -6,6 +6,7 @@ A run is read by `particles_mpi.Run`, also while it is going on: only frames and
 import argparse
 import sys
 from collections.abc import Callable
+from math import isfinite
 from pathlib import Path
 from typing import NoReturn
 
@@ -49,6 +50,22 @@ def start(main: Callable[[], None]) -> None:
         stop(str(error))
 
 
+def dots(text: str) -> int:
+    """Pixels for an inch, for a parser: so many as a picture can have."""
+    number = int(text)
+    if not 1 <= number <= 2000:
+        raise argparse.ArgumentTypeError(f"{text} is not from 1 to 2000")
+    return number
+
+
+def finite(text: str) -> float:
+    """A number, for a parser."""
+    number = float(text)
+    if not isfinite(number):
+        raise argparse.ArgumentTypeError(f"{text} is not finite")
+    return number
+
+
 def spaced(count: float) -> str:
     """A count with thin spaces between the thousands: 32 000."""
     return f"{int(count):_}".replace("_", "\u202f")
@@ -84,9 +101,12 @@ def finish(figure: Figure, path: Path, show: bool) -> None:
     """Save the figure, print where, and open a window if asked."""
     from matplotlib import pyplot
 
+    known = path.exists()
     try:
         figure.savefig(path, dpi=figure.dpi)
     except (OSError, ValueError, MemoryError) as error:
+        if not known:
+            path.unlink(missing_ok=True)  # no half of a picture stays
         stop(f"cannot write {path}: {error}")
     print(path if path.suffix else path.with_suffix(".png"))
     if show:

@@ -44,8 +44,8 @@ def read_table(ranks: Communicator, path: Path, quantity: str, dimension: int) -
     """The columns of a quantity in a CSV file, or what is wrong with it, the same on all ranks. Collective.
 
     A first line of names, that is of cells which begin with a letter and are no numbers, is a header: columns with the names of
-    the quantity's components (NAMES) are taken, or, if no column has a name in NAMES, the first ones. Files that are not the
-    same on all ranks are refused: each rank also looks at what the next one reads.
+    the quantity's components (NAMES) are taken. Without a header, or in more than three dimensions, the first columns are. Files
+    that are not the same on all ranks are refused: each rank also looks at what the next one reads.
     """
     fault, block, seen, start = "", b"", (0, 0), Beginning()
     try:
@@ -135,12 +135,12 @@ def columns_of(given: tuple[str, ...], quantity: str, dimension: int) -> list[in
     """Numbers of the columns that a header with these names gives to a quantity, or what is wrong with it."""
     names = NAMES.get(quantity, ())[:dimension]
     named = [name for name in given if name in chain.from_iterable(NAMES.values())]
-    if not named or not names or (dimension > 3 and given[:3] == names):
+    if not given or not names or (dimension > 3 and (not named or given[:3] == names)):
         return list(range(dimension))
     if dimension > 3:
         return f"its header has {', '.join(named)}; in dimension {dimension} columns are taken in order: leave it out"
     if missing := [name for name in names if name not in given]:
-        have = [name for name in names if name in given] or named
+        have = [name for name in names if name in given] or named or given
         return f"its header has {', '.join(have)} and no {missing[0]}"
     if twice := [name for name in names if given.count(name) > 1]:
         return f"its header has {twice[0]} twice"

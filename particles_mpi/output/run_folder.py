@@ -42,6 +42,8 @@ def checkpoint_to_continue(folder: Path, ranks: Communicator, scene: dict[str, A
     found = None
     with failing_together(ranks, f"cannot read {folder}"):
         if ranks.is_root:
+            if folder.is_dir():
+                Lock(folder).release()
             present = [name for name in OURS if (folder / name).exists()]
             found = path if path.name in present else None
             if present and not found:

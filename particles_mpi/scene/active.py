@@ -15,7 +15,7 @@ class ActiveEffects:
     def __init__(self, scene: Scene, switched_off: bool = False):
         options = scene.effects if switched_off else scene.active
         self.integrator = scene.time.integrator
-        self.all: dict[str, kinds.Effect] = {name: of.build(scene) for name, of in options.items()}
+        self.all: dict[str, kinds.Effect] = {name: kinds.built(name, of, scene) for name, of in options.items()}
         self.forces, self.flows = self.of_kind(kinds.Force), self.of_kind(kinds.VelocityFlow)
         self.events = self.of_kind(kinds.Event)
         self.damping, self.friction = self.one_of(kinds.Damping), self.one_of(kinds.ConstantFriction)

@@ -53,8 +53,22 @@ def faults_in(name: str, options: EffectOptions, scene: Any) -> list[str]:
         found: Any = options.faults(scene) or []
         return [f"effects.{name}.{fault}" for fault in ([found] if isinstance(found, str) else found)]
     except Exception as error:  # of a user's own
-        said = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        raise SceneError(f"effects.{name}: its `faults` failed: {said}") from error
+        raise SceneError(f"effects.{name}: its `faults` failed: {one_line(error)}") from error
+
+
+def one_line(error: Exception) -> str:
+    """What an error says, and of which type it is."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+
+
+def built(name: str, options: EffectOptions, scene: Any) -> Any:
+    """The effect of that name with its options. SceneError if it cannot be made, as one of a user's own may fail to be."""
+    try:
+        return options.build(scene)
+    except SceneError:
+        raise
+    except Exception as error:
+        raise SceneError(f"effects.{name}: it cannot be made: {one_line(error)}") from error
 
 
 class Needs(NamedTuple):

@@ -61,7 +61,8 @@ class StepTimer:
             stride = min(stride, self.left)
             before = self.sim.work()["forces"] if self.by_forces else 0
             clocked += self.clock(self.sim, stride)
-            units += self.sim.work()["forces"] - before if self.by_forces else stride
+            evaluated = self.sim.work()["forces"] - before if self.by_forces else 0
+            units += evaluated or stride  # without forces there are none to count
             steps += stride
             self.left -= stride
             stride = max(1, int(min((sample_seconds - clocked) * steps / max(clocked, 1e-9), 4.0 * steps)) + 1)

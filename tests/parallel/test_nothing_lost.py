@@ -159,7 +159,7 @@ def test_a_folder_has_one_run_at_a_time(tmp_path):
     while not (out / "checkpoint.h5").exists():
         assert launcher.poll() is None
         time.sleep(0.01)
-    for way in (["--resume", "auto"], ["--overwrite"]):
+    for way in (["--resume", "auto"], ["--resume", "auto", "--steps", "1"], ["--overwrite"]):
         done = particles_mpi(2, "run", scene, "--output", out, *way)
         assert (done.returncode, done.stderr) == (2, f"particles-mpi: --output: another run is writing into {out}\n")
     assert launcher.poll() is None
@@ -175,7 +175,7 @@ def test_a_run_goes_on_in_its_own_folder_only(whole, tmp_path):
     other.write_text(killing.SCENE.replace("seed = 5", "seed = 6"))
     assert particles_mpi(1, "run", other, "--output", out, "--steps", 20, "--quiet").returncode == 0
     before = everything(out)
-    done = particles_mpi(2, "run", scene, "--resume", run / "checkpoint.h5", "--output", out, "--overwrite", "--steps", 1)
+    done = particles_mpi(2, "run", scene, "--resume", run / "checkpoint.h5", "--output", out, "--overwrite", "--steps", 400)
     assert done.returncode == 0 and (out / "checkpoint.h5").exists()  # asked for
     for path, text in before.items():
         path.write_bytes(text)

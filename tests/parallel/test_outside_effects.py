@@ -346,6 +346,12 @@ def test_faults_of_an_effect_are_one_line(tmp_path, returned, says):
     written(tmp_path, faults="def faults(self, scene):\n        pass")
 
 
+def test_an_effect_that_cannot_be_made_is_one_line(tmp_path):
+    """Found before anything runs, as faults are."""
+    with pytest.raises(SceneError, match=r"effects.own: it cannot be made: AttributeError: .*no attribute 'k'"):
+        Simulation(written(tmp_path, options="stiffness: float = 1.0"))
+
+
 def test_a_column_with_a_component_for_each_plane_is_read_back(tmp_path):
     (tmp_path / "turning.py").write_text(
         "from particles_mpi.effects import Column, EffectOptions, Event, Needs\n\n\n"

@@ -45,6 +45,9 @@ def test_what_is_wrong_is_one_line(run, tmp_path):
     for words, told in (([run, "--frame", 9], "no frame 9: the run has frames 0 to 4"), ([tmp_path], "holds no run")):
         done = run_ranks(1, ROOT / "python_viz/plot_frame.py", *words)
         assert done.returncode == 2 and told in done.stderr and done.stderr.count("\n") == 1
+    for words, told in ((["--dpi", "0"], "0 is not from 1 to 2000"), (["--view", "nan", "3"], "nan is not finite")):
+        done = run_ranks(1, ROOT / "python_viz/plot_frame.py", run, *words)
+        assert done.returncode == 2 and told in done.stderr and "Traceback" not in done.stderr
 
 
 def test_only_runs_of_one_scene_show_strong_scaling(run, tmp_path):

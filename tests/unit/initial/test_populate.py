@@ -148,6 +148,9 @@ def test_a_header_tells_which_columns_are_meant(tmp_path):
     (tmp_path / "c.csv").write_text("x,y,mass\n0.1,0.2,3\n")
     told = faults({"position": {"file": "c.csv"}, "velocity": {"file": "c.csv"}}, folder=tmp_path)
     assert told == f"particles[0].velocity: {tmp_path / 'c.csv'}: its header has x, y, mass and no vx"
+    (tmp_path / "d.csv").write_text("id,px,py\n0,0.1,0.2\n")
+    told = faults({"position": {"file": "d.csv"}}, folder=tmp_path)
+    assert told == f"particles[0].position: {tmp_path / 'd.csv'}: its header has id, px, py and no x"
 
 
 def test_a_file_of_places_gives_velocities_too_where_its_header_names_them(tmp_path):

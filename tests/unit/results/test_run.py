@@ -145,6 +145,9 @@ def test_a_run_goes_on_in_its_folder_whatever_was_changed(tmp_path, every):
     sim.step()
     with pytest.raises(SceneError, match="already holds another run"):
         sim.run(tmp_path / "run", resumed=True)
+    with pytest.raises(SceneError, match="would end with step 12, and has come to step 14"):
+        sim.run(tmp_path / "new", steps=12)
+    assert not (tmp_path / "new").exists()
 
 
 def test_what_is_not_there_is_one_clear_line(tmp_path):

@@ -71,6 +71,8 @@ def test_by_forces_a_unit_is_an_evaluation(monkeypatch):
     steps, forces = (StepTimer(Communicator.alone(), lambda: Stepper("a"), 100, by_forces) for by_forces in (False, True))
     assert steps.sample(0.5) == 1.0
     assert forces.sample(0.5) == pytest.approx(1.0 / 3.0)
+    monkeypatch.setattr(Stepper, "work", lambda _: {"forces": 0})
+    assert forces.sample(0.5) == 1.0  # without forces a step
 
 
 def test_orders_slopes_and_front(found):
