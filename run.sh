@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Sets particles_mpi up in .venv (only what is not done yet) and runs it under MPI. ./run.sh help tells the rest.
 set -euo pipefail
+HERE=$PWD
 cd "$(dirname "${BASH_SOURCE[0]}")"
 
 help() {
@@ -12,7 +13,8 @@ help() {
 ./run.sh setup           only set up
 ./run.sh view DIR        writes DIR/view.html, a page that shows the run in that folder, and opens it
 ./run.sh doctor          what is installed, and whether it fits together
-./run.sh COMMAND [...]   anything else goes to particles-mpi under mpirun, or srun in a job of Slurm: run, check, study, --help
+./run.sh COMMAND [...]   anything else goes to particles-mpi under mpirun, or srun in a job of Slurm: run, check, study, --help;
+                         files are those of the folder that you are in
 
 RANKS=4 ./run.sh ...              how many MPI ranks (2; in a job of Slurm: its tasks)
 PYTHON=python3.12 ./run.sh ...    which Python >= 3.11 makes .venv (only the first time)
@@ -295,10 +297,10 @@ main() {
     setup) setup; warm_up ;;
     test) setup test; warm_up; exec $PY -m pytest -n 2 "${@:2}" ;;
     lint) setup test; ruff check . && ruff format --check . && mypy ;;
-    view) setup; exec particles-mpi "$@" ;;  # one process reads files
+    view) setup; cd "$HERE"; exec particles-mpi "$@" ;;  # one process reads files
     doctor) setup; exec particles-mpi doctor ;;  # alone, so that it can try a start on two ranks itself
     '') setup; warm_up; launch $PY -m particles_mpi run particles_mpi/scenes/marbles.toml --output out/marbles --overwrite ;;
-    *) setup; warm_up; launch $PY -m particles_mpi "$@" ;;
+    *) setup; warm_up; cd "$HERE"; launch "$VENV/bin/python" -m particles_mpi "$@" ;;
   esac
 }
 

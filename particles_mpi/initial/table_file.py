@@ -14,6 +14,7 @@ from particles_mpi.errors import listed
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
 
+MOST_SHOWN = 6  # columns of a header in a message
 BOM = b"\xef\xbb\xbf"  # with which some programs begin a text
 # Of columns in a header, by what they give
 NAMES = {"position": ("x", "y", "z"), "velocity": ("vx", "vy", "vz"), "radius": ("radius",), "mass": ("mass",)}
@@ -140,7 +141,8 @@ def columns_of(given: tuple[str, ...], quantity: str, dimension: int) -> list[in
     if dimension > 3:
         return f"its header has {', '.join(named)}; in dimension {dimension} columns are taken in order: leave it out"
     if missing := [name for name in names if name not in given]:
-        have = [name for name in names if name in given] or named or given
+        shown = [name if name.isprintable() else ascii(name) for name in given[:MOST_SHOWN]]
+        have = [name for name in names if name in given] or named or shown
         return f"its header has {', '.join(have)} and no {missing[0]}"
     if twice := [name for name in names if given.count(name) > 1]:
         return f"its header has {twice[0]} twice"
