@@ -81,15 +81,13 @@ class ClosingKick:
     def table(self, row: Array, partner: Array, time: Array, fixed: dict[str, Array], change: Array) -> dict[str, Array]:
         """What is known of both partners: of each of our rows, then of partners that are fixed, and of walls."""
         p = self.rows
-        none = np.zeros(len(row))
         ours = {
             "id": p.id[row],
             "place": p.position[row],
             "change": change,
             "radius": p.radius[row],
             "inverse_mass": p.inverse_mass[row],
-            "inverse_inertia": p.inverse_inertia[row] if self.rough else none,
-            "spin": p["spin"][row] if self.rough else none[:, None],
+            "inverse_inertia": p.inverse_inertia[row] if self.rough else np.zeros(len(row)),
         }
         order = np.argsort(fixed["id"])
         at_fixed = np.flatnonzero(np.isin(partner, fixed["id"]))
@@ -120,7 +118,8 @@ class ClosingKick:
     def impulses(self, table: dict[str, Array]) -> tuple[Array, Array]:
         """By how much velocities, and behind them spins, change (m, d + spins); whose contact is the last of both (m,)."""
         d, ids, w = self.rows.dimension, table["id"], table["inverse_mass"]
-        by, met = np.zeros((len(ids), d + table["spin"].shape[1])), np.zeros(len(ids), bool)
+        spins = d * (d - 1) // 2 if self.rough else 0
+        by, met = np.zeros((len(ids), d + spins)), np.zeros(len(ids), bool)
         names = "low", "high", "time"
         order = np.lexsort((ids, *(table[name] for name in reversed(names))))
         same = [table[name][order[1:]] == table[name][order[:-1]] for name in names]
