@@ -7,7 +7,7 @@ The files and folders, in the order in which one reads them:
     rough            the contact of rough spheres: friction and spin
     walls            the contact of a sphere and a plane, and a drift with walls alone
     velocity_flow    how forces, drag and friction change velocities between the middle of a step and a contact in it
-    closing_kick     what elastic contacts get at the end of a step, where forces depend on the place: energies do not drift
+    closing_kick     what contacts get at the end of a step, where forces depend on the place: energies do not drift
     time_stepped/    mode `rewind`: the contacts of a drift in a few passes over all candidate pairs
     event_driven/    mode `event`: the contacts of a drift one after the other, in exact order of time
     warm_start       what lasting contacts took, which is saved with a state

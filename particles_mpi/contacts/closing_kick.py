@@ -28,7 +28,7 @@ from particles_mpi.contacts.walls import finish_bounces
 from particles_mpi.kernels.planes import Planes
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import by_destination, send_rows
-from particles_mpi.particles import Array, Particles, row_dot
+from particles_mpi.particles import Array, Particles, row_dot, rows_with
 
 
 class LastContacts(NamedTuple):
@@ -89,9 +89,8 @@ class ClosingKick:
             "inverse_mass": p.inverse_mass[row],
             "inverse_inertia": p.inverse_inertia[row] if self.rough else np.zeros(len(row)),
         }
-        order = np.argsort(fixed["id"])
         at_fixed = np.flatnonzero(np.isin(partner, fixed["id"]))
-        where = order[np.searchsorted(fixed["id"], partner[at_fixed], sorter=order)]
+        where = rows_with(fixed["id"], partner[at_fixed])
         at_wall = np.flatnonzero(partner < 0)
         other = np.append(at_fixed, at_wall)
         theirs = {name: np.zeros_like(column[other]) for name, column in ours.items()} | {
