@@ -215,6 +215,18 @@ def test_collisions_that_come_late_are_told(share, some):
     assert any("came late" in remark for remark in sim.remarks()) == some
 
 
+def test_spheres_that_brush_one_another_are_told():
+    """Disc 1 is turned at 0.2 and would meet 0 at 0.259, but 0 has met 3 at 0.5 in the same pass: they overlap, and part."""
+    places = [[0.0, 0.0], [0.99, -0.2], [0.99, -1.4], [-0.3, sqrt(0.91) + 0.05]]
+    velocities = [[0.0, 0.0], [0.0, 0.0], [0.0, 1.0], [0.0, -0.1]]
+    discs = {"position": places, "velocity": velocities, "radius": 0.5}
+    x, v, sim = run(dimension=2, time={"step": 0.52, "steps": 1}, particles=[discs], effects={"collisions": {}})
+    apart, faster = x[1] - x[0], v[1] - v[0]
+    assert apart @ apart < 0.998 and apart @ faster > 0.0
+    assert sim.totals["collisions"] == 2
+    assert any("came late" in remark for remark in sim.remarks())
+
+
 @pytest.mark.parametrize("passes", range(1, 6))
 def test_a_collision_that_the_last_wall_hit_leads_to_is_missed_not_forgotten(passes):
     """A heavy sphere drives a light one against a wall: hit after hit, of which passes put some in order."""

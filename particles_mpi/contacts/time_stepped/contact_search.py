@@ -8,8 +8,8 @@ import numpy as np
 from particles_mpi.contacts.law import contact_time, may_come_near, overlap, separation
 from particles_mpi.contacts.walls import may_hit, wall_contact
 from particles_mpi.kernels.geometry import nearest
-from particles_mpi.kernels.jit import kernel, lean, lean_inner
-from particles_mpi.kernels.markers import NEVER
+from particles_mpi.kernels.jit import in_place, lean, lean_inner
+from particles_mpi.kernels.markers import NEVER, NOBODY
 
 NOTICEABLE = 1e-6  # of a radius: an overlap that is no round-off
 
@@ -124,16 +124,38 @@ def find_wall_hits(axes, segments, radius, rows, h, everything, active, planes, 
     return found
 
 
-@kernel
+@lean
 def deepest_overlap(segments, radius, first, second, time, length):
     """The largest overlap of the pairs of rows (first, second) at their times, in units of the smaller radius; 0 if none."""
-    x, v, start, _ = segments
     most = 0.0
     for p in range(len(first)):
         i, j = np.int64(first[p]), np.int64(second[p])
-        r2 = 0.0
-        for k in range(len(length)):
-            r = separation(x, v, start, i, j, k, time[p], length)
-            r2 += r * r
-        most = max(most, overlap(r2, radius[i], radius[j]))
+        most = max(most, overlap_at(segments, radius, i, j, time[p], length))
     return most
+
+
+@lean
+def brushed_pairs(segments, spheres, first, second, h, length):
+    """How many pairs of rows overlap at h of which both have had contacts: told by the owner of the first one.
+
+    Where one was turned into the way of another that had gone on already, they may part again before they are found to meet.
+    """
+    _, _, _, last_partner = segments
+    radius, _, _, owned = spheres
+    brushed = 0
+    for p in range(len(first)):
+        i, j = np.int64(first[p]), np.int64(second[p])
+        if i < owned and last_partner[i] != NOBODY and last_partner[j] != NOBODY:
+            brushed += overlap_at(segments, radius, i, j, h, length) > NOTICEABLE
+    return brushed
+
+
+@in_place
+def overlap_at(segments, radius, i, j, t, length):
+    """How far rows i and j overlap at t, in units of the smaller radius; below 0 if they do not."""
+    x, v, start, _ = segments
+    r2 = 0.0
+    for k in range(len(length)):
+        r = separation(x, v, start, i, j, k, t, length)
+        r2 += r * r
+    return overlap(r2, radius[i], radius[j])

@@ -16,7 +16,13 @@ import numpy as np
 from particles_mpi.contacts.closing_kick import LastContacts
 from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.rough import Rough
-from particles_mpi.contacts.time_stepped.contact_search import NOTICEABLE, deepest_overlap, find_contacts, find_wall_hits
+from particles_mpi.contacts.time_stepped.contact_search import (
+    NOTICEABLE,
+    brushed_pairs,
+    deepest_overlap,
+    find_contacts,
+    find_wall_hits,
+)
 from particles_mpi.contacts.time_stepped.passes import (
     COLLISIONS,
     LATE,
@@ -171,8 +177,11 @@ class Rewind:
             if self.exact and (late or (waiting and not left)):
                 raise TooDenseError
             if not waiting:
-                if self.passes - left >= 2 and self.exact and self.overlapping(h):
-                    raise TooDenseError
+                if left < self.passes:
+                    if self.exact and self.overlapping(h):
+                        raise TooDenseError
+                    first, second, _, _ = near.candidates.pairs
+                    counts[LATE] += brushed_pairs(*near.rows, first, second, h, near.length)
                 break
             if not left:
                 needed = near.ranks.largest(self.finish(hits, h, counts, int(concerned)))[0]
