@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 from mpi4py import MPI
 
+from particles_mpi import __version__
 from particles_mpi.errors import SceneError, StateError, StoppedError
 from particles_mpi.parallel.agreement import abort_all, same_on_all
 from particles_mpi.parallel.communicator import Communicator
@@ -17,7 +18,7 @@ from particles_mpi.run.scene_file import SceneFile, load
 from particles_mpi.study.commands import study
 
 STARTED = perf_counter()
-
+IS_ROOT = MPI.COMM_WORLD.Get_rank() == 0
 
 app = typer.Typer(
     name="particles-mpi",
@@ -33,11 +34,26 @@ app = typer.Typer(
     [bold]check[/bold] tells what a scene would do before it runs, and what is wrong with it, key by key.""",
 )
 
+
+def tell_version(asked: bool) -> None:
+    """Print the version, and end."""
+    if asked:
+        if IS_ROOT:
+            print(f"particles-mpi {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    asked: Annotated[bool, typer.Option("--version", callback=tell_version, is_eager=True, help="Tell the version.")] = False,
+) -> None:
+    """What can be said before a command. The help of `app` is shown instead of this."""
+
+
 STOPPING = "Write a checkpoint and stop within this time; if not given, before the limit of a Slurm job; none: without a limit."
 WallTime = Annotated[str | None, typer.Option(metavar="HH:MM:SS", help=STOPPING)]
 RESULTS = "Folder for the results; out/<scene name> if not given."
 RESUMING = "Go on from this checkpoint.h5, on any number of ranks; auto: from the folder's own, or else from the start."
-IS_ROOT = MPI.COMM_WORLD.Get_rank() == 0
 
 
 @app.command()

@@ -9,6 +9,11 @@ from particles_mpi.parallel.decomposition import bisect, to_owners
 from particles_mpi.particles import Array, Particles
 from particles_mpi.scene.schema import Scene
 
+IDLE = {  # by effect: the field by which it acts on a particle, and what is said where it is 0 for all
+    "drag": ("drag", "slows nobody: neither it has a rate, nor particles have a drag of their own"),
+    "user_acceleration": ("acceleration", "moves nobody: no particle has an acceleration"),
+}
+
 
 def rounded_end(scene: Scene) -> list[str]:
     """A warning where no whole number of steps ends at `time.end`."""
@@ -47,6 +52,13 @@ def endless_falls(scene: Scene, particles: Particles, ranks: Communicator) -> li
         for what, along in drawn
         if len(along)
     ]
+
+
+def idle_effects(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]:
+    """Warnings of effects that change nothing, for no particle has what they act by."""
+    names = [name for name in IDLE if name in scene.effects]
+    acting = ranks.total(*(np.count_nonzero(particles[IDLE[name][0]]) for name in names)) if names else []
+    return [f"effects.{name}: {IDLE[name][1]}" for name, some in zip(names, acting, strict=True) if not some]
 
 
 def coincident(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]:

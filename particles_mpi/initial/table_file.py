@@ -65,13 +65,14 @@ def read_table(ranks: Communicator, path: Path, quantity: str, dimension: int) -
     lines = block.count(b"\n") + (not block.endswith(b"\n") and len(block) > 0)
     line = 1 + start.lines + start.header + sum(ranks.allgather(lines)[: ranks.rank])  # the number of this rank's first line
     columns = columns_of(start.cells if start.header else (), quantity, dimension)
+    separated = " (columns are separated by commas)" if b";" in start.line else ""
     if isinstance(columns, str):
-        return f"{path}: {columns}"
+        return f"{path}: {columns}{separated}"
     values = np.empty((0, len(columns)))
     try:
         values = parsed(block, columns)
     except ValueError:
-        fault = f"{path}: {wrong_line(block, columns, line)}"
+        fault = f"{path}: {wrong_line(block, columns, line)}{separated}"
     else:
         bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
         if uneven := uneven_line(block, start, line):
@@ -190,7 +191,7 @@ def parsed(block: bytes, columns: list[int]) -> Array:
     """The numbers (n, columns) of some lines; ValueError if one has none."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # no line at all: an empty array
-        table = np.loadtxt(BytesIO(block), delimiter=",", usecols=columns, ndmin=2, encoding="utf-8")
+        table = np.loadtxt(BytesIO(block), delimiter=",", usecols=columns, ndmin=2, encoding="utf-8", quotechar='"')
         return table.reshape(-1, len(columns))
 
 

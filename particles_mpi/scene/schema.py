@@ -112,6 +112,8 @@ class Scene(Model):
     @classmethod
     def from_dict(cls, tables: dict[str, Any], folder: str | Path = "") -> Self:
         """A scene from the tables of the TOML layout; file names in it are relative to `folder`."""
+        if not isinstance(tables, dict):
+            raise SceneError(f"a scene is a table of tables, and not {tables!r:.60}")
         if "folder" in tables:
             raise SceneError("folder: unknown key")
         return cls(**tables, folder=Path(folder))

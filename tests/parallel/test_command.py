@@ -2,6 +2,7 @@
 
 import csv
 import json
+from importlib.metadata import version
 
 import h5py
 import numpy as np
@@ -104,6 +105,11 @@ fixed = [false, false, false, true, false]
 [effects.collisions]
 [effects.walls]
 """
+
+
+def test_the_version_is_that_of_the_package():
+    told = particles_mpi(2, "--version")
+    assert (told.returncode, told.stdout) == (0, f"particles-mpi {version('particles-mpi')}\n")
 
 
 def test_the_plan_is_that_of_all_ranks(tmp_path):
