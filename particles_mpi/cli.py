@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from mpi4py import MPI
 
-from particles_mpi import __version__
+import particles_mpi
 from particles_mpi.errors import SceneError, StateError, StoppedError
 from particles_mpi.parallel.agreement import abort_all, same_on_all
 from particles_mpi.parallel.communicator import Communicator
@@ -39,7 +39,7 @@ def tell_version(asked: bool) -> None:
     """Print the version, and end."""
     if asked:
         if IS_ROOT:
-            print(f"particles-mpi {__version__}")
+            print(f"particles-mpi {particles_mpi.__version__}")
         raise typer.Exit
 
 

@@ -1,6 +1,5 @@
-"""One run from plan to phase table: frames, diagnostics, checkpoints, signals."""
+"""One run from plan to phase table: its options, its steps, and what ends it; `files` has what it writes."""
 
-import json
 from collections.abc import Sequence
 from numbers import Real
 from pathlib import Path
@@ -8,21 +7,14 @@ from shlex import quote
 from time import perf_counter
 from typing import Any
 
-import numpy as np
-
-from particles_mpi.contacts.drift import COUNTS
 from particles_mpi.errors import Interrupted, SceneError, StateError, StoppedError, whole_number
 from particles_mpi.kernels.validity import WATCH_EVERY
-from particles_mpi.measure.diagnostics import column_names
-from particles_mpi.output import checkpoint, run_folder
-from particles_mpi.output.diagnostics_csv import Diagnostics
-from particles_mpi.output.files import identity_of, write_text
+from particles_mpi.output.files import identity_of
 from particles_mpi.parallel.agreement import await_all, same_on_all
 from particles_mpi.parallel.signals import StopRequest
-from particles_mpi.particles import Array, field
-from particles_mpi.results.paraview import paraview_script
 from particles_mpi.run.console import Screen
-from particles_mpi.run.ending import PROGRAM, scene_and_folder, tell_end
+from particles_mpi.run.ending import PROGRAM, tell_end
+from particles_mpi.run.files import RunFiles
 from particles_mpi.run.forecast import Forecast, Forecaster
 from particles_mpi.scene.plan import plan
 
@@ -75,50 +67,12 @@ class Job:
             output.formats.remove("vtk")
             sim.warnings.append(f"output.formats: no VTK files of more than {MOST_VTK} particles, unless it asks for them")
         self.plan = plan(self.scene, sim.rows, self.ranks)
-        self.lock: run_folder.Lock | None = None
         self.request = StopRequest(self.ranks, self.setup_began, wall_time)  # from here on a signal must not leave half a file
         try:
-            self._open(overwrite, own)
+            self.files = RunFiles(sim, folder, self.plan, resumed=self.resumed, own=own, overwrite=overwrite)
         except BaseException:
-            self.leave()
+            self.request.close()
             raise
-
-    def _open(self, overwrite: bool, own: bool) -> None:
-        """Claim the folder, and open the writers; all have looked at their files before the first one changes its own."""
-        not_run = [{"effect": name} for name in self.plan["not_run"]]
-        about = scene_and_folder(self.scene) | {"plan": self.plan | {"not_run": not_run}}
-        self.continues, self.lock = run_folder.claim(self.folder, self.ranks, about, self.resumed, overwrite, own)
-        self.written = self.sim.written = self.sim.written if self.continues else {"row": -1, "frame": -1}
-        output, d, ranks = self.scene.output, self.scene.dimension, self.ranks
-        step = self.sim.steps_done if self.continues else None
-        frame, row, last_count = (self.written.get(name) for name in ("frame", "row", "frame_particles"))
-        self.frames: list[Any] = []
-        if "hdf5" in output.formats:
-            from particles_mpi.output.trajectory import Trajectory
-
-            path = self.folder / "trajectory.vtkhdf"
-            self.frames.append(Trajectory(path, ranks, list(self._frame()), d, self.sim.total, step, frame, last_count))
-        if "vtk" in output.formats:
-            from particles_mpi.output.vtk import VtkSeries
-
-            self.frames.append(VtkSeries(self.folder, ranks, d, step, frame))
-        names = column_names(d, output.observables, "mutual_gravity" in self.scene.effects, "spin" in self.sim.rows.arrays)
-        self.diagnostics = Diagnostics(self.folder / "diagnostics.csv", ranks, names, step, row)
-        try:
-            for writer in (*self.frames, self.diagnostics):
-                writer.open()
-            if self.continues:  # what it tells of an end is no longer true
-                write_text(self.folder / "run.json", ranks, json.dumps(about, indent=2) + "\n")
-            if output.formats:
-                write_text(self.folder / "view_paraview.py", ranks, paraview_script(self.folder, self.scene.to_dict()))
-        except (SceneError, StoppedError):  # on all ranks
-            self.close()
-            raise
-
-    def _frame(self) -> dict[str, Array]:
-        """The fields that a frame shows; `fixed` only where something is."""
-        arrays = self.sim.rows.arrays
-        return {n: a for n, a in arrays.items() if field(n).output and (n != "fixed" or self.plan["fixed"])}
 
     def run(self) -> None:
         """To the last step, or to a signal."""
@@ -129,27 +83,25 @@ class Job:
                 self.screen.say(f"  {note}")
             setup, begin = perf_counter() - self.setup_began, perf_counter()
             stopped = self.take_steps()
-            self.close()
+            self.files.close()
             if self.rehearsal:
                 return
             seconds = {"setup": setup, "loop": perf_counter() - begin}
             tell_end(sim, self.plan, self.folder, self.screen, seconds, sim.steps_done - begun_with, self.rows, not stopped)
         except (SceneError, StoppedError) as error:
             await_all(self.ranks, error)  # to close a file would wait for ranks that have no error
-            self.close()
+            self.files.close()
             if isinstance(error, StateError) and not self.rehearsal:
-                path = self.folder / "stopped.h5"
-                checkpoint.dump(path, self.ranks, sim.rows.arrays, {"step": sim.steps_done, "error": str(error)})
-                safe = ", the last checkpoint is untouched" if sim.saved or self.continues else ""
-                raise StateError(f"{error}; all rows are in {path}{safe}") from None
+                raise self.files.dump(error) from None
             raise
         except BaseException:
             if self.ranks.size == 1:  # others may be anywhere, and to close a file would wait for them
-                self.close()
+                self.files.close()
             raise
         finally:
             self.screen.stop()
-            self.leave()
+            self.request.close()
+            self.files.release()
         if stopped:
             folder, scene = quote(str(self.folder)), quote(str(self.scene_file))
             saved = f"stopped at step {sim.steps_done} of {self.last}, saved; continue with --resume {folder}/checkpoint.h5"
@@ -158,17 +110,17 @@ class Job:
 
     def take_steps(self) -> bool:
         """The steps, and all that is shown and written between them; was the run stopped before the last one?"""
-        sim, output, row, stopped = self.sim, self.scene.output, dict[str, Any](), False
+        sim, files, output, row, stopped = self.sim, self.files, self.scene.output, dict[str, Any](), False
         pace = Forecaster(sim, self.last) if self.screen.loud or (self.rehearsal and self.ranks.is_root) else None
         shown = sim.steps_done
         show = self.screen.start(shown, self.last)
         if not self.resumed:
-            row = self.report()
+            row = files.write_row()
             self.rows.append(row)
             if pace:
                 pace.reported()
-            self.write_frame()
-        if not self.continues and (self.resumed or sim.steps_done == self.last):
+            files.write_frame()
+        if not files.continues and (self.resumed or sim.steps_done == self.last):
             self.save()  # what is in this folder begins here
         periods = output.every, output.diagnostics_every, output.checkpoint_every
         while sim.steps_done < self.last and not (stopped := self.request.poll(sim.steps_done)):
@@ -177,9 +129,9 @@ class Job:
             if final or any(n % k == 0 for k in (WATCH_EVERY, output.every, output.checkpoint_every)):
                 sim.watch()
             if n % output.diagnostics_every == 0 or final:
-                row = self.report(extra=n % output.diagnostics_every != 0)
+                row = files.write_row(extra=n % output.diagnostics_every != 0)
             if n % output.every == 0:
-                self.write_frame()
+                files.write_frame()
             if n % output.checkpoint_every == 0 or final:
                 self.save()
             if pace and (forecast := pace.due_forecast()) and (n < self.last or self.rehearsal):
@@ -208,61 +160,8 @@ class Job:
             self.plan["predicted_seconds_range"] = [forecast.least, forecast.most]
         self.screen.forecast(forecast, again=before is not None)
 
-    def report(self, extra: bool = False) -> dict[str, Any]:
-        """One row of diagnostics.csv: the state, and what happened since the row before.
-
-        An `extra` row, with which a run ends, is as if it were not there for the next one, and is removed when the run goes on.
-        """
-        sim = self.sim
-        before = sim.reported, sim.observed["row"].copy(), self.written["row"]
-        with sim.timers("diagnostics"):
-            state = sim.measure(row=True)
-            totals = self.ranks.allreduce_sum(np.array([sim.totals[name] for name in COUNTS]))
-            most = self.ranks.largest(len(sim.rows))[0]
-            row = {"step": sim.steps_done, "time": sim.time, "particles": sim.total, **state}
-            row |= zip(COUNTS, (totals - np.array(sim.reported)).tolist())
-            row["imbalance"] = most * self.ranks.size / sim.total if sim.total else 1.0
-            sim.reported = totals.tolist()
-            self.diagnostics.write(row)
-            self.written["row"] = sim.steps_done
-        if extra:
-            sim.reported, sim.observed["row"], self.written["row"] = before
-        collisions, wall_hits, missed, *_ = totals.tolist()
-        return {**row, "hits_so_far": collisions + wall_hits, "missed_so_far": missed}
-
-    def write_frame(self) -> None:
-        """One frame in every format."""
-        with self.sim.timers("output"):
-            self.sim.take_changes()
-            frame = self._frame()
-            for writer in self.frames:
-                writer.write(self.sim.steps_done, self.sim.time, frame, self.sim.ids)
-            self.written |= {"frame": self.sim.steps_done, "frame_particles": self.sim.total}
-
     def save(self) -> None:
-        """The exact state; replaces the checkpoint before."""
-        sim, began = self.sim, perf_counter()
-        with sim.timers("output"):
-            for writer in self.frames:
-                writer.show()  # a run that goes on from here counts on all frames up to here
-        with sim.timers("checkpoint"):
-            metadata = sim.metadata()
-            kept = metadata | {"reported": sim.reported, "written": self.written}
-            state = {name: json.dumps(value) for name, value in kept.items()} | {"step": metadata["step"], "time": sim.time}
-            state["effect_files"] = json.dumps(sim.scene.digests())
-            path, d = self.folder / "checkpoint.h5", self.scene.dimension
-            checkpoint.save(path, self.ranks, sim.rows.arrays, sim.ids, d, state, sim.lasting_contacts())
-        sim.saved = self.folder.resolve(), sim.steps_done, identity_of(path, self.ranks)
+        """A checkpoint; the longest one so far tells how long before the limit of its time the run stops."""
+        began = perf_counter()
+        self.files.save()
         self.request.reserve = max(self.request.reserve, SAFETY * (perf_counter() - began))
-
-    def leave(self) -> None:
-        """Signals mean again what they did before, and the folder is free."""
-        self.request.close()
-        if self.lock:
-            self.lock.release()
-
-    def close(self) -> None:
-        """Close every file."""
-        with self.sim.timers("output"):
-            for writer in (*self.frames, self.diagnostics):
-                writer.close()

@@ -1,0 +1,134 @@
+"""The folder of a run and what is written into it: frames, rows of diagnostics, checkpoints."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from particles_mpi.contacts.drift import COUNTS
+from particles_mpi.errors import SceneError, StateError, StoppedError
+from particles_mpi.measure.diagnostics import column_names
+from particles_mpi.output import checkpoint, run_folder
+from particles_mpi.output.diagnostics_csv import Diagnostics
+from particles_mpi.output.files import identity_of, write_text
+from particles_mpi.particles import Array, field
+from particles_mpi.results.paraview import paraview_script
+from particles_mpi.run.ending import scene_and_folder
+
+
+class RunFiles:
+    """Claims a folder for a run, opens what it writes, and writes it. Collective throughout.
+
+    `plan`: that of the run. `resumed`: does it go on from a checkpoint? `own`: from the one in this folder? `continues`: does the
+    run go on that is in the folder? `written`: the last row and frame there.
+    """
+
+    def __init__(self, sim: Any, folder: Path, plan: dict[str, Any], *, resumed: bool, own: bool, overwrite: bool):
+        self.sim, self.folder, self.ranks, self.plan, self.lock = sim, folder, sim.ranks, plan, None
+        not_run = [{"effect": name} for name in plan["not_run"]]
+        about = scene_and_folder(sim.scene) | {"plan": plan | {"not_run": not_run}}
+        self.continues, self.lock = run_folder.claim(folder, self.ranks, about, resumed, overwrite, own)
+        self.written = sim.written = sim.written if self.continues else {"row": -1, "frame": -1}
+        try:
+            self.open(about)
+        except BaseException:
+            self.release()
+            raise
+
+    def open(self, about: dict[str, Any]) -> None:
+        """Open the writers; all have looked at their files before the first one changes its own. `about`: for `run.json`."""
+        sim, ranks, output, d = self.sim, self.ranks, self.sim.scene.output, self.sim.scene.dimension
+        step = sim.steps_done if self.continues else None
+        frame, row, last_count = (self.written.get(name) for name in ("frame", "row", "frame_particles"))
+        self.frames: list[Any] = []
+        if "hdf5" in output.formats:
+            from particles_mpi.output.trajectory import Trajectory
+
+            path = self.folder / "trajectory.vtkhdf"
+            self.frames.append(Trajectory(path, ranks, list(self.shown()), d, sim.total, step, frame, last_count))
+        if "vtk" in output.formats:
+            from particles_mpi.output.vtk import VtkSeries
+
+            self.frames.append(VtkSeries(self.folder, ranks, d, step, frame))
+        names = column_names(d, output.observables, "mutual_gravity" in sim.scene.effects, "spin" in sim.rows.arrays)
+        self.diagnostics = Diagnostics(self.folder / "diagnostics.csv", ranks, names, step, row)
+        try:
+            for writer in (*self.frames, self.diagnostics):
+                writer.open()
+            if self.continues:  # what it tells of an end is no longer true
+                write_text(self.folder / "run.json", ranks, json.dumps(about, indent=2) + "\n")
+            if output.formats:
+                write_text(self.folder / "view_paraview.py", ranks, paraview_script(self.folder, sim.scene.to_dict()))
+        except (SceneError, StoppedError):  # on all ranks
+            self.close()
+            raise
+
+    def shown(self) -> dict[str, Array]:
+        """The fields that a frame shows; `fixed` only where something is."""
+        arrays = self.sim.rows.arrays
+        return {n: a for n, a in arrays.items() if field(n).output and (n != "fixed" or self.plan["fixed"])}
+
+    def write_row(self, extra: bool = False) -> dict[str, Any]:
+        """One row of diagnostics.csv: the state, and what happened since the row before.
+
+        An `extra` row, with which a run ends, is as if it were not there for the next one, and is removed when the run goes on.
+        """
+        sim = self.sim
+        before = sim.reported, sim.observed["row"].copy(), self.written["row"]
+        with sim.timers("diagnostics"):
+            state = sim.measure(row=True)
+            totals = self.ranks.allreduce_sum(np.array([sim.totals[name] for name in COUNTS]))
+            most = self.ranks.largest(len(sim.rows))[0]
+            row = {"step": sim.steps_done, "time": sim.time, "particles": sim.total, **state}
+            row |= zip(COUNTS, (totals - np.array(sim.reported)).tolist())
+            row["imbalance"] = most * self.ranks.size / sim.total if sim.total else 1.0
+            sim.reported = totals.tolist()
+            self.diagnostics.write(row)
+            self.written["row"] = sim.steps_done
+        if extra:
+            sim.reported, sim.observed["row"], self.written["row"] = before
+        collisions, wall_hits, missed, *_ = totals.tolist()
+        return {**row, "hits_so_far": collisions + wall_hits, "missed_so_far": missed}
+
+    def write_frame(self) -> None:
+        """One frame in every format."""
+        with self.sim.timers("output"):
+            self.sim.take_changes()
+            shown = self.shown()
+            for writer in self.frames:
+                writer.write(self.sim.steps_done, self.sim.time, shown, self.sim.ids)
+            self.written |= {"frame": self.sim.steps_done, "frame_particles": self.sim.total}
+
+    def save(self) -> None:
+        """The exact state; replaces the checkpoint before."""
+        sim = self.sim
+        with sim.timers("output"):
+            for writer in self.frames:
+                writer.show()  # a run that goes on from here counts on all frames up to here
+        with sim.timers("checkpoint"):
+            metadata = sim.metadata()
+            kept = metadata | {"reported": sim.reported, "written": self.written}
+            state = {name: json.dumps(value) for name, value in kept.items()} | {"step": metadata["step"], "time": sim.time}
+            state["effect_files"] = json.dumps(sim.scene.digests())
+            path, d = self.folder / "checkpoint.h5", sim.scene.dimension
+            checkpoint.save(path, self.ranks, sim.rows.arrays, sim.ids, d, state, sim.lasting_contacts())
+        sim.saved = self.folder.resolve(), sim.steps_done, identity_of(path, self.ranks)
+
+    def dump(self, error: StateError) -> StateError:
+        """Write all rows of a state that has lost its meaning into `stopped.h5`; returns the error that tells of it."""
+        sim, path = self.sim, self.folder / "stopped.h5"
+        checkpoint.dump(path, self.ranks, sim.rows.arrays, {"step": sim.steps_done, "error": str(error)})
+        safe = ", the last checkpoint is untouched" if sim.saved or self.continues else ""
+        return StateError(f"{error}; all rows are in {path}{safe}")
+
+    def close(self) -> None:
+        """Close every file."""
+        with self.sim.timers("output"):
+            for writer in (*self.frames, self.diagnostics):
+                writer.close()
+
+    def release(self) -> None:
+        """The folder is free for others."""
+        if self.lock:
+            self.lock.release()
