@@ -34,13 +34,13 @@ from particles_mpi.contacts.time_stepped.passes import (
     finish_walls,
     select_contacts,
 )
+from particles_mpi.contacts.time_stepped.signs import Signs
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.neighbours.candidates import Hits
 from particles_mpi.neighbours.neighbour_list import Neighbourhood
 from particles_mpi.neighbours.pass_messages import ACROSS, OWN_ONLY, exchange_segments, exchange_selections
-from particles_mpi.neighbours.trajectories import fastest
-from particles_mpi.particles import Array, row_dot
+from particles_mpi.particles import Array
 from particles_mpi.timers import Timers
 
 if TYPE_CHECKING:
@@ -48,7 +48,6 @@ if TYPE_CHECKING:
 
 NONE = np.empty(0)
 DEEP = 0.5e-3  # of a radius: an overlap at the end of a drift, which nobody may keep
-SPEEDS_EVERY = 10  # drifts between two looks at the speeds, until one is too fast
 LOOK_AFTER = 3  # passes, after which partners that overlap are taken as a sign of a crowd, not of two who soon move apart
 
 
@@ -74,8 +73,7 @@ class Rewind:
         self.near, self.passes, self.timers, self.exact = near, passes, timers, exact
         self.loss, self.law, self.planes = tuple(loss), law, near.planes
         self.walls = len(self.planes[0]) > 0
-        self.drifts, self.dense_steps, self.too_fast = 0, 0, False
-        self.collisions, self.late_collisions = 0, 0
+        self.signs = Signs(near)
         self.noting = False  # does `last` tell the last contacts of each drift?
         self.last: LastContacts | None = None
         self.searches = -1  # the search of `near` that the arrays by row belong to
@@ -88,9 +86,7 @@ class Rewind:
         """
         near = self.near
         near.prepare(h)
-        self.drifts += 1
-        if self.drifts % SPEEDS_EVERY == 0 and not self.too_fast:
-            self.look_at_speeds(h)
+        self.signs.look_at_speeds(h)
         travel = 0.0
         while True:
             self.renew(rates)
@@ -101,11 +97,11 @@ class Rewind:
                 assert self.exact
                 self.undo()
                 near.end_candidates()
-                self.dense_steps += 1
+                self.signs.dense_steps += 1
                 self.exact.noting = self.noting
                 counts = self.exact.drift(h, moment, rates)
                 self.last = self.exact.last
-                self.collisions += counts[COLLISIONS]
+                self.signs.count(counts[COLLISIONS])
                 return counts
             except TooFarError as far:
                 self.undo()
@@ -116,8 +112,7 @@ class Rewind:
         with self.timers("drift"):
             near.advance(h)
             self.forget_contacts()
-        self.collisions += counts[COLLISIONS]
-        self.late_collisions += counts[LATE]
+        self.signs.count(counts[COLLISIONS], counts[LATE])
         return counts[:LATE]
 
     def renew(self, rates: Rates) -> None:
@@ -136,31 +131,9 @@ class Rewind:
         self.virial = near.particles.arrays.get("virial", NONE)
         self.virial_before = self.virial.copy()
 
-    def look_at_speeds(self, h: float) -> None:
-        """Does a sphere cross more than its diameter in a drift over h? A start is refused, but forces make spheres faster."""
-        p = self.near.particles
-        if h * fastest(p.position, p.velocity) > 2.0 * p.radius.min(initial=np.inf, where=p.radius > 0.0):
-            far = h * np.sqrt(row_dot(p.velocity, p.velocity)) > 2.0 * p.radius
-            self.too_fast |= bool((far & (p.radius > 0.0)).any())
-
     def remarks(self) -> list[str]:
         """What a user should be told at the end. Collective."""
-        remarks = []
-        if self.dense_steps:
-            assert self.exact
-            dense = f"{self.dense_steps} steps had more contacts than passes put in order: those were done in order of time"
-            remarks += [dense, *self.exact.remarks()]
-        late, found, too_fast = self.near.ranks.total(self.late_collisions, self.collisions, self.too_fast)
-        if too_fast:
-            remarks.append(
-                "spheres crossed more than their diameter in a step, and may have met in a wrong order: shorten time.step"
-            )
-        if late:
-            remarks.append(
-                f"collisions that came late, when spheres overlapped: {late} of {found}; "
-                "shorter steps have fewer, mode event none"
-            )
-        return remarks
+        return self.signs.remarks(self.exact)
 
     def all_passes(self, h: float) -> Array:
         """All passes; leaves each row at the start of its last segment. Returns (collisions, wall hits, missed) of this rank."""

@@ -1,0 +1,57 @@
+"""Signs that a step is too long for the passes of mode `rewind`, which a run tells at its end."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from particles_mpi.neighbours.neighbour_list import Neighbourhood
+from particles_mpi.neighbours.trajectories import fastest
+from particles_mpi.particles import row_dot
+
+if TYPE_CHECKING:
+    from particles_mpi.contacts.event_driven.operator import EventDriven
+
+SPEEDS_EVERY = 10  # drifts between two looks at the speeds, until one is too fast
+
+
+class Signs:
+    """Counts, on this rank, what may go wrong in drifts without being missed: late contacts, dense steps, spheres too fast."""
+
+    def __init__(self, near: Neighbourhood):
+        self.near = near
+        self.drifts, self.dense_steps, self.too_fast = 0, 0, False
+        self.collisions, self.late_collisions = 0, 0
+
+    def look_at_speeds(self, h: float) -> None:
+        """Does a sphere cross more than its diameter in a drift over h? A start is refused, but forces make spheres faster."""
+        self.drifts += 1
+        if self.too_fast or self.drifts % SPEEDS_EVERY:
+            return
+        p = self.near.particles
+        if h * fastest(p.position, p.velocity) > 2.0 * p.radius.min(initial=np.inf, where=p.radius > 0.0):
+            far = h * np.sqrt(row_dot(p.velocity, p.velocity)) > 2.0 * p.radius
+            self.too_fast |= bool((far & (p.radius > 0.0)).any())
+
+    def count(self, collisions: int, late: int = 0) -> None:
+        """Add those of a drift."""
+        self.collisions += collisions
+        self.late_collisions += late
+
+    def remarks(self, exact: "EventDriven | None") -> list[str]:
+        """What a user should be told at the end; `exact`: the operator that did the dense steps. Collective."""
+        remarks = []
+        if self.dense_steps:
+            assert exact
+            dense = f"{self.dense_steps} steps had more contacts than passes put in order: those were done in order of time"
+            remarks += [dense, *exact.remarks()]
+        late, found, too_fast = self.near.ranks.total(self.late_collisions, self.collisions, self.too_fast)
+        if too_fast:
+            remarks.append(
+                "spheres crossed more than their diameter in a step, and may have met in a wrong order: shorten time.step"
+            )
+        if late:
+            remarks.append(
+                f"collisions that came late, when spheres overlapped: {late} of {found}; "
+                "shorter steps have fewer, mode event none"
+            )
+        return remarks
