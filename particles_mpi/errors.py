@@ -1,4 +1,4 @@
-"""The three ways in which a run ends early, and their exit codes; how particles are named in a fault; numbers of steps."""
+"""The three ways in which a run ends early, and their exit codes; how faults tell of errors, particles and numbers of steps."""
 
 from collections.abc import Sequence
 from operator import index
@@ -6,6 +6,7 @@ from typing import Any
 
 EXIT_ON_SIGNAL = 130
 MOST_NAMED = 5  # particles or pairs named in a fault
+LONGEST_REASON = 400  # characters of an unexpected error that are told
 
 
 class SceneError(ValueError):
@@ -32,6 +33,12 @@ class Interrupted(Exception):
     """Stopped by a signal or the wall-time limit, after writing a checkpoint."""
 
     exit_code = EXIT_ON_SIGNAL
+
+
+def one_line(error: BaseException) -> str:
+    """What an error says, without breaks of lines and not without end: the reasons of numba stand behind its first line."""
+    said = " ".join(str(error).split())
+    return said if len(said) <= LONGEST_REASON else f"{said[:LONGEST_REASON]} ..."
 
 
 def listed(names: Sequence[Any] | Any, what: str = "particle", total: int | None = None) -> str:

@@ -10,7 +10,7 @@ from zlib import crc32
 
 import numpy as np
 
-from particles_mpi.errors import listed
+from particles_mpi.errors import listed, one_line
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
 
@@ -201,5 +201,5 @@ def wrong_line(block: bytes, columns: list[int], first: int) -> str:
         try:
             parsed(line, columns)
         except ValueError as error:
-            return f"line {number}: {' '.join(str(error).split())}"
+            return f"line {number}: {one_line(error)}"
     return "cannot be read as columns of numbers"

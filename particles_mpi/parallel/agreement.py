@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from mpi4py import MPI
 
-from particles_mpi.errors import Interrupted, SceneError, StateError, StoppedError
+from particles_mpi.errors import Interrupted, SceneError, StateError, StoppedError, one_line
 from particles_mpi.parallel.communicator import NAP, Communicator
 from particles_mpi.particles import Array, Particles
 
@@ -34,7 +34,6 @@ SETUP_PATIENCE = 3.0  # seconds in which the other ranks must end a phase of the
 TAG = 1664  # of the messages between ranks that fail; messages with rows have tag 0
 FRAMES = 6  # innermost calls that the message of an unexpected error names
 LENGTH = 2000  # characters of a message between ranks that fail: MPI sends short ones before the receiver asks for them
-LONGEST_REASON = 400  # characters of an unexpected error that are told
 SHORT_VALUE = 60  # characters of the longest value that a message repeats
 PACKAGE = Path(__file__).parents[1]
 
@@ -151,8 +150,7 @@ def is_own(file: Path) -> bool:
 
 def describe_unexpected(error: BaseException) -> str:
     """One line: the exception and the calls of this package and of a user's files that led to it; any calls if there are none."""
-    said = " ".join(str(error).split())  # numba's reasons are behind its first line
-    said = said if len(said) <= LONGEST_REASON else f"{said[:LONGEST_REASON]} ..."
+    said = one_line(error)
     frames = traceback.extract_tb(error.__traceback__)
     ours = [f for f in frames if is_own(Path(f.filename)) and f.filename != __file__] or frames
     calls = " > ".join(f"{Path(f.filename).name}:{f.lineno} {f.name}" for f in ours[-FRAMES:])

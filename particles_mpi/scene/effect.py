@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from particles_mpi.errors import SceneError, StoppedError
+from particles_mpi.errors import SceneError, StoppedError, one_line
 from particles_mpi.particles import Array, Column, Particles, add_column
 from particles_mpi.scene.model import Model
 
@@ -53,12 +53,7 @@ def faults_in(name: str, options: EffectOptions, scene: Any) -> list[str]:
         found: Any = options.faults(scene) or []
         return [f"effects.{name}.{fault}" for fault in ([found] if isinstance(found, str) else found)]
     except Exception as error:  # of a user's own
-        raise SceneError(f"effects.{name}: its `faults` failed: {one_line(error)}") from error
-
-
-def one_line(error: Exception) -> str:
-    """What an error says, and of which type it is."""
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise SceneError(f"effects.{name}: its `faults` failed: {type(error).__name__}: {one_line(error)}") from error
 
 
 def built(name: str, options: EffectOptions, scene: Any) -> Any:
@@ -68,7 +63,7 @@ def built(name: str, options: EffectOptions, scene: Any) -> Any:
     except SceneError:
         raise
     except Exception as error:
-        raise SceneError(f"effects.{name}: it cannot be made: {one_line(error)}") from error
+        raise SceneError(f"effects.{name}: it cannot be made: {type(error).__name__}: {one_line(error)}") from error
 
 
 class Needs(NamedTuple):

@@ -10,6 +10,7 @@ from typing import Any
 
 from pydantic import ValidationError, ValidationInfo
 
+from particles_mpi.errors import one_line
 from particles_mpi.scene.effect import EffectOptions, Event, Force, VelocityFlow
 from particles_mpi.scene.model import faults_of, key_of, suggestion
 
@@ -60,7 +61,7 @@ def load_effect(name: str, file: Path | None) -> ModuleType:
     except (Exception, SystemExit) as error:
         del sys.modules[title]
         kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
-        raise ValueError(f"{file}: {kind}{' '.join(str(error).split())}") from error
+        raise ValueError(f"{file}: {kind}{one_line(error)}") from error
     return module
 
 
