@@ -91,7 +91,7 @@ def run(
             raise SceneError(other)
         sim.scene = described  # it may end later, or write more often
     else:
-        sim = Simulation(described)
+        sim = simulation_of(described, scene)
     if auto and sim.steps_done >= (last := sim.last_step if steps is None else steps):
         if IS_ROOT and not quiet:
             print(f"{folder}: step {sim.steps_done} of {last}: nothing is left to do")
@@ -110,15 +110,11 @@ def check(scene: SceneFile) -> None:
     """
     from particles_mpi.run.console import Screen
     from particles_mpi.scene.plan import plan
-    from particles_mpi.simulation import Simulation
     from particles_mpi.study.experiment import Benchmark
     from particles_mpi.study.recommend.predict import predict
 
     described, screen = load(scene, quiet=False), Screen(IS_ROOT, False)
-    try:
-        sim = Simulation(described)
-    except SceneError as error:
-        raise SceneError([f"{scene}: {fault}" for fault in error.faults]) from None
+    sim = simulation_of(described, scene)
     screen.plan(described.title, plan(described, sim.rows, sim.ranks), sim.warnings)
     found = predict(sim, Benchmark())
     if found.forecast:
@@ -161,6 +157,16 @@ def doctor() -> None:
     from particles_mpi.run import doctor as examined
 
     raise SystemExit(examined.main(IS_ROOT, MPI.COMM_WORLD.Get_size()))
+
+
+def simulation_of(described: Any, scene: Path) -> Any:
+    """The simulation of a scene; what is wrong with it is told with the name of its file. Collective."""
+    from particles_mpi.simulation import Simulation
+
+    try:
+        return Simulation(described)
+    except SceneError as error:
+        raise SceneError([f"{scene}: {fault}" for fault in error.faults]) from None
 
 
 def stop_after(wall_time: str | None) -> tuple[float | None, str]:

@@ -167,6 +167,7 @@ def test_faults_name_the_key_and_write_nothing(scene, tmp_path, old, new, says):
     scene.write_text(SCENE.replace(old, new))
     done = particles_mpi(2, "run", scene, "--output", tmp_path / "o")
     assert done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr, done.stderr
+    assert all(line.startswith(f"particles-mpi: {scene}: ") for line in done.stderr.splitlines()), done.stderr
     assert not (tmp_path / "o").exists()
 
 
