@@ -184,4 +184,4 @@ def _library(name: str) -> Any:
     try:
         return import_module(name)
     except ImportError:
-        raise ImportError(f"{name} is not installed: pip install 'particles-mpi[analysis]'") from None
+        raise ImportError(f"{name} is not installed: pip install {name}") from None

@@ -154,7 +154,7 @@ class Benchmark:
         time_in_turns(timers, self.samples, sample_seconds or self.sample_seconds, progress)
         self.screen.stop()
         for row, timer in zip(rows, timers, strict=True):
-            units = row.work["forces"] if row.setting.by_forces else row.setting.steps
+            units = (row.setting.by_forces and row.work["forces"]) or row.setting.steps  # without forces steps are what is timed
             row.seconds = timer.seconds.of(row.setting.seconds_of or units)
         observe_orders(rows)
 

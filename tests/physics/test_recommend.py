@@ -6,10 +6,13 @@ from recommend_cases import CASES, kepler, thrown
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.errors import SceneError
+from particles_mpi.study.accuracy.orbits import PLANET, gravity
 from particles_mpi.study.experiment import Benchmark
+from particles_mpi.study.recommend.methods import methods
 from particles_mpi.study.recommend.recommend import recommend
 from particles_mpi.study.recommend.reference import extrapolated, reference
 from particles_mpi.study.recommend.runs import Start
+from particles_mpi.study.recommend.search import Search
 
 PLENTY = 300.0  # seconds that measuring may take: none of these comes near it
 
@@ -28,6 +31,77 @@ def test_its_setting_reaches_the_tolerance_in_truth(number):
     reached = [one for one in found.timed if one.errors[found.search.error] <= case.tolerance]
     assert found.best in reached and found.best.timed.median <= 1.2 * min(one.timed.median for one in reached)
     assert found.half[found.search.error] <= case.tolerance and found.difference <= 2.0 * case.tolerance
+
+
+def falling_ball(restitution, steps, step):
+    """A ball of radius 0.1 that falls 1 under g = 9.81 onto a floor."""
+    tables = {
+        "dimension": 1,
+        "box": {"lower": [0.0], "upper": [10.0]},
+        "time": {"step": step, "steps": steps},
+        "particles": [{"position": [[1.1]], "radius": 0.1}],
+        "effects": {"uniform_gravity": {"acceleration": [-9.81]}, "walls": {"restitution": restitution}},
+    }
+    return Scene.from_dict(tables)
+
+
+def height(t, restitution, g=9.81):
+    """Of the ball at a time: parabolas, each as long as the one before times the restitution."""
+    lands, speed = np.sqrt(2.0 / g), np.sqrt(2.0 * g)
+    if t < lands:
+        return 1.1 - 0.5 * g * t**2
+    while (speed := speed * restitution) > 1e-12 and t >= lands + 2.0 * speed / g:
+        lands += 2.0 * speed / g
+    since = min(t - lands, 2.0 * speed / g)
+    return 0.1 + speed * since - 0.5 * g * since**2
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-4])
+def test_a_motion_that_is_over_before_the_first_snapshot_is_measured_too(tolerance):
+    """The ball lies still from t = 1.35 on: at all sixteen moments at which places are compared but the first."""
+    found = recommend(Benchmark(quick=True, samples=3), falling_ball(0.5, 2000, 0.01), tolerance, "", PLENTY)
+    sim, wrong = Simulation(Scene.from_dict(found.tables)), 0.0
+    while sim.steps_done < sim.scene.steps:
+        sim.step()
+        wrong = max(wrong, abs(sim.particles.position[0, 0] - height(sim.time, 0.5)))
+    assert 0.1 * tolerance < wrong <= tolerance
+
+
+def test_whole_periods_are_no_chaos():
+    """At the end of each a planet is where it began, and an elastic ball too: so near to the start as nothing that moves is."""
+    orbits = Start(Benchmark(), Scene.from_dict(gravity(PLANET, 2.0 * np.pi / 100, 1600, "leapfrog")))
+    found = reference(orbits, PLENTY)
+    assert "state" in found.limits and found.size == pytest.approx(np.sqrt(1.0 + 1.5 * 0.5**2), rel=0.2)  # from the focus
+    bounce = 2.0 * np.sqrt(2.0 / 9.81)
+    found = reference(Start(Benchmark(), falling_ball(1.0, 1600, bounce / 100.0)), PLENTY)
+    assert "state" in found.limits and 0.2 < found.size < 1.0
+
+
+def test_the_step_that_is_told_is_the_one_that_was_measured():
+    """And not a shorter one, to which that of a part of the run was rounded."""
+    start = Start(Benchmark(), kepler(1e-9).scene)
+    search = Search(start, reference(start, 0.02), "state", 1e-2, PLENTY)
+    assert search.metric.part < 1.0
+    for method in (method for method in methods(start) if not method.adaptive):
+        for resolution in (37.0, 75.0, 1000.0):
+            trial = search.attempt(method, resolution)
+            whole = trial.method.whole_steps(trial.resolution, trial.part)
+            assert trial.scene.time.step == pytest.approx(start.duration / whole, rel=1e-12)
+            assert trial.scene.steps >= resolution * trial.part
+
+
+def test_frames_that_the_user_wants_set_the_longest_step():
+    scene = falling_ball(1.0, 400, 0.01)
+    scene.output.every = 4
+    found = recommend(Benchmark(quick=True, samples=3), scene, 0.5, "", PLENTY)
+    time, every = found.tables["time"], found.tables["output"]["every"]
+    assert time["steps"] / every >= 100
+
+
+def test_a_free_flight_takes_time_in_every_integrator():
+    flight = {"dimension": 2, "time": {"step": 0.05, "steps": 100}, "particles": [{"position": [[3, 3]], "velocity": [1, 0.5]}]}
+    found = recommend(Benchmark(quick=True, samples=3), Scene.from_dict(flight), 1e-6, "", PLENTY)
+    assert all(trial.timed.median > 0.0 for trial in found.timed)
 
 
 def test_the_cases_are_nine_and_careless():

@@ -4,7 +4,8 @@ The resolution limit of an error: smaller ones cannot be told from round-off, wh
 from the reference's own error, or, where motion is chaotic, from the spread of runs that are all as right.
 
 Names of errors, all relative numbers:
-- state: largest distance of any particle from its place in the reference, at SNAPSHOTS moments, over the size of the motion
+- state: largest distance of any particle from its place in the reference, at the snapshots (up to 16, evenly over the run), over
+  the size of the motion
 - energy: largest |E - E_true| over |E| of the start, or over the largest kinetic energy where |E| is below a hundredth of it
 - collision rate, wall hits, kinetic energy: of the whole run, over those of the reference; height: over the height of fall
 State is compared as long as a displaced start does not end up somewhere else; otherwise the others are.
@@ -29,7 +30,7 @@ class ErrorMetric:
 
     part: of the run that it covers; reference: what it is, for people; growth: factor by which a small displacement of the start
     grows; size: of the motion; limits: the resolution limit of each error, the most telling error first; why: where the limits
-    come from; order: of the leapfrog, as seen in the reference; places (SNAPSHOTS, N, d), energy (SNAPSHOTS,): of the reference;
+    come from; order: of the leapfrog, as seen in the reference; places (snapshots, N, d), energy (snapshots,): of the reference;
     scale: of energies; means: of the observables, if it is an ensemble.
     """
 
@@ -50,6 +51,11 @@ class ErrorMetric:
     def span(self) -> float:
         """Time units that the reference covers."""
         return self.part * self.start.duration
+
+    @property
+    def snapshots(self) -> int:
+        """Of runs over the span."""
+        return self.start.snapshots(self.part)
 
     def errors(self, record: Record) -> Errors:
         """How wrong a run over the span is."""

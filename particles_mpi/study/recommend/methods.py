@@ -7,10 +7,11 @@ from typing import Any
 from particles_mpi import Scene
 from particles_mpi.gravity.method import PAIR_NS, TREES, tree_cost
 from particles_mpi.integrators.gauss_radau import TOLERANCE
-from particles_mpi.study.recommend.runs import SNAPSHOTS, Changes, Start, variant, whole_parts
+from particles_mpi.study.recommend.runs import LEAST_SNAPSHOTS, Changes, Start, variant, whole_parts
 
 OPENING_ANGLES = (1.0, 0.7, 0.5, 0.3)
 PASSES = (1, 3, 10)
+AS_IT_IS = "as it is: "  # begins the name of the settings that the scene has itself
 DIRECT: Changes = {"mutual_gravity": {"method": "direct", "opening_angle": None, "accuracy": None, "multipole": None}}
 EVENT: Changes = {"collisions": {"mode": "event", "passes": None}}
 
@@ -38,9 +39,13 @@ class Method:
         return 10.0 if self.adaptive else 2.0
 
     def steps(self, resolution: float, part: float) -> int:
-        """Of a part of the run; `adaptive` only stops where a frame is written."""
-        scene = self.start.scene
-        return whole_parts(part * (scene.steps / scene.output.every if self.adaptive else resolution))
+        """Of a part of the run: not fewer than frames, at which alone `adaptive` has to stop."""
+        frames = self.start.scene.steps / self.start.scene.output.every
+        return whole_parts(part * (frames if self.adaptive else max(resolution, frames)), self.start.snapshots(part))
+
+    def whole_steps(self, resolution: float, part: float) -> int:
+        """Of the whole run, in steps as long as those of a part (a half, a quarter ...) that was measured."""
+        return round(self.steps(resolution, part) / part)
 
     def scene(self, resolution: float, part: float) -> Scene:
         """A variant of the scene that ends after a part of the run. SceneError if it is refused."""
@@ -48,11 +53,11 @@ class Method:
         time: dict[str, Any] = {"step": part * self.start.duration / steps, "steps": steps, "integrator": self.integrator}
         return variant(self.start.scene, time | ({"tolerance": 1.0 / resolution} if self.adaptive else {}), self.changes)
 
-    def describe(self, resolution: float) -> str:
-        """Its step or tolerance, for people."""
+    def describe(self, resolution: float, part: float) -> str:
+        """Its step, in a part of the run that was measured, or its tolerance, for people."""
         if self.adaptive:
             return f"tolerance {1.0 / resolution:.2g}"
-        return f"step {self.start.duration / self.steps(resolution, 1.0):.4g}"
+        return f"step {self.start.duration / self.whole_steps(resolution, part):.4g}"
 
 
 def methods(start: Start) -> list[Method]:
@@ -107,5 +112,5 @@ def as_it_is(start: Start) -> tuple[Method, float]:
         changes = tree_of(angle) if angle else DIRECT
     if contact:
         name = f"{contact.mode}, {contact.passes} passes" if contact.mode == "rewind" else contact.mode
-    resolution = 1.0 / (scene.time.tolerance or TOLERANCE) if name == "adaptive" else float(max(scene.steps, SNAPSHOTS))
-    return Method(start, f"as it is: {name}", scene.time.integrator, changes), resolution
+    resolution = 1.0 / (scene.time.tolerance or TOLERANCE) if name == "adaptive" else float(max(scene.steps, LEAST_SNAPSHOTS))
+    return Method(start, AS_IT_IS + name, scene.time.integrator, changes), resolution

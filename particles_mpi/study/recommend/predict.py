@@ -29,12 +29,15 @@ from particles_mpi.run.job import Job
 from particles_mpi.scene.schema import TOLERANCES
 from particles_mpi.study.experiment import Benchmark, total_count
 from particles_mpi.study.recommend.error_metric import ROUND_OFF
-from particles_mpi.study.recommend.runs import SNAPSHOTS, Record, Start, follow, variant
+from particles_mpi.study.recommend.methods import DIRECT
+from particles_mpi.study.recommend.reference import MOST_FOR_DIRECT_SUM
+from particles_mpi.study.recommend.runs import LEAST_SNAPSHOTS, Changes, Record, Start, follow, variant
 from particles_mpi.study.timing import StepTimer, time_in_turns
 
 ERROR_SECONDS = 0.8  # seconds for errors, about
 MOST_ERROR_SECONDS = 3.0  # seconds that errors may take where steps take long; more is not tried
 LONGEST_TIMED_STEP = 0.03  # seconds: of longer ones it is not measured what each effect costs, which takes copies and time
+LONGER = 4  # times as many steps are tried next, where errors took so little time
 COST_SAMPLES = 4  # of a step without each effect
 COST_SECONDS, COST_STEPS = 0.03, 6  # least seconds and steps of a sample: some have a search that serves several steps
 LEAST_SHARE = 0.03  # of a step: less is not told from the noise
@@ -170,7 +173,7 @@ def predict_contacts(sim: Simulation) -> list[str]:
     orderly = scene.dimension == 1 and not forced  # spheres on a line hand their velocities on: errors grow as the time only
     if many > CHAOS_AFTER and not orderly:
         lines.append(
-            f"chaos: {many:.0f} collisions of a particle in all; after about {CHAOS_AFTER:.0f}, "
+            f"chaos: {many:.0f} collisions of a particle in all, at the rate of the first steps; after about {CHAOS_AFTER:.0f}, "
             f"t = {CHAOS_AFTER / rate:.2g}, places mean nothing, means over many do"
         )
     return lines
@@ -178,18 +181,40 @@ def predict_contacts(sim: Simulation) -> list[str]:
 
 def predict_steps(benchmark: Benchmark, scene: Scene, step: float) -> list[str]:
     """Error of places and of the energy over as much of the run as there is time for, and its order; `step`: seconds of one."""
-    if scene.steps < SNAPSHOTS:
-        return [f"predicted error: not measured, the run has fewer than {SNAPSHOTS} steps"]
-    affordable = int(ERROR_SECONDS / (7.0 * SNAPSHOTS * 2.0 * step))  # 1 + 2 + 4 runs; snapshots cost as much as steps
-    steps = SNAPSHOTS * min(max(1, affordable), scene.steps // SNAPSHOTS)
-    if 14.0 * steps * step > MOST_ERROR_SECONDS:
+    if scene.steps < LEAST_SNAPSHOTS:
+        return [f"predicted error: not measured, the run has fewer than {LEAST_SNAPSHOTS} steps"]
+    start, runs = Start(benchmark, scene), 1 + 2 + 4  # at h, h/2 and h/4
+    affordable = int(ERROR_SECONDS / (2.0 * runs * LEAST_SNAPSHOTS * step))  # snapshots cost as much as steps
+    steps = LEAST_SNAPSHOTS * min(max(1, affordable), scene.steps // LEAST_SNAPSHOTS)
+    if 2.0 * runs * steps * step > MOST_ERROR_SECONDS:
         return ["predicted error: not measured, a step takes too long; study recommend tells"]
-    start = Start(benchmark, scene)
-    records = [follow(start, start.simulate(refined(scene, steps, k))) for k in range(3)]
-    return [describe_differences(start, records, steps * scene.time.step)]
+    while True:
+        snapshots = start.snapshots(steps / scene.steps)
+        steps -= steps % snapshots
+        began = perf_counter()
+        records = [follow(start, start.simulate(refined(scene, steps, 0)), snapshots)]
+        took = benchmark.ranks.largest(perf_counter() - began)[0]
+        if LONGER * runs * took > ERROR_SECONDS or steps + LEAST_SNAPSHOTS > scene.steps - scene.steps % snapshots:
+            break
+        steps = min(LONGER * steps, scene.steps)
+    records += [follow(start, start.simulate(refined(scene, steps, k)), snapshots) for k in (1, 2)]
+    span = steps * scene.time.step
+    return [describe_differences(start, records, span) + error_of_tree(start, records[0], steps)]
 
 
-def refined(scene: Scene, steps: int, halvings: int) -> Scene:
+def error_of_tree(start: Start, record: Record, steps: int) -> str:
+    """How far a run with a tree is from one by the direct sum in the same steps, in words; "" where no tree is used."""
+    gravity = start.scene.effects.get("mutual_gravity")
+    if not (gravity and gravity.active and gravity.choice(start.scene, start.total).angle):
+        return ""
+    if start.total > MOST_FOR_DIRECT_SUM:
+        return "; the error of the tree comes on top of it"
+    snapshots = len(record.places)
+    exact = follow(start, start.simulate(refined(start.scene, steps, 0, DIRECT)), snapshots)
+    return f"; by the tree, {start.apart(record.places, exact.places) / record.motion:.1g} more"
+
+
+def refined(scene: Scene, steps: int, halvings: int, effects: Changes | None = None) -> Scene:
     """The scene's first `steps`, each cut into 2^halvings; `adaptive` with a tolerance that much tighter, by tens."""
     time = scene.time.model_dump(exclude_none=True) | {"step": scene.time.step, "steps": steps}
     time.pop("end", None)
@@ -198,7 +223,7 @@ def refined(scene: Scene, steps: int, halvings: int) -> Scene:
         time["tolerance"] = min(max(tolerance * 10.0 ** (1 - halvings), TOLERANCES[0]), TOLERANCES[1])  # not past them by an ulp
     else:
         time |= {"step": scene.time.step / 2**halvings, "steps": steps * 2**halvings}
-    return variant(scene, time)
+    return variant(scene, time, effects)
 
 
 def describe_differences(start: Start, records: list[Record], span: float) -> str:
@@ -206,7 +231,7 @@ def describe_differences(start: Start, records: list[Record], span: float) -> st
 
     With the differences d1 of h and h/2, d2 of h/2 and h/4, the order is p = log2(d1/d2), the error of h is d1 2^p/(2^p - 1).
     """
-    size, where = start.motion(records[0]), f"t = {span:.3g}"
+    size, where = records[0].motion, f"t = {span:.3g}"
     one, two = (start.apart(a.places, b.places) / size for a, b in pairwise(records))
     if start.scene.time.integrator == "adaptive":
         return f"predicted error: places {max(two, ROUND_OFF):.1g} of the size of the motion at {where}, by a tighter tolerance"
@@ -218,8 +243,8 @@ def describe_differences(start: Start, records: list[Record], span: float) -> st
     error = one * 2.0**order / (2.0**order - 1.0)
     line = f"predicted error: places {error:.1g} of the size of the motion at {where}, order {order:.1f}"
     if span <= 0.99 * start.duration:
-        line += f"; {error * start.duration / span:.1g} at the end if errors grow evenly"
+        line += f" (later ones are not measured: {error * start.duration / span:.1g} at the end if errors grow evenly)"
     energies = records[0].energies
     if start.conserves and start.forces and isfinite(energies[0]) and energies[0] != 0.0:
-        line += f"; energy {float(np.abs(energies / energies[0] - 1.0).max()):.1g}"
+        line += f"; energy {float(np.abs(energies / energies[0] - 1.0).max()):.1g} until then"
     return line

@@ -75,22 +75,30 @@ def find(start: Start, tolerance: float, error: str, seconds: float) -> Recommen
     finalists = search.finalists()
     if not finalists:
         raise StoppedError(f"--tolerance {tolerance:g}: not reached in {seconds:.0f} s of measuring: " + nearest(search))
-    short = all(trial.seconds < SHORT_RUN_SECONDS for trial in finalists)
-    rows = time_trials(start, finalists, min(benchmark.sample_seconds, SHORT_RUN_SECONDS) if short else None)
-    for trial, row in zip(finalists, rows, strict=True):
-        trial.timed = row.seconds.of(round(1.0 / metric.part))
-    timed, dropped = sorted(finalists, key=lambda trial: trial.timed.median), list[str]()
-    for trial in timed:
-        before = len(search.trials)
-        finer = search.attempt(trial.method, trial.resolution * trial.method.ratio)
-        del search.trials[before:]
-        if finer and search.reached(finer.errors):
-            difference = metric.difference(error, trial.record, finer.record)
-            if difference <= 2.0 * search.tolerance:
-                tables = tuned(start.scene, trial.scene, trial.method.steps(trial.resolution, 1.0))
-                return Recommendation(tolerance, trial, tables, finer.errors, difference, timed, dropped, search)
-        dropped.append(trial.name)
-    raise StoppedError(f"--tolerance {tolerance:g}: reached by chance only: half the step does not confirm " + dropped[0])
+    enter_times(start, finalists, metric.part)
+    left, dropped, best = sorted(finalists, key=lambda trial: trial.timed.median), list[str](), None
+    while left and (best is None or left[0].timed.median < best[0].timed.median):
+        trial = left.pop(0)
+        confirmed = search.confirm(trial)
+        if confirmed is None or confirmed[0] is not trial:
+            dropped.append(trial.name)
+        if confirmed and confirmed[0] is not trial:
+            enter_times(start, [confirmed[0]], metric.part)
+        if confirmed and (best is None or confirmed[0].timed.median < best[0].timed.median):
+            best = confirmed
+    if best is None:
+        raise StoppedError(f"--tolerance {tolerance:g}: reached by chance only: half the step does not confirm " + dropped[0])
+    trial, finer, difference = best
+    tables = tuned(start.scene, trial.scene, trial.method.whole_steps(trial.resolution, metric.part))
+    return Recommendation(tolerance, trial, tables, finer.errors, difference, [trial, *left], dropped, search)
+
+
+def enter_times(start: Start, trials: list[Trial], part: float) -> None:
+    """Seconds of the whole run into trials of a part of it, measured by turns. Collective."""
+    short = all(trial.seconds < SHORT_RUN_SECONDS for trial in trials)
+    rows = time_trials(start, trials, min(start.benchmark.sample_seconds, SHORT_RUN_SECONDS) if short else None)
+    for trial, row in zip(trials, rows, strict=True):
+        trial.timed = row.seconds.of(round(1.0 / part))
 
 
 def nearest(search: Search) -> str:
@@ -117,17 +125,20 @@ def report(screen: Screen, found: Recommendation) -> None:
     for name, why in found.search.refused.items():
         say(f"  {name}: {why}")
     for name in found.dropped:
-        say(f"  {name}: reaches it by chance, not at half the step")
-    steps = method.steps(trial.resolution, 1.0)
+        say(f"  {name}: reaches it at the snapshots, or by chance: half the step does not confirm it")
+    steps = method.whole_steps(trial.resolution, metric.part)
     finer, tolerance = "half the step", ""
     if method.adaptive:
-        finer, tolerance = "a tenth of the tolerance", f", {method.describe(trial.resolution)}"
+        finer, tolerance = "a tenth of the tolerance", f", {method.describe(trial.resolution, metric.part)}"
     say(
         f": {error} {trial.errors[error]:.2g}; the whole run takes {s.median:.3g} s ({s.low:.3g} to {s.high:.3g}) on "
         f"{metric.start.benchmark.ranks.size} rank(s), output not counted",
         head=f"recommended: {method.name}, {steps} steps of {metric.start.duration / steps:.6g}{tolerance}",
     )
-    say(f"  verified at {finer}: {error} {found.half[error]:.2g}, the two runs differ by {found.difference:.2g}")
+    differ = f"{found.difference:.2g} at most" + (", in every step" if error == "state" else "")
+    say(f"  verified at {finer}: {error} {found.half[error]:.2g}, the two runs differ by {differ}")
+    if metric.part < 1.0:
+        say(f"  not verified after t = {metric.span:.4g}: errors may grow faster there; --seconds gives time for more of the run")
 
 
 def trials_table(found: Recommendation) -> Table:
@@ -164,9 +175,10 @@ def recommend_scene(
 
 def save(found: Recommendation, source: Path, target: Path) -> None:
     """Write the tuned scene; on one rank."""
-    error, ranks = found.search.error, found.search.start.benchmark.ranks.size
+    error, ranks, metric = found.search.error, found.search.start.benchmark.ranks.size, found.search.metric
+    until = f" to t = {metric.span:.4g}, not measured after that" if metric.part < 1.0 else ""
     remark = (
-        f"by study recommend: {error} {found.best.errors[error]:.2g} (wanted: {found.tolerance:g}), "
+        f"by study recommend: {error} {found.best.errors[error]:.2g} (wanted: {found.tolerance:g}{until}), "
         f"about {found.best.timed.median:.2g} s on {ranks} rank(s)"
     )
     try:

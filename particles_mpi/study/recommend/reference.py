@@ -4,7 +4,7 @@ A start that is displaced a little tells how chaotic the motion is, and with tha
 """
 
 from itertools import pairwise
-from math import nan, sqrt
+from math import inf, nan, sqrt
 from time import perf_counter
 from typing import Any
 
@@ -16,8 +16,18 @@ from particles_mpi.kernels.geometry import image_shifts
 from particles_mpi.particles import Array
 from particles_mpi.study.recommend.error_metric import ROUND_OFF, ErrorMetric
 from particles_mpi.study.recommend.methods import DIRECT, EVENT
-from particles_mpi.study.recommend.runs import DISPLACEMENT, SNAPSHOTS, Record, Start, TooLongError, follow, variant, whole_parts
+from particles_mpi.study.recommend.runs import (
+    DISPLACEMENT,
+    LEAST_SNAPSHOTS,
+    Record,
+    Start,
+    TooLongError,
+    follow,
+    variant,
+    whole_parts,
+)
 
+STOPS = 13  # of `adaptive` between two snapshots, to look at where the particles are
 TIGHT, LOOSE = 1e-9, 1e-7  # tolerances of `adaptive`: both lead to round-off, of which their difference is a sample
 SATURATED = 1e-2  # of the size: a displaced start that ends so far away has nothing to do with the start any more
 CHAOTIC_GROWTH = 1e4  # growth from which spheres that collide are a gas: another order of contacts is as good as this one
@@ -38,7 +48,11 @@ def reference(start: Start, seconds: float, error: str = "") -> ErrorMetric:
     seconds = REFERENCE_SHARE * seconds
     if start.conserves and not start.contacts and start.forces and (error == "energy" or start.total > MOST_FOR_DIRECT_SUM):
         return by_conserved_energy(start, seconds)
-    return (by_order_15(start, seconds) if start.smooth else None) or by_steps(start, seconds)
+    found = by_order_15(start, seconds) if start.smooth else None
+    if found and found.part == 1.0:
+        return found
+    by_leapfrog = by_steps(start, seconds)  # which may be affordable for longer, where not all digits are wanted
+    return found if found and found.part >= by_leapfrog.part else by_leapfrog
 
 
 def exact_scene(start: Start, steps: int, duration: float, **time: Any) -> Scene:
@@ -50,7 +64,7 @@ def exact_scene(start: Start, steps: int, duration: float, **time: Any) -> Scene
 def affordable(start: Start, cost: float, seconds: float) -> ErrorMetric:
     """The span that can be measured, where a unit of time costs so many seconds: all of it, or a half, a quarter and so on."""
     part = 1.0
-    while part * start.duration * cost > seconds and part * start.scene.steps > SNAPSHOTS:
+    while part * start.duration * cost > seconds and part * start.scene.steps > LEAST_SNAPSHOTS:
         part *= 0.5
     return ErrorMetric(start, part)
 
@@ -73,22 +87,25 @@ def cost(start: Start, sim: Simulation, seconds: float, longer: float = 1.0) -> 
 def by_order_15(start: Start, seconds: float) -> ErrorMetric | None:
     """Reference by `adaptive`, where paths are smooth; None where it does not get through."""
 
-    def simulate_adaptive(tolerance: float, duration: float, shifted: int = 0) -> Simulation:
-        scene = exact_scene(start, SNAPSHOTS, duration, integrator="adaptive", tolerance=tolerance)
+    def simulate_adaptive(tolerance: float, duration: float, snapshots: int, shifted: int = 0) -> Simulation:
+        scene = exact_scene(start, STOPS * snapshots, duration, integrator="adaptive", tolerance=tolerance)
         return start.simulate(scene, shifted, duration)
 
+    def over_span(found: ErrorMetric, tolerance: float, shifted: int = 0, patience: float = inf) -> Record:
+        return follow(start, simulate_adaptive(tolerance, found.span, found.snapshots, shifted), found.snapshots, patience)
+
     try:
-        probe = simulate_adaptive(TIGHT, SNAPSHOTS * min(start.scene.time.step, start.duration))
+        probe = simulate_adaptive(TIGHT, LEAST_SNAPSHOTS * min(start.scene.time.step, start.duration), LEAST_SNAPSHOTS)
         found = affordable(start, 3.0 * cost(start, probe, 0.02 * seconds, 2.0), seconds)
         while True:
             try:
-                tight = follow(start, simulate_adaptive(TIGHT, found.span), 0.5 * seconds)
+                tight = over_span(found, TIGHT, patience=0.5 * seconds)
                 break
             except TooLongError:  # close encounters came later
                 found.part *= 0.5
                 if found.part * start.scene.steps < 1.0:
                     return None
-        loose, displaced = (follow(start, simulate_adaptive(LOOSE, found.span, shifted)) for shifted in (0, 1))
+        loose, displaced = (over_span(found, LOOSE, shifted) for shifted in (0, 1))
     except StoppedError:
         return None
     found.reference = f"adaptive, tolerance {TIGHT:g}"
@@ -101,10 +118,10 @@ def by_steps(start: Start, seconds: float) -> ErrorMetric:
     probe = start.simulate(exact_scene(start, start.scene.steps, start.duration))
     fine = ENSEMBLE_REFINEMENT if start.forces or start.dissipates else 1  # contacts alone are exact at any step
     found = affordable(start, cost(start, probe, 0.02 * seconds) * (ENSEMBLE_SIZE * fine + 4.0), seconds)
-    steps = whole_parts(start.scene.steps * found.part)
+    steps = whole_parts(start.scene.steps * found.part, found.snapshots)
     scene = exact_scene(start, steps, found.span)
-    first, displaced = (follow(start, start.simulate(scene, shifted, found.span)) for shifted in (0, 1))
-    found.size = start.motion(first)
+    first, displaced = (follow(start, start.simulate(scene, shifted, found.span), found.snapshots) for shifted in (0, 1))
+    found.size = first.motion
     parted = start.apart(first.places, displaced.places)
     found.growth = parted / (DISPLACEMENT * found.size)
     if found.growth < (CHAOTIC_GROWTH if "collisions" in start.scene.effects else SATURATED / DISPLACEMENT):
@@ -127,7 +144,7 @@ def converge(found: ErrorMetric, first: Record, steps: int, seconds: float) -> t
     records, column = [first], [places_and_energies(first, first, start.length)]
     best, uncertainty, better, clocked = column[0], np.inf, True, 0.0
     while len(column) < 3 or (len(column) <= MOST_HALVINGS and uncertainty > limit and better and 3.0 * clocked < seconds):
-        records.append(follow(start, start.simulate(exact_scene(start, steps * 2 ** len(column), found.span))))
+        records.append(follow(start, start.simulate(exact_scene(start, steps * 2 ** len(column), found.span)), found.snapshots))
         column.append(places_and_energies(records[-1], first, start.length))
         value, change = extrapolated(column)
         better = change < 0.5 * uncertainty  # if not, round-off or corners are all that is left
@@ -172,7 +189,7 @@ def extrapolated(column: list[Array]) -> tuple[Array, float]:
 def set_limits(found: ErrorMetric, record: Record, parted: float, uncertainty: float) -> None:
     """Resolution limits of a reference that may be wrong by `uncertainty`, while a displaced start ends `parted` from it
     (both lengths)."""
-    found.size = found.start.motion(record)
+    found.size = record.motion
     found.growth = parted / (DISPLACEMENT * found.size)
     found.places = record.places
     chaos, own = max(found.growth, 1.0) * ROUND_OFF, uncertainty / found.size
@@ -202,7 +219,8 @@ def by_ensemble(found: ErrorMetric, first: Record, steps: int, fine: int) -> Err
     start, members = found.start, ENSEMBLE_SIZE // 2 if found.start.benchmark.quick else ENSEMBLE_SIZE
     scene = exact_scene(start, steps * fine, found.span)
     runs = [
-        follow(start, start.simulate(scene, number, found.span, ENSEMBLE_DISPLACEMENT)).observables for number in range(members)
+        follow(start, start.simulate(scene, number, found.span, ENSEMBLE_DISPLACEMENT), found.snapshots).observables
+        for number in range(members)
     ]
     for name in runs[0]:
         column = np.array([run[name] for run in runs])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import isfinite
+from math import isfinite, sqrt
 from time import perf_counter
 from typing import Any
 
@@ -26,8 +26,13 @@ from particles_mpi.study.experiment import Benchmark, all_particles, total_count
 
 DISPLACEMENT = 1e-12  # of the size of a motion: how far a displaced start is from the start
 FEW_PARTICLES = 64  # particles that more than one rank would only slow down
-SNAPSHOTS = 4  # moments, evenly over the run, at which places are compared; all numbers of steps are multiples of it
+# Moments, evenly over the run, at which places are compared; all numbers of steps are multiples of it.
+LEAST_SNAPSHOTS, MOST_SNAPSHOTS = 4, 16  # more would allow fewer kinds of long steps; `apart_all_along` sees what is between
+MOST_PLACES = 200_000  # of particles, in all snapshots of a run
+MOST_MOMENTS, MOST_COMPARED = 1000, 2_000_000  # at which two runs are compared all along, and places of particles there
+ROUNDED_UP = 1.02  # times the steps of the scene: more would be another scene
 ENERGY_SAMPLES = 32  # moments at which energies are, about
+LOOKS, GOLDEN = 48, 0.5 * (5.0**0.5 - 1.0)  # at where the particles are, at moments that no period has
 EFFECT_OF_KEY = {"drag": "drag", "acceleration": "user_acceleration"}  # keys of particles that mean nothing without an effect
 
 Changes = dict[str, dict[str, Any] | None]  # keys of effects that change, and effects that are left out (None)
@@ -72,6 +77,15 @@ class Start:
         self.conserves = effects.conserves_energy and not endless_falls(scene, self.particles, Communicator.alone())
         self.duration = scene.steps * scene.time.step
         self.length = scene.periodic_length  # of periodic axes, 0 of others
+        self.movable = self.particles.fixed == 0
+        self.middle = self.particles.position[self.movable].mean(axis=0) if self.movable.any() else np.zeros(scene.dimension)
+
+    def snapshots(self, part: float) -> int:
+        """How many are taken in a part of the run: as many as may be, so that the steps of the scene are about a multiple."""
+        steps = max(part * self.scene.steps, 1.0)
+        numbers = range(min(MOST_SNAPSHOTS, MOST_PLACES // max(self.total, 1)), LEAST_SNAPSHOTS, -1)
+        exact = (k for k in numbers if 2 * k >= numbers[0] and steps % k == 0.0) if numbers else ()
+        return next(iter(exact), next((k for k in numbers if whole_parts(steps, k) <= ROUNDED_UP * steps), LEAST_SNAPSHOTS))
 
     def on_few(self, work: Callable[[Start], Any]) -> Any:
         """`work(self)`; for few bodies, which more ranks would only slow down, on rank 0 alone: None elsewhere. Collective."""
@@ -113,23 +127,21 @@ class Start:
         away -= image_shifts(away, self.length)
         return float(np.sqrt((away**2).sum(axis=-1)).max(initial=0.0))
 
-    def motion(self, record: Record) -> float:
-        """Root of the mean square distance of the particles that move, at the snapshots, from the middle of them at the start.
-
-        For one particle this is how far it gets; 1 if nothing moves.
-        """
-        movable = self.particles.fixed == 0
-        rows = self.particles.position[movable]
-        return (rms_distance(record.places[:, movable], rows.mean(axis=0)) if len(rows) else 0.0) or 1.0
+    def spread(self, sim: Simulation) -> float:
+        """Mean square distance of the particles that can move from the middle of them at the start. Collective."""
+        p = sim.particles
+        away = float(((p.position[p.fixed == 0] - self.middle) ** 2).sum())
+        return float(sim.ranks.allreduce_sum(np.array([away]))[0]) / max(int(self.movable.sum()), 1)
 
 
 @dataclass
 class Record:
     """What is kept of a run.
 
-    places: (SNAPSHOTS, N, d) at the snapshots; energy: (SNAPSHOTS,) there; energies, kinetic: at more moments, the start too;
-    heights: (SNAPSHOTS,) of the centre of all particles against gravity; duration: time units; seconds: with all snapshots, on
-    the slowest rank.
+    places: (snapshots, N, d) at the snapshots; energy: (snapshots,) there; energies, kinetic: at more moments, the start too;
+    heights: (snapshots,) of the centre of all particles against gravity; motion: its size, the root mean square distance of what
+    moves from the middle of it at the start, at LOOKS moments: for one particle this is how far it gets; 1 if nothing moves;
+    duration: time units; seconds: with all snapshots, on the slowest rank.
     """
 
     places: Array
@@ -139,6 +151,7 @@ class Record:
     collisions: int
     wall_hits: int
     heights: Array
+    motion: float
     duration: float
     seconds: float
 
@@ -153,13 +166,18 @@ class Record:
         }
 
 
-def follow(start: Start, sim: Simulation, patience: float = np.inf) -> Record:
+def follow(start: Start, sim: Simulation, snapshots: int, patience: float = np.inf) -> Record:
     """Run a simulation to the end of its scene. Collective; TooLongError after `patience` seconds."""
     steps, began = sim.scene.steps, perf_counter()
-    snapshot_steps, energy_steps = steps // SNAPSHOTS, max(1, steps // ENERGY_SAMPLES)
-    places, at_snapshots, energies = [], [], [total_and_kinetic(sim)]
+    snapshot_steps, energy_steps = steps // snapshots, max(1, steps // ENERGY_SAMPLES)
+    looks = sorted({max(1, round(steps * (k * GOLDEN % 1.0))) for k in range(LOOKS)})
+    places, at_snapshots, energies, spreads = [], [], [total_and_kinetic(sim)], []
     while sim.steps_done < steps:
-        sim.steps(min(k - sim.steps_done % k for k in (energy_steps, snapshot_steps, steps)))
+        ahead = [k - sim.steps_done % k for k in (energy_steps, snapshot_steps, steps)]
+        sim.steps(min([*ahead, *(look - sim.steps_done for look in looks[:1])]))
+        if sim.steps_done in looks[:1]:
+            spreads.append(start.spread(sim))
+            del looks[0]
         if sim.steps_done % energy_steps == 0 or sim.steps_done == steps:
             energies.append(total_and_kinetic(sim))
             seconds = sim.ranks.largest(perf_counter() - began)[0]
@@ -169,14 +187,33 @@ def follow(start: Start, sim: Simulation, patience: float = np.inf) -> Record:
             places.append(all_particles(sim).position)
             at_snapshots.append(total_and_kinetic(sim)[0])
     sim.watch()
-    found = np.array(places).reshape(SNAPSHOTS, start.total, sim.scene.dimension)
+    found = np.array(places).reshape(snapshots, start.total, sim.scene.dimension)
     size = float(np.sqrt((sim.g**2).sum()))
     up = -sim.g / size if size > 0.0 else sim.g
-    heights = (found.mean(axis=1) * up).sum(axis=1) if start.total else np.zeros(SNAPSHOTS)
+    heights = (found.mean(axis=1) * up).sum(axis=1) if start.total else np.zeros(snapshots)
     sums, kinetic = np.array(energies).T
     counts = total_count(sim, "collisions"), total_count(sim, "wall_hits")
+    motion = sqrt(float(np.mean(spreads))) or 1.0
     seconds = sim.ranks.largest(perf_counter() - began)[0]
-    return Record(found, np.array(at_snapshots), sums, kinetic, *counts, heights, steps * sim.h, seconds)
+    return Record(found, np.array(at_snapshots), sums, kinetic, *counts, heights, motion, steps * sim.h, seconds)
+
+
+def apart_all_along(start: Start, coarse: Scene, fine: Scene) -> float:
+    """The largest distance of any particle in one run from itself in another, whose steps are so many times shorter.
+
+    Over all steps of the coarse one, or as many of them as MOST_COMPARED allows: snapshots may all lie where nothing moves.
+    Collective.
+    """
+    one, other = start.simulate(coarse), start.simulate(fine)
+    ratio, most = fine.steps // coarse.steps, 0.0
+    moments = max(1, min(MOST_MOMENTS, MOST_COMPARED // max(start.total, 1)))
+    stride = -(-coarse.steps // moments)
+    while one.steps_done < coarse.steps:
+        number = min(stride, coarse.steps - one.steps_done)
+        one.steps(number)
+        other.steps(number * ratio)
+        most = max(most, start.apart(all_particles(one).position, all_particles(other).position))
+    return most
 
 
 def total_and_kinetic(sim: Simulation) -> tuple[float, float]:
@@ -185,9 +222,9 @@ def total_and_kinetic(sim: Simulation) -> tuple[float, float]:
     return row["total_energy"] if isfinite(row["total_energy"]) else row["kinetic"], row["kinetic"]
 
 
-def whole_parts(steps: float) -> int:
-    """The number of steps, not less, that SNAPSHOTS divides."""
-    return SNAPSHOTS * max(1, int(np.ceil(steps / SNAPSHOTS * (1.0 - 1e-12))))
+def whole_parts(steps: float, snapshots: int) -> int:
+    """The number of steps, not less, that a number of snapshots divides."""
+    return snapshots * max(1, int(np.ceil(steps / snapshots * (1.0 - 1e-12))))
 
 
 def rms_distance(x: Array, center: Array) -> float:

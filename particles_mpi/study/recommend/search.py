@@ -10,8 +10,8 @@ from particles_mpi import Scene
 from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.study.experiment import Errors, Row, Setting
 from particles_mpi.study.recommend.error_metric import ErrorMetric
-from particles_mpi.study.recommend.methods import Method
-from particles_mpi.study.recommend.runs import SNAPSHOTS, Record, Start, TooLongError, follow
+from particles_mpi.study.recommend.methods import AS_IT_IS, Method
+from particles_mpi.study.recommend.runs import LEAST_SNAPSHOTS, Record, Start, TooLongError, apart_all_along, follow
 from particles_mpi.study.timing import NOT_TIMED, Seconds
 
 BUDGET_SECONDS = 60.0  # seconds of measuring, about: a third each for the reference, the search, and times
@@ -29,7 +29,7 @@ LEAST_GAIN = 1.15  # a finer setting whose error is not smaller by this: somethi
 class Trial:
     """A setting, tried over the span: its errors, the seconds it took with all snapshots, and its work.
 
-    `timed`: seconds of the whole run, output not counted, of those that were compared.
+    part: of the run that is the span. timed: seconds of the whole run, output not counted, of those that were compared.
     """
 
     method: Method
@@ -39,11 +39,12 @@ class Trial:
     seconds: float
     work: dict[str, int]
     record: Record
+    part: float
     timed: Seconds = NOT_TIMED
 
     @property
     def name(self) -> str:
-        return f"{self.method.name}, {self.method.describe(self.resolution)}"
+        return f"{self.method.name}, {self.method.describe(self.resolution, self.part)}"
 
 
 def time_trials(start: Start, trials: list[Trial], sample_seconds: float | None = None) -> list[Row]:
@@ -86,6 +87,7 @@ class Search:
 
     def attempt(self, method: Method, resolution: float, patience: float = inf) -> Trial | None:
         """Try a setting; None where it is refused, or stops, or takes too long. Collective."""
+        resolution = resolution if method.adaptive else float(method.whole_steps(resolution, self.metric.part))
         try:
             scene = method.scene(resolution, self.metric.part)
             for earlier in self.trials:
@@ -94,14 +96,14 @@ class Search:
                     return self.trials[-1]
             sim = self.start.simulate(scene)
             before = sim.work()
-            record = follow(self.start, sim, patience)
+            record = follow(self.start, sim, self.metric.snapshots, patience)
         except (SceneError, StoppedError) as error:
             self.too_long = isinstance(error, TooLongError)
             why = "dearer than others, or no time left" if self.too_long else str(error).splitlines()[0]
-            self.refused[f"{method.name}, {method.describe(resolution)}"] = why
+            self.refused[f"{method.name}, {method.describe(resolution, self.metric.part)}"] = why
             return None
         work = {kind: count - before[kind] for kind, count in sim.work().items()}
-        trial = Trial(method, resolution, scene, self.metric.errors(record), record.seconds, work, record)
+        trial = Trial(method, resolution, scene, self.metric.errors(record), record.seconds, work, record, self.metric.part)
         if all(isfinite(error) for error in trial.errors.values()) and self.reached(trial.errors):
             self.best = min(self.best, trial.seconds)
         self.trials.append(trial)
@@ -161,6 +163,35 @@ class Search:
                 return
             aim *= (trial.errors[e] / (AIMED_SHARE * self.tolerance)) ** (1.0 / order) if isfinite(trial.errors[e]) else 1.1
 
+    def confirm(self, trial: Trial) -> tuple[Trial, Trial, float] | None:
+        """(this setting or a finer one, the one at half its step, how far these are apart); None where none is confirmed.
+
+        A setting is confirmed if half the step reaches the tolerance too, and the two are not further apart than the tolerance:
+        places in every step, and not at the snapshots only; other errors, which chance is in, twice as far. Collective.
+        """
+        places, method = self.error == "state", trial.method
+        while True:
+            kept = len(self.trials)
+            finer = self.attempt(method, trial.resolution * method.ratio)
+            del self.trials[kept:]
+            if finer is None or not self.reached(finer.errors):
+                return None
+            if places:
+                difference = apart_all_along(self.start, trial.scene, finer.scene) / self.metric.size
+            else:
+                difference = self.metric.difference(self.error, trial.record, finer.record)
+            if difference <= (1.0 if places else 2.0) * self.tolerance:
+                return trial, finer, difference
+            if not places or self.left() < 0.0:
+                return None
+            order = {"order4": 4, "adaptive": 1}.get(method.integrator, 2)
+            further = (difference / (AIMED_SHARE * self.tolerance)) ** (1.0 / order)
+            method = replace(method, name=method.name.removeprefix(AS_IT_IS))
+            next_ = self.attempt(method, trial.resolution * max(LEAST_GAIN, further))
+            if next_ is None:
+                return None
+            trial = next_
+
     def finalists(self) -> list[Trial]:
         """Those that may be the cheapest: the coarsest of each method that reaches the tolerance; with contacts, which are found
         at a price that depends on the step in other ways, the two quickest."""
@@ -175,7 +206,7 @@ class Search:
         """The resolution at which a method begins: by what is known of the scene as it is, and of orders."""
         if method.adaptive:
             return float(10.0 ** min(max(round(-0.5 * log10(self.tolerance)) + 2, 3), 9))
-        steps = float(max(self.start.scene.steps, SNAPSHOTS))
+        steps = float(max(self.start.scene.steps, LEAST_SNAPSHOTS))
         order = {"leapfrog": 2, "order4": 4}.get(method.integrator, 1)
         if "collisions" in self.start.scene.effects:
             return steps

@@ -194,4 +194,4 @@ except ImportError as error:
 print(run.columns["kinetic"].tolist())
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=100)
-    assert done.stdout.splitlines() == ["pandas is not installed: pip install 'particles-mpi[analysis]'", str([10.0] * 4)]
+    assert done.stdout.splitlines() == ["pandas is not installed: pip install pandas", str([10.0] * 4)]

@@ -25,6 +25,21 @@ def test_errors_are_those_of_a_time_within_the_run(steps):
         assert 0.0 < float(re.search(r"at t = ([\d.]+)", line).group(1)) <= 0.01 * steps * (1.0 + 1e-12)
 
 
+def test_the_error_of_a_tree_is_told_too():
+    stars = {"count": 300, "position": {"plummer": 1.0}, "velocity": "equilibrium", "mass": 1.0 / 300}
+    tree = {"softening": 0.05, "method": "tree", "opening_angle": 1.0, "multipole": "monopole"}
+    scene = {
+        "dimension": 3,
+        "G": 1.0,
+        "time": {"step": 0.01, "steps": 20},
+        "particles": [stars],
+        "effects": {"mutual_gravity": tree},
+    }
+    (line,) = predict(Simulation(Scene.from_dict(scene)), Benchmark()).errors
+    step, by_tree = (float(re.search(f"{word} ([-+e.0-9]+)", line).group(1)) for word in ("places", "by the tree,"))
+    assert by_tree > 5.0 * step > 0.0
+
+
 COMPILES = """
 from time import sleep
 from particles_mpi.scene.effect import EffectOptions, Force
