@@ -9,7 +9,7 @@ from particles_mpi.initial.faults import Faults
 from particles_mpi.initial.room import Room
 from particles_mpi.initial.sphere_cells import LEVELS, class_of
 from particles_mpi.initial.sphere_grid import SphereGrid
-from particles_mpi.kernels.geometry import image_shift, image_shifts
+from particles_mpi.kernels.geometry import image_shift, image_shifts, wrap
 from particles_mpi.kernels.jit import inner, kernel
 from particles_mpi.neighbours.candidates import touching
 from particles_mpi.neighbours.cells import bulk
@@ -103,16 +103,44 @@ def push_apart(ranks: Communicator, particles: Particles, room: Room) -> list[st
     arrived = allgather_rows(ranks, {name: particles[name] for name in names})
     everyone = Particles(particles.dimension, rows_of(arrived, np.argsort(arrived["id"])))
     x, radius, w = everyone.position, everyone.radius, everyone.inverse_mass
+    line = line_of(everyone, room.length) if particles.dimension == 1 else None
+    ends = (room.lower, room.upper) if not room.length[0] else (np.full(1, -np.inf), np.full(1, np.inf))  # of a line
     for sweep in range(MOST_SWEEPS + 1):
-        first, second, depth = overlapping_pairs(x, radius, everyone.fixed != 0, everyone.id, room.length)
+        if line:
+            first, second, depth = crowded_on_line(x, radius, w, line)
+        else:
+            first, second, depth = overlapping_pairs(x, radius, everyone.fixed != 0, everyone.id, room.length)
         if not len(first) or sweep == MOST_SWEEPS:
             break
-        separate(x, radius, w, first, second, room.lower, room.upper, room.length, room.point, room.normal)
+        if line:
+            separate_on_line(x, radius, w, *line, *ends, np.zeros(1), room.point, room.normal)
+        else:
+            separate(x, radius, w, first, second, room.lower, room.upper, room.length, room.point, room.normal)
+    if line:
+        wrap(x, room.lower, room.upper, room.length)
     particles.position[...] = x[np.searchsorted(everyone.id, particles.id)]
     if not len(first):
         return []
     left = f"{named_pairs(everyone.id[first], everyone.id[second])} still overlap after {MOST_SWEEPS} sweeps"
     return [f"effects.collisions: {left} (deepest by {depth.max():.3g})"]
+
+
+def line_of(p: Particles, length: Array) -> tuple[Array, Array, Array]:
+    """(rows, rows behind them, how much is added to the places of these): neighbours on a line, which stay what they are."""
+    order = np.lexsort((p.id, p.position[:, 0]))
+    behind, ahead, shift = order, np.roll(order, -1), np.zeros(len(order))
+    shift[-1:] = length[0]
+    neighbours = len(order) if length[0] > 0.0 else len(order) - 1
+    return behind[:neighbours], ahead[:neighbours], shift[:neighbours]
+
+
+def crowded_on_line(x: Array, radius: Array, w: Array, line: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    """(first, second, depth) of neighbours on a line that overlap, or have changed places, and are not both fixed."""
+    first, second, shift = line
+    sum_of_radii = radius[first] + radius[second]
+    depth = sum_of_radii - (x[second, 0] + shift - x[first, 0])
+    deep = (depth > TOUCH * sum_of_radii) & (w[first] + w[second] > 0.0)
+    return first[deep], second[deep], depth[deep]
 
 
 def named_pairs(first: Array, second: Array, total: int | None = None) -> str:
@@ -157,6 +185,24 @@ def separate(x, radius, w, first, second, lower, upper, length, point, normal):
             step = push * r[k] / (distance * (w[i] + w[j]))
             x[i, k] += step * w[i]
             x[j, k] -= step * w[j]
+        for row in (i, j):
+            if w[row] > 0.0:
+                hold_inside(x, row, radius[row], lower, upper, length, point, normal)
+
+
+@kernel
+def separate_on_line(x, radius, w, first, second, shift, lower, upper, length, point, normal):
+    """As `separate`, of neighbours (first, second) on a line, the second behind the first: they never change places.
+
+    A periodic line is given without ends and length: what is brought back into the box would seem to be behind others.
+    """
+    for p in range(len(first)):
+        i, j = first[p], second[p]
+        push = (radius[i] + radius[j]) * (1.0 + 1e-9) - (x[j, 0] + shift[p] - x[i, 0])
+        if push <= 0.0 or w[i] + w[j] == 0.0:
+            continue
+        x[i, 0] -= push * w[i] / (w[i] + w[j])
+        x[j, 0] += push * w[j] / (w[i] + w[j])
         for row in (i, j):
             if w[row] > 0.0:
                 hold_inside(x, row, radius[row], lower, upper, length, point, normal)

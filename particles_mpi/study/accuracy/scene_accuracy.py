@@ -13,7 +13,7 @@ from particles_mpi.study.recommend.search import BUDGET_SECONDS, Search, time_tr
 STEP_FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # times the steps of the scene
 INVERSE_TOLERANCES = (1e3, 1e5, 1e7, 1e9)  # of `adaptive`, inverse
 MEANING = {
-    "state": "largest distance of any particle from its place, at up to sixteen moments evenly over the run, over the size of the motion",
+    "state": "largest distance of any particle from its place, at up to 16 moments of the run, over the size of the motion",
     "energy": "largest relative error of the energy of the run",
 }
 

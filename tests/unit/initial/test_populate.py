@@ -417,6 +417,23 @@ def test_allowed_overlap_is_pushed_apart_without_touching_velocities():
     assert np.array_equal(again.position, particles.position)
 
 
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.floats(0.0, 2.0), min_size=2, max_size=6), st.sampled_from(["open", "walls", "periodic"]), st.booleans())
+def test_rods_on_a_line_are_pushed_apart_in_their_order(places, kind, held):
+    """Rods cannot pass one another, not even where they overlap at the start; on a ring it is the order round it."""
+    population = {"position": [[x + 8.0] for x in places], "radius": 0.4, "fixed": [held] + [False] * (len(places) - 1)}
+    effects = {"collisions": {"allow_overlap": True}} | ({"walls": {}} if kind == "walls" else {})
+    box = {"d": 1, "upper": 20.0, "periodic": kind == "periodic"}
+    particles, _ = start(population, effects=effects, step=1e-6, **box)
+    order, x = np.argsort(np.add(places, 8.0), kind="stable"), particles.position[:, 0]
+    apart = np.diff(x[order])
+    if kind == "periodic":
+        apart = np.mod(np.append(apart, x[order[0]] - x[order[-1]]), 20.0)
+        assert apart.sum() == pytest.approx(20.0)
+    assert apart.min() >= 0.8 * (1.0 - 1e-9)
+    assert not held or x[0] == places[0] + 8.0
+
+
 def test_fixed_spheres_are_not_pushed_and_lighter_ones_move_further():
     collisions = {"collisions": {"allow_overlap": True}}
     particles, _ = start({"position": [[0.5, 0.5], [0.55, 0.5]], "radius": 0.05, "fixed": [True, False]}, effects=collisions)
