@@ -1,5 +1,7 @@
 """What a start may be, and will surprise: no fault, but told."""
 
+from typing import Any
+
 import numpy as np
 
 from particles_mpi.initial.faults import listed_ids
@@ -12,6 +14,7 @@ from particles_mpi.scene.schema import Scene
 IDLE = {  # by effect: the field by which it acts on a particle, and what is said where it is 0 for all
     "drag": ("drag", "slows nobody: neither it has a rate, nor particles have a drag of their own"),
     "user_acceleration": ("acceleration", "moves nobody: no particle has an acceleration"),
+    "mutual_gravity": ("mass", "moves nobody: no particle has a mass"),
 }
 
 
@@ -55,16 +58,28 @@ def endless_falls(scene: Scene, particles: Particles, ranks: Communicator) -> li
 
 
 def idle_effects(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]:
-    """Warnings of effects that change nothing, for no particle has what they act by."""
-    names = [name for name in IDLE if name in scene.effects]
+    """Warnings of effects that change nothing: they have no strength, or no particle has what they act by."""
+    effects, gravity = scene.effects, scene.effects.get("mutual_gravity")
+    names = [name for name in IDLE if name in effects]
     acting = ranks.total(*(np.count_nonzero(particles[IDLE[name][0]]) for name in names)) if names else []
-    return [f"effects.{name}: {IDLE[name][1]}" for name, some in zip(names, acting, strict=True) if not some]
+    idle = [f"effects.{name}: {IDLE[name][1]}" for name, some in zip(names, acting, strict=True) if not some]
+    weak = {
+        "uniform_gravity.acceleration": "uniform_gravity" in effects and not any(effects["uniform_gravity"].acceleration),
+        "friction.strength": "friction" in effects and effects["friction"].strength == 0.0,
+        "mutual_gravity.G": gravity is not None and strength(scene, gravity) == 0.0,
+    }
+    return idle + [f"effects.{key}: 0, which changes nothing" for key, is_weak in weak.items() if is_weak]
+
+
+def strength(scene: Scene, gravity: Any) -> float:
+    """The G of mutual gravity: its own, or else that of the scene."""
+    return float(scene.G if gravity.G is None else gravity.G)
 
 
 def coincident(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]:
     """A warning of bodies at the same place that attract one another without softening: the law has no value there."""
     gravity = scene.effects.get("mutual_gravity")
-    if gravity is None or gravity.softening > 0.0 or (scene.G if gravity.G is None else gravity.G) == 0.0:
+    if gravity is None or gravity.softening > 0.0 or strength(scene, gravity) == 0.0:
         return []
     columns = {name: particles[name] for name in ("id", "position", "mass", "fixed")}
     if ranks.size > 1:  # those at the same place to the same rank

@@ -366,14 +366,32 @@ def test_points_are_warned_of():
     assert "radius 0" in warnings[0]
 
 
-@pytest.mark.parametrize(("effect", "by"), [("drag", {"drag": 0.1}), ("user_acceleration", {"acceleration": [0.0, 0.1]})])
+@pytest.mark.parametrize(
+    ("effect", "by"),
+    [("drag", {"drag": 0.1}), ("user_acceleration", {"acceleration": [0.0, 0.1]}), ("mutual_gravity", {"mass": 1.0})],
+)
 def test_an_effect_that_acts_on_nobody_is_told(effect, by):
-    population = {"position": [[0.5, 0.5]], "radius": 0.01}
+    population = {"position": [[0.5, 0.5]], "radius": 0.01, "mass": 0.0}
     (told,) = start(population, effects={effect: {}})[1]
     assert told.startswith(f"effects.{effect}: ")
     assert not start([population, population | {"position": [[0.2, 0.2]]} | by], effects={effect: {}})[1]
     if effect == "drag":
         assert not start(population, effects={"drag": {"rate": 0.1}})[1]
+
+
+@pytest.mark.parametrize(
+    ("effect", "key", "none", "some"),
+    [
+        ("uniform_gravity", "acceleration", [0.0, 0.0], [0.0, -1.0]),
+        ("friction", "strength", 0.0, 1.0),
+        ("mutual_gravity", "G", 0.0, 1.0),
+    ],
+)
+def test_an_effect_of_no_strength_is_told(effect, key, none, some):
+    population = {"position": [[0.5, 0.5]], "mass": 1.0}
+    (told,) = start(population, effects={effect: {key: none}})[1]
+    assert told.startswith(f"effects.{effect}.{key}: 0")
+    assert not start(population, effects={effect: {key: some}})[1]
 
 
 def test_a_step_in_which_forces_move_spheres_far_is_warned_of():
