@@ -15,6 +15,7 @@ from particles_mpi import Run
 from particles_mpi.results.frame import Frame
 from particles_mpi.results.scenery import in_space, scenery
 
+HEADING, LETTER = 13, 0.1  # size of the letters of the heading, and how wide one is, in inches; long titles have smaller ones
 SMALLEST = 1.0  # pixels: smaller marbles are drawn with this radius, and the caption says so
 HAZE = 0.4  # share of white in the colour of the furthest marbles
 WALLS, LINE = ("#f4f5f7", "#f8f9fa", "#e9ebef"), "#4a5260"
@@ -123,7 +124,8 @@ class Picture:
         bar = self.figure.add_axes((place.x1 + 0.2 / width, place.y0 + 0.1 * place.height, 0.18 / width, 0.8 * place.height))
         self.figure.colorbar(self.colors, cax=bar, label=self.label, extend=self.extend).outline.set_visible(False)
         middle = (place.x0 + place.x1) / 2
-        self.heading = self.figure.text(middle, place.y1 + 0.12 / height, "", ha="center", va="bottom", fontsize=13)
+        self.heading = self.figure.text(middle, place.y1 + 0.12 / height, "", ha="center", va="bottom", fontsize=HEADING)
+        self.letters = int(2.0 * min(middle, 1.0 - middle) * width / LETTER)
         self.caption = self.figure.text(middle, 0.15 / height, "", ha="center", fontsize=9, color=LINE)
         self.marbles = self.axes.imshow(np.zeros((1, 1, 4)), extent=(left, right, bottom, top), origin="lower", zorder=3)
 
@@ -194,9 +196,11 @@ class Picture:
             rgb = rgb + (1 - rgb) * HAZE * far
         self.marbles.set_data(paint_spheres(center[seen], np.maximum(radius, SMALLEST)[seen], depth[seen], frame.radius[seen],
                                             rgb[seen], frame.fixed[seen] != 0, width, height))  # fmt: skip
-        self.heading.set_text(f"{self.title} · t = {frame.time:.6g} · frame {frame.index}")
+        heading = f"{self.title} · t = {frame.time:.6g} · frame {frame.index}"
+        self.heading.set(text=heading, fontsize=HEADING * min(1.0, self.letters / len(heading)))
         missing, fixed = len(seen) - int(seen.sum()), int(frame.fixed.sum())
         notes = [f"{spaced(len(seen))} marble" + "s" * (len(seen) != 1), "true radii"]
+        notes += [f"three of {d} axes: spheres may seem to overlap"] if (d := frame.position.shape[1]) > 3 else []
         notes += [f"{spaced(small)} of them too small to see, drawn with radius {SMALLEST:g} pixel"] if small else []
         notes += [f"{fixed} fixed (dark rim)"] if fixed else []
         notes += [f"{missing} not in the picture"] if missing else []

@@ -11,6 +11,7 @@ draws the paths of both into gravity.png
 """
 
 from pathlib import Path
+from textwrap import fill
 
 import numpy as np
 from matplotlib import pyplot as plt
@@ -25,6 +26,7 @@ from particles_mpi.results.frame import Frame
 
 FEW = 30
 COLUMNS = 3
+TITLE = 40  # letters in a line of a title
 PIECES = 8  # of a curve between two frames
 
 
@@ -90,8 +92,9 @@ def plot(axes: Axes, run: Run, span: float) -> None:
     axes.spines[:].set_visible(True)
     if run.dimension > 1:
         axes.set_aspect("equal", adjustable="datalim" if not half else "box")
-    axes.set_title(run.title, fontsize=10)
-    axes.text(0.99, 0.01, f"{spaced(len(last.position))} at t = {last.time:g}", transform=axes.transAxes, ha="right", fontsize=8,
+    axes.set_title(fill(run.title, TITLE), fontsize=10)
+    seen = f"{spaced(len(last.position))} at t = {last.time:g}" + (f", two of {run.dimension} axes" if run.dimension > 3 else "")
+    axes.text(0.99, 0.01, seen, transform=axes.transAxes, ha="right", fontsize=8,
               bbox={"facecolor": axes.get_facecolor(), "alpha": 0.7, "lw": 0, "pad": 1},
               color="white" if len(last.position) > FEW and not last.radius.any() else "black")  # fmt: skip
     axes.tick_params(labelsize=7)
