@@ -131,6 +131,8 @@ def experiments(benchmark: Benchmark) -> list[Experiment]:
         f"nanoseconds a particle-step: {each}",
         f"effects not named: {absent:.0f} calls; what is about them takes {middle:.1%} of a step of uniform_gravity (quartiles "
         f"{low:.1%} to {high:.1%})",
+        "all of these cost more than their sum: where forces differ from place to place any two spheres may press one another,"
+        " and contacts that last are looked for among all that are near",
         f"effects named without strength: {differ:.0f} of all numbers differ from a run without them",
     ]
     return [found]

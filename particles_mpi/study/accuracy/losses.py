@@ -100,7 +100,7 @@ def bounce(benchmark: Benchmark, force: str, loss: str, resistances: tuple[str, 
         wrong = mean_errors(sim, shift, end).reshape(len(OBSTACLES), -1).max(axis=1)
         return dict(zip(OBSTACLES, wrong.tolist(), strict=True))
 
-    curve = f"{force}, {loss}, {'friction' if 'friction' in resistances else 'no drag and drag'}"
+    curve = f"{force}, {loss}, {'friction' if 'friction' in resistances else 'without and with drag'}"
     return benchmark.setting(curve, h, tables, errors, steps=ENDLESS_STEPS, seconds_of=round(BOUNCING_TIME / h))
 
 

@@ -103,5 +103,8 @@ class ErrorMetric:
             raise SceneError(f"--error {error or 'any'}: cannot be measured here ({self.why}); there are: {there}")
         limit = self.limits[error] / self.share(error)
         if tolerance < limit:
-            raise SceneError(f"--tolerance {tolerance:g} is below what can be measured here: {error} {limit:.1g} ({self.why})")
+            finer = [f"{name} {size / self.share(name):.1g}" for name, size in self.limits.items() if name != error]
+            others = f"; --error has {', '.join(finer)}" if finer else ""
+            below = f"--tolerance {tolerance:g} is below what can be measured here: {error} {limit:.1g} ({self.why}){others}"
+            raise SceneError(below)
         return error
