@@ -164,7 +164,7 @@ def event_ranks():
             ],
             "effects": {"collisions": {"mode": "event"}} | ({} if periodic else {"walls": {}}),
         }
-        said = told(tables, r, 4, 3)
+        said = told(tables, r, 2, 3)
         if said["windows"][0]:
             print("  {} windows, {} redone".format(*said["windows"]))
         return said["collisions"] / said["seconds"] / 1e3
