@@ -47,7 +47,6 @@ EVENTS_PER_BUCKET = 0.5  # expected, in the queue: memory is prefetched for one 
 FLIGHT_AHEAD = 0.8  # of a skin: how far before it a particle's reference position lies, where flights are longer than skins;
 TURNING = 0.35  # and how much less where there are many collisions an expiry: fitted to fewest expiries at packing 0.05 to 0.45
 MOST_EXPIRIES = 8  # of the list of a row, on average; then all rows are sorted in space and listed anew
-FIRST_EXPIRIES = 1  # before that is done for the first time: a lattice tells little of how many neighbours there are in a fluid
 NEVER_CROWDED = 2**31
 NO_SPIN = np.empty((0, 1))
 NAMED = 64  # contacts without loss whose time and partners are kept
@@ -74,7 +73,6 @@ class Engine:
         )  # fmt: skip
         self.events = 0  # in the last drift
         self.expiries = 0  # of lists since `load`
-        self.loads = 0
         self.ahead = 0.0
         self.pending = 0  # rows in work.stale
         self.set_step(NEVER_CROWDED, no_rates(d), Collapse(0.0, 0, 0, False, NEVER_CROWDED))
@@ -105,12 +103,7 @@ class Engine:
         self.node = np.full((total, NODE), NO_EVENT, np.int32)
         self.work = self.work._replace(stale=np.empty(2 * total + 2, np.int32))
         self.log = new_log(total, d, spin.shape[1] if len(spin) else 0)
-        self.expiries, self.loads = 0, self.loads + 1
-
-    @property
-    def outdated(self) -> bool:
-        """Have lists expired so often that rows are better sorted in space and listed anew?"""
-        return self.expiries > (MOST_EXPIRIES if self.loads > 1 else FIRST_EXPIRIES) * len(self.rows.state)
+        self.expiries = 0
 
     def grow(self) -> Array:
         """Twice as many rows; returns the new ones, which are free."""

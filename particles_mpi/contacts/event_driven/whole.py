@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from particles_mpi.contacts.event_driven.engine import Engine
+from particles_mpi.contacts.event_driven.engine import MOST_EXPIRIES, Engine
 from particles_mpi.contacts.event_driven.event_loop import COLLISIONS, WALL_HITS
 from particles_mpi.errors import StateError
 from particles_mpi.neighbours.cells import bounds, order_in_space
@@ -35,7 +35,7 @@ class Whole:
         with self.timers("exchange"):
             self.replica.gather()
         with self.timers("pairs"):
-            if self.version != p.version or engine.outdated:
+            if self.version != p.version or engine.expiries > MOST_EXPIRIES * len(p):
                 speed = fastest(p.position, p.velocity)
                 self.check(speed, moment)
                 self.reload(speed * h)

@@ -12,7 +12,7 @@ corrected. Windows leave no trace in the bits.
 import numpy as np
 
 from particles_mpi.contacts.event_driven.arrivals import apply_moves, reconcile, roll_back, verify
-from particles_mpi.contacts.event_driven.engine import Engine
+from particles_mpi.contacts.event_driven.engine import MOST_EXPIRIES, Engine
 from particles_mpi.contacts.event_driven.event_loop import COLLISIONS, WALL_HITS
 from particles_mpi.contacts.event_driven.partition import Partition
 from particles_mpi.contacts.event_driven.regions import Moves
@@ -106,7 +106,7 @@ class Windows:
                 speed = fastest(p.position, p.velocity)
             else:
                 moved, speed = engine.start_drift(p, self.partition.own_rows)
-                outdated = moved or engine.outdated or self.redone_often()
+                outdated = moved or engine.expiries > MOST_EXPIRIES * len(engine.rows.segment) or self.redone_often()
             speed = speed if speed < np.inf else np.inf  # or it is not a number
             outdated, speed, self.events = self.ranks.allreduce_max(np.array([outdated, speed, engine.events], float))
             require_finite(self.ranks, p, speed, f"t = {moment:g}")
