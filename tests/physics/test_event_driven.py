@@ -370,6 +370,34 @@ def test_nothing_ever_overlaps(d, periodic):
     assert sim.totals["missed"] == 0
 
 
+def in_a_narrow_box(edge, steps):
+    """Two discs of radius 0.24 that fly about in a periodic square, for two time units."""
+    discs = {"position": [[0.2, 0.2], [0.2, 0.6806]], "velocity": [[1.0, 0.3], [-0.2, -0.7]], "radius": 0.24}
+    box = {"lower": [0.0, 0.0], "upper": [edge, edge], "periodic": True}
+    return Scene(
+        dimension=2,
+        box=box,
+        time={"step": 2.0 / steps, "steps": steps},
+        particles=[discs],
+        effects={"collisions": {"mode": "event"}},
+    )
+
+
+def test_a_periodic_box_may_be_barely_longer_than_two_contact_distances():
+    """0.96: nothing overlaps, in any image; steps leave no trace; and what is too narrow is refused."""
+    coarse, fine = (Simulation(in_a_narrow_box(0.9612, steps)) for steps in (4, 400))
+    coarse.run()
+    for _ in range(400):
+        fine.step()
+        apart = np.subtract(*fine.particles.position)
+        apart -= 0.9612 * np.rint(apart / 0.9612)
+        assert np.sqrt(apart @ apart) >= 0.48 * (1.0 - 1e-12)
+    assert coarse.totals["collisions"] == fine.totals["collisions"] > 10
+    assert np.abs(coarse.particles.position - fine.particles.position).max() < 1e-6
+    with pytest.raises(ValueError, match=r"two contact distances and a thousandth, 0\.96096"):
+        Simulation(in_a_narrow_box(0.9605, 4))
+
+
 def test_skins_leave_no_trace_in_the_bits():
     """Neighbours found with other skins, at other times: the same bits."""
     final = []
