@@ -20,13 +20,15 @@ EVENT: Changes = {"collisions": {"mode": "event", "passes": None}}
 class Method:
     """A way to compute the scene of a start: its integrator, and `changes` of effects.
 
-    How finely it computes is its resolution: the number of steps of the whole run, or 1/tolerance of `adaptive`.
+    How finely it computes is its resolution: the number of steps of the whole run, or 1/tolerance of `adaptive`. `least`: the
+    fewest steps that serve, as where each frame needs one.
     """
 
     start: Start
     name: str
     integrator: str
     changes: Changes
+    least: float = 1.0
 
     @property
     def adaptive(self) -> bool:
@@ -39,9 +41,9 @@ class Method:
         return 10.0 if self.adaptive else 2.0
 
     def steps(self, resolution: float, part: float) -> int:
-        """Of a part of the run: not fewer than frames, at which alone `adaptive` has to stop."""
-        frames = self.start.scene.steps / self.start.scene.output.every
-        return whole_parts(part * (frames if self.adaptive else max(resolution, frames)), self.start.snapshots(part))
+        """Of a part of the run; `adaptive` only stops where a frame is written."""
+        steps = frames(self.start.scene) if self.adaptive else max(resolution, self.least)
+        return whole_parts(part * steps, self.start.snapshots(part))
 
     def whole_steps(self, resolution: float, part: float) -> int:
         """Of the whole run, in steps as long as those of a part (a half, a quarter ...) that was measured."""
@@ -58,6 +60,11 @@ class Method:
         if self.adaptive:
             return f"tolerance {1.0 / resolution:.2g}"
         return f"step {self.start.duration / self.whole_steps(resolution, part):.4g}"
+
+
+def frames(scene: Scene) -> float:
+    """How many frames a run writes."""
+    return scene.steps / scene.output.every
 
 
 def methods(start: Start) -> list[Method]:

@@ -12,7 +12,7 @@ from particles_mpi.output.replacing import replace_text
 from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.run.console import Screen
 from particles_mpi.study.experiment import Benchmark, Errors
-from particles_mpi.study.recommend.methods import as_it_is, methods
+from particles_mpi.study.recommend.methods import as_it_is, frames, methods
 from particles_mpi.study.recommend.reference import reference
 from particles_mpi.study.recommend.runs import Start
 from particles_mpi.study.recommend.search import BUDGET_SECONDS, Search, Trial, time_trials
@@ -59,13 +59,15 @@ def recommend(
 
 def find(start: Start, tolerance: float, error: str, seconds: float) -> Recommendation:
     """The same, on the ranks of the start's benchmark."""
-    benchmark, ways = start.benchmark, methods(start)
+    benchmark, ways, (as_given, resolution) = start.benchmark, methods(start), as_it_is(start)
+    for method in (as_given, *ways):
+        method.least = frames(start.scene)
     progress = benchmark.screen.count("recommend", 1 + len(ways))
     progress("reference")
     metric = reference(start, seconds, error)
     error = metric.choose(tolerance, error)
     search = Search(start, metric, error, tolerance * metric.share(error), seconds / 3.0)
-    own = search.attempt(*as_it_is(start))
+    own = search.attempt(as_given, resolution)
     # what is likely the cheapest comes first, and cuts the others short; only `adaptive` is sure to get through
     order = {"order4": 1, "adaptive": 0 if own is None or own.errors[error] > UNUSABLE_ERROR else 2, "leapfrog": 3, "taylor": 4}
     for method in sorted(ways, key=lambda method: order[method.integrator]):
