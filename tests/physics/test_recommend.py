@@ -96,6 +96,8 @@ def test_frames_that_the_user_wants_set_the_longest_step():
     found = recommend(Benchmark(quick=True, samples=3), scene, 0.5, "", PLENTY)
     time, every = found.tables["time"], found.tables["output"]["every"]
     assert time["steps"] / every >= 100
+    (method,) = methods(Start(Benchmark(), scene))  # a ladder of steps, as study accuracy has, goes further
+    assert method.steps(20.0, 1.0) < 100
 
 
 def test_a_free_flight_takes_time_in_every_integrator():
