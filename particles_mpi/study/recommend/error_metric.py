@@ -72,9 +72,7 @@ class ErrorMetric:
         return abs(self.means[name]) if name != "height" else self.size
 
     def difference(self, error: str, one: Record, other: Record) -> float:
-        """How far two runs are apart, in the units of an error."""
-        if error == "state":
-            return self.start.apart(one.places, other.places) / self.size
+        """How far two runs are apart, in the units of an error that is no state: `runs.apart_all_along` compares places."""
         if error == "energy":
             return abs(self.errors(one)[error] - self.errors(other)[error])
         return abs(one.observables[error] - other.observables[error]) / self.scale_of(error)
