@@ -10,6 +10,7 @@ import json
 import os
 import platform
 import shutil
+import signal
 import struct
 import subprocess
 import sys
@@ -26,6 +27,7 @@ MPI_ENVIRONMENT = {  # Open MPI 4 and 5: as root, on more ranks than cores, and 
     "OMPI_MCA_mpi_yield_when_idle": "1",
 }
 IMPATIENT = {"OMPI_MCA_odls_base_sigkill_timeout": "0"}  # after a rank failed, kill the others without waiting for them
+CRASH = "PMIx_server_finalize"  # where Open MPI's mpirun itself may crash when all ranks have ended: then it is started again
 NAP = 0.005  # seconds between two looks whether a script has ended
 MOST = 4  # ranks that stay: more would only take memory
 SLICE = 100_000  # nanoseconds that a rank keeps a core which another process waits for; Linux's least, its own value is 1 to 3 ms
@@ -59,7 +61,11 @@ def run_ranks(n: int, *arguments: object, timeout: float = 120, fresh: bool = Fa
     words = [str(word) for word in arguments]
     if fresh or n > MOST:
         command = ["mpirun", "-n", str(n), sys.executable, *words]
-        return subprocess.run(command, cwd=ROOT, env=environment(), capture_output=True, text=True, timeout=timeout)
+        for _ in range(2):
+            done = subprocess.run(command, cwd=ROOT, env=environment(), capture_output=True, text=True, timeout=timeout)
+            if done.returncode != -signal.SIGSEGV or CRASH not in done.stderr:
+                break
+        return done
     if n not in _standing:
         _standing[n] = StandingRanks(n)
     return _standing[n].run(words, timeout)

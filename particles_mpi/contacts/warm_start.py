@@ -1,4 +1,4 @@
-"""What lasting contacts took in the last solution: plain columns, for those who save them without loading the solver."""
+"""The impulses of lasting contacts in the last solution: plain columns, for those who save them without loading the solver."""
 
 from typing import NamedTuple
 
@@ -8,8 +8,9 @@ from particles_mpi.particles import Array, spin_components
 
 
 class Memory(NamedTuple):
-    """Contacts that took something, once for each of their rows: id (m,) of the row; partner (m,), wall or walls + id; taken (m,)
-    or, of rough spheres, (m, columns), also where there are none: ranks send them to one another."""
+    """Contacts that had an impulse, once for each of their rows: id (m,) of the row; partner (m,), wall or walls + id; taken
+    (m,), the impulse as `problem.IMPULSE` has it, or, of rough spheres, (m, columns), also where there are none: ranks send them
+    to one another."""
 
     id: Array
     partner: Array
@@ -17,12 +18,12 @@ class Memory(NamedTuple):
 
 
 def rough_columns(dimension: int) -> tuple[int, ...]:
-    """The shape of what a contact of rough spheres takes: along its normal, across it, and as a couple."""
+    """The shape of the impulse of a contact of rough spheres: along its normal, across it, and a couple."""
     return (1 + dimension + spin_components(dimension),)
 
 
 def nothing(columns: tuple[int, ...] = ()) -> Memory:
-    """No contacts; `columns`: the shape of what one takes."""
+    """No contacts; `columns`: the shape of an impulse."""
     return Memory(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, *columns)))
 
 

@@ -12,7 +12,7 @@ from with_all import with_all
 from particles_mpi import Scene, Simulation
 from particles_mpi.contacts.persistent.descent import EXACT
 from particles_mpi.contacts.persistent.iterations import OUTLIER
-from particles_mpi.contacts.persistent.problem import TAKEN, Problem, bound_rows, table_of
+from particles_mpi.contacts.persistent.problem import IMPULSE, Problem, bound_rows, table_of
 from particles_mpi.contacts.persistent.solver import Solver
 from particles_mpi.parallel.communicator import Communicator
 
@@ -349,12 +349,12 @@ def check_random_problem(seed, n, contacts, idle):
     problem = Problem(start, partner, table, np.full(len(may), 1e9), np.full(len(may), 1e11))
     solver = Solver(Communicator.alone(), axes)
     v, converged, _ = solver.solve(problem, w, np.vstack((v, np.zeros(3))), np.arange(n), lambda _: None, EXACT)
-    v, taken = np.vstack((v, np.zeros(3))), table[:, TAKEN]
+    v, impulses = np.vstack((v, np.zeros(3))), table[:, IMPULSE]
     both = np.full((2, len(a)), np.nan)
-    both.reshape(-1)[order] = taken
+    both.reshape(-1)[order] = impulses
     assert (both[0] == both[1])[b >= 0].all()  # the two owners of a contact come to the same bits
     speeds = ((v[a] - v[b]) * normal).sum(axis=1)  # b = -1 is the wall
-    assert (taken >= 0.0).all()
+    assert (impulses >= 0.0).all()
     # As many as rigid spheres have; with more their shares are not unique, and convergence is slow.
     few = ((may_close < 3.0) | (both[0] > 0.0)).sum() <= 3 * n
     assert not few or converged or solver.iterations >= 5000

@@ -8,7 +8,7 @@ from particles_mpi import Scene, Simulation
 from particles_mpi.contacts.persistent import solver
 from particles_mpi.contacts.persistent.descent import Iteration
 from particles_mpi.contacts.persistent.iterations import MOST_ITERATIONS
-from particles_mpi.contacts.persistent.problem import AHEAD, TAKEN, Problem
+from particles_mpi.contacts.persistent.problem import EXTRAPOLATED, IMPULSE, Problem
 from particles_mpi.parallel.communicator import Communicator
 
 R = 0.3
@@ -75,8 +75,8 @@ def test_what_is_solved_directly_is_what_iterations_lead_to(d, seed, monkeypatch
 
     def both(axes, problem, w, v):
         iterated = Problem(*(column.copy() for column in problem))
-        iterated.table[:, [TAKEN, AHEAD]] = 0.0
-        iterated.tight[:] = 1e12  # to round-off, in crowds too
+        iterated.table[:, [IMPULSE, EXTRAPOLATED]] = 0.0
+        iterated.per_round_off[:] = 1e12  # to round-off, in crowds too
         done = direct(axes, problem, w, v)
         result = Iteration(axes, Problem(*problem), w, v, None).result
         iteration = Iteration(axes, iterated, w, v, None)

@@ -2,7 +2,7 @@
 
 operator    what happens after a kick, and with crowds
 solution    which contacts are slow, and what they come to
-history     the graph, and what contacts took last
+history     the graph, and the last impulses of contacts
 graph       who is near whom, among the rows of a rank and their ghosts
 detection   which of these may have contacts that last; near_walls: which rows may have some with walls
 slow        which contacts are slow, and so kept
@@ -16,5 +16,5 @@ iterations  their compiled loops; smooth_iterations, rough_iterations: what they
 direct      few contacts of smooth spheres where iterations do not end; active_set: their equations; contact_order: in which order
 together    few contacts, which every rank solves for by itself
 walls       which rows the walls concern; on_walls: the same as the solver for those that touch nothing else, in one kernel
-memory      what contacts took last, which goes with the rows
+memory      the last impulses of contacts, which go with the rows
 """

@@ -1,4 +1,4 @@
-"""The contacts that bear something, as `direct` chooses them, and their equations, by Cholesky's method."""
+"""The contacts that have an impulse, as `direct` chooses them, and their equations, by Cholesky's method."""
 
 from math import inf, sqrt
 from typing import NamedTuple
@@ -10,10 +10,10 @@ DEPENDENT = 1e-14  # of its diagonal element: below it a contact can do nothing 
 
 
 class Active(NamedTuple):
-    """The state of the method: which contacts are chosen, and what they bear."""
+    """The state of the method: which contacts are chosen, and their impulses."""
 
     matrix: Array  # (m, m) A: what an impulse at one contact does to the approach at another
-    impulse: Array  # (m,) what each contact bears
+    impulse: Array  # (m,) of each contact
     speeds: Array  # (m,) how much faster its partners part than they must
     inside: Array  # (m,) bool: is it chosen?
     chosen: Array  # (m,) the first ones: those that are, in the order in which they were
@@ -64,10 +64,10 @@ def solve_factorized(active, size):
 
 @inner
 def change_impulses(active, size, most):
-    """The chosen contacts come to bear `most` times x more, or less: until one bears nothing, and is let go.
+    """Add `most` times x to the impulses of the chosen contacts, or less: until that of one is 0, which is let go.
 
     Returns (how many times x was added, how many contacts are left, how many of the first ones were there before). Nothing
-    changes if `most` is infinite and no contact comes to bear nothing.
+    changes if `most` is infinite and no impulse comes to be 0.
     """
     _, impulse, _, inside, chosen, _, _, x, _ = active
     part = most
@@ -89,7 +89,7 @@ def change_impulses(active, size, most):
 
 @inner
 def solve_for_chosen(active, size):
-    """To x how much more the chosen contacts have to bear for their speeds to be 0."""
+    """To x the impulses that the chosen contacts need besides, for their speeds to be 0."""
     for r in range(size):
         active.x[r] = -active.speeds[active.chosen[r]]
     solve_factorized(active, size)

@@ -8,10 +8,10 @@ O'Donoghue and E. Candes, Found. Comput. Math. 15, 715 (2015); for contacts H. M
     p' = max(y - (N u + c)/D, 0),   u = v + W N y,   y' = p' + beta (p' - p).
 
 D is diagonal: for each row i the largest eigenvalue of the sum of n n^T over its contacts is bounded by b_i, and
-D = w_i b_i + w_j b_j makes D - A positive, so no step is too long. Instead of the impulse p of a contact its *taken* speed
-p (w_i + w_j) is kept, the approach that it takes from its partners. A half-edge is computed by the owner of its row, from
+D = w_i b_i + w_j b_j makes D - A positive, so no step is too long. The impulse p of a contact is kept as a speed,
+p (w_i + w_j), by which it changes the approach of its partners. A half-edge is computed by the owner of its row, from
 velocities that ranks exchange in each iteration; all sums are in the order of half-edges (`graph`). So the bits are the same on
-any number of ranks. For rough spheres, max(., 0) is followed by a cut of what is taken across the normal: `rough_iterations`.
+any number of ranks. For rough spheres, max(., 0) is followed by a cut of the tangential impulses: `rough_iterations`.
 
 Large piles are solved to a tolerance only. There p is multiplied by the factor that makes p A p/2 + p (N v + c) least, before the
 iterations and after them: then errors do no work in sum over all contacts. Rough piles whose errors are far below that (CALM)
@@ -41,7 +41,7 @@ from particles_mpi.contacts.persistent.iterations import (
     works,
 )
 from particles_mpi.contacts.persistent.problem import MAY_CLOSE, Problem
-from particles_mpi.contacts.persistent.rough_table import taken_columns
+from particles_mpi.contacts.persistent.rough_table import impulse_columns
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
 
@@ -83,7 +83,7 @@ class Iteration:
     def __init__(self, axes: tuple[float, ...], problem: Problem, w: Array, v: Array, exchange: Callable[[Array], None] | None):
         self.axes, self.problem, self.table, self.exchange, self.w, self.v0 = axes, tuple(problem), problem.table, exchange, w, v
         self.rough = w.ndim > 1
-        self.taken = taken_columns(len(axes), self.rough)
+        self.impulse_columns = impulse_columns(len(axes), self.rough)
         self.v, self.other, self.sums = v.copy(), v.copy(), np.empty((len(problem.start) - 1, 2))
         self.restart()
 
@@ -93,7 +93,7 @@ class Iteration:
         return self.v[: len(self.sums)]
 
     def restart(self) -> None:
-        """Begin with what is taken, without momentum."""
+        """Begin with the impulses of the table, without momentum."""
         self.theta = FIRST_THETA
         begin(self.axes, 0, len(self.sums), self.problem, self.w, self.v0, self.v)
         if self.exchange:
@@ -146,16 +146,16 @@ class Iteration:
         (largest,) = ranks.largest(works(self.axes, self.problem, self.w, self.v0, self.v, self.sums))
         if not largest > 0.0:
             return 1.0
-        asked, did = ranks.total(*whole_numbers(self.sums, (largest, largest)))
-        return -asked / did if did > 0 else 1.0
+        linear, quadratic = ranks.total(*whole_numbers(self.sums, (largest, largest)))
+        return -linear / quadratic if quadratic > 0 else 1.0
 
     def multiply(self, factor: float) -> None:
-        """All that is taken."""
-        self.table[:, self.taken] *= factor
+        """All impulses."""
+        self.table[:, self.impulse_columns] *= factor
         self.restart()
 
     def balance(self, ranks: Communicator, least: float, most: float) -> None:
-        """All that is taken times `factor`, if that is from `least` to `most`. Collective."""
+        """All impulses times `factor`, if that is from `least` to `most`. Collective."""
         factor = self.factor(ranks)
         if least < factor < most:
             self.multiply(factor)
@@ -171,9 +171,9 @@ class Iteration:
         """Iterate until errors are allowed and `least` iterations are done, or only round-off is left, or `limit` are done.
 
         Rough piles whose errors are CALM get at least MORE iterations. Contacts that keep a gap, and have no solution by ASKED,
-        are no longer asked to go back to it. At the end, all that is taken may be multiplied by a factor.
+        are no longer asked to go back to it. At the end, all impulses may be multiplied by a factor.
 
-        `count`: half-edges of all ranks that may take something; `asleep`: if given, asked whether a pile moves at all that
+        `count`: half-edges of all ranks that may have an impulse; `asleep`: if given, asked whether a pile moves at all that
         begins with errors that are allowed, or, of smooth spheres, with round-off; if not, it is left like that. Returns whether
         errors are allowed, and the iterations done, 0 for a pile that is asleep. Collective.
         """
@@ -199,7 +199,7 @@ class Iteration:
             self.restart()
             rules = Rules(count, WITHOUT_GAP, limit, limit, self.rough)
             seen, done, good, calm = self.until(ranks, rules, done, seen.squares)
-        self.restart()  # errors that were looked at are of what is taken: what is ahead may be far past it already
+        self.restart()  # errors that were looked at are of the impulses: extrapolated ones may be far past them already
         good = good or seen.round_off
         if self.rough and not good:
             self.multiply(min(max(self.factor(ranks), 0.0), 1.0))

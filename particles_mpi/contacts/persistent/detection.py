@@ -24,7 +24,7 @@ class Contacts(NamedTuple):
     """Half-edges of rows that may touch: those of row i are start[i] ... start[i + 1] - 1, walls first, then by partners' ids.
 
     start (n + 1,); partner (m,): a row or ghost, or `size`, which stands for all walls; slot (m,): its place in the arrays of
-    what was taken, e for half-edge e of the graph, which has m' of them, and m' + i walls + w for wall w of row i; normal (m, d),
+    impulses, e for half-edge e of the graph, which has m' of them, and m' + i walls + w for wall w of row i; normal (m, d),
     towards the row; gap (m,); widest (m,): the larger push of the two; crowd (m,): kept at any speed.
     """
 
@@ -70,7 +70,7 @@ def contacts_with_walls(axes, row, body, reach, walls, made, contacts):
     """The contacts of a row with walls, behind the first `made` of the columns `contacts`; returns how many there are then.
 
     `body`: x (size + 1, d) of all; radius and push of the row, is it one of a crowd; `reach`: how far away a wall may be;
-    `walls`: (faces, planes, place of the row's first wall in the arrays of what was taken).
+    `walls`: (faces, planes, place of the row's first wall in the arrays of impulses).
     """
     x, radius, push, crowd = body
     (lower, upper, oblique), (point, normal), first = walls

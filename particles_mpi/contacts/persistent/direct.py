@@ -1,10 +1,11 @@
 """Few contacts of smooth spheres, solved directly: where iterations would not come to an end.
 
-That is so for very different masses, and for chains of spheres that are nearly straight, which bear much more than presses them.
+That is so for very different masses, and for chains of spheres that are nearly straight, whose impulses are much larger than what
+presses them.
 
 The minimum of p A p/2 + p b for p >= 0 (see `descent`) is found by the method of active sets (C. Lawson and R. Hanson, Solving
-Least Squares Problems, 1974, chapter 23): contacts that bear something are chosen one after the other, the equations of those
-chosen are solved by Cholesky's method, and what would pull is let go. It begins with those that bear something after iterations.
+Least Squares Problems, 1974, chapter 23): contacts with an impulse are chosen one after the other, the equations of those
+chosen are solved by Cholesky's method, and what would pull is let go. It begins with those that have an impulse after iterations.
 """
 
 from math import inf, sqrt
@@ -20,7 +21,7 @@ from particles_mpi.contacts.persistent.active_set import (
     solve_for_chosen,
 )
 from particles_mpi.contacts.persistent.contact_order import contacts_by_row, order_of_contacts
-from particles_mpi.contacts.persistent.problem import MAY_CLOSE, NORMAL, STEP, TAKEN
+from particles_mpi.contacts.persistent.problem import IMPULSE, MAY_CLOSE, NORMAL, STEP
 from particles_mpi.kernels.jit import inner, kernel
 from particles_mpi.particles import Array
 
@@ -59,7 +60,7 @@ def find_speeds(axes, system, active):
 
 @inner
 def contacts_of(axes, problem):
-    """(half-edges (m, 2) of each contact, the second -1 for a wall; their rows (m, 2)) of those that may take something."""
+    """(half-edges (m, 2) of each contact, the second -1 for a wall; their rows (m, 2)) of those that may have an impulse."""
     start, partner, table = problem[0], problem[1], problem[2]
     n, m = len(start) - 1, 0
     edges, rows = np.empty((len(partner), 2), np.int64), np.empty((len(partner), 2), np.int64)
@@ -111,13 +112,13 @@ def round_off(axes, c, system, active):
 
 @inner
 def choose_those_that_bear(system, active):
-    """Begin with the contacts that have taken something, but for those that depend on others; returns their number."""
+    """Begin with the contacts that have an impulse, but for those that depend on others; returns their number."""
     edges, rows, table, w, _ = system
     size = 0
     for c in range(len(rows)):
-        active.chosen[size], taken = c, table[edges[c, 0], TAKEN]
-        if taken > 0.0 and factorize(active, size, size + 1) > size:
-            active.inside[c], active.impulse[c] = True, taken / (w[rows[c, 0]] + w[rows[c, 1]])
+        active.chosen[size], speed = c, table[edges[c, 0], IMPULSE]
+        if speed > 0.0 and factorize(active, size, size + 1) > size:
+            active.inside[c], active.impulse[c] = True, speed / (w[rows[c, 0]] + w[rows[c, 1]])
             size += 1
     return size
 
@@ -184,21 +185,21 @@ def refine(axes, system, active, known, size):
 
 
 @inner
-def is_solution(axes, system, active, tight):
-    """Does no contact pull, and none close but by errors that are allowed (`tight`, see `Problem`) or round-off?"""
+def is_solution(axes, system, active, per_round_off):
+    """Does no contact pull, and none close but by errors that are allowed (`per_round_off`, see `Problem`) or round-off?"""
     for c in range(len(system.rows)):
         error = abs(active.speeds[c]) if active.inside[c] else max(-active.speeds[c], 0.0)
-        if not error * tight[system.edges[c, 0]] <= 1.0 and not error <= round_off(axes, c, system, active):
+        if not error * per_round_off[system.edges[c, 0]] <= 1.0 and not error <= round_off(axes, c, system, active):
             return False
     return True
 
 
 @kernel
 def solve_directly(axes, problem, w, v0):
-    """To the table what contacts have taken in the solution for velocities v0 (size + 1, d); returns whether one was found.
+    """To the table the impulses of contacts in the solution for velocities v0 (size + 1, d); returns whether one was found.
 
-    It begins with what they have taken so far. problem, w: see `Problem`; rows in the order of ids, and a last one for walls,
-    whose inverse mass is 0. If none is found, nothing has changed.
+    It begins with the impulses of the table. problem, w: see `Problem`; rows in the order of ids, and a last one for walls, whose
+    inverse mass is 0. If none is found, nothing has changed.
     """
     table = problem[2]
     edges, rows = contacts_of(axes, problem)
@@ -225,8 +226,8 @@ def solve_directly(axes, problem, w, v0):
     if not is_solution(axes, system, active, problem[4]):
         return False
     for c in range(m):
-        taken = active.impulse[c] * (w[system.rows[c, 0]] + w[system.rows[c, 1]])
-        table[system.edges[c, 0], TAKEN] = taken
+        speed = active.impulse[c] * (w[system.rows[c, 0]] + w[system.rows[c, 1]])
+        table[system.edges[c, 0], IMPULSE] = speed
         if system.edges[c, 1] >= 0:
-            table[system.edges[c, 1], TAKEN] = taken
+            table[system.edges[c, 1], IMPULSE] = speed
     return True

@@ -1,4 +1,4 @@
-"""The graph of contacts and what they took, from one solution to the next: the next one begins there."""
+"""The graph of contacts and their impulses, from one solution to the next, which begins with them: a warm start."""
 
 import numpy as np
 
@@ -14,37 +14,37 @@ ROUND_UP = 1.000001  # times a width: so the graph has all that `inside_zone` fi
 
 
 class ContactHistory:
-    """The graph of who is near whom, and what its half-edges took in the last solution.
+    """The graph of who is near whom, and the impulses of its half-edges in the last solution.
 
     length (d,): of the periodic box, 0 along axes that are not periodic. `walls`: how many there are. `columns`: the shape of
-    what a half-edge takes. `points`: do points touch one another?
+    the impulse of a half-edge. `points`: do points touch one another?
     """
 
     def __init__(self, ranks: Communicator, length: Array, walls: int, columns: tuple[int, ...], points: bool):
         self.ranks, self.length, self.walls, self.points = ranks, length, walls, points
         self.nothing = nothing(columns)
-        self.memory = self.nothing  # what contacts took, while there is no graph; else `taken` has it
+        self.memory = self.nothing  # the impulses, while there is no graph; else `impulses` has them
         self.graph: ContactGraph | None = None
-        self.taken: Array = np.empty((0, *columns))  # by half-edges of the graph
+        self.impulses: Array = np.empty((0, *columns))  # by half-edges of the graph
         self.dilute = False  # has the graph few half-edges?
 
     def forget(self) -> None:
-        """Nothing is known of what contacts took."""
+        """No impulses are known."""
         self.memory, self.graph = self.nothing, None
 
     def restore(self, memory: Memory) -> None:
-        """Begin with what contacts of our rows took."""
+        """Begin with these impulses of contacts of our rows."""
         self.memory, self.graph = (memory if len(memory.id) else self.nothing), None
 
     def remembered(self) -> Memory:
-        """What our rows' contacts took in the last solution."""
+        """The impulses of our rows' contacts in the last solution."""
         if self.graph is not None:
-            self.memory = remember(self.graph, self.taken, self.walls)
+            self.memory = remember(self.graph, self.impulses, self.walls)
         return self.memory
 
-    def took_something(self) -> bool:
-        """Did any contact of our rows take something?"""
-        return bool(self.taken.any()) if self.graph else len(self.memory.id) > 0
+    def has_impulses(self) -> bool:
+        """Did any contact of our rows have an impulse?"""
+        return bool(self.impulses.any()) if self.graph else len(self.memory.id) > 0
 
     def graph_of(self, p: Particles, wide: Array, zone: Array) -> ContactGraph:
         """The graph of all who are near one another in the zone (2, d), by widths (n,): new or as before. Collective."""
@@ -55,17 +55,17 @@ class ContactHistory:
             skin = skin if skin < np.inf else 0.0
             rows = rows_in(p.position, ROUND_UP * wide + skin, zone)
             graph = ContactGraph(self.ranks, p, rows, wide, skin, self.length, points=self.points)
-            self.taken = self.taken_before(p, graph)
+            self.impulses = self.impulses_before(p, graph)
             many = len(graph.other) - (4 if self.dilute else 1) * len(rows)  # two limits, so that it does not change to and fro
             self.dilute = self.ranks.total(many)[0] < 0
             self.graph = old = graph
         assert old is not None
         return old
 
-    def taken_before(self, p: Particles, graph: ContactGraph) -> Array:
-        """What half-edges of a new graph took in the last solution. Collective."""
+    def impulses_before(self, p: Particles, graph: ContactGraph) -> Array:
+        """The impulses of the half-edges of a new graph in the last solution. Collective."""
         old = self.graph
         if old is not None and not np.array_equal(old.ids, p.id):  # rows have changed their rank, or their order
             old = None
         memory = send_home(self.ranks, self.nothing if old else self.remembered(), p)
-        return carry_over(old, self.taken, graph, self.walls) if old else recall(memory, graph, self.walls)
+        return carry_over(old, self.impulses, graph, self.walls) if old else recall(memory, graph, self.walls)

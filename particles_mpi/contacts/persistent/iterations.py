@@ -34,7 +34,7 @@ def momentum(theta):
 
 @kernel
 def begin(axes, first, last, problem, w, v0, v):
-    """Velocities v of rows first ... last - 1: v0 and what their half-edges have taken; iterations start without momentum."""
+    """Velocities v of rows first ... last - 1: v0 and the impulses of their half-edges; iterations start without momentum."""
     if w.ndim == 1:
         smooth_begin(axes, first, last, problem[0], problem[2], v0, v)
     else:
@@ -91,8 +91,8 @@ def unit_of_squares(worst):
 
 
 class Rules(NamedTuple):
-    """When iterations end: how many `half_edges` may take something; iterations at `least`, `until` how many for now, and at most
-    at all (`limit`); are spheres `rough`?"""
+    """When iterations end: how many `half_edges` may have an impulse; iterations at `least`, `until` how many for now, and at
+    most at all (`limit`); are spheres `rough`?"""
 
     half_edges: int
     least: int
@@ -142,7 +142,8 @@ def iterate_to_end(axes, problem, w, v0, v, other, theta, rules, done, best, sum
 
 @kernel
 def works(axes, problem, w, v0, v, sums):
-    """To sums[i] (n, 2): the part of row i in p.(N v0 + c) and in p.A p, of the impulses p that took the rows from v0 to v.
+    """To sums[i] (n, 2): the part of row i in the linear term p.(N v0 + c) and in the quadratic term p.A p of what is minimised,
+    for the impulses p that changed the velocities of rows from v0 to v.
 
     Returns the largest absolute value of these numbers.
     """

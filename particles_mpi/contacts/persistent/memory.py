@@ -1,4 +1,4 @@
-"""What contacts took in the last solution, so that the next one begins there. It outlasts the graph, and goes where rows go."""
+"""The impulses of contacts in the last solution, with which the next one begins. They outlast the graph, and go where rows go."""
 
 import numpy as np
 
@@ -17,37 +17,40 @@ def names_of(graph: ContactGraph, walls: int) -> tuple[Array, Array]:
     return graph.id[row], np.concatenate((walls + graph.id[graph.other], np.tile(np.arange(walls), n)))
 
 
-def remember(graph: ContactGraph, taken: Array, walls: int) -> Memory:
-    """Those of the half-edges that took something."""
-    of = np.flatnonzero(along_normals(taken))
+def remember(graph: ContactGraph, impulses: Array, walls: int) -> Memory:
+    """Those of the half-edges that have an impulse."""
+    of = np.flatnonzero(along_normals(impulses))
     ids, partners = names_of(graph, walls)
-    return Memory(ids[of], partners[of], taken[of])
+    return Memory(ids[of], partners[of], impulses[of])
 
 
 def recall(memory: Memory, graph: ContactGraph, walls: int) -> Array:
-    """What each half-edge of the graph took, 0 where nothing is remembered."""
+    """The impulse of each half-edge of the graph, 0 where nothing is remembered."""
     ids, partners = names_of(graph, walls)
     order = np.argsort(memory.id, kind="stable")
     return np.asarray(match(ids, partners, memory.id[order], memory.partner[order], memory.taken[order]))
 
 
-def along_normals(taken: Array) -> Array:
-    """What was taken along the normals (m,), of the columns that rough spheres have besides."""
-    return taken if taken.ndim == 1 else np.ascontiguousarray(taken[:, 0])
+def along_normals(impulses: Array) -> Array:
+    """The impulses along the normals (m,); those of rough spheres have further columns."""
+    return impulses if impulses.ndim == 1 else np.ascontiguousarray(impulses[:, 0])
 
 
-def carry_over(old: ContactGraph, took: Array, new: ContactGraph, walls: int) -> Array:
-    """As `recall` from what half-edges of an `old` graph of the same rows `took`, without names: five times as fast."""
+def carry_over(old: ContactGraph, last_impulses: Array, new: ContactGraph, walls: int) -> Array:
+    """As `recall`, from the `last_impulses` of an `old` graph of the same rows, without names: five times as fast."""
     names = old.id[old.other], new.id[new.other]
-    return np.asarray(copy_taken((old.index, old.start, names[0], took), (new.rows, new.start, names[1]), walls))
+    return np.asarray(copy_impulses((old.index, old.start, names[0], last_impulses), (new.rows, new.start, names[1]), walls))
 
 
 @kernel
-def copy_taken(old, new, walls):
-    """What the new graph's half-edges and walls took. old: (index, start, ids of partners, taken); new: (rows, start, ids)."""
-    index, old_start, known, took = old
+def copy_impulses(old, new, walls):
+    """The impulses of the new graph's half-edges, and of walls.
+
+    old: (index, start, ids of partners, impulses); new: (rows, start, ids).
+    """
+    index, old_start, known, last_impulses = old
     rows, start, ids = new
-    taken = np.zeros((len(ids) + walls * len(rows), *took.shape[1:]))
+    impulses = np.zeros((len(ids) + walls * len(rows), *last_impulses.shape[1:]))
     for n in range(len(rows)):
         m = index[rows[n]]
         if m < 0:
@@ -57,16 +60,16 @@ def copy_taken(old, new, walls):
             while c < last and known[c] < ids[e]:
                 c += 1
             if c < last and known[c] == ids[e]:
-                taken[e] = took[c]
+                impulses[e] = last_impulses[c]
         for wall in range(walls):
-            taken[len(ids) + n * walls + wall] = took[len(known) + m * walls + wall]
-    return taken
+            impulses[len(ids) + n * walls + wall] = last_impulses[len(known) + m * walls + wall]
+    return impulses
 
 
 @kernel
-def match(ids, partners, known_id, known_partner, known_taken):
-    """What the contacts (ids, partners) took, 0 for those that are not known; `known_id` ascends."""
-    taken = np.zeros((len(ids), *known_taken.shape[1:]))
+def match(ids, partners, known_id, known_partner, known_impulses):
+    """The impulses of the contacts (ids, partners), 0 for those that are not known; `known_id` ascends."""
+    impulses = np.zeros((len(ids), *known_impulses.shape[1:]))
     first = last = np.int64(0)
     for e in range(len(ids)):
         if e == 0 or ids[e] != ids[e - 1]:
@@ -76,8 +79,8 @@ def match(ids, partners, known_id, known_partner, known_taken):
                 last += 1
         for c in range(first, last):
             if known_partner[c] == partners[e]:
-                taken[e] = known_taken[c]
-    return taken
+                impulses[e] = known_impulses[c]
+    return impulses
 
 
 def send_home(ranks: Communicator, memory: Memory, p: Particles) -> Memory:

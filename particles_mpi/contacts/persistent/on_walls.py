@@ -6,7 +6,7 @@ import numpy as np
 
 from particles_mpi.contacts.persistent.detection import PRECISE, SLOW, find_contacts
 from particles_mpi.contacts.persistent.iterations import solve_each
-from particles_mpi.contacts.persistent.problem import TAKEN, bound_rows, table_of
+from particles_mpi.contacts.persistent.problem import IMPULSE, bound_rows, table_of
 from particles_mpi.contacts.persistent.rows import gather
 from particles_mpi.contacts.persistent.slow import approach, carried, loads, pressing, slow
 from particles_mpi.kernels.jit import kernel
@@ -37,16 +37,16 @@ def settle_on_walls(axes, rows, fields, a, h, length, faces, planes):
     nothing, bound = np.zeros(len(gap)), np.zeros(n + 1)
     touch = gap <= widest * h
     bound_rows(axes, start, normal, w, touch, bound)
-    table, tight = table_of(axes, start, partner, normal, w, touch, bound, nothing, nothing), 1.0 / (PRECISE * widest)
-    solve_each(axes, (start, partner, table, tight, tight), w, push.copy())
-    borne = table[:, TAKEN].copy()
+    table, per_round_off = table_of(axes, start, partner, normal, w, touch, bound, nothing, nothing), 1.0 / (PRECISE * widest)
+    solve_each(axes, (start, partner, table, per_round_off, per_round_off), w, push.copy())
+    load = table[:, IMPULSE].copy()
     net_push, stress = np.zeros((n + 1, d)), np.zeros((n + 1, d, d))
-    loads(axes, start, partner, normal, w, borne, push, net_push, stress)
-    pressed = pressing(axes, start, partner, normal, borne, nothing, push, net_push, stress)
+    loads(axes, start, partner, normal, w, load, push, net_push, stress)
+    pressed = pressing(axes, start, partner, normal, load, nothing, push, net_push, stress)
     closing = approach(axes, start, partner, normal, v)
-    chosen, may_close, loose, tight = slow(contacts, closing, nothing, (held, radius), pressed, h, 0.0, 0.0, 0.0)
+    chosen, may_close, per_allowed, per_round_off = slow(contacts, closing, nothing, (held, radius), pressed, h, 0.0, 0.0, 0.0)
     bound[:] = 0.0
     bound_rows(axes, start, normal, w, chosen, bound)
     table = table_of(axes, start, partner, normal, w, chosen, bound, may_close, nothing)
-    solve_each(axes, (start, partner, table, loose, tight), w, v)
-    return v[:n], carried(start, table[:, TAKEN].copy())
+    solve_each(axes, (start, partner, table, per_allowed, per_round_off), w, v)
+    return v[:n], carried(start, table[:, IMPULSE].copy())

@@ -58,7 +58,7 @@ class PersistentContacts:
         self.history = ContactHistory(ranks if self.migrating else self.ranks, length, len(self.walls), self.kind.columns, points)
         self.given: tuple[Array, Array] = np.empty(0, np.int64), np.empty(0)  # our rows, velocities given to them, but for drag
         self.undamped: Array | None = None  # see `keep`
-        self.needs_memory = pairs or self.kind.rough  # of what contacts took, from one kick to the next
+        self.needs_memory = pairs or self.kind.rough  # of the impulses of contacts, from one kick to the next
         self.awake = True  # else particles pass through one another and through walls
         self.totals = {"unconverged": 0}  # of this rank, which are counted for all by rank 0
 
@@ -77,7 +77,7 @@ class PersistentContacts:
             if not self.pairs:
                 self.keep_on_walls(p, a, h, involved)
                 return
-            some, known = self.ranks.largest(len(involved) > 0, self.history.took_something())
+            some, known = self.ranks.largest(len(involved) > 0, self.history.has_impulses())
             if not some and self.uniform:
                 self.history.forget()
                 return
@@ -86,7 +86,7 @@ class PersistentContacts:
             graph = self.history.graph_of(p, wide, zone)
             local = self.local(p, a, h, graph)
             inside = inside_zone(local.x, widths(local.radius, local.push, HELD * h, REACH), zone)
-            self.history.taken[:] = self.solve(p, local, graph, inside, h, self.history.taken, bool(known))
+            self.history.impulses[:] = self.solve(p, local, graph, inside, h, self.history.impulses, bool(known))
 
     def keep_crowds(self, p: Particles, a: Array, h: float, tried: int) -> None:
         """As `keep`, but contacts with those that are CROWD, and with all who touch them, are kept at any speed.
@@ -110,8 +110,8 @@ class PersistentContacts:
                     break
                 marked[:] = local.crowd
                 graph.exchange(marked)
-            took = self.history.taken_before(p, graph)
-            self.solve(p, local, graph, np.ones(graph.size + 1, np.bool_), h, took, True, tried)
+            last_impulses = self.history.impulses_before(p, graph)
+            self.solve(p, local, graph, np.ones(graph.size + 1, np.bool_), h, last_impulses, True, tried)
 
     def zone(self, p: Particles, wide: Array, involved: Array, known: bool) -> Array:
         """The box (2, d) in which contacts are sought: around those involved, or all space. Collective."""
@@ -135,23 +135,23 @@ class PersistentContacts:
         return Local(x, v, push, graph.radius, w, supported == CROWD, (supported != 0) & (w > 0.0), spin)
 
     def solve(
-        self, p: Particles, local: Local, graph: ContactGraph, inside: Array, h: float, took: Array, known: bool,
+        self, p: Particles, local: Local, graph: ContactGraph, inside: Array, h: float, last_impulses: Array, known: bool,
         tried: int | None = None,
     ) -> Array:  # fmt: skip
-        """As `SlowContacts.solve`: velocities into p; returns what half-edges of the graph took."""
-        solution = self.slow.solve(local, graph, inside, h, took, known, tried)
+        """As `SlowContacts.solve`: velocities into p; returns the impulses of half-edges of the graph."""
+        solution = self.slow.solve(local, graph, inside, h, last_impulses, known, tried)
         if not solution:
             p["supported"][graph.rows] = 0
-            return np.zeros_like(took)
+            return np.zeros_like(last_impulses)
         self.totals["unconverged"] += self.ranks.is_root and not solution.good
         self.give_back(p, graph.rows, solution.v, solution.held)
-        return solution.taken
+        return solution.impulses
 
     def keep_on_walls(self, p: Particles, a: Array, h: float, rows: Array) -> None:
         """As `keep`, of rows that nothing but walls can hold: each by itself, to the end.
 
-        Smooth ones need no memory. Of rough ones friction at one wall may be all that presses them onto another; what their
-        contacts took goes where rows go, which is collective where these are migrating.
+        Smooth ones need no memory. Of rough ones friction at one wall may be all that presses them onto another; the
+        impulses of their contacts go where rows go, which is collective where these are migrating.
         """
         history = self.history
         if not self.kind.rough:
@@ -161,9 +161,9 @@ class PersistentContacts:
             history.forget()
         else:
             graph = ContactGraph(self.ranks, p, rows, np.zeros(len(p)), 0.0, self.length, pairs=False)
-            took, local = history.taken_before(p, graph), self.local(p, a, h, graph)
+            last_impulses, local = history.impulses_before(p, graph), self.local(p, a, h, graph)
             inside = np.ones(graph.size + 1, np.bool_)
-            history.graph, history.taken = graph, self.solve(p, local, graph, inside, h, took, False)
+            history.graph, history.impulses = graph, self.solve(p, local, graph, inside, h, last_impulses, False)
 
     def give_back(self, p: Particles, rows: Array, v: Array, held: Array) -> None:
         """To our particles: velocities v of `rows`, and which of them contacts hold."""

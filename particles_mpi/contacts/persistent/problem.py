@@ -10,11 +10,11 @@ from particles_mpi.particles import Array
 
 # Columns of the table of half-edges. It has one row for each, 64 bytes long in space: arrays of their own would be in one
 # another's way in the cache, all being read at the same pace.
-SHARE = 0  # the part of the approach taken by the contact that this row gives, w_i/(w_i + w_j)
-STEP = 1  # length of a gradient step, (w_i + w_j)/D, and 0 for contacts that take nothing
+SHARE = 0  # the part of the change of approach that this row contributes, w_i/(w_i + w_j)
+STEP = 1  # length of a gradient step, (w_i + w_j)/D, and 0 for contacts that have no impulse
 MAY_CLOSE = 2  # the speed at which it may close
-TAKEN = 3  # the approach that it has taken
-AHEAD = 4  # the same, moved on along the last change
+IMPULSE = 3  # along the normal, as a speed: p (w_i + w_j), by which it changes the approach of its partners
+EXTRAPOLATED = 4  # the same, moved on along the last change, by the momentum of the iteration
 NORMAL = 5  # and the following ones: the normal, towards the row
 
 
@@ -22,23 +22,23 @@ class Problem(NamedTuple):
     """The contacts that are solved for, as half-edges: those of row i are start[i] ... start[i + 1] - 1.
 
     start (n + 1,); partner (m,): a row or ghost, or the row of zeros behind them that stands for walls; table (m, 5 + d) with the
-    columns above, of rough spheres with more (`rough_table`). An error in speed is allowed up to 1/`loose` (m,), as root
-    mean square; below 1/`tight` (m,) nothing is left but round-off.
+    columns above, of rough spheres with more (`rough_table`). An error in speed is allowed up to 1/`per_allowed` (m,), as root
+    mean square; below 1/`per_round_off` (m,) nothing is left but round-off.
     """
 
     start: Array
     partner: Array
     table: Array
-    loose: Array
-    tight: Array
+    per_allowed: Array
+    per_round_off: Array
 
 
 class Targets(NamedTuple):
-    """What is asked of each half-edge, (m,): it may close at `may_close`; `loose`, `tight`: see `Problem`."""
+    """What is asked of each half-edge, (m,): it may close at `may_close`; `per_allowed`, `per_round_off`: see `Problem`."""
 
     may_close: Array
-    loose: Array
-    tight: Array
+    per_allowed: Array
+    per_round_off: Array
 
 
 @in_place
@@ -88,8 +88,8 @@ def bound_rows(axes, start, normal, w, which, bound):
 
 
 @kernel
-def table_of(axes, start, partner, normal, w, which, bound, may_close, taken):
-    """The table of half-edges (m, 5 + d), of which those that `which` marks may take anything; w, bound: see `bound_rows`."""
+def table_of(axes, start, partner, normal, w, which, bound, may_close, impulses):
+    """The table of half-edges (m, 5 + d), of which those that `which` marks may have an impulse; w, bound: see `bound_rows`."""
     table = np.empty((len(partner), NORMAL + len(axes)))
     for i in range(len(start) - 1):
         for e in range(start[i], start[i + 1]):
@@ -97,7 +97,7 @@ def table_of(axes, start, partner, normal, w, which, bound, may_close, taken):
             both = w[i] + w[j]
             table[e, SHARE] = w[i] / both
             table[e, STEP] = both / (bound[i] + bound[j]) if which[e] else 0.0
-            table[e, MAY_CLOSE], table[e, TAKEN], table[e, AHEAD] = may_close[e], taken[e], taken[e]
+            table[e, MAY_CLOSE], table[e, IMPULSE], table[e, EXTRAPOLATED] = may_close[e], impulses[e], impulses[e]
             for k in range(len(axes)):
                 table[e, NORMAL + k] = normal[e, k]
     return table

@@ -4,22 +4,22 @@ from math import sqrt
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.problem import NORMAL, STEP, TAKEN, fourth_power_norm
+from particles_mpi.contacts.persistent.problem import IMPULSE, NORMAL, STEP, fourth_power_norm
 from particles_mpi.contacts.rough import plane_of
 from particles_mpi.kernels.jit import inner, kernel
 from particles_mpi.particles import spin_components
 
 # Columns behind the d components of the normal
-ARM, OTHER_ARM, MU, RESISTANCE, SPIN_SHARE, SLIDE_STEP, ROLL_STEP, SLID = range(8)
-# From SLID on stand four vectors: what the contact has taken across its normal, and the same moved on along the last change; the
-# couple that it has taken, and the same moved on.
+ARM, OTHER_ARM, MU, RESISTANCE, SPIN_SHARE, SLIDE_STEP, ROLL_STEP, TANGENTIAL = range(8)
+# From TANGENTIAL on stand four vectors: the impulse of the contact across its normal, and the same extrapolated; its couple, and
+# the same extrapolated.
 
 
-def taken_columns(d: int, rough: bool) -> list[int]:
-    """The columns of a table that say what contacts have taken: along the normal, and, if rough, across it and as a couple."""
-    across = NORMAL + d + SLID
+def impulse_columns(d: int, rough: bool) -> list[int]:
+    """The columns of a table that hold the impulses of contacts: along the normal, and, if rough, across it, and couples."""
+    across = NORMAL + d + TANGENTIAL
     couple = across + 2 * d
-    return [TAKEN, *range(across, across + d), *range(couple, couple + spin_components(d))] if rough else [TAKEN]
+    return [IMPULSE, *range(across, across + d), *range(couple, couple + spin_components(d))] if rough else [IMPULSE]
 
 
 @inner(inline="always")
@@ -31,7 +31,7 @@ def spins_of(axes):
 @inner(inline="always")
 def table_width(axes):
     """Columns of a table."""
-    return NORMAL + len(axes) + SLID + 2 * len(axes) + 2 * spins_of(axes)
+    return NORMAL + len(axes) + TANGENTIAL + 2 * len(axes) + 2 * spins_of(axes)
 
 
 @inner(inline="always")
@@ -43,11 +43,11 @@ def arms_of(radius, other_radius, gap):
 
 
 @kernel
-def rough_table(axes, smooth, wall, start, partner, gap, radii, inverse_inertia, w, which, surfaces, slid):
+def rough_table(axes, smooth, wall, start, partner, gap, radii, inverse_inertia, w, which, surfaces, tangential):
     """The table of half-edges from that of smooth spheres (m, 5 + d) with the bounds of `bound_rough`.
 
     wall (m,): which walls are partners, -1 for rows; gap (m,): to the partner; radii (size + 1,); surfaces (2, m): mu and
-    resistance; slid (m, d + s): what was taken across the normal, and the couple. What is not across the normal any longer is
+    resistance; tangential (m, d + s): the impulse across the normal, and the couple. What is not across the normal any longer is
     left out.
     """
     d, s = len(axes), spins_of(axes)
@@ -70,11 +70,11 @@ def rough_table(axes, smooth, wall, start, partner, gap, radii, inverse_inertia,
             row[at + ROLL_STEP] = both / turns * row[STEP] if turns > 0.0 and surfaces[1, e] > 0.0 else 0.0
             along = 0.0
             for k in range(d):
-                along += slid[e, k] * smooth[e, NORMAL + k]
+                along += tangential[e, k] * smooth[e, NORMAL + k]
             for k in range(d):
-                row[at + SLID + k] = row[at + SLID + d + k] = slid[e, k] - along * smooth[e, NORMAL + k]
+                row[at + TANGENTIAL + k] = row[at + TANGENTIAL + d + k] = tangential[e, k] - along * smooth[e, NORMAL + k]
             for c in range(s):
-                row[at + SLID + 2 * d + c] = row[at + SLID + 2 * d + s + c] = slid[e, d + c]
+                row[at + TANGENTIAL + 2 * d + c] = row[at + TANGENTIAL + 2 * d + s + c] = tangential[e, d + c]
     return table
 
 

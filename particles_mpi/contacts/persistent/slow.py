@@ -2,9 +2,9 @@
 
 The speed that *presses* a contact with the normal n is the larger one of two: the change of velocity along n that forces and
 the other contacts give its partners in a step, and n S n, where S is the sum of the stresses of both partners (the stress of a
-row: the sum of n' n' times what each of its contacts gives to it, which is w/(w + w') of what that bears). A contact is slow
+row: the sum of n' n' times what each of its contacts gives to it, which is w/(w + w') of its load). A contact is slow
 below that speed, or below HELD times it where one partner is held already. So a ball that rolls on a floor meets another one, or
-a wall, at any speed, for the floor bears nothing along that normal.
+a wall, at any speed, for the floor has no load along that normal.
 """
 
 from math import inf
@@ -35,8 +35,8 @@ def approach(axes, start, partner, normal, v):
 
 
 @kernel
-def loads(axes, start, partner, normal, w, borne, push, net_push, stress):
-    """The net push (n, d) of each row, that is with what contacts give it that bear `borne`, and its stress (n, d, d)."""
+def loads(axes, start, partner, normal, w, load, push, net_push, stress):
+    """The net push (n, d) of each row, that is with what contacts under this `load` give it, and its stress (n, d, d)."""
     one = np.uint64(1)
     for i in range(np.uint64(len(start) - 1)):
         for k in range(len(axes)):
@@ -44,7 +44,7 @@ def loads(axes, start, partner, normal, w, borne, push, net_push, stress):
             for m in range(len(axes)):
                 stress[i, np.uint64(k), np.uint64(m)] = 0.0
         for e in range(np.uint64(start[i]), np.uint64(start[i + one])):
-            given = w[i] / (w[i] + w[np.uint64(partner[e])]) * borne[e]
+            given = w[i] / (w[i] + w[np.uint64(partner[e])]) * load[e]
             for k in range(len(axes)):
                 part = given * normal[e, np.uint64(k)]
                 net_push[i, np.uint64(k)] += part
@@ -53,7 +53,7 @@ def loads(axes, start, partner, normal, w, borne, push, net_push, stress):
 
 
 @kernel
-def pressing(axes, start, partner, normal, borne, before, push, net_push, stress):
+def pressing(axes, start, partner, normal, load, before, push, net_push, stress):
     """The speed (m,) that presses each contact: the largest of `before`, of what the net pushes of both partners, but for this
     contact itself, are along its normal, and of what their stress is along it.
 
@@ -71,28 +71,28 @@ def pressing(axes, start, partner, normal, borne, before, push, net_push, stress
                 for m in range(len(axes)):
                     also = np.uint64(m)
                     along += normal[e, of] * normal[e, also] * (stress[i, of, also] + stress[j, of, also])
-            pressed = borne[e] - others
+            pressed = load[e] - others
             speeds[e] = max(before[e], pressed if forces > 0.0 else abs(pressed), along)
     return speeds
 
 
 @kernel
-def slow(contacts, closing, took, of_rows, pressed, h, tolerance, margin, slight):
-    """Which contacts are slow, and what is asked of them (`may_close`, `loose`, `tight`), 0 for the others.
+def slow(contacts, closing, last_impulses, of_rows, pressed, h, tolerance, margin, slight):
+    """Which contacts are slow, and what is asked of them (`may_close`, `per_allowed`, `per_round_off`), 0 for the others.
 
-    `of_rows`: who is held already, and radii. A contact that `took` something is held too. Errors are allowed up to `tolerance`
-    radii of the smaller sphere in a step, or PRECISE times the speed below which a contact is slow, or times `slight` of the
-    widest push where that is more; contacts keep a gap of `margin` tolerances, to which they return in some steps, or errors of
-    one step would be the work of the next one.
+    `of_rows`: who is held already, and radii. A contact that had one of the `last_impulses` is held too. Errors are allowed up to
+    `tolerance` radii of the smaller sphere in a step, or PRECISE times the speed below which a contact is slow, or times `slight`
+    of the widest push where that is more; contacts keep a gap of `margin` tolerances, to which they return in some steps, or
+    errors of one step would be the work of the next one.
     """
     start, partner, _, _, gap, widest, crowd = contacts
     supported, radius = of_rows
     m = len(gap)
-    chosen, may_close, loose, tight = np.zeros(m, np.bool_), np.zeros(m), np.zeros(m), np.zeros(m)
+    chosen, may_close, per_allowed, per_round_off = np.zeros(m, np.bool_), np.zeros(m), np.zeros(m), np.zeros(m)
     for i in range(np.uint64(len(start) - 1)):
         for e in range(np.uint64(start[i]), np.uint64(start[i + np.uint64(1)])):
             j = np.uint64(partner[e])
-            held = took[e] > 0.0 or supported[i] or supported[j]
+            held = last_impulses[e] > 0.0 or supported[i] or supported[j]
             most = HELD * widest[e]
             speed = min((HELD if held else 1.0) * pressed[e], most)
             if crowd[e] or (speed > 0.0 and gap[e] <= speed * h and abs(closing[e]) <= speed):
@@ -108,30 +108,30 @@ def slow(contacts, closing, took, of_rows, pressed, h, tolerance, margin, slight
                 chosen[e], may_close[e] = True, room / h
                 speed = most if crowd[e] else max(speed, slight * widest[e])
                 left = CROWD_GAP * min(gap[e] / h, SLOW_MARGIN * most) if crowd[e] else 0.0
-                tight[e] = 1.0 / max(PRECISE * speed, left)
-                loose[e] = min(h / allowed, tight[e]) if allowed > 0.0 else tight[e]
-    return chosen, may_close, loose, tight
+                per_round_off[e] = 1.0 / max(PRECISE * speed, left)
+                per_allowed[e] = min(h / allowed, per_round_off[e]) if allowed > 0.0 else per_round_off[e]
+    return chosen, may_close, per_allowed, per_round_off
 
 
 @kernel
-def felt_push(start, partner, w, widest, bears):
-    """The largest push (n,) of the contacts by which each row bears anything, of each that part which moves the row.
+def felt_push(start, partner, w, widest, normal_impulses):
+    """The largest push (n,) of the contacts by which each row bears a load, of each that part which moves the row.
 
     That is w_i/(w_i + w_j) of it, which is little for a heavy row on which a light one lies. w (size + 1,): inverse masses.
     """
     found = np.zeros(len(start) - 1)
     for i in range(len(found)):
         for e in range(start[i], start[i + 1]):
-            if bears[e] > 0.0:
+            if normal_impulses[e] > 0.0:
                 found[i] = max(found[i], w[i] / (w[i] + w[partner[e]]) * widest[e])
     return found
 
 
 @kernel
-def carried(start, taken):
-    """Which rows have a half-edge that took something; (n,) uint8."""
+def carried(start, impulses):
+    """Which rows have a half-edge with an impulse; (n,) uint8."""
     rows = np.zeros(len(start) - 1, np.uint8)
     for i in range(len(rows)):
         for e in range(start[i], start[i + 1]):
-            rows[i] |= taken[e] > 0.0
+            rows[i] |= impulses[e] > 0.0
     return rows

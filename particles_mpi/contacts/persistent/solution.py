@@ -1,4 +1,4 @@
-"""From the rows of a graph to velocities that keep their slow contacts: which contacts are slow, and what they take.
+"""From the rows of a graph to velocities that keep their slow contacts: which contacts are slow, and their impulses.
 
 `SlowContacts` finds the contacts of a graph, tells what presses each of them, which are slow with that, and calls the solver.
 """
@@ -23,7 +23,7 @@ from particles_mpi.particles import Array, same_bits
 
 UNKNOWN = 10  # times as many iterations where nothing is remembered
 IN_CROWDS = 900  # iterations in small crowds, at first; TRIED lead to a direct solution where they are not enough
-AS_PUSH = 2.0 * SLOW  # times what a contact took in a kick, which lasts half a step, is the push that it bears
+AS_PUSH = 2.0 * SLOW  # times the impulse of a contact in a kick, which lasts half a step, is its load as a push
 
 
 class Found(NamedTuple):
@@ -35,14 +35,14 @@ class Found(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """What contacts and rows as in `for_these` come to: velocities (n, columns), who is held (n,), what half-edges of the graph
-    took, and whether errors are allowed."""
+    """What contacts and rows as in `for_these` come to: velocities (n, columns), who is held (n,), the impulses of half-edges of
+    the graph, and whether errors are allowed."""
 
     contacts: Contacts
     for_these: tuple[Array, ...]
     v: Array
     held: Array
-    taken: Array
+    impulses: Array
     good: bool
 
 
@@ -65,16 +65,23 @@ class SlowContacts:
         self.last: Solution | None = None  # if its errors were allowed
 
     def solve(
-        self, local: Local, graph: ContactGraph, inside: Array, h: float, took: Array, known: bool, tried: int | None = None
+        self,
+        local: Local,
+        graph: ContactGraph,
+        inside: Array,
+        h: float,
+        last_impulses: Array,
+        known: bool,
+        tried: int | None = None,
     ) -> Solution | None:
         """Velocities that keep the slow contacts of rows `inside`; None if no rank has a contact. Collective.
 
-        `took`: what half-edges of the graph took in the last solution, if that is `known`. `tried`: how often a crowd has been
-        solved for since the last kick. Its velocities keep contacts already; what these take now begins at 0, and adds to what
-        they took.
+        `last_impulses`: of half-edges of the graph in the last solution, if that is `known`. `tried`: how often a crowd has been
+        solved for since the last kick. Its velocities keep contacts already; their impulses begin at 0 now, and
+        are added to the last ones.
         """
         contacts = self.contacts(local, graph, inside, h)
-        before, last = took[contacts.slot], self.last
+        before, last = last_impulses[contacts.slot], self.last
         for_these = before, local.v, local.w, local.supported, local.spin, np.array(known)
         same = last and tried is None and last.contacts is contacts and all(map(same_bits, last.for_these, for_these))
         count, new = self.ranks.total(len(before), not same)
@@ -82,43 +89,45 @@ class SlowContacts:
             return None
         if not new:  # nothing has changed since the kick before: a pile at rest
             return last
-        solution = self.solved(local, graph, contacts, for_these, h, took, count, tried)
+        solution = self.solved(local, graph, contacts, for_these, h, last_impulses, count, tried)
         self.last = solution if solution.good else None
         return solution
 
     def solved(
-        self, local: Local, graph: ContactGraph, contacts: Contacts, for_these: tuple[Array, ...], h: float, took: Array,
+        self, local: Local, graph: ContactGraph, contacts: Contacts, for_these: tuple[Array, ...], h: float, last_impulses: Array,
         count: int, tried: int | None,
     ) -> Solution:  # fmt: skip
         """A new solution for `count` half-edges of all ranks; see `solve`. Collective."""
         before, known, again = for_these[0], bool(for_these[-1]), tried is not None
         least = max(self.effort // count * (1 if known else UNKNOWN), self.kind.least) if self.pairs else self.exact
-        borne = AS_PUSH * before if known else self.borne(local, graph, contacts, h, least)
+        load = AS_PUSH * before if known else self.load(local, graph, contacts, h, least)
         if not self.pairs:  # each row by itself: those of which something is remembered bear what they bore
             remembered = np.repeat(carried(contacts.start, along_normals(before)) != 0, np.diff(contacts.start))
-            borne[remembered] = AS_PUSH * before[remembered]
+            load[remembered] = AS_PUSH * before[remembered]
         if again and least >= self.exact and not self.kind.rough:
             least = TRIED if tried else IN_CROWDS
-        pressed = self.pressed(local, contacts, borne, along_normals(AS_PUSH * before), graph.exchange)
+        pressed = self.pressed(local, contacts, load, along_normals(AS_PUSH * before), graph.exchange)
         chosen, targets = self.chosen(local, contacts, before, pressed, h, least)
         if again and not self.kind.rough:  # given twice, the way back to a margin lifts beds of smooth spheres by 1e-6
             np.maximum(targets.may_close, 0.0, out=targets.may_close)
-        taken = np.where(chosen, borne.T / AS_PUSH, 0.0).T * (not again)
-        problem = self.kind.problem(local, graph, contacts, chosen, targets, taken)
+        impulses = np.where(chosen, load.T / AS_PUSH, 0.0).T * (not again)
+        problem = self.kind.problem(local, graph, contacts, chosen, targets, impulses)
         w, v = self.kind.motion(local, graph, local.v, local.spin)
         pile = Pile(contacts, local, self.tolerance / h if least < self.exact else 0.0)
 
         def asleep(v: Array) -> bool:
-            return self.kind.asleep(self.ranks, pile, along_normals(self.kind.taken(problem)), v)
+            return self.kind.asleep(self.ranks, pile, along_normals(self.kind.impulses(problem)), v)
 
         look = None if again else asleep
         v, good, sleeps = self.solver.solve(problem, w, v, graph.id, graph.exchange, least, self.pairs, look)
-        taken = taken if sleeps else self.kind.taken(problem)  # who is asleep bears what they bore
-        bears = along_normals(np.maximum(taken, before) if again else taken)
-        held = carried(contacts.start, bears)
-        all_taken = np.zeros_like(took)
-        all_taken[contacts.slot] = np.where(along_normals(taken) != 0.0, taken.T, 0.0).T  # all that `remember` keeps
-        return Solution(contacts, for_these, self.kind.at_rest(self.ranks, pile, bears, held, v), held, all_taken, good)
+        impulses = impulses if sleeps else self.kind.impulses(problem)  # of who is asleep nothing changes
+        normal_impulses = along_normals(np.maximum(impulses, before) if again else impulses)
+        held = carried(contacts.start, normal_impulses)
+        all_impulses = np.zeros_like(last_impulses)
+        all_impulses[contacts.slot] = np.where(along_normals(impulses) != 0.0, impulses.T, 0.0).T  # all that `remember` keeps
+        return Solution(
+            contacts, for_these, self.kind.at_rest(self.ranks, pile, normal_impulses, held, v), held, all_impulses, good
+        )
 
     def contacts(self, local: Local, graph: ContactGraph, inside: Array, h: float) -> Contacts:
         """The half-edges of rows `inside` that may be slow: as last time, where nothing but velocities has changed since.
@@ -135,28 +144,28 @@ class SlowContacts:
         self.found = None if crowd else Found(graph, for_these, contacts)
         return contacts
 
-    def borne(self, local: Local, graph: ContactGraph, contacts: Contacts, h: float, least: int) -> Array:
-        """What all contacts that touch bear if nothing but the pushes acts. Collective."""
+    def load(self, local: Local, graph: ContactGraph, contacts: Contacts, h: float, least: int) -> Array:
+        """The load of all contacts that touch, as a push, if nothing but the pushes acts. Collective."""
         touch = contacts.gap <= contacts.widest * h
         nothing = np.zeros((len(touch), *self.kind.columns))
         problem = self.kind.problem(local, graph, contacts, touch, exactly(contacts), nothing)
         w, push = self.kind.motion(local, graph, local.push, np.zeros_like(local.spin))
         self.solver.solve(problem, w, push, graph.id, graph.exchange, least, self.pairs)
-        return self.kind.taken(problem)
+        return self.kind.impulses(problem)
 
-    def pressed(self, local: Local, contacts: Contacts, borne: Array, before: Array, exchange: Exchange) -> Array:
-        """The speed (m,) that presses each contact, by pushes of rows and what contacts bear now or bore `before`. Collective."""
+    def pressed(self, local: Local, contacts: Contacts, load: Array, before: Array, exchange: Exchange) -> Array:
+        """The speed (m,) that presses each contact, by pushes of rows and the load of contacts, now or `before`. Collective."""
         net_push, stress = np.zeros_like(local.push), np.zeros((*local.push.shape, local.push.shape[1]))
-        some, along = (contacts.start, contacts.partner, contacts.normal), along_normals(borne)
+        some, along = (contacts.start, contacts.partner, contacts.normal), along_normals(load)
         loads(self.axes, *some, local.w, along, local.push, net_push, stress)
-        self.kind.press(contacts, local.w, borne, net_push)
+        self.kind.press(contacts, local.w, load, net_push)
         exchange(net_push, stress)
         return np.asarray(pressing(self.axes, *some, along, before, local.push, net_push, stress))
 
     def chosen(
         self, local: Local, contacts: Contacts, before: Array, pressed: Array, h: float, least: int
     ) -> tuple[Array, Targets]:
-        """Which contacts are slow, and how fast each of them may close, of those that took `before` and are `pressed` now."""
+        """Which contacts are slow, and how fast each may close, of those with the impulses `before` that are `pressed` now."""
         closing = approach(self.axes, contacts.start, contacts.partner, contacts.normal, local.v)
         which, *targets = slow(
             tuple(contacts), closing, along_normals(before), (local.supported, local.radius), pressed, h,
@@ -167,5 +176,5 @@ class SlowContacts:
 
 def exactly(contacts: Contacts) -> Targets:
     """That nothing closes, but for round-off of the widest pushes."""
-    tight = 1.0 / (PRECISE * contacts.widest)
-    return Targets(np.zeros(len(tight)), tight, tight)
+    per_round_off = 1.0 / (PRECISE * contacts.widest)
+    return Targets(np.zeros(len(per_round_off)), per_round_off, per_round_off)

@@ -36,7 +36,7 @@ class Solver:
         pairs: bool = True, asleep: Asleep | None = None,
     ) -> tuple[Array, bool, bool]:  # fmt: skip
         """Velocities (n, d) at which no contact closes faster than it may, whether errors are allowed, and whether all is asleep;
-        to the table, what contacts have taken. Without `pairs` each row of rough spheres is solved for by itself.
+        to the table, the impulses of contacts. Without `pairs` each row of rough spheres is solved for by itself.
 
         w (size + 1,): inverse masses; v (size + 1, d) and ids of rows and ghosts. For `least` and `asleep`, see
         `Iteration.until_good`.
@@ -71,7 +71,7 @@ class Solver:
         run = Iteration(self.axes, together.problem, together.w, together.v, None)
 
         def ours(result: Array) -> Array:
-            return together.ours(result, v, problem.table, run.taken)
+            return together.ours(result, v, problem.table, run.impulse_columns)
 
         look = asleep and (lambda result: asleep(ours(result)))
         good, done = run.until_good(Communicator.alone(), count, least, look, limit)
@@ -92,7 +92,7 @@ class Solver:
             good, _ = run.until_good(Communicator.alone(), count, least, limit=MOST_ITERATIONS)
         else:
             return result, good
-        return together.ours(run.result, v, problem.table, run.taken), good
+        return together.ours(run.result, v, problem.table, run.impulse_columns), good
 
 
 def without_friction(run: Iteration) -> bool:
@@ -104,20 +104,20 @@ def without_friction(run: Iteration) -> bool:
     movable = w[w > 0.0]
     if run.rough and not movable.max(initial=0.0) > DIFFERENT * movable.min(initial=np.inf):
         return False
-    before = table[:, run.taken]
-    table[:, run.taken[1:]] = 0.0
+    before = table[:, run.impulse_columns]
+    table[:, run.impulse_columns[1:]] = 0.0
     if not solve_directly(run.axes, run.problem, w, run.v0[:, : len(run.axes)].copy()):
-        table[:, run.taken] = before
+        table[:, run.impulse_columns] = before
         return False
     run.restart()
     return True
 
 
 def improve(run: Iteration, count: int, least: int) -> bool:
-    """Iterate from what is taken; if that leads to no errors that are allowed, go back. Returns whether it does."""
-    before = run.table[:, run.taken]
+    """Iterate from the impulses of the table; if that leads to no errors that are allowed, go back. Returns whether it does."""
+    before = run.table[:, run.impulse_columns]
     good, _ = run.until_good(Communicator.alone(), count, least, limit=TRIED)
     if not good:
-        run.table[:, run.taken] = before
+        run.table[:, run.impulse_columns] = before
         run.restart()
     return good

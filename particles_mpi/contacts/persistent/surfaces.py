@@ -1,6 +1,6 @@
-"""What contacts of smooth and of rough spheres take, as the solver needs it: the two kinds answer the same calls of `solution`.
+"""Impulses of smooth and of rough spheres, as the solver needs them: the two kinds answer the same calls of `solution`.
 
-Smooth ones take speed along their normal, a number each. Rough ones also take speed across it, and a couple: a row of numbers
+Smooth ones have one along their normal, a number each. Rough ones also have one across it, and a couple: a row of numbers
 each; velocities and spins, and 1/m and 1/I, stand side by side.
 """
 
@@ -13,7 +13,7 @@ from particles_mpi.contacts.persistent.graph import ContactGraph
 from particles_mpi.contacts.persistent.memory import along_normals
 from particles_mpi.contacts.persistent.problem import Problem, Targets, bound_rows, table_of
 from particles_mpi.contacts.persistent.rough_iterations import slide_loads
-from particles_mpi.contacts.persistent.rough_table import bound_rough, rough_table, taken_columns
+from particles_mpi.contacts.persistent.rough_table import bound_rough, impulse_columns, rough_table
 from particles_mpi.contacts.persistent.rows import Local
 from particles_mpi.contacts.persistent.slow import carried, felt_push
 from particles_mpi.contacts.warm_start import rough_columns
@@ -48,20 +48,20 @@ class Pile(NamedTuple):
     local: Local
     allowed: float
 
-    def pushes(self, bears: Array) -> Array:
-        """The push (n,) that each row feels at contacts, of which half-edges bear `bears` (m,), or its own if that is more."""
+    def pushes(self, normal_impulses: Array) -> Array:
+        """The push (n,) that each row feels at contacts with these `normal_impulses` (m,), or its own if that is more."""
         contacts, own = self.contacts, self.local.push[: len(self.contacts.start) - 1]
-        felt = felt_push(contacts.start, contacts.partner, self.local.w, contacts.widest, bears)
+        felt = felt_push(contacts.start, contacts.partner, self.local.w, contacts.widest, normal_impulses)
         return np.where(felt > 0.0, np.maximum(felt, np.sqrt(row_dot(own, own))), 0.0)
 
-    def stands(self, bears: Array) -> bool:
+    def stands(self, normal_impulses: Array) -> bool:
         """Does a wall or a fixed sphere bear anything? Else nothing says what rest is: all may be on its way together."""
-        return bool(((self.local.w[self.contacts.partner] == 0.0) & (bears > 0.0)).any())
+        return bool(((self.local.w[self.contacts.partner] == 0.0) & (normal_impulses > 0.0)).any())
 
-    def piled(self, bears: Array) -> Array:
-        """Which rows (n,) bear other rows, where half-edges bear `bears` (m,)."""
+    def piled(self, normal_impulses: Array) -> Array:
+        """Which rows (n,) bear other rows, by contacts with these `normal_impulses` (m,)."""
         walls = self.contacts.partner == len(self.local.w) - 1
-        return np.asarray(carried(self.contacts.start, np.where(walls, 0.0, bears)) != 0)
+        return np.asarray(carried(self.contacts.start, np.where(walls, 0.0, normal_impulses)) != 0)
 
 
 class SmoothContacts:
@@ -70,7 +70,7 @@ class SmoothContacts:
     rough = False
     least = 0  # iterations that a solution always gets
     slight = 0.0  # see SLIGHT
-    columns: tuple[int, ...] = ()  # of what is taken, by each half-edge
+    columns: tuple[int, ...] = ()  # of the impulse of a half-edge
 
     def __init__(self, axes: tuple[float, ...]):
         self.axes = axes
@@ -80,52 +80,52 @@ class SmoothContacts:
         return np.empty((0, 1))
 
     def problem(
-        self, local: Local, graph: ContactGraph, contacts: Contacts, which: Array, targets: Targets, taken: Array
+        self, local: Local, graph: ContactGraph, contacts: Contacts, which: Array, targets: Targets, impulses: Array
     ) -> Problem:  # fmt: skip
-        """For the solver: the contacts, of which `which` (m,) may take anything, and what they took. Collective."""
+        """For the solver: the contacts, of which `which` (m,) may have an impulse, and their impulses. Collective."""
         bound = np.zeros_like(local.w)
         bound_rows(self.axes, contacts.start, contacts.normal, local.w, which, bound)
         graph.exchange(bound)
-        table = self.smooth_table(local, contacts, which, bound, targets, taken)
-        return Problem(contacts.start, contacts.partner, table, targets.loose, targets.tight)
+        table = self.smooth_table(local, contacts, which, bound, targets, impulses)
+        return Problem(contacts.start, contacts.partner, table, targets.per_allowed, targets.per_round_off)
 
     def smooth_table(
-        self, local: Local, contacts: Contacts, which: Array, bound: Array, targets: Targets, taken: Array
+        self, local: Local, contacts: Contacts, which: Array, bound: Array, targets: Targets, impulses: Array
     ) -> Array:  # fmt: skip
-        """The table of what is taken along normals; `bound` (size + 1,): see `problem.bound_rows`."""
+        """The table of impulses along normals; `bound` (size + 1,): see `problem.bound_rows`."""
         some = contacts.start, contacts.partner, contacts.normal
-        return np.asarray(table_of(self.axes, *some, local.w, which, bound, targets.may_close, along_normals(taken)))
+        return np.asarray(table_of(self.axes, *some, local.w, which, bound, targets.may_close, along_normals(impulses)))
 
     def motion(self, local: Local, graph: ContactGraph, v: Array, spin: Array) -> tuple[Array, Array]:
         """For the solver: inverse masses, and velocities v (size + 1, d) with spins."""
         return local.w, v
 
-    def taken(self, problem: Problem) -> Array:
-        """What half-edges have taken: (m, *columns)."""
-        return problem.table[:, taken_columns(len(self.axes), False)[0]].copy()
+    def impulses(self, problem: Problem) -> Array:
+        """The impulses of half-edges, (m, *columns)."""
+        return problem.table[:, impulse_columns(len(self.axes), False)[0]].copy()
 
-    def press(self, contacts: Contacts, w: Array, borne: Array, net_push: Array) -> None:
-        """Add what contacts bear across their normals to the net pushes (n, d) of rows."""
+    def press(self, contacts: Contacts, w: Array, load: Array, net_push: Array) -> None:
+        """Add the loads of contacts across their normals to the net pushes (n, d) of rows."""
 
-    def asleep(self, ranks: Communicator, pile: Pile, bears: Array, v: Array) -> bool:
+    def asleep(self, ranks: Communicator, pile: Pile, normal_impulses: Array, v: Array) -> bool:
         """Do all who bear anything move by no more than what errors leave? Collective."""
-        held = carried(pile.contacts.start, bears) != 0
-        return not ranks.any((self.quick(pile, bears, v) & held).any())
+        held = carried(pile.contacts.start, normal_impulses) != 0
+        return not ranks.any((self.quick(pile, normal_impulses, v) & held).any())
 
-    def quick(self, pile: Pile, bears: Array, v: Array) -> Array:
+    def quick(self, pile: Pile, normal_impulses: Array, v: Array) -> Array:
         """Which rows (n,) with velocities and spins v (n, columns) are faster than what errors leave."""
-        return np.asarray(row_dot(v, v) > (LEFT_BETWEEN * pile.pushes(bears)) ** 2)
+        return np.asarray(row_dot(v, v) > (LEFT_BETWEEN * pile.pushes(normal_impulses)) ** 2)
 
-    def at_rest(self, ranks: Communicator, pile: Pile, bears: Array, held: Array, v: Array) -> Array:
+    def at_rest(self, ranks: Communicator, pile: Pile, normal_impulses: Array, held: Array, v: Array) -> Array:
         """Velocities and spins v (n, columns), where those that are `held` and all but at rest stand still. Collective.
 
         In piles that stand on something, speeds below the round-off of a solution become 0. In the drift they would be hundreds
         of collisions in a step between spheres that touch.
         """
-        rests = ~self.quick(pile, bears, v)
-        if not ranks.any(rests.any()) or not ranks.any(pile.stands(bears)):
+        rests = ~self.quick(pile, normal_impulses, v)
+        if not ranks.any(rests.any()) or not ranks.any(pile.stands(normal_impulses)):
             return v
-        return np.asarray(np.where((rests & pile.piled(bears))[:, None], 0.0, v))
+        return np.asarray(np.where((rests & pile.piled(normal_impulses))[:, None], 0.0, v))
 
 
 class RoughContacts(SmoothContacts):
@@ -146,7 +146,7 @@ class RoughContacts(SmoothContacts):
         return spin
 
     def problem(
-        self, local: Local, graph: ContactGraph, contacts: Contacts, which: Array, targets: Targets, taken: Array
+        self, local: Local, graph: ContactGraph, contacts: Contacts, which: Array, targets: Targets, impulses: Array
     ) -> Problem:  # fmt: skip
         some, bound = (contacts.start, contacts.partner), np.zeros_like(local.w)
         walls = max(len(self.surfaces.walls), 1)
@@ -156,34 +156,34 @@ class RoughContacts(SmoothContacts):
         bodies = graph.radius, graph.inverse_inertia, local.w, which
         bound_rough(self.axes, *some, contacts.normal, wall, contacts.gap, *bodies, law[1], bound)
         graph.exchange(bound)
-        smooth = self.smooth_table(local, contacts, which, bound, targets, taken)
-        across = np.ascontiguousarray(taken[:, 1:])
+        smooth = self.smooth_table(local, contacts, which, bound, targets, impulses)
+        across = np.ascontiguousarray(impulses[:, 1:])
         table = rough_table(self.axes, smooth, wall, *some, contacts.gap, *bodies, law, across)
-        return Problem(*some, table, targets.loose, targets.tight)
+        return Problem(*some, table, targets.per_allowed, targets.per_round_off)
 
     def motion(self, local: Local, graph: ContactGraph, v: Array, spin: Array) -> tuple[Array, Array]:
         return np.column_stack((local.w, graph.inverse_inertia)), np.concatenate((v, spin), axis=1)
 
-    def taken(self, problem: Problem) -> Array:
-        return problem.table[:, taken_columns(len(self.axes), True)]
+    def impulses(self, problem: Problem) -> Array:
+        return problem.table[:, impulse_columns(len(self.axes), True)]
 
-    def press(self, contacts: Contacts, w: Array, borne: Array, net_push: Array) -> None:
-        slide_loads(self.axes, contacts.start, contacts.partner, np.ascontiguousarray(borne[:, 1:]), w, net_push)
+    def press(self, contacts: Contacts, w: Array, load: Array, net_push: Array) -> None:
+        slide_loads(self.axes, contacts.start, contacts.partner, np.ascontiguousarray(load[:, 1:]), w, net_push)
 
-    def quick(self, pile: Pile, bears: Array, v: Array) -> Array:
+    def quick(self, pile: Pile, normal_impulses: Array, v: Array) -> Array:
         radius, d = pile.local.radius[: len(v)], len(self.axes)
-        most = np.maximum(STILL * pile.pushes(bears), QUIET * pile.allowed * radius) ** 2
+        most = np.maximum(STILL * pile.pushes(normal_impulses), QUIET * pile.allowed * radius) ** 2
         rim = radius[:, None] * v[:, d:]
         return np.asarray((row_dot(v[:, :d], v[:, :d]) > most) | (row_dot(rim, rim) > most))
 
-    def at_rest(self, ranks: Communicator, pile: Pile, bears: Array, held: Array, v: Array) -> Array:
+    def at_rest(self, ranks: Communicator, pile: Pile, normal_impulses: Array, held: Array, v: Array) -> Array:
         """The same: iterations leave small velocities, which get less from step to step, and which no force explains.
 
         In a pile, all spheres that bear others come to rest at once: one by one, each would be a small blow to its neighbours.
         """
-        quick, piled = self.quick(pile, bears, v), pile.piled(bears)
+        quick, piled = self.quick(pile, normal_impulses, v), pile.piled(normal_impulses)
         self.forget_dust(pile, held, v)
-        awake, stands = ranks.largest(bool((quick & piled).any()), pile.stands(bears))
+        awake, stands = ranks.largest(bool((quick & piled).any()), pile.stands(normal_impulses))
         if not stands:
             return v
         rests = (held != 0) & ~quick & ~(piled & bool(awake))

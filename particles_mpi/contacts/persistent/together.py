@@ -22,7 +22,8 @@ class Together:
         names = np.append(ids, -1)  # of a wall
         self.count = np.diff(problem.start)
         columns = {"row": np.repeat(ids[:n], self.count), "other": names[problem.partner]}
-        every = allgather_rows(ranks, columns | {name: getattr(problem, name) for name in ("table", "loose", "tight")})
+        columns |= {name: getattr(problem, name) for name in ("table", "per_allowed", "per_round_off")}
+        every = allgather_rows(ranks, columns)
         self.mine = np.flatnonzero(self.count)
         rows = allgather_rows(ranks, {"id": ids[self.mine], "v": v[self.mine], "w": w[self.mine]})
         order = np.argsort(rows["id"])
@@ -30,19 +31,19 @@ class Together:
         partner = np.searchsorted(known, every["other"])
         partner[every["other"] < 0] = len(known)
         start = np.searchsorted(every["row"], np.append(known, 2**62))
-        self.problem = Problem(start, partner.astype(np.int32), every["table"], every["loose"], every["tight"])
+        self.problem = Problem(start, partner.astype(np.int32), every["table"], every["per_allowed"], every["per_round_off"])
         self.v = np.concatenate((rows["v"][order], np.zeros((1, v.shape[1]))))
         self.w = np.concatenate((rows["w"][order], np.zeros((1, *w.shape[1:]))))
         self.place = np.searchsorted(known, ids[self.mine])
         self.first = start[self.place]
 
-    def ours(self, result: Array, v: Array, table: Array, taken: list[int]) -> Array:
-        """Of the velocities `result` of all rows those of ours, which were v; to our table what contacts have taken, its
-        columns `taken`."""
+    def ours(self, result: Array, v: Array, table: Array, impulse_columns: list[int]) -> Array:
+        """Of the velocities `result` of all rows those of ours, which were v; to our table the impulses, its
+        columns `impulse_columns`."""
         count = self.count[self.mine]
         within = np.arange(len(table)) - np.repeat(np.cumsum(count) - count, count)
         theirs = np.repeat(self.first, count) + within
-        for column in taken:
+        for column in impulse_columns:
             table[:, column] = self.problem.table[theirs, column]
         ours = v[: len(self.count)].copy()
         ours[self.mine] = result[self.place]

@@ -26,19 +26,19 @@ def test_how_large_errors_are_beside_those_allowed_does_not_change_the_iteration
     solve, hard = Iteration.until_good, []
 
     def watched(self, ranks, count, least, *more):
-        table, (start, partner, _, loose, tight) = self.problem[2].copy(), self.problem
+        table, (start, partner, _, per_allowed, per_round_off) = self.problem[2].copy(), self.problem
         good, done = solve(self, ranks, count, least, *more)
         if done > 1000:
-            hard.append(((self.axes, self.w, self.v0), (start, partner, table), (loose, tight), count))
+            hard.append(((self.axes, self.w, self.v0), (start, partner, table), (per_allowed, per_round_off), count))
         return good, done
 
     with monkeypatch.context() as patch:
         patch.setattr(Iteration, "until_good", watched)
         Simulation(Scene.from_dict(random_tables(np.random.default_rng(8080)))).steps(10)
-    (axes, w, v0), (start, partner, table), (loose, tight), count = hard[-1]
+    (axes, w, v0), (start, partner, table), (per_allowed, per_round_off), count = hard[-1]
     results = []
     for times in (1e-5, 1.0, 1e5):
-        run = Iteration(axes, Problem(start, partner, table.copy(), times * loose, tight), w, v0, None)
+        run = Iteration(axes, Problem(start, partner, table.copy(), times * per_allowed, per_round_off), w, v0, None)
         monkeypatch.setattr(run, "multiply", lambda factor: None)  # what is not allowed is made smaller at the end
         run.until_good(Communicator.alone(), count, MOST_ITERATIONS, limit=400)
         run.restart()
