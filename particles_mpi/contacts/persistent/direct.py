@@ -61,7 +61,7 @@ def find_speeds(axes, system, active):
 @inner
 def contacts_of(axes, problem):
     """(half-edges (m, 2) of each contact, the second -1 for a wall; their rows (m, 2)) of those that may have an impulse."""
-    start, partner, table = problem[0], problem[1], problem[2]
+    start, partner, table, _, _ = problem
     n, m = len(start) - 1, 0
     edges, rows = np.empty((len(partner), 2), np.int64), np.empty((len(partner), 2), np.int64)
     for i in range(n):
@@ -201,7 +201,7 @@ def solve_directly(axes, problem, w, v0):
     It begins with the impulses of the table. problem, w: see `Problem`; rows in the order of ids, and a last one for walls, whose
     inverse mass is 0. If none is found, nothing has changed.
     """
-    table = problem[2]
+    _, _, table, _, per_round_off = problem
     edges, rows = contacts_of(axes, problem)
     order = order_of_contacts(rows, w)
     system, m = System(edges[order], rows[order], table, w, v0), len(rows)
@@ -223,7 +223,7 @@ def solve_directly(axes, problem, w, v0):
     if size < 0:
         return False
     refine(axes, system, active, known, size)
-    if not is_solution(axes, system, active, problem[4]):
+    if not is_solution(axes, system, active, per_round_off):
         return False
     for c in range(m):
         speed = active.impulse[c] * (w[system.rows[c, 0]] + w[system.rows[c, 1]])

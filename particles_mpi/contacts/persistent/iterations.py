@@ -35,10 +35,11 @@ def momentum(theta):
 @kernel
 def begin(axes, first, last, problem, w, v0, v):
     """Velocities v of rows first ... last - 1: v0 and the impulses of their half-edges; iterations start without momentum."""
+    start, _, table, _, _ = problem
     if w.ndim == 1:
-        smooth_begin(axes, first, last, problem[0], problem[2], v0, v)
+        smooth_begin(axes, first, last, start, table, v0, v)
     else:
-        rough_begin(axes, first, last, problem[0], problem[2], v0, v)
+        rough_begin(axes, first, last, start, table, v0, v)
 
 
 @inner
@@ -65,7 +66,7 @@ def iterations(axes, count, problem, w, v0, v, other, theta, looks, sums):
     for number in range(count):
         beta, theta = momentum(theta)
         look = looks and number == count - 1
-        worst, over_round_off = iterate(axes, 0, len(problem[0]) - 1, problem, w, v0, v, other, beta, look, sums)
+        worst, over_round_off = iterate(axes, 0, len(sums), problem, w, v0, v, other, beta, look, sums)
         v, other = other, v
     if looks:
         most = largest_work(sums)
@@ -123,21 +124,21 @@ def iterate_to_end(axes, problem, w, v0, v, other, theta, rules, done, best, sum
 
     Returns (theta, iterations done, best, and what the last look saw: see `iterations`).
     """
-    n, count, looks = len(problem[0]) - 1, np.int64(CHECK), np.bool_(True)
+    n, count, looks = len(sums), np.int64(CHECK), np.bool_(True)
     while True:
         theta, worst, over_round_off, most = iterations(axes, count, problem, w, v0, v, other, theta, looks, sums)
         v, other = other, v  # for CHECK is odd
         done += CHECK
         unit = unit_of_squares(worst)
         squares, work = whole_numbers(sums, (unit, most if most > 0.0 else 1.0))
-        seen = worst, over_round_off, squares * unit, float(work)
-        _, _, ends, anew = verdict(seen, rules, done, best)
+        of_all = squares * unit
+        _, _, ends, anew = verdict((worst, over_round_off, of_all, float(work)), rules, done, best)
         if ends:
             return theta, done, best, worst, over_round_off, most
         if anew:
             theta = FIRST_THETA
             begin(axes, 0, n, problem, w, v0, v)
-        best = min(best, seen[2])
+        best = min(best, of_all)
 
 
 @kernel
@@ -170,7 +171,7 @@ def solve_each(axes, problem, w, v):
     The last one is that of walls.
     Momentum is given up past a minimum, and with friction, which has none, where errors grow.
     """
-    n = len(problem[0]) - 1
+    n = len(v) - 1
     v0, other, sums = v.copy(), v.copy(), np.empty((n, 2))
     begin(axes, 0, n, problem, w, v0, v)
     for i in range(n):

@@ -163,7 +163,8 @@ def rough_iterate(axes, first, last, problem, w, v0, v, after, beta, looks, sums
 @inner
 def rough_works(axes, problem, w, v0, v, sums):
     """See `iterations.works`."""
-    start, table, most = problem[0], problem[2], 0.0
+    start, _, table, _, _ = problem
+    most = 0.0
     d, s = len(axes), spins_of(axes)
     for i in range(len(sums)):
         linear, quadratic = 0.0, 0.0

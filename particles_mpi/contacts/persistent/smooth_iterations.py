@@ -63,7 +63,8 @@ def smooth_iterate(axes, first, last, problem, w, v0, v, after, beta, looks, sum
 @inner
 def smooth_works(axes, problem, w, v0, v, sums):
     """See `iterations.works`."""
-    start, table, most = problem[0], problem[2], 0.0
+    start, _, table, _, _ = problem
+    most = 0.0
     for i in range(len(sums)):
         linear, quadratic = 0.0, 0.0
         for k in range(len(axes)):
