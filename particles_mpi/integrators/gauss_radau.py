@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from particles_mpi.errors import StateError
-from particles_mpi.integrators.collocation import END, FORCES, MAXIMA, STUCK, Work, begin, go_on, work_for
+from particles_mpi.integrators.collocation import END, FORCES, MAXIMA, MOST_BLIND, STUCK, Work, begin, go_on, work_for
 from particles_mpi.integrators.radau_tables import radau
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles
@@ -62,11 +62,16 @@ class Adaptive:
         x += length * particles.velocity  # no force acts between bodies at the same place before they part
         a = self.accelerations(particles)
         x[:] = now
-        who = self.who_meets(particles, a)
-        return StateError(f"time.integrator: {done:.6g} into it, steps get shorter than {length:.2g}: {who}; softening helps")
+        where, (strongest, apart) = f"time.integrator: {done:.6g} into it", self.strongest_pull(particles, a)
+        if work.progress["blind"][0] > MOST_BLIND:
+            furthest = float(self.ranks.allreduce_max(np.array([np.abs(x).max(initial=0.0)]))[0])
+            rounded = f"places of {furthest:.1g} are rounded to {np.spacing(furthest):.1g}"
+            return StateError(f"{where}, {rounded}, which hides the motion of {strongest}{apart}: begin nearer to the origin")
+        meet = f"{strongest} meet{apart}" if apart else f"{strongest} is pulled too strongly"
+        return StateError(f"{where}, steps get shorter than {length:.2g}: {meet}; softening helps")
 
-    def who_meets(self, particles: Particles, a: Array) -> str:
-        """The particle of the largest acceleration and the one that is nearest to it, on all ranks. Collective."""
+    def strongest_pull(self, particles: Particles, a: Array) -> tuple[str, str]:
+        """The particle of the largest acceleration and the one that is nearest to it, and how far apart they are. Collective."""
         size, ids = np.abs(a).max(axis=1), particles.id.tolist()
         mine = max(((size[i], -ids[i], particles.position[i]) for i in range(len(ids))), key=lambda one: one[:2], default=None)
         _, pulled, place = max((one for one in self.ranks.allgather(mine) if one), key=lambda one: one[:2])
@@ -74,7 +79,7 @@ class Adaptive:
         nearest = min(((distance, other) for distance, other in zip(apart, ids) if other != -pulled), default=None)
         others = [one for one in self.ranks.allgather(nearest) if one]
         if not others:
-            return f"particle {-pulled} is pulled too strongly"
+            return f"particle {-pulled}", ""
         distance, other = min(others)
         first, second = sorted((-pulled, other))
-        return f"masses {first} and {second} meet, {distance:.1g} apart"
+        return f"masses {first} and {second}", f", {distance:.1g} apart"
