@@ -197,6 +197,13 @@ def default_values(name: str, rows: int, dimension: int) -> Array:
     return values
 
 
+def part_of(p: Particles, rows: slice) -> Particles:
+    """The rows of a slice, in the same memory."""
+    if rows == slice(0, len(p)):
+        return p
+    return Particles(p.dimension, {name: array[rows] for name, array in p.arrays.items()})
+
+
 def rows_of(arrays: dict[str, Array], rows: Array) -> dict[str, Array]:
     """Copies of the rows of every array, in that order."""
     return {name: array.take(rows, axis=0) for name, array in arrays.items()}

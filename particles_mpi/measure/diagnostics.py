@@ -21,8 +21,8 @@ import numpy as np
 
 from particles_mpi.contacts.drift import COUNTS
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exact_sum import exact_sums
-from particles_mpi.particles import Array, Particles, row_dot
+from particles_mpi.parallel.exact_sum import exact_sums_by_name
+from particles_mpi.particles import Array, Particles, part_of, row_dot
 
 OBSERVABLES = ("temperature", "moment_ratio", "packing", "collision_rate", "free_time", "free_path", "z_virial", "z_rate")
 ROTATION_PLANES = {2: ((0, 1),), 3: ((1, 2), (2, 0), (0, 1))}  # of the components of the angular momentum, by dimension
@@ -35,22 +35,22 @@ def energies_and_momenta(ranks: Communicator, p: Particles, potentials: dict[str
     makes the sums nan. With mutual gravity: angular momentum about the origin (in two and three dimensions), centre of mass, and
     virial ratio 2 K/|W|. Where spheres turn: the energy of spins, which is part of the total, and angular momentum with spins.
     """
-    d, movable, gravity, turning = p.dimension, p.fixed == 0, "mutual_gravity" in potentials, "spin" in p.arrays
-    mass, square = p.mass * movable, row_dot(p.velocity, p.velocity)
-    terms = {"kinetic": 0.5 * mass * square} | dict(zip(vector_names("momentum", d), mass * p.velocity.T, strict=True))
-    terms |= {f"potential of {name}": np.where(movable, energy, 0.0) for name, energy in potentials.items()}
-    if gravity or turning:
-        terms |= angular_momenta(p, mass)
-    if gravity:
-        terms |= {"mass": mass} | dict(zip(vector_names("center", d), mass * p.position.T, strict=True))
-    if turning:
-        terms |= spins(p)
-    sums = dict(zip(terms, exact_sums(ranks, list(terms.values())), strict=True))  # by one reduction
+    d, gravity, turning = p.dimension, "mutual_gravity" in potentials, "spin" in p.arrays
+    fastest = 0.0
 
+    def terms(rows: slice) -> dict[str, Array]:
+        nonlocal fastest
+        part = part_of(p, rows)
+        square = row_dot(part.velocity, part.velocity)
+        fastest = square.max(initial=fastest)
+        energies = {name: energy[rows] for name, energy in potentials.items()}
+        return energy_and_momentum(part, square, energies, gravity, turning)
+
+    sums = exact_sums_by_name(ranks, len(p), terms)
     kinetic, potential = sums["kinetic"], float(sum(sums[f"potential of {name}"] for name in potentials))
     row = {"kinetic": kinetic, "potential": potential, "total_energy": kinetic + potential}
     row |= {name: sums[name] for name in vector_names("momentum", d)}
-    row["max_speed"] = float(np.sqrt(ranks.largest(square.max(initial=0.0))[0]))
+    row["max_speed"] = float(np.sqrt(ranks.largest(fastest)[0]))
     row |= {name: sums[name] for name in angular_names(d) if gravity or turning}
     if gravity:
         binding, total = sums["potential of mutual_gravity"], sums["mass"]
@@ -61,6 +61,24 @@ def energies_and_momenta(ranks: Communicator, p: Particles, potentials: dict[str
         row["total_energy"] += row["rotational"]
         row |= {name: sums[name] + sums[f"spins' {name}"] for name in angular_names(d)}
     return row
+
+
+def energy_and_momentum(
+    p: Particles, square: Array, potentials: dict[str, Array], gravity: bool, turning: bool
+) -> dict[str, Array]:
+    """What each row (n,) adds to the sums of `energies_and_momenta`, by name; 0 of fixed particles. `square`: v^2 (n,)."""
+    movable = p.fixed == 0
+    mass = p.mass * movable
+    terms = {"kinetic": 0.5 * mass * square}
+    terms |= dict(zip(vector_names("momentum", p.dimension), mass * p.velocity.T, strict=True))
+    terms |= {f"potential of {name}": np.where(movable, energy, 0.0) for name, energy in potentials.items()}
+    if gravity or turning:
+        terms |= angular_momenta(p, mass)
+    if gravity:
+        terms |= {"mass": mass} | dict(zip(vector_names("center", p.dimension), mass * p.position.T, strict=True))
+    if turning:
+        terms |= spins(p)
+    return terms
 
 
 def spins(p: Particles) -> dict[str, Array]:
@@ -106,23 +124,18 @@ def observe(
     energy? What is not defined is nan.
     """
     d, movable = p.dimension, p.fixed == 0
-    m = p.mass * movable
-    numbers = movable.astype(float), (~movable).astype(float)
-    columns = [m, *numbers, *[m * p.velocity[:, k] for k in range(d)], p.virial, p.radius**d]
-    mass, count, fixed, *momentum, virial, balls = exact_sums(ranks, columns)
-    whole = np.array(momentum) / mass if mass > 0.0 else np.zeros(d)
-    own = p.velocity - whole
-    square = row_dot(own, own)
+    sums = exact_sums_by_name(ranks, len(p), lambda rows: numbers_and_momentum(part_of(p, rows)))
+    mass, count, fixed, given_so_far = (sums[name] for name in ("mass", "movable", "fixed", "virial"))
+    whole = np.array([sums[name] for name in vector_names("momentum", d)]) / mass if mass > 0.0 else np.zeros(d)
+    moments = exact_sums_by_name(ranks, len(p), lambda rows: moments_of_velocity(part_of(p, rows), whole))
+    heat, second, fourth, speed = moments.values()
     largest, minus_smallest, heaviest, minus_lightest = ranks.allreduce_max(
         np.array([part.max(initial=-np.inf) for q in (p.radius, p.mass) for part in (q[movable], -q[movable])], float)
     )
-    heat, second, fourth, speed = exact_sums(
-        ranks, [m * square, square * movable, square**2 * movable, np.sqrt(square) * movable]
-    )
-    lasted, happened, given = time - since[0], collisions - since[1], virial - since[2]
-    since[:] = time, float(collisions), virial
+    lasted, happened, given = time - since[0], collisions - since[1], given_so_far - since[2]
+    since[:] = time, float(collisions), given_so_far
     row: dict[str, Any] = dict.fromkeys(OBSERVABLES, nan)
-    row["packing"] = balls * pi ** (d / 2) / gamma(d / 2 + 1) / volume
+    row["packing"] = sums["balls"] * pi ** (d / 2) / gamma(d / 2 + 1) / volume
     if count < 2 or not heat > 0.0:
         return row
     temperature = row["temperature"] = heat / (d * (count - 1.0))
@@ -138,3 +151,23 @@ def observe(
     if elastic and largest == -minus_smallest and heaviest == -minus_lightest:
         row["z_rate"] = 1.0 + 2.0 * float(largest) * rate * sqrt(pi * float(heaviest) / temperature) / (2.0 * d)
     return row
+
+
+def numbers_and_momentum(p: Particles) -> dict[str, Array]:
+    """What each row (n,) adds to the sums that `observe` needs first, by name."""
+    movable = p.fixed == 0
+    mass = p.mass * movable
+    terms = {"mass": mass, "movable": movable, "fixed": ~movable, "virial": p.virial, "balls": p.radius**p.dimension}
+    return terms | dict(zip(vector_names("momentum", p.dimension), mass * p.velocity.T, strict=True))
+
+
+def moments_of_velocity(p: Particles, whole: Array) -> dict[str, Array]:
+    """m w^2, w^2, w^4 and |w| of each row (n,), with w the velocity relative to that of the `whole`; 0 of fixed particles."""
+    movable, own = p.fixed == 0, p.velocity - whole
+    square = row_dot(own, own)
+    return {
+        "m w^2": p.mass * movable * square,
+        "w^2": square * movable,
+        "w^4": square**2 * movable,
+        "|w|": np.sqrt(square) * movable,
+    }

@@ -5,6 +5,7 @@ before one overflows. Then carries go to the next digit, so that those of 2^30 r
 across the ranks, and the total is rounded once.
 """
 
+from collections.abc import Callable
 from math import fsum, inf, isfinite, nan
 
 import numpy as np
@@ -15,6 +16,7 @@ from particles_mpi.particles import Array
 
 VALUES_AT_ONCE = 2**29
 FEW_VALUES = 256  # values
+BLOCK = 2**14  # rows whose terms stay in the cache of a core
 MASK = 0xFFFFFFFF
 DIGITS = 68  # of 32 bits each, from 2^-1074 to beyond 2^1024; the last one counts values that are not finite
 
@@ -55,6 +57,21 @@ def exact_sums(ranks: Communicator, columns: list[Array]) -> list[float]:
     if ranks.size == 1 and all(len(column) <= FEW_VALUES for column in columns):
         return [sum_of_few(column) for column in columns]
     return sums_of_many(ranks, columns)
+
+
+def exact_sums_by_name(ranks: Communicator, number: int, terms: Callable[[slice], dict[str, Array]]) -> dict[str, float]:
+    """`exact_sums` of terms that are computed for a block of rows at once: whole columns of them need not be held.
+
+    `number`: of this rank's rows; `terms(rows)`: the terms of the rows in that slice, by name. Collective: one reduction.
+    """
+    if ranks.size == 1 and number <= FEW_VALUES:
+        return {name: sum_of_few(column) for name, column in terms(slice(0, number)).items()}
+    sums: dict[str, Array] = {}
+    for begin in range(0, max(number, 1), BLOCK):  # once where there are no rows: for the names
+        for name, column in terms(slice(begin, min(begin + BLOCK, number))).items():
+            accumulate(np.ascontiguousarray(column, np.float64), sums.setdefault(name, np.zeros(DIGITS, np.int64)))
+    total = ranks.allreduce_sum(np.array(list(sums.values())))
+    return {name: rounded(row) for name, row in zip(sums, total, strict=True)}
 
 
 def sum_of_few(column: Array) -> float:

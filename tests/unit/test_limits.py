@@ -125,3 +125,33 @@ def test_rows_are_in_the_order_of_their_ids(ids):
     """Those of ids that repeat as they stand, also where there are as many as would be different ones."""
     ids = np.array(ids, np.int64)
     assert rows_in_order(ids).tolist() == sorted(range(len(ids)), key=ids.__getitem__)
+
+
+def test_diagnostics_by_blocks_of_rows(monkeypatch):
+    """Energies, momenta and observables of rough spheres that attract one another, some of them fixed: the same bits."""
+    balls = {"position": "random", "radius": 0.3, "mass": 2.0}
+    scene = Scene.from_dict(
+        {
+            "dimension": 3,
+            "box": {"lower": [0.0] * 3, "upper": [9.0] * 3},
+            "time": {"step": 0.01, "steps": 3},
+            "particles": [
+                {"count": 40, "velocity": {"speed": 2.0}, "spin": [1.0, 0.0, 0.5]} | balls,
+                {"count": 5, "fixed": True} | balls,
+            ],
+            "effects": {
+                "collisions": {"tangential_restitution": 0.5},
+                "mutual_gravity": {"softening": 0.1},
+                "uniform_gravity": {"acceleration": [0.0, 0.0, -1.0]},
+            },
+            "output": {"observables": True},
+        }
+    )
+    rows = []
+    for block in (2**14, 7):
+        monkeypatch.setattr(exact_sum, "FEW_VALUES", 0)
+        monkeypatch.setattr(exact_sum, "BLOCK", block)
+        sim = Simulation(scene)
+        sim.steps(3)
+        rows.append(sim.measure(row=True))
+    assert {"rotational", "virial_ratio", "temperature"} <= rows[0].keys() and repr(rows[0]) == repr(rows[1])
