@@ -25,6 +25,7 @@ from particles_mpi.scene.effect import Context, Damping, Event, PairContacts, Ro
 
 HAPPENED = ("collisions", "wall_hits", "missed", "exchanges")  # in a drift
 COUNTS = (*HAPPENED, "unconverged")
+WORK = ("pair_tests", "pair_searches", "ghost_rows", "windows", "windows_redone")
 
 
 def keeper_of_contacts(effects: ActiveEffects, context: Context, p: Particles) -> Any:
@@ -230,12 +231,5 @@ class Drift:
     def work(self) -> dict[str, int]:
         """Searches for neighbours, ghosts, tests of pairs and windows of time so far, of this rank."""
         near = self.near
-        windows = near.window_counts if near else (0, 0)
-        now = {
-            "pair_tests": near.pair_tests if near else 0,
-            "pair_searches": near.searches if near else 0,
-            "ghost_rows": near.ghost_rows if near else 0,
-            "windows": windows[0],
-            "windows_redone": windows[1],
-        }
-        return {name: number + self.past_work.get(name, 0) for name, number in now.items()}
+        now = (near.pair_tests, near.searches, near.ghost_rows, *near.window_counts) if near else (0,) * len(WORK)
+        return {name: number + self.past_work.get(name, 0) for name, number in zip(WORK, now, strict=True)}

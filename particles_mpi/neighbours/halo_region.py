@@ -76,12 +76,7 @@ def fetch_near_rows(
 
 
 def build(
-    boxes: Array,
-    rank: int,
-    state: tuple[Array, Array, Array],
-    horizon: Horizon,
-    length: Array,
-    margins: Margins = AT_THE_BORDER,
+    boxes: Array, rank: int, state: tuple[Array, Array, Array], horizon: Horizon, length: Array, margins: Margins = AT_THE_BORDER
 ) -> tuple[HaloRegion, Array, Array]:
     """(region, rows to send sorted by rank, how many to each rank) from the boxes (ranks, 2, d) that all ranks' rows may cover.
 

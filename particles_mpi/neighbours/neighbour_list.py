@@ -46,13 +46,7 @@ class Neighbourhood:
     window_counts = 0, 0  # there are windows of time in mode event only
 
     def __init__(
-        self,
-        particles: Particles,
-        ranks: Communicator,
-        box: Box,
-        planes: tuple[Any, ...],
-        kicked: bool,
-        timers: Timers,
+        self, particles: Particles, ranks: Communicator, box: Box, planes: tuple[Any, ...], kicked: bool, timers: Timers
     ):
         self.particles, self.ranks, self.planes, self.kicked, self.timers = particles, ranks, planes, kicked, timers
         self.box, self.length = box, box.length
@@ -220,8 +214,4 @@ class Neighbourhood:
     def end_candidates(self) -> None:
         """This drift is done by other means: the candidates served for one step, and end with it."""
         self.tuner.step(self.candidates.pair_count)
-        self.distrust()
-
-    def distrust(self) -> None:
-        """Ghosts are not what their owners have: search before the next drift."""
-        self.version = -1
+        self.version = -1  # ghosts are not what their owners have: search before the next drift

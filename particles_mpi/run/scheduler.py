@@ -4,8 +4,8 @@ Sources: the manual pages of sbatch (SLURM_JOB_ID, SLURM_JOB_END_TIME) and squeu
 """
 
 import os
-import subprocess
 from math import inf
+from subprocess import DEVNULL, SubprocessError, check_output
 from time import localtime, strftime, time
 
 STOP_SECONDS, STOP_SHARE = 60.0, 0.01  # before the limit a run stops: seconds, or this share of the time left if that is longer,
@@ -23,21 +23,16 @@ def slurm_limit() -> tuple[float | None, str]:
         return None, ""
     try:
         end = os.environ.get("SLURM_JOB_END_TIME")  # since the epoch; older versions of Slurm do not tell it
-        text = "" if end else _squeue(job)
+        ask = ["squeue", "-h", "-j", job, "-o", "%L"]
+        text = "" if end else check_output(ask, stderr=DEVNULL, text=True, timeout=SQUEUE_SECONDS).strip()
         if text == "UNLIMITED":
             return None, ""
         left = float(end) - time() if end else parse_time(text)
-    except (OSError, ValueError, subprocess.SubprocessError) as error:
+    except (OSError, ValueError, SubprocessError) as error:
         return None, f"the time limit of job {job} is not known ({str(error).splitlines()[0]}): give --wall-time"
     margin = min(max(STOP_SECONDS, STOP_SHARE * left), LARGEST_SHARE * max(left, 0.0))
     stop = left - margin
     return stop, f"stops at {strftime('%H:%M:%S', localtime(time() + stop))}, {margin:.0f} s before the limit of job {job}"
-
-
-def _squeue(job: str) -> str:
-    """What squeue says of the time left to a job."""
-    command = ["squeue", "-h", "-j", job, "-o", "%L"]
-    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=SQUEUE_SECONDS).stdout.strip()
 
 
 def parse_time(text: str) -> float:

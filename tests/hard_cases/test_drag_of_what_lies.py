@@ -9,13 +9,7 @@ from particles_mpi import Scene, Simulation
 
 def pushed(mode, h, masses, rates, duration):
     """Velocities of two spheres, of which the last one is pulled against the other by a force of 2."""
-    row = {
-        "position": [[0.2], [0.0]],
-        "radius": 0.1,
-        "mass": masses,
-        "drag": rates,
-        "acceleration": [[0.0], [2.0 / masses[1]]],
-    }
+    row = {"position": [[0.2], [0.0]], "radius": 0.1, "mass": masses, "drag": rates, "acceleration": [[0.0], [2.0 / masses[1]]]}
     effects = {"user_acceleration": {}, "drag": {}, "collisions": {"mode": mode, "restitution": 0.5}}
     sim = Simulation(Scene(dimension=1, time={"step": h, "end": duration}, particles=[row], effects=effects))
     sim.run()

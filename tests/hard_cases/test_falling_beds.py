@@ -28,10 +28,7 @@ def falling(count, mode, e):
     )
 
 
-@pytest.mark.parametrize(
-    ("mode", "e"),
-    [("rewind", 0.8), *with_all(("event", 0.8), ("rewind", 0.5))],
-)
+@pytest.mark.parametrize(("mode", "e"), [("rewind", 0.8), *with_all(("event", 0.8), ("rewind", 0.5))])
 def test_a_falling_bed_has_no_contacts_without_end(mode, e):
     """In no step there are more than a thousand contacts a disc, and the energy falls from step to step."""
     sim = falling(200, mode, e)

@@ -92,11 +92,7 @@ def test_what_fills_a_box_from_side_to_side_has_thousands_of_contacts_not_millio
         box={"lower": [0.0, 0.0], "upper": [2.0 * R * across, 2.0 * R * up + 1.0]},
         time={"step": 0.01, "steps": 3},
         particles=[{"position": places, "radius": R, "velocity": {"temperature": 4.0}}],
-        effects={
-            "collisions": {"mode": mode, **surface},
-            "walls": surface,
-            "uniform_gravity": {"acceleration": [1.0, -10.0]},
-        },
+        effects={"collisions": {"mode": mode, **surface}, "walls": surface, "uniform_gravity": {"acceleration": [1.0, -10.0]}},
     )
     sim, energy = Simulation(scene), []
     for _ in range(3):

@@ -18,10 +18,7 @@ SCENES = {
         "box": {"lower": [0, 0, 0], "upper": [1, 1, 1]},
         "effects": {"collisions": {"mode": "event"}, "walls": {}},
     },
-    "listed": {
-        "particles": [{"position": [[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], "mass": 1.0}],
-        "effects": {"mutual_gravity": {}},
-    },
+    "listed": {"particles": [{"position": [[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], "mass": 1.0}], "effects": {"mutual_gravity": {}}},
     "cluster": {
         "particles": [{"count": 600, "position": {"plummer": 1.0}, "velocity": "equilibrium", "mass": 0.001}],
         "effects": {"mutual_gravity": {"method": "tree"}},

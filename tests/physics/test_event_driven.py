@@ -354,10 +354,7 @@ def overlaps(x, radius, length):
     return np.where((radius[:, None] > 0.0) | (radius[None] > 0.0), depth, -1.0).max()
 
 
-@pytest.mark.parametrize(
-    ("d", "periodic"),
-    [(2, True), (2, False), (3, True), (3, False), *with_all((4, True), (4, False))],
-)
+@pytest.mark.parametrize(("d", "periodic"), [(2, True), (2, False), (3, True), (3, False), *with_all((4, True), (4, False))])
 def test_nothing_ever_overlaps(d, periodic):
     """Every contact is found: whatever the sizes, walls and images; after 3 units of time nobody is in anybody."""
     sim = Simulation(crowd(d, periodic, restitution=0.9))

@@ -97,10 +97,7 @@ def test_force_is_the_slope_of_the_potential():
     for fixed in (False, True):
         at = {}
         for shift in (-1e-5, 1e-5):
-            tables = [
-                {"position": [[1.0 + shift, 0.3]], "mass": 2.0},
-                {"position": [[0.0, 0.0]], "mass": 3.0, "fixed": fixed},
-            ]
+            tables = [{"position": [[1.0 + shift, 0.3]], "mass": 2.0}, {"position": [[0.0, 0.0]], "mass": 3.0, "fixed": fixed}]
             effects = {"mutual_gravity": {"softening": 0.2}}
             sim = Simulation(Scene(dimension=2, G=1.5, time={"step": 1.0, "steps": 1}, particles=tables, effects=effects))
             at[shift] = sim.measure()["potential"]

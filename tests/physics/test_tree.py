@@ -9,16 +9,7 @@ from with_all import with_all
 
 from particles_mpi import Scene, SceneError, Simulation
 from particles_mpi.gravity.direct import Attraction, attract_few
-from particles_mpi.gravity.expansion import (
-    CELL_LANES,
-    CELLS,
-    COEFFICIENTS,
-    FAR_WIDTH,
-    add_lanes,
-    enter_cell,
-    evaluate,
-    expand,
-)
+from particles_mpi.gravity.expansion import CELL_LANES, CELLS, COEFFICIENTS, FAR_WIDTH, add_lanes, enter_cell, evaluate, expand
 from particles_mpi.gravity.method import choose
 from particles_mpi.gravity.octree import CENTER, GROUP, MASS, RADIUS, divide, levels, moments, morton, skips
 from particles_mpi.gravity.powers import inverse_root, pull

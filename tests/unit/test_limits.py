@@ -104,14 +104,14 @@ def test_a_particle_may_have_any_number_of_contacts():
 def test_sums_of_few_have_the_bits_of_sums_by_digits(values):
     """Also where values, or sums of some of them, are infinite, are no numbers, or are negative zeros."""
     column = np.array(values, float)
-    few, digits = (np.array(of) for of in (exact_sum.sum_of_few(column), exact_sum.sums_of_many(Communicator.alone(), [column])))
+    few, digits = (np.array(of) for of in (exact_sum.sum_of_few(column), [exact_sum.sum_by_digits(column)]))
     assert few.tobytes() == digits.tobytes() or (np.isnan(few) and np.isnan(digits).all())
 
 
 def test_digits_of_sums_stay_small(monkeypatch):
     values = np.random.default_rng(1).standard_normal(1000) * 10.0 ** np.arange(-300, 200, 0.5)
     expected = exact_sum.exact_sums(Communicator.alone(), [values, -values, np.abs(values)])
-    monkeypatch.setattr(exact_sum, "VALUES_AT_ONCE", 7)
+    monkeypatch.setattr(exact_sum, "BLOCK", 7)
     assert exact_sum.exact_sums(Communicator.alone(), [values, -values, np.abs(values)]) == expected
     for sign in (1.0, -1.0):
         digits = np.zeros(exact_sum.DIGITS, np.int64)

@@ -19,14 +19,7 @@ from particles_mpi.contacts.event_driven.calendar_queue import (
     find_first,
     push,
 )
-from particles_mpi.contacts.event_driven.jams import (
-    STANDING,
-    Collapse,
-    note_contact,
-    stop_at_jam,
-    stop_squeezed,
-    takes_nothing,
-)
+from particles_mpi.contacts.event_driven.jams import STANDING, Collapse, note_contact, stop_at_jam, stop_squeezed, takes_nothing
 from particles_mpi.contacts.event_driven.next_event import next_event, prefetch_next
 from particles_mpi.contacts.event_driven.rows import (
     EVENT_COUNT,

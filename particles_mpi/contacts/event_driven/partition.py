@@ -156,12 +156,6 @@ class Partition:
         plan_moves(self.engine.lists.arrays.reference, tuple(log), tuple(self.regions), tree, tuple(moves))
         return moves
 
-    def send_changes(self, moves: Moves) -> tuple[Array, Array]:
-        """What happened in a window to rows that others hold goes to them; returns what came from others. Collective."""
-        return message_of(
-            sendrecv(self.ranks, self.neighbours, [self.changes_for(bit, moves) for bit in range(len(self.neighbours))])
-        )
-
     def changes_for(self, bit: int, moves: Moves) -> Array:
         """What happened in the window, for the known rank of a bit."""
         engine, log, d = self.engine, self.engine.log, len(self.box.length)

@@ -14,12 +14,14 @@ import numpy as np
 from particles_mpi.contacts.event_driven.arrivals import apply_moves, reconcile, roll_back, verify
 from particles_mpi.contacts.event_driven.engine import MOST_EXPIRIES, Engine
 from particles_mpi.contacts.event_driven.event_loop import COLLISIONS, WALL_HITS
+from particles_mpi.contacts.event_driven.messages import message_of
 from particles_mpi.contacts.event_driven.partition import Partition
 from particles_mpi.contacts.event_driven.regions import Moves
 from particles_mpi.kernels.geometry import Box
 from particles_mpi.neighbours.trajectories import fastest
 from particles_mpi.parallel.agreement import require_finite
 from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.exchange import sendrecv
 from particles_mpi.particles import Array, Particles
 from particles_mpi.timers import Timers
 
@@ -142,7 +144,8 @@ class Windows:
             engine.run(begin, until, moment)
         with self.timers("ghosts"):
             moves = part.plan_moves()
-            message = part.send_changes(moves)
+            changes = [part.changes_for(bit, moves) for bit in range(len(part.neighbours))]
+            message = message_of(sendrecv(ranks, part.neighbours, changes))  # what happened elsewhere to rows that are here too
             rows, directory, regions = tuple(engine.rows), tuple(part.directory), tuple(part.regions)
             wrong, differing = verify(rows, tuple(engine.lists.arrays), directory, tuple(log), regions, begin, message)
         with self.timers("agree"):

@@ -5,8 +5,6 @@ which are computed each by the owner of its row, with the same bits. Half-edges 
 ids, so that sums over them have the same bits on any number of ranks.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 
 from particles_mpi.contacts.persistent.zone import touches
@@ -75,9 +73,6 @@ class ContactGraph:
             self.halo.refresh(*columns)
 
 
-Exchange = Callable[..., None]
-
-
 @kernel
 def half_edges(owned, first, second, ids):
     """(start (owned + 1,), partner) of pairs of rows, for the first `owned` of them; a row's partners in order of their ids."""
@@ -105,13 +100,11 @@ def half_edges(owned, first, second, ids):
 @kernel
 def covers(x, wide, zone, index, place, width, margin, length):
     """Is every row that touches the zone in the graph, and moved and widened by no more than the margin since it was built?"""
-    good = True
     for i in range(len(x)):
         if touches(x, i, wide[i], zone):
             n = index[i]
             if n < 0:
-                good = False
-                break
+                return False
             moved2, room = 0.0, margin - max(wide[i] - width[n], 0.0)
             for k in range(x.shape[1]):
                 step = abs(x[i, k] - place[n, k])
@@ -119,16 +112,5 @@ def covers(x, wide, zone, index, place, width, margin, length):
                     step = abs(length[k] - step)
                 moved2 += step**2
             if room < 0.0 or moved2 > room**2:
-                good = False
-                break
-    return good
-
-
-@kernel
-def rows_in(x, wide, zone):
-    """Rows whose spheres, with their widths, touch the zone (2, d)."""
-    rows, found = np.empty(len(x), np.int64), 0
-    for i in range(len(x)):
-        rows[found] = i
-        found += touches(x, i, wide[i], zone)
-    return rows[:found]
+                return False
+    return True

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.graph import ContactGraph, rows_in
+from particles_mpi.contacts.persistent.graph import ContactGraph
 from particles_mpi.contacts.persistent.memory import carry_over, recall, remember, send_home
+from particles_mpi.contacts.persistent.zone import inside_zone
 from particles_mpi.contacts.warm_start import Memory, nothing
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles
@@ -53,7 +54,7 @@ class ContactHistory:
             least = p.radius.min(initial=np.inf, where=p.radius > 0.0)
             skin = (DILUTE if self.dilute else GRAPH_SKIN) * self.ranks.least(least)
             skin = skin if skin < np.inf else 0.0
-            rows = rows_in(p.position, ROUND_UP * wide + skin, zone)
+            rows = np.flatnonzero(inside_zone(p.position, ROUND_UP * wide + skin, zone))
             graph = ContactGraph(self.ranks, p, rows, wide, skin, self.length, points=self.points)
             self.impulses = self.impulses_before(p, graph)
             many = len(graph.other) - (4 if self.dilute else 1) * len(rows)  # two limits, so that it does not change to and fro

@@ -21,6 +21,7 @@ import numpy as np
 from particles_mpi.contacts.persistent.detection import HELD, REACH, REACH_IN_CROWDS, SLOW, widths
 from particles_mpi.contacts.persistent.graph import ContactGraph
 from particles_mpi.contacts.persistent.history import ContactHistory
+from particles_mpi.contacts.persistent.on_walls import settle_on_walls
 from particles_mpi.contacts.persistent.rows import Local, gather, hand_over
 from particles_mpi.contacts.persistent.solution import SlowContacts
 from particles_mpi.contacts.persistent.surfaces import Surfaces
@@ -156,7 +157,10 @@ class PersistentContacts:
         history = self.history
         if not self.kind.rough:
             if len(rows):
-                self.give_back(p, rows, *self.walls.settle(p, a, h, rows, self.length))
+                fields, walls = (p.position, p.velocity, p.radius, p.mass, p.fixed, p["supported"]), self.walls
+                axes = (0.0,) * p.dimension
+                settled = settle_on_walls(axes, rows, fields, a, h, self.length, walls.faces, walls.planes)
+                self.give_back(p, rows, *settled)
         elif not len(rows) and not self.migrating:
             history.forget()
         else:

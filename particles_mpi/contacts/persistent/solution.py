@@ -9,7 +9,7 @@ import numpy as np
 
 from particles_mpi.contacts.persistent.descent import exact_from
 from particles_mpi.contacts.persistent.detection import PRECISE, SLOW, Contacts, find_contacts
-from particles_mpi.contacts.persistent.graph import ContactGraph, Exchange
+from particles_mpi.contacts.persistent.graph import ContactGraph
 from particles_mpi.contacts.persistent.iterations import OUTLIER
 from particles_mpi.contacts.persistent.memory import along_normals
 from particles_mpi.contacts.persistent.problem import Targets
@@ -106,7 +106,7 @@ class SlowContacts:
             load[remembered] = AS_PUSH * before[remembered]
         if again and least >= self.exact and not self.kind.rough:
             least = TRIED if tried else IN_CROWDS
-        pressed = self.pressed(local, contacts, load, along_normals(AS_PUSH * before), graph.exchange)
+        pressed = self.pressed(local, graph, contacts, load, along_normals(AS_PUSH * before))
         chosen, targets = self.chosen(local, contacts, before, pressed, h, least)
         if again and not self.kind.rough:  # given twice, the way back to a margin lifts beds of smooth spheres by 1e-6
             np.maximum(targets.may_close, 0.0, out=targets.may_close)
@@ -153,13 +153,13 @@ class SlowContacts:
         self.solver.solve(problem, w, push, graph.id, graph.exchange, least, self.pairs)
         return self.kind.impulses(problem)
 
-    def pressed(self, local: Local, contacts: Contacts, load: Array, before: Array, exchange: Exchange) -> Array:
+    def pressed(self, local: Local, graph: ContactGraph, contacts: Contacts, load: Array, before: Array) -> Array:
         """The speed (m,) that presses each contact, by pushes of rows and the load of contacts, now or `before`. Collective."""
         net_push, stress = np.zeros_like(local.push), np.zeros((*local.push.shape, local.push.shape[1]))
         some, along = (contacts.start, contacts.partner, contacts.normal), along_normals(load)
         loads(self.axes, *some, local.w, along, local.push, net_push, stress)
         self.kind.press(contacts, local.w, load, net_push)
-        exchange(net_push, stress)
+        graph.exchange(net_push, stress)
         return np.asarray(pressing(self.axes, *some, along, before, local.push, net_push, stress))
 
     def chosen(

@@ -1,10 +1,9 @@
-"""The walls at which contacts last: which rows these concern, and the velocities of rows that touch nothing else."""
+"""The walls at which contacts last: and which rows these concern."""
 
 import numpy as np
 
 from particles_mpi.contacts.persistent.detection import SLOW
 from particles_mpi.contacts.persistent.near_walls import near_walls
-from particles_mpi.contacts.persistent.on_walls import settle_on_walls
 from particles_mpi.kernels.planes import Planes
 from particles_mpi.particles import Array, Particles
 
@@ -34,12 +33,3 @@ class Walls:
         """How far from walls slow contacts may be, of rows (at least one) with accelerations a (n, d), the same if not fixed."""
         push = float(np.sqrt((a[np.argmin(fixed)] ** 2).sum()))
         return 1.000001 * SLOW * h * h * push + self.round_off
-
-    def settle(self, p: Particles, a: Array, h: float, rows: Array, length: Array) -> tuple[Array, Array]:
-        """(velocities (n, d) of smooth `rows` that keep slow contacts with walls, which of them these contacts hold (n,) uint8).
-
-        After a kick by accelerations a in a step of h; `length` (d,): of the periodic box, 0 along axes that are not periodic.
-        """
-        fields = p.position, p.velocity, p.radius, p.mass, p.fixed, p["supported"]
-        axes = (0.0,) * p.dimension
-        return settle_on_walls(axes, rows, fields, a, h, length, self.faces, self.planes)

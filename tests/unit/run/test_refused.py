@@ -33,8 +33,7 @@ def no_screen(folder, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "hindrance, error",
-    [(another_run, SceneError), (a_full_disk, StoppedError), (no_screen, ZeroDivisionError)],
+    "hindrance, error", [(another_run, SceneError), (a_full_disk, StoppedError), (no_screen, ZeroDivisionError)]
 )
 def test_a_refused_run_can_be_done_again(hindrance, error, tmp_path, monkeypatch):
     before = [signal.getsignal(number) for number in SIGNALS]

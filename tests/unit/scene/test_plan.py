@@ -12,11 +12,7 @@ FLOOR = {"point": [0.0, 0.0], "normal": [0.0, 1.0]}
 
 @pytest.mark.parametrize(
     "planes, restitution, integrator, words",
-    [
-        ([FLOOR], 0.5, "leapfrog", []),
-        ([FLOOR], 1.0, "taylor", []),
-        ([FLOOR], 0.5, "taylor", ["nothing comes to rest"]),
-    ],
+    [([FLOOR], 0.5, "leapfrog", []), ([FLOOR], 1.0, "taylor", []), ([FLOOR], 0.5, "taylor", ["nothing comes to rest"])],
 )
 def test_advice(planes, restitution, integrator, words):
     scene = Scene(
