@@ -30,7 +30,8 @@ class Column:
     least: float = -np.inf
 
 
-# Every field a particle can have. A scene holds the first six, and of the others those its effects name.
+# Every field a particle can have. A scene holds the first six, and of the others those that its effects, integrator
+# and output need (`scene.active.fields_of`).
 FIELDS = {
     "id": Column("int64", ghost=True),
     "position": Column(vector=True, ghost=True),

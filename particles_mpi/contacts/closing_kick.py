@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.contacts.rough import FRICTION, TANGENTIAL, plane_of
+from particles_mpi.contacts.rough import BETA_0, FRICTION, plane_of
 from particles_mpi.contacts.walls import finish_bounces
 from particles_mpi.kernels.planes import Planes
 from particles_mpi.parallel.communicator import Communicator
@@ -144,7 +144,7 @@ class ClosingKick:
             scale[wall] = 1.0
             arm, q = scale * np.stack((table["radius"][one], table["radius"][other])), table["inverse_inertia"]
             mobility = w[one] + w[other] + arm[0] ** 2 * q[one] + arm[1] ** 2 * q[other]
-            grip = np.where(self.law[kind, FRICTION] == inf, (1.0 + self.law[kind, TANGENTIAL]) / mobility, 0.0)
+            grip = np.where(self.law[kind, FRICTION] == inf, (1.0 + self.law[kind, BETA_0]) / mobility, 0.0)
             impulse -= grip[:, None] * (u - along[:, None] * normal)
             torque = moments(normal, impulse)
             by[one, d:], by[other, d:] = -(q[one] * arm[0])[:, None] * torque, -(q[other] * arm[1])[:, None] * torque

@@ -31,8 +31,7 @@ WORK = ("pair_tests", "pair_searches", "ghost_rows", "windows", "windows_redone"
 def keeper_of_contacts(effects: ActiveEffects, context: Context, p: Particles) -> Any:
     """The operator for contacts that last, where forces and losses can make one last; else None. Collective.
 
-    Without losses of their own spheres come to rest on one another where they stand on walls that take energy: under forces
-    that are the same for all.
+    Elastic spheres, too, come to rest on one another where the walls below them take energy and forces are the same for all.
     """
     if not effects.keeps_contacts:
         return None

@@ -20,7 +20,7 @@ from particles_mpi.kernels.motion import move_to
 
 
 class Loss(NamedTuple):
-    """What a contact takes: `restitution` e of the normal velocity, and then the whole velocity times `velocity_factor`."""
+    """What a contact leaves: `restitution` e of the normal velocity, and then `velocity_factor` of the whole velocity."""
 
     restitution: float
     velocity_factor: float

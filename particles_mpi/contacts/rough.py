@@ -24,7 +24,7 @@ from particles_mpi.contacts.velocity_flow import change_of, row_of
 from particles_mpi.kernels.jit import inner, lean_inner
 from particles_mpi.particles import Array
 
-FRICTION, TANGENTIAL = 0, 1  # columns of `law`
+FRICTION, BETA_0 = 0, 1  # columns of `law`
 PAIRS = 0  # row of `law`; that of wall w is 1 + w
 
 
@@ -33,7 +33,7 @@ class Rough(NamedTuple):
 
     spin: Array  # (n, d(d-1)/2) angular velocities
     inverse_inertia: Array  # (n,) inverse moments of inertia, 0 for what does not turn
-    law: Array  # (1 + walls, 2): FRICTION mu, 0 where contacts are smooth, and TANGENTIAL restitution beta_0
+    law: Array  # (1 + walls, 2): FRICTION mu, 0 where contacts are smooth, and BETA_0 restitution beta_0
     normal: Array  # (d,) scratch
     impulse: Array  # (d,) scratch
 
@@ -173,7 +173,7 @@ def to_impulse(axes, rough, which, i, j, bodies, approach, restitution):
         slip2 += u[k] * u[k]
     slip = sqrt(slip2)
     push = -(1.0 + restitution) * approach / (w_i + w_j)
-    grip = (1.0 + rough.law[which, TANGENTIAL]) * slip / mobility
+    grip = (1.0 + rough.law[which, BETA_0]) * slip / mobility
     most = rough.law[which, FRICTION] * push
     held = (grip if grip <= most else most) / slip if slip > 0.0 else 0.0
     for k in range(len(axes)):

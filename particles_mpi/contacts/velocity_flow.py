@@ -7,8 +7,9 @@ of a segment is that of the middle of the step. At a contact, a time tau later (
 
 A contact takes v to w, applies its law to w, and takes the result back to the middle of the step. Bounces are then of
 second order in the step under any force and with any loss. If v itself were reflected, every bounce would change the
-energy by up to m a h v, which is first order. So it is done for effects on velocities other than drag and friction, whose rate
-after the contact nobody knows here: the direction of such a bounce is of first order, and its energy exact.
+energy by up to m a h v, which is first order. Effects on velocities other than drag and friction are not part of w, for their
+rate after the contact is not known here: an effect that does no work changes no energy in bounces all the same, but their
+direction has an error of first order.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ import numpy as np
 from particles_mpi.initial.blocks import Block, Columns
 from particles_mpi.initial.lattices import lattice
 from particles_mpi.initial.plummer import centered, plummer_points
-from particles_mpi.initial.random_addition import JAMMED, RandomAddition
+from particles_mpi.initial.random_addition import JAMMING_PACKING, RandomAddition
 from particles_mpi.initial.random_numbers import draw, stream_key
 from particles_mpi.initial.room import Room, packing_fraction
 from particles_mpi.particles import Array
@@ -56,7 +56,7 @@ def scatter(columns: Columns, block: Block, room: Room, addition: RandomAddition
     wide = np.flatnonzero((room.length == 0.0) & (2.0 * largest > room.upper - room.lower))
     if room.bounded and len(wide):
         return f"spheres of radius {largest:g} do not fit into the box on axis {wide[0]}"
-    most, fraction = JAMMED.get(dimension, inf), packing_fraction(ranks, own, room)
+    most, fraction = JAMMING_PACKING.get(dimension, inf), packing_fraction(ranks, own, room)
     if room.solid and count > 1000 and smallest == largest and fraction > most:
         said = f"{count} spheres have packing fraction {fraction:.3g}, above the {most} at which"
         return f"{said} random places run out; {advice(fraction, dimension)}"

@@ -22,7 +22,7 @@ from particles_mpi.parallel.halo import Halo
 from particles_mpi.particles import Array, rows_of
 
 MOST_TRIES = 100_000  # failures in a row before spheres are given up: at packing 0.30 in 3D about 1 try in 1000 succeeds
-JAMMED = {1: 0.7476, 2: 0.547, 3: 0.384}  # packing at which random addition of equal spheres stops (literature)
+JAMMING_PACKING = {1: 0.7476, 2: 0.547, 3: 0.384}  # packing at which random addition of equal spheres stops (literature)
 FEW_LEFT = 10_000  # spheres without a place that each rank throws all of, several times at once, in its part of space
 POINTS_AT_ONCE = 100_000  # thrown at once then
 SPHERES_AT_ONCE = 2**20  # spheres of all ranks that are thrown at once, which need several times the memory of their places

@@ -37,9 +37,9 @@ class Neighbourhood:
     """Ghosts and candidates of this rank: `prepare` renews them where a drift needs it, `follow` after contacts.
 
     `segments`, `spheres` and the arrays of `fields` hold the owned rows, then ghosts; x, v are those of `segments`, and `rows`
-    are both as plain tuples, for kernels. `spin`, `inverse_inertia`: no row where spheres are smooth. `active`: rows that changed
-    in this pass. `candidates`: the pairs among all these that can touch. `planes`: as a plain tuple. `kicked`: do forces or
-    dissipation change velocities? If not, ghosts fly on by themselves, and only contacts need a message.
+    are both as plain tuples, for kernels. `spin`, `inverse_inertia`: no row where spheres are smooth. `active`: rows whose
+    contacts are sought in the next pass. `candidates`: the pairs among all these that can touch. `planes`: as a plain tuple.
+    `kicked`: do forces or dissipation change velocities? If not, ghosts fly on by themselves, and only contacts need a message.
     """
 
     divided = True  # each rank computes its part of space

@@ -12,7 +12,7 @@ In the order in which to read them:
 - `checkpoint`: the exact state in one file, from which a run continues with the same bits
 - `run_folder`: may a run write into its folder, and does it go on from the checkpoint there?
 
-How a frame gets to disk. `run.job` gives each writer this rank's rows. `parallel.exchange.in_id_order` sorts the rows of all
+How a frame gets to disk. `run.files` gives each writer this rank's rows. `parallel.exchange.in_id_order` sorts the rows of all
 ranks by id: each rank gets a range of ids where HDF5 is parallel and every rank writes, otherwise rank 0 gets all; of a VTK
 frame each rank gets one block of ids at a time. `frame_arrays` makes the columns that viewers expect, and the writer appends
 them; the count of frames in the file is raised last, so that a killed run leaves a readable file. Checkpoints are written by

@@ -22,7 +22,7 @@ import numpy as np
 from particles_mpi.contacts.warm_start import NOTHING, Memory, rough_columns
 from particles_mpi.errors import SceneError
 from particles_mpi.output.files import FILE_PATIENCE, failing_together, mpi_io_errors, sync_folder
-from particles_mpi.output.replacing import part_of, replacing
+from particles_mpi.output.replacing import replacing, temporary_of
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, allgather_rows, in_id_order
 from particles_mpi.parallel.shared_file import SharedFile
@@ -57,7 +57,7 @@ def save(
     first = {name: before[name.startswith("contacts")] for name in columns}
     total = {name: totals[name.startswith("contacts")] for name in columns}
     facts = {MARK: FORMAT, "total": ids.total, "dimension": dimension} | attributes
-    part = part_of(path)
+    part = temporary_of(path)
     task = f"cannot write {path} at step {attributes.get('step', '?')}"
     try:
         places: dict[str, int] = {}

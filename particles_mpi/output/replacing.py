@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 
-def part_of(path: Path) -> Path:
+def temporary_of(path: Path) -> Path:
     """The temporary file that becomes `path` when it is whole."""
     return path.with_name(path.name + ".tmp")
 
@@ -14,7 +14,7 @@ def part_of(path: Path) -> Path:
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Gives the name of a temporary file, which becomes `path` at the end: at any time `path` is the old file or the new one."""
-    part = part_of(path)
+    part = temporary_of(path)
     try:
         yield part
         os.replace(part, path)

@@ -1,8 +1,8 @@
 """A page that shows a run: one HTML file with the frames, the curves and the plan in it, that needs no network.
 
-`page.html` is its frame, `spheres.js` draws spheres by WebGL, `frames.js`, `stage.js`, `charts.js` and `controls.js` are what the
-user sees and does. What they show is put together here: a header as JSON, and of each frame the columns as one block of bytes, in
-base64.
+`page.html` is its skeleton, `spheres.js` draws spheres by WebGL; `frames.js`, `stage.js`, `charts.js` and `controls.js` are what
+the user sees and does. What they show is put together here: a header as JSON, and of each frame the columns as one block of
+bytes, in base64.
 """
 
 from __future__ import annotations

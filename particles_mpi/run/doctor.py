@@ -93,7 +93,7 @@ def report(world: int) -> list[tuple[str, Answer]]:
         ("h5py", _package("h5py")),
         ("HDF5", _hdf5(alone)),
         ("meshio", _package("meshio")),
-        ("matplotlib", _package("matplotlib", "pictures in python_viz/ and study")),
+        ("matplotlib", _package("matplotlib")),
         ("vtk", _package("vtk", "only the tests read with it")),
         ("cores", (f"{usable_cores()} for this process, {os.cpu_count()} in the machine", "")),
         ("kernel cache", _kernels(Path(os.environ.get("NUMBA_CACHE_DIR") or Path(__file__).parents[1]))),

@@ -9,7 +9,7 @@ from particles_mpi.scene.model import Fraction, Model, NotNegative
 
 
 class Losses(Model):
-    """What contacts take: `restitution` e (momentum is conserved), or `damping` alpha, whole velocity times sqrt(1-alpha).
+    """What contacts leave: `restitution` e (momentum is conserved), or `damping` alpha: the whole velocity times sqrt(1-alpha).
 
     Spheres are rough with `friction` mu (Coulomb's) or `tangential_restitution` beta_0, the part of the slip of their surfaces
     that comes back, reversed, where they stick: 0 if not given. Without mu they always stick. See `contacts.rough`.

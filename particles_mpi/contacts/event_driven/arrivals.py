@@ -153,9 +153,9 @@ def apply_moves(axes, rows, lists, queue, directory, regions, message, at, skin,
     d, extra = len(axes), extra_width(rows)
     record = record_width(d, spin_width(rows))
     while at < len(numbers):
-        kind, name = bits[at], bits[at + 1]
+        kind, particle = bits[at], bits[at + 1]
         if kind in (ADD_GHOST, TRANSFER):
-            i = row_of(table, name)
+            i = row_of(table, particle)
             fresh = kind == ADD_GHOST and i < 0
             if fresh:
                 if free_count[0] == 0:
@@ -180,8 +180,8 @@ def apply_moves(axes, rows, lists, queue, directory, regions, message, at, skin,
                     return at, short
                 if fresh:
                     free_count[0] -= 1
-                    put(table, name, i)
-                    state[i, ID], state[i, OWNERSHIP] = name, GHOST
+                    put(table, particle, i)
+                    state[i, ID], state[i, OWNERSHIP] = particle, GHOST
                     load_row(d, rows, i, numbers, bits, at + HEAD)
                     load_extra(d, rows, i, numbers, begin + d)
                     lists.level[i] = level_of(reference[i, d + SIZE], lists)
@@ -198,12 +198,12 @@ def apply_moves(axes, rows, lists, queue, directory, regions, message, at, skin,
                 add_holder(holders, i, len(known) - 1)
                 state[i, OWNERSHIP] = SHARED  # the rank that had it holds it, at least
         elif kind == DROP_GHOST:
-            i = row_of(table, name)
+            i = row_of(table, particle)
             cancel(queue, i)
             remove(axes, lists, i)
             state[i, OWNERSHIP] = NOT_HERE
             state[i, EVENT_COUNT] += 1
-            drop(table, name)
+            drop(table, particle)
             free[free_count[0]] = i
             free_count[0] += 1
         at += part_width(kind, d, record, extra)

@@ -54,10 +54,8 @@ ASKED, LOWER, HIGHER = range(3)  # columns of `stop`
 LAST_PROGRESS, EVENTS_SINCE = range(2)  # columns of `progress`
 INTERRUPTED, STANDSTILL, FULL_BUCKET = -1, -2, -3  # what `run` returns
 EVENTS_A_CALL = 100_000  # about a tenth of a second
-MOST_STANDING, SPARE_ROWS = (
-    2.0 * SQUEEZED / ZERO_TIME_EVENT,
-    100,
-)  # events a row while no time passes: more than SQUEEZED ever allows
+MOST_STANDING = 2.0 * SQUEEZED / ZERO_TIME_EVENT  # events a row while no time passes: twice what SQUEEZED allows
+SPARE_ROWS = 100  # added to the number of rows there, for few of them
 
 
 class Work(NamedTuple):

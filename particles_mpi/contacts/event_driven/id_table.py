@@ -24,16 +24,16 @@ def table_of(ids: Array, rows: Array, room: int) -> Array:
 
 
 @lean_inner
-def home(table, name):
+def home(table, particle):
     """The place at which the search for an id begins."""
-    return ((name * np.int64(SPREAD)) >> 20) & (len(table) - 1)
+    return ((particle * np.int64(SPREAD)) >> 20) & (len(table) - 1)
 
 
 @lean_inner
-def row_of(table, name):
+def row_of(table, particle):
     """The row of the particle with this id, NO_ROW if it is not here."""
-    at = home(table, name)
-    while table[at, ID] != name:
+    at = home(table, particle)
+    while table[at, ID] != particle:
         if table[at, ID] == FREE:
             return np.int64(NO_ROW)
         at = (at + 1) & (len(table) - 1)
@@ -41,20 +41,20 @@ def row_of(table, name):
 
 
 @lean_inner
-def put(table, name, row):
+def put(table, particle, row):
     """Enter the row of an id that is not in the table."""
-    at = home(table, name)
+    at = home(table, particle)
     while table[at, ID] != FREE:
         at = (at + 1) & (len(table) - 1)
-    table[at, ID], table[at, ROW] = name, row
+    table[at, ID], table[at, ROW] = particle, row
 
 
 @lean_inner
-def drop(table, name):
+def drop(table, particle):
     """Remove an id that is in the table; those behind it move up if they would no longer be found."""
     last = len(table) - 1
-    hole = home(table, name)
-    while table[hole, ID] != name:
+    hole = home(table, particle)
+    while table[hole, ID] != particle:
         hole = (hole + 1) & last
     at = (hole + 1) & last
     while table[at, ID] != FREE:

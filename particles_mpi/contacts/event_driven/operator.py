@@ -46,7 +46,8 @@ MOST_QUICK = 3000  # quick contacts of a particle in the last attempt: then it h
 class EventDriven:
     """Drifts particles that collide with one another, and with walls if there are any."""
 
-    migrated = ghost_rows = pair_tests = 0  # candidate pairs are tested in mode rewind only
+    migrated = ghost_rows = 0
+    pair_tests = 0  # candidate pairs are tested in mode rewind only
     window_counts = 0, 0  # windows of time so far, and how many were undone
 
     def __init__(

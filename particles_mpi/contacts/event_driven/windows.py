@@ -38,7 +38,7 @@ UNTRIED = 1000  # windows a step at most where the number of contacts is not kno
 
 
 class Windows:
-    """Drifts the particles of all ranks; `count` and `redone` are the numbers of windows.
+    """Drifts the particles of all ranks; `count`: how many windows there were; `redone`: how many of these were undone.
 
     `always`: even where it does not pay, for tests and to compile everything.
     """
@@ -50,7 +50,7 @@ class Windows:
         self.partition = Partition(particles, ranks, engine, box, timers)
         self.count = self.redone = 0
         self.always = False
-        self.window = 0.0  # length of the next one
+        self.length = 0.0  # of the next one
         self.growing = True
         self.verified = 0, 0  # `count` and `redone` when the depth was last fitted
 
@@ -68,7 +68,7 @@ class Windows:
         self.longest = 0.9 * self.partition.regions.bound / speed if speed > 0.0 else np.inf
         if h / self.longest > (max(self.events / WORTH, CHEAP) if self.events else UNTRIED) and not self.always:
             return None
-        self.window = min(self.window or FIRST_WINDOW * self.longest, self.longest)
+        self.length = min(self.length or FIRST_WINDOW * self.longest, self.longest)
         with self.timers("ghosts"):
             self.partition.send_motion()
         with self.timers("search"):
@@ -77,19 +77,19 @@ class Windows:
         begin = end = 0.0
         tries = self.transferred = 0
         while begin < h:
-            end = begin + self.window if tries == 0 else begin + 0.5 * (min(end, h) - begin)
+            end = begin + self.length if tries == 0 else begin + 0.5 * (min(end, h) - begin)
             last = end >= h
             if self.one_window(begin, np.inf if last else end, min(end, h) - begin, moment):
                 if tries == 0:
-                    self.window = min(self.window * (GROWING if self.growing else FASTER), self.longest)
+                    self.length = min(self.length * (GROWING if self.growing else FASTER), self.longest)
                 begin, tries = end, 0
             else:
-                self.window *= SLOWER if tries == 0 else 1.0  # one contact may need many tries
+                self.length *= SLOWER if tries == 0 else 1.0  # one contact may need many tries
                 self.growing = False
                 tries += 1
-                if tries > MOST_HALVINGS or self.window < LEAST_WINDOW * self.longest:
+                if tries > MOST_HALVINGS or self.length < LEAST_WINDOW * self.longest:
                     self.partition.version = -1  # rows of the engine mean nothing now; those of the particles were not touched
-                    self.window, self.growing = 0.0, True
+                    self.length, self.growing = 0.0, True
                     return None
         with self.timers("drift"):
             squeezed = engine.end_drift()

@@ -173,8 +173,8 @@ class Iteration:
         Rough piles whose errors are CALM get at least MORE iterations. Contacts that keep a gap, and have no solution by ASKED,
         are no longer asked to go back to it. At the end, all impulses may be multiplied by a factor.
 
-        `count`: half-edges of all ranks that may have an impulse; `asleep`: if given, asked whether a pile moves at all that
-        begins with errors that are allowed, or, of smooth spheres, with round-off; if not, it is left like that. Returns whether
+        `count`: half-edges of all ranks that may have an impulse; `asleep`: if given, asked whether a pile is at rest that begins
+        with errors that are allowed, or, of smooth spheres, with round-off; if so, it is left like that. Returns whether
         errors are allowed, and the iterations done, 0 for a pile that is asleep. Collective.
         """
         exact, near_one = least >= exact_from(self.rough), (1.0 - LITTLE_CHANGE, 1.0 + LITTLE_CHANGE)

@@ -1,8 +1,9 @@
 """Who is near enough for a contact that may last: all half-edges that may be slow. See `operator`.
 
-`push` (d,) of a row: SLOW times the change of velocity by forces in a step. A row counts as wider by its *reach*, the way that
-it goes in a step at HELD times that speed: contacts within that may be slow. The reach of a sphere is at most REACH radii, and of
-one in a crowd REACH_IN_CROWDS, so that none has more than some hundred contacts, whatever forces, speeds and steps there are.
+`push` (d,) of a row: SLOW_PUSH times the change of velocity by forces in a step. A row counts as wider by its *reach*, the way
+that it goes in a step at HELD times that speed: contacts within that may be slow. The reach of a sphere is at most REACH radii,
+and of one in a crowd REACH_IN_CROWDS, so that none has more than some hundred contacts, whatever forces, speeds and steps there
+are.
 """
 
 from math import sqrt
@@ -14,7 +15,7 @@ from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import in_place, kernel, lean_inner
 from particles_mpi.particles import Array
 
-SLOW = 2.0  # times what forces do in a step: a ball that leaves a floor at e times that is back after 4 e steps
+SLOW_PUSH = 2.0  # times what forces do in a step: a ball that leaves a floor at e times that is back after 4 e steps
 PRECISE = 1e-12  # of the slow speed: approach that does not matter
 HELD = 5.0  # times the slow speed, where a partner is held already: else piles would rattle
 REACH, REACH_IN_CROWDS = 1.0, 3.0  # radii that a sphere reaches at most, and in a crowd, however far it moves in a step
@@ -25,7 +26,7 @@ class Contacts(NamedTuple):
 
     start (n + 1,); partner (m,): a row or ghost, or `size`, which stands for all walls; slot (m,): its place in the arrays of
     impulses, e for half-edge e of the graph, which has m' of them, and m' + i walls + w for wall w of row i; normal (m, d),
-    towards the row; gap (m,); widest (m,): the larger push of the two; crowd (m,): kept at any speed.
+    towards the row; gap (m,); larger_push (m,): the larger push of the two; crowd (m,): kept at any speed.
     """
 
     start: Array
@@ -33,7 +34,7 @@ class Contacts(NamedTuple):
     slot: Array
     normal: Array
     gap: Array
-    widest: Array
+    larger_push: Array
     crowd: Array
 
 
@@ -74,7 +75,7 @@ def contacts_with_walls(axes, row, body, reach, walls, made, contacts):
     """
     x, radius, push, crowd = body
     (lower, upper, oblique), (point, normal), first = walls
-    partner, slot, normals, gaps, widest, any_speed = contacts
+    partner, slot, normals, gaps, larger_push, any_speed = contacts
     i, near_face = np.uint64(row), bool(oblique)
     for k in range(len(axes)):  # most rows are near no face
         room = 1.000001 * (radius + reach)
@@ -86,7 +87,7 @@ def contacts_with_walls(axes, row, body, reach, walls, made, contacts):
         if distance - radius <= reach:
             for k in range(len(axes)):
                 normals[made, np.uint64(k)] = normal[wall, k]
-            partner[made], widest[made], gaps[made] = len(x) - 1, push, distance - radius
+            partner[made], larger_push[made], gaps[made] = len(x) - 1, push, distance - radius
             slot[made], any_speed[made] = first + wall, crowd
             made += np.uint64(1)
     return made
@@ -96,11 +97,11 @@ def contacts_with_walls(axes, row, body, reach, walls, made, contacts):
 def contacts_with_rows(axes, row, state, graph, inside, h, length, made, contacts):
     """The contacts of a row with others of the near pairs, behind the first `made`; see `contacts_with_walls`.
 
-    `state`: as of `find_contacts`, with the lengths of v and push.
+    `state`: as of `find_half_edges`, with the lengths of v and push.
     """
     x, speeds, pushes, radius, w, crowd = state
     near, other = graph
-    partner, slot, normals, gaps, widest, any_speed = contacts
+    partner, slot, normals, gaps, larger_push, any_speed = contacts
     i = np.uint64(row)
     for e in range(np.uint64(near[row]), np.uint64(near[row + 1])):
         j = np.uint64(other[e])
@@ -127,13 +128,13 @@ def contacts_with_rows(axes, row, state, graph, inside, h, length, made, contact
             continue
         for k in range(len(axes)):
             normals[made, np.uint64(k)] /= distance
-        partner[made], slot[made], widest[made], gaps[made], any_speed[made] = other[e], e, wide, gap, of_crowd
+        partner[made], slot[made], larger_push[made], gaps[made], any_speed[made] = other[e], e, wide, gap, of_crowd
         made += np.uint64(1)
     return made
 
 
 @kernel
-def find_contacts(axes, state, graph, inside, h, length, faces, planes):
+def find_half_edges(axes, state, graph, inside, h, length, faces, planes):
     """All half-edges between rows `inside` that may be slow, or that are among a crowd: the columns of `Contacts`.
 
     `state`: x, v, push (size + 1, d), radius, w, crowd (size + 1,) of rows, ghosts and a wall; `graph`: (start, other) of the
@@ -146,9 +147,9 @@ def find_contacts(axes, state, graph, inside, h, length, faces, planes):
     for row in range(n):
         most += walls * inside[row]
     start, partner, slot = np.zeros(n + 1, np.int64), np.empty(most, np.int32), np.empty(most, np.int64)
-    normals, gaps, widest = np.empty((most, len(axes))), np.empty(most), np.empty(most)
+    normals, gaps, larger_push = np.empty((most, len(axes))), np.empty(most), np.empty(most)
     any_speed = np.empty(most, np.bool_)
-    contacts = partner, slot, normals, gaps, widest, any_speed
+    contacts = partner, slot, normals, gaps, larger_push, any_speed
     pushes, speeds = np.empty(len(x)), np.empty(len(x))
     lengths_of(axes, push, pushes)
     lengths_of(axes, v, speeds)
@@ -164,4 +165,4 @@ def find_contacts(axes, state, graph, inside, h, length, faces, planes):
         made = contacts_with_rows(axes, row, state, graph, inside, h, length, made, contacts)
     start[n] = made
     of = slice(0, start[n])
-    return start, partner[of], slot[of], normals[of], gaps[of], widest[of], any_speed[of]
+    return start, partner[of], slot[of], normals[of], gaps[of], larger_push[of], any_speed[of]

@@ -166,9 +166,9 @@ def whole_numbers(sums, unit):
 
 @kernel
 def solve_each(axes, problem, w, v):
-    """Velocities v (n + 1, columns) of rows that touch walls alone, in place, each by itself: a row's bits depend on no other.
+    """Velocities v (n + 1, columns) of rows that touch walls alone, the last one being that of the walls. In place.
 
-    The last one is that of walls.
+    Each row is solved by itself, so its bits depend on no other.
     Momentum is given up past a minimum, and with friction, which has none, where errors grow.
     """
     n = len(v) - 1

@@ -10,7 +10,7 @@ from particles_mpi.parallel.exchange import by_destination, id_range, owners_by_
 from particles_mpi.particles import Array, Particles, rows_of
 
 
-def names_of(graph: ContactGraph, walls: int) -> tuple[Array, Array]:
+def ids_of(graph: ContactGraph, walls: int) -> tuple[Array, Array]:
     """(id of the row, partner) of all half-edges of the graph, and then of its rows with each of the walls."""
     n = len(graph.rows)
     row = np.concatenate((np.repeat(np.arange(n), np.diff(graph.start)), np.repeat(np.arange(n), walls)))
@@ -20,13 +20,13 @@ def names_of(graph: ContactGraph, walls: int) -> tuple[Array, Array]:
 def remember(graph: ContactGraph, impulses: Array, walls: int) -> Memory:
     """Those of the half-edges that have an impulse."""
     of = np.flatnonzero(along_normals(impulses))
-    ids, partners = names_of(graph, walls)
+    ids, partners = ids_of(graph, walls)
     return Memory(ids[of], partners[of], impulses[of])
 
 
 def recall(memory: Memory, graph: ContactGraph, walls: int) -> Array:
     """The impulse of each half-edge of the graph, 0 where nothing is remembered."""
-    ids, partners = names_of(graph, walls)
+    ids, partners = ids_of(graph, walls)
     order = np.argsort(memory.id, kind="stable")
     return np.asarray(match(ids, partners, memory.id[order], memory.partner[order], memory.taken[order]))
 
@@ -37,9 +37,9 @@ def along_normals(impulses: Array) -> Array:
 
 
 def carry_over(old: ContactGraph, last_impulses: Array, new: ContactGraph, walls: int) -> Array:
-    """As `recall`, from the `last_impulses` of an `old` graph of the same rows, without names: five times as fast."""
-    names = old.id[old.other], new.id[new.other]
-    return np.asarray(copy_impulses((old.index, old.start, names[0], last_impulses), (new.rows, new.start, names[1]), walls))
+    """As `recall`, from the `last_impulses` of an `old` graph of the same rows, without a search for ids: five times as fast."""
+    known, wanted = (old.index, old.start, old.id[old.other], last_impulses), (new.rows, new.start, new.id[new.other])
+    return np.asarray(copy_impulses(known, wanted, walls))
 
 
 @kernel

@@ -4,7 +4,7 @@ from math import inf, sqrt
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.detection import SLOW
+from particles_mpi.contacts.persistent.detection import SLOW_PUSH
 from particles_mpi.kernels.jit import in_place, kernel
 
 
@@ -16,7 +16,7 @@ def has_slow_wall(axes, x, v, a, radius, i, h, planes):
     for wall in range(len(point)):
         pressed, closing, distance = 0.0, 0.0, 0.0
         for k in range(len(axes)):
-            pressed -= SLOW * h * a[i, k] * normal[wall, k]
+            pressed -= SLOW_PUSH * h * a[i, k] * normal[wall, k]
             closing -= v[i, k] * normal[wall, k]
             distance += (x[i, k] - point[wall, k]) * normal[wall, k]
         slow |= pressed > 0.0 and distance - radius[i] <= pressed * h and abs(closing) <= pressed
@@ -39,7 +39,7 @@ def near_walls(axes, x, v, a, radius, fixed, supported, h, faces, planes):
             a2 += a[i, k] * a[i, k]
         most = max(most, a2)
     for k in range(len(axes)):  # within these no sphere is near a face, whatever its push: most rows need no closer look
-        far = 1.000001 * SLOW * h * h * sqrt(most)
+        far = 1.000001 * SLOW_PUSH * h * h * sqrt(most)
         low[k] = lower[k] + far + 1e-12 * max(lower[k], -lower[k]) if lower[k] > -inf else -inf
         high[k] = upper[k] - far - 1e-12 * max(upper[k], -upper[k]) if upper[k] < inf else inf
     for i in range(len(x)):

@@ -4,7 +4,7 @@ from math import inf
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.detection import PRECISE, SLOW, find_contacts
+from particles_mpi.contacts.persistent.detection import PRECISE, SLOW_PUSH, find_half_edges
 from particles_mpi.contacts.persistent.iterations import solve_each
 from particles_mpi.contacts.persistent.problem import IMPULSE, bound_rows, table_of
 from particles_mpi.contacts.persistent.rows import gather
@@ -17,12 +17,12 @@ def settle_on_walls(axes, rows, fields, a, h, length, faces, planes):
     """(velocities (n, d) of `rows` that keep slow contacts with walls, which of them these contacts hold (n,) uint8).
 
     fields: position, velocity, radius, mass, fixed, supported of all rows of the rank; `faces` and `planes`: see
-    `find_contacts`. These are the steps of `SlowContacts.solved`.
+    `find_half_edges`. These are the steps of `SlowContacts.solved`.
     """
     position, velocity, radii, mass, fixed, supported = fields
     n, d = len(rows), len(axes)
     x, v, push, was = np.empty((n + 1, d)), np.empty((n + 1, d)), np.empty((n + 1, d)), np.empty(n + 1)
-    gather(rows, position, velocity, a, supported, SLOW * h, x, v, push, was)
+    gather(rows, position, velocity, a, supported, SLOW_PUSH * h, x, v, push, was)
     radius, w, held = np.full(n + 1, inf), np.zeros(n + 1), np.zeros(n + 1, np.bool_)
     for r in range(n):
         i = rows[r]
@@ -32,12 +32,13 @@ def settle_on_walls(axes, rows, fields, a, h, length, faces, planes):
         held[r] = was[r] != 0.0 and w[r] > 0.0
     nobody, all_rows = (np.zeros(n + 1, np.int64), np.empty(0, np.int32)), np.ones(n + 1, np.bool_)
     state = x, v, push, radius, w, np.zeros(n + 1, np.bool_)
-    contacts = find_contacts(axes, state, nobody, all_rows, h, length, faces, planes)
-    start, partner, _, normal, gap, widest, _ = contacts
+    contacts = find_half_edges(axes, state, nobody, all_rows, h, length, faces, planes)
+    start, partner, _, normal, gap, larger_push, _ = contacts
     nothing, bound = np.zeros(len(gap)), np.zeros(n + 1)
-    touch = gap <= widest * h
+    touch = gap <= larger_push * h
     bound_rows(axes, start, normal, w, touch, bound)
-    table, per_round_off = table_of(axes, start, partner, normal, w, touch, bound, nothing, nothing), 1.0 / (PRECISE * widest)
+    table = table_of(axes, start, partner, normal, w, touch, bound, nothing, nothing)
+    per_round_off = 1.0 / (PRECISE * larger_push)
     solve_each(axes, (start, partner, table, per_round_off, per_round_off), w, push.copy())
     load = table[:, IMPULSE].copy()
     net_push, stress = np.zeros((n + 1, d)), np.zeros((n + 1, d, d))

@@ -18,7 +18,7 @@ press free ones onto one another, all that touch. Each rank solves for its own r
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.detection import HELD, REACH, REACH_IN_CROWDS, SLOW, widths
+from particles_mpi.contacts.persistent.detection import HELD, REACH, REACH_IN_CROWDS, SLOW_PUSH, widths
 from particles_mpi.contacts.persistent.graph import ContactGraph
 from particles_mpi.contacts.persistent.history import ContactHistory
 from particles_mpi.contacts.persistent.on_walls import settle_on_walls
@@ -125,7 +125,7 @@ class PersistentContacts:
         """The state of the graph's rows, and of ghosts as their owners have them. Collective."""
         size, d = graph.size + 1, p.dimension
         x, v, push, supported = np.empty((size, d)), np.empty((size, d)), np.empty((size, d)), np.empty(size)
-        gather(graph.rows, p.position, p.velocity, a, p["supported"], SLOW * h, x, v, push, supported)
+        gather(graph.rows, p.position, p.velocity, a, p["supported"], SLOW_PUSH * h, x, v, push, supported)
         w, spin = graph.inverse_mass, self.kind.spins(p, graph)
         columns = [x, v, push, supported, *([spin] if self.kind.rough else [])]
         if self.undamped is not None:
@@ -180,4 +180,4 @@ class PersistentContacts:
 
 def slow_widths(p: Particles, a: Array, h: float) -> Array:
     """Widths (n,) of rows with accelerations a (n, d): two with a slow contact are no further apart than the sum of theirs."""
-    return np.asarray(widths(p.radius, a, HELD * SLOW * h * h, REACH))
+    return np.asarray(widths(p.radius, a, HELD * SLOW_PUSH * h * h, REACH))

@@ -16,7 +16,7 @@ from particles_mpi.kernels.jit import kernel
 
 SLOW_MARGIN = 1e-3  # of the widest slow gap: closer nothing gets, so that round-off makes no contact
 RETURN = 0.2  # of the deviation from the gap that contacts keep is corrected in a step
-PUSH = 0.01  # of the widest push: so fast contacts that are nearer than their margin are moved apart
+PUSH = 0.01  # of the larger push of the two: so fast contacts that are nearer than their margin are moved apart
 CROWD_GAP = 0.5  # of the gap, up to the margin, may errors in crowds close: so what is left is no hit in this step
 MOST_RETURN = 5.0  # allowed errors: what is further off its margin returns no faster
 
@@ -82,10 +82,10 @@ def slow(contacts, closing, last_impulses, of_rows, pressed, h, tolerance, margi
 
     `of_rows`: who is held already, and radii. A contact that had one of the `last_impulses` is held too. Errors are allowed up to
     `tolerance` radii of the smaller sphere in a step, or PRECISE times the speed below which a contact is slow, or times `slight`
-    of the widest push where that is more; contacts keep a gap of `margin` tolerances, to which they return in some steps, or
-    errors of one step would be the work of the next one.
+    of the larger push of the two where that is more. Contacts keep a gap of `margin` tolerances, to which they return in some
+    steps, or errors of one step would be the work of the next one.
     """
-    start, partner, _, _, gap, widest, crowd = contacts
+    start, partner, _, _, gap, larger_push, crowd = contacts
     supported, radius = of_rows
     m = len(gap)
     chosen, may_close, per_allowed, per_round_off = np.zeros(m, np.bool_), np.zeros(m), np.zeros(m), np.zeros(m)
@@ -93,7 +93,7 @@ def slow(contacts, closing, last_impulses, of_rows, pressed, h, tolerance, margi
         for e in range(np.uint64(start[i]), np.uint64(start[i + np.uint64(1)])):
             j = np.uint64(partner[e])
             held = last_impulses[e] > 0.0 or supported[i] or supported[j]
-            most = HELD * widest[e]
+            most = HELD * larger_push[e]
             speed = min((HELD if held else 1.0) * pressed[e], most)
             if crowd[e] or (speed > 0.0 and gap[e] <= speed * h and abs(closing[e]) <= speed):
                 one, other = radius[i], radius[j]
@@ -102,11 +102,11 @@ def slow(contacts, closing, last_impulses, of_rows, pressed, h, tolerance, margi
                 apart = margin * allowed
                 room = gap[e] - apart - SLOW_MARGIN * most * h
                 if apart > 0.0:
-                    room = max(room - (1.0 - RETURN) * min(room, MOST_RETURN * allowed), -PUSH * widest[e] * h)
+                    room = max(room - (1.0 - RETURN) * min(room, MOST_RETURN * allowed), -PUSH * larger_push[e] * h)
                 else:
                     room = max(room, 0.0)
                 chosen[e], may_close[e] = True, room / h
-                speed = most if crowd[e] else max(speed, slight * widest[e])
+                speed = most if crowd[e] else max(speed, slight * larger_push[e])
                 left = CROWD_GAP * min(gap[e] / h, SLOW_MARGIN * most) if crowd[e] else 0.0
                 per_round_off[e] = 1.0 / max(PRECISE * speed, left)
                 per_allowed[e] = min(h / allowed, per_round_off[e]) if allowed > 0.0 else per_round_off[e]
@@ -114,7 +114,7 @@ def slow(contacts, closing, last_impulses, of_rows, pressed, h, tolerance, margi
 
 
 @kernel
-def felt_push(start, partner, w, widest, normal_impulses):
+def felt_push(start, partner, w, larger_push, normal_impulses):
     """The largest push (n,) of the contacts by which each row bears a load, of each that part which moves the row.
 
     That is w_i/(w_i + w_j) of it, which is little for a heavy row on which a light one lies. w (size + 1,): inverse masses.
@@ -123,7 +123,7 @@ def felt_push(start, partner, w, widest, normal_impulses):
     for i in range(len(found)):
         for e in range(start[i], start[i + 1]):
             if normal_impulses[e] > 0.0:
-                found[i] = max(found[i], w[i] / (w[i] + w[partner[e]]) * widest[e])
+                found[i] = max(found[i], w[i] / (w[i] + w[partner[e]]) * larger_push[e])
     return found
 
 

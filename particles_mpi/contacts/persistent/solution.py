@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.contacts.persistent.descent import exact_from
-from particles_mpi.contacts.persistent.detection import PRECISE, SLOW, Contacts, find_contacts
+from particles_mpi.contacts.persistent.detection import PRECISE, SLOW_PUSH, Contacts, find_half_edges
 from particles_mpi.contacts.persistent.graph import ContactGraph
 from particles_mpi.contacts.persistent.iterations import OUTLIER
 from particles_mpi.contacts.persistent.memory import along_normals
@@ -23,7 +23,7 @@ from particles_mpi.particles import Array, same_bits
 
 UNKNOWN = 10  # times as many iterations where nothing is remembered
 IN_CROWDS = 900  # iterations in small crowds, at first; TRIED lead to a direct solution where they are not enough
-AS_PUSH = 2.0 * SLOW  # times the impulse of a contact in a kick, which lasts half a step, is its load as a push
+AS_PUSH = 2.0 * SLOW_PUSH  # times the impulse of a contact in a kick, which lasts half a step, is its load as a push
 
 
 class Found(NamedTuple):
@@ -139,14 +139,14 @@ class SlowContacts:
         if found and not crowd and found.graph is graph and all(map(same_bits, found.for_these, for_these)):
             return found.contacts
         near = graph.start, graph.other
-        columns = find_contacts(self.axes, tuple(local[:6]), near, inside, h, self.length, self.walls.faces, self.walls.planes)
+        columns = find_half_edges(self.axes, tuple(local[:6]), near, inside, h, self.length, self.walls.faces, self.walls.planes)
         contacts = Contacts(*columns)
         self.found = None if crowd else Found(graph, for_these, contacts)
         return contacts
 
     def load(self, local: Local, graph: ContactGraph, contacts: Contacts, h: float, least: int) -> Array:
         """The load of all contacts that touch, as a push, if nothing but the pushes acts. Collective."""
-        touch = contacts.gap <= contacts.widest * h
+        touch = contacts.gap <= contacts.larger_push * h
         nothing = np.zeros((len(touch), *self.kind.columns))
         problem = self.kind.problem(local, graph, contacts, touch, exactly(contacts), nothing)
         w, push = self.kind.motion(local, graph, local.push, np.zeros_like(local.spin))
@@ -175,6 +175,6 @@ class SlowContacts:
 
 
 def exactly(contacts: Contacts) -> Targets:
-    """That nothing closes, but for round-off of the widest pushes."""
-    per_round_off = 1.0 / (PRECISE * contacts.widest)
+    """That nothing closes, but for round-off of the larger pushes."""
+    per_round_off = 1.0 / (PRECISE * contacts.larger_push)
     return Targets(np.zeros(len(per_round_off)), per_round_off, per_round_off)

@@ -21,7 +21,7 @@ TRIED = 1000
 DIFFERENT = 1e4  # times the least inverse mass of rough spheres: if the largest is more, friction is given up where need be
 SOLUTION_EFFORT = 200_000  # half-edges times iterations that every solution gets: small piles are solved to round-off
 
-Asleep = Callable[[Array], bool]  # do rows with these velocities, after the iterations, move at all?
+Asleep = Callable[[Array], bool]  # are rows with these velocities, after the iterations, at rest?
 
 
 class Solver:

@@ -21,7 +21,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles, row_dot
 
 STEADY = 45  # iterations that rough spheres always get: with fewer a pile creeps by what is left of errors, and never rests
-SLIGHT = 0.01  # of the widest push: rough contacts that bear less are solved as if they bore that; errors below are round-off
+SLIGHT = 0.01  # of the larger push: rough contacts that bear less are solved as if they bore that; errors below are round-off
 QUIET = 1e-3  # of the allowed errors: a rough pile in which nothing is faster is asleep
 LEFT_BETWEEN = 2.0 * HELD * PRECISE  # of the push that it feels: what a solution may leave a smooth sphere between two others
 DUST = 1e-30  # of its own push: a slower spin of a rough sphere that is held is round-off of round-off, until it underflows
@@ -51,7 +51,7 @@ class Pile(NamedTuple):
     def pushes(self, normal_impulses: Array) -> Array:
         """The push (n,) that each row feels at contacts with these `normal_impulses` (m,), or its own if that is more."""
         contacts, own = self.contacts, self.local.push[: len(self.contacts.start) - 1]
-        felt = felt_push(contacts.start, contacts.partner, self.local.w, contacts.widest, normal_impulses)
+        felt = felt_push(contacts.start, contacts.partner, self.local.w, contacts.larger_push, normal_impulses)
         return np.where(felt > 0.0, np.maximum(felt, np.sqrt(row_dot(own, own))), 0.0)
 
     def stands(self, normal_impulses: Array) -> bool:

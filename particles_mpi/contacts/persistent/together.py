@@ -19,9 +19,9 @@ class Together:
 
     def __init__(self, ranks: Communicator, ids: Array, problem: Problem, w: Array, v: Array):
         n = len(problem.start) - 1
-        names = np.append(ids, -1)  # of a wall
+        ids_of = np.append(ids, -1)  # of a wall
         self.count = np.diff(problem.start)
-        columns = {"row": np.repeat(ids[:n], self.count), "other": names[problem.partner]}
+        columns = {"row": np.repeat(ids[:n], self.count), "other": ids_of[problem.partner]}
         columns |= {name: getattr(problem, name) for name in ("table", "per_allowed", "per_round_off")}
         every = allgather_rows(ranks, columns)
         self.mine = np.flatnonzero(self.count)

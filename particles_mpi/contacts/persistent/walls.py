@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.detection import SLOW
+from particles_mpi.contacts.persistent.detection import SLOW_PUSH
 from particles_mpi.contacts.persistent.near_walls import near_walls
 from particles_mpi.kernels.planes import Planes
 from particles_mpi.particles import Array, Particles
@@ -32,4 +32,4 @@ class Walls:
     def reach(self, fixed: Array, a: Array, h: float) -> float:
         """How far from walls slow contacts may be, of rows (at least one) with accelerations a (n, d), the same if not fixed."""
         push = float(np.sqrt((a[np.argmin(fixed)] ** 2).sum()))
-        return 1.000001 * SLOW * h * h * push + self.round_off
+        return 1.000001 * SLOW_PUSH * h * h * push + self.round_off

@@ -41,7 +41,7 @@ LONGER = 4  # times as many steps are tried next, where errors took so little ti
 COST_SAMPLES = 4  # of a step without each effect
 COST_SECONDS, COST_STEPS = 0.03, 6  # least seconds and steps of a sample: some have a search that serves several steps
 LEAST_SHARE = 0.03  # of a step: less is not told from the noise
-COMPILING_SECONDS = 3.0  # if a trial takes longer kernels were compiled, and it is done again
+COMPILED_IF_LONGER = 3.0  # if a trial takes longer kernels were compiled, and it is done again
 MOST_TO_REPEAT = 100_000  # particles for which it is
 CHAOS_AFTER = 15.0  # collisions of a particle, after which its place means nothing: round-off has grown to the size of it
 
@@ -69,7 +69,7 @@ def predict(sim: Simulation, benchmark: Benchmark) -> Prediction:
     try:
         start, began = sim.copy() if sim.total <= MOST_TO_REPEAT else None, perf_counter()
         forecast = rehearse(sim)
-        compiled = perf_counter() - began > COMPILING_SECONDS + 10.0 * forecast.step  # a run will find those kernels
+        compiled = perf_counter() - began > COMPILED_IF_LONGER + 10.0 * forecast.step  # a run will find those kernels
         if start and ranks.any(compiled):
             forecast = rehearse(start)
         costs = costs_of(sim, forecast.step)
