@@ -128,12 +128,12 @@ def renew_list(axes, rows, lists, work, log, i, now, ahead):
 
 
 @in_place
-def hit_wall(axes, rows, lists, rules, rough, work, log, i, wall, t, drift):
+def hit_wall(axes, rows, lists, rules, rough, work, log, i, wall, t, clock):
     """Row i hits a wall at time t."""
     segment, state, planes, d = rows.segment, rows.state, rules.planes, len(axes)
     lossy = planes.restitution[wall] * planes.velocity_factor[wall] < 1.0
-    elastic = lossy and takes_nothing(d, rows, i, t, drift, rules.collapse)
-    note_contact(axes, rows, i, t, -1 - wall, drift, elastic, rules.collapse, rules.crowded, work.any_squeezed)
+    elastic = lossy and takes_nothing(d, rows, i, t, clock, rules.collapse)
+    note_contact(axes, rows, i, t, -1 - wall, clock, elastic, rules.collapse, rules.crowded, work.any_squeezed)
     move_to(axes, segment, i, t)
     w = lists.reference[i, d + INVERSE_MASS]
     if elastic:
@@ -144,24 +144,24 @@ def hit_wall(axes, rows, lists, rules, rough, work, log, i, wall, t, drift):
     stop_squeezed(axes, rows, i, rules.crowded)
     own = state[i, OWNERSHIP] >= OWN
     if elastic and own:
-        note_tc_elastic(work, drift.moment + t, state[i, ID], -1 - wall)
+        note_tc_elastic(work, clock.moment + t, state[i, ID], -1 - wall)
     work.counts[WALL_HITS] += own
     if log.window[0] > 0:
         note_segment(axes, rows, i, log)
 
 
 @in_place
-def hit_row(axes, rows, lists, rules, rough, work, log, i, j, t, drift):
+def hit_row(axes, rows, lists, rules, rough, work, log, i, j, t, clock):
     """Rows i and j meet at time t, i being the one with the lower id. Returns whether they collide: at a jam they stop."""
     state = rows.state
     collides = max(state[i, RAPID_EVENTS], state[j, RAPID_EVENTS]) < JAMMED
     if collides:
         collapse, any_squeezed = rules.collapse, work.any_squeezed
         elastic = rules.loss.restitution * rules.loss.velocity_factor < 1.0 and (
-            takes_nothing(len(axes), rows, i, t, drift, collapse) or takes_nothing(len(axes), rows, j, t, drift, collapse)
+            takes_nothing(len(axes), rows, i, t, clock, collapse) or takes_nothing(len(axes), rows, j, t, clock, collapse)
         )
-        note_contact(axes, rows, i, t, state[j, ID], drift, elastic, collapse, rules.crowded, any_squeezed)
-        note_contact(axes, rows, j, t, state[i, ID], drift, elastic, collapse, rules.crowded, any_squeezed)
+        note_contact(axes, rows, i, t, state[j, ID], clock, elastic, collapse, rules.crowded, any_squeezed)
+        note_contact(axes, rows, j, t, state[i, ID], clock, elastic, collapse, rules.crowded, any_squeezed)
         loss = (1.0, 1.0) if elastic else (rules.loss.restitution, rules.loss.velocity_factor)
         length = lists.box[2]
         rows.reals[i, VIRIAL] += collide(
@@ -171,7 +171,7 @@ def hit_row(axes, rows, lists, rules, rough, work, log, i, j, t, drift):
         stop_squeezed(axes, rows, j, rules.crowded)
         own = state[i, OWNERSHIP] >= OWN
         if elastic and own:
-            note_tc_elastic(work, drift.moment + t, state[i, ID], state[j, ID])
+            note_tc_elastic(work, clock.moment + t, state[i, ID], state[j, ID])
         work.counts[COLLISIONS] += own
     else:
         stop_at_jam(axes, rows, i, t)
@@ -209,8 +209,8 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
     loss, law, collapse, crowded, planes, rates = rules
     rules = Rules(Loss(*loss), law, Collapse(*collapse), crowded, Planes(*planes), rates)
     rough = Rough(rows.spin, rows.inverse_inertia, law, work.normal, work.impulse)
-    drift, now, until, ahead = interval
-    drift = Clock(*drift)
+    clock, now, until, ahead = interval
+    clock = Clock(*clock)
     state, node, times, stale = rows.state, queue.node, queue.times, work.stale
     events = 0
     while True:
@@ -220,7 +220,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             if state[i, OWNERSHIP] == NOT_HERE:
                 continue
             cancel(queue, i)
-            t, partner = next_event(axes, rows, lists, rules.planes, work, i, now, drift.length)
+            t, partner = next_event(axes, rows, lists, rules.planes, work, i, now, clock.length)
             if partner != NO_EVENT:
                 push(queue, state, i, t, partner, state[partner, EVENT_COUNT] if partner >= 0 else 0)
             continue
@@ -233,7 +233,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
         if i == EMPTY or times[i, TIME] >= until:
             return 0
         t, j = times[i, TIME], np.int64(node[i, PARTNER])
-        if stands_still(work, t, drift.length, len(state)):
+        if stands_still(work, t, clock.length, len(state)):
             stale[0], stale[1] = i, j
             return STANDSTILL
         events += 1
@@ -249,7 +249,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             if short > 0:
                 return short
         elif j < 0:
-            hit_wall(axes, rows, lists, rules, rough, work, log, i, -1 - j, t, drift)
+            hit_wall(axes, rows, lists, rules, rough, work, log, i, -1 - j, t, clock)
         elif node[i, PARTNER_COUNT] == state[j, EVENT_COUNT]:
             if log.window[0] > 0:
                 save_once(axes, rows, j, log)
@@ -257,6 +257,6 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             pending = 2
             if state[j, ID] < state[i, ID]:
                 i, j = j, i
-            if hit_row(axes, rows, lists, rules, rough, work, log, i, j, t, drift) and work.stop[ASKED]:
+            if hit_row(axes, rows, lists, rules, rough, work, log, i, j, t, clock) and work.stop[ASKED]:
                 work.stop[LOWER], work.stop[HIGHER], work.stopped[0] = state[i, ID], state[j, ID], t
                 return 0

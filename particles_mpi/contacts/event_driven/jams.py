@@ -78,39 +78,39 @@ def progress(d, segment, i, t, h, elastic):
 
 
 @in_place
-def takes_nothing(d, rows, i, t, drift, collapse):
+def takes_nothing(d, rows, i, t, clock, collapse):
     """Does a contact of row i at time t of a drift (`event_loop.Clock`) take no energy? See `Collapse`."""
-    soon = abs(drift.moment + t - rows.reals[i, LAST_CONTACT]) < collapse.duration
+    soon = abs(clock.moment + t - rows.reals[i, LAST_CONTACT]) < collapse.duration
     if collapse.before == 0:
         return soon
     rapid = rows.state[i, RAPID_EVENTS]
     follows = (
-        rapid % ZERO_TIME_EVENT // FOLLOWING >= collapse.before and t - rows.segment[i, 2 * d + START] > STANDING * drift.length
+        rapid % ZERO_TIME_EVENT // FOLLOWING >= collapse.before and t - rows.segment[i, 2 * d + START] > STANDING * clock.length
     )
     return soon and (follows or rapid >= collapse.at_once * ZERO_TIME_EVENT)
 
 
 @in_place
-def note_contact(axes, rows, i, t, partner, drift, elastic, collapse, crowded, any_squeezed):
+def note_contact(axes, rows, i, t, partner, clock, elastic, collapse, crowded, any_squeezed):
     """Row i is about to begin a new segment at time t of a drift: change its state. Rows of a crowd wait as squeezed
     ones do. `elastic`: the contact `takes_nothing`, because it follows others so soon."""
     state, reals = rows.state, rows.reals
-    if t - rows.segment[i, 2 * len(axes) + START] > STANDING * drift.length:  # contacts at the same moment are as one
+    if t - rows.segment[i, 2 * len(axes) + START] > STANDING * clock.length:  # contacts at the same moment are as one
         following = state[i, RAPID_EVENTS] % ZERO_TIME_EVENT // FOLLOWING
-        soon = abs(drift.moment + t - reals[i, LAST_CONTACT]) < collapse.duration
+        soon = abs(clock.moment + t - reals[i, LAST_CONTACT]) < collapse.duration
         state[i, RAPID_EVENTS] += ((min(following + 1, MOST_FOLLOWING) if soon else 0) - following) * FOLLOWING
-    way = progress(len(axes), rows.segment, i, t, drift.length, elastic)
+    way = progress(len(axes), rows.segment, i, t, clock.length, elastic)
     if way < 0:
         state[i, RAPID_EVENTS] += ZERO_TIME_EVENT
     elif way > 0:
         state[i, RAPID_EVENTS] %= ZERO_TIME_EVENT
-    state[i, RAPID_EVENTS] += abs(drift.moment + t - reals[i, LAST_CONTACT]) <= QUICK * drift.length
+    state[i, RAPID_EVENTS] += abs(clock.moment + t - reals[i, LAST_CONTACT]) <= QUICK * clock.length
     if state[i, RAPID_EVENTS] % FOLLOWING >= min(crowded, collapse.most) and state[i, RAPID_EVENTS] < SQUEEZED:
         state[i, RAPID_EVENTS] += SQUEEZED
     any_squeezed[0] |= state[i, RAPID_EVENTS] >= SQUEEZED
     state[i, LAST_PARTNER] = partner
     state[i, EVENT_COUNT] += 1
-    reals[i, LAST_CONTACT] = drift.moment + t
+    reals[i, LAST_CONTACT] = clock.moment + t
 
 
 @in_place
