@@ -176,7 +176,7 @@ export OMPI_MCA_rmaps_base_oversubscribe="${OMPI_MCA_rmaps_base_oversubscribe:-1
 export PRTE_MCA_rmaps_default_mapping_policy="${PRTE_MCA_rmaps_default_mapping_policy:-:oversubscribe}"  # v5
 export OMPI_MCA_hwloc_base_binding_policy="${OMPI_MCA_hwloc_base_binding_policy:-none}"  # bound, two runs on one machine would sit on the same core: v4
 export PRTE_MCA_hwloc_default_binding_policy="${PRTE_MCA_hwloc_default_binding_policy:-none}"  # v5
-export OMPI_MCA_odls_base_sigkill_timeout="${OMPI_MCA_odls_base_sigkill_timeout:-3}"  # seconds for a checkpoint after Ctrl-C, before the kill
+export OMPI_MCA_odls_base_sigkill_timeout="${OMPI_MCA_odls_base_sigkill_timeout:-0}"  # seconds from a rank that failed to the end of all: it waits until its message is read
 export GLIBC_TUNABLES="${GLIBC_TUNABLES:-glibc.malloc.hugetlb=1}"  # large pages for large arrays: a tenth faster at a million particles
 export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}"  # one rank, one core
 export OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"

@@ -25,8 +25,8 @@ MPI_ENVIRONMENT = {  # Open MPI 4 and 5: as root, on more ranks than cores, and 
     "OMPI_MCA_rmaps_base_oversubscribe": "1",
     "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
     "OMPI_MCA_mpi_yield_when_idle": "1",
+    "OMPI_MCA_odls_base_sigkill_timeout": "0",  # and after a rank failed, the others are killed without waiting for them
 }
-IMPATIENT = {"OMPI_MCA_odls_base_sigkill_timeout": "0"}  # after a rank failed, kill the others without waiting for them
 CRASH = "PMIx_server_finalize"  # where Open MPI's mpirun itself may crash when all ranks have ended: then it is started again
 NAP = 0.005  # seconds between two looks whether a script has ended
 MOST = 4  # ranks that stay: more would only take memory
@@ -36,7 +36,7 @@ SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}  # the number of this system cal
 
 def environment():
     """Of an mpirun that a test starts."""
-    return MPI_ENVIRONMENT | os.environ | {"PYTHONPATH": str(ROOT), **IMPATIENT}
+    return MPI_ENVIRONMENT | os.environ | {"PYTHONPATH": str(ROOT)}
 
 
 def take_turns_often() -> None:

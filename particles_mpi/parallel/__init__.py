@@ -11,7 +11,7 @@ In the order in which to read them:
 - `agreement`: an error on one rank becomes an error on all, or ends all
 - `shared_file`: a file into which all ranks write
 - `signals`: Ctrl-C, SIGTERM, SIGUSR1 and the wall-time limit
-- `launcher`: starts mpirun and shortens what it prints about ranks that failed
+- `launcher`: starts mpirun, asks ranks to end on Ctrl-C, and shortens what is printed about those that failed
 
 How a row gets to another rank. `LoadBalance` keeps the `Decomposition` of space, which tells the owner of each position.
 `RowBuffers.migrate` sends the rows that another rank owns by `send_rows`, all columns for one rank as a single message; arriving

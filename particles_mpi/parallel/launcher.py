@@ -1,10 +1,16 @@
-"""Starts mpirun and removes from its stderr the paragraphs about ranks that have printed themselves why they end.
+"""Starts mpirun, asks it to end as a run can end, and leaves out its paragraphs about ranks that say themselves why they end.
 
-`python particles_mpi/parallel/launcher.py LAUNCHER ARGUMENTS...` is what the mpirun in .venv/bin runs. This process becomes the
-launcher, so that signals, stdin, stdout and the exit code are the launcher's own. Its stderr goes through a second process: of
-the paragraphs between two lines of dashes, and lines that begin with [host:pid], both by Open MPI, it removes those about an exit
-code or MPI_Abort and shortens the one about a signal; all else passes at once. No setting of Open MPI does that:
-`orte_execute_quiet` hides also that a rank was killed, or that there is no such program.
+`python particles_mpi/parallel/launcher.py LAUNCHER ARGUMENTS...` is what the mpirun in .venv/bin runs. stdin, stdout and the
+exit code are the launcher's own.
+
+Signals. On Ctrl-C Open MPI's mpirun stops to pass on what ranks print, waits, tells the ranks, waits, and kills them; a second
+one kills them at once. So SIGINT, SIGTERM and SIGHUP are blocked in it, and come to this process alone, which sends SIGUSR1 to
+mpirun: that is passed to the ranks at once, and a run then saves and ends. The second signal is told how to kill, the third one
+kills.
+
+Messages. Of the paragraphs between two lines of dashes, and lines that begin with [host:pid], both by Open MPI, those about an
+exit code or MPI_Abort are left out and the one about a signal is shortened; all else passes at once. No setting of Open MPI
+does that: `orte_execute_quiet` hides also that a rank was killed, or that there is no such program.
 """
 
 import os
@@ -12,9 +18,13 @@ import re
 import select
 import signal
 import sys
+from ctypes import CDLL
+from typing import NoReturn
 
 RULE = b"-" * 74 + b"\n"
 PATIENCE = 0.5  # seconds after which what looks like the beginning of a paragraph is passed on, if nothing follows
+EXIT_ON_SIGNAL = 130  # `errors.EXIT_ON_SIGNAL`; this script imports nothing of the package
+PR_SET_PDEATHSIG = 1  # prctl(2): the signal that a process gets when its parent has ended
 LONGEST_PARAGRAPH = 4000  # bytes of a paragraph; a longer text is none
 KNOWN = re.compile(
     rb"Primary job +terminated normally, but \d+ process"
@@ -25,6 +35,7 @@ KNOWN = re.compile(
 SIGNAL = re.compile(rb"noticed that process rank (\d+) with PID \d+ on node (\S+) exited on (signal \d+ \([^)]*\))")
 STUMBLED = re.compile(rb"\[[^\]]*\] \[\[[^\]]*\],\d+\] ORTE_ERROR_LOG: [^\n]* in file \S*orte/util/show_help.c at line \d+\n")
 EVENTS = re.compile(rb"\[warn\] Epoll [^\n]* failed\.[^\n]*\n")  # of its library of events, now and then when ranks end
+FORWARDED = re.compile(rb"mpirun[^\n]*: Forwarding signal \d+ to job\n")
 COUNTED = re.compile(rb"\[[^\]]*\] \d+ more process(es)? ha(s|ve) sent help message help-mpi-api.txt / mpi-abort\n")
 ADVICE = re.compile(rb"\[[^\]]*\] Set MCA parameter \"orte_base_help_aggregate\" to 0 to see all help / error messages\n")
 
@@ -50,7 +61,8 @@ class Filter:
                 if len(data) < LONGEST_PARAGRAPH:
                     self.held = data
                     break
-            if self.at_start and data[:1] == b"[" and not re.search(rb"[\r\n]", data):  # "[host:pid] ..." has to be seen whole
+            own = data[:1] == b"[" or b"mpirun".startswith(data[:6])  # "[host:pid] ...", "mpirun: ..." have to be seen whole
+            if self.at_start and own and not re.search(rb"[\r\n]", data):
                 self.held = data
                 break
             if self.at_start and data[:1] == b"\0":  # behind a paragraph of Open MPI 5
@@ -71,7 +83,7 @@ class Filter:
     def line(self, text: bytes) -> bytes:
         """What is printed of a line: nothing if it says how many paragraphs were left out, or that one was not understood."""
         counted, self.counted = self.counted, bool(self.at_start and COUNTED.fullmatch(text))
-        own = any(pattern.fullmatch(text) for pattern in (STUMBLED, EVENTS))
+        own = any(pattern.fullmatch(text) for pattern in (STUMBLED, EVENTS, FORWARDED))
         about = self.counted or (counted and ADVICE.fullmatch(text)) or (self.at_start and own)
         return b"" if about else text
 
@@ -82,41 +94,80 @@ class Filter:
         return held
 
 
-def relay(source: int) -> None:
-    """Pass on what comes from `source` until it is closed; signals are left to the launcher."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1):
-        signal.signal(number, signal.SIG_IGN)
-    passing = Filter()
-    ended = False
-    while not ended:
-        ready, _, _ = select.select([source], [], [], PATIENCE if passing.held else None)
-        data = os.read(source, 65536) if ready else b""
-        sys.stderr.buffer.write(passing.feed(data) if data else passing.rest())
-        sys.stderr.buffer.flush()
-        ended = bool(ready) and not data
+class Launcher:
+    """The mpirun that this process starts and looks after."""
+
+    def __init__(self, command: list[str]):
+        asking = [n for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) != signal.SIG_IGN]
+        signal.pthread_sigmask(signal.SIG_BLOCK, asking)  # which a child inherits
+        self.requests = 0
+        self.code: int | None = None
+        self.stderr, end = os.pipe()
+        self.pid = os.fork()
+        if self.pid == 0:
+            become(command, end)
+        os.close(end)
+        for number in asking:
+            signal.signal(number, self.ask)
+        for number in (signal.SIGUSR1, signal.SIGUSR2):
+            signal.signal(number, lambda number, _: self.send(number))
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, asking)
+
+    def send(self, number: int) -> None:
+        """Send a signal, if it is still there."""
+        if self.code is None:
+            os.kill(self.pid, number)
+
+    def ask(self, *_: object) -> None:
+        """What the signals of a user call."""
+        self.requests += 1
+        if self.requests == 2:
+            os.write(2, b"\nmpirun: the ranks have been told to stop; Ctrl-C once more kills them\n")
+        else:
+            self.send(signal.SIGUSR1 if self.requests == 1 else signal.SIGKILL)
+
+    def ended(self, how: int = 0) -> bool:
+        """Has it ended? Looks, and with how = 0 waits until it has; then `code` is its exit code, or minus a signal."""
+        pid, status = os.waitpid(self.pid, how)
+        if pid:
+            self.code = os.waitstatus_to_exitcode(status)
+        return bool(pid)
+
+    def relay(self) -> int:
+        """Pass on what it prints on stderr until it ends; its exit code, or minus the signal that ended it."""
+        passing, open_ = Filter(), True
+        while open_:
+            ready, _, _ = select.select([self.stderr], [], [], PATIENCE)
+            data = os.read(self.stderr, 65536) if ready else b""
+            sys.stderr.buffer.write(passing.feed(data) if data else passing.rest())
+            sys.stderr.buffer.flush()
+            open_ = bool(data) or not (ready or self.ended(os.WNOHANG))  # others may keep it open when this one has ended
+        while self.code is None:
+            self.ended()
+        told = self.requests and self.code in (-signal.SIGUSR1, 128 + signal.SIGUSR1, -signal.SIGKILL)
+        return EXIT_ON_SIGNAL if told else self.code
+
+
+def become(command: list[str], stderr: int) -> NoReturn:
+    """Become mpirun, which is killed when the process that started it is (on Linux)."""
+    said = os.dup(2)  # not inherited by what is executed
+    os.dup2(stderr, 2)
+    try:
+        if sys.platform == "linux":
+            CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        os.execv(command[0], command)
+    except OSError as error:
+        os.write(said, f"{command[0]}: {error.strerror}\n".encode())
+    os._exit(1)
 
 
 def main() -> None:
-    """Start the second process, detached from this one, and become the launcher."""
-    source, end = os.pipe()
-    child = os.fork()
-    if child == 0:
-        if os.fork() == 0:
-            for descriptor in (0, 1, end):
-                os.close(descriptor)
-            try:
-                relay(source)
-            finally:
-                os._exit(0)
-        os._exit(0)
-    os.waitpid(child, 0)
-    stderr = os.dup(2)
-    os.dup2(end, 2)
-    try:
-        os.execv(sys.argv[1], sys.argv[1:])
-    except OSError as error:
-        os.dup2(stderr, 2)
-        sys.exit(f"{sys.argv[1]}: {error.strerror}")
+    """Start mpirun, and end as it does."""
+    code = Launcher(sys.argv[1:]).relay()
+    if code < 0:
+        signal.signal(-code, signal.SIG_DFL)
+        os.kill(os.getpid(), -code)
+    sys.exit(code)
 
 
 if __name__ == "__main__":

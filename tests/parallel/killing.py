@@ -14,7 +14,7 @@ from pathlib import Path
 import h5py
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from ranks import IMPATIENT, MPI_ENVIRONMENT, ROOT
+from ranks import ROOT, environment
 
 from particles_mpi.output import checkpoint
 
@@ -51,18 +51,22 @@ observables = true
 """
 
 
-def start(ranks, *arguments, patience="0"):
-    """The program on some ranks, not waited for; `patience` (s) that Open MPI has with ranks after it was told to stop."""
-    environment = MPI_ENVIRONMENT | os.environ | {"PYTHONPATH": str(ROOT), **dict.fromkeys(IMPATIENT, patience)}
+def start(ranks, *arguments):
+    """The program on some ranks, not waited for."""
     command = ["mpirun", "-n", ranks, sys.executable, "-m", "particles_mpi", *arguments]
     pipe = subprocess.PIPE
-    return subprocess.Popen(list(map(str, command)), cwd=ROOT, env=environment, stdout=pipe, stderr=pipe, text=True)
+    return subprocess.Popen(list(map(str, command)), cwd=ROOT, env=environment(), stdout=pipe, stderr=pipe, text=True)
 
 
 def ranks_of(launcher):
-    """Process ids of the ranks that an mpirun started."""
-    lists = [path.read_text().split() for path in Path(f"/proc/{launcher.pid}/task").glob("*/children")]
-    return [int(pid) for pids in lists for pid in pids]
+    """Process ids of the ranks: the children of mpirun, which is the child of the process that looks after it."""
+    return [rank for mpirun in children(launcher.pid) for rank in children(mpirun)]
+
+
+def children(pid):
+    """Process ids of the children of a process."""
+    lists = [path.read_text().split() for path in Path(f"/proc/{pid}/task").glob("*/children")]
+    return [int(child) for pids in lists for child in pids]
 
 
 def finish(launcher):
@@ -76,8 +80,10 @@ def finish(launcher):
 
 def kill(launcher):
     """-9, at once and all of them."""
-    launcher.send_signal(signal.SIGSTOP)  # so that it starts no more
-    for pid in [*ranks_of(launcher), launcher.pid]:
+    for pid in children(launcher.pid):
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGSTOP)  # so that it starts no more
+    for pid in [*ranks_of(launcher), *children(launcher.pid), launcher.pid]:
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)
     launcher.communicate()

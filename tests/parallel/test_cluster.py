@@ -42,7 +42,7 @@ def job(apart, tmp_path):
     launch = re.search(r"^launch\(\) \{.*?^\}", (ROOT / "run.sh").read_text(), re.DOTALL | re.MULTILINE)[0]
 
     def start(*arguments, seconds_left=3600, **slurm):
-        environment = killing.MPI_ENVIRONMENT | os.environ | killing.IMPATIENT | {"PYTHONPATH": str(ROOT), "APART": str(apart)}
+        environment = killing.environment() | {"APART": str(apart)}
         environment |= {"PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}", "SLURM_JOB_ID": "7"}
         environment |= {"SLURM_JOB_END_TIME": str(int(time.time() + seconds_left))} | slurm
         command = ["bash", "-c", launch + '\nlaunch "$@"', "bash", sys.executable, "-m", "particles_mpi", *map(str, arguments)]

@@ -1,7 +1,9 @@
 """Stopped, killed, or out of disk: what was written stays, and a run that goes on has the bits of one that never stopped."""
 
+import contextlib
 import json
 import os
+import pty
 import random
 import shutil
 import signal
@@ -116,18 +118,18 @@ def test_resume_on_other_ranks_has_the_same_bits_for_every_effect(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("number", "to", "after", "patience"),
+    ("number", "to", "after"),
     [
-        (signal.SIGTERM, "rank", "checkpoint.h5", "1"),
-        (signal.SIGINT, "mpirun", "checkpoint.h5", "3"),
-        (signal.SIGTERM, "mpirun", "set-up", "0"),
-        (signal.SIGINT, "rank", "set-up", "0"),
+        (signal.SIGTERM, "rank", "checkpoint.h5"),
+        (signal.SIGINT, "mpirun", "checkpoint.h5"),
+        (signal.SIGTERM, "mpirun", "set-up"),
+        (signal.SIGINT, "rank", "set-up"),
     ],
 )
-def test_a_signal_at_any_time_leaves_a_checkpoint_or_nothing(tmp_path, number, to, after, patience):
+def test_a_signal_at_any_time_leaves_a_checkpoint_or_nothing(tmp_path, number, to, after):
     scene, out = tmp_path / "scene.toml", tmp_path / "o"
     scene.write_text(SLOW)
-    launcher = start(2, "run", scene, "--output", out, patience=patience)
+    launcher = start(2, "run", scene, "--output", out)
     while len(ranks_of(launcher)) < 2 or (after != "set-up" and not (out / after).exists()):
         assert launcher.poll() is None
         time.sleep(0.01)
@@ -137,20 +139,77 @@ def test_a_signal_at_any_time_leaves_a_checkpoint_or_nothing(tmp_path, number, t
     launcher.send_signal(number) if to == "mpirun" else os.kill(ranks_of(launcher)[1], number)
     told = killing.finish(launcher)
     assert "Traceback" not in told
-    if to == "rank":
-        assert launcher.returncode == 130, told
-    assert launcher.returncode != 0  # told itself, Open MPI gives 1, or crashes in its own clean-up if ranks are not up yet
+    assert launcher.returncode == 130, told
     if after != "set-up":
         assert "continue with --resume" in told
     if not out.exists():
         return
-    killed = to == "mpirun" and patience == "0"  # while they write, if set-up was over already: then the next run tidies up
+    killed = to == "mpirun" and after == "set-up"  # a rank that ends in its set-up has the others killed: the next run tidies up
     assert killed or not list(out.rglob("*.tmp"))
-    known = out / "checkpoint.h5"  # the launcher, which waits for nobody where patience is 0, may kill ranks before there is one
+    known = out / "checkpoint.h5"
     assert known.exists() or killed
     done = particles_mpi(1, "run", scene, "--output", out, "--resume", known if known.exists() else "auto", "--wall-time", "0")
     assert done.returncode == 130, done.stderr
     assert not list(out.rglob("*.tmp"))
+
+
+@pytest.mark.parametrize("presses", [1, 2])
+def test_ctrl_c_in_a_terminal_saves_at_once_and_twice_too(tmp_path, presses):
+    """A terminal tells all processes of the command; Open MPI's mpirun, left alone, waits for seconds, or kills."""
+    scene, out = tmp_path / "scene.toml", tmp_path / "o"
+    scene.write_text(SLOW)
+    command = ["mpirun", "-n", "2", sys.executable, "-m", "particles_mpi", "run", str(scene), "--output", str(out), "--quiet"]
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.chdir(ROOT)
+        os.execvpe(command[0], command, killing.environment())
+    while not (out / "checkpoint.h5").exists():
+        time.sleep(0.01)
+    pressed = time.monotonic()
+    for _ in range(presses):
+        os.write(terminal, b"\x03")
+        time.sleep(0.01)
+    said = b""
+    with contextlib.suppress(OSError):  # Linux: nobody has the terminal open any more
+        while part := os.read(terminal, 65536):
+            said += part
+    took = time.monotonic() - pressed
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 130, said
+    assert b"continue with --resume" in said and took < 2.5, said  # 0.2 s where nothing else runs
+    assert not list(out.rglob("*.tmp")) and final_state(out)[2] > 0
+
+
+STUBBORN = """
+import signal, time
+from mpi4py import MPI
+for number in (signal.SIGUSR1, signal.SIGTERM, signal.SIGINT):
+    signal.signal(number, signal.SIG_IGN)
+MPI.COMM_WORLD.Barrier()
+if MPI.COMM_WORLD.rank == 0:
+    print("here", flush=True)
+time.sleep(300)
+"""
+
+
+@pytest.mark.parametrize("numbers", [[signal.SIGINT] * 3, [signal.SIGKILL]])
+def test_ranks_that_hear_nothing_end_at_the_third_time(tmp_path, numbers):
+    """And when the process that looks after mpirun is killed."""
+    script, pipe = tmp_path / "stubborn.py", subprocess.PIPE
+    script.write_text(STUBBORN)
+    command = ["mpirun", "-n", "2", sys.executable, str(script)]
+    launcher = subprocess.Popen(command, env=killing.environment(), stdout=pipe, stderr=pipe, text=True)
+    assert launcher.stdout.readline() == "here\n"
+    ranks = ranks_of(launcher)
+    for number in numbers:
+        launcher.send_signal(number)
+        time.sleep(0.3)
+    told = killing.finish(launcher)
+    assert launcher.returncode == (130 if len(numbers) > 1 else -9) and len(ranks) == 2
+    assert ("Ctrl-C once more kills them" in told) == (len(numbers) > 1)
+    end = time.monotonic() + 20
+    while any(Path(f"/proc/{rank}").exists() for rank in ranks):
+        assert time.monotonic() < end
+        time.sleep(0.05)
 
 
 def test_a_folder_has_one_run_at_a_time(tmp_path):
@@ -203,8 +262,7 @@ def test_full_disk_leaves_a_checkpoint_to_go_on_from(whole, tmp_path):
     out = tmp_path / "o"
     command = [sys.executable, "-m", "particles_mpi", "run", str(scene), "--output", str(out), "--quiet"]
     limited = ["mpirun", "-n", "2", "sh", "-c", 'ulimit -f 800; exec "$@"', "sh", *command]
-    environment = killing.MPI_ENVIRONMENT | os.environ | killing.IMPATIENT
-    done = subprocess.run(limited, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=100)
+    done = subprocess.run(limited, cwd=ROOT, env=killing.environment(), capture_output=True, text=True, timeout=100)
     assert done.returncode == 3 and "Traceback" not in done.stderr, done.stderr
     assert f"cannot write {out}" in done.stderr and "File too large" in done.stderr and "at step" in done.stderr
     assert killing.check_killed(out, contents(run)) > 100

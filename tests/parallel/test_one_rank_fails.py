@@ -225,6 +225,7 @@ ABORTED = (
     "[vm:7] 1 more process has sent help message help-mpi-api.txt / mpi-abort\n"
     '[vm:7] Set MCA parameter "orte_base_help_aggregate" to 0 to see all help / error messages\n'
 )
+FORWARDED = "mpirun.openmpi: Forwarding signal 10 to job\n"
 EVENTS = "[warn] Epoll MOD(1) on fd 23 failed. Old events were 6; read change was 0 (none): Bad file descriptor\n"
 KILLED = f"{RULE}prterun noticed that process rank 1 with PID 8 on node vm exited on\nsignal 9 (Killed).\n{RULE}"
 MISSING = f"{RULE}mpirun was unable to find the specified executable file, and therefore\ndid not launch the job.\n{RULE}"
@@ -233,7 +234,7 @@ OWN = "a line\n---- not a rule\nprogress 10 %\r" + "-" * 74 + " nor this\n" + "-
 
 @pytest.mark.parametrize("chunk", [1, 7, 74, 75, 10**6])
 def test_the_paragraphs_of_the_launcher_are_left_out_and_nothing_else(chunk):
-    said, passing = (OWN + EXITED + EVENTS + OWN + ABORTED + KILLED + MISSING + OWN + "no end").encode(), Filter()
+    said, passing = (OWN + EXITED + EVENTS + FORWARDED + OWN + ABORTED + KILLED + MISSING + OWN + "no end").encode(), Filter()
     passed = b"".join(passing.feed(said[k : k + chunk]) for k in range(0, len(said), chunk)) + passing.rest()
     assert passed.decode() == f"{OWN}{OWN}mpirun: rank 1 on vm was ended by signal 9 (Killed)\n{MISSING}{OWN}no end"
 
