@@ -115,7 +115,7 @@ def check(scene: SceneFile) -> None:
 
     described, screen = load(scene, quiet=False), Screen(IS_ROOT, False)
     sim = simulation_of(described, scene)
-    screen.plan(described.title, plan(described, sim.rows, sim.ranks), sim.warnings)
+    screen.plan(described.title, plan(described, sim.rows, sim.ranks, described.steps), sim.warnings)
     found = predict(sim, Benchmark())
     if found.forecast:
         screen.forecast(found.forecast)

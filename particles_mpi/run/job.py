@@ -66,7 +66,7 @@ class Job:
         if sim.total > MOST_VTK and "vtk" in output.formats and "formats" not in output.model_fields_set:
             output.formats.remove("vtk")
             sim.warnings.append(f"output.formats: no VTK files of more than {MOST_VTK} particles, unless it asks for them")
-        self.plan = plan(self.scene, sim.rows, self.ranks)
+        self.plan = plan(self.scene, sim.rows, self.ranks, self.last)
         self.request = StopRequest(self.ranks, self.setup_began, wall_time)  # from here on a signal must not leave half a file
         try:
             self.files = RunFiles(sim, folder, self.plan, resumed=self.resumed, own=own, overwrite=overwrite)

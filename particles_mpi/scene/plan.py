@@ -6,14 +6,19 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.particles import Particles
+from particles_mpi.particles import Particles, field
 from particles_mpi.scene.active import ActiveEffects
 from particles_mpi.scene.effect_files import effect_names
 from particles_mpi.scene.schema import Scene
 
+CHECKPOINT_BYTES, HDF5_BYTES, VTK_BYTES, ROW_BYTES = 14_000, 200_000, 1_000, 150  # besides the columns: in files, frames and rows
 
-def plan(scene: Scene, particles: Particles, ranks: Communicator) -> dict[str, Any]:
-    """The plan as plain data: for the screen, and for `run.json`. `particles`: this rank's. Collective, the same on all ranks."""
+
+def plan(scene: Scene, particles: Particles, ranks: Communicator, steps: int) -> dict[str, Any]:
+    """The plan as plain data: for the screen, and for `run.json`. Collective, the same on all ranks.
+
+    `particles`: this rank's; `steps`: the number of the step that the run ends with.
+    """
     total, fixed = (int(n) for n in ranks.allreduce_sum(np.array([len(particles), np.count_nonzero(particles.fixed)])))
     runs, active = [], scene.active
     for name, options in active.items():
@@ -24,13 +29,11 @@ def plan(scene: Scene, particles: Particles, ranks: Communicator) -> dict[str, A
     if pairs and active["collisions"].mode == "event":
         ghosts = "about three layers of particles around each region, or all on every rank where that is no less work"
     row_bytes = sum(column.itemsize * int(np.prod(column.shape[1:])) for column in particles.arrays.values())
-    frame = 8 * (3 + 3 + 3) + 8
-    frames = scene.steps // scene.output.every + 1
     return {
         "particles": total,
         "fixed": fixed,
         "dimension": scene.dimension,
-        "steps": scene.steps,
+        "steps": steps,
         "step": scene.time.step,
         "integrator": scene.time.integrator,
         "effects": runs,
@@ -38,13 +41,29 @@ def plan(scene: Scene, particles: Particles, ranks: Communicator) -> dict[str, A
         "ghosts": ghosts if pairs and ranks.size > 1 else "none",
         "ranks": ranks.size,
         "memory_bytes": int(total * (row_bytes + (350 if pairs else 50))),
-        "frames": frames,
+        "frames": steps // scene.output.every + 1,
         "every": scene.output.every,
-        "output_bytes": int(frames * total * frame * len(scene.output.formats)),
+        "output_bytes": output_bytes(scene, particles, total, fixed > 0, steps),
         "predicted_seconds": None,  # of the loop, and between which two: known after the first steps
         "predicted_seconds_range": None,
         "advice": advice(scene, particles, ranks),
     }
+
+
+def output_bytes(scene: Scene, particles: Particles, total: int, fixed: bool, steps: int) -> int:
+    """How large the files of a run get, within some percent; what lasting contacts add to the checkpoint is not known before."""
+    d, output, shown, whole = scene.dimension, scene.output, 0, 0  # bytes of a particle in a frame, and in a checkpoint
+    for name, column in particles.arrays.items():
+        kind, width = field(name), int(np.prod(column.shape[1:]))
+        whole += column.itemsize * width
+        if kind.output and (fixed or name != "fixed"):
+            shown += column.itemsize * (3 + d * (d > 3) if kind.vector else 3 if kind.rotation else width)
+    frames, rows, size = steps // output.every + 1, steps // output.diagnostics_every + 1, whole * total + CHECKPOINT_BYTES
+    if "hdf5" in output.formats:
+        size += frames * total * shown + HDF5_BYTES
+    if "vtk" in output.formats:  # with the indices of its cells, in base64
+        size += frames * (total * (shown + 24) * 4 // 3 + VTK_BYTES)
+    return int(size + rows * ROW_BYTES)
 
 
 def advice(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]:

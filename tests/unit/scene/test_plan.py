@@ -1,8 +1,11 @@
 """What the plan says of a scene that is valid and will surprise."""
 
-import pytest
+import json
 
-from particles_mpi import Scene
+import pytest
+from conftest import ROOT
+
+from particles_mpi import Scene, Simulation
 from particles_mpi.initial.populate import populate
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.scene.plan import advice, plan
@@ -30,11 +33,11 @@ def test_what_is_switched_off_does_not_run():
     tables = {"dimension": 2, "time": {"step": 0.01, "steps": 1}, "particles": [{"position": [[1.0, 2.0]], "radius": 0.1}]}
     effects = {"collisions": {"active": False}, "uniform_gravity": {"acceleration": [0.0, -1.0]}}
     scene = Scene.from_dict(tables | {"effects": effects})
-    told = plan(scene, populate(scene)[0], Communicator.alone())
+    told = plan(scene, populate(scene)[0], Communicator.alone(), scene.steps)
     assert [row["effect"] for row in told["effects"]] == ["uniform_gravity"] and not told["advice"]
     assert "collisions" in told["not_run"] and "uniform_gravity" not in told["not_run"]
     without = Scene.from_dict(tables | {"effects": {"uniform_gravity": effects["uniform_gravity"]}})
-    assert told == plan(without, populate(without)[0], Communicator.alone())
+    assert told == plan(without, populate(without)[0], Communicator.alone(), scene.steps)
 
 
 def test_a_plane_across_a_periodic_axis_is_told():
@@ -62,3 +65,19 @@ def test_a_box_without_walls_is_open(periodic, effects, words):
     scene = Scene(dimension=2, box=box, time={"step": 0.01, "steps": 1}, particles=particles, effects=effects)
     lines = advice(scene, populate(scene)[0], Communicator.alone())
     assert len(lines) == bool(words) and all(words in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("name", "steps"), [("marbles", 100), ("gas_periodic", 200), ("silo", 40), ("bounce", 300), ("solar_system", 900)]
+)
+@pytest.mark.parametrize("formats", [["hdf5"], ["vtk"], ["hdf5", "vtk"]])
+def test_as_much_is_written_as_the_plan_says(tmp_path, name, steps, formats):
+    """Of a run that ends earlier than its scene, too. Contacts that last are in the checkpoint, and not in the plan."""
+    scene = Scene.load(ROOT / f"particles_mpi/scenes/{name}.toml").to_dict()
+    scene["output"]["formats"] = formats
+    Simulation(Scene.from_dict(scene)).run(tmp_path, steps=steps)
+    told = json.loads((tmp_path / "run.json").read_text())["plan"]
+    data = [tmp_path / "trajectory.vtkhdf", tmp_path / "checkpoint.h5", tmp_path / "diagnostics.csv", *tmp_path.glob("vtk/*")]
+    written = sum(path.stat().st_size for path in data if path.exists())
+    assert told["steps"] == steps and told["frames"] == steps // scene["output"]["every"] + 1
+    assert told["output_bytes"] == pytest.approx(written, rel=0.15, abs=30_000)
