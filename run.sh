@@ -235,6 +235,7 @@ warm_up() {  # compile the kernels now, so that the first run, or four test rank
   [[ -f particles_mpi/setup/warmup.py ]] || return 0
   key=$(find particles_mpi -name '*.py' -print0 | sort -z | xargs -0 cat | digest)
   was_done kernels "$key" && return
+  [[ -f $DONE/kernels ]] || note 'kernels are compiled now, once, for one to five minutes'
   $PY -m compileall -q particles_mpi || true  # also where Python is told to write no bytecode: 0.1 s less for each start
   if $PY -P particles_mpi/setup/kernel_sources.py || mpirun -n 2 $PY -m particles_mpi.setup.warmup; then printf '%s' "$key" >"$DONE/kernels"
   else note 'kernels could not be compiled ahead: the first run does it'; fi
@@ -281,6 +282,7 @@ setup() {  # setup [test]: with what the tests need
 
 launch() {  # launch COMMAND...: on ranks; in a job of Slurm its srun starts them, if it speaks the language of this MPI
   local ranks=${RANKS:-${SLURM_NTASKS:-}} pmi=pmi2
+  [[ ! ${RANKS:-1} =~ ^[1-9][0-9]*$ ]] && fail "RANKS: ${RANKS@Q} is no number of ranks"
   if [[ -n ${SLURM_JOB_ID:-} ]] && command -v srun >/dev/null; then
     [[ $(mpirun --version 2>&1) != *[Oo]pen* ]] || pmi=pmix
     if [[ $(srun --mpi=list 2>&1) == *$pmi* ]]; then  # wait: so many seconds after the first rank has ended, end all

@@ -17,6 +17,8 @@ from particles_mpi.results.scenery import in_space, scenery
 
 HEADING, LETTER = 13, 0.1  # size of the letters of the heading, and how wide one is, in inches; long titles have smaller ones
 SMALLEST = 1.0  # pixels: smaller marbles are drawn with this radius, and the caption says so
+POINT, CROWD = 6.0, 1000  # pixels: the radius of a point; where there are more than so many, all cover as much as these
+MARGIN = 0.04  # of the extent of the marbles, around it, where the scene has no box
 HAZE = 0.4  # share of white in the colour of the furthest marbles
 WALLS, LINE = ("#f4f5f7", "#f8f9fa", "#e9ebef"), "#4a5260"
 SQUARE = np.array([(0, 0), (0, 1), (1, 1), (1, 0)])
@@ -73,7 +75,8 @@ class Picture:
         self.value, self.label, self.colormap, self.top = COLORS[color]
         self.survey(frames)
         around = scenery(scene, self.lower, self.upper)
-        self.lower, self.upper = around.lower, around.upper
+        around_it = 0.0 if around.real else MARGIN * np.max(around.upper - around.lower)
+        self.lower, self.upper = around.lower - around_it, around.upper + around_it
         if self.planar:
             self.lower[2] = self.upper[2] = 0
         self.camera = Camera(self.lower, self.upper, self.planar, *view)
@@ -188,19 +191,23 @@ class Picture:
         uv, depth, magnify = self.camera.project(in_space(frame.position))
         center, radius = (uv - [left, bottom]) / pixel, frame.radius * magnify / pixel
         seen = np.all((center > -radius[:, None]) & (center < [width, height] + radius[:, None]), axis=1)
-        small = int(np.count_nonzero(radius[seen] < SMALLEST))
+        point = min(max(POINT * (CROWD / max(len(seen), 1)) ** 0.5, SMALLEST), POINT)
+        least = np.where(frame.radius > 0, SMALLEST, point)
+        points = int(np.count_nonzero(seen & (frame.radius == 0)))
+        small = int(np.count_nonzero(radius[seen] < SMALLEST)) - points
         rgb = self.colors.to_rgba(self.value(frame))[:, :3]
         if not self.planar:
             half = np.linalg.norm(self.upper - self.lower) / 2
             far = np.clip((depth - self.camera.distance + half) / (2 * half), 0, 1)[:, None]
             rgb = rgb + (1 - rgb) * HAZE * far
-        self.marbles.set_data(paint_spheres(center[seen], np.maximum(radius, SMALLEST)[seen], depth[seen], frame.radius[seen],
+        self.marbles.set_data(paint_spheres(center[seen], np.maximum(radius, least)[seen], depth[seen], frame.radius[seen],
                                             rgb[seen], frame.fixed[seen] != 0, width, height))  # fmt: skip
         heading = f"{self.title} · t = {frame.time:.6g} · frame {frame.index}"
         self.heading.set(text=heading, fontsize=HEADING * min(1.0, self.letters / len(heading)))
         missing, fixed = len(seen) - int(seen.sum()), int(frame.fixed.sum())
-        notes = [f"{spaced(len(seen))} marble" + "s" * (len(seen) != 1), "true radii"]
+        notes = [f"{spaced(len(seen))} marble" + "s" * (len(seen) != 1), *(["true radii"] if points < len(seen) else [])]
         notes += [f"three of {d} axes: spheres may seem to overlap"] if (d := frame.position.shape[1]) > 3 else []
+        notes += [f"{spaced(points)} of them points, drawn with radius {point:.2g} pixels"] if points else []
         notes += [f"{spaced(small)} of them too small to see, drawn with radius {SMALLEST:g} pixel"] if small else []
         notes += [f"{fixed} fixed (dark rim)"] if fixed else []
         notes += [f"{missing} not in the picture"] if missing else []

@@ -1,7 +1,8 @@
 """Draw the marbles of one frame as lit spheres with their true radii, in their box.
 
 Space is drawn in perspective, a planar run (all z = 0) from above. Fixed particles have a dark rim, walls that are not faces
-of the box are grey planes, periodic faces have dashed edges. Marbles smaller than a pixel are enlarged; the caption says so.
+of the box are grey planes, periodic faces have dashed edges. Marbles smaller than a pixel, and points, are enlarged; the
+caption says so.
 
 example:
     python python_viz/plot_frame.py out/marbles --frame -1 --color speed

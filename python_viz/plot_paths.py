@@ -17,6 +17,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
+from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 from run_files import PAINTS, finish, new_parser, parse, save_path, spaced, start
 from scipy.interpolate import CubicHermiteSpline
@@ -28,6 +29,7 @@ FEW = 30
 COLUMNS = 3
 TITLE = 40  # letters in a line of a title
 PIECES = 8  # of a curve between two frames
+PALER = 0.45  # times as strong are the colours when they are used again
 
 
 def paths_of(frames: list[Frame], smooth: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -48,7 +50,7 @@ def paths_of(frames: list[Frame], smooth: bool) -> tuple[np.ndarray, np.ndarray]
 def plot_few(axes: Axes, places: np.ndarray) -> None:
     """A path a particle, and where it is at the end."""
     for i in range(places.shape[1]):
-        color = PAINTS[i % len(PAINTS)]
+        color = 1.0 - (1.0 - np.array(to_rgb(PAINTS[i % len(PAINTS)]))) * PALER ** (i // len(PAINTS))
         axes.plot(places[:, i, 0], places[:, i, 1], "-", lw=0.8, color=color)
         axes.plot(*places[-1, i, :2], "o", ms=5, color=color)
 
@@ -69,7 +71,7 @@ def plot_points(axes: Axes, frame: Frame) -> None:
     axes.plot(frame.position[:, 0], frame.position[:, 1], ".", ms=1.5, mew=0, color="#ffe8c0", alpha=0.6)
 
 
-def plot(axes: Axes, run: Run, span: float) -> None:
+def plot(axes: Axes, run: Run, span: float, title: str) -> None:
     """One run."""
     last, half, scene = run[-1], 0.0, run.about.get("scene", {})
     smooth = not {"collisions", "walls"} & scene.get("effects", {}).keys()
@@ -92,7 +94,7 @@ def plot(axes: Axes, run: Run, span: float) -> None:
     axes.spines[:].set_visible(True)
     if run.dimension > 1:
         axes.set_aspect("equal", adjustable="datalim" if not half else "box")
-    axes.set_title(fill(run.title, TITLE), fontsize=10)
+    axes.set_title(fill(title, TITLE), fontsize=10)
     seen = f"{spaced(len(last.position))} at t = {last.time:g}" + (f", two of {run.dimension} axes" if run.dimension > 3 else "")
     axes.text(0.99, 0.01, seen, transform=axes.transAxes, ha="right", fontsize=8,
               bbox={"facecolor": axes.get_facecolor(), "alpha": 0.7, "lw": 0, "pad": 1},
@@ -111,8 +113,11 @@ def main() -> None:
     columns = min(len(options.runs), COLUMNS)
     rows = -(-len(options.runs) // columns)
     figure, panels = plt.subplots(rows, columns, figsize=(3.6 * columns, 3.5 * rows), squeeze=False, layout="constrained")
-    for axes, run in zip(panels.flat, options.runs, strict=False):
-        plot(axes, Run(run), options.span)
+    runs = [Run(folder) for folder in options.runs]
+    titles = [run.title for run in runs]
+    for axes, run in zip(panels.flat, runs, strict=False):
+        name = f" ({run.folder.name})" if titles.count(run.title) > 1 else ""
+        plot(axes, run, options.span, run.title + name)
     for axes in panels.flat[len(options.runs) :]:
         axes.remove()
     finish(figure, save_path(options.save, options.runs[0], "paths.png"), options.show)

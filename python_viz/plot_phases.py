@@ -37,6 +37,7 @@ class Timing:
     setup: dict[str, float]
     loop: dict[str, float]
     phases: dict[str, dict[str, float]]
+    words: dict[str, str]  # for the names of phases, as in the table at the end of a run
 
     @property
     def rest(self) -> float:
@@ -49,7 +50,7 @@ def read_timing(run: Run) -> Timing:
     try:
         timers = dict(info["timers"])
         setup, loop = (timers.pop(name) for name in OUTSIDE)
-        return Timing(run, int(info["ranks"]), setup, loop, timers)
+        return Timing(run, int(info["ranks"]), setup, loop, timers, info.get("phases", {}))
     except KeyError as name:
         stop(f"no {name} in {run.folder / 'run.json'} (it is written when a run ends)")
 
@@ -75,7 +76,7 @@ def draw_one(timing: Timing) -> Figure:
             axes.plot([bar["min"], bar["max"]], [row, row], "-", color="#222222", lw=1.4, marker="|", ms=8)
         share = "" if name == "setup" else f"   {bar['mean'] / timing.loop['mean']:.1%}" if timing.loop["mean"] else ""
         axes.text(max(bar["max"], bar["mean"]) + 0.015 * longest, row, f"{bar['mean']:.3g} s{share}", va="center", fontsize=9)
-    axes.set_yticks(range(len(bars)), [name for name, _ in bars])
+    axes.set_yticks(range(len(bars)), [timing.words.get(name, name) for name, _ in bars])
     axes.invert_yaxis()
     axes.set(xlabel="seconds: mean over ranks (bar), fastest to slowest rank (line); share of the loop")
     axes.set_xlim(0, 1.2 * longest or 1)
@@ -98,7 +99,7 @@ def draw_stack(axes: Axes, timings: list[Timing]) -> None:
     others = np.array([timing.loop["mean"] for timing in timings]) - sum(heights)
     colors = [plt.cm.viridis(x) for x in np.linspace(0.1, 0.9, len(names))] + [LIGHT]
     for name, height, color in zip([*names, "the rest"], [*heights, np.maximum(others, 0)], colors, strict=True):
-        axes.bar(range(len(timings)), height, bottom=bottom, color=color, label=name, width=0.7)
+        axes.bar(range(len(timings)), height, bottom=bottom, color=color, label=timings[0].words.get(name, name), width=0.7)
         bottom += height
     axes.set_xticks(range(len(timings)), [str(timing.ranks) for timing in timings])
     axes.set(xlabel="ranks", ylabel="seconds in the loop (mean over ranks)")

@@ -99,7 +99,8 @@ def claim(
             continues = resumed and ((own and "checkpoint.h5" in present) or _is_of(folder / "checkpoint.h5", about["scene"]))
             if present and not continues and not overwrite:
                 what = "another run than the one to be resumed" if resumed else "a run"
-                way = "--overwrite to replace it, or another folder" if resumed else "--overwrite or --resume"
+                way = "--overwrite or --resume; from Python overwrite=True or resumed=True"
+                way = "--overwrite to replace it, or another folder" if resumed else way
                 raise SceneError(f"--output: {folder} already holds {what} ({', '.join(present)}); use {way}")
     try:
         with failing_together(ranks, f"cannot write into {folder}"):  # only now, when no rank has found a fault

@@ -131,6 +131,8 @@ class Run:
         path = self.folder / "diagnostics.csv"
         try:
             header, *rows = csv.reader(path.read_text().rpartition("\n")[0].splitlines())
+            if header[:2] != ["step", "time"]:
+                raise ValueError("its columns do not begin with step,time")
             return {name: _numbers(np.array([row[k] for row in rows])) for k, name in enumerate(header)}
         except (OSError, ValueError, IndexError) as error:
             raise SceneError(f"{path}: cannot be read: {error}") from None

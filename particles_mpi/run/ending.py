@@ -2,6 +2,7 @@
 
 import json
 import platform
+import sys
 from importlib.metadata import version
 from pathlib import Path
 from shlex import quote
@@ -12,9 +13,25 @@ import numpy as np
 from particles_mpi.contacts.drift import COUNTS
 from particles_mpi.output.files import write_text
 from particles_mpi.parallel.communicator import mpi_library
-from particles_mpi.run.console import Screen
+from particles_mpi.run.console import PHASES, Screen
 
-PROGRAM = "./run.sh" if Path("run.sh").is_file() else "particles-mpi"  # as a user would start it here
+PROJECT = Path(__file__).parents[2]  # where run.sh and python_viz are, unless only the package was installed
+
+
+def as_typed(path: Path) -> str:
+    """A path as a user would write it here."""
+    try:
+        return quote(str(path.relative_to(Path.cwd())))
+    except ValueError:
+        return quote(str(path))
+
+
+if Path("run.sh").is_file():
+    PROGRAM = "./run.sh"  # as a user would start it here
+elif (PROJECT / "run.sh").is_file():
+    PROGRAM = as_typed(PROJECT / "run.sh")
+else:
+    PROGRAM = "particles-mpi"
 NOTICEABLE = 0.01  # change of the energy, where there should be none, of which a user is told
 LIBRARIES = ("numpy", "numba", "mpi4py", "h5py", "meshio", "particles-mpi")
 
@@ -37,7 +54,7 @@ def tell_end(
         say(f"{windows} windows of time verified by the ranks, {redone} redone ({100 * redone / windows:.1f} %)")
     for remark in remarks:
         say(remark)
-    told = {"ended": ended, "timers": timers, "remarks": remarks, "counts": {"steps": sim.steps_done, **counts}}
+    told = {"ended": ended, "timers": timers, "phases": PHASES, "remarks": remarks, "counts": {"steps": sim.steps_done, **counts}}
     about = about_run(sim, plan) | told
     write_text(folder / "run.json", sim.ranks, json.dumps(about, indent=2) + "\n")
     formats, shown = sim.scene.output.formats, quote(str(folder))
@@ -47,7 +64,9 @@ def tell_end(
         say(f"VisIt: {folder}/vtk/particles_*.vtu database")
     if "hdf5" in formats:
         say(f"view: {PROGRAM} view {shown}")
-        say(f"plots: python python_viz/plot_frame.py {shown}   (and plot_diagnostics.py, plot_phases.py, animate.py)")
+        if (plots := PROJECT / "python_viz").is_dir():
+            python, script = as_typed(Path(sys.executable)), as_typed(plots / "plot_frame.py")
+            say(f"plots: {python} {script} {shown}   (and plot_diagnostics.py, plot_phases.py, animate.py)")
 
 
 def energy_remarks(effects: Any, rows: list[Any]) -> list[str]:

@@ -2,6 +2,9 @@
 
 import csv
 import json
+import os
+import re
+import subprocess
 from importlib.metadata import version
 
 import h5py
@@ -137,6 +140,21 @@ def test_counts_add_up(scene, tmp_path):
     for name in ("collisions", "wall_hits", "missed", "exchanges"):
         assert sum(int(row[name]) for row in table) == told[name]
     assert told["collisions"] > 0 and told["ghost_rows"] > 0
+
+
+def test_a_folder_without_a_name_is_refused(scene):
+    """As of a variable of the shell that is not set: that would be the folder one is in."""
+    done = particles_mpi(1, "run", scene, "--output", "")
+    assert (done.returncode, done.stderr) == (2, "particles-mpi: Invalid value for '--output' / '-o': is empty\n")
+
+
+@pytest.mark.parametrize("ranks", ["0", "-1", "1.5", "two"])
+def test_a_number_of_ranks_that_is_none_is_one_line(ranks):
+    launch = re.search(r"^launch\(\) \{.*?^\}", (ROOT / "run.sh").read_text(), re.DOTALL | re.MULTILINE)[0]
+    fail = re.search(r"^fail\(\).*$", (ROOT / "run.sh").read_text(), re.MULTILINE)[0]
+    command = ["bash", "-euc", f"{fail}\n{launch}\nlaunch true"]
+    done = subprocess.run(command, env=os.environ | {"RANKS": ranks}, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (1, f"run.sh: RANKS: '{ranks}' is no number of ranks\n")
 
 
 def test_a_folder_that_holds_a_run_is_refused(scene, tmp_path):
