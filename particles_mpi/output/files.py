@@ -16,6 +16,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import FIELDS, Array
 
 MPI_IO_ERROR = re.compile(r"error in \(?p?\)?\(?(?:write|read)\(?v?\)?: *(.+)")
+WITHOUT = "delete it to go on without what is in it"
 FILE_PATIENCE = 10.0  # seconds that ranks wait for one another in parallel HDF5 and MPI-IO, after one of them has failed
 
 
@@ -67,15 +68,18 @@ class Continuing:
     """
 
     file: Any = None  # what is open
+    missing = False  # is it, where there should be one? Known on rank 0
 
     def __init__(self, path: Path, ranks: Communicator, resume_step: int | None, last: int | None):
         self.path, self.ranks = Path(path), ranks
         with failing_together(ranks, f"cannot read {path}"):
-            if ranks.is_root and resume_step is not None and self.path.exists():
+            if ranks.is_root and resume_step is not None and not self.path.exists():
+                self.missing = last not in (-1, None)
+            elif ranks.is_root and resume_step is not None:
                 try:
                     self.read_kept(resume_step, last)
                 except Exception as error:  # damaged files raise anything
-                    raise SceneError(f"{path}: cannot be continued: {_reason(error)}") from None
+                    raise SceneError(f"{path}: cannot be continued: {_reason(error)}; {WITHOUT}") from None
 
     def open(self) -> None:
         """Make the file, or remove what is not kept."""

@@ -331,3 +331,15 @@ def test_damaged_files_are_refused_before_anything_is_touched(whole, tmp_path):
         assert len([line for line in done.stderr.splitlines() if line.startswith("particles-mpi")]) == 1
         assert everything(out) == before
         (out / name).write_bytes(old)
+
+
+def test_a_file_that_was_deleted_is_told_of(tmp_path):
+    scene, out = tmp_path / "scene.toml", tmp_path / "o"
+    scene.write_text(killing.SCENE)
+    assert particles_mpi(2, "run", scene, "--output", out, "--steps", 12, "--quiet").returncode == 0
+    for step, names in ((16, ["trajectory.vtkhdf"]), (20, ["particles.pvd", "diagnostics.csv"]), (24, [])):
+        for name in names:
+            (out / name).unlink()
+        done = particles_mpi(2, "run", scene, "--output", out, "--resume", "auto", "--steps", step)
+        told = [line.split(f"{out}/")[1] for line in done.stdout.splitlines() if line.startswith("  warning:")]
+        assert done.returncode == 0 and told == [f"{n} is not there: the new one begins after step {step - 4}" for n in names]
