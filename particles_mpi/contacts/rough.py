@@ -12,7 +12,8 @@ The impulse on i is J = J_n k + J_t: J_n = -(1 + e) u.k / (w_i + w_j) as for smo
     J_t = -mu J_n u_t/|u_t|                                           otherwise (they slide).
 
 Then v_i += w_i J, v_j -= w_j J, s_i -= a_i q_i k x J and s_j -= a_j q_j k x J, which keeps linear and angular momentum.
-A wall has no w and no q. Spins have d(d-1)/2 components: one in the plane, three in space.
+A wall has no w and no q. A point, R = 0, does not turn: no a, and q = 0; a small sphere does, for its a^2 q is as that of a large
+one. Spins have d(d-1)/2 components: one in the plane, three in space.
 """
 
 from math import inf, sqrt

@@ -190,7 +190,8 @@ class Composition:
 
 
 class Taylor:
-    """PBPhys's explicit rule, x += v h + (a - k v) h^2/2 and v += (a - k v) h: first order with drag, kept as its test.
+    """PBPhys's explicit rule, x += v h + (a - k v) h^2/2 and v += (a - k v) h: first order with drag, or where
+    forces depend on the place; kept as its test.
 
     The same as a drift with the mean velocity v + (a - k v) h/2 between two kicks with the rate a - k v of the start.
     """

@@ -104,9 +104,10 @@ def suggestion(name: str, known: list[str]) -> str:
     return f" (did you mean {' or '.join(map(repr, meant))}?)" if meant else f" (known: {', '.join(known)})"
 
 
-def misspelt(missing: Any, given: Any) -> str:
-    """Which of the keys that are given may be meant by the one that is missing."""
-    near = difflib.get_close_matches(str(missing), map(str, given), 1, 0.75) if isinstance(given, dict) else []
+def misspelt(missing: Any, given: Any, known: list[str]) -> str:
+    """Which of the keys that are given, and not among those that are known, may be meant by the one that is missing."""
+    unknown = [str(key) for key in given if key not in known] if isinstance(given, dict) else []
+    near = difflib.get_close_matches(str(missing), unknown, 1, 0.75)
     return f" (got {near[0]!r})" if near else ""
 
 
@@ -131,22 +132,25 @@ def faults_of(error: ValidationError, model: type[BaseModel], prefix: tuple[Any,
     faults = []
     for item in error.errors():
         place, given, kind = item["loc"], item.get("input"), item["type"]
-        key = key_of(prefix + place)
+        key, known = key_of(prefix + place), list[str]()
+        if kind in ("extra_forbidden", "missing"):
+            tables = tables_in(model.model_fields[str(place[0])].annotation) if len(place) > 1 else iter([model])
+            known = [name for table in tables for name in table.model_fields if name != "folder"]
         if kind == "value_error":
             text = str(item["ctx"]["error"])
             named = place and place[0] != "effects" and place != ("time",)
             faults += [f"{key}: {text}"] if named else text.splitlines()
         elif kind == "extra_forbidden":
-            table = next(tables_in(model.model_fields[str(place[0])].annotation)) if len(place) > 1 else model
-            known = [name for name in table.model_fields if name != "folder"]
             faults.append(f"{key}: unknown key{suggestion(str(place[-1]), known)}")
         else:
             message = item["msg"].replace("Input should be", "must be").replace("Input", "input")
             message = message.replace("a valid list", "a list")
             message = "must be a table" if kind == "model_type" else message
+            message += f" of tables: [[{key}]]" if kind == "list_type" and isinstance(given, dict) else ""
             short = isinstance(given, str | float | bool) or (isinstance(given, int) and abs(given) < 10**20)
             shown = f" (got {given!r})" if short else ""
-            faults.append(f"{key}: missing{misspelt(place[-1], given)}" if kind == "missing" else f"{key}: {message}{shown}")
+            text = f"missing{misspelt(place[-1], given, known)}" if kind == "missing" else f"{message}{shown}"
+            faults.append(f"{key}: {text}")
     return faults
 
 

@@ -80,11 +80,14 @@ def advice(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]
         lines.append(f"step: the fastest particle {crossed}{', any number will do' if event else ' (at most 1)'}")
         if event:
             lines.append("step: mode event takes about 2 us a contact besides: longer steps cost less")
+    effects = ActiveEffects(scene)
     if scene.time.integrator == "taylor" and "drag" in active:
         if k * h > 1.0:
             lines.append(f"step: taylor with drag * step = {k * h:.3g} > 1 will oscillate: shorten the step, or use leapfrog")
         lines.append("step: taylor is first order with drag; leapfrog is second order and exact in the velocity")
-    effects, open_axes = ActiveEffects(scene), np.flatnonzero(np.logical_not(scene.periodic))
+    elif scene.time.integrator == "taylor" and any(force.place_dependent for force in effects.forces.values()):
+        lines.append("step: taylor is first order with forces that depend on the place; leapfrog is second order")
+    open_axes = np.flatnonzero(np.logical_not(scene.periodic))
     if scene.box and effects.pairs and not effects.walls and len(open_axes):
         axes = " and ".join(map(str, open_axes))
         lines.append(f"box: particles leave it along {'axis' if len(open_axes) == 1 else 'axes'} {axes}: no [effects.walls]")

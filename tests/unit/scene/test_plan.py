@@ -81,3 +81,17 @@ def test_as_much_is_written_as_the_plan_says(tmp_path, name, steps, formats):
     written = sum(path.stat().st_size for path in data if path.exists())
     assert told["steps"] == steps and told["frames"] == steps // scene["output"]["every"] + 1
     assert told["output_bytes"] == pytest.approx(written, rel=0.15, abs=30_000)
+
+
+@pytest.mark.parametrize(
+    ("effects", "told"), [({"mutual_gravity": {}}, True), ({"uniform_gravity": {"acceleration": [0.0, 1.0]}}, False)]
+)
+def test_taylor_is_of_first_order_where_forces_depend_on_the_place(effects, told):
+    scene = Scene(
+        dimension=2,
+        time={"step": 0.01, "steps": 1, "integrator": "taylor"},
+        particles=[{"position": [[1.0, 2.0], [2.0, 2.0]], "mass": 1.0}],
+        effects=effects,
+    )
+    lines = advice(scene, populate(scene)[0], Communicator.alone())
+    assert any("first order with forces that depend on the place" in line for line in lines) == told
