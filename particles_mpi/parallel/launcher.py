@@ -18,6 +18,7 @@ import re
 import select
 import signal
 import sys
+from contextlib import suppress
 from ctypes import CDLL
 from typing import NoReturn
 
@@ -98,7 +99,7 @@ class Launcher:
     """The mpirun that this process starts and looks after."""
 
     def __init__(self, command: list[str]):
-        asking = [n for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) != signal.SIG_IGN]
+        asking = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
         signal.pthread_sigmask(signal.SIG_BLOCK, asking)  # which a child inherits
         self.requests = 0
         self.code: int | None = None
@@ -108,7 +109,8 @@ class Launcher:
             become(command, end)
         os.close(end)
         for number in asking:
-            signal.signal(number, self.ask)
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # as nohup wants it
+                signal.signal(number, self.ask)
         for number in (signal.SIGUSR1, signal.SIGUSR2):
             signal.signal(number, lambda number, _: self.send(number))
         signal.pthread_sigmask(signal.SIG_UNBLOCK, asking)
@@ -122,7 +124,7 @@ class Launcher:
         """What the signals of a user call."""
         self.requests += 1
         if self.requests == 2:
-            os.write(2, b"\nmpirun: the ranks have been told to stop; Ctrl-C once more kills them\n")
+            say(b"\nmpirun: the ranks have been told to stop; Ctrl-C once more kills them\n")
         else:
             self.send(signal.SIGUSR1 if self.requests == 1 else signal.SIGKILL)
 
@@ -139,13 +141,19 @@ class Launcher:
         while open_:
             ready, _, _ = select.select([self.stderr], [], [], PATIENCE)
             data = os.read(self.stderr, 65536) if ready else b""
-            sys.stderr.buffer.write(passing.feed(data) if data else passing.rest())
-            sys.stderr.buffer.flush()
+            say(passing.feed(data) if data else passing.rest())
             open_ = bool(data) or not (ready or self.ended(os.WNOHANG))  # others may keep it open when this one has ended
         while self.code is None:
             self.ended()
         told = self.requests and self.code in (-signal.SIGUSR1, 128 + signal.SIGUSR1, -signal.SIGKILL)
         return EXIT_ON_SIGNAL if told else self.code
+
+
+def say(text: bytes) -> None:
+    """Print on stderr, if anybody listens: a run goes on when its terminal, or what reads its output, has gone."""
+    with suppress(OSError):
+        while text:
+            text = text[os.write(2, text) :]
 
 
 def become(command: list[str], stderr: int) -> NoReturn:

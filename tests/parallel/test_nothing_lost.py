@@ -1,6 +1,7 @@
 """Stopped, killed, or out of disk: what was written stays, and a run that goes on has the bits of one that never stopped."""
 
 import contextlib
+import fcntl
 import json
 import os
 import pty
@@ -9,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import termios
 import time
 from pathlib import Path
 
@@ -177,6 +179,40 @@ def test_ctrl_c_in_a_terminal_saves_at_once_and_twice_too(tmp_path, presses):
     assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 130, said
     assert b"continue with --resume" in said and took < 2.5, said  # 0.2 s where nothing else runs
     assert not list(out.rglob("*.tmp")) and final_state(out)[2] > 0
+
+
+TALKING = """
+import sys, time
+from pathlib import Path
+from mpi4py import MPI
+for number in range(20):
+    print("a line", file=sys.stderr, flush=True)
+    time.sleep(0.05)
+Path(sys.argv[1], str(MPI.COMM_WORLD.rank)).touch()
+"""
+
+
+@pytest.mark.parametrize("where", ["pipe", "terminal"])
+def test_ranks_go_on_when_nobody_reads_what_they_print(tmp_path, where):
+    """A pipe that is closed, and a terminal, under nohup: its end is a hangup."""
+    script, done = tmp_path / "talking.py", tmp_path / "done"
+    script.write_text(TALKING)
+    done.mkdir()
+    reading, writing = os.pipe() if where == "pipe" else pty.openpty()
+    pid = os.fork()
+    if pid == 0:
+        os.setsid()
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        if where == "terminal":
+            fcntl.ioctl(writing, termios.TIOCSCTTY, 0)
+        os.dup2(writing, 2)
+        os.closerange(3, 64)
+        os.execvpe("mpirun", ["mpirun", "-n", "2", sys.executable, str(script), str(done)], killing.environment())
+    os.close(writing)
+    assert b"a line" in os.read(reading, 100)
+    os.close(reading)
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
+    assert sorted(path.name for path in done.iterdir()) == ["0", "1"]
 
 
 STUBBORN = """
