@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -68,13 +68,13 @@ class Continuing:
     """
 
     file: Any = None  # what is open
-    missing = False  # is it, where there should be one? Known on rank 0
+    lost: Sequence[str] = ()  # on rank 0: a line for each file that should be there, and is not
 
     def __init__(self, path: Path, ranks: Communicator, resume_step: int | None, last: int | None):
         self.path, self.ranks = Path(path), ranks
         with failing_together(ranks, f"cannot read {path}"):
             if ranks.is_root and resume_step is not None and not self.path.exists():
-                self.missing = last not in (-1, None)
+                self.lost = [f"{path} is not there: the new one begins after step {resume_step}"] * (last not in (-1, None))
             elif ranks.is_root and resume_step is not None:
                 try:
                     self.read_kept(resume_step, last)

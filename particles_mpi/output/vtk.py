@@ -127,6 +127,9 @@ class VtkSeries(Continuing):
             if int(numbers[0]) <= resume_step:
                 self.frames[int(numbers[0])] = file, repr(float(entry.get("timestep", "")))
         check_last(list(self.frames), resume_step, last)
+        gone = [step for step, (file, _) in self.frames.items() if not (self.folder / file).exists()]
+        lost = [self.folder / self.frames.pop(step)[0] for step in gone]
+        self.lost = [f"{file} is not there: {self.path.name} no longer names it" for file in lost]
 
 
 class Blocks:

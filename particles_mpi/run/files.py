@@ -53,8 +53,7 @@ class RunFiles:
             self.frames.append(VtkSeries(self.folder, ranks, d, step, frame))
         names = column_names(d, output.observables, "mutual_gravity" in sim.scene.effects, "spin" in sim.rows.arrays)
         self.diagnostics = Diagnostics(self.folder / "diagnostics.csv", ranks, names, step, row)
-        lost = [str(writer.path) for writer in (*self.frames, self.diagnostics) if writer.missing]
-        sim.warnings += [f"{path} is not there: the new one begins after step {step}" for path in lost]
+        sim.warnings += [line for writer in (*self.frames, self.diagnostics) for line in writer.lost]
         try:
             for writer in (*self.frames, self.diagnostics):
                 writer.open()

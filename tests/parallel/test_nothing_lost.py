@@ -379,3 +379,9 @@ def test_a_file_that_was_deleted_is_told_of(tmp_path):
         done = particles_mpi(2, "run", scene, "--output", out, "--resume", "auto", "--steps", step)
         told = [line.split(f"{out}/")[1] for line in done.stdout.splitlines() if line.startswith("  warning:")]
         assert done.returncode == 0 and told == [f"{n} is not there: the new one begins after step {step - 4}" for n in names]
+    frame = "vtk/particles_000022.vtu"
+    (out / frame).unlink()
+    done = particles_mpi(1, "run", scene, "--output", out, "--resume", "auto", "--steps", 28)
+    assert done.returncode == 0 and f"{out / frame} is not there: particles.pvd no longer names it" in done.stdout
+    listed = (out / "particles.pvd").read_text()
+    assert frame not in listed and "000024.vtu" in listed and "000028.vtu" in listed
