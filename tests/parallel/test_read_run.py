@@ -33,9 +33,29 @@ formats = ["hdf5"]
 """
 
 
+PAUSE = """
+from time import sleep
+from particles_mpi.effects import EffectOptions, Event
+
+class Options(EffectOptions):
+    pass
+
+class Effect(Event):
+    formula = "a pause: frames that follow one another within half a second are shown together"
+
+    def __init__(self, options, scene):
+        pass
+
+    def act(self, particles, h):
+        sleep(0.07)
+        return 0
+"""
+
+
 def test_reading_while_two_ranks_write(tmp_path):
     """Every frame that is counted is whole: its bits are those of the end. New frames are seen by the same `Run`."""
-    (tmp_path / "gas.toml").write_text(SCENE)
+    (tmp_path / "gas.toml").write_text(SCENE + '[effects.pause]\nfile = "pause.py"\n')
+    (tmp_path / "pause.py").write_text(PAUSE)
     folder = tmp_path / "run"
     command = ["mpirun", "-n", "2", sys.executable, "-m", "particles_mpi", "run", tmp_path / "gas.toml", "--output", folder]
     with subprocess.Popen([*map(str, command), "--quiet"], cwd=ROOT, env=environment()) as writer:
