@@ -14,7 +14,7 @@ import particles_mpi
 from particles_mpi.errors import SceneError, StateError, StoppedError
 from particles_mpi.parallel.agreement import abort_all, same_on_all
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.run.scene_file import SceneFile, load
+from particles_mpi.run.scene_file import SceneFile, given_path, load
 from particles_mpi.study.commands import study
 
 STARTED = perf_counter()
@@ -50,13 +50,6 @@ def options(
     """What can be said before a command. The help of `app` is shown instead of this."""
 
 
-def named(text: str) -> Path:
-    """A path; an empty text is none, as of a variable of the shell that is not set."""
-    if not text:
-        raise typer.BadParameter("is empty")
-    return Path(text)
-
-
 STOPPING = "Write a checkpoint and stop within this time; if not given, before the limit of a Slurm job; none: without a limit."
 WallTime = Annotated[str | None, typer.Option(metavar="HH:MM:SS", help=STOPPING)]
 RESULTS = "Folder for the results; out/<scene name> if not given."
@@ -66,9 +59,9 @@ RESUMING = "Go on from this checkpoint.h5, on any number of ranks; auto: from th
 @app.command()
 def run(
     scene: SceneFile,
-    output: Annotated[Path | None, typer.Option("--output", "-o", parser=named, metavar="PATH", help=RESULTS)] = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", parser=given_path, metavar="PATH", help=RESULTS)] = None,
     steps: Annotated[int | None, typer.Option(min=0, help="Stop after this many steps instead of at the scene's end.")] = None,
-    resume: Annotated[Path | None, typer.Option(help=RESUMING)] = None,
+    resume: Annotated[Path | None, typer.Option(parser=given_path, metavar="PATH", help=RESUMING)] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run that the folder holds.")] = False,
     wall_time: WallTime = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing but errors.")] = False,

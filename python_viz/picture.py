@@ -75,8 +75,8 @@ class Picture:
         self.value, self.label, self.colormap, self.top = COLORS[color]
         self.survey(frames)
         around = scenery(scene, self.lower, self.upper)
-        around_it = 0.0 if around.real else MARGIN * np.max(around.upper - around.lower)
-        self.lower, self.upper = around.lower - around_it, around.upper + around_it
+        margin = 0.0 if around.real else MARGIN * np.max(around.upper - around.lower)
+        self.lower, self.upper = around.lower - margin, around.upper + margin
         if self.planar:
             self.lower[2] = self.upper[2] = 0
         self.camera = Camera(self.lower, self.upper, self.planar, *view)
@@ -205,7 +205,8 @@ class Picture:
         heading = f"{self.title} · t = {frame.time:.6g} · frame {frame.index}"
         self.heading.set(text=heading, fontsize=HEADING * min(1.0, self.letters / len(heading)))
         missing, fixed = len(seen) - int(seen.sum()), int(frame.fixed.sum())
-        notes = [f"{spaced(len(seen))} marble" + "s" * (len(seen) != 1), *(["true radii"] if points < len(seen) else [])]
+        notes = [f"{spaced(len(seen))} marble" + "s" * (len(seen) != 1)]
+        notes += ["true radii"] if points < len(seen) else []
         notes += [f"three of {d} axes: spheres may seem to overlap"] if (d := frame.position.shape[1]) > 3 else []
         notes += [f"{spaced(points)} of them points, drawn with radius {point:.2g} pixels"] if points else []
         notes += [f"{spaced(small)} of them too small to see, drawn with radius {SMALLEST:g} pixel"] if small else []

@@ -16,7 +16,6 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import FIELDS, Array
 
 MPI_IO_ERROR = re.compile(r"error in \(?p?\)?\(?(?:write|read)\(?v?\)?: *(.+)")
-WITHOUT = "delete it to go on without what is in it"
 FILE_PATIENCE = 10.0  # seconds that ranks wait for one another in parallel HDF5 and MPI-IO, after one of them has failed
 
 
@@ -79,7 +78,8 @@ class Continuing:
                 try:
                     self.read_kept(resume_step, last)
                 except Exception as error:  # damaged files raise anything
-                    raise SceneError(f"{path}: cannot be continued: {_reason(error)}; {WITHOUT}") from None
+                    way_on = "delete it to go on without what is in it"
+                    raise SceneError(f"{path}: cannot be continued: {_reason(error)}; {way_on}") from None
 
     def open(self) -> None:
         """Make the file, or remove what is not kept."""

@@ -5,8 +5,8 @@ exit code are the launcher's own.
 
 Signals. On Ctrl-C Open MPI's mpirun stops to pass on what ranks print, waits, tells the ranks, waits, and kills them; a second
 one kills them at once. So SIGINT, SIGTERM and SIGHUP are blocked in it, and come to this process alone, which sends SIGUSR1 to
-mpirun: that is passed to the ranks at once, and a run then saves and ends. The second signal is told how to kill, the third one
-kills.
+mpirun: that is passed to the ranks at once, and a run then saves and ends. At the second signal it says that a third one kills
+the ranks, which the third one does.
 
 Messages. Of the paragraphs between two lines of dashes, and lines that begin with [host:pid], both by Open MPI, those about an
 exit code or MPI_Abort are left out and the one about a signal is shortened; all else passes at once. No setting of Open MPI

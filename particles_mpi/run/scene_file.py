@@ -1,4 +1,4 @@
-"""The scene file that a command is given: read, and compared among the ranks."""
+"""The scene file that a command is given, read and compared among the ranks; and other paths in its options."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,6 +9,13 @@ from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.parallel.communicator import Communicator
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE.toml", help="The scene: see particles_mpi/scenes/ for examples.")]
+
+
+def given_path(text: str) -> Path:
+    """The path in an option; an empty text, as of a variable of the shell that is not set, is not the folder one is in."""
+    if not text:
+        raise typer.BadParameter("is empty")
+    return Path(text)
 
 
 def load(path: Path, quiet: bool = True) -> Any:

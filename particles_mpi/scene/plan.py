@@ -43,22 +43,24 @@ def plan(scene: Scene, particles: Particles, ranks: Communicator, steps: int) ->
         "memory_bytes": int(total * (row_bytes + (350 if pairs else 50))),
         "frames": steps // scene.output.every + 1,
         "every": scene.output.every,
-        "output_bytes": output_bytes(scene, particles, total, fixed > 0, steps),
+        "output_bytes": output_bytes(scene, particles, total * row_bytes, total, fixed > 0, steps),
         "predicted_seconds": None,  # of the loop, and between which two: known after the first steps
         "predicted_seconds_range": None,
         "advice": advice(scene, particles, ranks),
     }
 
 
-def output_bytes(scene: Scene, particles: Particles, total: int, fixed: bool, steps: int) -> int:
-    """How large the files of a run get, within some percent; what lasting contacts add to the checkpoint is not known before."""
-    d, output, shown, whole = scene.dimension, scene.output, 0, 0  # bytes of a particle in a frame, and in a checkpoint
+def output_bytes(scene: Scene, particles: Particles, state: int, total: int, fixed: bool, steps: int) -> int:
+    """How large the files of a run get, within some percent; what lasting contacts add to the checkpoint is not known before.
+
+    `state`: bytes of all columns of all particles; `total`: the number of these; `fixed`: are some of them fixed?
+    """
+    d, output, shown = scene.dimension, scene.output, 0  # bytes of a particle in a frame
     for name, column in particles.arrays.items():
         kind, width = field(name), int(np.prod(column.shape[1:]))
-        whole += column.itemsize * width
         if kind.output and (fixed or name != "fixed"):
             shown += column.itemsize * (3 + d * (d > 3) if kind.vector else 3 if kind.rotation else width)
-    frames, rows, size = steps // output.every + 1, steps // output.diagnostics_every + 1, whole * total + CHECKPOINT_BYTES
+    frames, rows, size = steps // output.every + 1, steps // output.diagnostics_every + 1, state + CHECKPOINT_BYTES
     if "hdf5" in output.formats:
         size += frames * total * shown + HDF5_BYTES
     if "vtk" in output.formats:  # with the indices of its cells, in base64

@@ -7,12 +7,13 @@ import typer
 from typer.core import TyperGroup
 
 from particles_mpi.errors import SceneError, StoppedError
-from particles_mpi.run.scene_file import SceneFile, load
+from particles_mpi.run.scene_file import SceneFile, given_path, load
 
 AnyScene = Annotated[Path | None, typer.Argument(metavar="[SCENE.toml]", help="A scene of yours; else the built-in set.")]
-Folder = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for report, pictures and CSV files.")]
+Folder = Annotated[Path | None, typer.Option(parser=given_path, metavar="DIR", help="Folder for report, pictures and CSV files.")]
 Quick = Annotated[bool, typer.Option("--quick", help="A look within a minute: fewer settings, short samples.")]
-TunedFile = Annotated[Path | None, typer.Option(metavar="TUNED.toml", help="The tuned scene; NAME.tuned.toml if not given.")]
+TUNED = "The tuned scene; NAME.tuned.toml if not given."
+TunedFile = Annotated[Path | None, typer.Option(parser=given_path, metavar="TUNED.toml", help=TUNED)]
 
 
 class Studies(TyperGroup):
@@ -95,7 +96,7 @@ def scaling(
 def hard_cases(
     only: Annotated[str | None, typer.Option(metavar="TEXT", help="Only cases with this in their name, long ones too.")] = None,
     full: Annotated[bool, typer.Option("--full", help="Also the cases that take many minutes: beds of 10 000 for 10 s.")] = False,
-    output: Annotated[Path | None, typer.Option(metavar="FILE.json", help="The outcomes as JSON.")] = None,
+    output: Annotated[Path | None, typer.Option(parser=given_path, metavar="FILE.json", help="The outcomes as JSON.")] = None,
 ) -> None:
     """What goes wrong in naive programs, and what must hold here; exit code 3 if something does not.
 

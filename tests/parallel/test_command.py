@@ -142,10 +142,20 @@ def test_counts_add_up(scene, tmp_path):
     assert told["collisions"] > 0 and told["ghost_rows"] > 0
 
 
-def test_a_folder_without_a_name_is_refused(scene):
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [
+        (["run", "SCENE", "--output", ""], "'--output' / '-o'"),
+        (["run", "SCENE", "--resume", ""], "'--resume'"),
+        (["study", "accuracy", "--output", ""], "'--output'"),
+        (["study", "recommend", "SCENE", "--tolerance", "1e-3", "--output", ""], "'--output'"),
+        (["study", "hard-cases", "--output", ""], "'--output'"),
+    ],
+)
+def test_a_path_that_is_empty_is_refused(scene, command, option):
     """As of a variable of the shell that is not set: that would be the folder one is in."""
-    done = particles_mpi(1, "run", scene, "--output", "")
-    assert (done.returncode, done.stderr) == (2, "particles-mpi: Invalid value for '--output' / '-o': is empty\n")
+    done = particles_mpi(1, *(scene if word == "SCENE" else word for word in command))
+    assert (done.returncode, done.stderr) == (2, f"particles-mpi: Invalid value for {option}: is empty\n")
 
 
 @pytest.mark.parametrize("ranks", ["0", "-1", "1.5", "two"])
