@@ -1,5 +1,6 @@
 """Columns of numbers in a CSV file, of which each rank reads a part: from about its share of the bytes, whole lines."""
 
+import re
 import warnings
 from contextlib import suppress
 from io import BytesIO
@@ -14,6 +15,7 @@ from particles_mpi.errors import listed, one_line
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
 
+ROW_OF_NUMPY = r" to float64 at row \d+, column (\d+)\."  # of the only line that it was given
 MOST_SHOWN = 6  # columns of a header in a message
 BOM = b"\xef\xbb\xbf"  # with which some programs begin a text
 # Of columns in a header, by what they give
@@ -72,7 +74,7 @@ def read_table(ranks: Communicator, path: Path, quantity: str, dimension: int) -
     try:
         values = parsed(block, columns)
     except ValueError:
-        fault = f"{path}: {wrong_line(block, columns, line)}{separated}"
+        fault = f"{path}: {uneven_line(block, start, line) or wrong_line(block, columns, line)}{separated}"
     else:
         bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
         if uneven := uneven_line(block, start, line):
@@ -201,5 +203,6 @@ def wrong_line(block: bytes, columns: list[int], first: int) -> str:
         try:
             parsed(line, columns)
         except ValueError as error:
-            return f"line {number}: {one_line(error)}"
+            why = re.sub(ROW_OF_NUMPY, r" in column \1 to a number", one_line(error))
+            return f"line {number}: {why}"
     return "cannot be read as columns of numbers"

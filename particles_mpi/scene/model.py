@@ -144,7 +144,7 @@ def faults_of(error: ValidationError, model: type[BaseModel], prefix: tuple[Any,
             faults.append(f"{key}: unknown key{suggestion(str(place[-1]), known)}")
         else:
             message = item["msg"].replace("Input should be", "must be").replace("Input", "input")
-            message = message.replace("a valid list", "a list")
+            message = message.replace("a valid list", "a list").replace("a valid boolean", "true or false")
             message = "must be a table" if kind == "model_type" else message
             message += f" of tables: [[{key}]]" if kind == "list_type" and isinstance(given, dict) else ""
             short = isinstance(given, str | float | bool) or (isinstance(given, int) and abs(given) < 10**20)

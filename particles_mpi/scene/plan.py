@@ -109,4 +109,7 @@ def duration(seconds: float) -> str:
         return f"{seconds:.0f} s"
     if seconds < 7200.0:
         return f"{seconds / 60:.0f} min"
-    return f"{seconds / 3600:.1f} h"
+    if seconds < 172_800.0:
+        return f"{seconds / 3600:.1f} h"
+    days = seconds / 86_400.0
+    return f"{days:.0f} days" if days < 730.0 else f"{days / 365.25:.3g} years"

@@ -120,6 +120,8 @@ def test_it_refuses_what_cannot_be_measured():
         recommend(Benchmark(), kepler(1e-9).scene, 1e-14, "", PLENTY)
     with pytest.raises(SceneError, match="collision rate: cannot be measured here"):
         recommend(Benchmark(), thrown().scene, 1e-2, "collision rate", PLENTY)
+    with pytest.raises(SceneError, match="--error energie: there is no such error"):
+        recommend(Benchmark(), thrown().scene, 1e-2, "energie", PLENTY)
     with pytest.raises(SceneError, match="must be above 0 and below 1"):
         recommend(Benchmark(), thrown().scene, 2.0)
 

@@ -11,7 +11,9 @@ from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.output.replacing import replace_text
 from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.run.console import Screen
+from particles_mpi.scene.model import suggestion
 from particles_mpi.study.experiment import Benchmark, Errors
+from particles_mpi.study.recommend.error_metric import ERROR_NAMES
 from particles_mpi.study.recommend.methods import as_it_is, frames, methods
 from particles_mpi.study.recommend.reference import reference
 from particles_mpi.study.recommend.runs import Start
@@ -51,6 +53,8 @@ def recommend(
     """
     if not 0.0 < tolerance < 1.0:
         raise SceneError(f"--tolerance {tolerance:g}: must be above 0 and below 1")
+    if error and error not in ERROR_NAMES:
+        raise SceneError(f"--error {error}: there is no such error{suggestion(error, list(ERROR_NAMES))}")
     try:
         return Start(benchmark, scene).on_few(lambda start: find(start, tolerance, error, seconds))
     finally:

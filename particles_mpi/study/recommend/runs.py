@@ -33,6 +33,7 @@ MOST_MOMENTS, MOST_COMPARED = 1000, 2_000_000  # at which two runs are compared 
 ROUNDED_UP = 1.02  # times the steps of the scene: more would be another scene
 ENERGY_SAMPLES = 32  # moments at which energies are, about
 LOOKS, GOLDEN = 48, 0.5 * (5.0**0.5 - 1.0)  # at where the particles are, at moments that no period has
+OBSERVABLES = ("collision rate", "wall hits", "kinetic energy", "height")  # what chaotic motion is judged by
 EFFECT_OF_KEY = {"drag": "drag", "acceleration": "user_acceleration"}  # keys of particles that mean nothing without an effect
 
 Changes = dict[str, dict[str, Any] | None]  # keys of effects that change, and effects that are left out (None)
@@ -157,13 +158,9 @@ class Record:
 
     @property
     def observables(self) -> dict[str, float]:
-        """What chaotic motion is judged by."""
-        return {
-            "collision rate": self.collisions / self.duration,
-            "wall hits": self.wall_hits / self.duration,
-            "kinetic energy": float(self.kinetic[1:].mean()),
-            "height": float(self.heights.mean()),
-        }
+        """Of the run, by name; rates are those of a time unit."""
+        rates = self.collisions / self.duration, self.wall_hits / self.duration
+        return dict(zip(OBSERVABLES, (*rates, float(self.kinetic[1:].mean()), float(self.heights.mean())), strict=True))
 
 
 def follow(start: Start, sim: Simulation, snapshots: int, patience: float = np.inf) -> Record:

@@ -8,7 +8,7 @@ from conftest import ROOT
 from particles_mpi import Scene, Simulation
 from particles_mpi.initial.populate import populate
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.scene.plan import advice, plan
+from particles_mpi.scene.plan import advice, duration, plan
 
 FLOOR = {"point": [0.0, 0.0], "normal": [0.0, 1.0]}
 
@@ -27,6 +27,22 @@ def test_advice(planes, restitution, integrator, words):
     )
     lines = advice(scene, populate(scene)[0], Communicator.alone())
     assert len(lines) == len(words) and all(word in line for word, line in zip(words, lines))
+
+
+@pytest.mark.parametrize(
+    "seconds, words",
+    [
+        (0.0, "0.01 s"),
+        (1.25, "1.2 s"),
+        (119.0, "119 s"),
+        (600.0, "10 min"),
+        (7200.0, "2.0 h"),
+        (3e5, "3 days"),
+        (7.9e9, "250 years"),
+    ],
+)
+def test_seconds_for_people(seconds, words):
+    assert duration(seconds) == words
 
 
 def test_what_is_switched_off_does_not_run():

@@ -57,6 +57,7 @@ def test_scene_survives_its_own_tables(path):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
+        ({"output": {"observables": ["foo"]}}, ["output.observables", "must be true or false"]),
         ({"dimensions": 2}, ["dimensions", "did you mean 'dimension'"]),
         ({"effects": {"gravity": {}}}, ["effects.gravity", "did you mean 'mutual_gravity' or 'uniform_gravity'?"]),
         ({"effects": {"uniform_gravity": {"acceleration": -9.81}}}, ["effects.uniform_gravity.acceleration: must be a list"]),
