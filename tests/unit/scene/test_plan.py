@@ -31,15 +31,7 @@ def test_advice(planes, restitution, integrator, words):
 
 @pytest.mark.parametrize(
     "seconds, words",
-    [
-        (0.0, "0.01 s"),
-        (1.25, "1.2 s"),
-        (119.0, "119 s"),
-        (600.0, "10 min"),
-        (7200.0, "2.0 h"),
-        (3e5, "3 days"),
-        (7.9e9, "250 years"),
-    ],
+    [(0.0, "0.01 s"), (1.25, "1.2 s"), (119.0, "119 s"), (7200.0, "2.0 h"), (3e5, "3 days"), (7.9e9, "250 years")],
 )
 def test_seconds_for_people(seconds, words):
     assert duration(seconds) == words
