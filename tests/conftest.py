@@ -36,6 +36,7 @@ def pytest_collection_finish():
 
 # Files whose tests share what one process has made; all other tests go to whichever process is free.
 SHARING = {
+    "test_architecture.py",
     "test_browser.py",
     "test_accuracy_study.py",
     "test_event_loop.py",

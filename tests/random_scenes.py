@@ -10,14 +10,19 @@ import numpy as np
 from particles_mpi import Scene, SceneError, Simulation, StoppedError
 
 
-def random_scenes(seed, count, axes=3, mode=None):
-    """{name: tables} of `count` scenes in up to so many dimensions that are accepted and whose run is not stopped.
+def whole_run(sim):
+    """All steps of a simulation at once."""
+    sim.steps(sim.scene.steps)
+
+
+def random_scenes(seed, count, axes=3, mode=None, run=whole_run):
+    """(name, tables, simulation after `run(sim)`) of `count` scenes, in at most `axes` dimensions, that are accepted and not stopped.
 
     `mode`: only scenes with collisions, in this mode. The kernels of more than three axes are compiled when they are needed,
     which takes longer than all else.
     """
-    rng, scenes = np.random.default_rng(seed), {}
-    while len(scenes) < count:
+    rng, found = np.random.default_rng(seed), 0
+    while found < count:
         tables = random_tables(rng)
         collisions = tables["effects"].get("collisions")
         if tables["dimension"] > axes or (mode and collisions is None):
@@ -25,11 +30,12 @@ def random_scenes(seed, count, axes=3, mode=None):
         if mode:
             collisions["mode"] = mode
         try:
-            Simulation(Scene.from_dict(tables)).steps(tables["time"]["steps"])
+            sim = Simulation(Scene.from_dict(tables))
+            run(sim)
         except (SceneError, StoppedError):
             continue
-        scenes[f"{seed}-{len(scenes)}"] = tables
-    return scenes
+        yield f"{seed}-{found}", tables, sim
+        found += 1
 
 
 def random_tables(rng):

@@ -43,24 +43,24 @@ def column(d, masses, mode, more, push=0.0, step=0.02):
 @pytest.mark.parametrize("more", [{}, {"friction": 0.3}], ids=["smooth", "rough"])
 @pytest.mark.parametrize("kind", COLUMNS)
 @pytest.mark.parametrize("d", [1, 3, *with_all(2)])
-def test_a_column_stands_still(d, kind, more, mode):
+@pytest.mark.parametrize("ratio", [1e2, 1e6, 1e12, *with_all(1e4, 1e8)])
+def test_a_column_stands_still(ratio, d, kind, more, mode):
     """Speeds are below 1e-8 of what gravity does in two steps; of the light ones between heavy ones, and round-off of what these
     would do to them. None of it is a collision. Rough ones between heavy ones may shift once, by less than errors may be."""
     if d == 1 and more:
         return
-    for ratio in (1e2, 1e4, 1e6, 1e8, 1e12):
-        masses = COLUMNS[kind](ratio)
-        sim = column(d, masses, mode, more)
-        start = sim.particles.position.copy()
-        sim.steps(40)
-        hits = sim.totals["collisions"]
-        sim.steps(20)
-        assert sim.totals["collisions"] == hits, ratio
-        speeds, mass = np.abs(sim.particles.velocity).max(axis=1), np.array(masses)
-        shift = 1e-4 if more and kind == "between heavy ones" else 1e-7
-        assert np.abs(sim.particles.position - start).max() < shift * R, ratio
-        assert (speeds <= 1e-8 * 2.0 * 9.81 * 0.02 + 1e-14 * mass.max() / mass).all(), (ratio, speeds)
-        assert sim.totals["unconverged"] == 0, ratio
+    masses = COLUMNS[kind](ratio)
+    sim = column(d, masses, mode, more)
+    start = sim.particles.position.copy()
+    sim.steps(40)
+    hits = sim.totals["collisions"]
+    sim.steps(20)
+    assert sim.totals["collisions"] == hits
+    speeds, mass = np.abs(sim.particles.velocity).max(axis=1), np.array(masses)
+    shift = 1e-4 if more and kind == "between heavy ones" else 1e-7
+    assert np.abs(sim.particles.position - start).max() < shift * R
+    assert (speeds <= 1e-8 * 2.0 * 9.81 * 0.02 + 1e-14 * mass.max() / mass).all(), speeds
+    assert sim.totals["unconverged"] == 0
 
 
 @pytest.mark.parametrize(("d", "seed"), [(2, 4), (2, 5), (3, 4), (3, 5)])

@@ -5,7 +5,7 @@ import sys
 from particles_mpi import Simulation, cli
 from particles_mpi.kernels import limits
 
-when, limit, step = sys.argv.pop(1), int(sys.argv.pop(1)), Simulation.step
+when, limit, step, largest = sys.argv.pop(1), int(sys.argv.pop(1)), Simulation.step, limits.INT32_MAX
 
 
 def limited_step(sim):
@@ -16,4 +16,7 @@ def limited_step(sim):
 if when == "setup":
     limits.INT32_MAX = limit
 Simulation.step = limited_step
-cli.main()
+try:
+    cli.main()
+finally:  # another script may be run by this process
+    limits.INT32_MAX, Simulation.step = largest, step

@@ -1,10 +1,13 @@
-"""A user's script in which something goes wrong on one rank only: one_rank_fails.py FOLDER raise|nan|given rewind|event"""
+"""A user's script in which something goes wrong on one rank only: one_rank_fails.py FOLDER raise|nan|given rewind|event
+
+What is raised on all ranks is caught; with "raise" it is an exception of that rank alone, which ends all of them.
+"""
 
 import sys
 
 import numpy as np
 
-from particles_mpi import Scene, Simulation
+from particles_mpi import Scene, Simulation, StoppedError
 
 tables = {
     "dimension": 2,
@@ -29,4 +32,8 @@ def step():
 
 
 sim.step = step
-sim.run(sys.argv[1])
+try:
+    sim.run(sys.argv[1])
+except StoppedError as error:
+    print(error, file=sys.stderr)
+    sys.exit(3)

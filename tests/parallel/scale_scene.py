@@ -4,9 +4,10 @@ import sys
 from pathlib import Path
 
 from particles_mpi import Scene
+from particles_mpi.study.scaling import measure
 from particles_mpi.study.scaling.counted import count_scaling
-from particles_mpi.study.scaling.measure import measure_scaling
 
+measure.QUICK_SAMPLE_SECONDS = 0.005  # how long steps take is nobody's question here
 SCENES = {
     "gas": {
         "particles": [{"count": 2000, "position": "random", "velocity": {"speed": 0.5}, "radius": 0.01, "mass": 1.0}],
@@ -26,4 +27,4 @@ SCENES = {
 }
 time = {"step": 0.01, "steps": 40}
 tables = {"title": sys.argv[2], "dimension": 3, "G": 1.0, "time": time, **SCENES[sys.argv[2]]}
-(count_scaling if sys.argv[3:] else measure_scaling)(Scene.from_dict(tables), Path(sys.argv[1]), quick=True)
+(count_scaling if sys.argv[3:] else measure.measure_scaling)(Scene.from_dict(tables), Path(sys.argv[1]), quick=True)

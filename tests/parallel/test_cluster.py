@@ -30,7 +30,7 @@ def apart(tmp_path_factory):
         (folder / str(rank) / "tmp").mkdir(parents=True)
         for cache in PACKAGE.rglob("__pycache__"):
             own = folder / str(rank) / "kernels" / _CacheLocator.get_suitable_cache_subpath(cache.parent / "module.py")
-            shutil.copytree(cache, own, ignore=shutil.ignore_patterns("*.pyc", "*.json"))
+            shutil.copytree(cache, own, ignore=shutil.ignore_patterns("*.pyc", "*.json"), copy_function=os.symlink)
     return folder
 
 

@@ -261,11 +261,11 @@ def test_a_run_goes_on_where_its_folder_has_been_moved_to_and_not_with_another_e
     shutil.copy(OUTSIDE / "magnetic.py", here)
     (here / "scene.toml").write_text(text("event", "magnetic_field"))
 
-    def run(folder, output, *more):
+    def run(folder, output, *more, fresh=True):
         words = ("run", folder / "scene.toml", "--output", folder / output, "--quiet", *more)
-        return run_ranks(1, "-m", "particles_mpi", *words, fresh=True)
+        return run_ranks(1, "-m", "particles_mpi", *words, fresh=fresh)
 
-    assert run(here, "whole").returncode == run(here, "parts", "--steps", 20).returncode == 0
+    assert run(here, "whole", fresh=False).returncode == run(here, "parts", "--steps", 20, fresh=False).returncode == 0
     here.rename(there)
     done = run(there, "parts", "--steps", 40, "--resume", "auto")
     assert done.returncode == 0, done.stderr

@@ -22,7 +22,7 @@ def test_same_bits(seed, count, axes, on_three, tmp_path):
 
     `interactions` is left out: where all are fixed, forces may be summed once or twice.
     """
-    scenes = random_scenes(seed, count, axes)
+    scenes = {name: tables for name, tables, _ in random_scenes(seed, count, axes)}
     for number, tables in enumerate(scenes.values()):
         how = SHARED[number % len(SHARED)]
         event = tables["effects"].get("collisions", {}).get("mode") == "event"

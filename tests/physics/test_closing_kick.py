@@ -16,11 +16,11 @@ FALLING = {"velocity": [0.0, 0.1], "radius": 0.3}  # onto what lies to its left,
 FLOOR = {"planes": [{"point": [-0.2, 0.0], "normal": [1.0, 0.1]}, {"point": [5.0, 0.0], "normal": [-1.0, 0.0]}]}
 # particles, walls, and by how much the energy may be off: at most half of what it is without the closing kick, mostly a fifth
 BOUNCES = {
-    "of two": ([body((-1.0, 0.0), velocity=[0.0, -0.1], radius=0.3), body((1.0, 0.0), **FALLING)], None, 2.5e-3),
-    "of a light one": ([body((-1.0, 0.0), radius=0.3), body((1.0, 0.0), **FALLING | {"mass": 0.1})], None, 1e-4),
-    "off a fixed one": ([body((-1.0, 0.0), fixed=True, radius=0.3), body((1.0, 0.0), **FALLING)], None, 6e-4),
-    "off a wall": ([body((-1.0, 0.0), fixed=True), body((1.0, 0.0), **FALLING)], FLOOR, 6e-5),
-    "on a line": ([body((-1.0,), (1.0,), radius=0.2), body((2.0,), velocity=[-0.3], radius=0.1)], None, 0.1),
+    "of two": ([body((-1.0, 0.0), velocity=[0.0, -0.1], radius=0.3), body((1.0, 0.0), **FALLING)], None, 1.25e-3),
+    "of a light one": ([body((-1.0, 0.0), radius=0.3), body((1.0, 0.0), **FALLING | {"mass": 0.1})], None, 5e-5),
+    "off a fixed one": ([body((-1.0, 0.0), fixed=True, radius=0.3), body((1.0, 0.0), **FALLING)], None, 3e-4),
+    "off a wall": ([body((-1.0, 0.0), fixed=True), body((1.0, 0.0), **FALLING)], FLOOR, 3e-5),
+    "on a line": ([body((-1.0,), (1.0,), radius=0.2), body((2.0,), velocity=[-0.3], radius=0.1)], None, 0.05),
 }
 CASES = [
     *((name, "rewind") for name in BOUNCES),
@@ -32,24 +32,24 @@ CASES = [
 
 @pytest.mark.parametrize(("name", "mode"), CASES)
 def test_energy_does_not_drift(name, mode):
-    """Twenty bounces, and more than a hundred on a line; without collisions, many steps are computed at once."""
+    """Ten bounces, and more than fifty on a line; without collisions, many steps are computed at once."""
     particles, walls, bound = BOUNCES[name]
     effects = {"mutual_gravity": {"softening": 0.05}} | ({"walls": walls} if walls else {})
     effects |= {"collisions": {"mode": mode}} if mode else {}
     d = len(particles[0]["position"][0])
-    time = {"step": 0.01, "steps": 10_000}
+    time = {"step": 0.01, "steps": 5000}
     sim = Simulation(Scene.from_dict({"dimension": d, "G": 1.0, "time": time, "particles": particles, "effects": effects}))
     assert bool(sim.many_steps) == (mode is None)
     energies, momenta = [], []
-    for _ in range(41):
+    for _ in range(21):
         measured, p = sim.measure(), sim.particles
         energies.append(measured["kinetic"] + measured["potential"])
         momenta.append((p.mass[:, None] * p.velocity).sum(axis=0))
         sim.steps(250)
-    assert sim.totals["collisions"] + sim.totals["wall_hits"] > 15
+    assert sim.totals["collisions"] + sim.totals["wall_hits"] > 7
     np.testing.assert_allclose(energies, energies[0], rtol=0.0, atol=bound)
     if not walls and not sim.particles.fixed.any():
-        np.testing.assert_allclose(momenta, [momenta[0]] * 41, rtol=0.0, atol=1e-13)
+        np.testing.assert_allclose(momenta, [momenta[0]] * 21, rtol=0.0, atol=1e-13)
 
 
 def meeting_again_and_again(collisions, steps=0, **effects):
@@ -70,12 +70,12 @@ def test_what_bounces_take_under_attraction(mode, restitution):
 
     Without the closing kick 0.999 takes a fifth more than that.
     """
-    sim = meeting_again_and_again({"mode": mode, "restitution": restitution}, 10_000)
+    sim = meeting_again_and_again({"mode": mode, "restitution": restitution}, 5000)
     measured, begun = sim.measure(), -0.4375
     turning, apart = 0.25 * (1.0 / 0.6) ** 2, -1.0 / 0.6  # of the velocity across, and of the potential, at a contact
     left = restitution ** (2 * sim.totals["collisions"])
-    assert sim.totals["collisions"] > 20
-    assert measured["total_energy"] == pytest.approx(turning + apart + left * (begun - turning - apart), abs=2e-3)
+    assert sim.totals["collisions"] >= 10
+    assert measured["total_energy"] == pytest.approx(turning + apart + left * (begun - turning - apart), abs=1e-3)
     assert measured["angular_momentum_z"] == pytest.approx(0.5, abs=1e-13)
 
 
@@ -84,20 +84,20 @@ def test_super_balls(mode):
     """They turn when they meet, and turn back: energy with that of spins stays, and so does angular momentum."""
     sim = meeting_again_and_again({"mode": mode, "tangential_restitution": 1.0})
     energies = []
-    for _ in range(40):
+    for _ in range(20):
         sim.steps(250)
         measured = sim.measure()
         energies.append(measured["total_energy"])
         assert measured["angular_momentum_z"] == pytest.approx(0.5, abs=1e-12)
-    assert sim.totals["collisions"] > 20
-    np.testing.assert_allclose(energies, -0.4375, rtol=0.0, atol=3e-3)  # 0.01 after ten thousand steps without closing kick
+    assert sim.totals["collisions"] >= 10
+    np.testing.assert_allclose(energies, -0.4375, rtol=0.0, atol=3e-3)  # 0.0085 after as many without closing kick
 
 
 @pytest.mark.parametrize("idle", [{"drag": {"rate": 0.0}}, {"friction": {"strength": 0.0}}])
 def test_what_does_nothing_changes_nothing(idle):
     """Not one bit: bounces get the same with drag and friction."""
-    plain, other = (meeting_again_and_again({"mode": "event"}, 3000, **effects) for effects in ({}, idle))
-    assert plain.totals["collisions"] > 5
+    plain, other = (meeting_again_and_again({"mode": "event"}, 1500, **effects) for effects in ({}, idle))
+    assert plain.totals["collisions"] > 2
     for name in ("position", "velocity"):
         np.testing.assert_array_equal(getattr(plain.particles, name), getattr(other.particles, name))
 
@@ -110,11 +110,11 @@ def test_a_super_ball_on_a_wall_that_attracts():
     tables = {"dimension": 2, "G": 1.0, "time": {"step": 0.01, "steps": 1}, "particles": bodies, "effects": effects}
     sim = Simulation(Scene.from_dict(tables))
     energies = [sim.measure()["total_energy"]]
-    for _ in range(40):
+    for _ in range(20):
         sim.steps(250)
         energies.append(sim.measure()["total_energy"])
-    assert sim.totals["wall_hits"] > 15
-    np.testing.assert_allclose(energies, energies[0], rtol=0.0, atol=1e-4)
+    assert sim.totals["wall_hits"] > 7
+    np.testing.assert_allclose(energies, energies[0], rtol=0.0, atol=5e-5)
 
 
 def test_a_step_that_ends_with_its_first_moment():

@@ -183,7 +183,7 @@ def cradle(places, e, mode, forces):
         k = approaching[0]
         v[k], v[k + 1] = 0.5 * ((1.0 - e) * v[k] + (1.0 + e) * v[k + 1]), 0.5 * ((1.0 + e) * v[k] + (1.0 - e) * v[k + 1])
     tables = [{"position": [[x] for x in places], "velocity": [[float(k == 0)] for k in range(len(places))], "radius": 0.5}]
-    sim = Simulation(scene(1, tables, 0.01, 1000, collisions={"restitution": e, "mode": mode}, **forces))
+    sim = Simulation(scene(1, tables, 0.01, 500, collisions={"restitution": e, "mode": mode}, **forces))
     sim.run()
     assert by_id(sim)[1][:, 0] == pytest.approx(v, abs=1e-12)
     assert sim.totals["missed"] == 0
@@ -287,8 +287,8 @@ def test_a_pile_that_loses_energy_on_walls_that_take_none_wins_none(mode):
     tables = [{"position": grid, "velocity": random.normal(0.0, 0.3, (60, 2)).tolist(), "radius": 0.05}]
     box = {"lower": [0.0, 0.0], "upper": [1.2, 1.2]}
     effects = {"collisions": {"restitution": 0.5, "mode": mode}, "walls": {}, "uniform_gravity": {"acceleration": [0.0, -9.8]}}
-    sim, before = Simulation(scene(2, tables, 0.0025, 450, box, **effects)), np.inf
-    for _ in range(9):
+    sim, before = Simulation(scene(2, tables, 0.0025, 300, box, **effects)), np.inf
+    for _ in range(6):
         sim.steps(50)
         energy = sim.measure()["total_energy"]
         assert energy < before + 1e-3 * 140.0

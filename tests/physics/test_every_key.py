@@ -91,7 +91,7 @@ def may_be_alike(effects, key, value):
 
 def tables(effects):
     return {
-        "dimension": 2, "seed": 5, "box": {"lower": [0, 0], "upper": [3.5, 3.5]}, "time": {"step": 0.01, "steps": 60},
+        "dimension": 2, "seed": 5, "box": {"lower": [0, 0], "upper": [3.5, 3.5]}, "time": {"step": 0.01, "steps": 40},
         "particles": [DISCS], "effects": effects, "output": {},
     }  # fmt: skip
 
@@ -99,7 +99,7 @@ def tables(effects):
 def final(given, changed=None):
     """The final state; `changed`: (effect, option, value) that is changed after five steps."""
     sim = Simulation(Scene.from_dict(given))
-    for step in range(60):
+    for step in range(40):
         if changed and step == 5:
             setattr(sim.effects[changed[0]], *changed[1:])
         sim.step()

@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,12 @@ FLOORS = (
 )
 
 
+@cache
+def nodes(path):
+    """All parts of the syntax tree of a file."""
+    return list(ast.walk(ast.parse(path.read_text())))
+
+
 def modules():
     """{dotted name inside the package: file}; a folder stands for its `__init__`."""
     names = {path: ".".join(path.relative_to(PACKAGE).with_suffix("").parts) for path in PACKAGE.rglob("*.py")}
@@ -51,7 +58,7 @@ def imported():
     known, found = modules(), {}
     for name, path in known.items():
         found[name] = set()
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in nodes(path):
             if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == PACKAGE.name:
                 base = node.module.partition(".")[2]
                 for alias in node.names:
@@ -61,7 +68,7 @@ def imported():
 
 
 def libraries(path):
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             yield from (name.name.split(".")[0] for name in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -97,7 +104,7 @@ def test_no_function_has_more_than_a_dozen_parameters():
     """What belongs together is handed over in one bundle with names; `self` and `cls` are not counted."""
     counted = {}
     for path in (path for folder in ("particles_mpi", "python_viz", "tests") for path in (PACKAGE.parent / folder).rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in nodes(path):
             if isinstance(node, ast.FunctionDef):
                 of = node.args
                 names = [a.arg for a in (*of.posonlyargs, *of.args, *of.kwonlyargs, of.vararg, of.kwarg) if a]
@@ -153,8 +160,7 @@ for operator in ("contacts.time_stepped.operator", "contacts.event_driven.operat
 
 
 def test_every_phase_has_a_line_in_the_table_of_phases():
-    nodes = [node for path in PACKAGE.rglob("*.py") for node in ast.walk(ast.parse(path.read_text()))]
-    calls = [node for node in nodes if isinstance(node, ast.Call)]
+    calls = [node for path in PACKAGE.rglob("*.py") for node in nodes(path) if isinstance(node, ast.Call)]
     timed = [call for call in calls if "timers" in (getattr(call.func, "attr", ""), getattr(call.func, "id", ""))]
     phases = {call.args[0].value for call in timed if call.args and isinstance(call.args[0], ast.Constant)}
     assert len(phases) > 10 and phases <= set(PHASES)

@@ -130,7 +130,7 @@ def test_what_no_box_can_hold_is_refused(change, says, mode):
         sim.step()
 
 
-WELL_INTO = 1.0  # seconds of a core, after which a process is in its long step: kernels are loaded in a tenth of that
+WELL_INTO = 0.4  # seconds of a core, after which a process is in its long step: kernels are loaded in a quarter of that
 LONG = """
 import signal
 signal.signal(signal.SIGINT, signal.default_int_handler)  # the tests may be a job in the background, which is to ignore it

@@ -111,10 +111,10 @@ def test_lattice_reaches_high_packing(d, packing, periodic):
 @pytest.mark.parametrize("position", ["random", "lattice"])
 @pytest.mark.parametrize(("d", "radius"), [(1, 0.01), (2, 0.06), (3, 0.13), (3, 0.7), (5, 0.3)])
 def test_what_cannot_fit_is_told_quickly(position, d, radius):
-    begin = time.perf_counter()
+    begin = time.process_time()
     told = faults({"count": 100, "position": position, "radius": radius}, d=d)
     assert "particles[0].position" in told
-    assert time.perf_counter() - begin < 30.0
+    assert time.process_time() - begin < 2.0
 
 
 def test_the_same_seed_gives_the_same_bits_and_streams_are_independent():
@@ -469,12 +469,12 @@ def test_hopeless_overlap_is_a_warning_that_says_how_much_is_left():
     assert "still overlap after 1000 sweeps" in warnings[-1]
 
 
-def test_a_million_random_spheres_take_seconds():
+def test_very_many_random_spheres_take_seconds():
     start({"count": 100, "position": "random", "radius": 0.001}, d=3)
-    begin = time.perf_counter()
-    particles, _ = start({"count": 1_000_000, "position": "random", "radius": 0.001}, d=3)
-    assert len(particles) == 1_000_000
-    assert time.perf_counter() - begin < 30.0
+    begin = time.process_time()
+    particles, _ = start({"count": 300_000, "position": "random", "radius": 0.001}, d=3)
+    assert len(particles) == 300_000
+    assert time.process_time() - begin < 5.0
 
 
 @pytest.mark.parametrize("position", [[[0.1, 0.2], [0.3]], [[0.1, 0.2], 0.3], "nowhere", 3.0])

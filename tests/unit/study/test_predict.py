@@ -6,6 +6,7 @@ import pytest
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.study.experiment import Benchmark
+from particles_mpi.study.recommend import predict as predicting
 from particles_mpi.study.recommend.predict import predict
 
 ORBIT = {
@@ -50,14 +51,15 @@ class Effect(Force):
     def __init__(self, options, scene): pass
     def add(self, particles, acceleration):
         if not compiled:
-            sleep(3.5)
+            sleep(0.8)
             compiled.append(True)
         acceleration += 1.0
 """
 
 
-def test_what_is_compiled_for_the_first_trial_is_not_compiled_by_the_run(tmp_path):
+def test_what_is_compiled_for_the_first_trial_is_not_compiled_by_the_run(tmp_path, monkeypatch):
+    monkeypatch.setattr(predicting, "COMPILED_IF_LONGER", 0.5)
     (tmp_path / "slow.py").write_text(COMPILES)
     tables = {"dimension": 2, "time": {"step": 0.01, "steps": 30}, "particles": [{"position": [[0.0, 0.0]]}]}
     sim = Simulation(Scene.from_dict(tables | {"effects": {"slow": {"file": "slow.py"}}}, tmp_path))
-    assert predict(sim, Benchmark()).forecast.seconds < 1.0
+    assert predict(sim, Benchmark()).forecast.seconds < 0.4
