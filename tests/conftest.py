@@ -52,9 +52,12 @@ def group_of(nodeid):
     """Tests of one group are given to one process: all of tests/parallel, each of SHARING, and all others one by one.
 
     Two ranks and one test beside them keep two cores busy; two such pairs at once wait for one another, and all take longer.
-    What compiles all kernels for an older processor takes one core for a minute or more, beside all else.
+    What compiles all kernels for an older processor takes one core for a minute or more, beside all else; those of four
+    dimensions are compiled when they are needed, by one process instead of both at once.
     """
     path = nodeid.partition("::")[0]
+    if nodeid.endswith(("[4]", "-4]")) and not path.startswith(RANKS):
+        return "4D"
     if path.startswith(f"{RANKS}/") and "older_processor" not in nodeid:
         return RANKS
     return path if Path(path).name in SHARING else nodeid

@@ -16,7 +16,7 @@ def whole_run(sim):
 
 
 def random_scenes(seed, count, axes=3, mode=None, run=whole_run):
-    """(name, tables, simulation after `run(sim)`) of `count` scenes, in at most `axes` dimensions, that are accepted and not stopped.
+    """(name, tables, simulation after `run(sim)`) of `count` scenes in at most `axes` dimensions that are valid and not stopped.
 
     `mode`: only scenes with collisions, in this mode. The kernels of more than three axes are compiled when they are needed,
     which takes longer than all else.

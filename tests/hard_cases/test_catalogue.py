@@ -1,5 +1,7 @@
 """The catalogue of hard cases: what must hold, holds."""
 
+from functools import partial
+
 import pytest
 
 from particles_mpi.study.hard_cases.catalogue import catalogue, examine, settings, where
@@ -27,7 +29,13 @@ def parameters():
         yield pytest.param(one, mode, dimension, marks=marks, id=f"{one.name}, {where(mode, dimension)}")
 
 
+WHOLE = {("bed of 10 000, 3 s, e = 0.9", "event"), ("bed of 10 000, 3 s, e = 0.5", "rewind")}  # the others of these are smaller
+FEWER = 3000  # large piles as well: contacts are solved by all ranks together
+
+
 @pytest.mark.parametrize(("one", "mode", "dimension"), list(parameters()))
 def test_what_must_hold(one, mode, dimension):
+    if one.name.startswith("bed of 10 000") and (one.name, mode) not in WHOLE:
+        one = one._replace(function=partial(one.function, count=FEWER))
     outcome = examine(one, mode, dimension)
     assert outcome.holds, f"{one.must}; measured: {outcome.measured}"
