@@ -89,7 +89,7 @@ class Scene(Model):
 
     folder: Annotated[Path, Field(exclude=True)] = Path()
     title: str = ""
-    dimension: Annotated[int, Field(ge=1, le=100)]
+    dimension: Annotated[int, Field(ge=1, le=1000)]
     seed: Annotated[int, Field(ge=0)] = 0
     G: NotNegative = 6.6740831e-11
     box: Box | None = None

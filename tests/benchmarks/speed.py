@@ -22,7 +22,7 @@ from time import perf_counter
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent))
-from conftest import ROOT, run_ranks  # noqa: E402
+from ranks import ROOT, run_ranks  # noqa: E402
 
 SCENES = ROOT / "particles_mpi" / "scenes"
 

@@ -134,6 +134,11 @@ def test_plots_know_a_run_by_its_results_only():
     assert not [p for p in scripts if {"h5py", "mpi4py"} & set(libraries(p))]
 
 
+def test_benchmarks_need_nothing_that_only_tests_do():
+    """They are run after a set-up in which pytest was not installed."""
+    assert not [p for p in (PACKAGE.parent / "tests" / "benchmarks").glob("*.py") if {"pytest", "conftest"} & set(libraries(p))]
+
+
 def test_the_package_and_a_run_are_read_without_what_only_a_simulation_needs():
     script = """
 import sys

@@ -20,7 +20,6 @@ import numpy as np
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.errors import Interrupted, SceneError, StoppedError
-from particles_mpi.initial.room import packing_fraction, room_of
 from particles_mpi.integrators.gauss_radau import TOLERANCE
 from particles_mpi.output.files import failing_together
 from particles_mpi.parallel.communicator import Communicator
@@ -29,6 +28,7 @@ from particles_mpi.run.job import Job
 from particles_mpi.scene.schema import TOLERANCES
 from particles_mpi.study.experiment import Benchmark, total_count
 from particles_mpi.study.recommend.error_metric import ROUND_OFF
+from particles_mpi.study.recommend.lost_collisions import beside_event
 from particles_mpi.study.recommend.methods import DIRECT
 from particles_mpi.study.recommend.reference import MOST_FOR_DIRECT_SUM
 from particles_mpi.study.recommend.runs import LEAST_SNAPSHOTS, Changes, Record, Start, follow, variant
@@ -73,7 +73,11 @@ def predict(sim: Simulation, benchmark: Benchmark) -> Prediction:
         if start and ranks.any(compiled):
             forecast = rehearse(start)
         costs = costs_of(sim, forecast.step)
-        errors = predict_contacts(sim) if "collisions" in scene.active else predict_steps(benchmark, scene, forecast.step)
+        errors = (
+            predict_contacts(sim, benchmark, forecast.step)
+            if "collisions" in scene.active
+            else predict_steps(benchmark, scene, forecast.step)
+        )
     except StoppedError as error:
         return Prediction(None, [f"predicted: stops within the first steps: {str(error).splitlines()[0]}"])
     return Prediction(forecast, errors, costs)
@@ -138,24 +142,12 @@ def temporary_folder(ranks: Communicator) -> Iterator[Path]:
         yield Path(ranks.bcast(name))
 
 
-def share_missed(rate: float, step: float, packing: float, passes: int) -> float:
-    """Share of collisions that `rewind` misses: y/(1 + y), y = 0.063 (Gamma dt)^2 / (packing passes).
-
-    A fit to what is published for a fluid: at packing 0.30, Gamma dt = 0.3 and 1.0, one pass loses 2 and 17 %, ten 0 and 2 %; at
-    0.45, Gamma dt = 0.85 and 2.8: 8 and 53 %, 1 and 9 %. Within a factor of two or so, for packings of 0.1 to 0.5; of more than
-    ten passes nothing is known.
-    """
-    y = 0.063 * (rate * step) ** 2 / (min(max(packing, 0.1), 0.5) * min(passes, 10))
-    return float(y / (1.0 + y))
-
-
-def predict_contacts(sim: Simulation) -> list[str]:
-    """What to expect of rates of collisions, and of places after many of them, from the first steps. Collective."""
-    scene, options, p = sim.scene, sim.scene.effects["collisions"], sim.rows
-    h = scene.time.step
-    movable = sim.ranks.total(np.count_nonzero(p.fixed == 0))[0]
+def predict_contacts(sim: Simulation, benchmark: Benchmark, step: float) -> list[str]:
+    """What to expect of rates of collisions, and of places after many of them, from the first steps; `step`: seconds of one.
+    Collective."""
+    scene, options, h = sim.scene, sim.scene.effects["collisions"], sim.scene.time.step
+    movable = sim.ranks.total(np.count_nonzero(sim.rows.fixed == 0))[0]
     rate = 2.0 * total_count(sim, "collisions") / (max(movable, 1) * sim.time)
-    many = rate * scene.steps * h
     active = sim.active
     forced = active.forces or active.on_velocities or active.events
     if rate == 0.0:
@@ -164,12 +156,10 @@ def predict_contacts(sim: Simulation) -> list[str]:
         what = "; forces between them are second order in the step" if forced else ""
         lines = [f"predicted error: contacts are exact in mode event{what}"]
     else:
-        packing = packing_fraction(sim.ranks, p.radius, room_of(scene))
-        missed = share_missed(rate, h, packing, options.passes)
-        lines = [
-            f"predicted error: about {missed:.1g} of the rate of collisions (a particle has "
-            f"{rate * h:.2g} in a step, packing {packing:.2g}, passes {options.passes}; fitted to a fluid)"
-        ]
+        compared = beside_event(benchmark, scene, 0.5 * ERROR_SECONDS if step <= LONGEST_TIMED_STEP else 0.0)
+        rate *= compared.exact / max(compared.found, 1) if compared.exact else 1.0
+        lines = [f"predicted error: {compared} (a particle has {rate * h:.2g} in a step, passes {options.passes})"]
+    many = rate * scene.steps * h
     orderly = scene.dimension == 1 and not forced  # spheres on a line hand their velocities on: errors grow as the time only
     if many > CHAOS_AFTER and not orderly:
         lines.append(

@@ -61,6 +61,7 @@ def test_scene_survives_its_own_tables(path):
         ({"effects": {"uniform_gravity": {"acceleration": -9.81}}}, ["effects.uniform_gravity.acceleration: must be a list"]),
         ({"dimension": None}, ["dimension: missing"]),
         ({"dimension": 0}, ["dimension"]),
+        ({"dimension": 1001}, ["dimension: must be less than or equal to 1000"]),
         ({"time": {"step": 1e101, "steps": 3}}, ["time.step: 1e+101 is not a number between -1e+100 and 1e+100"]),
         ({"effects": {"drag": {"rate": 1e101}}}, ["effects.drag.rate: 1e+101 is not a number between"]),
         ({"effects": {"uniform_gravity": {"acceleration": [0.0, -1e101]}}}, ["effects.uniform_gravity.acceleration: -1e+101 is"]),

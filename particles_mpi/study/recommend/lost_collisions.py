@@ -1,0 +1,55 @@
+"""How many collisions a scene loses by mode `rewind`: its first steps are computed in both modes, and collisions counted."""
+
+from math import sqrt
+from time import perf_counter
+from typing import NamedTuple
+
+from particles_mpi import Scene, Simulation
+from particles_mpi.errors import SceneError, StoppedError
+from particles_mpi.study.experiment import Benchmark, total_count
+from particles_mpi.study.recommend.methods import EVENT
+from particles_mpi.study.recommend.runs import variant
+
+
+class BesideEvent(NamedTuple):
+    """Collisions in mode `rewind` (`found`) and in mode `event` (`exact`) in the first `steps`, and how many the two had when
+    they last had the same number."""
+
+    steps: int = 0
+    found: int = 0
+    exact: int = 0
+    same: int = 0
+
+    def __str__(self) -> str:
+        """The share that is lost, as far as chance lets it be seen: N collisions scatter by less than the root of N."""
+        if not self.steps:
+            return "not measured, a step takes too long, or mode event refuses the scene"
+        if self.same == self.exact:
+            return f"none of the {self.exact} collisions of the first {self.steps} steps is lost, beside mode event"
+        noise, lost = 2.0 / sqrt(max(self.exact, 1)), 1.0 - self.found / max(self.exact, 1)
+        beside = f"of their rate over {self.steps} steps, beside mode event"
+        if lost > noise:
+            return f"collisions are lost, about {lost:.1g} {beside}"
+        return f"none of the first {self.same} collisions is lost, and less than {noise:.1g} {beside}"
+
+
+def beside_event(benchmark: Benchmark, scene: Scene, seconds: float) -> BesideEvent:
+    """Both modes from the start of the scene, in as many steps as there are `seconds` for, about; none in 0 s. Collective.
+
+    Nothing is compared either if mode `event` refuses the scene, or stops.
+    """
+    done = found = exact = same = 0
+    try:
+        time = scene.time.model_dump(exclude_none=True)
+        runs = [Simulation(variant(scene, time, changes), comm=benchmark.comm) for changes in ({}, EVENT)]
+        began = perf_counter()
+        while done < scene.steps and benchmark.ranks.largest(perf_counter() - began)[0] < seconds:
+            number = min(max(done, 1), scene.steps - done)
+            for sim in runs:
+                sim.steps(number)
+            done += number
+            found, exact = (total_count(sim, "collisions") for sim in runs)
+            same = exact if found == exact else same
+    except (SceneError, StoppedError):
+        return BesideEvent()
+    return BesideEvent(done, found, exact, same)
