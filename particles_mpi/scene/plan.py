@@ -98,6 +98,8 @@ def advice(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]
         lines.append(f"effects.walls: {why}, so there is no wall")
     if scene.time.integrator == "taylor" and effects.forces and effects.lossy:
         lines.append("step: with taylor nothing comes to rest on anything: it bounces on; with leapfrog it does")
+    if scene.dimension > 3:
+        lines.append("output.formats: vtk has three axes, so hdf5 only, which has places and velocities in all of them")
     return lines
 
 

@@ -37,6 +37,16 @@ def test_seconds_for_people(seconds, words):
     assert duration(seconds) == words
 
 
+def test_that_there_is_no_vtk_in_four_dimensions_is_said():
+    tables = {
+        "dimension": 4,
+        "time": {"step": 0.01, "steps": 1},
+        "particles": [{"position": [[1.0, 2.0, 0.0, 0.0]], "radius": 0.1}],
+    }
+    told = plan(scene := Scene.from_dict(tables), populate(scene)[0], Communicator.alone(), 1)
+    assert told["advice"] == ["output.formats: vtk has three axes, so hdf5 only, which has places and velocities in all of them"]
+
+
 def test_what_is_switched_off_does_not_run():
     tables = {"dimension": 2, "time": {"step": 0.01, "steps": 1}, "particles": [{"position": [[1.0, 2.0]], "radius": 0.1}]}
     effects = {"collisions": {"active": False}, "uniform_gravity": {"acceleration": [0.0, -1.0]}}
