@@ -19,6 +19,7 @@ HEADING, LETTER = 13, 0.1  # size of the letters of the heading, and how wide on
 SMALLEST = 1.0  # pixels: smaller marbles are drawn with this radius, and the caption says so
 POINT, CROWD = 6.0, 1000  # pixels: the radius of a point; where there are more than so many, all cover as much as these
 MARGIN = 0.04  # of the extent of the marbles, around it, where the scene has no box
+LEAST_RANGE = 1e-3  # of the largest value: what differs by less has one colour, and not those of its round-off
 HAZE = 0.4  # share of white in the colour of the furthest marbles
 WALLS, LINE = ("#f4f5f7", "#f8f9fa", "#e9ebef"), "#4a5260"
 SQUARE = np.array([(0, 0), (0, 1), (1, 1), (1, 0)])
@@ -104,7 +105,9 @@ class Picture:
             if len(values):
                 ranges.append((values.min(), np.percentile(values, self.top, method="higher"), values.max()))
         low, high, highest = np.array(ranges or [(0, 1, 1)]).T
-        self.colors = ScalarMappable(Normalize(low.min(), high.max()), self.colormap)
+        middle, half = 0.5 * (high.max() + low.min()), 0.5 * (high.max() - low.min())
+        half = max(half, 0.5 * LEAST_RANGE * max(abs(high.max()), abs(low.min())))
+        self.colors = ScalarMappable(Normalize(middle - half, middle + half), self.colormap)
         self.extend = "max" if highest.max() > high.max() else "neither"
 
     def make_figure(self, dpi: int) -> None:
@@ -125,7 +128,9 @@ class Picture:
         self.axes.apply_aspect()
         place = self.axes.get_position()
         bar = self.figure.add_axes((place.x1 + 0.2 / width, place.y0 + 0.1 * place.height, 0.18 / width, 0.8 * place.height))
-        self.figure.colorbar(self.colors, cax=bar, label=self.label, extend=self.extend).outline.set_visible(False)
+        shown = self.figure.colorbar(self.colors, cax=bar, label=self.label, extend=self.extend)
+        shown.formatter.set_useOffset(False)
+        shown.outline.set_visible(False)
         middle = (place.x0 + place.x1) / 2
         self.heading = self.figure.text(middle, place.y1 + 0.12 / height, "", ha="center", va="bottom", fontsize=HEADING)
         self.letters = int(2.0 * min(middle, 1.0 - middle) * width / LETTER)

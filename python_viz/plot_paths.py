@@ -1,9 +1,9 @@
 """Draw where particles went: the paths of a few, or the places of many at the last frame, seen along the last axis.
 
 One panel a run. Up to 30 particles are drawn as paths that end in a dot: between two frames a curve that begins and ends with
-the velocities there, or a straight line where collisions or walls turn them. More are drawn as they stand at the end, as spheres
-where they have radii, else as points that are brighter where they are many. `--span` leaves out what is further from the middle.
-In one dimension all paths are drawn over time.
+the velocities there, or a straight line where collisions or walls turn them; through a periodic face it goes on from the face
+across. More are drawn as they stand at the end, as spheres where they have radii, else as points that are brighter where they are
+many. `--span` leaves out what is further from the middle. In one dimension all paths are drawn over time.
 
 example:
     python python_viz/plot_paths.py out/figure_eight out/solar_system --save gravity.png
@@ -27,13 +27,18 @@ from particles_mpi.results.frame import Frame
 
 FEW = 30
 COLUMNS = 3
+CROWD = 4000  # points: more are drawn as small as can be
 TITLE = 40  # letters in a line of a title
 PIECES = 8  # of a curve between two frames
 PALER = 0.45  # times as strong are the colours when they are used again
 
 
-def paths_of(frames: list[Frame], smooth: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Moments (s,) and places (s, n, d) of all particles there ever were. smooth: nothing changes velocities at once."""
+def paths_of(frames: list[Frame], smooth: bool, length: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Moments (s,) and places (s, n, d) of all particles there ever were, which leave the box on periodic axes.
+
+    smooth: nothing changes velocities at once. length (d,): of the box on periodic axes, 0 on others. Between two frames a
+    particle went the shorter way.
+    """
     ids = np.unique(np.concatenate([frame.id for frame in frames]))
     times = np.array([frame.time for frame in frames])
     places = np.full((len(frames), len(ids), frames[0].position.shape[1]), np.nan)  # a gap where a particle was not there
@@ -41,66 +46,102 @@ def paths_of(frames: list[Frame], smooth: bool) -> tuple[np.ndarray, np.ndarray]
     for k, frame in enumerate(frames):
         here = np.searchsorted(ids, frame.id)
         places[k, here], velocities[k, here] = frame.position, frame.velocity
+    periods = np.rint(np.diff(places, axis=0) / np.where(length, length, np.inf))
+    places[1:] -= np.cumsum(np.nan_to_num(periods), axis=0) * length
     if not smooth or len(frames) == 1 or np.isnan(places).any():
         return times, places
     moments = np.interp(np.arange(PIECES * (len(times) - 1) + 1) / PIECES, np.arange(len(times)), times)
     return moments, CubicHermiteSpline(times, places, velocities)(moments)
 
 
-def plot_few(axes: Axes, places: np.ndarray) -> None:
+def inside(path: np.ndarray, lower: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """A path (s, c), of straight lines, as it goes in the box: with a gap (a row of nan) where it leaves through a periodic face.
+
+    lower, length (c,): where the box begins and how long it is; length 0 for what is not periodic, as is time.
+    """
+    number, cuts = np.arange(len(path)), []
+    for k in np.flatnonzero(length):
+        cell = (path[:, k] - lower[k]) / length[k]
+        for i in np.flatnonzero(np.diff(np.floor(cell))):
+            begin, end = sorted(cell[i : i + 2])
+            faces = np.arange(np.ceil(begin), np.ceil(end))
+            cuts.append(i + (faces - cell[i]) / (cell[i + 1] - cell[i]))
+
+    def places(at: np.ndarray) -> np.ndarray:
+        return np.stack([np.interp(at, number, column) for column in path.T], axis=1)
+
+    at = np.unique(np.concatenate([number, *cuts]))
+    if not cuts:
+        at = np.append(at, at[-1])  # a single place is a path, too
+    shift = np.floor((places(0.5 * (at[1:] + at[:-1])) - lower) / np.where(length, length, np.inf)) * length
+    gaps = np.flatnonzero((np.diff(shift, axis=0) != 0.0).any(axis=1)) + 1
+    lines = np.stack((places(at[:-1]) - shift, places(at[1:]) - shift), axis=1).reshape(-1, path.shape[1])
+    return np.insert(lines, 2 * gaps, np.nan, axis=0)
+
+
+def plot_few(axes: Axes, places: np.ndarray, lower: np.ndarray, length: np.ndarray) -> None:
     """A path a particle, and where it is at the end."""
     for i in range(places.shape[1]):
         color = 1.0 - (1.0 - np.array(to_rgb(PAINTS[i % len(PAINTS)]))) * PALER ** (i // len(PAINTS))
-        axes.plot(places[:, i, 0], places[:, i, 1], "-", lw=0.8, color=color)
-        axes.plot(*places[-1, i, :2], "o", ms=5, color=color)
+        path = inside(places[:, i], lower, length)
+        axes.plot(path[:, 0], path[:, 1], "-", lw=0.8, color=color)
+        axes.plot(*path[-1, :2], "o", ms=5, color=color)
 
 
-def plot_spheres(axes: Axes, frame: Frame) -> None:
+def plot_spheres(axes: Axes, position: np.ndarray, radius: np.ndarray) -> None:
     """Spheres from above, the lower ones first and darker."""
-    order = np.argsort(frame.position[:, -1]) if frame.position.shape[1] > 2 else np.arange(len(frame))
+    order = np.argsort(position[:, -1]) if position.shape[1] > 2 else np.arange(len(position))
     height = np.linspace(0.25, 0.95, len(order))
-    size = 2.0 * frame.radius[order]
-    spheres = EllipseCollection(size, size, 0.0, units="xy", offsets=frame.position[order, :2], transOffset=axes.transData)
+    size = 2.0 * radius[order]
+    spheres = EllipseCollection(size, size, 0.0, units="xy", offsets=position[order, :2], transOffset=axes.transData)
     spheres.set(facecolors=plt.get_cmap("copper")(height), edgecolors="#2a1a10", linewidths=0.3)
     axes.add_collection(spheres)
 
 
-def plot_points(axes: Axes, frame: Frame) -> None:
+def plot_points(axes: Axes, position: np.ndarray) -> None:
     """Many points, on black."""
     axes.set_facecolor("black")
-    axes.plot(frame.position[:, 0], frame.position[:, 1], ".", ms=1.5, mew=0, color="#ffe8c0", alpha=0.6)
+    size = float(np.clip(1.5 * (CROWD / max(len(position), 1)) ** 0.5, 1.5, 4.0))
+    axes.plot(position[:, 0], position[:, 1], ".", ms=size, mew=0, color="#ffe8c0", alpha=0.6)
 
 
 def plot(axes: Axes, run: Run, span: float, title: str) -> None:
     """One run."""
     last, half, scene = run[-1], 0.0, run.about.get("scene", {})
-    smooth = not {"collisions", "walls"} & scene.get("effects", {}).keys()
-    if run.dimension == 1:
-        moments, places = paths_of(run[:], smooth)
-        axes.plot(moments, places[:, :, 0], lw=0.8)
+    smooth, d = not {"collisions", "walls"} & scene.get("effects", {}).keys(), run.dimension
+    box, points = scene.get("box"), last.radius == 0.0
+    lower = np.array(box["lower"] if box else [0.0] * d)
+    length = (np.array(box["upper"]) - lower) * box["periodic"] if box else np.zeros(d)
+    if d == 1:
+        moments, places = paths_of(run[:], smooth, length)
+        for i in range(places.shape[1]):
+            path = inside(np.column_stack((moments, places[:, i])), np.append(0.0, lower), np.append(0.0, length))
+            axes.plot(path[:, 0], path[:, 1], lw=0.8)
     elif len(last.position) <= FEW:
-        plot_few(axes, paths_of(run[:], smooth)[1])
-        if box := scene.get("box"):
+        plot_few(axes, paths_of(run[:], smooth, length)[1], lower, length)
+        if box:
             (x, y), (right, top) = box["lower"][:2], box["upper"][:2]
             axes.add_patch(Rectangle((x, y), right - x, top - y, fill=False, ec="0.6", lw=0.8, zorder=0))
         axes.margins(0.08)
     else:
-        plot_spheres(axes, last) if last.radius.any() else plot_points(axes, last)
+        plot_spheres(axes, last.position[~points], last.radius[~points])
+        if points.any():
+            plot_points(axes, last.position[points])
         middle = np.median(last.position[:, :2], axis=0)
         away = np.abs(last.position[:, :2] - middle).max(axis=1) + last.radius
-        half = 1.05 * float(np.quantile(away, 1.0 if last.radius.any() else span))
+        half = 1.05 * float(np.quantile(away, 1.0 if not points.all() else span))
         axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
     axes.grid(False)
     axes.spines[:].set_visible(True)
-    if run.dimension > 1:
+    if d > 1:
         axes.set_aspect("equal", adjustable="datalim" if not half else "box")
     axes.set_title(fill(title, TITLE), fontsize=10)
-    seen = f"{spaced(len(last.position))} at t = {last.time:g}" + (f", two of {run.dimension} axes" if run.dimension > 3 else "")
+    seen = f"{spaced(len(last.position))} at t = {last.time:g}" + (f", two of {d} axes" if d > 3 else "")
     axes.text(0.99, 0.01, seen, transform=axes.transAxes, ha="right", fontsize=8,
               bbox={"facecolor": axes.get_facecolor(), "alpha": 0.7, "lw": 0, "pad": 1},
-              color="white" if len(last.position) > FEW and not last.radius.any() else "black")  # fmt: skip
+              color="white" if d > 1 and len(last.position) > FEW and points.any() else "black")  # fmt: skip
     axes.tick_params(labelsize=7)
-    across, up = ("x", "y") if run.dimension > 1 else ("t", "x")
+    across, up = ("x", "y") if d > 1 else ("t", "x")
     axes.set_xlabel(across, fontsize=8)
     axes.set_ylabel(up, fontsize=8)
 

@@ -176,7 +176,9 @@ class Drift:
             with self.context.timers("events"):
                 changed += number_from(name, event.act(self.rows, h))
             self.calls[name] += 1
-        self.rows.version += changed > 0  # nothing that was known of neighbours holds any longer
+        if changed:
+            self.rows.hold_fixed()
+            self.rows.version += 1  # nothing that was known of neighbours holds any longer
         return changed > 0
 
     def rates(self, g: Array, total: Array | None, middle: float) -> Rates:

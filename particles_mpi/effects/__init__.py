@@ -13,13 +13,18 @@ table and checks them. `Effect` derives from one of these kinds, which say when 
 - `VelocityFlow`: `advance` changes velocities at fixed positions, exactly, for instance a rotation in a magnetic field;
 - `Event`: `act` acts on positions and velocities at the end of the drift of each step.
 
-All three change arrays in place. `add` and `advance` return nothing, `act` the number of particles that it has changed. A file
-that was edited is read anew by the next scene; simulations that there are go on with what it was.
+All three change arrays in place. `add` and `advance` return nothing, `act` the number of particles that it has changed. What
+they do to velocities of fixed particles is taken back. A file that was edited is read anew by the next scene; simulations that
+there are go on with what it was.
 
 What an effect needs stands in `needs`: a column of its own per particle (a charge, say) is then a key of every
 `[[particles]]` table, and is written to frames and checkpoints. An effect that no scene names is never imported.
 `kernel` compiles a function with a loop over rows. Decide by data and ids of particles, never by the order of rows: results
-must have the same bits on any number of ranks.
+must have the same bits on any number of ranks. Each rank calls the methods for its own rows, of which there may be none.
+
+A force between particles needs those of other ranks. `bind` gives it the `Context` before the first step: the ranks, the box.
+Say `collective = True` if `add` exchanges messages: all ranks then call it together, and every one must. `springs.py` below
+`tests/parallel/outside` is an example, `magnetic.py` and `gate.py` there are a velocity flow and an event.
 
 The other kinds, `Damping`, `ConstantFriction`, `RollingResistance`, `WallContacts` and `PairContacts`, are for the program's own
 effects, one of each, which are computed together and not one after the other.

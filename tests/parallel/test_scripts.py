@@ -3,11 +3,14 @@
 import json
 import re
 import sys
+from importlib import import_module
 from math import pi
 
 import numpy as np
 import pytest
 from conftest import ROOT, run_ranks
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from particles_mpi import Run, Scene, Simulation
 
@@ -80,11 +83,7 @@ def test_paths_between_frames_are_curves_and_those_of_a_line_are_drawn_over_time
     )
     for name, scene in (("circle", circle), ("rods", rods)):
         Simulation(scene).run(tmp_path / name)
-    sys.path.insert(0, str(ROOT / "python_viz"))
-    try:
-        from plot_paths import paths_of
-    finally:
-        sys.path.pop(0)
+    paths_of = viz("plot_paths").paths_of
     frames = Run(tmp_path / "circle")[:]
     for smooth, least in ((True, 0.98), (False, 0.7)):
         _, places = paths_of(frames, smooth)
@@ -93,6 +92,59 @@ def test_paths_between_frames_are_curves_and_those_of_a_line_are_drawn_over_time
         assert away.max() < 1.02 and away.min() == pytest.approx(least, abs=0.02)
     done = script("plot_paths.py", tmp_path / "circle", tmp_path / "rods", "--save", tmp_path / "paths.png")
     assert done.returncode == 0, done.stderr
+
+
+def viz(module):
+    """A module of python_viz."""
+    sys.path.insert(0, str(ROOT / "python_viz"))
+    try:
+        return import_module(module)
+    finally:
+        sys.path.pop(0)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    points=st.integers(1, 12),
+    periods=st.lists(st.sampled_from([0.0, 1.0, 0.3]), min_size=1, max_size=3),
+)
+def test_a_path_through_periodic_faces_is_drawn_inside(seed, points, periods):
+    """None of it is lost, none lies outside, and it has gaps where it goes on from the other face, nowhere else."""
+    random, length = np.random.default_rng(seed), np.array(periods)
+    whole = np.cumsum(random.normal(0.0, 0.4, (points, len(length))), axis=0)
+    drawn = viz("plot_paths").inside(whole, np.full(len(length), -0.2), length)
+    steps = np.linalg.norm(np.diff(drawn, axis=0), axis=1)
+    assert np.nansum(steps) == pytest.approx(np.linalg.norm(np.diff(whole, axis=0), axis=1).sum(), abs=1e-12)
+    for k in np.flatnonzero(length):
+        assert np.nanmin(drawn[:, k]) >= -0.2 - 1e-12 and np.nanmax(drawn[:, k]) <= length[k] - 0.2 + 1e-12
+    for gap in np.flatnonzero(np.isnan(drawn[:, 0])):
+        jump = drawn[gap + 1] - drawn[gap - 1]
+        turns = jump / np.where(length, length, 1.0)
+        assert np.abs(turns - np.rint(turns)).max() < 1e-9 and (np.rint(turns) != 0.0).any()
+    assert (np.isfinite(drawn[:, 0]) | (not length.any())).any()
+
+
+def points_in_a_box(folder, *more):
+    """A run of 60 points of one speed, and of what else there is."""
+    points = {"count": 60, "position": "random", "velocity": {"speed": 0.7}}
+    tables = {"dimension": 2, "box": {"lower": [0, 0], "upper": [1, 1]}, "time": {"step": 0.01, "steps": 30}}
+    scene = Scene.from_dict(tables | {"particles": [*more, points], "effects": {"collisions": {}, "walls": {}}})
+    Simulation(scene).run(folder)
+    return Run(folder)
+
+
+def test_points_beside_a_sphere_are_drawn(tmp_path):
+    run, paths = points_in_a_box(tmp_path, {"position": [[0.5, 0.5]], "radius": 0.3, "fixed": True}), viz("plot_paths")
+    axes = paths.plt.figure().add_subplot()
+    paths.plot(axes, run, 1.0, "title")
+    assert len(axes.lines[0].get_xdata()) == 60 and len(axes.collections[0].get_offsets()) == 1
+
+
+def test_speeds_that_differ_by_round_off_have_one_colour(tmp_path):
+    run = points_in_a_box(tmp_path)
+    colors = viz("picture").Picture(run, run[:], "speed", (-60, 20), 50).colors
+    assert np.ptp(run[-1].speed) > 0.0 and np.ptp(colors.to_rgba(run[-1].speed), axis=0).max() < 0.01
 
 
 def test_rewind_against_event(tmp_path):
