@@ -23,8 +23,9 @@ What an effect needs stands in `needs`: a column of its own per particle (a char
 must have the same bits on any number of ranks. Each rank calls the methods for its own rows, of which there may be none.
 
 A force between particles needs those of other ranks. `bind` gives it the `Context` before the first step: the ranks, the box.
-Say `collective = True` if `add` exchanges messages: all ranks then call it together, and every one must. `springs.py` below
-`tests/parallel/outside` is an example, `magnetic.py` and `gate.py` there are a velocity flow and an event.
+Say `collective = True` if `add` exchanges messages: all ranks then call it together, with rows or without. Examples are in
+`tests/parallel/outside`: `springs.py`, a force; `repulsion.py`, one between pairs; `magnetic.py`, a velocity flow; `gate.py`, an
+event.
 
 The other kinds, `Damping`, `ConstantFriction`, `RollingResistance`, `WallContacts` and `PairContacts`, are for the program's own
 effects, one of each, which are computed together and not one after the other.

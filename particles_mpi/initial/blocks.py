@@ -14,6 +14,7 @@ from particles_mpi.scene.model import LARGEST_NUMBER
 from particles_mpi.scene.population import Population
 from particles_mpi.scene.schema import Scene
 
+LARGEST_WHOLE = 2.0**53  # up to which a float64 holds each whole number
 Numbers = tuple[int, int]  # (first, last + 1) of a rank's particles of a population, counted from its first one
 
 
@@ -66,10 +67,15 @@ class Columns:
         """A field of a population from a number, a list, a file or a range. Collective."""
         mine, own = self.of(block, name, value), self.arrays[name][block.rows]
         try:
-            if len(own):
-                own[:] = np.asarray(mine, float)
+            values = np.asarray(mine, float)
         except OverflowError:
-            own[:] = LARGEST_NUMBER * 2.0
+            values = np.array(LARGEST_NUMBER * 2.0)
+        if own.dtype.kind == "i":
+            whole = (np.abs(values) <= LARGEST_WHOLE) & (values == np.rint(values))
+            self.refuse(block, name, np.broadcast_to(~whole, own.shape), "no whole number for")
+            values = np.where(whole, values, 0.0)
+        if len(own):
+            own[:] = values
         self.refuse(block, name, np.abs(own) > LARGEST_NUMBER, f"beyond {LARGEST_NUMBER:g} for")
         if name == "mass":  # 1/m must be a number too
             self.refuse(block, name, (own > 0.0) & (own < 1.0 / LARGEST_NUMBER), f"below {1.0 / LARGEST_NUMBER:g} for")

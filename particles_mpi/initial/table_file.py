@@ -15,7 +15,6 @@ from particles_mpi.errors import listed, one_line
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
 
-ROW_OF_NUMPY = r" to float64 at row \d+, column (\d+)\."  # of the only line that it was given
 MOST_SHOWN = 6  # columns of a header in a message
 BOM = b"\xef\xbb\xbf"  # with which some programs begin a text
 # Of columns in a header, by what they give
@@ -74,7 +73,7 @@ def read_table(ranks: Communicator, path: Path, quantity: str, dimension: int) -
     try:
         values = parsed(block, columns)
     except ValueError:
-        fault = f"{path}: {uneven_line(block, start, line) or wrong_line(block, columns, line)}{separated}"
+        fault = f"{path}: {wrong_line(block, columns, line)}{separated}"
     else:
         bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
         if uneven := uneven_line(block, start, line):
@@ -203,6 +202,8 @@ def wrong_line(block: bytes, columns: list[int], first: int) -> str:
         try:
             parsed(line, columns)
         except ValueError as error:
-            why = re.sub(ROW_OF_NUMPY, r" in column \1 to a number", one_line(error))
-            return f"line {number}: {why}"
+            why = re.sub(r" to float64 at row \d+, column (\d+)\.", r" in column \1 to a number", one_line(error))
+            return f"line {number}: " + re.sub(
+                r"invalid column index \d+ at row \d+ with (\d+) columns", r"too few columns: \1", why
+            )
     return "cannot be read as columns of numbers"

@@ -68,7 +68,9 @@ class Adaptive:
             rounded = f"places of {furthest:.1g} are rounded to {np.spacing(furthest):.1g}"
             return StateError(f"{where}, {rounded}, which hides the motion of {strongest}{apart}: begin nearer to the origin")
         meet = f"{strongest} meet{apart}" if apart else f"{strongest} is pulled too strongly"
-        return StateError(f"{where}, steps get shorter than {length:.2g}: {meet}; softening helps")
+        return StateError(
+            f"{where}, steps get shorter than {length:.2g}: {meet}; softening helps gravity; other forces must be smooth"
+        )
 
     def strongest_pull(self, particles: Particles, a: Array) -> tuple[str, str]:
         """The particle of the largest acceleration and the one that is nearest to it, and how far apart they are. Collective."""

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from particles_mpi.errors import StoppedError
 from particles_mpi.integrators.gauss_radau import TOLERANCE, Adaptive
 from particles_mpi.kernels.fingerprint import places_of
 from particles_mpi.kernels.motion import kick, kick_with_drag, press, release
@@ -80,7 +81,12 @@ class Accelerations:
             return self.total
         a = np.zeros_like(p.velocity)
         for name, force in self.forces.items():
+            before = self.ranks.exchanges
             call_in_place(name, force.add, p, a)
+            if not force.collective and self.ranks.exchanges > before:  # a rank on which nobody moved would not take part
+                raise StoppedError(
+                    f"effects.{name}: its `add` exchanges messages between ranks: its class needs collective = True"
+                )
             self.calls[name] += 1
         a[p.fixed != 0] = 0.0
         self.total, self.known = a, known

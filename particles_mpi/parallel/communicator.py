@@ -38,6 +38,11 @@ class Communicator:
         """This rank by itself."""
         return cls(MPI.COMM_SELF)
 
+    @property
+    def exchanges(self) -> int:
+        """How often this rank has sent anything to others."""
+        return self.messages + self.reductions + self.all_to_alls
+
     def subset(self, count: int) -> Communicator | None:
         """The first `count` ranks with a communicator of their own; None on the others. Collective."""
         comm = self.comm.Split(0 if self.rank < count else MPI.UNDEFINED, self.rank)

@@ -61,7 +61,10 @@ def tell_end(
     if formats:
         say(f"ParaView: paraview {quote(str(folder / 'view_paraview.py'))}")
     if "vtk" in formats:
-        say(f"VisIt: {folder}/vtk/particles_*.vtu database")
+        from particles_mpi.output.vtk import PIECE_IDS
+
+        suffix = "pvtu" if sim.total > PIECE_IDS else "vtu"
+        say(f"VisIt: {folder}/vtk/particles_*.{suffix} database")
     if "hdf5" in formats:
         say(f"view: {PROGRAM} view {shown}")
         if (plots := PROJECT / "python_viz").is_dir():

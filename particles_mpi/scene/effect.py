@@ -101,7 +101,10 @@ class Effect:
 
     def __init_subclass__(cls) -> None:
         """The columns that an effect brings are known to exchange and output from here on."""
-        for name, column in cls.needs.columns.items():
+        columns: Any = cls.needs.columns
+        if not (isinstance(columns, Mapping) and all(isinstance(column, Column) for column in columns.values())):
+            raise ValueError('its needs.columns must be a table of columns, as {"charge": Column()}')
+        for name, column in columns.items():
             add_column(name, column)
 
     @staticmethod

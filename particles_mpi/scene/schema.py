@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, PrivateAttr, Validation
 
 from particles_mpi.errors import SceneError
 from particles_mpi.particles import Array
-from particles_mpi.scene.effect import faults_in
+from particles_mpi.scene.effect import VelocityFlow, faults_in
 from particles_mpi.scene.effect_files import validated_effects
 from particles_mpi.scene.losses import Losses
 from particles_mpi.scene.model import Flags, Model, NotNegative, faults_of, python_values, was_changed, wrong_length
@@ -229,6 +229,8 @@ class Scene(Model):
             if integrator not in effect.needs.integrators:
                 why = f"{reason}, which {name} does not allow" if reason else f"knows no {name}"
                 faults.append(f'time.integrator: "{integrator}" {why}; use "leapfrog"')
+            elif integrator == "taylor" and getattr(effect, "rate", None) is VelocityFlow.rate:
+                faults.append(f'time.integrator: "taylor" needs a method `rate` of the effect {name}; use "leapfrog"')
             faults += faults_in(name, options, self)
         return faults
 

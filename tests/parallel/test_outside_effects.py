@@ -40,9 +40,10 @@ restitution = 0.95
 OWN = {
     "magnetic_field": ("charge = {min = -1.0, max = 1.0}", 'file = "magnetic.py"\nfield = [0.5, 0.0, 2.0]'),
     "springs": ("stiffness = {min = 0.0, max = 3.0}", 'file = "springs.py"\ncentre = [3.0, 3.0, 3.0]'),
+    "repulsion": ("hardness = {min = 0.5, max = 3.0}", 'file = "repulsion.py"\nreach = 0.8'),
     "gate": ("", 'file = "gate.py"\nplace = 3.0'),
 }
-COLUMNS = {"magnetic_field": "charge", "springs": "stiffness", "gate": "crossings"}
+COLUMNS = {"magnetic_field": "charge", "springs": "stiffness", "repulsion": "hardness", "gate": "crossings"}
 
 
 def text(mode, *names):
@@ -162,6 +163,47 @@ def test_springs_keep_the_energy_and_the_period():
     assert sim.measure()["total_energy"] == pytest.approx(energy, rel=1e-5)
 
 
+@pytest.mark.parametrize("periodic", [True, False])
+def test_what_repels_one_another_keeps_momentum_and_energy(periodic):
+    particle = {"count": 27, "position": "lattice", "velocity": {"temperature": 1.0}, "hardness": {"min": 1.0, "max": 9.0}}
+    box, table = {"lower": [0.0] * 3, "upper": [3.0] * 3, "periodic": periodic}, {"file": "repulsion.py", "reach": 1.4}
+    sim = Simulation(scene({"repulsion": table}, particle=particle, box=box, time={"step": 0.001, "steps": 400}))
+    p, before = sim.particles, sim.measure()
+    momentum = (p.mass[:, None] * p.velocity).sum(axis=0)
+    sim.run()
+    p, after = sim.particles, sim.measure()
+    assert abs(after["kinetic"] - before["kinetic"]) > 0.1
+    assert after["total_energy"] == pytest.approx(before["total_energy"], rel=1e-4)
+    np.testing.assert_allclose((p.mass[:, None] * p.velocity).sum(axis=0), momentum, atol=1e-13)
+
+
+KICKS = """
+from particles_mpi.effects import EffectOptions, Event
+class Options(EffectOptions): pass
+class Effect(Event):
+    formula = "v = v + 0.1"
+    def act(self, particles, h):
+        particles.velocity += 0.1
+        return len(particles)
+"""
+
+
+@pytest.mark.parametrize("mode", ["rewind", "event"])
+def test_an_event_moves_nobody_who_is_fixed(tmp_path, mode):
+    (tmp_path / "kicks.py").write_text(KICKS)
+    particle = {"position": [[0.0, 0.0], [2.0, 0.0]], "velocity": [0.0, 0.0], "fixed": [True, False], "radius": 0.1}
+    effects = {"kicks": {"file": str(tmp_path / "kicks.py")}, "collisions": {"mode": mode}}
+    sim = Simulation(scene(effects, d=2, particle=particle))
+    sim.steps(50)
+    assert not sim.particles.position[0].any() and sim.particles.velocity[0].tolist() == [0.0, 0.0]
+    assert sim.particles.velocity[1, 0] == pytest.approx(5.0)
+    again = sim.copy()
+    again.particles.mass[:] = again.particles.mass  # a change that changes nothing
+    for one in (sim, again):
+        one.steps(5)
+    assert sim == again
+
+
 def test_a_gate_takes_its_part_once():
     sim = Simulation(scene({"gate": {"file": "gate.py", "place": 1.5}}, d=1, particle={"velocity": [1.0]}))
     sim.run()
@@ -197,6 +239,13 @@ def test_what_would_be_ignored_is_refused(tmp_path):
         scene({"magnetic_field": magnetic}, time={"integrator": "order4"})
     with pytest.raises(SceneError, match='"taylor" knows no gate'):
         scene({"gate": {"file": "gate.py", "place": 0.0}}, time={"integrator": "taylor"})
+    slow = (OUTSIDE / "magnetic.py").read_text().replace("def rate(", "def other(")
+    (tmp_path / "slow.py").write_text(slow)
+    with pytest.raises(SceneError, match='"taylor" needs a method `rate` of the effect slow; use "leapfrog"'):
+        scene({"slow": magnetic | {"file": str(tmp_path / "slow.py")}}, time={"integrator": "taylor"})
+    for wrong in (1.5, [0.5], 1e30):
+        with pytest.raises(SceneError, match=r"particles\[0\].crossings: no whole number for particle 0"):
+            Simulation(scene({"gate": {"file": "gate.py", "place": 0.0}}, particle={"crossings": wrong}))
     with pytest.raises(SceneError, match=r"effects\.drag\.file: drag is an effect of the program"):
         scene({"drag": {"file": "magnetic.py"}})
     for name, lines, why in [
@@ -212,11 +261,22 @@ def test_what_would_be_ignored_is_refused(tmp_path):
             (name, (OUTSIDE.parents[2] / f"particles_mpi/effects/{like}.py").read_text(), "a Force, a VelocityFlow or an Event")
             for name, like in (("hard", "collisions"), ("thick", "drag"), ("sticky", "friction"))
         ),
+        ("number", (OUTSIDE / "gate.py").read_text().replace('Column("int64")', "1.0"), "must be a table of columns"),
         ("taken", (OUTSIDE / "gate.py").read_text().replace("crossings", "mass"), "column 'mass': the name is taken"),
     ]:
         (tmp_path / f"{name}.py").write_text(lines)
         with pytest.raises(SceneError, match=rf"effects\.{name}\.file: .*{name}\.py: .*{why}"):
             scene({name: {"file": str(tmp_path / f"{name}.py")}})
+
+
+@pytest.mark.parallel
+def test_a_force_that_does_not_say_that_it_exchanges_messages_ends_with_one_line(tmp_path):
+    """It went on, and waited for ever for a rank on which nobody had moved."""
+    lines = (OUTSIDE / "repulsion.py").read_text()
+    (tmp_path / "repulsion.py").write_text(lines.replace("    collective = True", "    other = True"))
+    (tmp_path / "box.toml").write_text(text("event", "repulsion"))
+    done = run_ranks(2, "-m", "particles_mpi", "run", tmp_path / "box.toml", "--output", tmp_path / "out")
+    assert done.returncode == 3 and "effects.repulsion: its `add` exchanges messages between ranks" in done.stderr, done.stderr
 
 
 def test_an_error_in_a_file_names_its_line(tmp_path):

@@ -148,7 +148,7 @@ def test_a_header_tells_which_columns_are_meant(tmp_path):
     (tmp_path / "c.csv").write_text("x,y,mass\n0.1,0.2,3\n")
     told = faults({"position": {"file": "c.csv"}, "velocity": {"file": "c.csv"}}, folder=tmp_path)
     assert told == f"particles[0].velocity: {tmp_path / 'c.csv'}: its header has x, y, mass and no vx"
-    for row, says in (("0.1", "line 3 has 1 columns, and line 1 has 2"), ("0.1,a", "in column 2 to a number")):
+    for row, says in (("0.1", "line 3: too few columns: 1"), ("0.1,a", "in column 2 to a number")):
         (tmp_path / "e.csv").write_text(f"x,y\n0.5,0.5\n{row}\n")
         assert says in faults({"position": {"file": "e.csv"}}, folder=tmp_path)
     (tmp_path / "d.csv").write_text("id,px,py\n0,0.1,0.2\n")
