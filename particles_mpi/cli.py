@@ -3,6 +3,8 @@
 import gc
 import os
 import sys
+from contextlib import nullcontext, redirect_stdout
+from io import StringIO
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated, Any
@@ -205,7 +207,9 @@ def main() -> None:
     try:
         same_on_all(Communicator(), {"arguments": words(sys.argv[1:])})
         command = typer.main.get_command(app)  # not `app()`, which loses what an interruption says
-        with command.make_context("particles-mpi", sys.argv[1:]) as context:
+        told = not IS_ROOT and ("--help" in sys.argv or sys.argv[1:] in ([], ["study"]))  # by rank 0
+        aside = redirect_stdout(StringIO()) if told else nullcontext()
+        with aside, command.make_context("particles-mpi", sys.argv[1:]) as context:
             command.invoke(context)
     except typer.Exit as error:
         code = error.exit_code

@@ -199,6 +199,12 @@ def test_faults_name_the_key_and_write_nothing(scene, tmp_path, old, new, says):
     assert not (tmp_path / "o").exists()
 
 
+@pytest.mark.parametrize("words", [[], ["--help"], ["run", "--help"], ["study"], ["study", "recommend", "--help"]])
+def test_help_is_said_once(words):
+    done = particles_mpi(2, *words)
+    assert done.stdout.count("Usage:") == 1 and not done.stderr, done.stderr
+
+
 def test_check_finds_the_same_faults(scene):
     scene.write_text(SCENE.replace("radius = 0.1", "radius = -0.1"))
     done = particles_mpi(2, "check", scene)

@@ -12,6 +12,7 @@ import pytest
 from conftest import run_ranks
 
 from particles_mpi import Run, Scene, SceneError, Simulation, StoppedError
+from particles_mpi.study.recommend.runs import variant
 
 OUTSIDE = Path(__file__).parent / "outside"
 BOX = """
@@ -202,6 +203,14 @@ def test_an_event_moves_nobody_who_is_fixed(tmp_path, mode):
     for one in (sim, again):
         one.steps(5)
     assert sim == again
+
+
+def test_a_study_leaves_an_effect_out_with_its_column():
+    springs = {"springs": {"file": "springs.py", "centre": [0.0, 0.0]}, "drag": {}}
+    given = scene(springs, d=2, particle={"stiffness": 8.0, "drag": 0.1})
+    for name, left in (("springs", "drag"), ("drag", "stiffness")):
+        without = variant(given, {"step": 0.01, "steps": 3}, {name: None})
+        assert name not in without.effects and left in Simulation(without).particles.arrays
 
 
 def test_a_gate_takes_its_part_once():

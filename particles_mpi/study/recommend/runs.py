@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import chain
 from math import isfinite, sqrt
 from time import perf_counter
 from typing import Any
@@ -34,7 +35,6 @@ ROUNDED_UP = 1.02  # times the steps of the scene: more would be another scene
 ENERGY_SAMPLES = 32  # moments at which energies are, about
 LOOKS, GOLDEN = 48, 0.5 * (5.0**0.5 - 1.0)  # at where the particles are, at moments that no period has
 OBSERVABLES = ("collision rate", "wall hits", "kinetic energy", "height")  # what chaotic motion is judged by
-EFFECT_OF_KEY = {"drag": "drag", "acceleration": "user_acceleration"}  # keys of particles that mean nothing without an effect
 
 Changes = dict[str, dict[str, Any] | None]  # keys of effects that change, and effects that are left out (None)
 
@@ -51,10 +51,11 @@ def variant(scene: Scene, time: dict[str, Any], effects: Changes | None = None) 
         for name, options in tables["effects"].items()
         if changes.get(name, {}) is not None
     }
+    columns = {name: options.effect_class().needs.columns.keys() for name, options in scene.effects.items()}
+    idle = {*chain(*columns.values())} - {*chain(*(columns[name] for name in tables["effects"]))}
     for table in tables["particles"]:
-        for key, effect in EFFECT_OF_KEY.items():
-            if effect not in tables["effects"]:
-                table.pop(key, None)
+        for key in idle:
+            table.pop(key, None)
         if table.get("velocity") == "equilibrium" and "mutual_gravity" not in tables["effects"]:
             table.pop("velocity")
     return Scene.from_dict(tables, scene.folder)
