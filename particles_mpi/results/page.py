@@ -78,12 +78,14 @@ def assemble(run: Any, largest: int, live: bool = False) -> tuple[str, list[Page
     counts = [len(frame) for frame in run]
     if not counts:
         raise SceneError(f"{run.folder}: no frame yet")
-    choice = choose(counts, changing(run) if not live else len(quantities(run[0])), (largest - FOR_THE_REST) / BASE64)
+    known = len(quantities(run[0]))
+    moving = known if live else changing(run)
+    choice = choose(counts, moving, (largest - FOR_THE_REST) / BASE64, known - moving)
     columns, lower, upper = survey(run, choice, live)
     header = {**described(run, choice), **surroundings(run, lower, upper), "columns": [c._asdict() for c in columns]}
     constant = pack(run[choice.frames[0]], [c for c in columns if c.constant], choice.every)
-    moving = [c for c in columns if not c.constant]
-    blocks = [pack(run[k], moving, choice.every) for k in choice.frames]
+    changed = [c for c in columns if not c.constant]
+    blocks = [pack(run[k], changed, choice.every) for k in choice.frames]
     parts = {path.name: path.read_text(encoding="utf-8") for path in HERE.glob("*.js")}
     parts["title"] = run.title.replace("&", "&amp;").replace("<", "&lt;")
     parts["header"] = json.dumps(header | {"constant": constant}, allow_nan=False).replace("</", "<\\/")
@@ -98,23 +100,24 @@ def changing(run: Any) -> int:
     return max(1, sum(name not in last or not np.array_equal(values, last[name]) for name, values in first.items()))
 
 
-def choose(counts: list[int], quantities: int, room: float) -> Choice:
-    """What of frames with these counts of particles goes into `room` bytes, if each particle has so many `quantities`.
+def choose(counts: list[int], quantities: int, room: float, constant: int = 0) -> Choice:
+    """What of frames with these counts of particles goes into `room` bytes, if each particle has so many `quantities`, and
+    besides so many that are `constant`: numbers of four bytes, which are there once.
 
     Numbers of two bytes come before fewer frames, and these before fewer particles.
     """
     frames, notes = list(range(len(counts))), list[str]()
-    rows = sum(counts)
-    if 4 * (3 + quantities) * rows <= room:
+    rows, once = sum(counts), 4 * constant * max(counts)
+    if 4 * (3 + quantities) * rows + once <= room:
         return Choice(frames, 1, "f4", notes)
     row_bytes = 2 * (3 + quantities)
     notes.append("positions and colours are rounded to 1/65535 of their range")
-    stride = min(int(-(-row_bytes * rows // room)), max(1, len(counts) // LEAST_FRAMES))
+    stride = min(int(-(-row_bytes * rows // max(room - once, 1.0))), max(1, len(counts) // LEAST_FRAMES))
     if stride > 1:
         frames = frames[::stride]
         notes.append(f"every {stride}th frame is shown: {len(frames)} of {len(counts)}")
     rows = sum(counts[k] for k in frames)
-    every = max(1, int(-(-row_bytes * rows // room)))
+    every = max(1, int(-(-(row_bytes * rows + once) // room)))
     if every > 1:
         notes.append(f"one particle of {every} is shown")
     return Choice(frames, every, "u2", notes)

@@ -101,6 +101,10 @@ def test_a_page_is_as_large_as_it_may_be_and_says_what_it_leaves_out(gas):
         assert (len(choice.frames), choice.every, choice.kind) == (frames, every, "u2")
         assert 2 * 7 * sum(counts[k] for k in choice.frames) / choice.every <= room
         assert len(choice.notes) == 1 + (frames < 600) + (every > 1)
+    assert choose(counts, 4, 4 * 7 * 600_000 - 1)[2] == choose(counts, 4, 4 * 7 * 600_000, 1)[2] == "u2"
+    for room in (2 * 7 * 600_000, 2 * 7 * 60_000, 2 * 7 * 5_000):  # 5 numbers of each that do not change
+        choice = choose(counts, 4, room, 5)
+        assert (2 * 7 * sum(counts[k] for k in choice.frames) + 4 * 5 * 1000) / choice.every <= room
     assert choose([10**7] * 3, 4, 2 * 7 * 10**6)[:3] == ([0, 1, 2], 30, "u2")
 
 
