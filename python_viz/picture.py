@@ -18,6 +18,7 @@ from particles_mpi.results.scenery import in_space, scenery
 HEADING, LETTER = 13, 0.1  # size of the letters of the heading, and how wide one is, in inches; long titles have smaller ones
 SMALLEST = 1.0  # pixels: smaller marbles are drawn with this radius, and the caption says so
 POINT, CROWD = 6.0, 1000  # pixels: the radius of a point; where there are more than so many, all cover as much as these
+LEAST_HIGH = 1.0  # inches of the room for a line
 MARGIN = 0.04  # of the extent of the marbles, around it, where the scene has no box
 LEAST_RANGE = 1e-3  # of the largest value: what differs by less has one colour, and not those of its round-off
 HAZE = 0.4  # share of white in the colour of the furthest marbles
@@ -30,19 +31,23 @@ COLORS: dict[str, tuple[Callable[[Frame], np.ndarray], str, str, float]] = {
     "mass": (lambda frame: frame.mass, "mass", "cividis", 100),
     "id": (lambda frame: frame.id.astype(float), "id", "viridis", 100),
     "radius": (lambda frame: frame.radius, "radius", "cividis", 100),
-    "spin": (lambda frame: spin(frame), "spin", "plasma", 99.5),
 }
 
 
-def spin(frame: Frame) -> np.ndarray:
-    """Magnitude (N,) of the angular velocities."""
-    if "spin" not in frame.fields:
-        raise IndexError(f"frame {frame.index} has no spins: its spheres are smooth")
-    return np.linalg.norm(frame.spin, axis=1)
+def color_of(name: str) -> tuple[Callable[[Frame], np.ndarray], str, str, float]:
+    """An entry of `COLORS`, or one for any other field of the frames: its values, or their magnitudes if they are vectors."""
+
+    def values(frame: Frame) -> np.ndarray:
+        if name not in frame.fields:
+            raise IndexError(f"--color {name}: frame {frame.index} has {', '.join(dict.fromkeys([*COLORS, *frame.fields]))}")
+        return np.linalg.norm(frame[name].reshape(len(frame), -1), axis=1) if frame[name].ndim > 1 else frame[name].astype(float)
+
+    return COLORS.get(name, (values, name, "plasma", 99.5))
 
 
 def add_picture_options(parser: ArgumentParser) -> None:
-    parser.add_argument("--color", choices=COLORS, default="speed", help="what the colour tells (default: speed)")
+    offered = f"what the colour tells: {', '.join(COLORS)}, or any field of the frames, as spin, or a column of your effect"
+    parser.add_argument("--color", default="speed", metavar="NAME", help=f"{offered} (default: speed)")
     parser.add_argument("--view", type=finite, nargs=2, default=(-60, 20), metavar=("AZIMUTH", "ELEVATION"),
                         help="where the viewer stands, in degrees, for runs in space (default: -60 20)")  # fmt: skip
 
@@ -73,7 +78,7 @@ class Picture:
     def __init__(self, run: Run, frames: Iterable[Frame], color: str, view: tuple[float, float], dpi: int) -> None:
         """`frames` are all that will be drawn: they set the range of the colours, and of space where the scene has no box."""
         self.title, scene = run.title, run.about.get("scene", {})
-        self.value, self.label, self.colormap, self.top = COLORS[color]
+        self.value, self.label, self.colormap, self.top = color_of(color)
         self.survey(frames)
         around = scenery(scene, self.lower, self.upper)
         margin = 0.0 if around.real else MARGIN * np.max(around.upper - around.lower)
@@ -119,7 +124,7 @@ class Picture:
         (left, bottom), (right, top) = corners.min(axis=0) - room, corners.max(axis=0) + room
         aspect = (top - bottom) / (right - left)
         wide = max(4.5, min(8, 7 / aspect))
-        high, (margin, foot) = min(7, wide * aspect), (0.7, 0.9) if self.planar else (0.05, 0.4)
+        high, (margin, foot) = max(LEAST_HIGH, min(7, wide * aspect)), (0.7, 0.9) if self.planar else (0.05, 0.4)
         self.figure = plt.figure(figsize=(wide + margin + 1.2, high + foot + 0.5), dpi=dpi)
         width, height = self.figure.get_size_inches()
         self.axes = self.figure.add_axes((margin / width, foot / height, wide / width, high / height))
@@ -127,7 +132,8 @@ class Picture:
         self.axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", anchor="C")
         self.axes.apply_aspect()
         place = self.axes.get_position()
-        bar = self.figure.add_axes((place.x1 + 0.2 / width, place.y0 + 0.1 * place.height, 0.18 / width, 0.8 * place.height))
+        tall = max(0.8 * place.height, 0.9 * LEAST_HIGH / height)
+        bar = self.figure.add_axes((place.x1 + 0.2 / width, 0.5 * (place.y0 + place.y1 - tall), 0.18 / width, tall))
         shown = self.figure.colorbar(self.colors, cax=bar, label=self.label, extend=self.extend)
         shown.formatter.set_useOffset(False)
         shown.outline.set_visible(False)
@@ -155,7 +161,9 @@ class Picture:
             corners = np.insert(SQUARE, wall, 1 - front[wall], axis=1)
             self.axes.fill(*self.project(faces[corners, range(3)]).T, color=WALLS[wall], zorder=0)
         if self.planar:
-            self.axes.set(xlabel="x", ylabel="y")
+            self.axes.set(xlabel="x", ylabel="y" if self.upper[1] > self.lower[1] else "")
+            if not self.axes.get_ylabel():  # a line
+                self.axes.set_yticks([])
             self.axes.tick_params(length=0)
             self.axes.spines[:].set_visible(False)
         else:

@@ -138,7 +138,8 @@ class Saved(Membership):
 
     def __str__(self) -> str:
         self.particles.collect()
-        return f"{self!r}\n{snapshot.printed_table(self.rows)}"
+        own = f"; the {len(self.rows)} on rank {self.ranks.rank}:" if self.ranks.size > 1 else ""
+        return f"{self!r}{own}\n{snapshot.printed_table(self.rows)}"
 
     def __repr__(self) -> str:
         return f"Simulation({self.scene.title!r}: {self.total} particles, step {self.steps_done}, time {self.time:g})"

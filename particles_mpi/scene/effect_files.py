@@ -74,7 +74,7 @@ def validated_effects(value: Any, info: ValidationInfo) -> dict[str, Any]:
         key = key_of(("effects", name))
         file = keys.get("file") if isinstance(keys, dict) else None
         if file is None and name not in names:
-            raise ValueError(f"{key}: unknown effect{suggestion(name, names)}")
+            raise ValueError(f"{key}: unknown effect{suggestion(name, names)}; one of your own needs a key file")
         if file is not None:
             if name in names:
                 raise ValueError(f"{key}.file: {name} is an effect of the program; give yours another name")

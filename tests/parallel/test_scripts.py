@@ -147,6 +147,14 @@ def test_speeds_that_differ_by_round_off_have_one_colour(tmp_path):
     assert np.ptp(run[-1].speed) > 0.0 and np.ptp(colors.to_rgba(run[-1].speed), axis=0).max() < 0.01
 
 
+def test_colours_tell_any_field(tmp_path):
+    run, picture = points_in_a_box(tmp_path), viz("picture")
+    speeds = picture.Picture(run, run[:], "velocity", (-60, 20), 50).value(run[-1])
+    np.testing.assert_array_equal(speeds, run[-1].speed)
+    with pytest.raises(IndexError, match="--color charge: frame 0 has speed, energy, mass, id, radius, position, velocity"):
+        picture.Picture(run, run[:], "charge", (-60, 20), 50)
+
+
 def test_rewind_against_event(tmp_path):
     event = gas(tmp_path, "event", 0.2, mode="event")
     coarse, fine = (gas(tmp_path, f"r{step}", step, mode="rewind", passes=1) for step in (0.1, 0.02))
