@@ -9,9 +9,11 @@ from scipy.integrate import trapezoid
 
 from particles_mpi import Scene, Simulation
 
+OF_THE_EQUATIONS = pytest.mark.slow  # no change of the program can make these fail: they go with the long runs that they serve
 KINDS = [(2, 0.5), (3, 0.4), (3, 2.0 / 3.0)]  # discs, solid spheres, hollow spheres
 
 
+@OF_THE_EQUATIONS
 @pytest.mark.parametrize(("dimension", "inertia"), KINDS)
 def test_perfectly_rough_elastic_spheres_keep_their_energy(dimension, inertia):
     gas = Gas(dimension, 1.0, 1.0, inertia, 0.02)
@@ -20,6 +22,7 @@ def test_perfectly_rough_elastic_spheres_keep_their_energy(dimension, inertia):
     assert lasting_ratio(gas) == pytest.approx(1.0)
 
 
+@OF_THE_EQUATIONS
 @pytest.mark.parametrize(("dimension", "inertia"), KINDS)
 def test_smooth_spheres_do_not_turn(dimension, inertia):
     """beta = -1: spins stay, translation cools as P. Haff found, J. Fluid Mech. 134, 401 (1983)."""
@@ -32,6 +35,7 @@ def test_smooth_spheres_do_not_turn(dimension, inertia):
     assert temperatures[:, 1] == pytest.approx(0.3)
 
 
+@OF_THE_EQUATIONS
 @pytest.mark.parametrize("beta", [-0.9, 0.0, 0.7, 1.0])
 @pytest.mark.parametrize(("dimension", "inertia"), KINDS)
 def test_contacts_only_take_energy(dimension, inertia, beta):
@@ -40,6 +44,7 @@ def test_contacts_only_take_energy(dimension, inertia, beta):
     assert (np.array(freedoms(dimension)) @ exchange(gas) <= 1e-15).all()
 
 
+@OF_THE_EQUATIONS
 @pytest.mark.parametrize("start", [(1.0, 0.0), (0.2, 3.0)])
 @pytest.mark.parametrize("beta", [-0.5, 0.0, 0.5, 1.0])
 @pytest.mark.parametrize(("dimension", "inertia"), KINDS)
@@ -49,6 +54,7 @@ def test_any_start_leads_to_the_lasting_ratio(dimension, inertia, beta, start):
     assert rotation / translation == pytest.approx(lasting_ratio(gas), rel=1e-9)
 
 
+@OF_THE_EQUATIONS
 @pytest.mark.parametrize(("dimension", "inertia"), KINDS)
 def test_by_time_and_by_collisions(dimension, inertia):
     """The same temperatures: collisions are the integral of their rate over time."""
@@ -60,6 +66,7 @@ def test_by_time_and_by_collisions(dimension, inertia):
     np.testing.assert_allclose(after(gas, start, collisions), temperatures[[400, 4000]], rtol=1e-5)
 
 
+@OF_THE_EQUATIONS
 def test_energies_of_single_contacts():
     """A and B, C by averages over random contacts of the law itself, without the algebra of `cooling`; to 3 standard errors."""
     gas, n = Gas(3, 0.8, 0.3, 0.4, 0.02), 400_000
@@ -85,6 +92,7 @@ REFERENCE = np.loadtxt(
 ).tolist()  # rows e, beta, ratio, error
 
 
+@OF_THE_EQUATIONS
 @pytest.mark.parametrize(("e", "beta", "ratio", "_"), REFERENCE)
 def test_equations_are_near_random_pairs(e, beta, ratio, _):
     """Within 2 % where surfaces are very rough; within 6 % at beta = 0 and -0.5, where spins decay slowly."""

@@ -9,9 +9,11 @@ from heap import HALF_LENGTH, WIDTH, scene, slope, start, surface
 
 from particles_mpi import Scene, Simulation
 
+OF_THE_MEASURE = pytest.mark.slow  # no change of the program can make these fail: they go with the heaps below
 REFERENCE = np.genfromtxt(Path(__file__).parent / "reference" / "heap.csv", delimiter=",", names=True, skip_header=4)
 
 
+@OF_THE_MEASURE
 def test_start():
     """The same for the same seed, nobody overlaps, and 2000 are free."""
     one, other = start(3), start(3)
@@ -24,6 +26,7 @@ def test_start():
     assert gap.min() > 0.0
 
 
+@OF_THE_MEASURE
 def test_surface_of_one_sphere():
     """The mean height of a sphere's upper half over the disc below it is 2/3 R."""
     x, height = surface(np.array([[0.3, 0.1, 0.0]]), np.array([2.0]), cell=0.02)
@@ -31,6 +34,7 @@ def test_surface_of_one_sphere():
     assert (height[np.abs(x - 0.3) > 2.0] == 0.0).all()
 
 
+@OF_THE_MEASURE
 @pytest.mark.parametrize("degrees", [10.0, 20.0, 30.0])
 def test_slope_of_a_wedge(degrees):
     """Small spheres side by side below a wedge's two planes: both angles within half a degree."""
@@ -46,6 +50,7 @@ def test_slope_of_a_wedge(degrees):
     assert found.spheres == len(skin)
 
 
+@OF_THE_MEASURE
 def test_reference_rises_with_friction():
     """Each step of mu is worth more than three standard errors of the means; the first one more than the scatter of the seeds."""
     heaps = [REFERENCE[REFERENCE["mu"] == mu]["angle"] for mu in (0.1, 0.3, 0.5)]

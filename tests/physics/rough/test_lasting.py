@@ -1,6 +1,6 @@
 """Contacts of rough spheres that last: rolling, sliding, sticking, and rest; against formulas of mechanics."""
 
-from math import atan, cos, sin, tan
+from math import atan, cos, sin
 
 import numpy as np
 import pytest
@@ -54,7 +54,6 @@ def test_a_sliding_ball_starts_to_roll(d):
         assert abs(p.velocity[0, 0] / final - 1.0) <= 1e-10
         errors.append(abs(p.position[0, 0] / exact - 1.0))
     assert errors[1] <= 1e-5 and errors[2] < errors[0]
-    assert abs(0.4 / 1.4 - 2.0 / 7.0) < 1e-15  # in space: (speed - final)/(mu g) = 2 v/(7 mu g)
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -159,7 +158,6 @@ def test_a_ball_in_a_groove_rolls_with_its_smaller_radius():
 @pytest.mark.parametrize(("mu", "stands"), [(0.2, False), (0.35, True)])
 def test_three_cylinders_stand_only_with_friction(mu, stands):
     """Two discs on a floor bear a third: they stay if mu >= tan(angle/2), the angle from the vertical being 30 degrees: 0.268."""
-    assert abs(tan(np.radians(30.0) / 2.0) - 0.26795) < 1e-5
     effects = {
         "uniform_gravity": {"acceleration": [0.0, -G]},
         "collisions": {"mode": "event", "restitution": 0.0, "friction": mu},
