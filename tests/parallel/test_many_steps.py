@@ -127,7 +127,7 @@ def test_one_call_takes_a_moment_whatever_bodies_do(name):
     sim.steps(1000)  # by then they rest, where anything takes their energy
     begun = process_time()
     sim.step_towards(10**9)
-    assert sim.many_steps and 1000 < sim.steps_done < 10**9 and process_time() - begun < 2.0
+    assert sim.many_steps and 1000 < sim.steps_done < 10**9 and process_time() - begun < 0.5
 
 
 def test_many_blocks_take_fewer_steps_at_once(monkeypatch):

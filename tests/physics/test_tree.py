@@ -50,15 +50,17 @@ def sphere():
 
 
 @pytest.mark.parametrize(
-    ("angle", "median", "most"), [(0.3, 1e-4, 1e-3), (0.5, 5e-4, 5e-3), (0.7, 1.6e-3, 1e-2), (1.0, 7.5e-3, 8e-2)]
+    ("angle", "median", "most", "worst"),
+    [(0.3, 1e-4, 8e-4, 3e-3), (0.5, 5e-4, 4e-3, 1e-2), (0.7, 1.6e-3, 1e-2, 7e-2), (1.0, 7.5e-3, 7e-2, 0.42)],
 )
-def test_accuracy_on_a_plummer_sphere(sphere, angle, median, most):
-    """Medians: physics.md's for quadrupoles and cells of the same angle, by particle; 99th percentiles: what is seen, doubled."""
+def test_accuracy_on_a_plummer_sphere(sphere, angle, median, most, worst):
+    """Medians: physics.md's for quadrupoles and cells of the same angle, by particle; 99th percentiles and the worst: what is
+    seen, doubled; at angle 1 physics.md's worst, of a particle whose own cell may be far."""
     x, mass, exact = sphere
     error = errors(by_tree(x, mass, angle)[::10, :3], exact)
     assert np.median(error) <= median
     assert np.quantile(error, 0.99) <= most
-    assert error.max() < 0.42  # physics.md: the worst particle at angle 1 if its own cell may be far
+    assert error.max() <= worst
 
 
 @pytest.mark.parametrize(("angle", "median"), [(0.3, 3.1e-4), (0.5, 1.3e-3), (0.7, 3.5e-3), (1.0, 1.1e-2)])
