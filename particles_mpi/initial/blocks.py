@@ -72,7 +72,7 @@ class Columns:
             values = np.array(LARGEST_NUMBER * 2.0)
         if own.dtype.kind == "i":
             whole = (np.abs(values) <= LARGEST_WHOLE) & (values == np.rint(values))
-            self.refuse(block, name, np.broadcast_to(~whole, own.shape), "no whole number for")
+            self.refuse(block, name, ~whole & np.ones(own.shape if len(own) else (0,), bool), "no whole number for")
             values = np.where(whole, values, 0.0)
         if len(own):
             own[:] = values
