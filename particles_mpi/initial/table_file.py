@@ -100,8 +100,10 @@ def beginning(path: Path) -> Beginning:
     return Beginning(lines=lines, at=at)
 
 
-def columns_in(ranks: Communicator, path: Path, dimension: int) -> tuple[list[str], str]:
+def columns_in(ranks: Communicator, path: Path, dimension: int, scalars: list[str]) -> tuple[list[str], str]:
     """(which quantities a CSV file gives by the names in its header, which columns are not read). Collective.
+
+    `scalars`: quantities of one number a particle that the scene has besides those of NAMES; their columns are called the same.
 
     Nothing where it cannot be read, which is told where the places are, or in more than three dimensions: there are no names.
     """
@@ -110,7 +112,7 @@ def columns_in(ranks: Communicator, path: Path, dimension: int) -> tuple[list[st
         if ranks.is_root:
             start = beginning(path)
     start = ranks.bcast(start)
-    known = {quantity: of[:dimension] for quantity, of in NAMES.items()}
+    known = {quantity: of[:dimension] for quantity, of in NAMES.items()} | {name: (name.lower(),) for name in scalars}
     given = [quantity for quantity, of in known.items() if start.header and not set(of).isdisjoint(start.cells)]
     if dimension > 3:
         return [], ""
@@ -136,9 +138,9 @@ def uneven_line(block: bytes, start: Beginning, first: int) -> str:
 
 def columns_of(given: tuple[str, ...], quantity: str, dimension: int) -> list[int] | str:
     """Numbers of the columns that a header with these names gives to a quantity, or what is wrong with it."""
-    names = NAMES.get(quantity, ())[:dimension]
+    names = NAMES.get(quantity, (quantity.lower(),))[:dimension]
     named = [name for name in given if name in chain.from_iterable(NAMES.values())]
-    if not given or not names or (dimension > 3 and (not named or given[:3] == names)):
+    if not given or (dimension > 3 and (not named or given[:3] == names)):
         return list(range(dimension))
     if dimension > 3:
         return f"its header has {', '.join(named)}; in dimension {dimension} columns are taken in order: leave it out"

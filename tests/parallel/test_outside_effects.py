@@ -205,6 +205,20 @@ def test_an_event_moves_nobody_who_is_fixed(tmp_path, mode):
     assert sim == again
 
 
+def test_a_start_table_gives_columns_of_effects_too(tmp_path):
+    """And those of the program's own; what the scene says goes before."""
+    (tmp_path / "start.csv").write_text("x,y,Stiffness,drag,other\n0.5,0.6,3,0.1,7\n1.5,1.6,4,0.2,8\n")
+    springs = {"file": str(OUTSIDE / "springs.py"), "centre": [0.0, 0.0]}
+    for more, drag in (({}, [0.1, 0.2]), ({"drag": 0.5}, [0.5, 0.5])):
+        tables = {"dimension": 2, "time": {"step": 0.01, "steps": 1}, "particles": [{"position": {"file": "start.csv"}} | more]}
+        sim = Simulation(Scene.from_dict(tables | {"effects": {"springs": springs, "drag": {}}}, tmp_path))
+        assert sim.particles["stiffness"].tolist() == [3.0, 4.0] and sim.particles["drag"].tolist() == drag
+        assert "columns other of" in sim.warnings[0] and len(sim.warnings) == 1 + len(more)
+    (tmp_path / "start.csv").write_text("x,y,stiffness\n0.5,0.6,-3\n")
+    with pytest.raises(SceneError, match=r"stiffness: below 0 for particle 0"):
+        Simulation(Scene.from_dict(tables | {"effects": {"springs": springs, "drag": {}}}, tmp_path))
+
+
 def test_a_study_leaves_an_effect_out_with_its_column():
     springs = {"springs": {"file": "springs.py", "centre": [0.0, 0.0]}, "drag": {}}
     given = scene(springs, d=2, particle={"stiffness": 8.0, "drag": 0.1})
