@@ -142,13 +142,15 @@ def view(
     """
     import webbrowser
 
+    from rich.filesize import decimal
+
     from particles_mpi.results.page import write_page
     from particles_mpi.results.run import Run
 
     path = Communicator().run_on_root(lambda: write_page(Run(folder)))
     if not path:
         return
-    print(f"{path} ({path.stat().st_size / 1e6:.1f} MB)")
+    print(f"{path} ({decimal(path.stat().st_size)})")
     if not no_open and (sys.platform in ("darwin", "win32") or {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys()):
         webbrowser.open(path.resolve().as_uri())
 

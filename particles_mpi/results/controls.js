@@ -153,12 +153,17 @@ function listen() {
   addEventListener("message", event => { if (event.data && event.data.frames) addFrames(event.data); });
 }
 
+function fail(why) {
+  $("failed").textContent = `The spheres cannot be drawn: ${why}`;
+  $("failed").hidden = false;
+}
+
 function begin() {
+  canvas.addEventListener("webglcontextlost", () => fail("the browser gave its graphics memory away; load the page again"));
   try {
     spheres = new Spheres(canvas);
   } catch (error) {
-    $("failed").textContent = `The spheres cannot be drawn: ${error.message}`;
-    $("failed").hidden = false;
+    fail(error.message);
     return;
   }
   camera = new Camera(Math.hypot(...sides) || 1, run.planar || !(sides[2] > 0));

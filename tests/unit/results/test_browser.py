@@ -185,6 +185,8 @@ def test_one_frame_and_points_without_radius(opened, tmp_path):
     scene = {"dimension": 3, "time": {"step": 0.1, "steps": 0}, "particles": [{"position": [[0, 0, 0], [1, 1, 1]]}]}
     page = opened(ran(tmp_path / "run", **scene))
     assert page.locator("#play").is_disabled() and coloured(drawn(page)).sum() > 20
+    page.evaluate("spheres.gl.getExtension('WEBGL_lose_context').loseContext()")
+    page.locator("#failed", has_text="load the page again").wait_for(timeout=5000)
 
 
 @pytest.mark.parametrize("dimension, count", [(1, 5), (2, 0), *(pytest.param(d, 40, marks=pytest.mark.slow) for d in (4, 5))])
