@@ -90,3 +90,21 @@ def test_what_is_solved_directly_is_what_iterations_lead_to(d, seed, monkeypatch
     Simulation(Scene(dimension=d, box=box, time={"step": 0.01, "steps": 150}, particles=pile, effects=effects)).run()
     done, apart = np.array(found).T
     assert len(found) > 90 and done.all() and apart.max() < 1e-9
+
+
+def test_contacts_that_depend_on_others_are_solved_directly_too(monkeypatch):
+    """A pile in which discs touch more others than carry them: contacts take over from one another, none is iterated."""
+    found, direct = [], solver.solve_directly
+
+    def noted(*arguments):
+        found.append(direct(*arguments))
+        return found[-1]
+
+    monkeypatch.setattr(solver, "solve_directly", noted)
+    monkeypatch.setattr(solver, "TRIED", 0)
+    places = [[0.3 + 0.6 * i + 0.3 * (row % 2), 0.3 + 0.52 * row] for row in range(4) for i in range(4 - row % 2)]
+    effects = {"collisions": {"restitution": 0.3, "allow_overlap": True}, "walls": {"restitution": 0.3}}
+    effects["uniform_gravity"] = {"acceleration": [0.0, -9.81]}
+    box, discs = {"lower": [0.0, 0.0], "upper": [2.45, 4.0]}, {"position": places, "radius": 0.3, "mass": 1.0}
+    Simulation(Scene(dimension=2, box=box, time={"step": 0.01, "steps": 80}, particles=[discs], effects=effects)).run()
+    assert len(found) > 60 and all(found)

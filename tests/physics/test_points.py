@@ -118,3 +118,27 @@ def test_a_single_step_takes_no_number():
     with pytest.raises(TypeError):
         sim.step(5)
     assert sim.steps_done == 0
+
+
+@pytest.mark.parametrize("effects", [{}, {"collisions": {}}, {"collisions": {"mode": "event"}}, {"user_acceleration": {}}])
+def test_places_come_back_into_a_periodic_box(effects):
+    """In steps computed one by one and many at once, with collisions and where a step leaves them out."""
+    points = {"count": 40, "position": "random", "velocity": {"speed": 3.0}}
+    box, time = {"lower": [-1.0, 2.0, 0.0], "upper": [2.0, 4.0, 5.0], "periodic": [True, True, False]}, {"step": 0.1, "steps": 9}
+    ends = []
+    for ways in (
+        lambda sim: sim.steps(9),
+        lambda sim: [sim.step() for _ in range(9)],
+        lambda sim: [sim.step(collisions=False) for _ in range(9)],
+    ):
+        sim = Simulation(Scene.from_dict({"dimension": 3, "box": box, "time": time, "particles": [points], "effects": effects}))
+        start, velocity = (
+            sim.particles.position[np.argsort(sim.particles.id)],
+            sim.particles.velocity[np.argsort(sim.particles.id)],
+        )
+        ways(sim)
+        ends.append(sim.particles.position[np.argsort(sim.particles.id)])
+    length, free = np.array([3.0, 2.0, np.inf]), start + 0.9 * velocity
+    free[:, :2] -= np.floor((free[:, :2] - box["lower"][:2]) / length[:2]) * length[:2]
+    for end in ends:
+        np.testing.assert_allclose(end, free, atol=1e-12)

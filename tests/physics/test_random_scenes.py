@@ -36,6 +36,7 @@ def phases_are_not_nested(monkeypatch):
 @pytest.mark.parametrize(("seed", "axes"), [(26, 3), *with_all((27, 3), (1, 3), (2, 3)), *MORE])
 def test_every_way_on_is_the_same(seed, axes, tmp_path):
     for name, tables, at_once in random_scenes(seed, COUNT, axes):
+        assert outside(at_once) == 0, name
         steps = tables["time"]["steps"]
         assert all(np.isfinite(column).all() for key, column in at_once.particles.arrays.items() if key != "contacted"), name
         one_by_one = Simulation(Scene.from_dict(tables))
@@ -43,6 +44,7 @@ def test_every_way_on_is_the_same(seed, axes, tmp_path):
             copy = one_by_one.copy()
             copy.step()
             one_by_one.step()
+            assert outside(one_by_one) == 0, (name, one_by_one.steps_done)
             assert copy == one_by_one, (name, one_by_one.steps_done)
         one_by_one.to_json(tmp_path / "half.json")
         others = {"copy": one_by_one.copy(), "JSON": Simulation.from_json(tmp_path / "half.json")}
@@ -109,6 +111,14 @@ def test_a_step_to_a_collision_ends_with_it(seed, axes):
                     apart = np.minimum(apart, np.abs(apart - np.subtract(sim.scene.box.upper, sim.scene.box.lower)))
                 assert apart.max() <= TOUCHING, (name, before)
     assert met > COUNT
+
+
+def outside(sim):
+    """How many places are outside a periodic box."""
+    if sim.scene.box is None:
+        return 0
+    x, box = sim.particles.position, sim.scene.box
+    return int((((x < box.lower) | (x > box.upper)) & np.array(sim.scene.periodic)).sum())
 
 
 def gaps(sim):
