@@ -154,6 +154,13 @@ MUTATIONS = (
         ("tests/physics/test_points.py", "-k", "periodic_box"),
     ),
     Mutation(
+        "a step without collisions leaves what is known of neighbours",
+        "contacts/drift.py",
+        "            p.version += self.effects.pairs is not None  # what is known of neighbours does not hold any longer\n",
+        "",
+        ("tests/physics/test_random_scenes.py", "-k", "without_collisions"),
+    ),
+    Mutation(
         "bounces get nothing from the closing kick",
         "contacts/closing_kick.py",
         "        p.velocity[row] += by[: len(row), : p.dimension]\n",

@@ -137,3 +137,23 @@ def overlaps(sim):
     smaller = np.minimum(p.radius[:, None], p.radius[None, :])
     pairs = (smaller > 0.0) & ~(fixed[:, None] & fixed[None, :]) & ~np.eye(len(p), dtype=bool)
     return np.where(pairs, -gaps(sim) / np.where(pairs, smaller, 1.0), 0.0)
+
+
+@pytest.mark.parametrize("mode", ["rewind", "event"])
+@pytest.mark.parametrize("periodic", [True, False])
+@pytest.mark.parametrize("effects", [{}, {"uniform_gravity": {"acceleration": [0.0, -3.0]}}])
+def test_after_steps_without_collisions_a_copy_goes_on_the_same(effects, periodic, mode):
+    """Nothing that was known of neighbours holds after them."""
+    discs = {"count": 60, "position": "random", "velocity": {"speed": 4.0}, "radius": 0.15}
+    box = {"lower": [0.0, 0.0], "upper": [6.0, 6.0], "periodic": periodic}
+    effects = effects | {"collisions": {"mode": mode}} | ({} if periodic else {"walls": {}})
+    tables = {"dimension": 2, "time": {"step": 0.02, "steps": 200}, "box": box, "particles": [discs], "effects": effects}
+    for seed in range(3):
+        sim = Simulation(Scene.from_dict(tables | {"seed": seed}))
+        sim.steps(3)
+        for _ in range(7):
+            sim.step(collisions=False)
+        copy = sim.copy()
+        for one in (sim, copy):
+            one.steps(6)
+        assert sim == copy
