@@ -205,6 +205,19 @@ def test_an_event_moves_nobody_who_is_fixed(tmp_path, mode):
     assert sim == again
 
 
+@pytest.mark.parametrize("mode", ["rewind", "event"])
+def test_what_an_event_does_is_not_finished_as_a_bounce(tmp_path, mode):
+    """Two meet under their attraction, and stop at once: no closing kick of the bounce comes after that."""
+    (tmp_path / "stops.py").write_text(KICKS.replace("+= 0.1", "*= 0.0"))
+    pair = {"position": [[-0.505, 0.0], [0.505, 0.0]], "velocity": [[1.0, 0.0], [-1.0, 0.0]], "radius": 0.5, "mass": 4.0}
+    effects = {"mutual_gravity": {"G": 1.0}, "collisions": {"mode": mode}, "stops": {"file": str(tmp_path / "stops.py")}}
+    sim = Simulation(scene(effects, d=2, particle=pair))
+    sim.step()
+    assert sim.totals["collisions"] == 1
+    apart = np.ptp(sim.particles.position[:, 0])
+    assert sim.particles.velocity[:, 0] == pytest.approx([0.5 * 0.01 * 4.0 / apart**2, -0.5 * 0.01 * 4.0 / apart**2], rel=1e-12)
+
+
 def test_a_start_table_gives_columns_of_effects_too(tmp_path):
     """And those of the program's own; what the scene says goes before."""
     (tmp_path / "start.csv").write_text("x,y,Stiffness,drag,other\n0.5,0.6,3,0.1,7\n1.5,1.6,4,0.2,8\n")
