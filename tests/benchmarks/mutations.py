@@ -161,6 +161,13 @@ MUTATIONS = (
         ("tests/physics/test_random_scenes.py", "-k", "without_collisions"),
     ),
     Mutation(
+        "flows of velocities move fixed particles",
+        "integrators/kicks_and_drifts.py",
+        "                particles.velocity[particles.fixed != 0] = 0.0\n",
+        "                pass\n",
+        ("tests/parallel/test_outside_effects.py", "-k", "moves_nobody"),
+    ),
+    Mutation(
         "the closing kick finishes bounces of what an event has moved since",
         "contacts/drift.py",
         "                self.closing.forget()  # places and velocities are not those of the contacts any longer\n",

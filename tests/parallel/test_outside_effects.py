@@ -189,9 +189,28 @@ class Effect(Event):
 """
 
 
+WIND = """
+from particles_mpi.effects import EffectOptions, VelocityFlow
+class Options(EffectOptions): pass
+class Effect(VelocityFlow):
+    formula = "dv/dt = 10"
+    def advance(self, particles, h):
+        particles.velocity += 10.0 * h
+"""
+PULL = """
+from particles_mpi.effects import EffectOptions, Force
+class Options(EffectOptions): pass
+class Effect(Force):
+    formula = "dv/dt = 10"
+    def add(self, particles, acceleration):
+        acceleration += 10.0
+"""
+
+
 @pytest.mark.parametrize("mode", ["rewind", "event"])
-def test_an_event_moves_nobody_who_is_fixed(tmp_path, mode):
-    (tmp_path / "kicks.py").write_text(KICKS)
+@pytest.mark.parametrize("lines", [KICKS, WIND, PULL], ids=["event", "flow", "force"])
+def test_an_effect_moves_nobody_who_is_fixed(tmp_path, lines, mode):
+    (tmp_path / "kicks.py").write_text(lines)
     particle = {"position": [[0.0, 0.0], [2.0, 0.0]], "velocity": [0.0, 0.0], "fixed": [True, False], "radius": 0.1}
     effects = {"kicks": {"file": str(tmp_path / "kicks.py")}, "collisions": {"mode": mode}}
     sim = Simulation(scene(effects, d=2, particle=particle))
