@@ -168,6 +168,13 @@ MUTATIONS = (
         ("tests/parallel/test_outside_effects.py", "-k", "moves_nobody"),
     ),
     Mutation(
+        "several flows act in the same order before and after the force",
+        "integrators/kicks_and_drifts.py",
+        "            for flow in reversed(self.flows.values()):\n",
+        "            for flow in self.flows.values():\n",
+        ("tests/parallel/test_outside_effects.py", "-k", "two_flows"),
+    ),
+    Mutation(
         "the closing kick finishes bounces of what an event has moved since",
         "contacts/drift.py",
         "                self.closing.forget()  # places and velocities are not those of the contacts any longer\n",

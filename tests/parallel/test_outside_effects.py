@@ -139,6 +139,20 @@ def test_a_charge_goes_round_exactly():
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.05)
 
 
+def test_two_flows_together_are_of_second_order():
+    """Two fields, as two effects, each exact by itself: the velocity turns about their sum."""
+    start, field, errors = np.array([1.0, 0.5, 0.3]), np.array([0.6, 0.0, 0.8]), []
+    table = {name: {"file": "magnetic.py", "field": (field * axis).tolist()} for name, axis in zip("xz", np.eye(3)[[0, 2]])}
+    angle, cross = -1.5 / 0.5, np.cross(field, start)  # |B| = 1
+    true = start * np.cos(angle) + cross * np.sin(angle) + field * (field @ start) * (1.0 - np.cos(angle))
+    for steps in (20, 40):
+        time = {"step": 1.0 / steps, "steps": steps}
+        sim = Simulation(scene(table, time=time, particle={"charge": 1.5, "mass": 0.5, "velocity": start.tolist()}))
+        sim.run()
+        errors.append(np.abs(sim.particles.velocity[0] - true).max())
+    assert errors[1] < 1e-4 and np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.05)
+
+
 def test_a_wall_reflects_the_velocity_of_the_moment_of_contact():
     """In a field along the wall the path is made of arcs; a bounce keeps the order of the step, and the speed."""
     table = {"magnetic_field": {"file": "magnetic.py", "field": [0.0, 0.0, 1.0]}, "walls": {"planes": [
