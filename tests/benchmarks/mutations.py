@@ -175,6 +175,20 @@ MUTATIONS = (
         ("tests/parallel/test_outside_effects.py", "-k", "two_flows"),
     ),
     Mutation(
+        "the virial of a drift that is undone stays",
+        "contacts/time_stepped/operator.py",
+        "        self.virial[:] = self.virial_before\n",
+        "",
+        ("tests/physics/test_time_stepped.py", "-k", "no_trace"),
+    ),
+    Mutation(
+        "spins of a drift that is undone stay",
+        "contacts/time_stepped/operator.py",
+        "            near.spin[rows] = log.spin[:count]\n",
+        "            pass\n",
+        ("tests/physics/test_time_stepped.py", "-k", "no_trace"),
+    ),
+    Mutation(
         "the closing kick finishes bounces of what an event has moved since",
         "contacts/drift.py",
         "                self.closing.forget()  # places and velocities are not those of the contacts any longer\n",

@@ -288,3 +288,18 @@ def test_a_ball_among_pegs_keeps_its_energy_at_any_step(mode, step):
         worst = max(worst, abs(sim.measure()["total_energy"] / start - 1.0))
     assert sim.totals["collisions"] > 15
     assert worst <= 1e-13
+
+
+@pytest.mark.parametrize("more", [{}, {"friction": 0.3, "tangential_restitution": 0.5}], ids=["smooth", "rough"])
+def test_a_step_that_is_done_again_in_order_of_time_leaves_no_trace(more):
+    """With one pass, and contacts that take energy, nearly every step is: the bits of mode event, virials and spins too."""
+    gas = {"count": 60, "position": "random", "velocity": {"temperature": 1.0}, "radius": 0.35}
+    box, found = {"lower": [0.0, 0.0], "upper": [8.0, 8.0], "periodic": True}, []
+    for mode in ({"passes": 1}, {"mode": "event"}):
+        effects = {"collisions": {"restitution": 0.9} | more | mode}
+        time, output = {"step": 0.1, "steps": 6}, {"observables": True}
+        sim = Simulation(Scene(dimension=2, seed=2, box=box, time=time, particles=[gas], effects=effects, output=output))
+        sim.run()
+        order = np.argsort(sim.particles.id)
+        found.append({name: column[order].tobytes() for name, column in sim.rows.arrays.items() if name != "contacted"})
+    assert sim.totals["collisions"] > 50 and found[0] == found[1]
