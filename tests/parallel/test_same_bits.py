@@ -511,6 +511,18 @@ SCENES[BOUNCING] = dict(
     ],
     effects={"mutual_gravity": {}, "collisions": {"mode": "event"}, "walls": {}},
 )
+SQUEEZED = [[1.5 + 2.2 * (k % 6), 1.0 + 2.0 * (k // 6)] for k in range(42)]
+SCENES["light discs that heavy ones squeeze out, further than candidates reach"] = dict(
+    dimension=2,
+    box={"lower": [0, 0], "upper": [16, 16]},
+    time={"step": 0.03, "steps": 12},
+    particles=[
+        {"position": [[x - 0.45, y] for x, y in SQUEEZED], "velocity": [3.0, 0.0], "radius": 0.35, "mass": 100.0},
+        {"position": [[x + 0.45, y] for x, y in SQUEEZED], "velocity": [-3.0, 0.0], "radius": 0.35, "mass": 100.0},
+        {"position": [[x, y + 0.02 + 0.003 * (k % 7)] for k, (x, y) in enumerate(SQUEEZED)], "radius": 0.05, "mass": 1e-4},
+    ],
+    effects={"collisions": {}, "walls": {}},
+)  # a drift is undone for it, on two ranks and on three
 TURNING = {"restitution": 0.9, "tangential_restitution": 1.0}
 SCENES["rough discs that attract one another, with drag"] = SCENES[BOUNCING] | {
     "effects": {"mutual_gravity": {}, "collisions": TURNING | {"mode": "event"}, "walls": TURNING, "drag": {"rate": 0.1}}
