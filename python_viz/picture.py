@@ -161,9 +161,9 @@ class Picture:
             corners = np.insert(SQUARE, wall, 1 - front[wall], axis=1)
             self.axes.fill(*self.project(faces[corners, range(3)]).T, color=WALLS[wall], zorder=0)
         if self.planar:
-            self.axes.set(xlabel="x", ylabel="y" if self.upper[1] > self.lower[1] else "")
-            if not self.axes.get_ylabel():  # a line
-                self.axes.set_yticks([])
+            self.axes.set(xlabel="x", ylabel="y")
+            if self.upper[1] == self.lower[1]:  # a line
+                self.axes.set(ylabel="", yticks=[])
             self.axes.tick_params(length=0)
             self.axes.spines[:].set_visible(False)
         else:

@@ -71,8 +71,8 @@ def inside(path: np.ndarray, lower: np.ndarray, length: np.ndarray) -> np.ndarra
         return np.stack([np.interp(at, number, column) for column in path.T], axis=1)
 
     at = np.unique(np.concatenate([number, *cuts]))
-    if not cuts:
-        at = np.append(at, at[-1])  # a single place is a path, too
+    if len(at) == 1:  # a single place is a path, too
+        at = np.repeat(at, 2)
     shift = np.floor((places(0.5 * (at[1:] + at[:-1])) - lower) / np.where(length, length, np.inf)) * length
     gaps = np.flatnonzero((np.diff(shift, axis=0) != 0.0).any(axis=1)) + 1
     lines = np.stack((places(at[:-1]) - shift, places(at[1:]) - shift), axis=1).reshape(-1, path.shape[1])

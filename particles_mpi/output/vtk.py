@@ -30,6 +30,11 @@ LIST_END = ["  </Collection>", "</VTKFile>"]  # the last lines of the list
 NUMBER_KINDS = {"f": "Float", "i": "Int", "u": "UInt"}  # of numbers: as numpy and as VTK call them
 
 
+def suffix(ids: IdRange) -> str:
+    """Of the file of a frame with these ids that readers open."""
+    return "pvtu" if ids.end - ids.first > PIECE_IDS else "vtu"
+
+
 class VtkSeries(Continuing):
     """Writer of the files of each frame, and of the .pvd file that lists them with their times; every method is collective."""
 
@@ -54,7 +59,7 @@ class VtkSeries(Continuing):
     def write(self, step: int, time: float, arrays: dict[str, Array], ids: IdRange) -> None:
         """Add a frame. `arrays`: this rank's owned rows in any order, (n,) or (n, d); fields not meant for frames are skipped."""
         shown = {name: array for name, array in arrays.items() if field(name).output}
-        path = self.folder / f"vtk/particles_{step:06d}.{'pvtu' if ids.end - ids.first > PIECE_IDS else 'vtu'}"
+        path = self.folder / f"vtk/particles_{step:06d}.{suffix(ids)}"
         try:
             pieces = self._write_pieces(path, step, shown, ids)
         except StoppedError:

@@ -61,10 +61,9 @@ def tell_end(
     if formats:
         say(f"ParaView: paraview {quote(str(folder / 'view_paraview.py'))}")
     if "vtk" in formats:
-        from particles_mpi.output.vtk import PIECE_IDS
+        from particles_mpi.output.vtk import suffix
 
-        suffix = "pvtu" if sim.total > PIECE_IDS else "vtu"
-        say(f"VisIt: {folder}/vtk/particles_*.{suffix} database")
+        say(f"VisIt: {folder}/vtk/particles_*.{suffix(sim.ids)} database")
     if "hdf5" in formats:
         say(f"view: {PROGRAM} view {shown}")
         if (plots := PROJECT / "python_viz").is_dir():
