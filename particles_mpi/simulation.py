@@ -97,11 +97,10 @@ class Simulation(Saved):
         Returns the ids of the two that met, the lower one first, or None; `sim.time` is the moment. It is the end of a whole
         leapfrog step of the length that ends with the contact, found by iteration where forces make that depend on itself; if
         none does, for a contact begins to last within the step, None after a shorter step that ends there (`LengthSearch`).
-        Needs collisions in mode event. Collisions at the same moment come one call after the other.
+        Collisions at the same moment come one call after the other. Mode rewind, too, goes to it in exact order of time.
         """
-        pairs = self.active.pairs
-        if pairs is None or pairs.options.mode != "event":
-            raise SceneError('effects.collisions.mode: step_to_collision needs "event"')
+        if self.active.pairs is None:
+            raise SceneError("effects.collisions: step_to_collision needs it")
         self.take_changes()
         before = self.steps_done
         with self.stepping():
@@ -112,12 +111,12 @@ class Simulation(Saved):
 
     def advance_to_collision(self) -> tuple[int, int] | None:
         """As `step_to_collision`, for a state that is taken and checked."""
-        near, free = self.near, not (self.active.forces or self.active.on_velocities)
+        exact, free = self.drift.exact, not (self.active.forces or self.active.on_velocities)
         search = LengthSearch(self.h)
         while True:
             h, before = search.h, None if free else StepTrial(self)
             self.advance(h, stop=True)
-            reached, met = near.reached, near.met
+            reached, met = exact.reached, exact.met
             if not met and h == self.h:
                 self.particles.open()
                 self.steps_done += 1

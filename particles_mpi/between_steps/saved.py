@@ -155,7 +155,7 @@ class StepTrial:
     def __init__(self, sim: Saved):
         self.sim = sim
         self.rows, self.contacts = sim.rows.copy(), sim.lasting_contacts()
-        self.totals, self.calls, self.tc_elastic = sim.totals.copy(), sim.calls.copy(), sim.near.tc_elastic
+        self.totals, self.calls, self.tc_elastic = sim.totals.copy(), sim.calls.copy(), sim.drift.exact.tc_elastic
 
     def undo(self) -> None:
         """Back to where it began. Only once: the kept arrays are handed over."""
@@ -166,4 +166,4 @@ class StepTrial:
         sim.calls.update(self.calls)
         if sim.persistent:
             sim.persistent.history.restore(self.contacts)
-        sim.near.tc_elastic = self.tc_elastic
+        sim.drift.exact.tc_elastic = self.tc_elastic

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -84,11 +85,12 @@ class Drift:
         self.pushed: Array = np.empty(0, np.int64)  # rows to which lasting contacts added more
         self.past_work: dict[str, int] = {}  # of operators that are no longer there
         self.past_remarks: list[str] = []
+        self.accelerations = accelerations
         self.near: Any = None
         self.operator: Any = None
         self.meeting: Any = None  # what does the contacts
         if effects.pairs:
-            self.load_operator(effects.pairs, accelerations)
+            self.load_operator(effects.pairs)
         self.closing: ClosingKick | None = None
         if effects.finishes_bounces:
             self.meeting = self.operator or effects.walls
@@ -97,30 +99,37 @@ class Drift:
             restitution = effects.pairs.loss.restitution if effects.pairs else 1.0
             self.closing = ClosingKick(rows, context.ranks, context.length, planes, restitution, surfaces(effects))
 
-    def load_operator(self, pairs: PairContacts, accelerations: Callable[[], Any]) -> None:
-        """The collision operator that the scene names, and its search for neighbours."""
-        context, planes = self.context, self.effects.walls.planes if self.effects.walls else None
-        box, loss = Box(context.lower, context.upper, context.length), pairs.loss
-        law = surfaces(self.effects)
-        exact: Any = None
-        if pairs.options.mode == "event" or self.effects.lossy:
-            from particles_mpi.contacts.event_driven.operator import EventDriven
-
-            duration = pairs.options.contact_duration
-            keeps = self.persistent and self.persistent.pairs
-            hold = (lambda h, tried: self.persistent.keep_crowds(self.rows, accelerations(), h, tried)) if keeps else None
-            forces = bool(self.effects.forces)
-            exact = EventDriven(self.rows, context.ranks, box, loss, law, duration, forces, planes, context.timers, hold)
+    def load_operator(self, pairs: PairContacts) -> None:
+        """The collision operator that the scene names, and its search for neighbours. Collective."""
         if pairs.options.mode == "event":
-            self.near = self.operator = exact
+            self.near = self.operator = self.exact
             return
         from particles_mpi.contacts.time_stepped.operator import Rewind
         from particles_mpi.neighbours.neighbour_list import Neighbourhood
 
-        walls = plain(planes or no_planes(self.rows.dimension))
+        context, walls = self.context, self.effects.walls.planes if self.effects.walls else no_planes(self.rows.dimension)
         kicked = bool(self.effects.forces or self.effects.on_velocities or self.events)
-        self.near = Neighbourhood(self.rows, context.ranks, box, walls, kicked, context.timers)
-        self.operator = Rewind(self.near, loss, law, pairs.options.passes, context.timers, exact)
+        self.near = Neighbourhood(self.rows, context.ranks, self.box, plain(walls), kicked, context.timers)
+        exact = self.exact if self.effects.lossy else None
+        self.operator = Rewind(self.near, pairs.loss, surfaces(self.effects), pairs.options.passes, context.timers, exact)
+
+    @property
+    def box(self) -> Box:
+        return Box(self.context.lower, self.context.upper, self.context.length)
+
+    @cached_property
+    def exact(self) -> Any:
+        """The operator `event`; in mode rewind it does what `passes` cannot, and drifts that end at a collision. Collective."""
+        from particles_mpi.contacts.event_driven.operator import EventDriven
+
+        context, pairs, planes = self.context, self.effects.pairs, self.effects.walls.planes if self.effects.walls else None
+        assert pairs
+        keeps = self.persistent and self.persistent.pairs
+        hold = (lambda h, tried: self.persistent.keep_crowds(self.rows, self.accelerations(), h, tried)) if keeps else None
+        return EventDriven(
+            self.rows, context.ranks, self.box, pairs.loss, surfaces(self.effects), pairs.options.contact_duration,
+            bool(self.effects.forces), planes, context.timers, hold,
+        )  # fmt: skip
 
     def advance(self, h: float, time: float, rates: Rates, contacts: bool = True, stop: bool = False) -> None:
         """Positions over h from `time` on, while velocities change by `rates`. Collective.
@@ -135,10 +144,9 @@ class Drift:
             turn(p["orientation"], p["spin"], 0.5 * h)
         if contacts and self.effects.pairs:
             migrated = self.near.migrated
-            stopping = {"stop": True} if stop else {}
-            found = self.operator.drift(h, time, rates, **stopping)
+            found = self.to_collision(h, time, rates) if stop else self.operator.drift(h, time, rates)
             if stop:
-                h = self.near.reached
+                h = self.exact.reached
             happened = [*found, self.near.migrated - migrated]
             self.calls.update(self.contact_names)
             wrapped = True  # ghosts too
@@ -168,6 +176,12 @@ class Drift:
         if context.length.any() and not wrapped:
             with context.timers("drift"):
                 wrap(p.position, context.lower, context.upper, context.length)
+
+    def to_collision(self, h: float, time: float, rates: Rates) -> Array:
+        """The drift until two particles meet, or over h if none do; the operator `event` does it in either mode. Collective."""
+        if self.exact is self.operator:
+            return self.exact.drift(h, time, rates, stop=True)
+        return self.operator.do_exactly(self.exact, h, time, rates, stop=True)
 
     def act(self, events: dict[str, Event], h: float) -> bool:
         """Events at the end of the drift; was any row of this rank changed?"""

@@ -212,6 +212,7 @@ class Neighbourhood:
         self.pair_tests += self.candidates.pair_count
 
     def end_candidates(self) -> None:
-        """This drift is done by other means: the candidates served for one step, and end with it."""
-        self.tuner.step(self.candidates.pair_count)
+        """This drift is done by other means: the candidates, if there are any, served for one step, and end with it."""
+        if self.version != -1:
+            self.tuner.step(self.candidates.pair_count)
         self.version = -1  # ghosts are not what their owners have: search before the next drift

@@ -86,10 +86,11 @@ def test_no_overlap_stays_untold_in_mode_rewind(seed, axes):
 
 
 @pytest.mark.parametrize(("seed", "axes"), [(1, 3), *with_all((2, 3)), *MORE[-3:]])
-def test_a_step_to_a_collision_ends_with_it(seed, axes):
+@pytest.mark.parametrize("mode", ["event", "rewind"])
+def test_a_step_to_a_collision_ends_with_it(mode, seed, axes):
     """The two touch; the time gone by is the length of a step that leads everybody to the same places."""
     met = 0
-    for name, tables, _ in random_scenes(seed, COUNT, axes, "event"):
+    for name, tables, _ in random_scenes(seed, COUNT, axes, mode):
         sim = Simulation(Scene.from_dict(tables))
         for _ in range(25):
             twin, before, lasting = sim.copy(), sim.time, len(sim.lasting_contacts().id)

@@ -20,10 +20,10 @@ DISCS = [
 ]
 
 
-@pytest.mark.parametrize("step", [0.01, 0.3, 10.0])
-def test_pbphys_three_discs(step):
+@pytest.mark.parametrize(("step", "mode"), [(0.01, "event"), (0.3, "event"), (10.0, "event"), (0.01, "rewind"), (0.3, "rewind")])
+def test_pbphys_three_discs(step, mode):
     """Its printed run: discs 0 and 2 at t = 0.646447, then 1 and 2 at t = 0.878937."""
-    sim = Simulation(scene(2, DISCS, step))
+    sim = Simulation(scene(2, DISCS, step, collisions={"mode": mode}))
     met = []
     while sim.time < 1.0 and len(met) < 2:
         pair = sim.step_to_collision()
@@ -36,14 +36,16 @@ def test_pbphys_three_discs(step):
     assert np.linalg.norm(x[1] - x[2]) == pytest.approx(1.0, abs=1e-12)
 
 
+@pytest.mark.parametrize("mode", ["event", "rewind"])
 @pytest.mark.parametrize("step", [0.05, 1.0])
-def test_dropped_on_a_fixed_sphere(step):
+def test_dropped_on_a_fixed_sphere(step, mode):
     """From rest, a gap of 1 under g = 2: contact at t = 1 with speed 2, whatever the step, since the last one fits."""
     pair = [
         {"position": [[0.0, 0.0]], "radius": 0.5, "mass": 1.0, "fixed": True},
         {"position": [[0.0, 2.0]], "velocity": [0.0, 0.0], "radius": 0.5, "mass": 1.0},
     ]
-    sim = Simulation(scene(2, pair, step, uniform_gravity={"acceleration": [0.0, -2.0]}))
+    effects = {"collisions": {"mode": mode}, "uniform_gravity": {"acceleration": [0.0, -2.0]}}
+    sim = Simulation(scene(2, pair, step, **effects))
     pairs = [sim.step_to_collision()]
     while pairs[-1] is None:
         pairs.append(sim.step_to_collision())
@@ -95,7 +97,7 @@ def test_a_view_looks_after_whole_steps_only():
     assert found.count(None) == sim.steps_done > 1 and seen == list(range(1, sim.steps_done + 1))
 
 
-def test_needs_mode_event():
-    sim = Simulation(scene(2, DISCS, 0.01, collisions={}))
-    with pytest.raises(SceneError, match="event"):
+def test_needs_collisions():
+    sim = Simulation(Scene.from_dict({"dimension": 2, "time": {"step": 0.01, "steps": 100}, "particles": DISCS}))
+    with pytest.raises(SceneError, match=r"effects\.collisions: step_to_collision needs it"):
         sim.step_to_collision()

@@ -52,6 +52,11 @@ NO_SPIN = np.empty((0, 1))
 NAMED = 64  # contacts without loss whose time and partners are kept
 
 
+def moments_of_contact(p: Particles) -> Array:
+    """When each particle last had a contact (n,); never, where a scene keeps no record of it: nothing depends on it there."""
+    return p["contacted"] if "contacted" in p.arrays else np.full(len(p), -np.inf)
+
+
 class Engine:
     """Computes contacts in order of time among the rows that `load` gave it: own ones, and ghosts that others own.
 
@@ -97,7 +102,7 @@ class Engine:
         state[:] = 0
         state[:n, ID], state[:n, OWNERSHIP] = p.id, GHOST
         state[:owned, OWNERSHIP] = OWN
-        reals[:n, LAST_CONTACT] = p.contacted
+        reals[:n, LAST_CONTACT] = moments_of_contact(p)
         if "virial" in p.arrays:
             reals[:n, VIRIAL] = p.virial
         self.node = np.full((total, NODE), NO_EVENT, np.int32)
@@ -123,7 +128,7 @@ class Engine:
         virial = p.arrays.get("virial", np.empty(0))
         a = p.arrays.get("total_acceleration", np.empty((0, 0)))
         moved, speed = start_drift(
-            self.axes, tuple(self.rows), p.position, p.velocity, p.radius, p.contacted, virial, a,
+            self.axes, tuple(self.rows), p.position, p.velocity, p.radius, moments_of_contact(p), virial, a,
             p.arrays.get("spin", NO_SPIN), own_rows,
         )  # fmt: skip
         return bool(moved), float(speed)
@@ -197,5 +202,5 @@ class Engine:
     def write_back(self, p: Particles, own_rows: Array) -> None:
         """Particle r of p as row own_rows[r] is."""
         virial, supported = p.arrays.get("virial", np.empty(0)), p.arrays.get("supported", np.empty(0, np.uint8))
-        fields = p.position, p.velocity, p.contacted, virial, supported, p.arrays.get("spin", NO_SPIN)
+        fields = p.position, p.velocity, moments_of_contact(p), virial, supported, p.arrays.get("spin", NO_SPIN)
         write_back(self.axes, tuple(self.rows), *fields, self.crowded, own_rows)

@@ -96,13 +96,8 @@ class Rewind:
             except TooDenseError:
                 assert self.exact
                 self.undo()
-                near.end_candidates()
                 self.signs.dense_steps += 1
-                self.exact.noting = self.noting
-                counts = self.exact.drift(h, moment, rates)
-                self.last = self.exact.last
-                self.signs.count(counts[COLLISIONS])
-                return counts
+                return self.do_exactly(self.exact, h, moment, rates)
             except TooFarError as far:
                 self.undo()
                 travel = max(far.travel, 1.2 * travel)
@@ -114,6 +109,15 @@ class Rewind:
             self.forget_contacts()
         self.signs.count(counts[COLLISIONS], counts[LATE])
         return counts[:LATE]
+
+    def do_exactly(self, exact: EventDriven, h: float, moment: float, rates: Rates, stop: bool = False) -> Array:
+        """A drift that the operator `event` does, with what it returns. Collective."""
+        self.near.end_candidates()
+        exact.noting = self.noting
+        counts = exact.drift(h, moment, rates, stop)
+        self.last = exact.last
+        self.signs.count(counts[COLLISIONS])
+        return counts
 
     def renew(self, rates: Rates) -> None:
         """What depends on the rows that are here since the last search, and on the step."""
