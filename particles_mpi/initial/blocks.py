@@ -51,7 +51,10 @@ class Columns:
             return rows if FIELDS[name].vector else rows[:, 0]
         if isinstance(value, dict):
             key = stream_key(self.scene.seed, block.number, name)
-            return value["min"] + draw(key, first, last, uniform) * (value["max"] - value["min"])
+            part, least, most = draw(key, first, last, uniform), value["min"], value["max"]
+            if self.arrays[name].dtype.kind == "i" and least == int(least) and most == int(most):  # each of them as likely
+                return np.minimum(np.floor(least + part * (most - least + 1)), most)
+            return least + part * (most - least)
         if isinstance(value, list) and (
             not (FIELDS[name].vector or FIELDS[name].rotation) or isinstance(next(iter(value), None), list)
         ):

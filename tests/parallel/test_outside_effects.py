@@ -302,6 +302,13 @@ def test_every_key_is_checked(table, more, fault):
         Simulation(scene({"magnetic_field": table}, particle=more))
 
 
+def test_a_range_of_a_column_of_whole_numbers_has_each_of_them():
+    many = {"count": 400, "position": "lattice", "crossings": {"min": 2, "max": 5}}
+    sim = Simulation(scene({"gate": {"file": "gate.py", "place": 0.0}}, particle=many, box={"lower": [0] * 3, "upper": [9] * 3}))
+    found, often = np.unique(sim.particles.crossings, return_counts=True)
+    assert found.tolist() == [2, 3, 4, 5] and (np.abs(often - 100) < 40).all()
+
+
 def test_what_would_be_ignored_is_refused(tmp_path):
     magnetic = {"file": "magnetic.py", "field": [0.0, 0.0, 1.0]}
     with pytest.raises(SceneError, match='"order4" goes back in time between kicks, which magnetic_field does not allow'):
@@ -312,7 +319,7 @@ def test_what_would_be_ignored_is_refused(tmp_path):
     (tmp_path / "slow.py").write_text(slow)
     with pytest.raises(SceneError, match='"taylor" needs a method `rate` of the effect slow; use "leapfrog"'):
         scene({"slow": magnetic | {"file": str(tmp_path / "slow.py")}}, time={"integrator": "taylor"})
-    for wrong in (1.5, [0.5], 1e30):
+    for wrong in (1.5, [0.5], 1e30, {"min": 0.5, "max": 0.6}, {"min": 1e30, "max": 1e31}):
         with pytest.raises(SceneError, match=r"particles\[0\].crossings: no whole number for particle 0"):
             Simulation(scene({"gate": {"file": "gate.py", "place": 0.0}}, particle={"crossings": wrong}))
     with pytest.raises(SceneError, match=r"effects\.drag\.file: drag is an effect of the program"):
