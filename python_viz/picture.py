@@ -17,7 +17,7 @@ from particles_mpi.results.scenery import in_space, scenery
 
 HEADING, LETTER = 13, 0.1  # size of the letters of the heading, and how wide one is, in inches; long titles have smaller ones
 SMALLEST = 1.0  # pixels: smaller marbles are drawn with this radius, and the caption says so
-POINT, CROWD = 6.0, 1000  # pixels: the radius of a point; where there are more than so many, all cover as much as these
+POINT, MANY_POINTS = 6.0, 1000  # pixels: the radius of a point; where there are more than so many, all cover as much as these
 LEAST_HIGH = 1.0  # inches of the room for a line
 MARGIN = 0.04  # of the extent of the marbles, around it, where the scene has no box
 LEAST_RANGE = 1e-3  # of the largest value: what differs by less has one colour, and not those of its round-off
@@ -204,7 +204,7 @@ class Picture:
         uv, depth, magnify = self.camera.project(in_space(frame.position))
         center, radius = (uv - [left, bottom]) / pixel, frame.radius * magnify / pixel
         seen = np.all((center > -radius[:, None]) & (center < [width, height] + radius[:, None]), axis=1)
-        point = min(max(POINT * (CROWD / max(len(seen), 1)) ** 0.5, SMALLEST), POINT)
+        point = min(max(POINT * (MANY_POINTS / max(len(seen), 1)) ** 0.5, SMALLEST), POINT)
         least = np.where(frame.radius > 0, SMALLEST, point)
         points = int(np.count_nonzero(seen & (frame.radius == 0)))
         small = int(np.count_nonzero(radius[seen] < SMALLEST)) - points

@@ -27,7 +27,7 @@ from particles_mpi.results.frame import Frame
 
 FEW = 30
 COLUMNS = 3
-CROWD = 4000  # points: more are drawn as small as can be
+MANY_POINTS = 4000  # points: more are drawn as small as can be
 TITLE = 40  # letters in a line of a title
 PIECES = 8  # of a curve between two frames
 PALER = 0.45  # times as strong are the colours when they are used again
@@ -101,7 +101,7 @@ def plot_spheres(axes: Axes, position: np.ndarray, radius: np.ndarray) -> None:
 def plot_points(axes: Axes, position: np.ndarray) -> None:
     """Many points, on black."""
     axes.set_facecolor("black")
-    size = float(np.clip(1.5 * (CROWD / max(len(position), 1)) ** 0.5, 1.5, 4.0))
+    size = float(np.clip(1.5 * (MANY_POINTS / max(len(position), 1)) ** 0.5, 1.5, 4.0))
     axes.plot(position[:, 0], position[:, 1], ".", ms=size, mew=0, color="#ffe8c0", alpha=0.6)
 
 

@@ -19,10 +19,10 @@ import numpy as np
 from particles_mpi.errors import SceneError
 from particles_mpi.particles import Array
 from particles_mpi.study.experiment import Errors
-from particles_mpi.study.recommend.runs import OBSERVABLES, Record, Start
+from particles_mpi.study.recommend.runs import STATISTICS, Record, Start
 
 ROUND_OFF = 1e-15  # of places, a step and more
-ERROR_NAMES = ("state", "energy", *OBSERVABLES)
+ERROR_NAMES = ("state", "energy", *STATISTICS)
 
 
 @dataclass

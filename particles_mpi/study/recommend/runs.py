@@ -34,7 +34,7 @@ MOST_MOMENTS, MOST_COMPARED = 1000, 2_000_000  # at which two runs are compared 
 ROUNDED_UP = 1.02  # times the steps of the scene: more would be another scene
 ENERGY_SAMPLES = 32  # moments at which energies are, about
 LOOKS, GOLDEN = 48, 0.5 * (5.0**0.5 - 1.0)  # at where the particles are, at moments that no period has
-OBSERVABLES = ("collision rate", "wall hits", "kinetic energy", "height")  # what chaotic motion is judged by
+STATISTICS = ("collision rate", "wall hits", "kinetic energy", "height")  # what chaotic motion is judged by
 
 Changes = dict[str, dict[str, Any] | None]  # keys of effects that change, and effects that are left out (None)
 
@@ -161,7 +161,7 @@ class Record:
     def observables(self) -> dict[str, float]:
         """Of the run, by name; rates are those of a time unit."""
         rates = self.collisions / self.duration, self.wall_hits / self.duration
-        return dict(zip(OBSERVABLES, (*rates, float(self.kinetic[1:].mean()), float(self.heights.mean())), strict=True))
+        return dict(zip(STATISTICS, (*rates, float(self.kinetic[1:].mean()), float(self.heights.mean())), strict=True))
 
 
 def follow(start: Start, sim: Simulation, snapshots: int, patience: float = np.inf) -> Record:
