@@ -57,6 +57,8 @@ FIELDS = {
 RUN_MADE = tuple(name for name, column in FIELDS.items() if not column.output)  # fields that a run fills by itself
 BUILT_IN = tuple(FIELDS)  # those of the program; effects from outside bring more
 USER = Column("", output=False)  # any other name: data of the user's, of any type and shape, that goes where its particle goes
+# Types of columns that viewers, too, can read: VTK has no others.
+IN_FILES = ("float64", "float32", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (64, 32, 16, 8)))
 ALWAYS = ("id", "position", "velocity", "radius", "mass", "fixed")
 # Fields that decide who meets whom, with what outcome
 MEETING = ("position", "velocity", "radius", "mass", "fixed", "drag", "spin", "moment_of_inertia", "contacted", "virial")
@@ -155,8 +157,8 @@ def add_column(name: str, column: Column) -> None:
         raise ValueError(f"column {name!r}: the name is taken, or is no identifier")
     if known != column:
         raise ValueError(f"column {name!r}: this Python knows it otherwise, from another file or version of one; restart it")
-    if np.dtype(column.dtype).kind not in "biuf":
-        raise ValueError(f"column {name!r}: {column.dtype} is no type of real numbers")
+    if str(np.dtype(column.dtype)) not in IN_FILES:
+        raise ValueError(f"column {name!r}: {column.dtype} is none of the types that files of frames have: {', '.join(IN_FILES)}")
     FIELDS[name] = column
 
 

@@ -52,7 +52,7 @@ class Columns:
         if isinstance(value, dict):
             key = stream_key(self.scene.seed, block.number, name)
             part, least, most = draw(key, first, last, uniform), value["min"], value["max"]
-            if self.arrays[name].dtype.kind == "i" and least == int(least) and most == int(most):  # each of them as likely
+            if self.arrays[name].dtype.kind in "iu" and least == int(least) and most == int(most):  # each of them as likely
                 return np.minimum(np.floor(least + part * (most - least + 1)), most)
             return least + part * (most - least)
         if isinstance(value, list) and (
@@ -73,9 +73,14 @@ class Columns:
             values = np.asarray(mine, float)
         except OverflowError:
             values = np.array(LARGEST_NUMBER * 2.0)
-        if own.dtype.kind == "i":
-            whole = (np.abs(values) <= LARGEST_WHOLE) & (values == np.rint(values))
-            self.refuse(block, name, ~whole & np.ones(own.shape if len(own) else (0,), bool), "no whole number for")
+        if own.dtype.kind in "iu":
+            held = np.iinfo(own.dtype)
+            whole = (
+                (values >= max(held.min, -LARGEST_WHOLE)) & (values <= min(held.max, LARGEST_WHOLE)) & (values == np.rint(values))
+            )
+            self.refuse(
+                block, name, ~whole & np.ones(own.shape if len(own) else (0,), bool), f"no whole number of {own.dtype} for"
+            )
             values = np.where(whole, values, 0.0)
         if len(own):
             own[:] = values

@@ -10,6 +10,9 @@ import h5py
 import numpy as np
 import pytest
 from conftest import run_ranks
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkIOHDF import vtkHDFReader
+from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridReader
 
 from particles_mpi import Run, Scene, SceneError, Simulation, StoppedError
 from particles_mpi.study.recommend.runs import variant
@@ -309,6 +312,50 @@ def test_a_range_of_a_column_of_whole_numbers_has_each_of_them():
     assert found.tolist() == [2, 3, 4, 5] and (np.abs(often - 100) < 40).all()
 
 
+KINDS = """
+from particles_mpi.effects import Column, EffectOptions, Event, Needs
+
+class Options(EffectOptions):
+    pass
+
+class Effect(Event):
+    formula = "nothing"
+    needs = Needs(columns={f"of_{kind}": Column(kind) for kind in TYPES}, integrators=("leapfrog",))
+
+    def act(self, particles, h):
+        return 0
+"""
+
+
+def test_viewers_read_columns_of_every_type(tmp_path):
+    """VTK skips all columns behind one of a type that it does not know, and meshio writes none."""
+    types = ("float64", "float32", "int64", "int32", "int16", "int8", "uint64", "uint32", "uint16", "uint8")
+    (tmp_path / "kinds.py").write_text(KINDS.replace("TYPES", str(types)))
+    given = {f"of_{kind}": [1, 2, 100] for kind in types}
+    particles = [{"position": [[0.0], [1.0], [2.0]]} | given]
+    tables = {
+        "dimension": 1,
+        "time": {"step": 1.0, "steps": 1},
+        "particles": particles,
+        "effects": {"kinds": {"file": "kinds.py"}},
+    }
+    Simulation(Scene.from_dict(tables, tmp_path)).run(tmp_path / "out")
+    for reader, name in ((vtkHDFReader(), "trajectory.vtkhdf"), (vtkXMLUnstructuredGridReader(), "vtk/particles_000000.vtu")):
+        reader.SetFileName(str(tmp_path / "out" / name))
+        reader.Update()
+        data = reader.GetOutput().GetPointData()
+        for kind in types:
+            values = vtk_to_numpy(data.GetArray(f"of_{kind}"))
+            assert values.dtype == kind and values.tolist() == [1, 2, 100], (name, kind)
+    for kind in ("bool", "float16", "complex128"):
+        (tmp_path / f"{kind}.py").write_text(KINDS.replace("TYPES", str((kind,))))
+        with pytest.raises(SceneError, match=f"column 'of_{kind}': {kind} is none of the types that files of frames have"):
+            Scene.from_dict(tables | {"effects": {kind: {"file": f"{kind}.py"}}}, tmp_path)
+    given["of_uint8"][0] = 256
+    with pytest.raises(SceneError, match="of_uint8: no whole number of uint8 for particle 0"):
+        Simulation(Scene.from_dict(tables, tmp_path))
+
+
 def test_what_would_be_ignored_is_refused(tmp_path):
     magnetic = {"file": "magnetic.py", "field": [0.0, 0.0, 1.0]}
     with pytest.raises(SceneError, match='"order4" goes back in time between kicks, which magnetic_field does not allow'):
@@ -320,7 +367,7 @@ def test_what_would_be_ignored_is_refused(tmp_path):
     with pytest.raises(SceneError, match='"taylor" needs a method `rate` of the effect slow; use "leapfrog"'):
         scene({"slow": magnetic | {"file": str(tmp_path / "slow.py")}}, time={"integrator": "taylor"})
     for wrong in (1.5, [0.5], 1e30, {"min": 0.5, "max": 0.6}, {"min": 1e30, "max": 1e31}):
-        with pytest.raises(SceneError, match=r"particles\[0\].crossings: no whole number for particle 0"):
+        with pytest.raises(SceneError, match=r"particles\[0\].crossings: no whole number of int64 for particle 0"):
             Simulation(scene({"gate": {"file": "gate.py", "place": 0.0}}, particle={"crossings": wrong}))
     with pytest.raises(SceneError, match=r"effects\.drag\.file: drag is an effect of the program"):
         scene({"drag": {"file": "magnetic.py"}})
