@@ -10,7 +10,7 @@ import numpy as np
 from particles_mpi.contacts.event_driven.engine import Engine
 from particles_mpi.contacts.event_driven.id_table import rows_of_ids, table_of
 from particles_mpi.contacts.event_driven.messages import HOLDER, PLACE, Directory, message_of, pack_changes, widest_part
-from particles_mpi.contacts.event_driven.regions import Moves, Regions, mark_holders, plan_moves
+from particles_mpi.contacts.event_driven.regions import Moves, Regions, distances2, mark_holders, plan_moves
 from particles_mpi.contacts.event_driven.rows import (
     ID,
     LAST_PARTNER,
@@ -116,11 +116,9 @@ class Partition:
         bound = DISPLACEMENT_BOUND * self.skin
         reach = (self.skin + 2.0 * bound + largest) * MARGIN
         depth = (reach + 2.0 * max(self.depth * mean, largest)) * MARGIN
-        apart = np.full(low.shape, np.inf)  # from the region of this rank to the nearest image of each
-        for shift in (0.0, length, -length):
-            apart = np.minimum(apart, np.maximum(np.maximum(low[me] + shift - high, low - high[me] - shift), 0.0))
         within = depth + largest + self.skin + 2.0 * self.skin + bound
-        self.neighbours = [int(rank) for rank in np.flatnonzero((apart**2).sum(axis=1) <= within**2) if rank != me]
+        near = distances2(low, high, me, length) <= within**2
+        self.neighbours = [int(rank) for rank in np.flatnonzero(near) if rank != me]
         self.regions = Regions(low, high, tuple(self.box), me, np.array([*self.neighbours, me]), reach, bound, depth)
 
     def locate_fields(self) -> None:

@@ -35,6 +35,17 @@ class Moves(NamedTuple):
     owner: Array  # (m,) the rank that owns it from now on
 
 
+def distances2(low: Array, high: Array, rank: int, length: Array) -> Array:
+    """Squares of the distances (ranks,) from one rank's region to the nearest image of each; the same bits from both sides.
+
+    For if one of two ranks took the other for a neighbour, and not the other way round, it would wait for a message for ever.
+    """
+    apart = np.full(low.shape, np.inf)
+    for shift in (0.0, length, -length):
+        apart = np.minimum(apart, np.maximum(np.maximum(low[rank] - high + shift, low - high[rank] - shift), 0.0))
+    return np.asarray((apart**2).sum(axis=1))
+
+
 @inner
 def in_box(y, length, lower):
     """The coordinate y, in the box if its axis is periodic (length > 0)."""

@@ -6,7 +6,7 @@ from numba import njit
 from with_all import with_all
 
 from particles_mpi.contacts.event_driven.engine import Engine
-from particles_mpi.contacts.event_driven.regions import Regions, can_affect_owned
+from particles_mpi.contacts.event_driven.regions import Regions, can_affect_owned, distances2
 from particles_mpi.contacts.event_driven.rows import OWNERSHIP, SHARED, Log, Rows, save_once
 from particles_mpi.contacts.law import Loss
 from particles_mpi.kernels.geometry import Box, image_shifts
@@ -89,3 +89,13 @@ def test_ghosts_that_can_have_touched_an_own_row(d, periodic):
         assert (found == expected).all()
         touching += expected.sum()
     assert touching > 10
+
+
+@pytest.mark.parametrize("length", [0.0, 7.3])
+def test_two_ranks_are_as_far_apart_for_both(length):
+    """To the bit: else one may wait for a message that the other does not send."""
+    random = np.random.default_rng(5)
+    low = random.uniform(0.0, 7.0, (300, 3))
+    high = low + random.uniform(0.0, 0.3, low.shape)
+    found = np.array([distances2(low, high, rank, np.full(3, length)) for rank in range(len(low))])
+    assert (found == found.T).all() and (found.diagonal() == 0.0).all() and (found > 0.0).any()
