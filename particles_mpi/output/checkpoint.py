@@ -24,7 +24,7 @@ from particles_mpi.errors import SceneError
 from particles_mpi.output.files import FILE_PATIENCE, failing_together, mpi_io_errors, sync_folder
 from particles_mpi.output.replacing import replacing, temporary_of
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.parallel.exchange import IdRange, allgather_rows, in_id_order
+from particles_mpi.parallel.exchange import IdRange, in_id_order
 from particles_mpi.parallel.shared_file import SharedFile
 from particles_mpi.particles import FIELDS, Array, rows_of, shape
 
@@ -52,13 +52,22 @@ def save(
     lasting = rows_of(lasting, np.lexsort((lasting["partner"], lasting["id"])))
     columns = {f"particles/{name}": column for name, column in rows.items()}
     columns |= {f"contacts/{name}": column for name, column in lasting.items()}
-    counts = ranks.allgather_array(np.array([len(rows["id"]), len(lasting["id"])]))
-    before, totals = counts[: ranks.rank].sum(axis=0).tolist(), counts.sum(axis=0).tolist()
-    first = {name: before[name.startswith("contacts")] for name in columns}
-    total = {name: totals[name.startswith("contacts")] for name in columns}
     facts = {MARK: FORMAT, "total": ids.total, "dimension": dimension} | attributes
+    _write(path, ranks, columns, facts)
+
+
+def dump(path: Path, ranks: Communicator, arrays: dict[str, Array], attributes: dict[str, Any]) -> None:
+    """Write all rows, however wrong, and the `rank` that holds each: for inspection, not for a restart. Collective."""
+    held = arrays | {"rank": np.full(len(arrays["id"]), ranks.rank)}
+    _write(path, ranks, {f"particles/{name}": column for name, column in held.items()}, attributes)
+
+
+def _write(path: Path, ranks: Communicator, columns: dict[str, Array], facts: dict[str, Any]) -> None:
+    """A file with the columns of all ranks, those of lower ranks first, and these attributes. Collective."""
+    counts = ranks.allgather_array(np.array([len(column) for column in columns.values()]))
+    first, total = (dict(zip(columns, n.tolist(), strict=True)) for n in (counts[: ranks.rank].sum(axis=0), counts.sum(axis=0)))
     part = temporary_of(path)
-    task = f"cannot write {path} at step {attributes.get('step', '?')}"
+    task = f"cannot write {path} at step {facts.get('step', '?')}"
     try:
         places: dict[str, int] = {}
         with failing_together(ranks, task):
@@ -143,17 +152,6 @@ def _crc_between(path: Path, length: int, seal: dict[str, Any]) -> int:
             crc = zlib.crc32(file.read(begin - at), crc)
             at = end
     return crc
-
-
-def dump(path: Path, ranks: Communicator, arrays: dict[str, Array], attributes: dict[str, Any]) -> None:
-    """Write all rows, however wrong, and the `rank` that holds each: for inspection, not for a restart. Collective."""
-    rows = allgather_rows(ranks, arrays | {"rank": np.full(len(arrays["id"]), ranks.rank)})
-    with failing_together(ranks, f"cannot write {path}"):
-        if ranks.is_root:
-            with replacing(path) as part, h5py.File(part, "w", locking=False) as file:
-                for name, values in rows.items():
-                    file[f"particles/{name}"] = values
-                file.attrs.update(attributes)
 
 
 class Checkpoint:

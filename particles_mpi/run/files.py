@@ -119,8 +119,11 @@ class RunFiles:
     def dump(self, error: StateError) -> StateError:
         """Write all rows of a state that has lost its meaning into `stopped.h5`; returns the error that tells of it."""
         sim, path = self.sim, self.folder / "stopped.h5"
-        checkpoint.dump(path, self.ranks, sim.rows.arrays, {"step": sim.steps_done, "error": str(error)})
         safe = ", the last checkpoint is untouched" if sim.saved or self.continues else ""
+        try:
+            checkpoint.dump(path, self.ranks, sim.rows.arrays, {"step": sim.steps_done, "error": str(error)})
+        except StoppedError as failure:  # what has gone wrong first must be told all the same
+            return StateError(f"{error}; {failure}{safe}")
         return StateError(f"{error}; all rows are in {path}{safe}")
 
     def close(self) -> None:

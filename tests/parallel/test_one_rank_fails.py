@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -118,6 +119,45 @@ def test_an_exception_in_any_phase_of_one_rank(scene, tmp_path, fault, rank, say
     assert code == 3 and said.count("\n") == 1 and DIVISION in said and says in said and seconds < WITHIN, said
     assert said.startswith("particles-mpi: " if rank == "all" else f"particles-mpi: rank {rank}: "), said
     assert not list(tmp_path.rglob("*.tmp"))
+
+
+THIEF = """
+from particles_mpi.effects import EffectOptions, Event, Needs
+
+class Options(EffectOptions):
+    pass
+
+class Effect(Event):
+    formula = "7 is gone"
+    needs = Needs(integrators=("leapfrog",))
+    acts = 0
+
+    def act(self, particles, h):
+        self.acts += 1
+        if self.acts > 12:
+            particles.position[particles.id == 7] = 50.0
+        return int((particles.id == 7).sum())
+"""
+
+
+@pytest.mark.parametrize("fault", [None, f"{checkpoint.__name__}:_replace"])
+def test_a_state_without_a_meaning_is_kept_by_all_ranks(scene, tmp_path, fault):
+    """Each writes its own rows, and holds no others; what has gone wrong is told even if that fails."""
+    (tmp_path / "thief.py").write_text(THIEF)
+    lines = SCENE.replace("walls = {}", 'walls = {}, thief = {file = "thief.py"}').replace("_every = 5", "_every = 1000")
+    scene.write_text(lines)
+    out = tmp_path / "o"
+    arguments = ["run", scene, "--output", out, "--quiet"]
+    done = run_ranks(2, "-m", "particles_mpi", *arguments) if not fault else None
+    code, said, _ = with_fault(tmp_path, fault, 0, *arguments) if fault else (done.returncode, done.stderr, 0.0)
+    assert code == 3 and said.count("\n") == 1 and re.search(r"particle 7 on rank . is beyond wall", said), said
+    if fault:
+        assert "cannot write" in said and "stopped.h5" in said and not (out / "stopped.h5").exists(), said
+        return
+    with h5py.File(out / "stopped.h5") as file:
+        rows = {name: column[:] for name, column in file["particles"].items()}
+    assert sorted(rows["id"]) == list(range(40)) and sorted(set(rows["rank"])) == [0, 1]
+    assert (rows["position"][rows["id"] == 7] > 40.0).all() and (rows["position"][rows["id"] != 7] < 5.0).all()
 
 
 def test_a_disk_that_is_full_on_one_rank(scene, tmp_path):
