@@ -4,7 +4,6 @@ Random numbers are keyed by (seed, population, quantity, number of the particle)
 leaves its velocities, and all other populations, as they were.
 """
 
-import os
 from collections.abc import Mapping
 from math import inf
 from typing import Any
@@ -25,6 +24,7 @@ from particles_mpi.parallel.agreement import raising_together
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import BUILT_IN, Array, Particles, default_values
 from particles_mpi.scene.active import fields_of
+from particles_mpi.scene.memory import memory_needed, memory_there
 from particles_mpi.scene.model import LARGEST_NUMBER, faults_of, python_values
 from particles_mpi.scene.population import Population, population_faults
 from particles_mpi.scene.schema import Scene
@@ -158,17 +158,17 @@ class Populator:
             self.faults.add(f"box: its volume {volume:g} is too small or too large to count with")
 
     def check_memory(self, counts: list[int]) -> None:
-        """A count with a zero too many should be a fault, and not a killed process."""
-        total, ranks = sum(counts), self.ranks.size
-        need = total * 8 * (4 + 3 * self.scene.dimension) / ranks
-        have = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-        uncounted = total / ranks > limits.INT32_MAX
-        if need > have or uncounted:
+        """A count with a zero too many should be a fault, and not a killed process. Collective."""
+        total, ranks = sum(counts), self.ranks
+        need, have = memory_needed(self.scene, total, ranks.size, piles=False), ranks.least(memory_there())
+        uncounted = total / ranks.size > limits.INT32_MAX
+        here = ranks.largest(ranks.on_this_machine() if need > have else 1)[0]
+        if need * here / ranks.size > have or uncounted:
             k = list(self.populations)[int(np.argmax(np.array(counts, float)))]
-            each = f" on each of {ranks} ranks" if ranks > 1 else ""
+            each = f", on {here:.0f} of {ranks.size} ranks {need * here / ranks.size / 1e9:.3g} GB" if here < ranks.size else ""
             raise SceneError(
-                f"particles[{k}].count: {total} particles in all need {need / 1e9:.3g} GB{each},"
-                f" this machine has {have / 1e9:.3g} GB"
+                f"particles[{k}].count: {total} particles in all need about {need / 1e9:.3g} GB{each}; the machine has"
+                f" {have / 1e9:.3g} GB"
                 + (f"; more than {limits.INT32_MAX} particles on a rank: use more ranks" if uncounted else "")
             )
 

@@ -48,6 +48,13 @@ class Communicator:
         comm = self.comm.Split(0 if self.rank < count else MPI.UNDEFINED, self.rank)
         return None if comm == MPI.COMM_NULL else Communicator(comm)
 
+    def on_this_machine(self) -> int:
+        """How many of the ranks share the memory of this one's machine. Collective."""
+        comm = self.comm.Split_type(MPI.COMM_TYPE_SHARED)
+        count: int = comm.Get_size()
+        comm.Free()
+        return count
+
     def share(self, total: int) -> tuple[int, int]:
         """First and last + 1 of this rank's share of `total` things in a row."""
         return total * self.rank // self.size, total * (self.rank + 1) // self.size

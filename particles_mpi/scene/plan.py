@@ -9,6 +9,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Particles, field
 from particles_mpi.scene.active import ActiveEffects
 from particles_mpi.scene.effect_files import effect_names
+from particles_mpi.scene.memory import memory_needed
 from particles_mpi.scene.schema import Scene
 
 CHECKPOINT_BYTES, HDF5_BYTES, VTK_BYTES, ROW_BYTES = 14_000, 200_000, 1_000, 150  # besides the columns: in files, frames and rows
@@ -40,7 +41,7 @@ def plan(scene: Scene, particles: Particles, ranks: Communicator, steps: int) ->
         "not_run": sorted({*effect_names(), *scene.effects} - active.keys()),
         "ghosts": ghosts if pairs and ranks.size > 1 else "none",
         "ranks": ranks.size,
-        "memory_bytes": int(total * (row_bytes + (350 if pairs else 50))),
+        "memory_bytes": memory_needed(scene, total, ranks.size),
         "frames": steps // scene.output.every + 1,
         "every": scene.output.every,
         "output_bytes": output_bytes(scene, particles, total * row_bytes, total, fixed > 0, steps),

@@ -14,6 +14,7 @@ import re
 import sys
 import tempfile
 from datetime import date
+from functools import cache
 from importlib.util import find_spec
 from math import pi
 from pathlib import Path
@@ -49,12 +50,12 @@ def gas(count, effects, steps=100, step=0.02):
     }
 
 
-def told(tables, ranks, warm, steps):
+def told(tables, ranks, warm, steps, *folder):
     """What steps.py says of the scene."""
     with tempfile.NamedTemporaryFile("w", suffix=".json") as file:
         file.write(json.dumps(tables))
         file.flush()
-        return json.loads(mpirun(ranks, HERE / "steps.py", file.name, warm, steps).strip().splitlines()[-1])
+        return json.loads(mpirun(ranks, HERE / "steps.py", file.name, warm, steps, *folder).strip().splitlines()[-1])
 
 
 def steps_of(tables, ranks, warm, steps):
@@ -100,26 +101,27 @@ def walls():
     return {f"N = {n}, e = {e}": lambda n=n, e=e: once(n, e) for n in (32_000, 1_000_000) for e in (1.0, 0.9)}
 
 
+def heap(n, side):
+    """Spheres that fall into a box and come to rest."""
+    return {
+        "dimension": 3,
+        "seed": 1,
+        "box": {"lower": [0.0] * 3, "upper": [side, side, 3.0]},
+        "time": {"step": 0.005, "steps": 500},
+        "particles": [{"count": n, "position": "random", "radius": {"min": 0.045, "max": 0.05}}],
+        "effects": {
+            "uniform_gravity": {"acceleration": [0.0, 0.0, -9.81]},
+            "walls": {"restitution": 0.5},
+            "collisions": {"mode": "event", "restitution": 0.5},
+        },
+    }
+
+
 def bed(n=10_000, side=3.16):
     """spheres that fall into a box and come to rest, mode event, e = 0.5, ns a particle-step: the fall and the settled bed"""
-
-    def tables(n, side):
-        return {
-            "dimension": 3,
-            "seed": 1,
-            "box": {"lower": [0.0] * 3, "upper": [side, side, 3.0]},
-            "time": {"step": 0.005, "steps": 500},
-            "particles": [{"count": n, "position": "random", "radius": {"min": 0.045, "max": 0.05}}],
-            "effects": {
-                "uniform_gravity": {"acceleration": [0.0, 0.0, -9.81]},
-                "walls": {"restitution": 0.5},
-                "collisions": {"mode": "event", "restitution": 0.5},
-            },
-        }
-
     parts = {"fall": (0, 160), "settled": (450, 50)}
     return {
-        f"N = {n}, {part}, {r} ranks": lambda warm=warm, steps=steps, r=r: steps_of(tables(n, side), r, warm, steps)
+        f"N = {n}, {part}, {r} ranks": lambda warm=warm, steps=steps, r=r: steps_of(heap(n, side), r, warm, steps)
         for part, (warm, steps) in parts.items()
         for r in (1, 2)
     }
@@ -130,21 +132,23 @@ def large_bed():
     return bed(100_000, 10.0)
 
 
+def fluid(n, step, periodic=True, mode="event"):
+    """Hard spheres at packing 0.30."""
+    side = (n * pi / 6 / 0.30) ** (1 / 3)
+    return {
+        "dimension": 3,
+        "box": {"lower": [0.0] * 3, "upper": [side] * 3, "periodic": periodic},
+        "time": {"step": step, "steps": 10},
+        "particles": [{"count": n, "position": "lattice", "velocity": {"temperature": 1.0}, "radius": 0.5, "mass": 1.0}],
+        "effects": {"collisions": {"mode": mode}} | ({} if periodic else {"walls": {}}),
+    }
+
+
 def events():
     """mode event, hard-sphere fluid at packing 0.30, thousand collisions a second on one core"""
 
-    def fluid(n):
-        side = (n * pi / 6 / 0.30) ** (1 / 3)
-        return {
-            "dimension": 3,
-            "box": {"lower": [0.0] * 3, "upper": [side] * 3, "periodic": True},
-            "time": {"step": 0.4, "steps": 10},  # four collisions of each particle
-            "particles": [{"count": n, "position": "lattice", "velocity": {"temperature": 1.0}, "radius": 0.5, "mass": 1.0}],
-            "effects": {"collisions": {"mode": "event"}},
-        }
-
     def rate(n, steps):
-        said = told(fluid(n), 1, 4, steps)
+        said = told(fluid(n, 0.4), 1, 4, steps)  # four collisions of each particle in a step
         return said["collisions"] / said["seconds"] / 1e3
 
     return {f"N = {n}": lambda n=n, s=s: rate(n, s) for n, s in {4_000: 200, 32_000: 25, 108_000: 8}.items()}
@@ -154,22 +158,57 @@ def event_ranks():
     """mode event, 100 000 hard spheres at packing 0.30, thousand collisions a second; and windows redone, %"""
 
     def rate(r, periodic):
-        side = (100_000 * pi / 6 / 0.30) ** (1 / 3)
-        tables = {
-            "dimension": 3,
-            "box": {"lower": [0.0] * 3, "upper": [side] * 3, "periodic": periodic},
-            "time": {"step": 0.3, "steps": 10},
-            "particles": [
-                {"count": 100_000, "position": "lattice", "velocity": {"temperature": 1.0}, "radius": 0.5, "mass": 1.0}
-            ],
-            "effects": {"collisions": {"mode": "event"}} | ({} if periodic else {"walls": {}}),
-        }
-        said = told(tables, r, 2, 3)
+        said = told(fluid(100_000, 0.3, periodic), r, 2, 3)
         if said["windows"][0]:
             print("  {} windows, {} redone".format(*said["windows"]))
         return said["collisions"] / said["seconds"] / 1e3
 
     return {f"{r} ranks, {'periodic' if p else 'walls'}": lambda r=r, p=p: rate(r, p) for p in (True, False) for r in (1, 2)}
+
+
+def to_collision():
+    """one call of step_to_collision, a gas of the headline's density, one core, ms"""
+
+    def call(n, effects):
+        sim = Simulation(Scene.from_dict(gas(n, COLLIDING | effects)))
+        sim.step_to_collision()
+        begin = perf_counter()
+        for _ in range(20):
+            sim.step_to_collision()
+        return (perf_counter() - begin) / 20 * 1e3
+
+    from particles_mpi import Scene, Simulation
+
+    kinds = {"no forces": {}, "gravity": FALLING}
+    return {f"N = {n}, {kind}": lambda n=n, e=e: call(n, e) for n in (1000, 30_000) for kind, e in kinds.items()}
+
+
+def memory():
+    """memory on one core, output included: bytes a particle, and as a part of what the plan tells"""
+
+    @cache
+    def growth(kind, small, large, steps):
+        said = []
+        for n in (small, large):
+            tables = KINDS[kind](n)
+            tables |= {"time": tables["time"] | {"steps": steps}, "output": {"every": steps}}
+            with tempfile.TemporaryDirectory() as folder:
+                said.append(told(tables, 1, 0, 0, folder))
+        return [(said[1][name] - said[0][name]) / (said[1]["particles"] - said[0]["particles"]) for name in ("memory", "told")]
+
+    KINDS = {
+        "no pairs": lambda n: gas(n, FALLING | {"walls": {}}),
+        "rewind, dilute": lambda n: gas(n, COLLIDING),
+        "rewind, packing 0.30": lambda n: fluid(n, 0.02, mode="rewind"),
+        "event, packing 0.30": lambda n: fluid(n, 0.1),
+        "a bed that settles": lambda n: heap(n, 3.16 * (n / 10_000) ** 0.5),
+        "tree": lambda n: sphere(n, {"method": "tree", "opening_angle": 0.45}, 4),
+    }
+    sizes = dict.fromkeys(KINDS, (200_000, 600_000, 4)) | {"a bed that settles": (10_000, 30_000, 200)}
+    parts = {"": lambda used, _: used, ", of what is told": lambda used, said: used / said}
+    return {
+        f"{kind}{name}": lambda kind=kind, of=of: of(*growth(kind, *sizes[kind])) for kind in KINDS for name, of in parts.items()
+    }
 
 
 def direct():
@@ -324,10 +363,26 @@ def tree_peers():
     return {f"pytreegrav, N = {n}": lambda n=n: once(n) for n in (10_000, 100_000)}
 
 
-ALL = (few, headline, flat, ranks, walls, bed, events, event_ranks, direct, tree, gravity_ranks, start, frames)
+ALL = (
+    few,
+    headline,
+    flat,
+    ranks,
+    walls,
+    bed,
+    events,
+    event_ranks,
+    to_collision,
+    direct,
+    tree,
+    gravity_ranks,
+    start,
+    frames,
+    memory,
+)
 CASES = {case.__name__: case for case in (*ALL, large_bed)}
 PEERS = {"few": ("rebound", few_peers), "tree": ("pytreegrav", tree_peers)}
-ONCE = {"bed", "large_bed"}  # cases of many minutes, which are run once
+ONCE = {"bed", "large_bed", "memory"}  # cases of many minutes, which are run once, and what does not vary
 FIRST = re.compile(r"(\| `headline.toml`[^|]*\| )[^(]*")  # the row of README.md
 TABLE = re.compile(r"(<!-- speed -->\n).*(<!-- end of speed -->)", re.DOTALL)
 

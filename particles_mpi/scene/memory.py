@@ -1,0 +1,59 @@
+"""How much memory a run needs, and how much there is."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from particles_mpi.particles import FIELDS, components
+from particles_mpi.scene.active import fields_of
+from particles_mpi.scene.schema import Scene
+
+# Bytes: `python tests/benchmarks/speed.py memory` measures them.
+LIBRARIES = 190_000_000  # of a rank: Python, libraries, and compiled kernels
+# Of a particle, besides its columns: at the start and for output; and what comes to that for pairs that may meet, for a tree, and
+# for the contacts of a particle in a pile, some nine half-edges at the most.
+ALWAYS, PAIRS, TREE, PILES = 190, 430, 240, 4200
+CGROUPS = Path("/sys/fs/cgroup")
+
+
+def memory_needed(scene: Scene, total: int, ranks: int, piles: bool = True) -> int:
+    """Bytes that all ranks need together in a run with `total` particles, ghosts not counted: within about a quarter.
+
+    `piles`: where contacts can last, do all particles come to lie in piles?
+    """
+    fields = fields_of(scene)
+    row = sum(np.dtype(FIELDS[name].dtype).itemsize * max(components(FIELDS[name], scene.dimension), 1) for name in fields)
+    row += ALWAYS + PAIRS * ("collisions" in scene.active) + PILES * (piles and {"supported", "contacted"} <= set(fields))
+    gravity = scene.active.get("mutual_gravity")
+    if gravity and gravity.choice(scene, total).angle is not None:
+        row += TREE
+    return total * row + ranks * LIBRARIES
+
+
+def memory_there() -> float:
+    """Bytes that this machine has, or that a container or a job on it may use."""
+    least = float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    for limit in limits_of_groups():
+        try:
+            said = limit.read_text().strip()
+        except OSError:
+            continue
+        if said.isdigit():  # else "max"
+            least = min(least, float(said))
+    return least
+
+
+def limits_of_groups() -> list[Path]:
+    """The files with the limits of the groups of processes that this one is in, of both versions of Linux's control groups."""
+    try:
+        groups = [line.split(":", 2) for line in Path("/proc/self/cgroup").read_text().splitlines()]
+    except OSError:
+        return []
+    files = []
+    for _, kind, place in groups:
+        if kind in ("", "memory"):
+            name = "memory.limit_in_bytes" if kind else "memory.max"
+            group = CGROUPS / kind / place.lstrip("/")
+            files += [folder / name for folder in (group, *group.parents) if folder.is_relative_to(CGROUPS)]
+    return files
