@@ -97,7 +97,8 @@ class Simulation(Saved):
         Returns the ids of the two that met, the lower one first, or None; `sim.time` is the moment. It is the end of a whole
         leapfrog step of the length that ends with the contact, found by iteration where forces make that depend on itself; if
         none does, for a contact begins to last within the step, None after a shorter step that ends there (`LengthSearch`).
-        Collisions at the same moment come one call after the other. Mode rewind, too, goes to it in exact order of time.
+        Collisions at the same moment come one call after the other. Mode rewind, too, goes to it in exact order of time. A call
+        takes as long as a step, with forces as several, and every rank computes all of it: many collisions are for `step`.
         """
         if self.active.pairs is None:
             raise SceneError("effects.collisions: step_to_collision needs it")

@@ -25,6 +25,7 @@ import numpy as np
 
 from particles_mpi.contacts.rough import BETA_0, FRICTION, plane_of
 from particles_mpi.contacts.walls import finish_bounces
+from particles_mpi.kernels.geometry import image_shifts
 from particles_mpi.kernels.planes import Planes
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import by_destination, send_rows
@@ -126,8 +127,7 @@ class ClosingKick:
         one, other = order[both], order[both + 1]
         met[one] = met[other] = True
         r = table["place"][one] - table["place"][other]
-        for k in np.flatnonzero(self.length):
-            r[:, k] -= self.length[k] * np.rint(r[:, k] / self.length[k])
+        r -= image_shifts(r, self.length)
         if d == 1:  # on a line there is one normal even for points
             r[:] = 1.0
         distance = np.sqrt(row_dot(r, r))
