@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.between_steps.views import ParticleView, RunningEffect, changed_options
-from particles_mpi.contacts.drift import COUNTS, Drift, keeper_of_contacts
+from particles_mpi.contacts.drift import COUNTS, Drift
+from particles_mpi.contacts.keeper import keeper_of_contacts
 from particles_mpi.errors import SceneError, StateError
 from particles_mpi.initial.checks import divided_masses, value_limits
 from particles_mpi.integrators.kicks_and_drifts import Accelerations, Kick, integrator_of

@@ -8,12 +8,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from particles_mpi.contacts.closing_kick import ClosingKick
-from particles_mpi.contacts.rough import FRICTION
+from particles_mpi.contacts.closing_kick import ClosingKick, LastContacts
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.kernels.geometry import Box, wrap
 from particles_mpi.kernels.jit import plain
@@ -24,41 +23,26 @@ from particles_mpi.particles import Array, Particles, rows_with
 from particles_mpi.scene.active import ActiveEffects
 from particles_mpi.scene.effect import Context, Damping, Event, PairContacts, RollingResistance, WallContacts, number_from
 
+if TYPE_CHECKING:
+    from particles_mpi.contacts.event_driven.operator import EventDriven
+    from particles_mpi.contacts.persistent.operator import PersistentContacts
+    from particles_mpi.neighbours.neighbour_list import Neighbourhood
+
 HAPPENED = ("collisions", "wall_hits", "missed", "exchanges")  # in a drift
 COUNTS = (*HAPPENED, "unconverged")
 WORK = ("pair_tests", "pair_searches", "ghost_rows", "windows", "windows_redone")
 
 
-def keeper_of_contacts(effects: ActiveEffects, context: Context, p: Particles) -> Any:
-    """The operator for contacts that last, where forces and losses can make one last; else None. Collective.
+class CollisionOperator(Protocol):
+    """Does the contacts of pairs, and of particles with walls, in a drift; one for each mode."""
 
-    Elastic spheres, too, come to rest on one another where the walls below them take energy and forces are the same for all.
-    """
-    if not effects.keeps_contacts:
-        return None
-    from particles_mpi.contacts.persistent.operator import PersistentContacts
-    from particles_mpi.contacts.persistent.surfaces import Surfaces
+    last: LastContacts | None  # of the last drift, if it is `noting` them
 
-    pairs, walls = effects.pairs is not None and effects.pairs.lossy, effects.walls
-    if effects.pairs and not pairs and effects.uniform:
-        pairs = context.ranks.any((p.radius > 0.0).any())
-    planes, taking = (walls.planes, walls.taking) if walls else (no_planes(p.dimension), np.empty(0, bool))
-    tolerance, points = 0.0, False
-    if effects.pairs:
-        options = effects.pairs.options
-        tolerance, points = options.contact_tolerance, p.dimension == 1 and options.mode == "event"
-    friction, resistance = surfaces(effects)[:, FRICTION], effects.rolling.resistance if effects.rolling else 0.0
-    rough = Surfaces(float(friction[0]), friction[1:], resistance)
-    return PersistentContacts(
-        context.ranks, context.length, pairs, planes, taking, rough, effects.uniform, tolerance, context.timers, points,
-        migrating=effects.pairs is not None,
-    )  # fmt: skip
+    def drift(self, h: float, moment: float, rates: Rates, stop: bool = False) -> Array:
+        """Move all from `moment` over h, or with `stop` to the first collision: (collisions, wall hits, missed). Collective."""
 
-
-def surfaces(effects: ActiveEffects) -> Array:
-    """The table `law` of `contacts.rough.Rough`."""
-    pairs = [effects.pairs.surface if effects.pairs else (0.0, 0.0)]
-    return np.array([*pairs, *(effects.walls.surfaces if effects.walls else [])])
+    def remarks(self) -> list[str]:
+        """What a user should be told at the end. Collective."""
 
 
 class Drift:
@@ -70,7 +54,12 @@ class Drift:
     """
 
     def __init__(
-        self, rows: Particles, context: Context, effects: ActiveEffects, persistent: Any, accelerations: Callable[[], Any]
+        self,
+        rows: Particles,
+        context: Context,
+        effects: ActiveEffects,
+        persistent: PersistentContacts | None,
+        accelerations: Callable[[], Array | None],
     ):
         self.rows, self.context, self.effects, self.persistent = rows, context, effects, persistent
         self.totals, self.calls = dict.fromkeys(COUNTS, 0), Counter[str]()
@@ -86,18 +75,16 @@ class Drift:
         self.past_work: dict[str, int] = {}  # of operators that are no longer there
         self.past_remarks: list[str] = []
         self.accelerations = accelerations
-        self.near: Any = None
-        self.operator: Any = None
-        self.meeting: Any = None  # what does the contacts
+        self.noting = effects.finishes_bounces
+        self.near: Neighbourhood | EventDriven | None = None
+        self.operator: CollisionOperator | None = None
         if effects.pairs:
             self.load_operator(effects.pairs)
         self.closing: ClosingKick | None = None
-        if effects.finishes_bounces:
-            self.meeting = self.operator or effects.walls
-            self.meeting.noting = True
+        if self.noting:
             planes = effects.walls.planes if effects.walls else no_planes(rows.dimension)
             restitution = effects.pairs.loss.restitution if effects.pairs else 1.0
-            self.closing = ClosingKick(rows, context.ranks, context.length, planes, restitution, surfaces(effects))
+            self.closing = ClosingKick(rows, context.ranks, context.length, planes, restitution, effects.surfaces)
 
     def load_operator(self, pairs: PairContacts) -> None:
         """The collision operator that the scene names, and its search for neighbours. Collective."""
@@ -110,26 +97,32 @@ class Drift:
         context, walls = self.context, self.effects.walls.planes if self.effects.walls else no_planes(self.rows.dimension)
         kicked = bool(self.effects.forces or self.effects.on_velocities or self.events)
         self.near = Neighbourhood(self.rows, context.ranks, self.box, plain(walls), kicked, context.timers)
-        exact = self.exact if self.effects.lossy else None
-        self.operator = Rewind(self.near, pairs.loss, surfaces(self.effects), pairs.options.passes, context.timers, exact)
+        passes, timers, redoes = pairs.options.passes, context.timers, self.effects.lossy
+        law = self.effects.surfaces
+        self.operator = Rewind(self.near, pairs.loss, law, passes, timers, self.noting, lambda: self.exact, redoes)
 
     @property
     def box(self) -> Box:
         return Box(self.context.lower, self.context.upper, self.context.length)
 
     @cached_property
-    def exact(self) -> Any:
+    def exact(self) -> EventDriven:
         """The operator `event`; in mode rewind it does what `passes` cannot, and drifts that end at a collision. Collective."""
         from particles_mpi.contacts.event_driven.operator import EventDriven
 
         context, pairs, planes = self.context, self.effects.pairs, self.effects.walls.planes if self.effects.walls else None
         assert pairs
-        keeps = self.persistent and self.persistent.pairs
-        hold = (lambda h, tried: self.persistent.keep_crowds(self.rows, self.accelerations(), h, tried)) if keeps else None
+        hold = self.keep_crowds if self.persistent and self.persistent.pairs else None
         return EventDriven(
-            self.rows, context.ranks, self.box, pairs.loss, surfaces(self.effects), pairs.options.contact_duration,
-            bool(self.effects.forces), planes, context.timers, hold,
+            self.rows, context.ranks, self.box, pairs.loss, self.effects.surfaces, pairs.options.contact_duration,
+            bool(self.effects.forces), planes, context.timers, self.noting, hold,
         )  # fmt: skip
+
+    def keep_crowds(self, h: float, tried: int) -> None:
+        """See `PersistentContacts.keep_crowds`. Collective."""
+        accelerations = self.accelerations()
+        assert self.persistent and accelerations is not None  # without forces nothing lasts
+        self.persistent.keep_crowds(self.rows, accelerations, h, tried)
 
     def advance(self, h: float, time: float, rates: Rates, contacts: bool = True, stop: bool = False) -> None:
         """Positions over h from `time` on, while velocities change by `rates`. Collective.
@@ -142,9 +135,10 @@ class Drift:
         before = (p.id.copy(), p["spin"].copy()) if turns and stop else None
         if turns and not stop:  # by the spins before hits for half of the time, and by those after them: off by little
             turn(p["orientation"], p["spin"], 0.5 * h)
-        if contacts and self.effects.pairs:
+        last = None
+        if contacts and self.operator and self.near:
             migrated = self.near.migrated
-            found = self.to_collision(h, time, rates) if stop else self.operator.drift(h, time, rates)
+            found, last = self.operator.drift(h, time, rates, stop), self.operator.last
             if stop:
                 h = self.exact.reached
             happened = [*found, self.near.migrated - migrated]
@@ -152,15 +146,16 @@ class Drift:
             wrapped = True  # ghosts too
         elif contacts and self.effects.walls:
             with context.timers("walls"):
-                happened = [0, *self.effects.walls.drift(p, h, rates.of(p.arrays)), 0]
+                hits, missed, last = self.effects.walls.drift(p, h, rates.of(p.arrays), self.noting)
+            happened = [0, hits, missed, 0]
             self.calls.update(self.wall_names)
         else:
             with context.timers("drift"):
                 free_drift(p.position, p.velocity, h)
             happened = [0, 0, 0, 0]
             p.version += self.effects.pairs is not None  # what is known of neighbours does not hold any longer
-        if self.closing and contacts and self.meeting.last is not None:
-            self.closing.note(self.meeting.last, h)
+        if self.closing and last is not None:
+            self.closing.note(last, h)
         if before:  # the first hit of two particles is at the end; rows may have been put in another order
             ids, spin = before
             turn(p["orientation"], spin[rows_with(ids, p.id)], h)
@@ -176,12 +171,6 @@ class Drift:
         if context.length.any() and not wrapped:
             with context.timers("drift"):
                 wrap(p.position, context.lower, context.upper, context.length)
-
-    def to_collision(self, h: float, time: float, rates: Rates) -> Array:
-        """The drift until two particles meet, or over h if none do; the operator `event` does it in either mode. Collective."""
-        if self.exact is self.operator:
-            return self.exact.drift(h, time, rates, stop=True)
-        return self.operator.do_exactly(self.exact, h, time, rates, stop=True)
 
     def act(self, events: dict[str, Event], h: float) -> bool:
         """Events at the end of the drift; was any row of this rank changed?"""

@@ -21,7 +21,8 @@ What an effect needs stands in `needs`: a column of its own per particle (a char
 `[[particles]]` table, and is written to frames and checkpoints. An effect that no scene names is never imported.
 `kernel` compiles a function with a loop over rows. Decide by data and ids of particles, never by the order of rows: results
 must have the same bits on any number of ranks. Each rank calls the methods for its own rows, of which there may be none.
-An `Effect` is made several times, before a run, too: what takes long, as to read a table, is for `bind`, which is called when a simulation begins.
+An `Effect` is made several times, before a run, too: what takes long, as to read a table, is for `bind`, which is called when a
+simulation begins.
 
 A force between particles needs those of other ranks. `bind` gives it the `Context` before the first step: the ranks, the box.
 Say `collective = True` if `add` exchanges messages: all ranks then call it together, with rows or without. Examples are in

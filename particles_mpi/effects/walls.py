@@ -85,17 +85,16 @@ class Effect(WallContacts):
         self.lossy = bool(self.taking.any())
         self.law = np.array([(0.0, 0.0), *self.surfaces])
 
-    def drift(self, particles: Particles, h: float, rates: Rates) -> tuple[int, int]:
+    def drift(self, particles: Particles, h: float, rates: Rates, noting: bool) -> tuple[int, int, LastContacts]:
         p, axes = particles, (0,) * particles.dimension
         w = p.inverse_mass if rates.alpha or self.law.any() else np.empty(0)
         fields = p.position, p.velocity, p.radius, w
         d, spin = p.dimension, p.arrays.get("spin", np.empty((0, 1)))
         rough = Rough(spin, p.inverse_inertia, self.law, np.empty(d), np.empty(d))
         nobody = np.empty(0, np.int64)  # who ends near walls is not asked
-        n = len(p) if self.noting else 0
+        n = len(p) if noting else 0
         row, wall, time = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n)
         last = np.empty(len(p)), row, wall, time
         hits, missed, _, noted = drift_with_walls(axes, *fields, last, h, tuple(self.planes), rates, rough, 0.0, nobody)
         fixed = {"id": nobody, "place": np.empty((0, d)), "radius": np.empty(0)}
-        self.last = LastContacts(row[:noted], wall[:noted], time[:noted], fixed)
-        return hits, missed
+        return hits, missed, LastContacts(row[:noted], wall[:noted], time[:noted], fixed)

@@ -2,7 +2,9 @@
 
 from typing import TypeVar
 
-from particles_mpi.particles import ALWAYS, BUILT_IN, FIELDS
+import numpy as np
+
+from particles_mpi.particles import ALWAYS, BUILT_IN, FIELDS, Array
 from particles_mpi.scene import effect as kinds
 from particles_mpi.scene.schema import Scene
 
@@ -48,8 +50,12 @@ class ActiveEffects:
     @property
     def rough(self) -> bool:
         """Are there rough spheres, which turn?"""
-        surfaces = [self.pairs.surface] if self.pairs else []
-        return any(mu > 0.0 for mu, _ in [*surfaces, *(self.walls.surfaces if self.walls else [])])
+        return any(mu > 0.0 for mu, _ in self.surfaces)
+
+    @property
+    def surfaces(self) -> Array:
+        """The table `law` of `contacts.rough.Rough`: of pairs, then of each plane."""
+        return np.array([self.pairs.surface if self.pairs else (0.0, 0.0), *(self.walls.surfaces if self.walls else [])])
 
     @property
     def keeps_contacts(self) -> bool:

@@ -186,20 +186,19 @@ class ConstantFriction(Effect):
 
 class WallContacts(Effect):
     """`planes` that particles bounce off. lossy: does a bounce take energy? taking (w,): at which of them;
-    surfaces: (mu, beta_0) of each, see `contacts.rough`. noting: does `last` tell the `LastContacts` of each drift?"""
+    surfaces: (mu, beta_0) of each, see `contacts.rough`."""
 
     role = "event"
     planes: Any
     lossy: bool
     taking: Any
     surfaces: list[tuple[float, float]]
-    noting = False
-    last: Any = None
 
-    def drift(self, particles: Particles, h: float, rates: Any) -> tuple[int, int]:
+    def drift(self, particles: Particles, h: float, rates: Any, noting: bool) -> tuple[int, int, Any]:
         """Drift over h with walls alone, while velocities change by `rates`. Purely local.
 
-        Returns the number of wall hits, and of particles that had no room to move.
+        Returns the number of wall hits, that of particles that had no room to move, and, if it is `noting` them, the
+        `LastContacts` of particles in it.
         """
         raise NotImplementedError
 

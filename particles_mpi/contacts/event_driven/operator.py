@@ -61,10 +61,14 @@ class EventDriven:
         forces: bool,
         planes: Planes | None,
         timers: Timers,
+        noting: bool,
         hold: Callable[[float, int], None] | None,
     ):
-        """`forces`: are there any? `hold`: keeps the contacts of a crowd after a kick (`PersistentContacts.keep_crowds`) of a
-        step of h, after so many attempts at the drift, if contacts can last."""
+        """`forces`: are there any? `noting`: does `last` tell the last contacts of each drift?
+
+        `hold`: keeps the contacts of a crowd after a kick (`PersistentContacts.keep_crowds`) of a step of h, after so many
+        attempts at the drift, if contacts can last.
+        """
         self.ranks, self.given_duration = ranks, duration
         self.particles, self.box, self.timers = particles, box, timers
         planes = planes or no_planes(particles.dimension)
@@ -87,7 +91,7 @@ class EventDriven:
         self.pause, self.next_pause = 0, 1  # drifts that every rank computes as a whole, after windows that did not pay
         self.stop, self.stopped = np.array([0, -1, -1]), np.zeros(1)
         self.hold = hold
-        self.noting = False  # does `last` tell the last contacts of each drift?
+        self.noting = noting
         self.last: LastContacts | None = None
         self.parts: list[Whole | Windows] = []  # what has been needed so far
 

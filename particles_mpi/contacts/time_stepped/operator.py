@@ -9,6 +9,7 @@ pass is counted as missed; where forces press particles together, such a drift i
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -65,25 +66,31 @@ class TooDenseError(Exception):
 class Rewind:
     """Drifts particles that collide with one another, and with walls if there are any.
 
-    `exact`: the operator that does drifts with more contacts than `passes` put in order, or None if they are just counted.
+    `exact`: gives the operator that does drifts up to a collision, and if it `redoes` them, those with more contacts than
+    `passes` put in order; else they are just counted. `noting`: does `last` tell the last contacts of each drift?
     """
 
-    def __init__(self, near: Neighbourhood, loss: Loss, law: Array, passes: int, timers: Timers, exact: EventDriven | None):
+    def __init__(
+        self, near: Neighbourhood, loss: Loss, law: Array, passes: int, timers: Timers, noting: bool,
+        exact: Callable[[], EventDriven], redoes: bool,
+    ):  # fmt: skip
         """`law`: see `contacts.rough.Rough`."""
-        self.near, self.passes, self.timers, self.exact = near, passes, timers, exact
+        self.near, self.passes, self.timers, self.exact, self.redoes = near, passes, timers, exact, redoes
         self.loss, self.law, self.planes = tuple(loss), law, near.planes
         self.walls = len(self.planes[0]) > 0
         self.signs = Signs(near)
-        self.noting = False  # does `last` tell the last contacts of each drift?
+        self.noting = noting
         self.last: LastContacts | None = None
         self.searches = -1  # the search of `near` that the arrays by row belong to
 
-    def drift(self, h: float, moment: float, rates: Rates) -> Array:
+    def drift(self, h: float, moment: float, rates: Rates, stop: bool = False) -> Array:
         """x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
 
         `moment`: when the drift begins; `rates`: how velocities change in the step. If a collision throws a particle further than
         the candidates reach, the drift is undone and done again with candidates of a longer reach.
         """
+        if stop:
+            return self.exactly(h, moment, rates, stop=True)
         near = self.near
         near.prepare(h)
         self.signs.look_at_speeds(h)
@@ -94,10 +101,9 @@ class Rewind:
                 counts = self.all_passes(h)
                 break
             except TooDenseError:
-                assert self.exact
                 self.undo()
                 self.signs.dense_steps += 1
-                return self.do_exactly(self.exact, h, moment, rates)
+                return self.exactly(h, moment, rates)
             except TooFarError as far:
                 self.undo()
                 travel = max(far.travel, 1.2 * travel)
@@ -110,10 +116,10 @@ class Rewind:
         self.signs.count(counts[COLLISIONS], counts[LATE])
         return counts[:LATE]
 
-    def do_exactly(self, exact: EventDriven, h: float, moment: float, rates: Rates, stop: bool = False) -> Array:
+    def exactly(self, h: float, moment: float, rates: Rates, stop: bool = False) -> Array:
         """A drift that the operator `event` does, with what it returns. Collective."""
         self.near.end_candidates()
-        exact.noting = self.noting
+        exact = self.exact()
         counts = exact.drift(h, moment, rates, stop)
         self.last = exact.last
         self.signs.count(counts[COLLISIONS])
@@ -146,16 +152,16 @@ class Rewind:
             with self.timers("search"):
                 hits = self.find(h, left == self.passes)
             with self.timers("agree"):
-                late = self.exact is not None and self.passes - left >= LOOK_AFTER and self.late(hits)
+                late = self.redoes and self.passes - left >= LOOK_AFTER and self.late(hits)
                 mine = np.array([len(hits.first), needed, near.concerned(hits), late], float)
                 waiting, needed, concerned, late = near.ranks.allreduce_max(mine)
             if needed:
                 raise TooFarError(float(needed))
-            if self.exact and (late or (waiting and not left)):
+            if self.redoes and (late or (waiting and not left)):
                 raise TooDenseError
             if not waiting:
                 if left < self.passes:
-                    if self.exact and self.overlapping(h):
+                    if self.redoes and self.overlapping(h):
                         raise TooDenseError
                     first, second, _, _ = near.candidates.pairs
                     counts[LATE] += brushed_pairs(*near.rows, first, second, h, near.length)

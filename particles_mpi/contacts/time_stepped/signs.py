@@ -1,5 +1,6 @@
 """Signs that a step is too long for the passes of mode `rewind`, which a run tells at its end."""
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,13 +38,12 @@ class Signs:
         self.collisions += collisions
         self.late_collisions += late
 
-    def remarks(self, exact: "EventDriven | None") -> list[str]:
-        """What a user should be told at the end; `exact`: the operator that did the dense steps. Collective."""
+    def remarks(self, exact: "Callable[[], EventDriven]") -> list[str]:
+        """What a user should be told at the end; `exact`: gives the operator that did the dense steps. Collective."""
         remarks = []
         if self.dense_steps:
-            assert exact
             dense = f"{self.dense_steps} steps had more contacts than passes put in order: those were done in order of time"
-            remarks += [dense, *exact.remarks()]
+            remarks += [dense, *exact().remarks()]
         late, found, too_fast = self.near.ranks.total(self.late_collisions, self.collisions, self.too_fast)
         if too_fast:
             remarks.append(
