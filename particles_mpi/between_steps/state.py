@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from particles_mpi.between_steps.views import ParticleView, RunningEffect, changed_options
+from particles_mpi.between_steps.views import ParticleView, RunningEffect, RunningEffects, changed_options
 from particles_mpi.contacts.drift import COUNTS, Drift
 from particles_mpi.contacts.keeper import keeper_of_contacts
 from particles_mpi.errors import SceneError, StateError
@@ -217,7 +217,7 @@ class State:
     @property
     def effects(self) -> Mapping[str, RunningEffect]:
         """The effects of the scene by name; setting an option of one changes the run. See `RunningEffect`."""
-        return MappingProxyType({name: RunningEffect(self, name) for name in self.scene.effects})
+        return MappingProxyType(RunningEffects({name: RunningEffect(self, name) for name in self.scene.effects}))
 
     def require_masses(self, scene: Scene, name: str, key: str) -> None:
         """Raise SceneError if the effect, as in `scene`, divides by masses and there is a particle without. Collective."""

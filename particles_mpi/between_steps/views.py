@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from particles_mpi.errors import SceneError, StateError
 from particles_mpi.particles import Array, Particles, moment_of_sphere, same_bits
 from particles_mpi.scene.effect import EffectOptions, faults_in
-from particles_mpi.scene.model import faults_of, python_values
+from particles_mpi.scene.model import faults_of, python_values, suggestion
 from particles_mpi.scene.schema import Scene
 
 READ_ONLY = ("id", "rate", "total_acceleration", "free_acceleration")
@@ -178,6 +178,13 @@ class RunningEffect:
 
     def __repr__(self) -> str:
         return f"{self._name}: {self._options!r}"
+
+
+class RunningEffects(dict[str, RunningEffect]):
+    """The effects of a scene by name."""
+
+    def __missing__(self, name: str) -> RunningEffect:
+        raise KeyError(f"effects: the scene has no {name}{suggestion(name, list(self)) if self else ''}")
 
 
 def changed_options(scene: Scene, name: str, key: str, value: Any) -> EffectOptions:

@@ -204,6 +204,7 @@ def test_arrays_of_an_earlier_step_cannot_be_written_to_unnoticed():
         ("sim.particles = None", AttributeError, "no setter|can't set"),
         ("sim.effects['walls'].restitution = 2.0", SceneError, r"effects\.walls\.restitution: must be less than or equal to 1"),
         ("sim.effects['walls'].bounce = 2.0", AttributeError, "no option 'bounce'"),
+        ("sim.effects['wall'].active = False", KeyError, "the scene has no wall .did you mean 'walls'"),
         ("sim.scene.time.step = 0.5", AttributeError, r"set sim\.h"),
         ("sim.h = 0.0", ValueError, "above 0"),
         ("sim.h = 'a'", ValueError, "h: 'a' is no length of a step"),
