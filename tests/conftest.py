@@ -39,7 +39,6 @@ SHARING = {
     "test_architecture.py",
     "test_browser.py",
     "test_accuracy_study.py",
-    "test_event_loop.py",
     "test_kernel_sources.py",
     "test_study_gravity.py",
     "test_time_stepped.py",
