@@ -37,7 +37,7 @@ from particles_mpi.contacts.event_driven.rows import (
     record_width,
     spin_width,
 )
-from particles_mpi.kernels.jit import kernel, lean, prefetch
+from particles_mpi.kernels.jit import inner, kernel, lean, lean_inner, prefetch
 from particles_mpi.kernels.markers import RADIUS
 from particles_mpi.neighbours.verlet_cells import level_of
 from particles_mpi.neighbours.verlet_kernels import (
@@ -136,6 +136,77 @@ def reconcile(rows, directory, log, message, differing, moves, regions, stale):
     return len(differing)
 
 
+@inner
+def list_at(axes, rows, lists, directory, message, at, record, skin):
+    """The row of an ADD_GHOST, which is new here, or of a TRANSFER, listed anew at its reference position.
+
+    Returns (row, 0), or as `apply_moves` what it is short of, and then nothing has changed.
+    """
+    numbers, bits = message
+    d, reference, segment = len(axes), lists.reference, rows.segment
+    particle, new = bits[at + 1], bits[at] == ADD_GHOST
+    if new:
+        if directory.free_count[0] == 0:
+            return -1, -1
+        i = np.int64(directory.free[directory.free_count[0] - 1])
+        size = at + HEAD + record  # where R and 1/m are, and behind them the reference position
+        segment[i, 2 * d + RADIUS], reference[i, d + INVERSE_MASS] = numbers[size], numbers[size + 1]
+        place = size + 2
+    else:
+        i = row_of(directory.table, particle)
+        place = at + HEAD + 3
+    before = reference[i].copy()
+    for k in range(d):
+        reference[i, k] = numbers[place + k]
+    if new:
+        reference[i, d + SKIN] = skin if reference[i, d + INVERSE_MASS] > 0.0 else 0.0
+        reference[i, d + SIZE] = segment[i, 2 * d + RADIUS] + reference[i, d + SKIN]
+    found = find_nearby(axes, lists, i)
+    kept, others = compare(lists, i, found)
+    short = shortage(lists, i, kept, others)
+    if short > 0:
+        for k in range(d + INVERSE_MASS + 1):
+            reference[i, k] = before[k]
+        return i, short
+    if new:
+        directory.free_count[0] -= 1
+        put(directory.table, particle, i)
+        rows.state[i, ID], rows.state[i, OWNERSHIP] = particle, GHOST
+        load_row(d, rows, i, numbers, bits, at + HEAD)
+        load_extra(d, rows, i, numbers, place + d)
+        lists.level[i] = level_of(reference[i, d + SIZE], lists)
+    relist(axes, lists, i, kept, others)
+    return i, 0
+
+
+@inner
+def take_over(rows, lists, directory, regions, message, at, i):
+    """Row i is an own one from now on, as the TRANSFER at this place says; who holds it is found as the sender did."""
+    _, bits = message
+    holders, known, at_row = directory.holders, Regions(*regions).known, np.full(1, i, np.int32)
+    holder, place, before = bits[at + HEAD], bits[at + HEAD + 1], bits[at + HEAD + 2]
+    directory.fields_at[i, HOLDER], directory.fields_at[i, PLACE] = holder, place
+    mark_holders(lists.reference, at_row, regions, holders[i : i + 1])
+    for k in range(len(known)):
+        if known[k] == before:
+            add_holder(holders, i, k)
+    add_holder(holders, i, len(known) - 1)
+    rows.state[i, OWNERSHIP] = SHARED  # the rank that had it holds it, at least
+
+
+@lean_inner
+def drop_ghost(axes, rows, lists, queue, directory, particle):
+    """The row of a particle that has gone away from this rank's region is free."""
+    i = row_of(directory.table, particle)
+    cancel(queue, i)
+    remove(axes, lists, i)
+    rows.state[i, OWNERSHIP] = NOT_HERE
+    rows.state[i, EVENT_COUNT] += 1
+    drop(directory.table, particle)
+    directory.free[directory.free_count[0]] = i
+    directory.free_count[0] += 1
+
+
 @kernel
 def apply_moves(axes, rows, lists, queue, directory, regions, message, at, skin, stale, pending):
     """ADD_GHOST, TRANSFER and DROP_GHOST of a message, from place `at` on.
@@ -146,65 +217,18 @@ def apply_moves(axes, rows, lists, queue, directory, regions, message, at, skin,
     """
     rows, lists, queue, directory = Rows(*rows), Lists(*lists), Queue(*queue), Directory(*directory)
     numbers, bits = message
-    table, holders, free, free_count = directory.table, directory.holders, directory.free, directory.free_count
-    known = Regions(*regions).known
-    at_row = np.empty(1, np.int32)
-    segment, state, reference = rows.segment, rows.state, lists.reference
-    d, extra = len(axes), extra_width(rows)
-    record = record_width(d, spin_width(rows))
+    extra, record = extra_width(rows), record_width(len(axes), spin_width(rows))
     while at < len(numbers):
         kind, particle = bits[at], bits[at + 1]
-        if kind in (ADD_GHOST, TRANSFER):
-            i = row_of(table, particle)
-            fresh = kind == ADD_GHOST and i < 0
-            if fresh:
-                if free_count[0] == 0:
-                    return at, -1
-                i = np.int64(free[free_count[0] - 1])
-                segment[i, 2 * d + RADIUS] = numbers[at + HEAD + record]
-                reference[i, d + INVERSE_MASS] = numbers[at + HEAD + record + 1]
-            begin = at + HEAD + (2 + record if kind == ADD_GHOST else 3)
-            if fresh or kind == TRANSFER:
-                before = reference[i].copy()
-                for k in range(d):
-                    reference[i, k] = numbers[begin + k]
-                if fresh:
-                    reference[i, d + SKIN] = skin if reference[i, d + INVERSE_MASS] > 0.0 else 0.0
-                    reference[i, d + SIZE] = segment[i, 2 * d + RADIUS] + reference[i, d + SKIN]
-                found = find_nearby(axes, lists, i)
-                kept, new = compare(lists, i, found)
-                short = shortage(lists, i, kept, new)
-                if short > 0:
-                    for k in range(d + INVERSE_MASS + 1):
-                        reference[i, k] = before[k]
-                    return at, short
-                if fresh:
-                    free_count[0] -= 1
-                    put(table, particle, i)
-                    state[i, ID], state[i, OWNERSHIP] = particle, GHOST
-                    load_row(d, rows, i, numbers, bits, at + HEAD)
-                    load_extra(d, rows, i, numbers, begin + d)
-                    lists.level[i] = level_of(reference[i, d + SIZE], lists)
-                relist(axes, lists, i, kept, new)
-                stale[pending[0]] = i
-                pending[0] += 1
+        if kind == DROP_GHOST:
+            drop_ghost(axes, rows, lists, queue, directory, particle)
+        elif kind == TRANSFER or (kind == ADD_GHOST and row_of(directory.table, particle) < 0):
+            i, short = list_at(axes, rows, lists, directory, message, at, record, skin)
+            if short != 0:
+                return at, short
+            stale[pending[0]] = i
+            pending[0] += 1
             if kind == TRANSFER:
-                directory.fields_at[i, HOLDER], directory.fields_at[i, PLACE] = bits[at + HEAD], bits[at + HEAD + 1]
-                at_row[0] = i
-                mark_holders(reference, at_row, regions, holders[i : i + 1])
-                for k in range(len(known)):
-                    if known[k] == bits[at + HEAD + 2]:
-                        add_holder(holders, i, k)
-                add_holder(holders, i, len(known) - 1)
-                state[i, OWNERSHIP] = SHARED  # the rank that had it holds it, at least
-        elif kind == DROP_GHOST:
-            i = row_of(table, particle)
-            cancel(queue, i)
-            remove(axes, lists, i)
-            state[i, OWNERSHIP] = NOT_HERE
-            state[i, EVENT_COUNT] += 1
-            drop(table, particle)
-            free[free_count[0]] = i
-            free_count[0] += 1
-        at += part_width(kind, d, record, extra)
+                take_over(rows, lists, directory, regions, message, at, i)
+        at += part_width(kind, len(axes), record, extra)
     return at, 0
