@@ -126,6 +126,20 @@ MUTATIONS = (
         ("tests/unit/contacts", "tests/parallel/test_same_bits.py", "-k", "regions or (windows and -2)"),
     ),
     Mutation(
+        "a window is not undone where somebody went further than ghosts reach",
+        "contacts/event_driven/windows.py",
+        "            if wrong or np.sqrt(fastest2) * length > part.regions.bound:",
+        "            if wrong:",
+        ("tests/parallel/test_same_bits.py", "-k", "lighter"),
+    ),
+    Mutation(
+        "own rows are thought to touch ghosts only nearer to their region than they may",
+        "contacts/event_driven/partition.py",
+        "reach = (self.skin + 2.0 * bound + largest) * MARGIN",
+        "reach = (0.3 * self.skin + largest) * MARGIN",
+        ("tests/unit/contacts/test_regions.py",),
+    ),
+    Mutation(
         "at one time the order of rows decides who meets first",
         "contacts/event_driven/calendar_queue.py",
         "    return (repeated_i, min(a, b), max(a, b)) < (repeated_j, min(c, d), max(c, d))",

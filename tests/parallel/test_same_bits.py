@@ -531,6 +531,17 @@ SCENES["super balls that attract one another"] = SCENES[BOUNCING] | {
     "effects": {"mutual_gravity": {}, "collisions": {"tangential_restitution": 1.0}, "walls": {"tangential_restitution": 1.0}}
 }
 SCENES[f"{BOUNCING}, by passes"] = SCENES[BOUNCING] | {"effects": {"mutual_gravity": {}, "collisions": {}, "walls": {}}}
+ROW = [[-0.201 * (10 - k), 0.0] for k in range(11)]
+SCENES["a row of ever lighter discs that throws the last one at a far disc"] = dict(
+    dimension=2,
+    time={"step": 0.01, "steps": 3},
+    particles=[
+        {"position": ROW[:1], "velocity": [1.0, 0.0], "radius": 0.1, "mass": 1e10},
+        {"position": ROW[1:], "radius": 0.1, "mass": [100.0 ** (4 - k) for k in range(10)]},
+        {"position": [[6.0 + 0.25 * k, 1.5 * (k % 2) - 1.5 * (k > 0) * (k % 2 == 0)] for k in range(11)], "radius": 0.1},
+    ],
+    effects={"collisions": {"mode": "event"}},
+)  # which it would, in the first window, come to before any rank knew of both
 BOTH = f"{HEAP}, solved as a large one, in windows"  # each by itself is there, too
 WINDOWS = [name for name in SCENES if SCENES[name]["effects"].get("collisions", {}).get("mode") == "event" and name != LARGE]
 SCENES |= {name + IN_WINDOWS: SCENES[name] | {"windows": True, "few": 0} for name in WINDOWS}

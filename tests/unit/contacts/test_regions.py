@@ -1,11 +1,14 @@
 """Which ghosts can have touched an own row: as all pairs say."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from numba import njit
 from with_all import with_all
 
 from particles_mpi.contacts.event_driven.engine import Engine
+from particles_mpi.contacts.event_driven.partition import DEPTH, Partition
 from particles_mpi.contacts.event_driven.regions import Regions, can_affect_owned, distances2
 from particles_mpi.contacts.event_driven.rows import OWNERSHIP, SHARED, Log, Rows, save_once
 from particles_mpi.contacts.law import Loss
@@ -99,3 +102,30 @@ def test_two_ranks_are_as_far_apart_for_both(length):
     high = low + random.uniform(0.0, 0.3, low.shape)
     found = np.array([distances2(low, high, rank, np.full(3, length)) for rank in range(len(low))])
     assert (found == found.T).all() and (found.diagonal() == 0.0).all() and (found > 0.0).any()
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_own_rows_touch_nobody_beyond_the_reach_of_their_region(d):
+    """Own rows are within their skin of reference positions in the region, and ghosts go no further than `bound` in a window."""
+    random = np.random.default_rng(d)
+    skin, largest = 0.3, 0.5
+    cut = SimpleNamespace(lower=np.array([[-np.inf] * d, [0.0] * d]), upper=np.array([[0.0] * d, [np.inf] * d]))
+    part = SimpleNamespace(
+        ranks=SimpleNamespace(rank=0), balance=SimpleNamespace(decomposition=cut), skin=skin, depth=DEPTH,
+        box=Box(np.zeros(d), np.zeros(d), np.zeros(d)),
+    )  # fmt: skip
+    Partition.divide(part, largest, 0.4)
+    regions, worst = part.regions, -np.inf
+
+    def aside(most):
+        """A vector of any direction, and of that length mostly."""
+        way = np.abs(random.standard_normal(d)) if random.random() < 0.5 else random.standard_normal(d)
+        return most * min(1.0, 2.0 * random.random()) * way / np.linalg.norm(way)
+
+    for _ in range(2000):
+        reference = -random.random(d) * (random.random(d) < 0.5)
+        one, other = largest * np.maximum(random.random(2), 0.5)
+        contact = aside(1.0)
+        ghost = reference + aside(skin) + (one + other) * contact / np.linalg.norm(contact) + aside(regions.bound)
+        worst = max(worst, np.linalg.norm(np.maximum(ghost, 0.0)) - other - regions.reach)
+    assert -skin < worst <= 0.0
