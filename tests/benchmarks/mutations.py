@@ -147,6 +147,13 @@ MUTATIONS = (
         ("tests/physics/test_symmetries.py", "tests/parallel/test_same_bits.py", "-k", "symm or -2"),
     ),
     Mutation(
+        "a heavy sphere stands still by what presses a light one onto it",
+        "contacts/persistent/slow.py",
+        "max(found[i], w[i] / (w[i] + w[partner[e]]) * larger_push[e])",
+        "max(found[i], larger_push[e])",
+        ("tests/hard_cases/test_rest.py", "-k", "pushes_a_heavy"),
+    ),
+    Mutation(
         "no contact takes over from those on which it depends",
         "contacts/persistent/direct.py",
         "if not active.impulse[new] < inf:",

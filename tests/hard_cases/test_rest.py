@@ -138,13 +138,15 @@ def velocities(sim):
 @pytest.mark.parametrize("surface", SURFACES)
 @pytest.mark.parametrize("ratio", [1e2, 1e6, 1e12])
 def test_a_light_sphere_pushes_a_heavy_one(ratio, surface, mode):
-    """However slow both are: momentum is kept."""
-    heavy = {"position": [[0.0, 0.0]], "radius": 0.5, "mass": ratio}
-    light = {"position": [[0.0, 1.0]], "radius": 0.5, "mass": 1.0, "acceleration": [0.0, -1.0]}
-    effects = {"user_acceleration": {}, "collisions": surface | {"mode": mode}}
-    sim = Simulation(Scene(dimension=2, time={"step": 0.01, "steps": 100}, particles=[heavy, light], effects=effects))
+    """However slow both are, and though another one lies on a floor far away: momentum is kept."""
+    heavy = {"position": [[0.0, 9.0]], "radius": 0.5, "mass": ratio}
+    light = {"position": [[0.0, 10.0]], "radius": 0.5, "mass": 1.0, "acceleration": [0.0, -1.0]}
+    lies = {"position": [[9.0, 0.5]], "radius": 0.5, "acceleration": [0.0, -1.0]}
+    effects = {"user_acceleration": {}, "walls": {"restitution": 0.5, "planes": FLOOR[2]}, "collisions": surface | {"mode": mode}}
+    particles = [heavy, light, lies]
+    sim = Simulation(Scene(dimension=2, time={"step": 0.01, "steps": 100}, particles=particles, effects=effects))
     sim.steps(100)
-    assert velocities(sim)[:, 1] == pytest.approx(-1.0 / (1.0 + ratio), rel=1e-3, abs=0.0)
+    assert velocities(sim)[:2, 1] == pytest.approx(-1.0 / (1.0 + ratio), rel=1e-3, abs=0.0)
 
 
 @pytest.mark.parametrize("surface", SURFACES)
