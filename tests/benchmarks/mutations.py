@@ -154,6 +154,13 @@ MUTATIONS = (
         ("tests/hard_cases/test_rest.py", "-k", "pushes_a_heavy"),
     ),
     Mutation(
+        "the closing kick gives nothing to the slip of rough spheres",
+        "contacts/closing_kick.py",
+        "            impulse -= grip[:, None] * (u - along[:, None] * normal)\n",
+        "",
+        ("tests/physics/test_closing_kick.py", "-k", "super"),
+    ),
+    Mutation(
         "no contact takes over from those on which it depends",
         "contacts/persistent/direct.py",
         "if not active.impulse[new] < inf:",

@@ -52,9 +52,9 @@ def test_energy_does_not_drift(name, mode):
         np.testing.assert_allclose(momenta, [momenta[0]] * 21, rtol=0.0, atol=1e-13)
 
 
-def meeting_again_and_again(collisions, steps=0, **effects):
+def meeting_again_and_again(collisions, steps=0, speed=0.25, radius=0.3, **effects):
     """Two that attract one another, and fall onto one another's side, after some steps."""
-    pair = [body((-1.0, 0.0), (1.0, 0.0), velocity=[[0.0, -0.25], [0.0, 0.25]], radius=0.3)]
+    pair = [body((-1.0, 0.0), (1.0, 0.0), velocity=[[0.0, -speed], [0.0, speed]], radius=radius)]
     effects = {"mutual_gravity": {}, "collisions": collisions} | effects
     time = {"step": 0.01, "steps": 1}
     sim = Simulation(Scene.from_dict({"dimension": 2, "G": 1.0, "time": time, "particles": pair, "effects": effects}))
@@ -79,18 +79,22 @@ def test_what_bounces_take_under_attraction(mode, restitution):
     assert measured["angular_momentum_z"] == pytest.approx(0.5, abs=1e-13)
 
 
+@pytest.mark.parametrize(("speed", "radius", "bound"), [(0.25, 0.3, 3e-3), (0.4, 0.5, 1.5e-5)])
 @pytest.mark.parametrize("mode", ["rewind", *with_all("event")])
-def test_super_balls(mode):
-    """They turn when they meet, and turn back: energy with that of spins stays, and so does angular momentum."""
-    sim = meeting_again_and_again({"mode": mode, "tangential_restitution": 1.0})
+def test_super_balls(mode, speed, radius, bound):
+    """They turn when they meet, and turn back: energy with that of spins stays, and so does angular momentum.
+
+    The faster ones brush one another: with the closing kick along their centres alone they err by 1.2e-4.
+    """
+    sim = meeting_again_and_again({"mode": mode, "tangential_restitution": 1.0}, speed=speed, radius=radius)
     energies = []
     for _ in range(20):
         sim.steps(250)
         measured = sim.measure()
         energies.append(measured["total_energy"])
-        assert measured["angular_momentum_z"] == pytest.approx(0.5, abs=1e-12)
+        assert measured["angular_momentum_z"] == pytest.approx(2.0 * speed, abs=1e-12)
     assert sim.totals["collisions"] >= 10
-    np.testing.assert_allclose(energies, -0.4375, rtol=0.0, atol=3e-3)  # 0.0085 after as many without closing kick
+    np.testing.assert_allclose(energies, speed**2 - 0.5, rtol=0.0, atol=bound)  # 0.0085 for the first without closing kick
 
 
 @pytest.mark.parametrize("idle", [{"drag": {"rate": 0.0}}, {"friction": {"strength": 0.0}}])
