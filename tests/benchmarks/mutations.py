@@ -161,6 +161,13 @@ MUTATIONS = (
         ("tests/physics/test_closing_kick.py", "-k", "super"),
     ),
     Mutation(
+        "the closing kick knows no periodic images",
+        "contacts/closing_kick.py",
+        "        r -= image_shifts(r, self.length)\n",
+        "",
+        ("tests/parallel/test_outside_effects.py", "-k", "face_of"),
+    ),
+    Mutation(
         "no contact takes over from those on which it depends",
         "contacts/persistent/direct.py",
         "if not active.impulse[new] < inf:",

@@ -305,6 +305,21 @@ def test_every_key_is_checked(table, more, fault):
         Simulation(scene({"magnetic_field": table}, particle=more))
 
 
+@pytest.mark.parametrize("mode", ["event", "rewind"])
+def test_a_bounce_under_a_force_is_the_same_across_the_face_of_a_periodic_box(mode):
+    found = []
+    for shift in (0.0, 4.0):
+        places = [[(x + shift + 4.0) % 8.0 - 4.0, y] for x, y in ((-1.0, 0.1), (1.0, 0.0))]
+        pair = {"position": places, "velocity": [[2.0, 0.0], [-2.0, 0.0]], "radius": 0.3, "hardness": 3.0}
+        effects = {"repulsion": {"file": "repulsion.py", "reach": 1.0}, "collisions": {"mode": mode}}
+        box, time = {"lower": [-4.0, -4.0], "upper": [4.0, 4.0], "periodic": True}, {"step": 0.05, "steps": 30}
+        sim = Simulation(scene(effects, 2, box=box, time=time, particle=pair))
+        sim.run()
+        assert sim.totals["collisions"] == 1
+        found.append(sim.particles.velocity[np.argsort(sim.particles.id)])
+    np.testing.assert_allclose(found[1], found[0], rtol=0.0, atol=1e-13)
+
+
 def test_a_range_of_a_column_of_whole_numbers_has_each_of_them():
     many = {"count": 400, "position": "lattice", "crossings": {"min": 2, "max": 5}}
     sim = Simulation(scene({"gate": {"file": "gate.py", "place": 0.0}}, particle=many, box={"lower": [0] * 3, "upper": [9] * 3}))
