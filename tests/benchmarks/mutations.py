@@ -168,6 +168,13 @@ MUTATIONS = (
         ("tests/parallel/test_outside_effects.py", "-k", "face_of"),
     ),
     Mutation(
+        "a try to end with a collision changes what contacts that last begin with",
+        "between_steps/saved.py",
+        "            sim.persistent.history.restore(self.contacts)\n        sim.drift",
+        "            pass\n        sim.drift",
+        ("tests/physics/test_to_collision.py", "-k", "no_trace"),
+    ),
+    Mutation(
         "no contact takes over from those on which it depends",
         "contacts/persistent/direct.py",
         "if not active.impulse[new] < inf:",

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from particles_mpi import Scene, SceneError, Simulation
+from particles_mpi.between_steps.saved import StepTrial
 
 
 def scene(d, particles, step, **effects):
@@ -95,6 +96,30 @@ def test_a_view_looks_after_whole_steps_only():
     sim.views.append(SimpleNamespace(after_step=lambda sim: seen.append(sim.steps_done)))
     found = [sim.step_to_collision() for _ in range(5)]
     assert found.count(None) == sim.steps_done > 1 and seen == list(range(1, sim.steps_done + 1))
+
+
+@pytest.mark.parametrize("mode", ["event", "rewind"])
+def test_a_try_that_is_undone_leaves_no_trace(mode):
+    """In a pile: also not in what is known of contacts that last, with which the next solution begins."""
+    discs = {"position": [[0.1 + 0.2 * (k % 6) + 0.05 * (k // 6 % 2), 0.1 + 0.19 * (k // 6)] for k in range(30)], "radius": 0.09}
+    losses = {"restitution": 0.5, "friction": 0.3}
+    effects = {"uniform_gravity": {"acceleration": [0.5, -9.81]}, "walls": losses, "collisions": losses | {"mode": mode}}
+    box, time = {"lower": [0.0, 0.0], "upper": [1.3, 3.0]}, {"step": 0.01, "steps": 100}
+    sim = Simulation(Scene.from_dict({"dimension": 2, "box": box, "time": time, "particles": [discs], "effects": effects}))
+    sim.steps(60)
+    twin, kept = sim.copy(), sim.lasting_contacts()
+    assert len(kept.id) > 20
+    with sim.stepping():
+        trial = StepTrial(sim)
+        sim.advance(0.7 * sim.h, stop=True)
+        trial.undo()
+    sim.particles.open()
+    for before, after in zip(kept, sim.lasting_contacts(), strict=True):
+        np.testing.assert_array_equal(after, before)
+    for _ in range(5):
+        assert sim == twin and sim.totals == twin.totals
+        sim.step()
+        twin.step()
 
 
 def test_needs_collisions():
