@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -185,6 +186,11 @@ def shape(name: str, rows: int, dimension: int) -> tuple[int, ...]:
     """Shape of a field's array."""
     width = components(FIELDS[name], dimension)
     return (rows, width) if width else (rows,)
+
+
+def row_bytes(*columns: Array) -> int:
+    """Bytes of a row of these columns together."""
+    return sum(column.itemsize * prod(column.shape[1:]) for column in columns)
 
 
 def moment_of_sphere(mass: Array, radius: Array, dimension: int) -> Array:

@@ -75,13 +75,12 @@ class Drift:
         self.past_work: dict[str, int] = {}  # of operators that are no longer there
         self.past_remarks: list[str] = []
         self.accelerations = accelerations
-        self.noting = effects.finishes_bounces
         self.near: Neighbourhood | EventDriven | None = None
         self.operator: CollisionOperator | None = None
         if effects.pairs:
             self.load_operator(effects.pairs)
         self.closing: ClosingKick | None = None
-        if self.noting:
+        if effects.finishes_bounces:
             planes = effects.walls.planes if effects.walls else no_planes(rows.dimension)
             restitution = effects.pairs.loss.restitution if effects.pairs else 1.0
             self.closing = ClosingKick(rows, context.ranks, context.length, planes, restitution, effects.surfaces)
@@ -97,9 +96,9 @@ class Drift:
         context, walls = self.context, self.effects.walls.planes if self.effects.walls else no_planes(self.rows.dimension)
         kicked = bool(self.effects.forces or self.effects.on_velocities or self.events)
         self.near = Neighbourhood(self.rows, context.ranks, self.box, plain(walls), kicked, context.timers)
-        passes, timers, redoes = pairs.options.passes, context.timers, self.effects.lossy
-        law = self.effects.surfaces
-        self.operator = Rewind(self.near, pairs.loss, law, passes, timers, self.noting, lambda: self.exact, redoes)
+        law, passes, noting = self.effects.surfaces, pairs.options.passes, self.effects.finishes_bounces
+        redoes = self.effects.lossy
+        self.operator = Rewind(self.near, pairs.loss, law, passes, context.timers, noting, lambda: self.exact, redoes)
 
     @property
     def box(self) -> Box:
@@ -115,7 +114,7 @@ class Drift:
         hold = self.keep_crowds if self.persistent and self.persistent.pairs else None
         return EventDriven(
             self.rows, context.ranks, self.box, pairs.loss, self.effects.surfaces, pairs.options.contact_duration,
-            bool(self.effects.forces), planes, context.timers, self.noting, hold,
+            bool(self.effects.forces), planes, context.timers, self.effects.finishes_bounces, hold,
         )  # fmt: skip
 
     def keep_crowds(self, h: float, tried: int) -> None:
@@ -146,7 +145,7 @@ class Drift:
             wrapped = True  # ghosts too
         elif contacts and self.effects.walls:
             with context.timers("walls"):
-                hits, missed, last = self.effects.walls.drift(p, h, rates.of(p.arrays), self.noting)
+                hits, missed, last = self.effects.walls.drift(p, h, rates.of(p.arrays), self.closing is not None)
             happened = [0, hits, missed, 0]
             self.calls.update(self.wall_names)
         else:

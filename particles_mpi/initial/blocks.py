@@ -74,13 +74,10 @@ class Columns:
         except OverflowError:
             values = np.array(LARGEST_NUMBER * 2.0)
         if own.dtype.kind in "iu":
-            held = np.iinfo(own.dtype)
-            whole = (
-                (values >= max(held.min, -LARGEST_WHOLE)) & (values <= min(held.max, LARGEST_WHOLE)) & (values == np.rint(values))
-            )
-            self.refuse(
-                block, name, ~whole & np.ones(own.shape if len(own) else (0,), bool), f"no whole number of {own.dtype} for"
-            )
+            least, most = max(np.iinfo(own.dtype).min, -LARGEST_WHOLE), min(np.iinfo(own.dtype).max, LARGEST_WHOLE)
+            whole = (values >= least) & (values <= most) & (values == np.rint(values))
+            wrong = ~whole & np.ones(own.shape if len(own) else (0,), bool)
+            self.refuse(block, name, wrong, f"no whole number of {own.dtype} for")
             values = np.where(whole, values, 0.0)
         if len(own):
             own[:] = values

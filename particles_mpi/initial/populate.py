@@ -104,11 +104,12 @@ class Populator:
         files: list[dict[str, Table]] = [{} for _ in self.populations]
         counts = [self.count_of(number, p, read) for (number, p), read in zip(self.populations.items(), files, strict=True)]
         self.faults.stop()
-        self.check_memory(counts)
+        fields = fields_of(self.scene)
+        self.check_memory(counts, fields)
         self.total = sum(counts)
         self.first, self.last = self.ranks.share(self.total)
         with raising_together(self.ranks):
-            columns = Columns(self.scene, self.ranks, self.faults, self.columns(), self.total)
+            columns = Columns(self.scene, self.ranks, self.faults, self.columns(fields), self.total)
         blocks = self.blocks(counts, files)
         for block in blocks:
             fill_attributes(columns, block)
@@ -136,10 +137,10 @@ class Populator:
             begin += count
         return blocks
 
-    def columns(self) -> dict[str, Array]:
-        """All fields, with what they hold where nothing gives a value."""
-        scene, d, n = self.scene, self.scene.dimension, self.before + self.last - self.first
-        arrays = {name: default_values(name, n, d) for name in fields_of(scene)}
+    def columns(self, fields: list[str]) -> dict[str, Array]:
+        """These fields, with what they hold where nothing gives a value, and what the user has attached."""
+        d, n = self.scene.dimension, self.before + self.last - self.first
+        arrays = {name: default_values(name, n, d) for name in fields}
         for name, column in self.there.arrays.items() if self.there is not None else ():
             if name not in arrays:  # attached by the user
                 arrays[name] = np.zeros((n, *column.shape[1:]), column.dtype)
@@ -157,10 +158,11 @@ class Populator:
         elif box is not None and not 1.0 / LARGEST_NUMBER < (volume := np.subtract(box.upper, box.lower).prod()) < inf:
             self.faults.add(f"box: its volume {volume:g} is too small or too large to count with")
 
-    def check_memory(self, counts: list[int]) -> None:
+    def check_memory(self, counts: list[int], fields: list[str]) -> None:
         """A count with a zero too many should be a fault, and not a killed process. Collective."""
         total, ranks = sum(counts), self.ranks
-        need, have = memory_needed(self.scene, total, ranks.size, piles=False), ranks.least(memory_there())
+        columns = {name: default_values(name, 1, self.scene.dimension) for name in fields}
+        need, have = memory_needed(self.scene, columns, total, ranks.size, piles=False), ranks.least(memory_there())
         uncounted = total / ranks.size > limits.INT32_MAX
         here = ranks.largest(ranks.on_this_machine() if need > have else 1)[0]
         if need * here / ranks.size > have or uncounted:

@@ -26,7 +26,7 @@ from particles_mpi.output.replacing import replacing, temporary_of
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
 from particles_mpi.parallel.shared_file import SharedFile
-from particles_mpi.particles import FIELDS, Array, rows_of, shape
+from particles_mpi.particles import FIELDS, Array, row_bytes, rows_of, shape
 
 MARK, FORMAT = "particles_mpi_checkpoint", 6
 TAIL = f"\n{MARK} {{:20d}} {{:20d}} {{:08x}}\n"  # the last line: lengths of the HDF5 file and of the seal, CRC-32 of the seal
@@ -74,24 +74,19 @@ def _write(path: Path, ranks: Communicator, columns: dict[str, Array], facts: di
             if ranks.is_root:
                 places = _make(part, columns, total, facts)
         places = ranks.bcast(places)
-        writes = [(places[name] + first[name] * _width(column), column) for name, column in columns.items() if len(column)]
+        writes = [(places[name] + first[name] * row_bytes(column), column) for name, column in columns.items() if len(column)]
         _write_all(part, ranks, writes, task)
         pieces = {name: _pieces(column, first[name]) for name, column in columns.items()}
         everyone = ranks.comm.gather(pieces) or []
         with failing_together(ranks, task):
             if ranks.is_root:
-                sizes = {name: [places[name], _width(column)] for name, column in columns.items() if total[name]}
+                sizes = {name: [places[name], row_bytes(column)] for name, column in columns.items() if total[name]}
                 crcs = {name: [piece for of in everyone for piece in of[name]] for name in sizes}
                 _replace(path, sizes, crcs)
     except BaseException:
         if ranks.is_root:
             part.unlink(missing_ok=True)  # half a file is of no use
         raise
-
-
-def _width(column: Array) -> int:
-    """Bytes of a row."""
-    return int(column.dtype.itemsize * np.prod(column.shape[1:], dtype=np.int64))
 
 
 def _make(part: Path, columns: dict[str, Array], total: dict[str, int], facts: dict[str, Any]) -> dict[str, int]:

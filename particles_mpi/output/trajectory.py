@@ -23,7 +23,7 @@ from particles_mpi.output.files import FILE_PATIENCE, Continuing, check_last, fa
 from particles_mpi.output.read_frames import SHOW
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
-from particles_mpi.particles import Array, default_values, field
+from particles_mpi.particles import Array, default_values, field, row_bytes
 
 SHOWING_PAUSE = 0.5  # seconds: frames that follow one another faster are shown to readers together
 WAITING_BYTES = 2**20  # bytes: smaller frames wait for those that follow in that time, and are written by one call with them
@@ -60,7 +60,7 @@ class Trajectory(Continuing):
         frame = frame_arrays({name: default_values(name, 0, dimension) for name in self.fields}, dimension)
         self.places = {name: name if name == "Points" else f"PointData/{name}" for name in frame}
         self.columns = {self.places[name]: (rows.shape[1:], rows.dtype) for name, rows in frame.items()}
-        self.row_bytes = sum(rows.dtype.itemsize * int(np.prod(rows.shape[1:])) for rows in frame.values())
+        self.row_bytes = row_bytes(*frame.values())
         self.parallel = ranks.size > 1 and bool(h5py.get_config().mpi)
         self.datasets: dict[str, Any] = {}
         self.frames, self.parts, self.points = 0, [total], 0  # so far; N of each part; rows of all frames

@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 from particles_mpi.kernels.limits import require_countable
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.particles import Array, rows_of
+from particles_mpi.particles import Array, row_bytes, rows_of
 
 TAG = 0  # of messages with rows; `agreement` uses another one
 ONE_MESSAGE = 10_000  # particles whose rows are sent in one message; `blocks` and `in_id_order` send those of more in pieces
@@ -39,7 +39,7 @@ def send_rows(ranks: Communicator, arrays: dict[str, Array], rows: Array, counts
     ranks.all_to_alls += 1
     ranks.bytes["counts"] += counts.itemsize * (ranks.size - 1)
     ranks.rows += int(arriving.sum() - arriving[me])
-    row_size = sum(column.dtype.itemsize * prod(column.shape[1:]) for column in arrays.values())
+    row_size = row_bytes(*arrays.values())
     words_out, words_in = (-(row_size * numbers.astype(np.int64) // -WORD) for numbers in (counts, arriving))
     outgoing, incoming = np.empty(words_out.sum()), np.empty(words_in.sum())
     places = {p: incoming[first:last] for p, first, last in parts(words_in)}
@@ -87,7 +87,7 @@ def allgather_rows(ranks: Communicator, arrays: dict[str, Array]) -> dict[str, A
     n = len(next(iter(arrays.values())))
     counts = ranks.allgather_array(np.array(n))
     require_countable(int(counts.sum()), "rows of all ranks")
-    row_size = sum(column.dtype.itemsize * prod(column.shape[1:]) for column in arrays.values())
+    row_size = row_bytes(*arrays.values())
     words = -(row_size * counts // -WORD)
     outgoing, incoming = np.empty(int(words[ranks.rank]), np.int64), np.empty(int(words.sum()), np.int64)
     for name, part in unpacked(outgoing, n, arrays):

@@ -3,10 +3,7 @@
 import os
 from pathlib import Path
 
-import numpy as np
-
-from particles_mpi.particles import FIELDS, components
-from particles_mpi.scene.active import fields_of
+from particles_mpi.particles import Array, row_bytes
 from particles_mpi.scene.schema import Scene
 
 # Bytes: `python tests/benchmarks/speed.py memory` measures them.
@@ -17,14 +14,14 @@ ALWAYS, PAIRS, TREE, PILES = 190, 430, 240, 4200
 CGROUPS = Path("/sys/fs/cgroup")
 
 
-def memory_needed(scene: Scene, total: int, ranks: int, piles: bool = True) -> int:
+def memory_needed(scene: Scene, columns: dict[str, Array], total: int, ranks: int, piles: bool = True) -> int:
     """Bytes that all ranks need together in a run with `total` particles, ghosts not counted: within about a quarter.
 
-    `piles`: where contacts can last, do all particles come to lie in piles?
+    `columns`: the fields of particles, of any number of rows. `piles`: where contacts can last, do all particles come to lie in
+    piles?
     """
-    fields = fields_of(scene)
-    row = sum(np.dtype(FIELDS[name].dtype).itemsize * max(components(FIELDS[name], scene.dimension), 1) for name in fields)
-    row += ALWAYS + PAIRS * ("collisions" in scene.active) + PILES * (piles and {"supported", "contacted"} <= set(fields))
+    row = row_bytes(*columns.values()) + ALWAYS + PAIRS * ("collisions" in scene.active)
+    row += PILES * (piles and {"supported", "contacted"} <= columns.keys())
     gravity = scene.active.get("mutual_gravity")
     if gravity and gravity.choice(scene, total).angle is not None:
         row += TREE

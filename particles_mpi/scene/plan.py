@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.particles import Particles, field
+from particles_mpi.particles import Particles, field, row_bytes
 from particles_mpi.scene.active import ActiveEffects
 from particles_mpi.scene.effect_files import effect_names
 from particles_mpi.scene.memory import memory_needed
@@ -29,7 +29,6 @@ def plan(scene: Scene, particles: Particles, ranks: Communicator, steps: int) ->
     ghosts = "particles that may meet those of another rank before the next search"
     if pairs and active["collisions"].mode == "event":
         ghosts = "about three layers of particles around each region, or all on every rank where that is no less work"
-    row_bytes = sum(column.itemsize * int(np.prod(column.shape[1:])) for column in particles.arrays.values())
     return {
         "particles": total,
         "fixed": fixed,
@@ -41,10 +40,10 @@ def plan(scene: Scene, particles: Particles, ranks: Communicator, steps: int) ->
         "not_run": sorted({*effect_names(), *scene.effects} - active.keys()),
         "ghosts": ghosts if pairs and ranks.size > 1 else "none",
         "ranks": ranks.size,
-        "memory_bytes": memory_needed(scene, total, ranks.size),
+        "memory_bytes": memory_needed(scene, particles.arrays, total, ranks.size),
         "frames": steps // scene.output.every + 1,
         "every": scene.output.every,
-        "output_bytes": output_bytes(scene, particles, total * row_bytes, total, fixed > 0, steps),
+        "output_bytes": output_bytes(scene, particles, total * row_bytes(*particles.arrays.values()), total, fixed > 0, steps),
         "predicted_seconds": None,  # of the loop, and between which two: known after the first steps
         "predicted_seconds_range": None,
         "advice": advice(scene, particles, ranks),

@@ -31,5 +31,5 @@ if len(sys.argv) > 4:
 used = comm.allreduce(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
 if comm.rank == 0:
     said = {"seconds": seconds, "particles": sim.total, "steps": steps, "ranks": comm.size, "collisions": met}
-    said |= {"memory": used, "told": memory_needed(scene, sim.total, comm.size)}
+    said |= {"memory": used, "told": memory_needed(scene, sim.rows.arrays, sim.total, comm.size)}
     print(json.dumps(said | {"windows": sim.near.window_counts if sim.near else (0, 0)}))

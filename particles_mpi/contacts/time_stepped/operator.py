@@ -17,13 +17,7 @@ import numpy as np
 from particles_mpi.contacts.closing_kick import LastContacts
 from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.rough import Rough
-from particles_mpi.contacts.time_stepped.contact_search import (
-    NOTICEABLE,
-    brushed_pairs,
-    deepest_overlap,
-    find_contacts,
-    find_wall_hits,
-)
+from particles_mpi.contacts.time_stepped.contact_search import brushed_pairs, find_contacts, find_wall_hits
 from particles_mpi.contacts.time_stepped.passes import (
     COLLISIONS,
     LATE,
@@ -48,7 +42,6 @@ if TYPE_CHECKING:
     from particles_mpi.contacts.event_driven.operator import EventDriven
 
 NONE = np.empty(0)
-DEEP = 0.5e-3  # of a radius: an overlap at the end of a drift, which nobody may keep
 LOOK_AFTER = 3  # passes, after which partners that overlap are taken as a sign of a crowd, not of two who soon move apart
 
 
@@ -87,7 +80,8 @@ class Rewind:
         """x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
 
         `moment`: when the drift begins; `rates`: how velocities change in the step. If a collision throws a particle further than
-        the candidates reach, the drift is undone and done again with candidates of a longer reach.
+        the candidates reach, the drift is undone and done again with candidates of a longer reach. With `stop` it ends with the
+        first collision of two particles, and is done exactly.
         """
         if stop:
             return self.exactly(h, moment, rates, stop=True)
@@ -152,7 +146,7 @@ class Rewind:
             with self.timers("search"):
                 hits = self.find(h, left == self.passes)
             with self.timers("agree"):
-                late = self.redoes and self.passes - left >= LOOK_AFTER and self.late(hits)
+                late = self.redoes and self.passes - left >= LOOK_AFTER and self.signs.late(hits)
                 mine = np.array([len(hits.first), needed, near.concerned(hits), late], float)
                 waiting, needed, concerned, late = near.ranks.allreduce_max(mine)
             if needed:
@@ -161,7 +155,7 @@ class Rewind:
                 raise TooDenseError
             if not waiting:
                 if left < self.passes:
-                    if self.redoes and self.overlapping(h):
+                    if self.redoes and self.signs.overlapping(h):
                         raise TooDenseError
                     first, second, _, _ = near.candidates.pairs
                     counts[LATE] += brushed_pairs(*near.rows, first, second, h, near.length)
@@ -173,27 +167,6 @@ class Rewind:
                 break
             needed = self.one_pass(hits, h, counts, int(concerned))
         return counts
-
-    def late(self, hits: Hits) -> bool:
-        """Do partners meet that already overlap? A pass may do a contact of one pair before an earlier one of another pair."""
-        near, pairs = self.near, hits.second >= 0
-        first, second, time = (column[pairs] for column in hits)
-        return float(deepest_overlap(near.rows[0], near.spheres.radius, first, second, time, near.length)) > NOTICEABLE
-
-    def overlapping(self, h: float) -> bool:
-        """Does a supported particle overlap with another in the end, because a pass was late? Collective.
-
-        In a pile that would add up; others soon move apart.
-        """
-        if "supported" not in self.near.particles.arrays:
-            return False
-        near, (first, second, _, _) = self.near, self.near.candidates.pairs
-        supported = np.zeros(len(near.x), bool)
-        supported[: near.spheres.owned] = near.particles["supported"]
-        pairs = supported[first] | supported[second]
-        first, second, at_end = first[pairs], second[pairs], np.full(np.count_nonzero(pairs), h)
-        most = deepest_overlap(near.rows[0], near.spheres.radius, first, second, at_end, near.length)
-        return near.ranks.largest(most)[0] > DEEP
 
     def find(self, h: float, everything: bool) -> Hits:
         """The hits on the present segments: all of them, or those of active rows."""

@@ -1,10 +1,12 @@
-"""Signs that a step is too long for the passes of mode `rewind`, which a run tells at its end."""
+"""Signs that a step is too long for the passes of mode `rewind`: its drift is done exactly, or a run tells of it at its end."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from particles_mpi.contacts.time_stepped.contact_search import NOTICEABLE, deepest_overlap
+from particles_mpi.neighbours.candidates import Hits
 from particles_mpi.neighbours.neighbour_list import Neighbourhood
 from particles_mpi.neighbours.trajectories import fastest
 from particles_mpi.particles import row_dot
@@ -12,11 +14,15 @@ from particles_mpi.particles import row_dot
 if TYPE_CHECKING:
     from particles_mpi.contacts.event_driven.operator import EventDriven
 
+DEEP = 0.5e-3  # of a radius: an overlap at the end of a drift, which nobody may keep
 SPEEDS_EVERY = 10  # drifts between two looks at the speeds, until one is too fast
 
 
 class Signs:
-    """Counts, on this rank, what may go wrong in drifts without being missed: late contacts, dense steps, spheres too fast."""
+    """Looks for overlaps in a drift, and counts, on this rank, what may go wrong without being missed.
+
+    Counted are late contacts, steps with more contacts than the passes put in order, and spheres too fast for the step.
+    """
 
     def __init__(self, near: Neighbourhood):
         self.near = near
@@ -32,6 +38,27 @@ class Signs:
         if h * fastest(p.position, p.velocity) > 2.0 * p.radius.min(initial=np.inf, where=p.radius > 0.0):
             far = h * np.sqrt(row_dot(p.velocity, p.velocity)) > 2.0 * p.radius
             self.too_fast |= bool((far & (p.radius > 0.0)).any())
+
+    def late(self, hits: Hits) -> bool:
+        """Do partners meet that already overlap? A pass may do a contact of one pair before an earlier one of another pair."""
+        near, pairs = self.near, hits.second >= 0
+        first, second, time = (column[pairs] for column in hits)
+        return float(deepest_overlap(near.rows[0], near.spheres.radius, first, second, time, near.length)) > NOTICEABLE
+
+    def overlapping(self, h: float) -> bool:
+        """Does a supported particle overlap with another in the end, because a pass was late? Collective.
+
+        In a pile that would add up; others soon move apart.
+        """
+        if "supported" not in self.near.particles.arrays:
+            return False
+        near, (first, second, _, _) = self.near, self.near.candidates.pairs
+        supported = np.zeros(len(near.x), bool)
+        supported[: near.spheres.owned] = near.particles["supported"]
+        pairs = supported[first] | supported[second]
+        first, second, at_end = first[pairs], second[pairs], np.full(np.count_nonzero(pairs), h)
+        most = deepest_overlap(near.rows[0], near.spheres.radius, first, second, at_end, near.length)
+        return near.ranks.largest(most)[0] > DEEP
 
     def count(self, collisions: int, late: int = 0) -> None:
         """Add those of a drift."""
