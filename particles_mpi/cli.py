@@ -160,7 +160,7 @@ def doctor() -> None:
     """What is installed (MPI, parallel HDF5, versions), a 2-rank check, and what to do about what is not right."""
     from particles_mpi.run import doctor as examined
 
-    raise SystemExit(examined.main(IS_ROOT, MPI.COMM_WORLD.Get_size()))
+    raise typer.Exit(examined.main(IS_ROOT, MPI.COMM_WORLD.Get_size()))
 
 
 def simulation_of(described: Any, scene: Path) -> Any:
@@ -198,7 +198,8 @@ def collect_garbage() -> None:
 
 
 def main() -> None:
-    """Run the command; what goes wrong on any rank ends all, with one line and the exit code of the error.
+    """Run the command; what goes wrong on any rank ends all, with one line and the exit code of the error: `sys.exit` in a user's
+    effect too, after which the others would wait for this rank.
 
     `__main__` has switched off the search for garbage: `run` begins it before its first step, all other commands here. When
     the process ends, everything is taken as needed: to find out what is not would take a sixth of a short run.
@@ -215,8 +216,6 @@ def main() -> None:
             command.invoke(context)
     except typer.Exit as error:
         code = error.exit_code
-    except SystemExit as error:
-        code = error.code or 0
     except BaseException as error:
         wrong_arguments = getattr(error, "format_message", None)  # typer's own
         code = abort_all(SceneError(wrong_arguments()) if wrong_arguments else error)

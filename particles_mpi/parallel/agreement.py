@@ -57,9 +57,10 @@ def raising_together(ranks: Communicator) -> Iterator[None]:
     error: Exception | None = None
     try:
         yield
-    except Exception as raised:
-        error = raised
-        if not isinstance(raised, SceneError | StoppedError):
+    except (Exception, SystemExit) as raised:
+        if isinstance(raised, SceneError | StoppedError):
+            error = raised
+        else:
             error = (SceneError if isinstance(raised, MemoryError) else StoppedError)(describe_unexpected(raised))
             error.__cause__ = raised
     if ranks.size > 1:

@@ -8,8 +8,9 @@ one kills them at once. So SIGINT, SIGTERM and SIGHUP are blocked in it, and com
 mpirun: that is passed to the ranks at once, and a run then saves and ends. At the second signal it says that a third one kills
 the ranks, which the third one does.
 
-Messages. Of the paragraphs between two lines of dashes, and lines that begin with [host:pid], both by Open MPI, those about an
-exit code or MPI_Abort are left out and the one about a signal is shortened; all else passes at once. No setting of Open MPI
+Messages. Of the paragraphs between two lines of dashes, and lines that begin with [host:pid], both by Open MPI, those about
+MPI_Abort, or an exit code of ours, are left out and those about a signal or another exit code are shortened; all else passes at
+once. No setting of Open MPI
 does that: `orte_execute_quiet` hides also that a rank was killed, or that there is no such program.
 """
 
@@ -33,6 +34,8 @@ KNOWN = re.compile(
     rb"|MPI_ABORT was invoked on rank"
     rb"|has exited due to process rank \d+ with PID \d+ on node \S+ (calling \"abort\"|exiting)"
 )
+EXITED = re.compile(rb"Process name: \[\S*,(\d+)\] Exit code: (\d+)")
+SPEAKING = (b"1", b"2", b"3", b"130")  # exit codes of Python, and of this program, with which a rank says why it ends
 SIGNAL = re.compile(rb"noticed that process rank (\d+) with PID \d+ on node (\S+) exited on (signal \d+ \([^)]*\))")
 STUMBLED = re.compile(rb"\[[^\]]*\] \[\[[^\]]*\],\d+\] ORTE_ERROR_LOG: [^\n]* in file \S*orte/util/show_help.c at line \d+\n")
 EVENTS = re.compile(rb"\[warn\] Epoll [^\n]* failed\.[^\n]*\n")  # of its library of events, now and then when ranks end
@@ -79,6 +82,8 @@ class Filter:
         said = b" ".join(text.split())
         if killed := SIGNAL.search(said):
             return b"mpirun: rank %s on %s was ended by %s\n" % killed.groups()
+        if (exited := EXITED.search(said)) and exited[2] not in SPEAKING:
+            return b"mpirun: rank %s ended with exit code %s\n" % exited.groups()
         return b"" if KNOWN.search(said) else text
 
     def line(self, text: bytes) -> bytes:

@@ -52,7 +52,7 @@ def faults_in(name: str, options: EffectOptions, scene: Any) -> list[str]:
     try:
         found: Any = options.faults(scene) or []
         return [f"effects.{name}.{fault}" for fault in ([found] if isinstance(found, str) else found)]
-    except Exception as error:  # of a user's own
+    except (Exception, SystemExit) as error:  # of a user's own
         raise SceneError(f"effects.{name}: its `faults` failed: {type(error).__name__}: {one_line(error)}") from error
 
 
@@ -62,7 +62,7 @@ def built(name: str, options: EffectOptions, scene: Any) -> Any:
         return options.build(scene)
     except SceneError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise SceneError(f"effects.{name}: it cannot be made: {type(error).__name__}: {one_line(error)}") from error
 
 
@@ -222,8 +222,13 @@ class RollingResistance(Effect):
 
 
 def call_in_place(name: str, method: Callable[..., Any], *arguments: Any) -> None:
-    """Call a method of an effect that changes arrays in place. StoppedError if it returns something, which would be lost."""
-    if method(*arguments) is not None:
+    """Call a method of an effect that changes arrays in place. StoppedError if it returns something, which would be lost, or calls
+    `sys.exit`, for which the other ranks of a user's script would wait."""
+    try:
+        returned = method(*arguments)
+    except SystemExit as error:
+        raise StoppedError(f"effects.{name}: its `{method.__name__}` failed: SystemExit: {one_line(error)}") from error
+    if returned is not None:
         raise StoppedError(f"effects.{name}: its `{method.__name__}` must change the arrays that it is given, and return nothing")
 
 

@@ -121,6 +121,19 @@ def test_an_exception_in_any_phase_of_one_rank(scene, tmp_path, fault, rank, say
     assert not list(tmp_path.rglob("*.tmp"))
 
 
+@pytest.mark.parametrize(("fault", "rank"), [(f"{Neighbourhood.__module__}:Neighbourhood.__init__", 1), (ADVANCE, 0), (WRITE, 1)])
+def test_a_rank_that_leaves_ends_all_others(scene, tmp_path, fault, rank):
+    """By sys.exit it would wait for the others, and they for it."""
+    code, said, seconds = with_fault(tmp_path, f"leaves:{fault}", rank, "run", scene, "--output", tmp_path / "o", "--quiet")
+    assert code == 3 and said.count("\n") == 1 and seconds < WITHIN, said
+    assert said.startswith(f"particles-mpi: rank {rank}: unexpected SystemExit: table.dat: not found (at ")
+
+
+def test_a_rank_that_is_gone_without_a_word_is_named(scene, tmp_path):
+    code, said, seconds = with_fault(tmp_path, f"quits:{ADVANCE}", 1, "run", scene, "--output", tmp_path / "o", "--quiet")
+    assert (code, said) == (7, "mpirun: rank 1 ended with exit code 7\n") and seconds < WITHIN
+
+
 THIEF = """
 from particles_mpi.effects import EffectOptions, Event, Needs
 
@@ -256,6 +269,7 @@ EXITED = (
     f" aborted.\n{RULE}{RULE}mpirun detected that one or more processes exited with non-zero status, thus causing\nthe job to be"
     f" terminated. The first process to do so was:\n\n  Process name: [[1,1],1]\n  Exit code:    2\n{RULE}"
 )
+GONE = EXITED.replace("2\n" + RULE, "7\n" + RULE)
 ABORTED = (
     f"{RULE}MPI_ABORT was invoked on rank 1 in communicator MPI_COMM_WORLD\n  Proc: [[13718,1],1]\n  Errorcode: 3\n{RULE}"
     "[vm:7] 1 more process has sent help message help-mpi-api.txt / mpi-abort\n"
@@ -270,9 +284,15 @@ OWN = "a line\n---- not a rule\nprogress 10 %\r" + "-" * 74 + " nor this\n" + "-
 
 @pytest.mark.parametrize("chunk", [1, 7, 74, 75, 10**6])
 def test_the_paragraphs_of_the_launcher_are_left_out_and_nothing_else(chunk):
-    said, passing = (OWN + EXITED + EVENTS + FORWARDED + OWN + ABORTED + KILLED + MISSING + OWN + "no end").encode(), Filter()
+    said, passing = (
+        (OWN + EXITED + EVENTS + FORWARDED + OWN + ABORTED + KILLED + GONE + MISSING + OWN + "no end").encode(),
+        Filter(),
+    )
     passed = b"".join(passing.feed(said[k : k + chunk]) for k in range(0, len(said), chunk)) + passing.rest()
-    assert passed.decode() == f"{OWN}{OWN}mpirun: rank 1 on vm was ended by signal 9 (Killed)\n{MISSING}{OWN}no end"
+    assert (
+        passed.decode()
+        == f"{OWN}{OWN}mpirun: rank 1 on vm was ended by signal 9 (Killed)\nmpirun: rank 1 ended with exit code 7\n{MISSING}{OWN}no end"
+    )
 
 
 def test_what_cannot_be_a_paragraph_passes_at_once():

@@ -173,7 +173,8 @@ def predict_steps(benchmark: Benchmark, scene: Scene, step: float) -> list[str]:
     """Error of places and of the energy over as much of the run as there is time for, and its order; `step`: seconds of one."""
     if scene.steps < LEAST_SNAPSHOTS:
         return [f"predicted error: not measured, the run has fewer than {LEAST_SNAPSHOTS} steps"]
-    start, runs = Start(benchmark, scene), 1 + 2 + 4  # at h, h/2 and h/4
+    adaptive = scene.time.integrator == "adaptive"
+    start, runs = Start(benchmark, scene), 1 + 1 if adaptive else 1 + 2 + 4  # at h, h/2 and h/4
     affordable = int(ERROR_SECONDS / (2.0 * runs * LEAST_SNAPSHOTS * step))  # snapshots cost as much as steps
     steps = LEAST_SNAPSHOTS * min(max(1, affordable), scene.steps // LEAST_SNAPSHOTS)
     if 2.0 * runs * steps * step > MOST_ERROR_SECONDS:
@@ -187,7 +188,7 @@ def predict_steps(benchmark: Benchmark, scene: Scene, step: float) -> list[str]:
         if LONGER * runs * took > ERROR_SECONDS or steps + LEAST_SNAPSHOTS > scene.steps - scene.steps % snapshots:
             break
         steps = min(LONGER * steps, scene.steps)
-    records += [follow(start, start.simulate(refined(scene, steps, k)), snapshots) for k in (1, 2)]
+    records += [follow(start, start.simulate(refined(scene, steps, k)), snapshots) for k in range(1, 2 if adaptive else 3)]
     span = steps * scene.time.step
     return [describe_differences(start, records, span) + error_of_tree(start, records[0], steps)]
 
@@ -205,26 +206,29 @@ def error_of_tree(start: Start, record: Record, steps: int) -> str:
 
 
 def refined(scene: Scene, steps: int, halvings: int, effects: Changes | None = None) -> Scene:
-    """The scene's first `steps`, each cut into 2^halvings; `adaptive` with a tolerance that much tighter, by tens."""
+    """The scene's first `steps`, each cut into 2^halvings; `adaptive` with a tolerance that much tighter, by tens, from its
+    own one, or ten times the tightest, on."""
     time = scene.time.model_dump(exclude_none=True) | {"step": scene.time.step, "steps": steps}
     time.pop("end", None)
     if scene.time.integrator == "adaptive":
-        tolerance = min(max(scene.time.tolerance or TOLERANCE, 10.0 * TOLERANCES[0]), 0.1 * TOLERANCES[1])
-        time["tolerance"] = min(max(tolerance * 10.0 ** (1 - halvings), TOLERANCES[0]), TOLERANCES[1])  # not past them by an ulp
+        tolerance = max(scene.time.tolerance or TOLERANCE, 10.0 * TOLERANCES[0]) / 10.0**halvings
+        time["tolerance"] = max(tolerance, TOLERANCES[0])  # not past it by an ulp
     else:
         time |= {"step": scene.time.step / 2**halvings, "steps": steps * 2**halvings}
     return variant(scene, time, effects)
 
 
 def describe_differences(start: Start, records: list[Record], span: float) -> str:
-    """Richardson's estimate, from runs at steps of h, h/2 and h/4 over a `span`, in words.
+    """Richardson's estimate, from runs at steps of h, h/2 and h/4 over a `span`, in words; of `adaptive`, what a tighter
+    tolerance changes.
 
     With the differences d1 of h and h/2, d2 of h/2 and h/4, the order is p = log2(d1/d2), the error of h is d1 2^p/(2^p - 1).
     """
     size, where = records[0].motion, f"t = {span:.3g}"
-    one, two = (start.apart(a.places, b.places) / size for a, b in pairwise(records))
-    if start.scene.time.integrator == "adaptive":
-        return f"predicted error: places {max(two, ROUND_OFF):.1g} of the size of the motion at {where}, by a tighter tolerance"
+    one, *more = (start.apart(a.places, b.places) / size for a, b in pairwise(records))
+    if not more:
+        return f"predicted error: places {max(one, ROUND_OFF):.1g} of the size of the motion at {where}, by a tighter tolerance"
+    (two,) = more
     if two <= 100.0 * ROUND_OFF or one <= two:
         bound = max(one, two, ROUND_OFF)
         coarse = f"about {bound:.1g} of the size of the motion, of no order: steps are too long"

@@ -26,6 +26,40 @@ def test_errors_are_those_of_a_time_within_the_run(steps):
         assert 0.0 < float(re.search(r"at t = ([\d.]+)", line).group(1)) <= 0.01 * steps * (1.0 + 1e-12)
 
 
+def end_of_orbit(start, end, **time):
+    """(places at the end of an eccentric orbit, the scene, the size of its motion)."""
+    scene = Scene.from_dict(ORBIT | {"particles": start, "time": {"end": end} | time})
+    sim = Simulation(scene)
+    sim.run()
+    return sim.particles.position.copy(), scene
+
+
+@pytest.mark.parametrize(
+    ("time", "above"),
+    [
+        ({"step": 0.04}, 3.0),
+        ({"step": 0.01}, 3.0),
+        ({"step": 0.1, "integrator": "order4"}, 3.0),
+        ({"step": 0.75, "integrator": "adaptive", "tolerance": 1e-3}, 20.0),
+        ({"step": 0.75, "integrator": "adaptive", "tolerance": 5.7e-4}, 30.0),
+        ({"step": 0.75, "integrator": "adaptive", "tolerance": 1e-4}, 5.0),
+        ({"step": 0.75, "integrator": "adaptive", "tolerance": 1e-5}, 5.0),
+    ],
+)
+def test_the_error_is_as_told(time, above):
+    """The largest on the way, at least what it is at the end; that of `adaptive` is of the tolerance, not extrapolated."""
+    start = [
+        {"position": [[1.0, 0.0]], "velocity": [0.0, 0.8], "mass": 1e-3},
+        {"position": [[0.0, 0.0]], "velocity": [0.0, 0.0], "mass": 1.0},
+    ]
+    found, scene = end_of_orbit(start, 12.0, **time)
+    true, _ = end_of_orbit(start, 12.0, step=0.75, integrator="adaptive", tolerance=1e-11)
+    (line,) = predict(Simulation(scene), Benchmark()).errors
+    told, at = re.search(r"places ([-+e.0-9]+) of the size of the motion at t = ([\d.]+)", line).groups()
+    assert float(at) == 12.0
+    assert 1.0 < float(told) / abs(found - true).max() < above  # the size of the motion is about 1
+
+
 def test_the_error_of_a_tree_is_told_too():
     stars = {"count": 300, "position": {"plummer": 1.0}, "velocity": "equilibrium", "mass": 1.0 / 300}
     tree = {"softening": 0.05, "method": "tree", "opening_angle": 1.0, "multipole": "monopole"}
