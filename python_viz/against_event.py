@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
-from run_files import BLUE, GREY, RED
+from run_files import BLUE, GREY, RED, stop
 
 from particles_mpi import Run
 
@@ -23,6 +23,10 @@ def measured(run: Run) -> dict[str, Any]:
     time = rows["time"]
     kept = time >= time[0] + SETTLED * (time[-1] - time[0])
     kept[1:] &= kept[:-1]  # counts belong to the interval before their row
+    kept[0] = False
+    if not kept.any():
+        enough = max(1, about["scene"]["time"]["steps"] // 10)
+        stop(f"{run.folder}: has too few rows of diagnostics; [output] diagnostics_every = {enough} has ten")
     length = np.diff(time, prepend=time[0])[kept]
     rates = rows["collisions"][kept] / length
     return {
@@ -61,17 +65,18 @@ def draw(exact: dict[str, Any], found: list[dict[str, Any]], title: str) -> Figu
     noise = np.array([row["noise"] for row in found])
     sure = lost > 2 * noise
     step, seconds = (np.array([row[name] for row in found]) for name in ("step", "seconds"))
+    some = lost.max() > 0.0  # else there is nothing that a logarithm could show
     for axes, x, label in ((panels[0], step, "time step"), (panels[1], seconds, "seconds of the loop")):
         axes.errorbar(x, lost, noise, fmt="-", color=RED, capsize=3)
         axes.plot(x[sure], lost[sure], "o", color=RED, label="rewind")
         axes.plot(x[~sure], lost[~sure], "o", color=RED, mfc="white", label="rewind, below the noise")
-        axes.set(xscale="log", yscale="log", xlabel=label)
+        axes.set(xscale="log", yscale="log" if some else "linear", xlabel=label)
         axes.grid(which="both")
     panels[0].set_xticks(step, [f"{s:g}" for s in step])
     panels[0].minorticks_off()
-    guide = lost[0] * (step / step[0])
-    panels[0].plot(step, guide, ":", color=GREY, label="order 1")
-    panels[0].plot(step, guide**2 / lost[0], "--", color=GREY, label="order 2")
+    if lost[0] > 0.0:
+        for order, style in ((1, ":"), (2, "--")):
+            panels[0].plot(step, lost[0] * (step / step[0]) ** order, style, color=GREY, label=f"order {order}")
     panels[0].set_ylabel("share of collisions lost (error of Z - 1)")
     panels[1].axvline(exact["seconds"], color=BLUE, label="event")
     for axes in panels:

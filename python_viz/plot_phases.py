@@ -38,6 +38,7 @@ class Timing:
     loop: dict[str, float]
     phases: dict[str, dict[str, float]]
     words: dict[str, str]  # for the names of phases, as in the table at the end of a run
+    first: int  # the step from which on all this is; above 0 where the run went on from there
 
     @property
     def rest(self) -> float:
@@ -50,14 +51,15 @@ def read_timing(run: Run) -> Timing:
     try:
         timers = dict(info["timers"])
         setup, loop = (timers.pop(name) for name in OUTSIDE)
-        return Timing(run, int(info["ranks"]), setup, loop, timers, info.get("phases", {}))
+        return Timing(run, int(info["ranks"]), setup, loop, timers, info.get("phases", {}), info.get("timed_from", 0))
     except KeyError as name:
         stop(f"no {name} in {run.folder / 'run.json'} (it is written when a run ends)")
 
 
 def odd_one(timings: list[Timing]) -> Path | None:
-    """The folder of the first run that did not compute what the first of them did."""
-    first, *others = ((timing.run.folder, timing.run.about["scene"], timing.run.about["plan"]["steps"]) for timing in timings)
+    """The folder of the first run that did not compute what the first of them did, or of which other steps were timed."""
+    steps = [(timing.first, timing.run.about["counts"]["steps"]) for timing in timings]
+    first, *others = ((timing.run.folder, timing.run.about["scene"], of) for timing, of in zip(timings, steps, strict=True))
     return next((folder for folder, *what in others if what != list(first[1:])), None)
 
 
@@ -83,7 +85,8 @@ def draw_one(timing: Timing) -> Figure:
     axes.tick_params(axis="y", length=0)
     axes.grid(axis="y", visible=False)
     ranks = f"{timing.ranks} rank" + "s" * (timing.ranks != 1)
-    axes.set_title(f"{timing.run.title} · {ranks} · loop {timing.loop['mean']:.3g} s", fontsize=13)
+    part = f" from step {timing.first} on" if timing.first else ""
+    axes.set_title(f"{timing.run.title} · {ranks} · loop{part} {timing.loop['mean']:.3g} s", fontsize=13)
     return figure
 
 
@@ -164,7 +167,7 @@ def main() -> None:
         figure, name = draw_one(timings[0]), "phases.png"
     else:
         if not options.weak and (one := odd_one(timings)):
-            stop(f"{one} is of another scene, or of another number of steps: strong scaling compares the same work")
+            stop(f"{one} is of another scene, or other steps of it were timed: strong scaling compares the same work")
         figure, name = draw_several(timings, options.weak), "weak_scaling.png" if options.weak else "strong_scaling.png"
     finish(figure, save_path(options.save, options.runs[0], name), options.show)
 

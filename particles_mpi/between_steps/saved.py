@@ -7,7 +7,7 @@ from typing import Any, Self
 import numpy as np
 
 from particles_mpi.between_steps.membership import Membership
-from particles_mpi.contacts.drift import COUNTS
+from particles_mpi.contacts.drift import COUNTS, WORK
 from particles_mpi.contacts.warm_start import NOTHING, Memory
 from particles_mpi.errors import SceneError
 from particles_mpi.measure import snapshot
@@ -76,9 +76,21 @@ class Saved(Membership):
         with raising_together(ranks):
             sim = cls.restored(scene, ranks, rows, metadata, Memory(**contacts))
         sim.reported, sim.written = json.loads(saved["reported"]), json.loads(saved["written"])
+        if "past" in saved:
+            sim.count_on(json.loads(saved["past"]))
         if Path(path).name == "checkpoint.h5":  # a run into that folder goes on there
             sim.saved = Path(path).resolve().parent, sim.steps_done, identity_of(Path(path), ranks)
         return sim
+
+    def count_on(self, past: dict[str, Any]) -> None:
+        """Go on with what was counted of the run on all ranks, which one of them carries, and with what was remarked."""
+        counts = past["counts"]
+        if self.ranks.is_root:
+            self.ranks.messages += counts["messages"]
+            self.ranks.reductions += counts["reductions"]
+            self.drift.past_work = {name: counts.get(name, 0) for name in WORK}
+        self.calls.update({name: self.calls.get(name, 0) + calls for name, calls in past["calls"].items()})
+        self.drift.past_remarks = past["remarks"]
 
     def copy(self) -> Self:
         """Another simulation in the same state. Collective."""

@@ -37,25 +37,26 @@ LIBRARIES = ("numpy", "numba", "mpi4py", "h5py", "meshio", "particles-mpi")
 
 
 def tell_end(
-    sim: Any, plan: dict[str, Any], folder: Path, screen: Screen, seconds: dict[str, float], steps: int, rows: list[Any],
-    ended: bool,
+    sim: Any, plan: dict[str, Any], folder: Path, screen: Screen, seconds: dict[str, float], phases: dict[str, float],
+    first: int, rows: list[Any], ended: bool,
 ) -> None:  # fmt: skip
-    """Show the phase table and the remarks of a run of `steps` steps, and write `run.json` into its folder. Collective.
+    """Show the phase table and the remarks of a run, and write `run.json` into its folder. Collective.
 
     `ended`: was that its last one, or was the run stopped?
-    `seconds`: of this rank for the set-up and for the loop; those of the phases of the loop are in `sim.timers`. `rows` of
-    diagnostics: those of the start, if this is not a part of a run, and of the end.
+    `seconds`: of this rank for the set-up and for the loop, which began with the step `first`; `phases`: for those of the loop.
+    `rows` of diagnostics: those of the start, if this is not a part of a run, and of the end.
     """
-    timers, counts, remarks = phase_seconds(sim, seconds), run_counts(sim), sim.remarks() + energy_remarks(sim.active, rows)
-    screen.phases(timers, steps, sim.total)
+    timers, counts = phase_seconds(sim, seconds, phases), run_counts(sim)
+    remarks = sim.remarks() + energy_remarks(sim.active, rows)
+    screen.phases(timers, sim.steps_done - first, sim.total)
     say = screen.say
     if windows := counts.get("windows"):
         redone = counts["windows_redone"]
         say(f"{windows} windows of time verified by the ranks, {redone} redone ({100 * redone / windows:.1f} %)")
     for remark in remarks:
         say(remark)
-    told = {"ended": ended, "timers": timers, "phases": PHASES, "remarks": remarks, "counts": {"steps": sim.steps_done, **counts}}
-    about = about_run(sim, plan) | told
+    told = {"ended": ended, "timed_from": first, "timers": timers, "phases": PHASES, "remarks": remarks}
+    about = about_run(sim, plan) | told | {"counts": {"steps": sim.steps_done, **counts}}
     write_text(folder / "run.json", sim.ranks, json.dumps(about, indent=2) + "\n")
     formats, shown = sim.scene.output.formats, quote(str(folder))
     if formats:
@@ -86,9 +87,8 @@ def energy_remarks(effects: Any, rows: list[Any]) -> list[str]:
     ]
 
 
-def phase_seconds(sim: Any, seconds: dict[str, float]) -> dict[str, dict[str, float]]:
+def phase_seconds(sim: Any, seconds: dict[str, float], phases: dict[str, float]) -> dict[str, dict[str, float]]:
     """Least, mean and largest seconds among the ranks of the set-up, the loop, and each phase of it. Collective."""
-    phases = sim.timers.seconds
     everyone = sim.ranks.allgather({**seconds, **phases, "other": seconds["loop"] - sum(phases.values())})
     result = {}
     for name in [*seconds, *sorted(set().union(*everyone) - seconds.keys())]:

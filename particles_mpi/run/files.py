@@ -14,7 +14,7 @@ from particles_mpi.output.diagnostics_csv import Diagnostics
 from particles_mpi.output.files import identity_of, write_text
 from particles_mpi.particles import Array, field
 from particles_mpi.results.paraview import paraview_script
-from particles_mpi.run.ending import scene_and_folder
+from particles_mpi.run.ending import run_counts, scene_and_folder
 
 
 class RunFiles:
@@ -109,7 +109,8 @@ class RunFiles:
                 writer.show()  # a run that goes on from here counts on all frames up to here
         with sim.timers("checkpoint"):
             metadata = sim.metadata()
-            kept = metadata | {"reported": sim.reported, "written": self.written}
+            past = {"counts": run_counts(sim), "calls": sim.calls, "remarks": sim.drift.remarks_of_operators()}
+            kept = metadata | {"reported": sim.reported, "written": self.written, "past": past}
             state = {name: json.dumps(value) for name, value in kept.items()} | {"step": metadata["step"], "time": sim.time}
             state["effect_files"] = json.dumps(sim.scene.digests())
             path, d = self.folder / "checkpoint.h5", sim.scene.dimension

@@ -81,13 +81,14 @@ class Job:
             self.screen.plan(self.scene.title, self.plan, sim.warnings)
             for note in self.notes:
                 self.screen.say(f"  {note}")
-            setup, begin = perf_counter() - self.setup_began, perf_counter()
+            setup, begin, before = perf_counter() - self.setup_began, perf_counter(), sim.timers.seconds
             stopped = self.take_steps()
             self.files.close()
             if self.rehearsal:
                 return
             seconds = {"setup": setup, "loop": perf_counter() - begin}
-            tell_end(sim, self.plan, self.folder, self.screen, seconds, sim.steps_done - begun_with, self.rows, not stopped)
+            phases = {name: total - before.get(name, 0.0) for name, total in sim.timers.seconds.items()}
+            tell_end(sim, self.plan, self.folder, self.screen, seconds, phases, begun_with, self.rows, not stopped)
         except (SceneError, StoppedError) as error:
             await_all(self.ranks, error)  # to close a file would wait for ranks that have no error
             self.files.close()

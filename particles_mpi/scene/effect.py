@@ -222,8 +222,8 @@ class RollingResistance(Effect):
 
 
 def call_in_place(name: str, method: Callable[..., Any], *arguments: Any) -> None:
-    """Call a method of an effect that changes arrays in place. StoppedError if it returns something, which would be lost, or calls
-    `sys.exit`, for which the other ranks of a user's script would wait."""
+    """Call a method of an effect that changes arrays in place. StoppedError if it returns something, which would be lost, or
+    calls `sys.exit`, after which the other ranks of a user's script would wait for this one."""
     try:
         returned = method(*arguments)
     except SystemExit as error:

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import sys
 from importlib import import_module
 from math import pi
@@ -166,6 +167,29 @@ def test_rewind_against_event(tmp_path):
     assert lost[0] > 0.2 and abs(lost[1]) < 0.2 * lost[0]
     assert missed[0] > 5 * missed[1]
     assert (event / "plots" / "compare_runs.png").stat().st_size > 10_000
+
+
+def test_rewind_that_loses_nothing_against_event(tmp_path):
+    """There is no logarithm of nothing: no warning, and a picture with a point."""
+    event, same = gas(tmp_path, "event", 0.2, mode="event"), tmp_path / "same"
+    shutil.copytree(event, same)
+    about = json.loads((same / "run.json").read_text())
+    about["scene"]["effects"]["collisions"]["mode"] = "rewind"
+    (same / "run.json").write_text(json.dumps(about))
+    done = script("compare_runs.py", event, same)
+    assert done.returncode == 0 and not done.stderr, done.stderr
+    (row,) = (line.split() for line in done.stdout.splitlines() if re.match(r" +0\.2 ", line))
+    assert float(row[3]) == 0.0
+    assert (event / "plots" / "compare_runs.png").stat().st_size > 10_000
+
+
+def test_runs_with_too_few_rows_are_named(tmp_path):
+    few = tmp_path / "few"
+    tables = {"dimension": 2, "time": {"step": 0.1, "steps": 2}, "particles": [{"position": [[0.0, 0.0]], "radius": 0.1}]}
+    scene = Scene.from_dict(tables | {"effects": {"collisions": {"mode": "event"}}, "output": {"diagnostics_every": 2}})
+    Simulation(scene).run(few)
+    done = script("compare_runs.py", few, gas(tmp_path, "rewind", 0.1, mode="rewind"))
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and f"{few}: has too few rows of diagnostics" in done.stderr
 
 
 def test_runs_of_other_dimensions_cannot_be_compared(tmp_path):
