@@ -31,7 +31,7 @@ NOISY = 8.0  # times the round-off: changes from one iteration to the next that 
 STALLED, DIVERGED = 1e-10, 1e-8  # of the largest acceleration: changes that need not shrink any more, and that must
 SAFE_GROWTH = 0.25  # a substep is taken if the next one may be so many times as long, or longer
 SHRINK, GROW = 0.1, 4.0  # bounds of the length of a substep, divided by that of the one before
-SHORTEST = 1e-11  # of a step of the scene: where masses meet head on there is no end to it
+SHORTEST = 1e-11  # of the longest substep so far in a step of the scene: where masses meet head on there is no end to it
 BLIND = 4.0  # times the largest tolerance: more round-off hides the motion
 MOST_BLIND = 100  # tries in a row in which it does; then it is an error
 GUESSED = 1.5  # times the last step: for longer ones its polynomial is no guess
@@ -46,7 +46,7 @@ AT_START, SHAKEN_PLACES, AT_NODE, OVER_RANKS = 0, 1, 2, 3
 PROGRESS = np.dtype(
     [(name, np.int64) for name in ("stage", "node", "iterations", "tries", "blind", "substeps", "guessable")]
     + [(name, np.float64) for name in ("step", "done", "length", "noise", "change", "before", "largest", "top")]
-    + [(name, np.float64) for name in ("last_length", "last_begin")]
+    + [(name, np.float64) for name in ("last_length", "last_begin", "longest")]
 )
 
 
@@ -56,7 +56,7 @@ class Work(NamedTuple):
     progress (1,) of PROGRESS: stage, node and iterations of the substep of this `length`; tries so far, those in a row that were
     `blind`, and `substeps` taken; `done` of the `step`; noise: round-off of an acceleration; change, before: of this iteration
     and the one before; largest acceleration and `top`, the largest highest coefficient; of the last substep its length,
-    where within it the next one begins (0 or 1), and whether it is `guessable`. x0: places at the start; lost: what rounding took
+    where within it the next one begins (0 or 1), and whether it is `guessable`; the `longest` substep taken. x0: places at the start; lost: what rounding took
     from them; at (8, n d): accelerations at the nodes; last (8, n d): those of the last substep; row (8,): numbers of one
     component.
     """
@@ -230,7 +230,7 @@ def begin(x, step, work):
     progress, _, lost, _, _, _ = work
     s = progress[0]
     s["step"] = s["length"] = step
-    s["done"] = 0.0
+    s["done"] = s["longest"] = 0.0
     s["tries"] = s["blind"] = s["guessable"] = 0
     for m in range(len(lost)):
         lost[m] = 0.0
@@ -292,10 +292,11 @@ def go_on(x, v, d, force, work, tables):
     if next_length >= SAFE_GROWTH * length:
         s["done"] = s["step"] if length == s["step"] - s["done"] else s["done"] + length
         s["substeps"] += 1
+        s["longest"] = max(s["longest"], length)
     s["length"] = next_length
     if s["done"] >= s["step"]:
         return END
-    if not next_length > SHORTEST * s["step"] or s["blind"] > MOST_BLIND:
+    if not next_length > SHORTEST * (s["longest"] if s["longest"] > 0.0 else s["step"]) or s["blind"] > MOST_BLIND:
         return STUCK
     next_try(work, x)
     return FORCES

@@ -171,3 +171,23 @@ def test_two_at_the_same_place_stay_one(place):
     v[2] = [0.0, 0.0, 0.5]
     with pytest.raises(StoppedError, match="masses 0 and 2 meet, 0 apart"):
         bodies(x, v, [0.5, 0.5, 1.5], 0.1, 10).run()
+
+
+def on_hyperbola(anomaly, eccentricity):
+    """(place, velocity) with G M = 1 and a semi-major axis of -1, around a mass in the origin; pericentre on the positive axis."""
+    e, across = eccentricity, np.sqrt(eccentricity**2 - 1.0)
+    x = np.array([e - np.cosh(anomaly), across * np.sinh(anomaly)])
+    return x, np.array([-np.sinh(anomaly), across * np.cosh(anomaly)]) / (e * np.cosh(anomaly) - 1.0)
+
+
+def test_a_close_encounter_in_one_very_long_step():
+    """How short a substep may be follows from the motion, not from the length of the step: here 1e16 times as long."""
+    e, step, begin = 1.0 + 1e-6, 1e7, -3.0
+    x, v = on_hyperbola(begin, e)
+    sim = bodies([[0.0, 0.0], x], [[0.0, 0.0], v], [1.0, 0.0], step, 1)
+    sim.run()
+    mean = e * np.sinh(begin) - begin + step  # Kepler's equation e sinh(H) - H = mean anomaly, by Newton's method
+    end = np.arcsinh(mean / e)
+    for _ in range(20):
+        end -= (e * np.sinh(end) - end - mean) / (e * np.cosh(end) - 1.0)
+    assert np.abs(sim.particles.position[1] / on_hyperbola(end, e)[0] - 1.0).max() < 1e-6
