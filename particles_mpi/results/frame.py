@@ -29,9 +29,11 @@ class Frame:
         if name in self.fields:
             values = self._read(name)
         elif name == "fixed":  # stored only if a particle is
-            values = np.zeros(self.count, np.uint8)
+            values = np.zeros(self.count, bool)
         else:
             raise AttributeError(f"frame {self.index} has no field {name!r}; stored are {', '.join(self.fields)}")
+        if name == "fixed":  # a mask of rows
+            values = values.astype(bool)
         vars(self)[name] = values
         return values
 

@@ -129,7 +129,7 @@ def quantities(frame: Any) -> dict[str, Array]:
     for name in frame.fields:
         if name in ("position", "id", "velocity"):
             continue
-        values = frame[name]
+        values = frame[name] if name != "fixed" else frame[name].astype(float)
         found[name] = values if values.ndim == 1 else np.linalg.norm(values.reshape(len(values), prod(values.shape[1:])), axis=1)
     return found | {"speed": frame.speed}
 

@@ -209,7 +209,6 @@ def test_arrays_of_an_earlier_step_cannot_be_written_to_unnoticed():
         ("sim.h = 0.0", ValueError, "above 0"),
         ("sim.h = 'a'", ValueError, "h: 'a' is no length of a step"),
         ("sim.time = None", ValueError, "time: None is no finite number"),
-        ("sim.particles.fixed[3] = 2; sim.step()", StateError, r"particles\.fixed: particle 3 on rank 0 was given 2"),
         ("sim.particles.position[1] = 1e3; sim.step()", StateError, r"step 1: particles\.position: particle 1 on rank 0 was put"),
         ("sim.run(steps=3)", TypeError, "run: steps: only with a folder"),
         ("Simulation('x.toml')", TypeError, "'x.toml' is no Scene; there are Scene.load"),
@@ -226,6 +225,23 @@ def test_what_cannot_be_changed_says_so(wrong, error, says):
     there = {"sim": Simulation(Scene.from_dict(SCENES["elastic"])), "Simulation": Simulation}
     with pytest.raises(error, match=says):
         exec(wrong, there)
+
+
+def test_fixed_is_a_mask_of_rows():
+    """As whole numbers it would choose the particles 0 and 1, again and again."""
+    bodies = {
+        "position": [[0.0], [1.0], [2.0], [3.0]],
+        "velocity": [[1.0], [1.0], [0.0], [1.0]],
+        "fixed": [False, False, True, False],
+    }
+    sim = Simulation(Scene(dimension=1, time={"step": 0.1, "steps": 3}, particles=[bodies]))
+    sim.particles.mass[sim.particles.fixed] *= 7.0
+    assert sim.particles.mass.tolist() == [1.0, 1.0, 7.0, 1.0]
+    sim.particles.fixed = ~sim.particles.fixed
+    before = sim.particles.fixed
+    sim.step()
+    assert before.tolist() == sim.particles.arrays["fixed"].tolist() == [True, True, False, True]
+    assert sim.particles.position.ravel().tolist() == [0.0, 1.0, 2.0, 3.0]  # nobody moves: the third one was at rest
 
 
 def test_a_look_at_a_field_does_not_undo_a_change_of_an_option():
