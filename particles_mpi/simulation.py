@@ -15,6 +15,7 @@ from particles_mpi.parallel.agreement import raising_together, require_finite, s
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Particles
 from particles_mpi.results.notebook import LiveView
+from particles_mpi.run.files import without_large_vtk
 from particles_mpi.run.job import Job
 from particles_mpi.scene.schema import Scene
 
@@ -44,7 +45,7 @@ class Simulation(Saved):
                 rows, warnings = start.select(np.arange(*ranks.share(len(start)))), []
         with raising_together(ranks):
             self.begin(scene, ranks, rows)
-        self.warnings = warnings
+        self.warnings = warnings + without_large_vtk(self.scene.output, self.total)
 
     def step(self, *, collisions: bool = True) -> None:
         """Advance by one step; `collisions=False` lets particles pass through one another and through walls. Collective."""

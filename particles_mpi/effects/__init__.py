@@ -13,9 +13,9 @@ table and checks them. `Effect` derives from one of these kinds, which say when 
 - `VelocityFlow`: `advance` changes velocities at fixed positions, exactly, for instance a rotation in a magnetic field;
 - `Event`: `act` acts on positions and velocities at the end of the drift of each step.
 
-All three change arrays in place (of them `fixed` holds 0 or 1, which is no mask of rows: `fixed != 0` is one). `add` and `advance` return nothing, `act` the number of particles that it has changed. What
-they do to velocities of fixed particles is taken back. A file that was edited is read anew by the next scene; simulations that
-there are go on with what it was.
+All three change arrays in place. `add` and `advance` return nothing, `act` the number of particles that it has changed. What
+they do to velocities of fixed particles is taken back; `fixed` holds 0 or 1 there, so the mask of rows is `fixed != 0`. A file
+that was edited is read anew by the next scene; simulations that there are go on with what it was.
 
 What an effect needs stands in `needs`: a column of its own per particle (a charge, say) is then a key of every
 `[[particles]]` table, and is written to frames and checkpoints. An effect that no scene names is never imported.

@@ -56,9 +56,9 @@ class Work(NamedTuple):
     progress (1,) of PROGRESS: stage, node and iterations of the substep of this `length`; tries so far, those in a row that were
     `blind`, and `substeps` taken; `done` of the `step`; noise: round-off of an acceleration; change, before: of this iteration
     and the one before; largest acceleration and `top`, the largest highest coefficient; of the last substep its length,
-    where within it the next one begins (0 or 1), and whether it is `guessable`; the `longest` substep taken. x0: places at the start; lost: what rounding took
-    from them; at (8, n d): accelerations at the nodes; last (8, n d): those of the last substep; row (8,): numbers of one
-    component.
+    where within it the next one begins (0 or 1), and whether it is `guessable`; the `longest` substep taken. x0: places at the
+    start; lost: what rounding took from them; at (8, n d): accelerations at the nodes; last (8, n d): those of the last substep;
+    row (8,): numbers of one component.
     """
 
     progress: Array

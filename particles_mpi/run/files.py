@@ -17,6 +17,17 @@ from particles_mpi.results.paraview import paraview_script
 from particles_mpi.run.ending import run_counts, scene_and_folder
 
 
+MOST_VTK = 1_000_000  # particles of which there are VTK files without being asked for: slower and larger than HDF5
+
+
+def without_large_vtk(output: Any, total: int) -> list[str]:
+    """Takes VTK out of the `output` of a scene with very many particles that does not ask for it; returns what a user is told."""
+    if total <= MOST_VTK or "vtk" not in output.formats or "formats" in output.model_fields_set:
+        return []
+    output.formats.remove("vtk")
+    return [f"output.formats: no VTK files of more than {MOST_VTK} particles, unless it asks for them"]
+
+
 class RunFiles:
     """Claims a folder for a run, opens what it writes, and writes it. Collective throughout.
 

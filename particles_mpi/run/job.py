@@ -18,7 +18,6 @@ from particles_mpi.run.files import RunFiles
 from particles_mpi.run.forecast import Forecast, Forecaster
 from particles_mpi.scene.plan import plan
 
-MOST_VTK = 1_000_000  # particles of which there are VTK files without being asked for: slower and larger than HDF5
 SHOW_EVERY = 10  # steps between two moves of the progress bar
 SAFETY = 1.5  # times the slowest checkpoint: how long before the limit of its time a run stops
 
@@ -62,10 +61,6 @@ class Job:
         self.forecast: Forecast | None = None
         self.rows: list[dict[str, Any]] = []  # of diagnostics: of the start, unless that was in another job, and of the end
         self.screen = Screen(self.ranks.is_root, quiet or rehearsal)
-        output = self.scene.output
-        if sim.total > MOST_VTK and "vtk" in output.formats and "formats" not in output.model_fields_set:
-            output.formats.remove("vtk")
-            sim.warnings.append(f"output.formats: no VTK files of more than {MOST_VTK} particles, unless it asks for them")
         self.plan = plan(self.scene, sim.rows, self.ranks, self.last)
         self.request = StopRequest(self.ranks, self.setup_began, wall_time)  # from here on a signal must not leave half a file
         try:

@@ -174,7 +174,7 @@ def test_two_at_the_same_place_stay_one(place):
 
 
 def on_hyperbola(anomaly, eccentricity):
-    """(place, velocity) with G M = 1 and a semi-major axis of -1, around a mass in the origin; pericentre on the positive axis."""
+    """(place, velocity) with G M = 1 and a semi-major axis of -1, around a mass in the origin; the pericentre has x > 0."""
     e, across = eccentricity, np.sqrt(eccentricity**2 - 1.0)
     x = np.array([e - np.cosh(anomaly), across * np.sinh(anomaly)])
     return x, np.array([-np.sinh(anomaly), across * np.cosh(anomaly)]) / (e * np.cosh(anomaly) - 1.0)

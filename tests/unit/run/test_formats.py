@@ -3,20 +3,27 @@
 import pytest
 
 from particles_mpi import Scene, Simulation
-from particles_mpi.run import job
+from particles_mpi.run import files
 
 
 @pytest.mark.parametrize(
     ("asked", "written"), [({}, False), ({"formats": ["vtk", "hdf5"]}, True), ({"formats": ["hdf5"]}, False)]
 )
 def test_vtk_files_of_many_particles(tmp_path, monkeypatch, asked, written):
-    monkeypatch.setattr(job, "MOST_VTK", 5)
+    monkeypatch.setattr(files, "MOST_VTK", 5)
     tables = {"dimension": 2, "time": {"step": 0.1, "steps": 4}, "output": {"every": 2, "checkpoint_every": 2} | asked}
     for count, said, first in ((5, False, 2), (6, not asked, 0)):  # a run of no steps can be continued, too
         scene = Scene.from_dict({**tables, "particles": [{"position": [[k, 0.0] for k in range(count)]}], "effects": {}})
         sim, out, described = Simulation(scene), tmp_path / str(count), scene.to_dict()
+        same = sim.copy()
+        sim.to_json(tmp_path / "state.json")
         sim.run(out, steps=first)
+        same.steps(first)
+        assert sim == same  # what is written changes no simulation
         assert scene.to_dict() == described  # it may begin a second run
+        again = Simulation.from_json(tmp_path / "state.json")
+        again.run(tmp_path / f"again{count}")
+        assert again.scene.output.formats == sim.scene.output.formats
         Simulation.resume(out / "checkpoint.h5").run(out, resumed=True)
         vtk = written or (count == 5 and "vtk" in scene.output.formats)
         assert (out / "trajectory.vtkhdf").exists()
