@@ -1,5 +1,7 @@
 """The recommended setting reaches the tolerance in truth, and nothing measured that does is much cheaper."""
 
+from time import sleep
+
 import numpy as np
 import pytest
 from recommend_cases import CASES, kepler, thrown
@@ -81,7 +83,7 @@ def test_whole_periods_are_no_chaos():
 def test_the_step_that_is_told_is_the_one_that_was_measured():
     """And not a shorter one, to which that of a part of the run was rounded."""
     start = Start(Benchmark(), kepler(1e-9).scene)
-    search = Search(start, reference(start, 0.02), "state", 1e-2, PLENTY)
+    search = Search(start, reference(start, 0.005), "state", 1e-2, PLENTY)
     assert search.metric.part < 1.0
     for method in (method for method in methods(start) if not method.adaptive):
         for resolution in (37.0, 75.0, 1000.0):
@@ -139,8 +141,26 @@ def test_errors_of_a_reference_are_those_of_the_exact_solution():
 
 
 def test_little_time_gives_the_first_part_of_the_run():
-    found = reference(Start(Benchmark(), kepler(1e-9).scene), 0.02)
+    found = reference(Start(Benchmark(), kepler(1e-9).scene), 0.005)
     assert found.part < 1.0 and np.log2(found.part).is_integer() and found.span == pytest.approx(found.part * 4.0 * np.pi)
+
+
+@pytest.mark.parametrize("seconds", [0.0005, 0.005, PLENTY])
+def test_a_slow_machine_measures_the_same(seconds, monkeypatch):
+    """How much of the run, and against which reference, is decided by counted work: a clock would decide anew each time."""
+    orbit, ball = kepler(1e-9).scene, falling_ball(1.0, 400, 0.01)
+    quick = [reference(Start(Benchmark(), scene), 0.1 * seconds if scene is ball else seconds) for scene in (orbit, ball)]
+    steps = Simulation.steps
+
+    def slow_steps(self, number):
+        sleep(0.003)
+        steps(self, number)
+
+    monkeypatch.setattr(Simulation, "steps", slow_steps)
+    slow = [reference(Start(Benchmark(), scene), 0.1 * seconds if scene is ball else seconds) for scene in (orbit, ball)]
+    for one, other in zip(quick, slow, strict=True):
+        assert (one.part, one.reference, one.limits, one.size) == (other.part, other.reference, other.limits, other.size)
+        assert one.places.tobytes() == other.places.tobytes()
 
 
 def test_extrapolation_finds_the_limit_and_knows_how_well():

@@ -5,7 +5,6 @@ A start that is displaced a little tells how chaotic the motion is, and with tha
 
 from itertools import pairwise
 from math import inf, nan, sqrt
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from particles_mpi import Scene, Simulation
 from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.kernels.geometry import image_shifts
 from particles_mpi.particles import Array
+from particles_mpi.study.recommend.counted_seconds import counted_seconds
 from particles_mpi.study.recommend.error_metric import ROUND_OFF, ErrorMetric
 from particles_mpi.study.recommend.methods import DIRECT, EVENT
 from particles_mpi.study.recommend.runs import (
@@ -40,6 +40,8 @@ REFERENCE_SHARE = 1.0 / 3.0  # of the seconds given are for the reference
 
 def reference(start: Start, seconds: float, error: str = "") -> ErrorMetric:
     """The error metric of a scene, in about a third of the seconds given; of its first part if they are too few. Collective.
+
+    All seconds here are `counted_seconds`, so that the reference is the same each time and on any ranks.
 
     `error`: the only one that matters; the energy of the start needs no better solution.
     """
@@ -71,17 +73,17 @@ def affordable(start: Start, cost: float, seconds: float) -> ErrorMetric:
 
 def cost(start: Start, sim: Simulation, seconds: float, longer: float = 1.0) -> float:
     """Seconds that a unit of time takes: over `seconds` of steps, each `longer` than the last. Collective."""
-    sim.step()  # compiled
-    passed, clocked, rates, number = 0.0, 0.0, [0.0], 1
-    while clocked < seconds and passed < start.duration:
-        began = perf_counter()
+    sim.step()
+    passed, spent, rates, number = 0.0, 0.0, [0.0], 1
+    while spent < seconds and passed < start.duration:
+        before = counted_seconds(sim)
         sim.steps(number)
-        took = sim.ranks.largest(perf_counter() - began)[0]
+        took = max(counted_seconds(sim) - before, 0.0)  # those that come to rest, and wake, are counted as they are now
         rates.append(took / (number * sim.h))
-        passed, clocked = passed + number * sim.h, clocked + took
+        passed, spent = passed + number * sim.h, spent + took
         sim.h *= longer
-        number *= 2 if longer == 1.0 and clocked < 0.1 * seconds else 1  # few bodies: many steps cost little more than one
-    return rates[-1] if longer > 1.0 else float(np.median(rates[1:] or rates))  # a kernel may be loaded on the way
+        number *= 2 if longer == 1.0 and spent < 0.1 * seconds else 1  # few bodies: many steps cost little more than one
+    return rates[-1] if longer > 1.0 else float(np.median(rates[1:] or rates))
 
 
 def by_order_15(start: Start, seconds: float) -> ErrorMetric | None:
@@ -139,21 +141,21 @@ def by_steps(start: Start, seconds: float) -> ErrorMetric:
 
 def converge(found: ErrorMetric, first: Record, steps: int, seconds: float) -> tuple[Array, float, Record]:
     """(places and energies at steps of length zero, how far they may be off, the last run), by halving steps."""
-    start, began = found.start, perf_counter()
+    start = found.start
     limit = max(found.growth, 1.0) * ROUND_OFF * found.size
     records, column = [first], [places_and_energies(first, first, start.length)]
-    best, uncertainty, better, clocked = column[0], np.inf, True, 0.0
-    while len(column) < 3 or (len(column) <= MOST_HALVINGS and uncertainty > limit and better and 3.0 * clocked < seconds):
+    best, uncertainty, better, spent = column[0], np.inf, True, 0.0
+    while len(column) < 3 or (len(column) <= MOST_HALVINGS and uncertainty > limit and better and 3.0 * spent < seconds):
         records.append(follow(start, start.simulate(exact_scene(start, steps * 2 ** len(column), found.span)), found.snapshots))
         column.append(places_and_energies(records[-1], first, start.length))
         value, change = extrapolated(column)
         better = change < 0.5 * uncertainty  # if not, round-off or corners are all that is left
         if change <= uncertainty:
             best, uncertainty = value, change
-        clocked = start.benchmark.ranks.largest(perf_counter() - began)[0]
+        spent += records[-1].counted
     one, two = (start.apart(a.places, b.places) for a, b in pairwise(records[:3]))
-    found.order = float(np.log2(one / two)) if two > limit else nan
-    seen = f"order {found.order:.2f}" if two > limit else "no error of the step"
+    found.order = float(np.log2(one / two)) if min(one, two) > limit else nan
+    seen = f"order {found.order:.2f}" if found.order == found.order else "no error of the step"
     found.reference = f"{method_in_words(start)}, steps of 1 to 1/{2 ** (len(column) - 1)}, extrapolated ({seen})"
     return best, uncertainty, records[-1]
 

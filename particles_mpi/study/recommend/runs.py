@@ -24,6 +24,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import RUN_MADE, Array, Particles, default_values
 from particles_mpi.scene.active import ActiveEffects, fields_of
 from particles_mpi.study.experiment import Benchmark, all_particles, total_count
+from particles_mpi.study.recommend.counted_seconds import counted_seconds
 
 DISPLACEMENT = 1e-12  # of the size of a motion: how far a displaced start is from the start
 FEW_PARTICLES = 64  # particles that more than one rank would only slow down
@@ -40,7 +41,7 @@ Changes = dict[str, dict[str, Any] | None]  # keys of effects that change, and e
 
 
 class TooLongError(StoppedError):
-    """A run that takes more seconds than it was given."""
+    """A run that takes more `counted_seconds` than it was given."""
 
 
 def variant(scene: Scene, time: dict[str, Any], effects: Changes | None = None) -> Scene:
@@ -143,7 +144,7 @@ class Record:
     places: (snapshots, N, d) at the snapshots; energy: (snapshots,) there; energies, kinetic: at more moments, the start too;
     heights: (snapshots,) of the centre of all particles against gravity; motion: its size, the root mean square distance of what
     moves from the middle of it at the start, at LOOKS moments: for one particle this is how far it gets; 1 if nothing moves;
-    duration: time units; seconds: with all snapshots, on the slowest rank.
+    duration: time units; seconds: with all snapshots, on the slowest rank; counted: `counted_seconds`, the same each time.
     """
 
     places: Array
@@ -156,6 +157,7 @@ class Record:
     motion: float
     duration: float
     seconds: float
+    counted: float
 
     @property
     def observables(self) -> dict[str, float]:
@@ -165,7 +167,7 @@ class Record:
 
 
 def follow(start: Start, sim: Simulation, snapshots: int, patience: float = np.inf) -> Record:
-    """Run a simulation to the end of its scene. Collective; TooLongError after `patience` seconds."""
+    """Run a simulation to the end of its scene. Collective; TooLongError after `patience` `counted_seconds`."""
     steps, began = sim.scene.steps, perf_counter()
     snapshot_steps, energy_steps = steps // snapshots, max(1, steps // ENERGY_SAMPLES)
     looks = sorted({max(1, round(steps * (k * GOLDEN % 1.0))) for k in range(LOOKS)})
@@ -178,8 +180,7 @@ def follow(start: Start, sim: Simulation, snapshots: int, patience: float = np.i
             del looks[0]
         if sim.steps_done % energy_steps == 0 or sim.steps_done == steps:
             energies.append(total_and_kinetic(sim))
-            seconds = sim.ranks.largest(perf_counter() - began)[0]
-            if seconds > patience and sim.steps_done < steps:
+            if patience < np.inf and sim.steps_done < steps and counted_seconds(sim) > patience:
                 raise TooLongError(f"longer than {patience:.3g} s")
         if sim.steps_done % snapshot_steps == 0:
             places.append(all_particles(sim).position)
@@ -193,7 +194,8 @@ def follow(start: Start, sim: Simulation, snapshots: int, patience: float = np.i
     counts = total_count(sim, "collisions"), total_count(sim, "wall_hits")
     motion = sqrt(float(np.mean(spreads))) or 1.0
     seconds = sim.ranks.largest(perf_counter() - began)[0]
-    return Record(found, np.array(at_snapshots), sums, kinetic, *counts, heights, motion, steps * sim.h, seconds)
+    cost = seconds, counted_seconds(sim)
+    return Record(found, np.array(at_snapshots), sums, kinetic, *counts, heights, motion, steps * sim.h, *cost)
 
 
 def apart_all_along(start: Start, coarse: Scene, fine: Scene) -> float:
