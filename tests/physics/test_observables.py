@@ -113,6 +113,40 @@ def test_pressure_after_some_were_removed():
     assert row["z_virial"] == pytest.approx(wanted, rel=1e-12) and 1.0 < wanted < 3.0
 
 
+@pytest.mark.parametrize("d", [2, 3])
+def test_fixed_spheres_have_no_temperature(d):
+    """Nor a part in any other moment of velocities, though they move relative to all others, which fly along together."""
+    movable = {
+        "count": 50,
+        "position": "random",
+        "velocity": {"temperature": 1.0},
+        "radius": 0.01,
+        "mass": {"min": 1.0, "max": 3.0},
+    }
+    held = {"count": 20, "position": "random", "radius": 0.01, "mass": 5.0, "fixed": True}
+    box, time, output = (
+        {"lower": [0.0] * d, "upper": [5.0] * d, "periodic": True},
+        {"step": 0.1, "steps": 1},
+        {"observables": True},
+    )
+    scene = Scene(
+        dimension=d,
+        seed=2,
+        box=box,
+        time=time,
+        particles=[movable, held],
+        effects={"collisions": {"mode": "event"}},
+        output=output,
+    )
+    sim = Simulation(scene)
+    sim.particles.velocity[~sim.particles.fixed] += 4.0
+    row, p = sim.measure(), sim.particles.select(np.flatnonzero(~sim.particles.fixed))
+    own = p.velocity - (p.mass[:, None] * p.velocity).sum(axis=0) / p.mass.sum()
+    square = (own**2).sum(axis=1)
+    assert row["temperature"] == pytest.approx((p.mass * square).sum() / (d * 49), rel=1e-12)
+    assert row["moment_ratio"] == pytest.approx((square**2).mean() / square.mean() ** 2, rel=1e-12)
+
+
 def test_what_has_no_meaning_is_not_a_number():
     """A hit of a fixed sphere is one collision of one particle, not of two; and z_rate is that of elastic spheres."""
     lossy = Simulation(fluid(0.3, 0.05, 300, mode="event", restitution=0.9))
