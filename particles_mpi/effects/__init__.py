@@ -24,6 +24,9 @@ must have the same bits on any number of ranks. Each rank calls the methods for 
 An `Effect` is made several times, before a run, too: what takes long, as to read a table, is for `bind`, which is called when a
 simulation begins.
 
+A force with a `potential` is part of the total energy. In a periodic box that must be the same where a particle leaves it and
+where it comes in again; a force that pushes particles around the box has none, and `potential` then returns `nan` for each.
+
 A force between particles needs those of other ranks. `bind` gives it the `Context` before the first step: the ranks, the box.
 Say `collective = True` if `add` exchanges messages: all ranks then call it together, with rows or without. Examples are in
 `tests/parallel/outside`: `springs.py`, a force; `repulsion.py`, one between pairs; `magnetic.py`, a velocity flow; `gate.py`, an
