@@ -5,18 +5,22 @@ machine and on the hour, and so would the errors that a study tells. The seconds
 factor of three in the scenes that come with the program.
 """
 
+import numpy as np
+
 from particles_mpi import Simulation
 
 EVENT, INTERACTION = 1.2e-6, 1e-9  # of a contact; of a pair that attracts, or what a tree puts in its place
 STEP, FORCE = 1e-4, 2e-5  # of a step, and of a sum of forces, where each is a call from Python
 STEP_OF_MANY, FORCE_OF_MANY = 1e-6, 1e-7  # where `ManySteps` computes them
-ROW, RESTING = 8e-8, 5e-6  # of a particle in a step, and of one whose contacts last
+KEEPING = 5e-4  # more of a step where contacts may last
+ROW, KEPT, RESTING = 8e-8, 2e-7, 5e-6  # of a particle in a step; more where contacts may last, and of one whose contacts do
 
 
 def counted_seconds(sim: Simulation) -> float:
     """Of all that was done so far. Collective."""
     work, many = sim.work(), sim.many_steps
-    resting = sim.ranks.total(int(sim.rows["supported"].sum()) if sim.persistent else 0)[0]
-    step = (STEP_OF_MANY if many else STEP) + ROW * sim.total + RESTING * resting
+    step = (STEP_OF_MANY if many else STEP) + ROW * sim.total
+    if sim.persistent and not many:
+        step += KEEPING + KEPT * sim.total + RESTING * sim.ranks.total(np.count_nonzero(sim.rows["supported"]))[0]
     force = FORCE_OF_MANY if many else FORCE
     return sim.steps_done * step + work["forces"] * force + work["interactions"] * INTERACTION + work["events"] * EVENT
