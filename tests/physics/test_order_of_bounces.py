@@ -53,6 +53,42 @@ def test_bounces_are_of_second_order(dimension, force, loss):
         assert errors(force, "event", STEPS[0], *problems[0]) == pytest.approx(found[0], abs=1e-9)
 
 
+def rough_bounces(h, mode):
+    """Places after one hit of rough balls, which friction slows: 16 that hit a floor, and 16 pairs in flight, at various times."""
+    k = np.arange(16.0)
+    over_floor = {"position": np.column_stack((3.0 * k, 0.4 + 0.013 * k)).tolist(), "velocity": [1.5, -1.0], "spin": 7.0}
+    left, right = np.column_stack((4.0 * k, 20.0 + 0.0 * k)), np.column_stack((4.0 * k + 0.5 + 0.011 * k, 20.12 + 0.0 * k))
+    pairs = (
+        {"position": left.tolist(), "velocity": [1.0, 0.3], "mass": 1.0, "spin": -3.0},
+        {"position": right.tolist(), "velocity": [-1.0, -0.2], "mass": 2.5, "spin": 5.0},
+    )
+    surface = {"restitution": 0.8, "friction": 0.4, "tangential_restitution": 0.3}
+    sim = Simulation(
+        Scene(
+            dimension=2,
+            time={"step": h, "end": 0.5},
+            particles=[{"radius": 0.1} | population for population in (over_floor, *pairs)],
+            effects={
+                "uniform_gravity": {"acceleration": [0.0, -2.0]},
+                "friction": {"strength": 1.5},
+                "collisions": {"mode": mode} | surface,
+                "walls": {"planes": [{"point": [0, 0], "normal": [0, 1]}]} | surface,
+            },
+        )
+    )
+    sim.run()
+    assert (sim.totals["collisions"], sim.totals["wall_hits"]) == (16, 16)
+    return sim.particles.position[np.argsort(sim.particles.id)].reshape(3, 16, 2).copy()
+
+
+@pytest.mark.parametrize("mode", ["rewind", "event"])
+def test_rough_bounces_are_of_second_order(mode):
+    """With friction, which depends on the speed that a contact leaves: on the floor, and of either partner in flight."""
+    true = rough_bounces(1e-4, mode)
+    coarse, fine = (np.abs(rough_bounces(h, mode) - true).max(axis=2).mean(axis=1) for h in STEPS)
+    np.testing.assert_allclose(np.log(coarse / fine) / log(STEPS[0] / STEPS[1]), 2.0, atol=0.2)
+
+
 def energies(tables):
     """Largest relative change of the energy from step to step, and the simulation."""
     sim = Simulation(Scene(**tables))
