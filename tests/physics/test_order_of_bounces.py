@@ -54,7 +54,7 @@ def test_bounces_are_of_second_order(dimension, force, loss):
 
 
 def rough_bounces(h, mode):
-    """Places after one hit of rough balls, which friction slows: 16 that hit a floor, and 16 pairs in flight, at various times."""
+    """Places after one hit of rough balls, which friction slows: 16 on a floor, 16 pairs in flight, at various times."""
     k = np.arange(16.0)
     over_floor = {"position": np.column_stack((3.0 * k, 0.4 + 0.013 * k)).tolist(), "velocity": [1.5, -1.0], "spin": 7.0}
     left, right = np.column_stack((4.0 * k, 20.0 + 0.0 * k)), np.column_stack((4.0 * k + 0.5 + 0.011 * k, 20.12 + 0.0 * k))
