@@ -197,6 +197,11 @@ def collect_garbage() -> None:
     gc.enable()
 
 
+def nobody_reads(error: BaseException) -> bool:
+    """Is it that what is printed is no longer read, as behind `| head`? Not on several ranks: mpirun reads it there."""
+    return isinstance(error, BrokenPipeError) or isinstance(error.__context__, BrokenPipeError)
+
+
 def main() -> None:
     """Run the command; what goes wrong on any rank ends all, with one line and the exit code of the error: `sys.exit` in a user's
     effect too, after which the others would wait for this rank.
@@ -217,6 +222,8 @@ def main() -> None:
     except typer.Exit as error:
         code = error.exit_code
     except BaseException as error:
+        if nobody_reads(error) and (sys.argv[1:2] != ["run"] or "--help" in sys.argv):  # all that is left to do is to print
+            os._exit(0)
         wrong_arguments = getattr(error, "format_message", None)  # typer's own
         code = abort_all(SceneError(wrong_arguments()) if wrong_arguments else error)
         if isinstance(error, StoppedError) and not isinstance(error, StateError):

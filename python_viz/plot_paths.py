@@ -62,7 +62,7 @@ def inside(path: np.ndarray, lower: np.ndarray, length: np.ndarray) -> np.ndarra
     number, cuts = np.arange(len(path)), []
     for k in np.flatnonzero(length):
         cell = (path[:, k] - lower[k]) / length[k]
-        for i in np.flatnonzero(np.diff(np.floor(cell))):
+        for i in np.flatnonzero(np.nan_to_num(np.diff(np.floor(cell)))):  # nan where the particle was not there
             begin, end = sorted(cell[i : i + 2])
             faces = np.arange(np.ceil(begin), np.ceil(end))
             cuts.append(i + (faces - cell[i]) / (cell[i + 1] - cell[i]))

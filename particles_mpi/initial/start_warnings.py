@@ -28,7 +28,7 @@ def rounded_end(scene: Scene) -> list[str]:
 
 def planes_that_end(scene: Scene) -> list[str]:
     """Warnings of planes that stop at the border of the box, where particles go round."""
-    planes = (scene.effects["walls"].planes or []) if "walls" in scene.effects else []
+    planes = (scene.active["walls"].planes or []) if "walls" in scene.active else []
     axes = [[k for k in np.flatnonzero(scene.periodic).tolist() if plane.normal[k] != 0.0] for plane in planes]
     return [
         f"effects.walls.planes[{number}].normal: not zero along periodic axis {crossed[0]}:"
@@ -41,10 +41,10 @@ def planes_that_end(scene: Scene) -> list[str]:
 def endless_falls(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]:
     """Warnings of forces with a component along a periodic axis: their work has no potential, for each turn takes more of it."""
     axes, drawn = np.flatnonzero(scene.periodic), []
-    if "uniform_gravity" in scene.effects:
-        along = np.array(scene.effects["uniform_gravity"].acceleration)[axes] != 0.0
+    if "uniform_gravity" in scene.active:
+        along = np.array(scene.active["uniform_gravity"].acceleration)[axes] != 0.0
         drawn.append(("uniform_gravity.acceleration: not zero", axes[along]))
-    if "user_acceleration" in scene.effects and len(axes):
+    if "user_acceleration" in scene.active and len(axes):
         pushed = (particles["acceleration"][:, axes] != 0.0) & (particles.fixed == 0)[:, None]
         who = listed_ids(ranks, particles.id[pushed.any(axis=1)])
         along = ranks.allreduce_max(pushed.any(axis=0).astype(np.int64)) > 0
@@ -59,7 +59,7 @@ def endless_falls(scene: Scene, particles: Particles, ranks: Communicator) -> li
 
 def idle_effects(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]:
     """Warnings of effects that change nothing: they have no strength, or no particle has what they act by."""
-    effects, gravity = scene.effects, scene.effects.get("mutual_gravity")
+    effects, gravity = scene.active, scene.active.get("mutual_gravity")
     names = [name for name in IDLE if name in effects]
     acting = ranks.total(*(np.count_nonzero(particles[IDLE[name][0]]) for name in names)) if names else []
     idle = [f"effects.{name}: {IDLE[name][1]}" for name, some in zip(names, acting, strict=True) if not some]
@@ -78,7 +78,7 @@ def strength(scene: Scene, gravity: Any) -> float:
 
 def coincident(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]:
     """A warning of bodies at the same place that attract one another without softening: the law has no value there."""
-    gravity = scene.effects.get("mutual_gravity")
+    gravity = scene.active.get("mutual_gravity")
     if gravity is None or gravity.softening > 0.0 or strength(scene, gravity) == 0.0:
         return []
     columns = {name: particles[name] for name in ("id", "position", "mass", "fixed")}

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from particles_mpi.errors import StateError
 from particles_mpi.kernels import limits
 from particles_mpi.kernels.jit import in_place, kernel
 from particles_mpi.particles import Array
@@ -70,6 +71,14 @@ def spacing(low: Array, high: Array, n: int) -> float:
     extent = np.maximum(high - low, 0.0)[:GRIDDED]
     extent = extent[extent > 1e-9 * extent.max()]
     return float(np.exp(np.log(extent).mean()) / max(n, 1) ** (1.0 / len(extent))) if len(extent) else 0.0
+
+
+def too_narrow(length: Array, distance: float) -> StateError:
+    """The error where spheres may touch at this distance of their centres, and a periodic box is not twice as wide."""
+    return StateError(
+        f"particles.radius: a step needs a periodic box more than twice as wide as spheres are apart that touch; it is"
+        f" {length[length > 0.0].min():g} wide, and they are {distance:g} apart"
+    )
 
 
 @kernel

@@ -14,7 +14,7 @@ from particles_mpi.kernels.geometry import Box, wrap
 from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.kernels.motion import Segments, end_segments
 from particles_mpi.neighbours.candidates import Candidates, Hits
-from particles_mpi.neighbours.cells import GRIDDED, bounds, order_in_space, spacing
+from particles_mpi.neighbours.cells import GRIDDED, bounds, order_in_space, spacing, too_narrow
 from particles_mpi.neighbours.halo_region import HaloRegion, Margins, everywhere, fetch_near_rows
 from particles_mpi.neighbours.pass_messages import OWN_ONLY, Active, message_width, who_is_concerned
 from particles_mpi.neighbours.rebuild_interval import RebuildTuner
@@ -142,6 +142,8 @@ class Neighbourhood:
         periodic = np.flatnonzero(self.length)
         if len(periodic):
             part = np.where(np.arange(d) < GRIDDED, 0.5, 0.25)
+            if not 2.0 * contact < self.length[periodic].min():
+                raise too_narrow(self.length, contact)
             widest = float(((0.5 * self.length - contact) * part)[periodic].min()) * (1.0 - 1e-9)
             least = max(travel, at_least - tolerance)
             if not least < widest:

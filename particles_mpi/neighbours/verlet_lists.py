@@ -2,12 +2,11 @@
 
 import numpy as np
 
-from particles_mpi.errors import StateError
 from particles_mpi.kernels import limits
 from particles_mpi.kernels.geometry import Box, boxes_per_length
 from particles_mpi.kernels.limits import require_countable
 from particles_mpi.kernels.memory import aligned, doubled, enlarged, whole_lines
-from particles_mpi.neighbours.cells import spacing
+from particles_mpi.neighbours.cells import spacing, too_narrow
 from particles_mpi.neighbours.verlet_cells import CELL, NO_CELL, make_grid
 from particles_mpi.neighbours.verlet_kernels import (
     BEGIN,
@@ -80,10 +79,7 @@ class VerletLists:
         periodic = self.box.length[self.box.length > 0.0]
         widest = float(periodic.min() - 2.0 * distance) / 8.0 if len(periodic) else np.inf
         if not widest > 0.0:
-            raise StateError(
-                f"particles.radius: a step needs a periodic box more than twice as wide as spheres are apart that touch; it is"
-                f" {periodic.min():g} wide, and they are {distance:g} apart"
-            )
+            raise too_narrow(self.box.length, distance)
         return widest
 
     def build(self, x: Array, radius: Array, w: Array, spare: int = 0) -> None:

@@ -1,6 +1,7 @@
 """What a user sees: the plan, a progress bar, the phase table. Printed by rank 0; plain lines where there is no terminal."""
 
 import os
+import sys
 from collections.abc import Callable
 from math import isfinite
 from time import perf_counter
@@ -83,12 +84,20 @@ def tell_of_compiling(dimension: int) -> None:
     event.register("numba:compile", Teller())
 
 
+class SteadyConsole(Console):
+    """Where nobody reads any longer what it prints, as behind `| head`, it is quiet: what it tells of goes on."""
+
+    def on_broken_pipe(self) -> None:
+        self.quiet = True
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left in buffers goes nowhere, without an error
+
+
 class Screen:
     """Prints on rank 0, unless `quiet`."""
 
     def __init__(self, is_root: bool, quiet: bool):
         self.loud, shown = is_root and not quiet, watched()
-        self.console = Console(
+        self.console = SteadyConsole(
             highlight=False,
             soft_wrap=True,
             force_terminal=None if shown else False,

@@ -5,14 +5,15 @@ import json
 import os
 import re
 import subprocess
+import sys
 from importlib.metadata import version
 
 import h5py
 import numpy as np
 import pytest
-from conftest import ROOT, run_ranks
+from conftest import ROOT, environment, run_ranks
 
-from particles_mpi import Scene, Simulation
+from particles_mpi import Run, Scene, Simulation
 from particles_mpi.cli import check
 from particles_mpi.scene.memory import LIBRARIES
 
@@ -142,6 +143,25 @@ def test_counts_add_up(scene, tmp_path):
     for name in ("collisions", "wall_hits", "missed", "exchanges"):
         assert sum(int(row[name]) for row in table) == told[name]
     assert told["collisions"] > 0 and told["ghost_rows"] > 0
+
+
+@pytest.mark.parametrize("words", ["run", "check", "--help", "run --help", "study accuracy --only A --quick --output study"])
+def test_who_stops_reading_what_is_printed_stops_nothing_else(scene, tmp_path, words):
+    """As `| head -1` does: a run goes on to its end, and no command complains."""
+    command, *more = words.split()
+    given = [command, *([scene] if command in ("run", "check") and not more else []), *more]
+    program = subprocess.Popen(
+        [sys.executable, "-m", "particles_mpi", *given], cwd=tmp_path, env=environment(),
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    program.stdout.readline()
+    program.stdout.close()
+    with program.stderr:
+        said = program.stderr.read()
+    assert (program.wait(100), said) == (0, b"")
+    if words == "run":
+        (folder,) = (path.parent for path in tmp_path.rglob("run.json"))
+        assert Run(folder).ended
 
 
 @pytest.mark.parametrize(

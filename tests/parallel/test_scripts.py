@@ -126,6 +126,21 @@ def test_a_path_through_periodic_faces_is_drawn_inside(seed, points, periods):
     assert (np.isfinite(drawn[:, 0]) | (not length.any())).any()
 
 
+def test_paths_of_particles_that_come_and_go_in_a_periodic_box(tmp_path):
+    """Where a particle is not there its path has a gap, and no face that it went through."""
+    pair = {"position": [[1, 1], [2, 2]], "velocity": [[0.5, 0.3], [0.0, 8.4]], "radius": 0.2}
+    box, time = {"lower": [0, 0], "upper": [4, 4], "periodic": True}, {"step": 0.01, "steps": 60}
+    sim = Simulation(Scene(dimension=2, box=box, time=time, particles=[pair], output={"every": 5}))
+    sim.run(tmp_path, steps=20)
+    sim.remove([0])
+    sim.run(tmp_path, steps=40)
+    sim.add({"position": [[3, 1]], "velocity": [0.0, -8.0], "radius": 0.1})
+    sim.run(tmp_path)
+    done = script("plot_paths.py", tmp_path)
+    assert done.returncode == 0 and not done.stderr, done.stderr
+    assert (tmp_path / "plots" / "paths.png").stat().st_size > 10_000
+
+
 def points_in_a_box(folder, *more):
     """A run of 60 points of one speed, and of what else there is."""
     points = {"count": 60, "position": "random", "velocity": {"speed": 0.7}}
