@@ -20,6 +20,13 @@ from particles_mpi.particles import Particles
 from particles_mpi.scene.schema import Scene
 
 
+def require_effect_files(scene: Scene, before: dict[str, str], path: str | Path) -> None:
+    """SceneError where a file of an effect is not what it was when `path` was written; before: `Scene.digests` of then."""
+    now = scene.digests()
+    if other := [name for name in before if before[name] != now.get(name)]:
+        raise SceneError([f"effects.{name}.file: is not what it was when {path} was written" for name in other])
+
+
 class Saved(Membership):
     """A state that can be copied and saved."""
 
@@ -65,9 +72,7 @@ class Saved(Membership):
                 if name in metadata["scene"]["effects"]:
                     metadata["scene"]["effects"][name]["file"] = place
             scene = Scene.from_dict(metadata["scene"])
-            before, now = json.loads(str(saved.get("effect_files", "{}"))), scene.digests()
-            if other := [name for name in before if before[name] != now.get(name)]:
-                raise SceneError([f"effects.{name}.file: is not what it was when {path} was written" for name in other])
+            require_effect_files(scene, json.loads(str(saved.get("effect_files", "{}"))), path)
             rows = Particles(scene.dimension, file.rows(*ranks.share(file.total)))
             contacts = file.contacts(*ranks.share(file.number_of_contacts))._asdict()
         same_on_all(ranks, metadata)
@@ -110,7 +115,7 @@ class Saved(Membership):
         metadata = self.metadata()  # takes what was changed, which may make contacts forgotten
         contacts = allgather_rows(self.ranks, self.lasting_contacts()._asdict())
         order = np.lexsort((contacts["partner"], contacts["id"]))
-        metadata |= {"kept": [contacts[name][order].tolist() for name in Memory._fields]}
+        metadata |= {"effect_files": self.scene.digests(), "kept": [contacts[name][order].tolist() for name in Memory._fields]}
         snapshot.save_json(Path(path), self.ranks, self.rows, metadata, indent)
 
     @classmethod
@@ -122,20 +127,22 @@ class Saved(Membership):
         same_on_all(ranks, metadata, arrays)
         with raising_together(ranks):
             scene = Scene.from_dict(metadata["scene"])
+            require_effect_files(scene, metadata.get("effect_files", {}), path)
             rows = Particles(scene.dimension, arrays).select(np.arange(*ranks.share(len(arrays["id"]))))
             kept = [np.array(column, kind) for column, kind in zip(metadata["kept"], (np.int64, np.int64, float), strict=True)]
             mine = np.isin(kept[0], rows.id)
             return cls.restored(scene, ranks, rows, metadata, Memory(*(column[mine] for column in kept)))
 
     def __eq__(self, other: object) -> bool:
-        """The same scene, time, step length and particles, to the bit. Collective."""
+        """The same scene, files of effects, time, step length and particles, to the bit. Collective."""
         if not isinstance(other, Saved):
             return NotImplemented
         for sim in (self, other):
             sim.take_changes()
         clocks = [(sim.time, sim.h, sim.next_id) for sim in (self, other)]
         ranks = max(self.ranks, other.ranks, key=lambda ranks: ranks.size)  # who must come to the same answer
-        if not ranks.all(self.scene == other.scene and clocks[0] == clocks[1]):
+        files = self.scene.digests() == other.scene.digests()
+        if not ranks.all(self.scene == other.scene and files and clocks[0] == clocks[1]):
             return False
         if ranks.any(self.ranks.size != other.ranks.size):  # particles that are divided in another way
             here, there = (Particles(self.scene.dimension, allgather_rows(sim.ranks, sim.rows.arrays)) for sim in (self, other))

@@ -512,6 +512,18 @@ def test_a_file_that_was_changed_is_read_anew_and_a_simulation_keeps_what_it_beg
         Scene.from_dict(pulled.scene.to_dict())
 
 
+def test_a_state_in_json_is_that_of_the_files_that_it_was_saved_with(tmp_path):
+    """As a checkpoint is; two simulations that differ in nothing else are not the same."""
+    sim, state = written(tmp_path), tmp_path / "state.json"
+    sim.step()
+    sim.to_json(state)
+    assert Simulation.from_json(state) == sim == sim.copy()
+    other = written(tmp_path, add="def add(self, particles, a):\n        a -= 100.0 * self.k * particles.position")
+    with pytest.raises(SceneError, match=r"effects\.own\.file: is not what it was when .*state\.json was written"):
+        Simulation.from_json(state)
+    assert other != written(tmp_path)
+
+
 def test_what_a_method_returns_is_not_lost(tmp_path):
     sim = written(tmp_path, add="def add(self, particles, a):\n        return -self.k * particles.position")
     with pytest.raises(StoppedError, match=r"effects.own: its `add` must change the arrays that it is given, and return nothing"):
