@@ -15,7 +15,7 @@ OUTPUT_PERIODS = ("every", "diagnostics_every", "checkpoint_every")
 
 
 def tuned(scene: Scene, variant: Scene, steps: int) -> Tables:
-    """The tables of a scene with the settings of a variant of it, for a whole run in `steps`, with about as many frames as before."""
+    """The tables of a scene with the settings of a variant of it, for a whole run in `steps`, with about as many frames."""
     tables, new = scene.to_dict(), variant.to_dict()
     step = scene.steps * scene.time.step / steps
     tables["time"] = {key: value for key, value in new["time"].items() if key not in ("step", "steps", "end")}
