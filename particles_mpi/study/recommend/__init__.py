@@ -3,6 +3,7 @@
 runs             the runs that are compared: all from one start of a scene, and what is kept of each
 methods          the ways in which a scene can be computed
 error_metric     how wrong a run is, in numbers that mean something for its kind of motion, and how finely that can be measured
+counted_seconds  what a run has cost by counted work, the same on any machine
 reference        the solution that errors are measured against
 search           the cheapest resolution of each method that reaches a tolerance
 recommend        `study recommend`: reference, search, fair times, verification at half the step, report

@@ -4,11 +4,19 @@ import numpy as np
 import pytest
 
 from particles_mpi import Scene, Simulation
+from particles_mpi.run import forecast
 from particles_mpi.scene.schema import TOLERANCES
 from particles_mpi.study.experiment import Benchmark
 from particles_mpi.study.recommend import predict as predicting
 from particles_mpi.study.recommend.lost_collisions import beside_event
 from particles_mpi.study.recommend.predict import predict, refined
+
+
+@pytest.fixture(autouse=True)
+def short_trials(monkeypatch):
+    """What is told is tested here, and not how well seconds are measured: a tenth of the time is enough."""
+    monkeypatch.setattr(forecast, "MEASURED_SECONDS", 0.1 * forecast.MEASURED_SECONDS)
+    monkeypatch.setattr(predicting, "COST_SECONDS", 0.1 * predicting.COST_SECONDS)
 
 
 def scene(integrator="leapfrog", **effects):

@@ -5,6 +5,7 @@ import re
 import pytest
 
 from particles_mpi import Scene, Simulation
+from particles_mpi.run import forecast
 from particles_mpi.study.experiment import Benchmark
 from particles_mpi.study.recommend import predict as predicting
 from particles_mpi.study.recommend.predict import predict
@@ -14,6 +15,13 @@ ORBIT = {
     "particles": [{"position": [[1.0, 0.0]], "velocity": [0.0, 1.0], "mass": 0.0}, {"position": [[0.0, 0.0]], "fixed": True}],
     "effects": {"mutual_gravity": {"G": 1.0}},
 }
+
+
+@pytest.fixture(autouse=True)
+def short_trials(monkeypatch):
+    """What is told is tested here, and not how well seconds are measured: a tenth of the time is enough."""
+    monkeypatch.setattr(forecast, "MEASURED_SECONDS", 0.1 * forecast.MEASURED_SECONDS)
+    monkeypatch.setattr(predicting, "COST_SECONDS", 0.1 * predicting.COST_SECONDS)
 
 
 @pytest.mark.parametrize("steps", [1, 3, 4, 7, 1000])
