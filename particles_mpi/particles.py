@@ -110,6 +110,11 @@ class Particles:
         """A copy of the rows (indices), in that order."""
         return Particles(self.dimension, rows_of(self.arrays, rows))
 
+    def typed(self) -> Particles:
+        """The same rows with each field as numbers of its type, as they are held: `fixed` of a frame, say, is a mask of rows."""
+        held = {name: column.astype(field(name).dtype, copy=False) for name, column in self.arrays.items() if name in FIELDS}
+        return Particles(self.dimension, self.arrays | held)
+
     def copy(self) -> Particles:
         """The same rows, in arrays of their own."""
         return self.select(np.arange(len(self)))

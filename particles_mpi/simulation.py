@@ -42,7 +42,7 @@ class Simulation(Saved):
             if start is None:
                 rows, warnings = populate(scene, Communicator(ranks.comm))  # its messages are not counted among the steps'
             else:
-                rows, warnings = start.select(np.arange(*ranks.share(len(start)))), []
+                rows, warnings = start.typed().select(np.arange(*ranks.share(len(start)))), []
         with raising_together(ranks):
             self.begin(scene, ranks, rows)
         self.warnings = warnings + without_large_vtk(self.scene.output, self.total)

@@ -48,7 +48,7 @@ class ParticleView:
         if name.startswith("_") or name not in self._rows.arrays:
             raise AttributeError(f"these particles have no field {name!r}")
         if not self._open:
-            return read_only(name, self._rows.arrays[name])
+            return read_only(as_shown(name, self._rows.arrays[name]))
         if name not in self._shown:
             self._copies[name] = self._rows.arrays[name].copy()
             self._shown[name] = as_shown(name, self._copies[name])
@@ -84,9 +84,9 @@ class ParticleView:
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """All fields by name, to read only."""
+        """All fields by name, as they are held, to read only."""
         self.collect()
-        return {name: read_only(name, array) for name, array in self._rows.arrays.items()}
+        return {name: read_only(array[:]) for name, array in self._rows.arrays.items()}
 
     def select(self, rows: Array) -> Particles:
         """A copy of the rows (indices), in that order."""
@@ -145,13 +145,12 @@ def moments_with(rows: Particles, changed: Mapping[str, Array]) -> dict[str, Arr
 
 
 def as_shown(name: str, array: Array) -> Array:
-    """A view of a field: of `fixed`, which is 0 or 1 everywhere else, as truth values, so that it can be a mask of rows."""
+    """A view of a field: of `fixed`, which is held as 0 or 1, as truth values, so that it can be a mask of rows."""
     return array.view(bool) if name == "fixed" else array[:]
 
 
-def read_only(name: str, array: Array) -> Array:
-    """A view of a field that cannot be written to."""
-    view = as_shown(name, array)
+def read_only(view: Array) -> Array:
+    """A view that cannot be written to."""
     view.flags.writeable = False
     return view
 

@@ -22,6 +22,7 @@ from with_all import with_all
 from particles_mpi import Scene, SceneError, Simulation
 from particles_mpi.errors import StateError
 from particles_mpi.measure import snapshot
+from particles_mpi.particles import Particles
 
 RANKS = (1, 2, *with_all(3))
 TOGETHER = (  # what is changed at once, so that all of it is tried in every scene within seconds
@@ -241,6 +242,10 @@ def test_fixed_is_a_mask_of_rows():
     before = sim.particles.fixed
     sim.step()
     assert before.tolist() == sim.particles.arrays["fixed"].tolist() == [True, True, False, True]
+    held = sim.particles.arrays
+    assert held["fixed"].dtype == np.uint8  # as kernels take it, of a new simulation too
+    masked = Particles(1, {**held, "fixed": sim.particles.fixed})
+    assert Simulation(sim.scene, start=masked).particles.arrays["fixed"].dtype == np.uint8
     assert sim.particles.position.ravel().tolist() == [0.0, 1.0, 2.0, 3.0]  # nobody moves: the third one was at rest
 
 
