@@ -103,8 +103,8 @@ def test_any_state_ends(data):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ("p.radius[0] = 1e30", "particles.radius: a step needs a periodic box|too far for a periodic box"),
-        ("p.radius[:2] = 2.4", "particles.radius: a step needs a periodic box|too far for a periodic box"),
+        ("p.radius[0] = 1e30", "particles.radius: a step needs a periodic box"),
+        ("p.radius[:2] = 2.4", "particles.radius: a step needs a periodic box"),
         ("p.position[1] = 1e30", "particles.position: particle 1 on rank 0 was given 1e.30, 1e.30, which"),
         ("p.velocity[1, 0] = 1e9", "particles.velocity: particle 1 on rank 0 was given 1e.09, 0, which"),
         ("p.spin[2] = np.nan", "particles.spin: particle 2 on rank 0 was given nan, which"),

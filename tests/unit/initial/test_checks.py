@@ -168,3 +168,22 @@ def test_output_that_is_changed_is_checked_as_in_a_scene_file():
             setattr(output, name, value)
     output.every, output.formats = 7, ["vtk"]
     assert output.every == 7
+
+
+def test_an_effect_that_is_switched_off_is_warned_of_by_nothing():
+    """The same one, switched on, is: it has no potential along a periodic axis, or acts on nobody."""
+    effects = {
+        "uniform_gravity": {"acceleration": [1.0, 0.0]},
+        "user_acceleration": {},
+        "drag": {},
+        "walls": {"planes": [{"point": [0, 0], "normal": [1, 1]}]},
+    }
+    box = {"lower": [0, 0], "upper": [4, 4], "periodic": [True, False]}
+    ball = {"position": [[2.0, 3.0]], "radius": 0.1}
+
+    def warnings(active):
+        tables = {name: keys | {"active": active} for name, keys in effects.items()}
+        return Simulation(Scene(dimension=2, box=box, time={"step": 0.01, "steps": 1}, particles=[ball], effects=tables)).warnings
+
+    assert sum(f"effects.{name}" in line for name in effects for line in warnings(True)) == 4
+    assert warnings(False) == []
