@@ -193,6 +193,11 @@ def shape(name: str, rows: int, dimension: int) -> tuple[int, ...]:
     return (rows, width) if width else (rows,)
 
 
+def as_shown(name: str, array: Array) -> Array:
+    """A view of a field: of `fixed`, which is held as 0 or 1, as truth values, so that it can be a mask of rows."""
+    return array.view(bool) if name == "fixed" else array[:]
+
+
 def row_bytes(*columns: Array) -> int:
     """Bytes of a row of these columns together."""
     return sum(column.itemsize * prod(column.shape[1:]) for column in columns)

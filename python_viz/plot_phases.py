@@ -58,8 +58,7 @@ def read_timing(run: Run) -> Timing:
 
 def odd_one(timings: list[Timing]) -> Path | None:
     """The folder of the first run that did not compute what the first of them did, or of which other steps were timed."""
-    steps = [(timing.first, timing.run.about["counts"]["steps"]) for timing in timings]
-    first, *others = ((timing.run.folder, timing.run.about["scene"], of) for timing, of in zip(timings, steps, strict=True))
+    first, *others = ((t.run.folder, t.run.about["scene"], t.first, t.run.about["counts"]["steps"]) for t in timings)
     return next((folder for folder, *what in others if what != list(first[1:])), None)
 
 

@@ -12,14 +12,14 @@ import numpy as np
 from particles_mpi.between_steps.views import ParticleView, RunningEffect, RunningEffects, changed_options
 from particles_mpi.contacts.drift import COUNTS, Drift
 from particles_mpi.contacts.keeper import keeper_of_contacts
-from particles_mpi.errors import SceneError, StateError
+from particles_mpi.errors import SceneError, StateError, StoppedError
 from particles_mpi.initial.checks import divided_masses, value_limits
 from particles_mpi.integrators.kicks_and_drifts import Accelerations, Kick, integrator_of
 from particles_mpi.integrators.many_steps import ManySteps
 from particles_mpi.kernels.planes import no_planes
 from particles_mpi.kernels.validity import find_invalid
 from particles_mpi.measure.watchdog import Watchdog
-from particles_mpi.parallel.agreement import same_on_all
+from particles_mpi.parallel.agreement import describe_unexpected, same_on_all
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import id_range
 from particles_mpi.parallel.signals import HeldInterrupt
@@ -127,6 +127,8 @@ class State:
                 self.broken = ""
             except StateError as error:
                 raise StateError(f"step {step}: {error}") from None
+            except SystemExit as error:  # of an effect: in a user's script other ranks would wait for this one
+                raise StoppedError(describe_unexpected(error)) from error
 
     def look_for_many_steps(self) -> None:
         """Can many steps be computed at once, with these effects?"""

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from particles_mpi.errors import SceneError, StateError
-from particles_mpi.particles import Array, Particles, moment_of_sphere, same_bits
+from particles_mpi.particles import Array, Particles, as_shown, moment_of_sphere, same_bits
 from particles_mpi.scene.effect import EffectOptions, faults_in
 from particles_mpi.scene.model import faults_of, python_values, suggestion
 from particles_mpi.scene.schema import Scene
@@ -142,11 +142,6 @@ def moments_with(rows: Particles, changed: Mapping[str, Array]) -> dict[str, Arr
     old, mass, radius = rows["moment_of_inertia"], changed.get("mass", rows.mass), changed.get("radius", rows.radius)
     solid = old == moment_of_sphere(rows.mass, rows.radius, rows.dimension)
     return {"moment_of_inertia": np.where(solid, moment_of_sphere(mass, radius, rows.dimension), old)}
-
-
-def as_shown(name: str, array: Array) -> Array:
-    """A view of a field: of `fixed`, which is held as 0 or 1, as truth values, so that it can be a mask of rows."""
-    return array.view(bool) if name == "fixed" else array[:]
 
 
 def read_only(view: Array) -> Array:

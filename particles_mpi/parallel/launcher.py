@@ -10,8 +10,7 @@ the ranks, which the third one does.
 
 Messages. Of the paragraphs between two lines of dashes, and lines that begin with [host:pid], both by Open MPI, those about
 MPI_Abort, or an exit code of ours, are left out and those about a signal or another exit code are shortened; all else passes at
-once. No setting of Open MPI
-does that: `orte_execute_quiet` hides also that a rank was killed, or that there is no such program.
+once. No setting of Open MPI does that: `orte_execute_quiet` hides also that a rank was killed, or that there is no such program.
 """
 
 import os

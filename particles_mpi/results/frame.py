@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from particles_mpi.particles import Array
+from particles_mpi.particles import Array, as_shown
 
 
 class Frame:
@@ -29,13 +29,11 @@ class Frame:
         if name in self.fields:
             values = self._read(name)
         elif name == "fixed":  # stored only if a particle is
-            values = np.zeros(self.count, bool)
+            values = np.zeros(self.count, np.uint8)
         else:
             raise AttributeError(f"frame {self.index} has no field {name!r}; stored are {', '.join(self.fields)}")
-        if name == "fixed":  # a mask of rows
-            values = values.astype(bool)
-        vars(self)[name] = values
-        return values
+        vars(self)[name] = shown = as_shown(name, values)
+        return shown
 
     def __getitem__(self, name: str) -> Array:
         if name not in self.fields and name != "fixed":

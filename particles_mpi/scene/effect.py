@@ -222,13 +222,8 @@ class RollingResistance(Effect):
 
 
 def call_in_place(name: str, method: Callable[..., Any], *arguments: Any) -> None:
-    """Call a method of an effect that changes arrays in place. StoppedError if it returns something, which would be lost, or
-    calls `sys.exit`, after which the other ranks of a user's script would wait for this one."""
-    try:
-        returned = method(*arguments)
-    except SystemExit as error:
-        raise StoppedError(f"effects.{name}: its `{method.__name__}` failed: SystemExit: {one_line(error)}") from error
-    if returned is not None:
+    """Call a method of an effect that changes arrays in place. StoppedError if it returns something, which would be lost."""
+    if method(*arguments) is not None:
         raise StoppedError(f"effects.{name}: its `{method.__name__}` must change the arrays that it is given, and return nothing")
 
 

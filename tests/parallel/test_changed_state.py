@@ -200,6 +200,11 @@ def test_arrays_of_an_earlier_step_cannot_be_written_to_unnoticed():
             StateError,
             r"step 1: particles\.velocity: particle 5 on rank 0 was given -?[0-9.]+, inf, which",
         ),
+        (
+            "sim.particles.fixed.view('uint8')[3] = 2; sim.step()",
+            StateError,
+            r"particles\.fixed: particle 3 on rank 0 was given 2",
+        ),
         ("sim.particles.id[0] = 7", ValueError, "read-only"),
         ("sim.particles.charm = 1", AttributeError, "no field 'charm'"),
         ("sim.particles = None", AttributeError, "no setter|can't set"),

@@ -129,6 +129,10 @@ def test_a_rank_that_leaves_ends_all_others(scene, tmp_path, fault, rank):
     assert said.startswith(f"particles-mpi: rank {rank}: unexpected SystemExit: table.dat: not found (at ")
 
 
+OPEN_MPI = pytest.mark.skipif(not mpi_library().startswith("Open MPI"), reason="other launchers have words of their own for it")
+
+
+@OPEN_MPI
 def test_a_rank_that_is_gone_without_a_word_is_named(scene, tmp_path):
     code, said, seconds = with_fault(tmp_path, f"quits:{ADVANCE}", 1, "run", scene, "--output", tmp_path / "o", "--quiet")
     assert (code, said) == (7, "mpirun: rank 1 ended with exit code 7\n") and seconds < WITHIN
@@ -182,7 +186,7 @@ def test_a_disk_that_is_full_on_one_rank(scene, tmp_path):
     )
 
 
-@pytest.mark.skipif(not mpi_library().startswith("Open MPI"), reason="other launchers have words of their own for it")
+@OPEN_MPI
 def test_a_rank_that_is_killed_is_told_in_one_line(scene, tmp_path):
     code, said, seconds = with_fault(tmp_path, f"killed:{ADVANCE}", 1, "run", scene, "--output", tmp_path / "o", "--quiet")
     assert code == 137 and said.count("\n") == 1 and said.startswith("mpirun: rank 1 on ") and "signal 9" in said, said
@@ -221,6 +225,26 @@ def test_a_script_that_nobody_catches_errors_in(tmp_path):
     done = run_ranks(2, both, fresh=True)
     assert done.returncode == 3 and done.stderr.count("Traceback") == 1
     assert done.stderr.endswith("ZeroDivisionError: division by zero\n")
+
+
+@pytest.mark.parametrize(
+    ("kind", "method"), [("Force", "add(self, p, a)"), ("VelocityFlow", "advance(self, p, h)"), ("Event", "act(self, p, h)")]
+)
+def test_an_effect_of_a_script_that_leaves_on_one_rank(tmp_path, kind, method):
+    """In whichever way it acts, the other ranks do not wait for it."""
+    (tmp_path / "leaving.py").write_text(
+        f"import sys\nfrom mpi4py import MPI\nfrom particles_mpi.effects import EffectOptions, {kind}\n\n\n"
+        f"class Options(EffectOptions):\n    pass\n\n\nclass Effect({kind}):\n    formula = 'none'\n\n"
+        f"    def {method}:\n        if MPI.COMM_WORLD.rank:\n            sys.exit('gone')\n"
+        f"        return {0 if kind == 'Event' else None}\n"
+    )
+    effects, pair = {"leaving": {"file": str(tmp_path / "leaving.py")}, "collisions": {}}, {"position": [[0.0], [1.0]]}
+    tables = {"dimension": 1, "time": {"step": 0.1, "steps": 9}, "particles": [pair], "effects": effects}
+    script = tmp_path / "script.py"
+    script.write_text(f"from particles_mpi import Scene, Simulation\nSimulation(Scene.from_dict({tables})).run()\n")
+    done = run_ranks(2, script, timeout=100, fresh=True)
+    assert done.returncode == 3 and done.stderr.startswith("particles-mpi: rank 1: unexpected SystemExit: gone (at "), done.stderr
+    assert done.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize(("on_rank_0", "says"), [("sys.stderr = None", ""), ("sys.excepthook = lambda *error: None", "rank 1: ")])

@@ -225,10 +225,10 @@ def describe_differences(start: Start, records: list[Record], span: float) -> st
     With the differences d1 of h and h/2, d2 of h/2 and h/4, the order is p = log2(d1/d2), the error of h is d1 2^p/(2^p - 1).
     """
     size, where = records[0].motion, f"t = {span:.3g}"
-    one, *more = (start.apart(a.places, b.places) / size for a, b in pairwise(records))
-    if not more:
+    one, *finer = (start.apart(a.places, b.places) / size for a, b in pairwise(records))
+    if start.scene.time.integrator == "adaptive":
         return f"predicted error: places {max(one, ROUND_OFF):.1g} of the size of the motion at {where}, by a tighter tolerance"
-    (two,) = more
+    (two,) = finer
     if two <= 100.0 * ROUND_OFF or one <= two:
         bound = max(one, two, ROUND_OFF)
         coarse = f"about {bound:.1g} of the size of the motion, of no order: steps are too long"

@@ -74,11 +74,11 @@ def affordable(start: Start, cost: float, seconds: float) -> ErrorMetric:
 def cost(start: Start, sim: Simulation, seconds: float, longer: float = 1.0) -> float:
     """Seconds that a unit of time takes: over `seconds` of steps, each `longer` than the last. Collective."""
     sim.step()
-    passed, spent, rates, number = 0.0, 0.0, [0.0], 1
+    passed, spent, rates, number, before = 0.0, 0.0, [0.0], 1, counted_seconds(sim)
     while spent < seconds and passed < start.duration:
-        before = counted_seconds(sim)
         sim.steps(number)
-        took = max(counted_seconds(sim) - before, 0.0)  # those that come to rest, and wake, are counted as they are now
+        now = counted_seconds(sim)
+        took, before = max(now - before, 0.0), now  # those that come to rest, and wake, are counted as they are now
         rates.append(took / (number * sim.h))
         passed, spent = passed + number * sim.h, spent + took
         sim.h *= longer
@@ -154,8 +154,9 @@ def converge(found: ErrorMetric, first: Record, steps: int, seconds: float) -> t
             best, uncertainty = value, change
         spent += records[-1].counted
     one, two = (start.apart(a.places, b.places) for a, b in pairwise(records[:3]))
-    found.order = float(np.log2(one / two)) if min(one, two) > limit else nan
-    seen = f"order {found.order:.2f}" if found.order == found.order else "no error of the step"
+    has_order = min(one, two) > limit
+    found.order = float(np.log2(one / two)) if has_order else nan
+    seen = f"order {found.order:.2f}" if has_order else "no error of the step"
     found.reference = f"{method_in_words(start)}, steps of 1 to 1/{2 ** (len(column) - 1)}, extrapolated ({seen})"
     return best, uncertainty, records[-1]
 

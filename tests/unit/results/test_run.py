@@ -84,11 +84,8 @@ def test_fields_that_only_some_runs_have(tmp_path):
     sim, folder = drifting(2, tmp_path, effects={"drag": {"rate": 0.5}}, particles=particles)
     sim.run(folder)
     frame = Run(folder)[0]
-    assert (
-        frame.drag.tolist() == [2.0, 0.5]
-        and frame.mass[frame.fixed].tolist() == frame.mass[1:].tolist()
-        and "drag" in frame.fields
-    )
+    assert frame.drag.tolist() == [2.0, 0.5] and frame.fixed.tolist() == [0, 1] and "drag" in frame.fields
+    assert frame.id[frame.fixed].tolist() == [1]  # a mask of rows
     with pytest.raises(AttributeError, match=r"frame 0 has no field 'tint'; stored are position, .*velocity"):
         frame.tint  # noqa: B018
 

@@ -35,7 +35,7 @@ def test_errors_are_those_of_a_time_within_the_run(steps):
 
 
 def end_of_orbit(start, end, **time):
-    """(places at the end of an eccentric orbit, the scene, the size of its motion)."""
+    """(places at the end of an orbit, the scene)."""
     scene = Scene.from_dict(ORBIT | {"particles": start, "time": {"end": end} | time})
     sim = Simulation(scene)
     sim.run()
