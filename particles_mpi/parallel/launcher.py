@@ -11,6 +11,10 @@ the ranks, which the third one does.
 Messages. Of the paragraphs between two lines of dashes, and lines that begin with [host:pid], both by Open MPI, those about
 MPI_Abort, or an exit code of ours, are left out and those about a signal or another exit code are shortened; all else passes at
 once. No setting of Open MPI does that: `orte_execute_quiet` hides also that a rank was killed, or that there is no such program.
+
+Its own end. When a rank has ended all of them while another one is in MPI_Finalize, the mpirun of Open MPI 4 sometimes crashes,
+or waits for itself for ever, with all ranks gone (one in 50 to 100 times on a busy machine). It has then said which exit code
+there is, and this process ends with that.
 """
 
 import os
@@ -24,6 +28,7 @@ from typing import NoReturn
 
 RULE = b"-" * 74 + b"\n"
 PATIENCE = 0.5  # seconds after which what looks like the beginning of a paragraph is passed on, if nothing follows
+STUCK = 5.0  # seconds without a word, and without ranks, after which an mpirun that has said how it ends is killed
 EXIT_ON_SIGNAL = 130  # `errors.EXIT_ON_SIGNAL`; this script imports nothing of the package
 PR_SET_PDEATHSIG = 1  # prctl(2): the signal that a process gets when its parent has ended
 LONGEST_PARAGRAPH = 4000  # bytes of a paragraph; a longer text is none
@@ -34,8 +39,9 @@ KNOWN = re.compile(
     rb"|has exited due to process rank \d+ with PID \d+ on node \S+ (calling \"abort\"|exiting)"
 )
 EXITED = re.compile(rb"Process name: \[\S*,(\d+)\] Exit code: (\d+)")
+ABORTED = re.compile(rb"MPI_ABORT was invoked .*[Ee]rrorcode:? (\d+)")
 SPEAKING = (b"1", b"2", b"3", b"130")  # exit codes of Python, and of this program, with which a rank says why it ends
-SIGNAL = re.compile(rb"noticed that process rank (\d+) with PID \d+ on node (\S+) exited on (signal \d+ \([^)]*\))")
+SIGNAL = re.compile(rb"noticed that process rank (\d+) with PID \d+ on node (\S+) exited on (signal (\d+) \([^)]*\))")
 STUMBLED = re.compile(rb"\[[^\]]*\] \[\[[^\]]*\],\d+\] ORTE_ERROR_LOG: [^\n]* in file \S*orte/util/show_help.c at line \d+\n")
 EVENTS = re.compile(rb"\[warn\] Epoll [^\n]* failed\.[^\n]*\n")  # of its library of events, now and then when ranks end
 FORWARDED = re.compile(rb"mpirun[^\n]*: Forwarding signal \d+ to job\n")
@@ -44,9 +50,14 @@ ADVICE = re.compile(rb"\[[^\]]*\] Set MCA parameter \"orte_base_help_aggregate\"
 
 
 class Filter:
-    """Takes the bytes of stderr piece by piece and returns those that are to be printed."""
+    """Takes the bytes of stderr of the mpirun with this process id, piece by piece, and returns those that are to be printed.
 
-    def __init__(self) -> None:
+    code: with which it will end, as soon as it has said that; None before.
+    """
+
+    def __init__(self, pid: int = 0) -> None:
+        self.pid = pid
+        self.code: int | None = None
         self.held = b""  # bytes of a paragraph that has not ended, or of a line that may begin one
         self.at_start = True  # does the next byte begin a line?
         self.counted = False  # was the line before left out as COUNTED?
@@ -79,16 +90,21 @@ class Filter:
     def paragraph(self, text: bytes) -> bytes:
         """What is printed of a paragraph of the launcher."""
         said = b" ".join(text.split())
-        if killed := SIGNAL.search(said):
-            return b"mpirun: rank %s on %s was ended by %s\n" % killed.groups()
-        if (exited := EXITED.search(said)) and exited[2] not in SPEAKING:
+        killed, exited, aborted = (pattern.search(said) for pattern in (SIGNAL, EXITED, ABORTED))
+        codes = [128 + int(killed[4])] if killed else [int(exited[2])] if exited else [int(aborted[1])] if aborted else []
+        self.code = next(iter(codes), None) if self.code is None else self.code
+        if killed:
+            return b"mpirun: rank %s on %s was ended by %s\n" % killed.groups()[:3]
+        if exited and exited[2] not in SPEAKING:
             return b"mpirun: rank %s ended with exit code %s\n" % exited.groups()
         return b"" if KNOWN.search(said) else text
 
     def line(self, text: bytes) -> bytes:
-        """What is printed of a line: nothing if it says how many paragraphs were left out, or that one was not understood."""
+        """What is printed of a line: nothing if it says how many paragraphs were left out, or that one was not understood, or
+        where mpirun itself crashed when it had said how it ends."""
         counted, self.counted = self.counted, bool(self.at_start and COUNTED.fullmatch(text))
         own = any(pattern.fullmatch(text) for pattern in (STUMBLED, EVENTS, FORWARDED))
+        own = own or (self.code is not None and bool(re.match(rb"\[[^\]]*:%d\] " % self.pid, text)))
         about = self.counted or (counted and ADVICE.fullmatch(text)) or (self.at_start and own)
         return b"" if about else text
 
@@ -141,16 +157,30 @@ class Launcher:
 
     def relay(self) -> int:
         """Pass on what it prints on stderr until it ends; its exit code, or minus the signal that ended it."""
-        passing, open_ = Filter(), True
+        passing, open_, silent = Filter(self.pid), True, 0.0
         while open_:
             ready, _, _ = select.select([self.stderr], [], [], PATIENCE)
             data = os.read(self.stderr, 65536) if ready else b""
             say(passing.feed(data) if data else passing.rest())
+            silent = 0.0 if ready else silent + PATIENCE
+            if passing.code is not None and silent >= STUCK and not has_children(self.pid):
+                self.send(signal.SIGKILL)
             open_ = bool(data) or not (ready or self.ended(os.WNOHANG))  # others may keep it open when this one has ended
         while self.code is None:
             self.ended()
-        told = self.requests and self.code in (-signal.SIGUSR1, 128 + signal.SIGUSR1, -signal.SIGKILL)
-        return EXIT_ON_SIGNAL if told else self.code
+        if self.requests and self.code in (-signal.SIGUSR1, 128 + signal.SIGUSR1, -signal.SIGKILL):
+            return EXIT_ON_SIGNAL
+        return self.code if self.code >= 0 or passing.code is None else passing.code
+
+
+def has_children(pid: int) -> bool:
+    """Has a process started others that have not ended? True where that is not known; Linux tells it."""
+    found = []
+    with suppress(OSError):
+        for task in os.listdir(f"/proc/{pid}/task"):
+            with open(f"/proc/{pid}/task/{task}/children", "rb") as children:
+                found.append(children.read())
+    return not found or any(found)
 
 
 def say(text: bytes) -> None:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import h5py
 import pytest
@@ -18,6 +19,7 @@ from particles_mpi.integrators.kicks_and_drifts import Composition
 from particles_mpi.neighbours.neighbour_list import Neighbourhood
 from particles_mpi.output import checkpoint
 from particles_mpi.output.trajectory import Trajectory
+from particles_mpi.parallel import launcher
 from particles_mpi.parallel.agreement import wait_until_read
 from particles_mpi.parallel.communicator import mpi_library
 from particles_mpi.parallel.launcher import Filter
@@ -312,9 +314,47 @@ def test_the_paragraphs_of_the_launcher_are_left_out_and_nothing_else(chunk):
         (OWN + EXITED + EVENTS + FORWARDED + OWN + ABORTED + KILLED + GONE + MISSING + OWN + "no end").encode(),
         Filter(),
     )
+    assert passing.code is None
     passed = b"".join(passing.feed(said[k : k + chunk]) for k in range(0, len(said), chunk)) + passing.rest()
     ended = "mpirun: rank 1 on vm was ended by signal 9 (Killed)\nmpirun: rank 1 ended with exit code 7\n"
     assert passed.decode() == f"{OWN}{OWN}{ended}{MISSING}{OWN}no end"
+    assert passing.code == 2  # the first that was said
+
+
+CRASH = "[vm:$$] *** Process received signal ***\n[vm:$$] Signal: Segmentation fault (11)\n[vm:$$] *** End of error message ***\n"
+OTHER = "[vm:1] a line of a rank\n"
+
+
+def launch(mpirun, lines):
+    """(exit code, stderr) of the launcher with a shell script as mpirun, which it waits for half a second instead of five."""
+    mpirun.write_text(f"#!/bin/sh\n{lines}\n")
+    mpirun.chmod(0o755)
+    folder = str(Path(launcher.__file__).parent)
+    program = f"import sys; sys.path.append({folder!r}); import launcher; launcher.STUCK = 0.5; launcher.main()"
+    done = subprocess.run([sys.executable, "-ISc", program, mpirun], capture_output=True, text=True, timeout=50)
+    return done.returncode, done.stderr
+
+
+FAULTS = [(EXITED, 2), (GONE, 7), (ABORTED, 3), (ABORTED.replace("  Errorcode: 3", "with errorcode 1."), 1), (KILLED, 137)]
+
+
+@pytest.mark.parametrize(("paragraph", "code"), [*FAULTS, ("", -signal.SIGSEGV)])
+def test_an_mpirun_that_crashes_when_all_ranks_have_ended(tmp_path, paragraph, code):
+    """It ends as it has said that it would; what it says of its own crash is left out then, and only that."""
+    found, said = launch(tmp_path / "mpirun", f"printf %s '{paragraph}' \"{CRASH}{OTHER}\" >&2; kill -SEGV $$")
+    assert found == code and OTHER in said and ("Segmentation" in said) == (code < 0), said
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells whether a process has children")
+@pytest.mark.parametrize(("paragraph", "code"), [(ABORTED, 3), (KILLED, 137)])
+def test_an_mpirun_that_waits_for_itself_when_all_ranks_have_ended(tmp_path, paragraph, code):
+    assert launch(tmp_path / "mpirun", f"printf %s '{paragraph}' >&2; exec sleep 40")[0] == code
+
+
+@pytest.mark.parametrize("paragraph", [ABORTED, ""])
+def test_an_mpirun_is_waited_for_while_it_has_ranks_or_has_not_said_how_it_ends(tmp_path, paragraph):
+    wait = "sleep 2; exit 5" if paragraph else f"exec {sys.executable} -ISc 'import time; time.sleep(2); raise SystemExit(5)'"
+    assert launch(tmp_path / "mpirun", f"printf %s '{paragraph}' >&2; {wait}") == (5, "")
 
 
 def test_what_cannot_be_a_paragraph_passes_at_once():

@@ -1,12 +1,12 @@
-"""How many collisions a scene loses by mode `rewind`: its first steps are computed in both modes, and collisions counted."""
+"""How many collisions a scene has, and loses by mode `rewind`: those of its first steps in both modes are counted."""
 
 from math import sqrt
-from time import perf_counter
 from typing import NamedTuple
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.study.experiment import Benchmark, total_count
+from particles_mpi.study.recommend.counted_seconds import counted_seconds
 from particles_mpi.study.recommend.methods import EVENT
 from particles_mpi.study.recommend.runs import variant
 
@@ -36,21 +36,21 @@ class BesideEvent(NamedTuple):
 
 
 def beside_event(benchmark: Benchmark, scene: Scene, seconds: float) -> BesideEvent:
-    """Both modes from the start of the scene, in as many steps as there are `seconds` for, about; none in 0 s. Collective.
+    """Its own mode and `event` from the start of the scene, in as many steps as there are `counted_seconds` for. Collective.
 
-    Nothing is compared either if mode `event` refuses the scene, or stops.
+    Nothing is compared in 0 s, or if mode `event` refuses the scene, or stops.
     """
     done = found = exact = same = 0
     try:
         time = scene.time.model_dump(exclude_none=True)
-        runs = [Simulation(variant(scene, time, changes), comm=benchmark.comm) for changes in ({}, EVENT)]
-        began = perf_counter()
-        while done < scene.steps and benchmark.ranks.largest(perf_counter() - began)[0] < seconds:
+        modes = [EVENT] if scene.effects["collisions"].mode == "event" else [{}, EVENT]
+        runs = [Simulation(variant(scene, time, changes), comm=benchmark.comm) for changes in modes]
+        while done < scene.steps and sum(map(counted_seconds, runs)) < seconds:
             number = min(max(done, 1), scene.steps - done)
             for sim in runs:
                 sim.steps(number)
             done += number
-            found, exact = (total_count(sim, "collisions") for sim in runs)
+            found, exact = (total_count(sim, "collisions") for sim in (runs[0], runs[-1]))
             same = exact if found == exact else same
     except (SceneError, StoppedError):
         return BesideEvent()

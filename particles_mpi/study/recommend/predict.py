@@ -1,7 +1,8 @@
 """What a scene will cost and how wrong it will be, before it runs: what `check` prints.
 
 The first half second of the run is tried, with output, for the forecast of seconds; a short run at steps of h, h/2 and h/4
-gives the errors. Takes two to five seconds.
+gives the errors. Takes two to five seconds. How short it is follows from `counted_seconds`, and from no clock: the errors of a
+scene are told the same each time, unless its steps take too long to tell any.
 """
 
 import os
@@ -34,7 +35,7 @@ from particles_mpi.study.recommend.reference import MOST_FOR_DIRECT_SUM
 from particles_mpi.study.recommend.runs import LEAST_SNAPSHOTS, Changes, Record, Start, follow, variant
 from particles_mpi.study.timing import StepTimer, time_in_turns
 
-ERROR_SECONDS = 0.8  # seconds for errors, about
+ERROR_SECONDS = 0.8  # `counted_seconds` for errors, about
 MOST_ERROR_SECONDS = 3.0  # seconds that errors may take where steps take long; more is not tried
 LONGEST_TIMED_STEP = 0.03  # seconds: of longer ones it is not measured what each effect costs, which takes copies and time
 LONGER = 4  # times as many steps are tried next, where errors took so little time
@@ -147,7 +148,9 @@ def predict_contacts(sim: Simulation, benchmark: Benchmark, step: float) -> list
     Collective."""
     scene, options, h = sim.scene, sim.scene.effects["collisions"], sim.scene.time.step
     movable = sim.ranks.total(np.count_nonzero(sim.rows.fixed == 0))[0]
-    rate = 2.0 * total_count(sim, "collisions") / (max(movable, 1) * sim.time)
+    compared = beside_event(benchmark, scene, 0.5 * ERROR_SECONDS if step <= LONGEST_TIMED_STEP else 0.0)
+    found, steps = (compared.exact, compared.steps) if compared.steps else (total_count(sim, "collisions"), sim.steps_done)
+    rate = 2.0 * found / (max(movable, 1) * steps * h)
     active = sim.active
     forced = active.forces or active.on_velocities or active.events
     if rate == 0.0:
@@ -156,8 +159,6 @@ def predict_contacts(sim: Simulation, benchmark: Benchmark, step: float) -> list
         what = "; forces between them are second order in the step" if forced else ""
         lines = [f"predicted error: contacts are exact in mode event{what}"]
     else:
-        compared = beside_event(benchmark, scene, 0.5 * ERROR_SECONDS if step <= LONGEST_TIMED_STEP else 0.0)
-        rate *= compared.exact / max(compared.found, 1) if compared.exact else 1.0
         lines = [f"predicted error: {compared} (a particle has {rate * h:.2g} in a step, passes {options.passes})"]
     many = rate * scene.steps * h
     orderly = scene.dimension == 1 and not forced  # spheres on a line hand their velocities on: errors grow as the time only
@@ -174,18 +175,15 @@ def predict_steps(benchmark: Benchmark, scene: Scene, step: float) -> list[str]:
     if scene.steps < LEAST_SNAPSHOTS:
         return [f"predicted error: not measured, the run has fewer than {LEAST_SNAPSHOTS} steps"]
     adaptive = scene.time.integrator == "adaptive"
-    start, runs = Start(benchmark, scene), 1 + 1 if adaptive else 1 + 2 + 4  # at h, h/2 and h/4
-    affordable = int(ERROR_SECONDS / (2.0 * runs * LEAST_SNAPSHOTS * step))  # snapshots cost as much as steps
-    steps = LEAST_SNAPSHOTS * min(max(1, affordable), scene.steps // LEAST_SNAPSHOTS)
-    if 2.0 * runs * steps * step > MOST_ERROR_SECONDS:
+    runs, steps = 1 + 1 if adaptive else 1 + 2 + 4, LEAST_SNAPSHOTS  # at h, h/2 and h/4
+    if 2.0 * runs * steps * step > MOST_ERROR_SECONDS:  # snapshots cost as much as steps
         return ["predicted error: not measured, a step takes too long; study recommend tells"]
+    start = Start(benchmark, scene)
     while True:
         snapshots = start.snapshots(steps / scene.steps)
         steps -= steps % snapshots
-        began = perf_counter()
         records = [follow(start, start.simulate(refined(scene, steps, 0)), snapshots)]
-        took = benchmark.ranks.largest(perf_counter() - began)[0]
-        if LONGER * runs * took > ERROR_SECONDS or steps + LEAST_SNAPSHOTS > scene.steps - scene.steps % snapshots:
+        if LONGER * runs * records[0].counted > ERROR_SECONDS or steps + LEAST_SNAPSHOTS > scene.steps - scene.steps % snapshots:
             break
         steps = min(LONGER * steps, scene.steps)
     records += [follow(start, start.simulate(refined(scene, steps, k)), snapshots) for k in range(1, 2 if adaptive else 3)]

@@ -68,6 +68,25 @@ def test_the_error_is_as_told(time, above):
     assert 1.0 < float(told) / abs(found - true).max() < above  # the size of the motion is about 1
 
 
+GAS = {
+    "dimension": 2,
+    "box": {"lower": [0.0, 0.0], "upper": [9.0, 9.0]},
+    "particles": [{"count": 30, "position": "random", "velocity": {"temperature": 1.0}, "radius": 0.5}],
+    "effects": {"collisions": {}, "walls": {}},
+}
+
+
+@pytest.mark.parametrize("tables", [ORBIT, GAS])
+def test_errors_do_not_follow_the_clock(monkeypatch, tables):
+    """A machine that is ten times as slow, or a hundred times as fast, tells the same of as much of the run."""
+    scene = Scene.from_dict(tables | {"time": {"step": 0.01, "steps": 100_000}})
+    told, now = [], predicting.rehearse
+    for speed in (1.0, 0.1, 100.0):
+        monkeypatch.setattr(predicting, "rehearse", lambda sim, s=speed: (f := now(sim))._replace(step=f.step / s))
+        told.append(predict(Simulation(scene), Benchmark()).errors)
+    assert told[0] == told[1] == told[2] and "not measured, " not in told[0][0]
+
+
 def test_the_error_of_a_tree_is_told_too():
     stars = {"count": 300, "position": {"plummer": 1.0}, "velocity": "equilibrium", "mass": 1.0 / 300}
     tree = {"softening": 0.05, "method": "tree", "opening_angle": 1.0, "multipole": "monopole"}
