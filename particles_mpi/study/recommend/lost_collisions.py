@@ -32,6 +32,8 @@ class BesideEvent(NamedTuple):
         beside = f"of their rate over {self.steps} steps, beside mode event"
         if lost > noise:
             return f"collisions are lost, about {lost:.1g} {beside}"
+        if not self.same:
+            return f"less than {noise:.1g} of the collisions are lost, as far as {self.exact} in {self.steps} steps can tell"
         return f"none of the first {self.same} collisions is lost, and less than {noise:.1g} {beside}"
 
 
