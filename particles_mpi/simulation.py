@@ -67,12 +67,11 @@ class Simulation(Saved):
     def steps_at_once(self, most: int, collisions: bool = True) -> None:
         """Advance by one step, or by up to `most` if many are computed at once. Collective."""
         self.take_changes()
-        done = 1
         with self.stepping():
-            if self.many_steps and collisions:
-                done = self.many_steps.advance(self._h, self.steps_done, most)
-            else:
+            done = self.many_steps.advance(self._h, self.steps_done, most) if self.many_steps and collisions else 0
+            if not done:
                 self.advance(self._h, collisions)
+                done = 1
             self.particles.open()
             self.steps_done += done
         for view in self.views:

@@ -41,6 +41,9 @@ class CollisionOperator(Protocol):
     def drift(self, h: float, moment: float, rates: Rates, stop: bool = False) -> Array:
         """Move all from `moment` over h, or with `stop` to the first collision: (collisions, wall hits, missed). Collective."""
 
+    def pass_by(self, h: float, drifts: int) -> None:
+        """So many drifts over h were done by other means, for nobody met anybody."""
+
     def remarks(self) -> list[str]:
         """What a user should be told at the end. Collective."""
 
@@ -170,6 +173,13 @@ class Drift:
         if context.length.any() and not wrapped:
             with context.timers("drift"):
                 wrap(p.position, context.lower, context.upper, context.length)
+
+    def pass_by(self, h: float, drifts: int) -> None:
+        """So many drifts over h were done by `ManySteps`, in which nobody of those who collide met anybody."""
+        assert self.operator
+        self.calls.update(dict.fromkeys(self.contact_names, drifts))
+        self.operator.pass_by(h, drifts)
+        self.rows.version += 1  # what is known of neighbours does not hold any longer
 
     def act(self, events: dict[str, Event], h: float) -> bool:
         """Events at the end of the drift; was any row of this rank changed?"""

@@ -5,6 +5,7 @@ The kernels of a step are those that `Composition`, `Taylor` and `Adaptive` call
 
 from typing import Any, NamedTuple
 
+from particles_mpi.contacts.clearance import all_clear
 from particles_mpi.contacts.persistent.near_walls import near_walls, near_walls_among
 from particles_mpi.contacts.persistent.on_walls import settle_on_walls
 from particles_mpi.contacts.persistent.rows import hand_over
@@ -88,6 +89,7 @@ class Space(NamedTuple):
     smooth: Rough  # for walls, which are not rough here
     reach: float  # rows that may be so near to walls are found, if contacts with walls last
     on_walls: OnWalls
+    begun: Array  # (n, d): room for the velocities at the start of a step; no row where no two can collide
 
 
 class Scheme(NamedTuple):
@@ -207,6 +209,14 @@ def kick_bodies(bodies, forces, losses, space, part, h, drift):
         kick_with_drag(bodies.v, bodies.total, losses.decay[part], losses.push[part])
 
 
+@in_place
+def copy_rows(given, into):
+    """into (n, d) = given."""
+    for i in range(given.shape[0]):
+        for k in range(given.shape[1]):
+            into[i, k] = given[i, k]
+
+
 @lean_inner
 def invalid(axes, bodies, space):
     """Would the watchdog stop the run here?"""
@@ -219,6 +229,7 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
     """Up to `steps` steps as of `Composition` or `Taylor`; from step `watch` on, they end where the watchdog would stop the run.
 
     Fewer steps where they are more work than `budget` allows: what rests on walls takes a hundred times as long as what flies.
+    Where particles collide, they end before a step in which anyone could meet anyone.
 
     Returns (steps done, wall hits, how often a row had no room, sums of forces, are the forces in `bodies.total` those of the
     present places?).
@@ -227,6 +238,8 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
     before, near, pushed = -1, -1, 0
     resting = 0
     for step in range(1, steps + 1):
+        if len(space.begun) > 0:
+            copy_rows(bodies.v, space.begun)
         for part in range(len(scheme.kicks)):
             kicked, drifted = scheme.kicks[part] * h, scheme.drifts[part] * h
             if not known:
@@ -246,6 +259,10 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
                     pushed, rows = keep_on_walls(axes, bodies, losses, part, space, h, kicked, near)
                     resting += rows
             if drifted != 0.0:
+                x, v, radius = bodies.x, bodies.v, bodies.radius
+                if len(space.begun) > 0 and not all_clear(axes, x, v, radius, drifted, space.length, space.planes):
+                    copy_rows(space.begun, v)
+                    return step - 1, hits, missed, sums, known
                 if space.own_rates:
                     set_rates(axes, bodies, space, before, pushed, 0.5 * h)
                     before = pushed

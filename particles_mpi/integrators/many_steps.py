@@ -4,6 +4,8 @@ For a few particles a force takes less time than one call of Python, and for man
 of a step. So the steps up to the next moment at which anyone looks go on inside one kernel, for a block of particles that stays
 in the cache, with the same bits as `Composition`, `Taylor` and `Adaptive` give step by step: it calls the same kernels in the
 same order. On several ranks each rank computes all of a few particles that attract one another, which costs less than a message.
+
+Of a few spheres that collide it computes the steps in which nobody meets anybody, which are most; the others are for `Drift`.
 """
 
 from math import inf
@@ -41,6 +43,9 @@ from particles_mpi.scene.effect import Context
 BLOCK_ROWS = 4096  # rows that are advanced together: what is needed of them stays in the cache
 LONGEST_CALL = 1e8  # ns in one call, about, so that Ctrl-C is heard
 PAIR_NS, ROW_NS, STEP_NS = 3.0, 8.0, 50.0  # ns of a pair, a row, and everything else in a step, at most
+MOST_SPHERES = 16  # that collide: of more, some meet in most steps, and those are not for this
+FEW_STEPS = 4  # at once, which are worth the attempt; after fewer comes a pause, which doubles up to LONGEST_PAUSE steps
+LONGEST_PAUSE = 32
 SUM = "sum of forces"  # a name that no field has
 
 
@@ -66,7 +71,9 @@ class ManySteps:
         self.known: tuple[int, int, float] | None = None
         self.blocks: list[RowsTogether] = []
         self.direct = next((force.direct for force in summed.forces.values() if force.direct), None)
-        self.together = self.direct is not None or isinstance(rule, Adaptive)  # all particles in the same kernel?
+        self.collide = effects.pairs is not None
+        self.pause = self.pausing = 0  # steps in which nothing is tried, after the last attempt, and left of them
+        self.together = self.direct is not None or self.collide or isinstance(rule, Adaptive)  # all particles in the same kernel?
         self.own = context.ranks.size == 1 or not self.together  # are the rows here enough?
         self.axes = (0,) * rows.dimension
         kicks, drifts = np.array(rule.parts).T if isinstance(rule, Composition) else np.array([[0.5], [1.0]])
@@ -75,7 +82,10 @@ class ManySteps:
     @staticmethod
     def suit(effects: ActiveEffects, total: int, persistent: Any) -> bool:
         """Do these kernels compute all that there is, for so many particles?"""
-        if effects.pairs or effects.flows or effects.events or effects.rough:
+        if effects.flows or effects.events or effects.rough:
+            return False
+        one_drift = effects.integrator in ("leapfrog", "taylor")
+        if effects.pairs and (persistent or not one_drift or not 0 < total <= MOST_SPHERES):
             return False
         if persistent and not (effects.uniform and persistent.walls.straight):
             return False
@@ -85,7 +95,13 @@ class ManySteps:
         return known and not (together and (persistent or total > ONE_SUM))
 
     def advance(self, h: float, steps_done: int, most: int) -> int:
-        """Up to `most` steps of length h, the first one after `steps_done`; returns how many. Collective."""
+        """Up to `most` steps of length h, the first one after `steps_done`; returns how many. Collective.
+
+        0 where spheres collide, if any may meet another one, or a wall, in the first step, or if they did so again and again.
+        """
+        if self.pausing:
+            self.pausing -= 1
+            return 0
         summed, drift, adaptive = self.summed, self.drift, isinstance(self.rule, Adaptive)
         total = None if adaptive and self.direct else summed.sum(self.rows)
         with self.context.timers("steps"):
@@ -97,13 +113,15 @@ class ManySteps:
             else:
                 done, hits, missed, sums, known = self.fixed_steps(h, most, watch)
             self.give_back()
+            if self.collide:
+                self.try_again(h, done, most)
             if known and sums:
                 summed.total, summed.known = self.blocks[0].bodies.total[self.mine], places_of(self.rows)
         if self.direct:
             for name in summed.forces:
                 summed.calls[name] += sums
             self.direct.interactions += len(self.rows) * self.context.ids.total * sums
-        if self.effects.walls:
+        if self.effects.walls and not self.collide:
             counted = self.own or self.context.ranks.is_root
             drift.calls.update(dict.fromkeys(drift.wall_names, done))
             drift.totals["wall_hits"] += hits * counted
@@ -112,10 +130,18 @@ class ManySteps:
         drift.calls.update(dict.fromkeys(self.effects.on_velocities, 2 * done))
         return done
 
+    def try_again(self, h: float, done: int, most: int) -> None:
+        """Decide when, after `done` steps of spheres that collide, of `most` that were wanted."""
+        self.pause = 0 if done >= min(most, FEW_STEPS) else min(max(1, 2 * self.pause), LONGEST_PAUSE)
+        self.pausing = self.pause
+        if done:
+            self.drift.pass_by(h, done)
+            self.known = self.rows.version, self.rows.edition, h  # the rows are the same
+
     def fixed_steps(self, h: float, most: int, watch: int) -> tuple[int, int, int, int, bool]:
         """Steps of `Composition` or `Taylor`: what `fixed_steps` returns, of all blocks."""
         n, parts = self.context.ids.total, len(self.scheme.kicks)
-        cost = STEP_NS + ROW_NS * n + (PAIR_NS * n * n * parts if self.direct else 0.0)
+        cost = STEP_NS + ROW_NS * n + PAIR_NS * n * n * (parts * (self.direct is not None) + self.collide)
         budget = Budget(cost, LONGEST_CALL)
         most = min(most, max(1, int(LONGEST_CALL / cost)))
         if len(self.blocks) > 1 or (self.own and self.context.ranks.size > 1):  # what stops one block must stop all
@@ -187,7 +213,8 @@ class ManySteps:
         smooth = no_spins(d, np.zeros((1 + len(planes.point), 2)))
         noting = n if effects.finishes_bounces else 0
         last = np.empty(n), np.empty(noting, np.int64), np.empty(noting, np.int64), np.empty(noting)
-        space = Space(tuple(planes), bool(effects.walls), a, own, *box, last, smooth, reach, on_walls)
+        begun = np.empty((n * self.collide, d))
+        space = Space(tuple(planes), bool(effects.walls), a, own, *box, last, smooth, reach, on_walls, begun)
         return RowsTogether(bodies, self.forces_on(p), self.losses_of(p, h), space)
 
     def forces_on(self, p: Particles) -> Forces:

@@ -39,9 +39,17 @@ def scene(d: int, effects: dict[str, Any], *, periodic: bool = False, **more: An
     return Scene(dimension=d, time=time, effects=effects, **({"box": box, "particles": [lying, flying]} | more))
 
 
+def simulate(ranks: Communicator, the_scene: Scene) -> Simulation:
+    """A simulation; with pairs, one that computes each step for itself, as for more spheres."""
+    sim = Simulation(the_scene, ranks.comm)
+    if sim.active.pairs:
+        sim.many_steps = None
+    return sim
+
+
 def run(ranks: Communicator, d: int, effects: dict[str, Any], **more: Any) -> None:
     """Compute all that a run of such a scene computes: steps, the watchdog, diagnostics."""
-    sim = Simulation(scene(d, effects, **more), ranks.comm)
+    sim = simulate(ranks, scene(d, effects, **more))
     if isinstance(sim.near, EventDriven) and ranks.size > 1:  # windows of time on divided space, however few particles there are
         sim.near.divided = sim.near.windows.always = True
     sim.run()
@@ -140,7 +148,7 @@ def others(d: int, ranks: Communicator) -> None:
 
 def windows(d: int, ranks: Communicator) -> None:
     """The messages between ranks in mode event, most of them the same in all dimensions: one rank sends them to itself."""
-    sim = Simulation(scene(d, {"collisions": {"mode": "event"}}), ranks.comm)
+    sim = simulate(ranks, scene(d, {"collisions": {"mode": "event"}}))
     assert isinstance(sim.near, EventDriven)
     divided, part = sim.near.windows, sim.near.windows.partition
     sim.near.divided = divided.always = True

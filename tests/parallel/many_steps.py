@@ -11,15 +11,22 @@ from zlib import crc32
 import numpy as np
 
 from particles_mpi import Scene, Simulation
+from particles_mpi.contacts.drift import WORK
+from particles_mpi.parallel.exchange import allgather_rows
 
 STEPS = (1, 7, 2, 30)  # at once; together all of a scene
 
 
 def state(sim):
     """All that a run may show of it."""
-    order = np.argsort(sim.rows.id)
-    arrays = {name: crc32(np.ascontiguousarray(array[order])) for name, array in sim.rows.arrays.items()}
-    return arrays, repr(sim.measure()), sim.work(), sim.calls, sim.totals
+    every = allgather_rows(sim.ranks, sim.rows.arrays)  # which rank has which row may differ where particles collide
+    order = np.argsort(every["id"])
+    arrays = {name: crc32(np.ascontiguousarray(array[order])) for name, array in every.items()}
+    counts = sim.work(), sim.calls, sim.totals
+    if sim.active.pairs:  # a search for neighbours, of which there are fewer, has forces summed again
+        searching = {*WORK, "exchanges", "forces", "interactions", *sim.forces}
+        counts = tuple({name: number for name, number in of.items() if name not in searching} for of in counts)
+    return arrays, repr(sim.measure()), *counts
 
 
 for name, tables in json.loads(Path(sys.argv[1]).read_text()).items():

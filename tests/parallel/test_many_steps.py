@@ -66,6 +66,18 @@ def scenes():
     box = {"lower": [-4.0, -4.0], "upper": [4.0, 4.0], "periodic": [True, False]}
     for integrator in ("leapfrog", "adaptive"):
         found[f"{integrator}: periodic"] = tables(PUSHED, integrator, box)
+    spheres = [BODIES[0] | {"radius": 0.2, "mass": [1.0, 0.3]}, *BODIES[1:]]
+    for (forced, forces), (lossy, losses) in product(FORCES.items(), LOSSES.items()):
+        for mode, around in product(("rewind", "event"), ({}, PLANES)):
+            name = f"spheres in mode {mode}: {forced}; {lossy}; {'walls' if around else ''}"
+            found[name] = tables(forces | losses | around | {"collisions": {"mode": mode}}, "leapfrog", None, spheres)
+    for mode, integrator in product(("rewind", "event"), ("leapfrog", "taylor")):  # with losses but without forces none lasts
+        more = {"collisions": {"mode": mode, "restitution": 0.7}} | (LOSSES["drag"] if integrator == "taylor" else {})
+        small = {"lower": [-2.0, -2.0], "upper": [2.0, 2.0], "periodic": [True, False]}
+        dozen = [{"count": 12, "position": "random", "radius": 0.1, "velocity": {"speed": 3.0}}]
+        found[f"spheres in mode {mode}: periodic, {integrator}"] = tables(more | {"walls": {}}, integrator, small, dozen)
+        two = [{"position": [[-1.7, 0.0], [1.7, 0.4]], "radius": 0.3, "velocity": [[-9.0, 1.0], [9.0, 0.0]]}]
+        found[f"spheres in mode {mode}: across a face, {integrator}"] = tables(more, integrator, small | {"periodic": True}, two)
     return found
 
 
@@ -74,14 +86,41 @@ def test_same_bits_and_counts_as_single_steps(ranks, tmp_path):
     every = scenes()
     if ranks == 2:  # each force and each loss once; three ranks, with --all, run all of them
         with_drag = [name for name in every if name.startswith("leapfrog") and "drag and friction" in name]
-        every = {
-            name: every[name] for name in every if name in with_drag or name.startswith(("adaptive", "lossy", "leapfrog: peri"))
-        }
+        some = ("adaptive", "lossy", "leapfrog: peri", "spheres in mode rewind: g", "spheres in mode event: p")
+        every = {name: every[name] for name in every if name in with_drag or name.startswith(some)}
     file = tmp_path / "scenes.json"
     file.write_text(json.dumps(every))
     done = run_ranks(ranks, ROOT / "tests" / "parallel" / "many_steps.py", file, timeout=300)
     assert done.returncode == 0, done.stderr[-3000:]
     assert done.stdout.splitlines() == [f"{name}: the same" for name in every]
+
+
+@pytest.mark.parametrize("spheres", [2, many_steps.MOST_SPHERES + 1])
+def test_a_step_too_long_for_a_periodic_box_is_told_of_few_spheres_as_of_many(spheres):
+    """They fall ever faster along an axis, side by side: nobody meets anybody."""
+    box = {"lower": [0.0, 0.0], "upper": [40.0, 40.0], "periodic": True}
+    row = [{"position": [[0.0, 2.0 * k] for k in range(spheres)], "radius": 0.5}]
+    down = {"uniform_gravity": {"acceleration": [1.0, 0.0]}, "collisions": {}}
+    sim = Simulation(Scene.from_dict(tables(down, "leapfrog", box, row) | {"time": {"step": 0.5, "steps": 1000}}))
+    assert bool(sim.many_steps) == (spheres == 2)
+    with pytest.raises(
+        StoppedError, match=r"time\.step: a particle crosses 9\.\d+ in one step, too far for a periodic box of 40"
+    ):
+        sim.run()
+
+
+@pytest.mark.parametrize("mode", ["rewind", "event"])
+def test_a_step_of_few_spheres_goes_alone_only_where_someone_is_met(mode):
+    """Two that fly to and fro between walls, and meet in the middle: of 4000 steps some are not like the others."""
+    pair = [{"position": [[0.3, 0.5], [1.7, 0.5]], "velocity": [[1.0, 0.0], [-1.0, 0.0]], "radius": 0.1}]
+    box = {"lower": [0.0, 0.0], "upper": [2.0, 1.0]}
+    effects = {"collisions": {"mode": mode}, "walls": {}}
+    sim = Simulation(Scene.from_dict(tables(effects, "leapfrog", box, pair) | {"time": {"step": 0.01, "steps": 4000}}))
+    single = []
+    sim.advance = lambda *arguments, advance=sim.advance: (single.append(1), advance(*arguments))
+    sim.run()
+    met = sim.totals["collisions"] + sim.totals["wall_hits"] // 2
+    assert met > 40 and met <= len(single) <= 4 * met
 
 
 def test_another_way_to_sum_ends_it():

@@ -190,6 +190,9 @@ class EventDriven:
             begin, rows = moment, engine.work.tc_elastic[:count].copy()
         self.tc_elastic = before + count, begin, rows
 
+    def pass_by(self, h: float, drifts: int) -> None:
+        """Drifts that were done by other means change nothing here."""
+
     def remarks(self) -> list[str]:
         """What a user should be told at the end. Collective."""
         found = self.ranks.allgather(self.tc_elastic)

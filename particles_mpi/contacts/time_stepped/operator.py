@@ -110,6 +110,10 @@ class Rewind:
         self.signs.count(counts[COLLISIONS], counts[LATE])
         return counts[:LATE]
 
+    def pass_by(self, h: float, drifts: int) -> None:
+        """So many drifts over h were done by other means, for nobody met anybody."""
+        self.signs.look_at_speeds(h, drifts)
+
     def exactly(self, h: float, moment: float, rates: Rates, stop: bool = False) -> Array:
         """A drift that the operator `event` does, with what it returns. Collective."""
         self.near.end_candidates()

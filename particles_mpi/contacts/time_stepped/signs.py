@@ -29,10 +29,11 @@ class Signs:
         self.drifts, self.dense_steps, self.too_fast = 0, 0, False
         self.collisions, self.late_collisions = 0, 0
 
-    def look_at_speeds(self, h: float) -> None:
-        """Does a sphere cross more than its diameter in a drift over h? A start is refused, but forces make spheres faster."""
-        self.drifts += 1
-        if self.too_fast or self.drifts % SPEEDS_EVERY:
+    def look_at_speeds(self, h: float, drifts: int = 1) -> None:
+        """Does a sphere cross more than its diameter in a drift over h, of which there are so many? A start is refused, but
+        forces make spheres faster."""
+        self.drifts += drifts
+        if self.too_fast or self.drifts % SPEEDS_EVERY >= drifts:
             return
         p = self.near.particles
         if h * fastest(p.position, p.velocity) > 2.0 * p.radius.min(initial=np.inf, where=p.radius > 0.0):

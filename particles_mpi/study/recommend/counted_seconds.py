@@ -18,7 +18,7 @@ ROW, KEPT, RESTING = 8e-8, 2e-7, 5e-6  # of a particle in a step; more where con
 
 def counted_seconds(sim: Simulation) -> float:
     """Of all that was done so far. Collective."""
-    work, many = sim.work(), sim.many_steps
+    work, many = sim.work(), sim.many_steps and not sim.active.pairs
     step = (STEP_OF_MANY if many else STEP) + ROW * sim.total
     if sim.persistent and not many:
         step += KEEPING + KEPT * sim.total + RESTING * sim.ranks.total(np.count_nonzero(sim.rows["supported"]))[0]

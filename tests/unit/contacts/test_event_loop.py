@@ -13,7 +13,9 @@ from particles_mpi.neighbours.verlet_kernels import SKIN
 def discs(mode="event", **population):
     particles = [{"position": [[0, 0], [1.5, 0], [3.2, 0.1]], "radius": 0.5} | population]
     time = {"step": 0.5, "steps": 4}
-    return Simulation(Scene(dimension=2, time=time, particles=particles, effects={"collisions": {"mode": mode}}))
+    sim = Simulation(Scene(dimension=2, time=time, particles=particles, effects={"collisions": {"mode": mode}}))
+    sim.many_steps = None  # each step for itself, as of more spheres
+    return sim
 
 
 def test_fixed_spheres_that_are_given_a_velocity_stay():

@@ -1,0 +1,56 @@
+"""Will anyone meet anyone in a drift? Of a few spheres, all pairs are asked."""
+
+from math import sqrt
+
+import numpy as np
+
+from particles_mpi.contacts.law import may_come_near
+from particles_mpi.contacts.walls import may_hit
+from particles_mpi.kernels.geometry import nearest
+from particles_mpi.kernels.jit import in_place, lean_inner
+
+
+@in_place
+def images_are_far(axes, v, radius, h, length):
+    """Does no row get so far in a drift over h that another image than the nearest one of a partner could matter?
+
+    So far that a search for neighbours would refuse the step is too far here, too: as a part of the periodic `length` (d,).
+    """
+    fastest = 0.0
+    largest = 0.0
+    for i in range(len(v)):
+        v2 = 0.0
+        for k in range(len(axes)):
+            v2 += v[i, k] * v[i, k]
+        fastest = max(fastest, v2)
+        largest = max(largest, radius[i])
+    far = True
+    for k in range(len(axes)):
+        far &= (length[k] <= 0.0) | (4.0 * h * sqrt(fastest) + 2.0 * largest < 0.499 * length[k])
+    return far
+
+
+@lean_inner
+def all_clear(axes, x, v, radius, h, length, planes):
+    """Does no row of x, v (n, d) meet another one, or a wall, on a straight path over h? Quick, and never wrongly True.
+
+    length (d,): of the box on periodic axes, 0 on others.
+    """
+    if not images_are_far(axes, v, radius, h, length):
+        return False
+    for i in range(len(x)):
+        if may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i], h, planes):
+            return False
+        for j in range(i):
+            u2 = 0.0
+            ru = 0.0
+            r2 = 0.0
+            for k in range(len(axes)):
+                r = nearest(x[i, k] - x[j, k], length[k])
+                u = v[i, k] - v[j, k]
+                u2 += u * u
+                ru += r * u
+                r2 += r * r
+            if may_come_near(u2, ru, r2, radius[i] + radius[j], h):
+                return False
+    return True
