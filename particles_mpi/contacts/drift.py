@@ -179,7 +179,6 @@ class Drift:
         assert self.operator
         self.calls.update(dict.fromkeys(self.contact_names, drifts))
         self.operator.pass_by(h, drifts)
-        self.rows.version += 1  # what is known of neighbours does not hold any longer
 
     def act(self, events: dict[str, Event], h: float) -> bool:
         """Events at the end of the drift; was any row of this rank changed?"""

@@ -44,8 +44,8 @@ BLOCK_ROWS = 4096  # rows that are advanced together: what is needed of them sta
 LONGEST_CALL = 1e8  # ns in one call, about, so that Ctrl-C is heard
 PAIR_NS, ROW_NS, STEP_NS = 3.0, 8.0, 50.0  # ns of a pair, a row, and everything else in a step, at most
 MOST_SPHERES = 16  # that collide: of more, some meet in most steps, and those are not for this
-FEW_STEPS = 4  # at once, which are worth the attempt; after fewer comes a pause, which doubles up to LONGEST_PAUSE steps
-LONGEST_PAUSE = 32
+FEW_STEPS = 3  # so many at least are worth the search after them; after fewer comes a pause, ever longer up to LONGEST_PAUSE
+LONGEST_PAUSE = 127
 SUM = "sum of forces"  # a name that no field has
 
 
@@ -72,9 +72,12 @@ class ManySteps:
         self.blocks: list[RowsTogether] = []
         self.direct = next((force.direct for force in summed.forces.values() if force.direct), None)
         self.collide = effects.pairs is not None
-        self.pause = self.pausing = 0  # steps in which nothing is tried, after the last attempt, and left of them
-        self.together = self.direct is not None or self.collide or isinstance(rule, Adaptive)  # all particles in the same kernel?
-        self.own = context.ranks.size == 1 or not self.together  # are the rows here enough?
+        self.clear = 0  # steps so far since somebody met somebody
+        self.pause = self.pausing = 0  # steps in which nothing is tried, after the last meeting, and left of them
+        self.ordered = self.direct is not None or isinstance(rule, Adaptive)  # do sums go over all particles in the order of ids?
+        self.together = self.ordered or self.collide  # all particles in the same kernel?
+        alone = context.ranks.size == 1 and not (self.ordered and self.collide)  # else a new order would cost a search
+        self.own = alone or not self.together  # are the rows here enough, as they are?
         self.axes = (0,) * rows.dimension
         kicks, drifts = np.array(rule.parts).T if isinstance(rule, Composition) else np.array([[0.5], [1.0]])
         self.scheme = Scheme(kicks.copy(), drifts.copy(), isinstance(rule, Taylor))
@@ -132,11 +135,13 @@ class ManySteps:
 
     def try_again(self, h: float, done: int, most: int) -> None:
         """Decide when, after `done` steps of spheres that collide, of `most` that were wanted."""
-        self.pause = 0 if done >= min(most, FEW_STEPS) else min(max(1, 2 * self.pause), LONGEST_PAUSE)
-        self.pausing = self.pause
+        self.clear += done
+        if done < most:
+            self.pause = self.pause // 2 if self.clear >= FEW_STEPS else min(2 * self.pause + 1, LONGEST_PAUSE)
+            self.pausing = self.pause + (done > 0)  # and the step before which it ended
+            self.clear = 0
         if done:
             self.drift.pass_by(h, done)
-            self.known = self.rows.version, self.rows.edition, h  # the rows are the same
 
     def fixed_steps(self, h: float, most: int, watch: int) -> tuple[int, int, int, int, bool]:
         """Steps of `Composition` or `Taylor`: what `fixed_steps` returns, of all blocks."""
@@ -186,7 +191,7 @@ class ManySteps:
         if not self.own:
             every = allgather_rows(ranks, every)
         if self.together:
-            if (np.diff(every["id"]) < 0).any():
+            if (self.ordered or not self.own) and (np.diff(every["id"]) < 0).any():
                 every = rows_of(every, np.argsort(every["id"]))
                 if self.own:
                     p.replace({name: every[name] for name in p.arrays})

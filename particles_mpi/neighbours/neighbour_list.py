@@ -213,6 +213,14 @@ class Neighbourhood:
         self.tuner.step(self.candidates.pair_count)
         self.pair_tests += self.candidates.pair_count
 
+    def pass_by(self, h: float, drifts: int) -> None:
+        """So many drifts over h were done by other means, in which nobody met anybody: candidates, but no ghosts, still hold."""
+        if self.halo:
+            self.end_candidates()
+        elif self.version != -1:
+            self.candidates.time += drifts * h
+            self.tuner.lasted += drifts
+
     def end_candidates(self) -> None:
         """This drift is done by other means: the candidates, if there are any, served for one step, and end with it."""
         if self.version != -1:

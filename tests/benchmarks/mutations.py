@@ -33,6 +33,34 @@ CHANGE = "            return change\n    change = (1.0 + restitution) * approach
 OTHER = "        v[j, column + k] = velocity_factor * (v[j, column + k] + impulse * w_j * r[k])\n"
 MUTATIONS = (
     Mutation(
+        "few spheres that collide go through one another",
+        "contacts/clearance.py",
+        "            if may_come_near(u2, ru, r2, radius[i] + radius[j], h):\n",
+        "            if may_come_near(u2, ru, r2, 0.5 * (radius[i] + radius[j]), h):\n",
+        ("tests/parallel/test_many_steps.py", "-k", "single_steps and 1"),
+    ),
+    Mutation(
+        "few spheres keep a kick of a step that is done again",
+        "integrators/compiled_steps.py",
+        "                    copy_rows(space.begun, v)\n",
+        "",
+        ("tests/parallel/test_many_steps.py", "-k", "single_steps and 1"),
+    ),
+    Mutation(
+        "neighbours are taken as known after steps that were computed at once",
+        "neighbours/neighbour_list.py",
+        "            self.candidates.time += drifts * h\n",
+        "",
+        ("tests/parallel/test_many_steps.py", "-k", "single_steps and 1"),
+    ),
+    Mutation(
+        "ghosts are taken as known after steps that were computed at once",
+        "neighbours/neighbour_list.py",
+        "        if self.halo:\n            self.end_candidates()\n        elif",
+        "        if",
+        ("tests/parallel/test_many_steps.py", "-k", "single_steps and 2"),
+    ),
+    Mutation(
         "what contacts took is lost where rows change their rank",
         "contacts/persistent/memory.py",
         "    ours, _ = send(rows_of(strays, found), owner[place[found]])\n",

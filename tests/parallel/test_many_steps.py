@@ -78,6 +78,12 @@ def scenes():
         found[f"spheres in mode {mode}: periodic, {integrator}"] = tables(more | {"walls": {}}, integrator, small, dozen)
         two = [{"position": [[-1.7, 0.0], [1.7, 0.4]], "radius": 0.3, "velocity": [[-9.0, 1.0], [9.0, 0.0]]}]
         found[f"spheres in mode {mode}: across a face, {integrator}"] = tables(more, integrator, small | {"periodic": True}, two)
+    # Three pairs meet after 5, 9 and 13 steps, the last one across two ranks; in the order of their ids, so that none is sorted.
+    row = {"position": [[x, 0.0] for x in (0.0, 2.0, 2.9, 5.9, 7.6, 10.6, 11.9, 14.0)], "velocity": [[-1.0, 0.0], [1.0, 0.0]] * 4}
+    for mode in ("rewind", "event"):
+        found[f"spheres in mode {mode}: one beside the other"] = tables(
+            {"collisions": {"mode": mode}}, "leapfrog", None, [row | {"radius": 0.2}]
+        )
     return found
 
 
@@ -86,7 +92,14 @@ def test_same_bits_and_counts_as_single_steps(ranks, tmp_path):
     every = scenes()
     if ranks == 2:  # each force and each loss once; three ranks, with --all, run all of them
         with_drag = [name for name in every if name.startswith("leapfrog") and "drag and friction" in name]
-        some = ("adaptive", "lossy", "leapfrog: peri", "spheres in mode rewind: g", "spheres in mode event: p")
+        some = (
+            "adaptive",
+            "lossy",
+            "leapfrog: peri",
+            "spheres in mode rewind: g",
+            "spheres in mode rewind: one",
+            "spheres in mode event: p",
+        )
         every = {name: every[name] for name in every if name in with_drag or name.startswith(some)}
     file = tmp_path / "scenes.json"
     file.write_text(json.dumps(every))

@@ -191,7 +191,7 @@ class EventDriven:
         self.tc_elastic = before + count, begin, rows
 
     def pass_by(self, h: float, drifts: int) -> None:
-        """Drifts that were done by other means change nothing here."""
+        """Drifts that were done by other means: the next one here finds that rows have moved."""
 
     def remarks(self) -> list[str]:
         """What a user should be told at the end. Collective."""

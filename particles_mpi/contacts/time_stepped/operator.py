@@ -113,6 +113,7 @@ class Rewind:
     def pass_by(self, h: float, drifts: int) -> None:
         """So many drifts over h were done by other means, for nobody met anybody."""
         self.signs.look_at_speeds(h, drifts)
+        self.near.pass_by(h, drifts)
 
     def exactly(self, h: float, moment: float, rates: Rates, stop: bool = False) -> Array:
         """A drift that the operator `event` does, with what it returns. Collective."""
