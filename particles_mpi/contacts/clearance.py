@@ -16,6 +16,11 @@ def images_are_far(axes, v, radius, h, length):
 
     So far that a search for neighbours would refuse the step is too far here, too: as a part of the periodic `length` (d,).
     """
+    periodic = False
+    for k in range(len(axes)):
+        periodic |= length[k] > 0.0
+    if not periodic:
+        return True
     fastest = 0.0
     largest = 0.0
     for i in range(len(v)):
@@ -31,15 +36,15 @@ def images_are_far(axes, v, radius, h, length):
 
 
 @lean_inner
-def all_clear(axes, x, v, radius, h, length, planes):
+def all_clear(axes, x, v, radius, h, length, bounded, planes):
     """Does no row of x, v (n, d) meet another one, or a wall, on a straight path over h? Quick, and never wrongly True.
 
-    length (d,): of the box on periodic axes, 0 on others.
+    length (d,): of the box on periodic axes, 0 on others; bounded: are there walls?
     """
     if not images_are_far(axes, v, radius, h, length):
         return False
     for i in range(len(x)):
-        if may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i], h, planes):
+        if bounded and may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i], h, planes):
             return False
         for j in range(i):
             u2 = 0.0

@@ -259,8 +259,8 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
                     pushed, rows = keep_on_walls(axes, bodies, losses, part, space, h, kicked, near)
                     resting += rows
             if drifted != 0.0:
-                x, v, radius = bodies.x, bodies.v, bodies.radius
-                if len(space.begun) > 0 and not all_clear(axes, x, v, radius, drifted, space.length, space.planes):
+                x, v, radius, around = bodies.x, bodies.v, bodies.radius, (space.length, space.bounded, space.planes)
+                if len(space.begun) > 0 and not all_clear(axes, x, v, radius, drifted, *around):
                     copy_rows(space.begun, v)
                     return step - 1, hits, missed, sums, known
                 if space.own_rates:

@@ -289,8 +289,11 @@ output = {every = 1, checkpoint_every = 8, formats = ["hdf5"]}
 def few():
     """few bodies on one core: thousand steps/s of the figure eight by each integrator; milliseconds of whole integrations"""
 
-    def rate(integrator, steps):
+    def rate(integrator, steps, collide=False):
         tables = Scene.load(SCENES / "figure_eight.toml").to_dict()
+        if collide:
+            tables["particles"] = [table | {"radius": 0.01} for table in tables["particles"]]
+            tables["effects"]["collisions"] = {}
         sim = Simulation(Scene.from_dict(tables | {"time": tables["time"] | {"integrator": integrator, "steps": 10 * steps}}))
         sim.steps(steps // 10)
         begin = perf_counter()
@@ -308,6 +311,7 @@ def few():
 
     lengths = {"leapfrog": 2_000_000, "taylor": 2_000_000, "order4": 400_000, "adaptive": 40_000}
     rates = {f"{name}, 1000 steps/s": lambda name=name, steps=steps: rate(name, steps) for name, steps in lengths.items()}
+    rates["leapfrog, spheres that collide, 1000 steps/s"] = lambda: rate("leapfrog", 2_000_000, collide=True)
     solar = {
         "solar_system.toml, the loop with all output, ms": lambda: (
             run(SCENES / "solar_system.toml", 1)[1]["timers"]["loop"]["max"] * 1e3
@@ -320,15 +324,17 @@ def few_peers():
     """REBOUND: the same"""
     import rebound
 
-    def simulation(mass, x, v):
+    def simulation(mass, x, v, radius=0.0):
         sim = rebound.Simulation()
         for m, place, speed in zip(mass, x, v, strict=True):
-            sim.add(m=m, x=place[0], y=place[1], vx=speed[0], vy=speed[1])
+            sim.add(m=m, x=place[0], y=place[1], vx=speed[0], vy=speed[1], r=radius)
         return sim
 
-    def leapfrog():
+    def leapfrog(collide=False):
         a, b = [0.97000435669733434, -0.24308753153583489], [0.46620368572055115, 0.43236573046050048]
-        sim = simulation([1.0] * 3, [a, [-a[0], -a[1]], [0.0, 0.0]], [b, b, [-2 * b[0], -2 * b[1]]])
+        sim = simulation([1.0] * 3, [a, [-a[0], -a[1]], [0.0, 0.0]], [b, b, [-2 * b[0], -2 * b[1]]], 0.01 * collide)
+        if collide:
+            sim.collision, sim.collision_resolve = "direct", "hardsphere"
         sim.integrator, sim.dt = "leapfrog", 0.0015814784957455528
         begin = perf_counter()
         sim.steps(2_000_000)
@@ -341,7 +347,11 @@ def few_peers():
         sim.integrate(70.0)
         return (perf_counter() - begin) * 1e3
 
-    return {"REBOUND leapfrog, 1000 steps/s": leapfrog, "REBOUND IAS15, Pythagorean problem to t = 70, ms": pythagorean}
+    return {
+        "REBOUND leapfrog, 1000 steps/s": leapfrog,
+        "REBOUND leapfrog, spheres that collide, 1000 steps/s": lambda: leapfrog(collide=True),
+        "REBOUND IAS15, Pythagorean problem to t = 70, ms": pythagorean,
+    }
 
 
 def tree_peers():
