@@ -5,9 +5,10 @@ from math import sqrt
 import numpy as np
 
 from particles_mpi.contacts.law import may_come_near
-from particles_mpi.contacts.walls import may_hit
+from particles_mpi.contacts.walls import may_hit, wall_contact
 from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import in_place, lean_inner
+from particles_mpi.kernels.markers import NOBODY
 
 
 @in_place
@@ -45,7 +46,9 @@ def all_clear(axes, x, v, radius, h, length, bounded, planes):
         return False
     for i in range(len(x)):
         if bounded and may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i], h, planes):
-            return False
+            _, wall = wall_contact(axes, x, v, np.int64(0), 0.0, i, radius[i], NOBODY, h, planes)
+            if wall >= 0:
+                return False
         for j in range(i):
             u2 = 0.0
             ru = 0.0

@@ -13,8 +13,8 @@ MPI_Abort, or an exit code of ours, are left out and those about a signal or ano
 once. No setting of Open MPI does that: `orte_execute_quiet` hides also that a rank was killed, or that there is no such program.
 
 Its own end. When a rank has ended all of them while another one is in MPI_Finalize, the mpirun of Open MPI 4 sometimes crashes,
-or waits for itself for ever, with all ranks gone (one in 50 to 100 times on a busy machine). It has then said which exit code
-there is, and this process ends with that.
+or waits for itself for ever, with all ranks gone (twice in 500 times on a busy machine). It has then said which exit code there
+is, and this process ends with that.
 """
 
 import os
