@@ -25,6 +25,7 @@ from particles_mpi.particles import Array
 WANTED = {1: 3.0, 2: 7.0, 3: 12.0}  # neighbours in a list: fewer, and lists expire too often; more, and looks take longer
 WANTED_BEYOND = 20.0  # in more dimensions
 PLACES_IN_LISTS = "places in lists of neighbours"
+LEAST_SKIN = 4096.0  # round-offs of the largest coordinate: what is left of a skin when a list expires is eight of them
 SHORTER = 0.99  # times as long must lists get by a narrower skin
 ACCEPTED = 1.3  # times more or fewer neighbours than wanted are accepted
 
@@ -57,10 +58,10 @@ class VerletLists:
         wanted = WANTED.get(d, WANTED_BEYOND)
         wider, longest = 0.0, np.inf  # the width before, if it was wider, and the mean length of lists with it
         for _ in range(6):
-            self.width = min(self.width, widest)
+            self.width = min(self.width, widest) if n > wanted else widest  # of few rows, the others are always in the list
             self.build(x, radius, w)
             mean = self.arrays.spans[:, COUNT].mean() if n else wanted
-            if wanted / ACCEPTED < mean < wanted * ACCEPTED or n < 3:
+            if wanted / ACCEPTED < mean < wanted * ACCEPTED or n <= wanted:
                 break
             if self.width < wider and mean > SHORTER * longest:  # as near as these are, a narrow skin only expires more often
                 self.width = wider
@@ -88,7 +89,8 @@ class VerletLists:
         rows = n + spare
         places = rows * (BLOCK_NUMBERS + BLOCK_NUMBERS // 8) + 64
         require_countable(places, PLACES_IN_LISTS)
-        self.skin = max(self.width, 64.0 * np.finfo(float).eps * float(np.abs(x).max(initial=0.0)))  # above round-off of x
+        least = LEAST_SKIN * np.finfo(float).eps * float(np.abs(x).max(initial=0.0))
+        self.skin = max(self.width, least)
         reference = aligned(rows, whole_lines(d + 5))
         skin = reference[:n, d + SKIN] = np.where(w > 0.0, self.skin, 0.0)
         size = reference[:n, d + SIZE] = radius + skin

@@ -39,6 +39,27 @@ def test_points_of_no_volume_fly_straight(d, spread, count, walls, mode):
     assert (sim.particles.velocity == v[ids]).all() and sim.totals["collisions"] == 0
 
 
+@pytest.mark.parametrize("at_once", [True, False])
+@pytest.mark.parametrize("count", [2, 3, 20])
+def test_points_on_a_line_stay_in_their_order(count, at_once):
+    """However near they are at the start, and however far they get in a step; half of them at the same speed to and fro."""
+    random = np.random.default_rng(count)
+    for number in range(40):
+        x = random.uniform(-20.0, 20.0) + np.sort(random.uniform(0.0, 10.0 ** random.uniform(-4.0, 0.0), count))
+        v = random.uniform(1.0, 9.0) * ((-1.0) ** np.arange(count) if number % 2 else random.uniform(-1.0, 1.0, count))
+        mass = random.uniform(0.1, 3.0, count)
+        points = {"position": x[:, None].tolist(), "velocity": v[:, None].tolist(), "mass": mass.tolist()}
+        effects = {"collisions": {"mode": "event"}}
+        sim = Simulation(Scene(dimension=1, time={"step": 0.1, "steps": 3}, effects=effects, particles=[points]))
+        sim.many_steps = sim.many_steps if at_once else None
+        sim.steps(3)
+        order = np.argsort(sim.particles.id)
+        later, velocity = sim.particles.position[order, 0], sim.particles.velocity[order, 0]
+        assert (np.diff(later) > -1e-13).all(), f"start {number}"
+        assert (mass * velocity).sum() == pytest.approx((mass * v).sum(), abs=1e-12)
+        assert (mass * velocity**2).sum() == pytest.approx((mass * v**2).sum(), rel=1e-12)
+
+
 @pytest.mark.parametrize("radius", [1e-30, 1e-170])
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("surface", [{}, {"friction": 0.3}, {"restitution": 0.5}])

@@ -18,6 +18,7 @@ from particles_mpi.kernels.markers import NEVER, RADIUS, START
 from particles_mpi.neighbours.verlet_kernels import BEGIN, COUNT, SKIN
 
 MASK_BITS = 64  # of a mask
+USED_SKIN = 1.0 - 1.0 / 512.0  # of a skin: two points that just are in no list of one another meet when all of it is used up
 EARLY, SOON, NEXT_ONES = 6, 4, 2  # buckets ahead of the present one, for which memory is prefetched
 
 
@@ -79,11 +80,12 @@ def first_partner(axes, rows, lists, work, i, now, h):
 
 @in_place
 def list_expires(axes, segment, reference, i, now, until):
-    """The time at which row i is further than its skin from its reference position, if that is before `until`, or else NEVER."""
+    """The time at which row i is nearly a skin away from its reference position, if that is before `until`, or else NEVER."""
     d = len(axes)
     a = 0.0
     b = 0.0
-    c = -reference[i, d + SKIN] * reference[i, d + SKIN]
+    skin = USED_SKIN * reference[i, d + SKIN]
+    c = -skin * skin
     for k in range(d):
         away = segment[i, k] + segment[i, d + k] * (now - segment[i, 2 * d + START]) - reference[i, k]
         a += segment[i, d + k] * segment[i, d + k]
