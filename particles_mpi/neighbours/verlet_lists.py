@@ -26,6 +26,7 @@ WANTED = {1: 3.0, 2: 7.0, 3: 12.0}  # neighbours in a list: fewer, and lists exp
 WANTED_BEYOND = 20.0  # in more dimensions
 PLACES_IN_LISTS = "places in lists of neighbours"
 LEAST_SKIN = 4096.0  # round-offs of the largest coordinate: what is left of a skin when a list expires is eight of them
+FEW_ROWS, MOST_FLIGHTS = 1000, 1e4  # of so few rows, lists are made for flights of so many skins at most, however dense they are
 SHORTER = 0.99  # times as long must lists get by a narrower skin
 ACCEPTED = 1.3  # times more or fewer neighbours than wanted are accepted
 
@@ -52,13 +53,14 @@ class VerletLists:
         n, d = x.shape
         low, high = (x.min(axis=0), x.max(axis=0)) if n else (np.zeros(d), np.ones(d))
         everything = float((high - low).max()) + distance + way  # in so wide a skin is everybody: few rows would want ever more
-        widest = min(self.widest_skin(distance), everything or np.inf)
+        widest = min(self.widest_skin(distance), everything or 1.0)
+        least = min(way / MOST_FLIGHTS, widest) if n <= FEW_ROWS else 0.0
         if not self.width:
             self.width = max(0.5 * spacing(low, high, n), 0.05 * float(radius.mean()) if n else 0.0) or way or 1.0  # any, at rest
         wanted = WANTED.get(d, WANTED_BEYOND)
         wider, longest = 0.0, np.inf  # the width before, if it was wider, and the mean length of lists with it
         for _ in range(6):
-            self.width = min(self.width, widest) if n > wanted else widest  # of few rows, the others are always in the list
+            self.width = max(min(self.width, widest), least) if n > wanted else widest  # of few rows, all are in the list
             self.build(x, radius, w)
             mean = self.arrays.spans[:, COUNT].mean() if n else wanted
             if wanted / ACCEPTED < mean < wanted * ACCEPTED or n <= wanted:

@@ -60,6 +60,26 @@ def test_points_on_a_line_stay_in_their_order(count, at_once):
         assert (mass * velocity**2).sum() == pytest.approx((mass * v**2).sum(), rel=1e-12)
 
 
+@pytest.mark.parametrize("restitution", [0.0, 0.3, 0.99, 1.0])
+@pytest.mark.parametrize("attract", [True, False])
+def test_points_on_a_line_go_on_the_same_from_any_step(attract, restitution):
+    """Those that lose energy come together at one place, where nothing but round-off tells who is on the right."""
+    for number in range(6):
+        random = np.random.default_rng(number)
+        count = (2, 5, 12)[number % 3]
+        points = {"position": random.uniform(0.0, 6.0, (count, 1)).tolist(), "mass": random.uniform(0.1, 3.0, count).tolist()}
+        points["velocity"] = random.uniform(-1.0, 1.0, (count, 1)).tolist()
+        effects = {"collisions": {"mode": "event", "restitution": restitution}}
+        effects |= {"mutual_gravity": {"G": 1.0, "softening": 0.05}} if attract else {}
+        time = {"step": (0.005, 0.02, 0.1)[number // 2], "steps": 120}
+        sim = Simulation(Scene(dimension=1, time=time, effects=effects, particles=[points]))
+        for step in range(5, 120, 5):
+            other = sim.copy()
+            sim.steps(5)
+            other.steps(5)
+            assert other == sim, f"start {number}, from step {step - 5}"
+
+
 @pytest.mark.parametrize("radius", [1e-30, 1e-170])
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("surface", [{}, {"friction": 0.3}, {"restitution": 0.5}])

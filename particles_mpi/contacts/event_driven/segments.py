@@ -18,6 +18,7 @@ from particles_mpi.kernels.lanes import columns_of, eight
 from particles_mpi.kernels.markers import NEVER, RADIUS, START
 from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS
 
+ROUND_OFF = 64.0 * float(np.finfo(float).eps)  # of a coordinate, at most
 columns_of_segments: Any = columns_of(lambda d: 2 * d + RADIUS + 1)
 
 
@@ -36,7 +37,11 @@ def may_touch(axes, segment, i, others, place, now, until, length, boxes_per_len
         a += u * u
         b += r * u
         r2 += r * r
-    return may_come_near(a, b, r2, segment[i, 2 * d + RADIUS] + others[2 * d + RADIUS], until - now)
+    likely = may_come_near(a, b, r2, segment[i, 2 * d + RADIUS] + others[2 * d + RADIUS], until - now)
+    if d == 1:  # where points meet on a line, round-off decides whether they move apart
+        together = ROUND_OFF * (abs(segment[i, 0]) + abs(place[0]))
+        likely = likely | (r2 <= together * together)
+    return likely
 
 
 @inner(inline="always")
