@@ -218,6 +218,15 @@ def copy_rows(given, into):
 
 
 @lean_inner
+def someone_meets(axes, bodies, space, h):
+    """May anyone meet anyone in a drift over h? Then velocities are again those of the start of the step."""
+    if all_clear(axes, bodies.x, bodies.v, bodies.radius, h, space.length, space.bounded, space.planes):
+        return False
+    copy_rows(space.begun, bodies.v)
+    return True
+
+
+@lean_inner
 def invalid(axes, bodies, space):
     """Would the watchdog stop the run here?"""
     numbers, astray, _ = find_invalid(axes, bodies.x, bodies.v, bodies.fixed, space.planes, space.lower, space.length)
@@ -237,8 +246,9 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
     hits, missed, sums, known, noted = 0, 0, 0, True, 0
     before, near, pushed = -1, -1, 0
     resting = 0
+    collide = len(space.begun) > 0
     for step in range(1, steps + 1):
-        if len(space.begun) > 0:
+        if collide:
             copy_rows(bodies.v, space.begun)
         for part in range(len(scheme.kicks)):
             kicked, drifted = scheme.kicks[part] * h, scheme.drifts[part] * h
@@ -259,9 +269,7 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
                     pushed, rows = keep_on_walls(axes, bodies, losses, part, space, h, kicked, near)
                     resting += rows
             if drifted != 0.0:
-                x, v, radius, around = bodies.x, bodies.v, bodies.radius, (space.length, space.bounded, space.planes)
-                if len(space.begun) > 0 and not all_clear(axes, x, v, radius, drifted, *around):
-                    copy_rows(space.begun, v)
+                if collide and someone_meets(axes, bodies, space, drifted):
                     return step - 1, hits, missed, sums, known
                 if space.own_rates:
                     set_rates(axes, bodies, space, before, pushed, 0.5 * h)
