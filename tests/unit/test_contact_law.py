@@ -60,6 +60,8 @@ def test_the_time_of_a_contact(d):
             place = x[0] + v[0] * (moment - start[0])
             several = np.tile(np.array([1, 0], np.int32), 3)  # and from the sixth on the last one is repeated
             bits = may_touch(axes, segment, 0, several, place, moment, 2.0, length, boxes_per_length(length))
+            if d == 1:  # where a row is together with itself, which is in no list of its own
+                bits &= 0b00010101
             assert bits in (0b00010101, 0) if t == NEVER else bits == 0b00010101
         touched += t != NEVER
     assert touched > 20
