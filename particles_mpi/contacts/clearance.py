@@ -1,7 +1,5 @@
 """Will anyone meet anyone in a drift? Of a few spheres, all pairs are asked."""
 
-from math import sqrt
-
 import numpy as np
 
 from particles_mpi.contacts.law import may_come_near
@@ -9,10 +7,11 @@ from particles_mpi.contacts.walls import may_hit, wall_contact
 from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import in_place, lean_inner
 from particles_mpi.kernels.markers import NOBODY
+from particles_mpi.neighbours.trajectories import fastest
 
 
 @in_place
-def images_are_far(axes, v, radius, h, length):
+def images_are_far(axes, x, v, radius, h, length):
     """Does no row get so far in a drift over h that another image than the nearest one of a partner could matter?
 
     So far that a search for neighbours would refuse the step is too far here, too: as a part of the periodic `length` (d,).
@@ -22,17 +21,13 @@ def images_are_far(axes, v, radius, h, length):
         periodic |= length[k] > 0.0
     if not periodic:
         return True
-    fastest = 0.0
     largest = 0.0
-    for i in range(len(v)):
-        v2 = 0.0
-        for k in range(len(axes)):
-            v2 += v[i, k] * v[i, k]
-        fastest = max(fastest, v2)
+    for i in range(len(radius)):
         largest = max(largest, radius[i])
+    reach = 4.0 * h * fastest(x, v) + 2.0 * largest
     far = True
     for k in range(len(axes)):
-        far &= (length[k] <= 0.0) | (4.0 * h * sqrt(fastest) + 2.0 * largest < 0.499 * length[k])
+        far &= (length[k] <= 0.0) | (reach < 0.499 * length[k])
     return far
 
 
@@ -42,7 +37,7 @@ def all_clear(axes, x, v, radius, h, length, bounded, planes):
 
     length (d,): of the box on periodic axes, 0 on others; bounded: are there walls?
     """
-    if not images_are_far(axes, v, radius, h, length):
+    if not images_are_far(axes, x, v, radius, h, length):
         return False
     for i in range(len(x)):
         if bounded and may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i], h, planes):

@@ -54,16 +54,20 @@ class VerletLists:
         low, high = (x.min(axis=0), x.max(axis=0)) if n else (np.zeros(d), np.ones(d))
         everything = float((high - low).max()) + distance + way  # in so wide a skin is everybody: few rows would want ever more
         widest = min(self.widest_skin(distance), everything or 1.0)
+        wanted = WANTED.get(d, WANTED_BEYOND)
+        if n <= wanted:  # all are in the list
+            self.width = widest
+            self.build(x, radius, w)
+            return
         least = min(way / MOST_FLIGHTS, widest) if n <= FEW_ROWS else 0.0
         if not self.width:
-            self.width = max(0.5 * spacing(low, high, n), 0.05 * float(radius.mean()) if n else 0.0) or way or 1.0  # any, at rest
-        wanted = WANTED.get(d, WANTED_BEYOND)
+            self.width = max(0.5 * spacing(low, high, n), 0.05 * float(radius.mean())) or way or 1.0  # any, at rest
         wider, longest = 0.0, np.inf  # the width before, if it was wider, and the mean length of lists with it
         for _ in range(6):
-            self.width = max(min(self.width, widest), least) if n > wanted else widest  # of few rows, all are in the list
+            self.width = max(min(self.width, widest), least)
             self.build(x, radius, w)
-            mean = self.arrays.spans[:, COUNT].mean() if n else wanted
-            if wanted / ACCEPTED < mean < wanted * ACCEPTED or n <= wanted:
+            mean = self.arrays.spans[:, COUNT].mean()
+            if wanted / ACCEPTED < mean < wanted * ACCEPTED:
                 break
             if self.width < wider and mean > SHORTER * longest:  # as near as these are, a narrow skin only expires more often
                 self.width = wider
