@@ -5,11 +5,13 @@ from math import inf, sqrt
 import numpy as np
 
 from particles_mpi.kernels.geometry import nearest
-from particles_mpi.kernels.jit import in_place, inner, prefetch, spheres_within, trailing_zeros
+from particles_mpi.kernels.jit import in_place, inner, lean_inner, prefetch, spheres_within, trailing_zeros
 from particles_mpi.kernels.markers import RADIUS, START
 from particles_mpi.neighbours.cells import cell_along
 from particles_mpi.neighbours.near_paths import WAITING, Waiting, keep_pairs
 from particles_mpi.neighbours.search_index import FAST, FLOAT32_LOSS, OVERSIZE, PLACES_AT_ONCE, SLOW
+
+ENTRIES_A_LINE = 4  # of `SortedCells.entry` in a line of the cache
 
 
 @inner
@@ -105,6 +107,29 @@ def list_bits(bits, firsts, order, i, around, listed, path):
     return listed
 
 
+@lean_inner
+def fetch_cells(sorted_, linked, ranges):
+    """Ask for what is in the sorted and the linked cells in these ranges, all at once: where each cell is, then what is there.
+
+    For a row that asks alone: its surroundings are in no cache, and the tests would wait for one cell after the other.
+    """
+    order, start, _, entry, _, (_, _, cells) = sorted_
+    head, _, _, _, (_, _, linked_cells) = linked
+    low, high, linked_low, linked_high = ranges
+    for c0 in range(low[0], high[0] + 1):
+        for c1 in range(low[1], high[1] + 1):
+            prefetch(start, (c0 * cells[1] + c1) * cells[2] + low[2])
+    for c0 in range(linked_low[0], linked_high[0] + 1):
+        for c1 in range(linked_low[1], linked_high[1] + 1):
+            prefetch(head, (c0 * linked_cells[1] + c1) * linked_cells[2] + linked_low[2])
+    for c0 in range(low[0], high[0] + 1):
+        for c1 in range(low[1], high[1] + 1):
+            first = start[np.uint64((c0 * cells[1] + c1) * cells[2] + low[2])]
+            prefetch(order, first)
+            prefetch(entry, first)
+            prefetch(entry, first + ENTRIES_A_LINE)
+
+
 @inner
 def list_linked(low, high, cells, head, after, around, listed):
     """Rows in the linked lists of the cells in the ranges low..high; behind the first `listed` of `around`."""
@@ -124,11 +149,11 @@ def list_near(axes, at, reaches, i, ranges, index, paths, firsts, around, listed
     """The rows in cells near the path of row i, or of an image of it, behind the first `listed` of `around`.
 
     Returns (how many are listed then, tests). `at`: the middle (d,) of the path and its extent (g,), and scratch; `reaches`: see
-    `find_partners`; `ranges`: scratch, (3,) each.
+    `find_partners`; `ranges`: scratch, (3,) each, for the sorted and the linked cells.
     """
     middle, extent, middle32 = at
     own, limit, to_slow, to_fast, also_fast = reaches
-    low, high = ranges
+    low, high, linked_low, linked_high = ranges
     path, midpoint, bounding_radius, _, _ = paths
     sorted_, linked, _, _, largest, _, _, _, _, _ = index
     _, _, _, _, scale, (origin, per, cells) = sorted_
@@ -141,11 +166,13 @@ def list_near(axes, at, reaches, i, ranges, index, paths, firsts, around, listed
         at_most += abs(r)
     slip = FLOAT32_LOSS * at_most
     sphere = middle32, np.float32(own * scale + slip), np.float32(limit * scale + slip), i
-    near, tests = list_sorted(axes, low, high, sphere, cells, sorted_, firsts, around, listed, path)
     if also_fast:
         head, after, _, _, (linked_origin, linked_per, linked_cells) = linked
-        cover(d, middle, extent, to_fast, linked_origin, linked_per, linked_cells, low, high)
-        fast = list_linked(low, high, linked_cells, head, after, around, near)
+        cover(d, middle, extent, to_fast, linked_origin, linked_per, linked_cells, linked_low, linked_high)
+        fetch_cells(sorted_, linked, ranges)
+    near, tests = list_sorted(axes, low, high, sphere, cells, sorted_, firsts, around, listed, path)
+    if also_fast:
+        fast = list_linked(linked_low, linked_high, linked_cells, head, after, around, near)
         tests += fast - near
         for p in range(near, fast):
             j = np.uint64(around[p])
@@ -187,7 +214,8 @@ def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found)
     owned = spheres[3]
     d = len(axes)
     g = min(d, 3)
-    ranges = np.zeros(3, np.int64), np.zeros(3, np.int64)
+    slow, fast = np.zeros((2, 3), np.int64), np.zeros((2, 3), np.int64)
+    ranges = slow[0], slow[1], fast[0], fast[1]
     by, images = np.zeros((3, 3)), np.ones(3, np.int64)
     middle, extent = np.empty(d), np.empty(g)
     middle32, firsts = np.empty(g, np.float32), np.empty(8, np.int64)
