@@ -203,8 +203,9 @@ def nobody_reads(error: BaseException) -> bool:
 
 
 def main() -> None:
-    """Run the command; what goes wrong on any rank ends all, with one line and the exit code of the error: `sys.exit` in a user's
-    effect too, after which the others would wait for this rank.
+    """Run the command. An exception on any rank ends all ranks, with one line and the exit code of the error.
+
+    So does `sys.exit` in a user's effect: the other ranks would wait for this one.
 
     `__main__` has switched off the search for garbage: `run` begins it before its first step, all other commands here. When
     the process ends, everything is taken as needed: to find out what is not would take a sixth of a short run.

@@ -1,4 +1,4 @@
-"""The three ways in which a run ends early, and their exit codes; how faults tell of errors, particles and numbers of steps."""
+"""The exceptions by which a run ends early, with their exit codes; and texts that messages share: errors, particles, steps."""
 
 from collections.abc import Sequence
 from operator import index
@@ -36,7 +36,10 @@ class Interrupted(Exception):
 
 
 def one_line(error: BaseException) -> str:
-    """What an error says, without breaks of lines and not without end: the reasons of numba stand behind its first line."""
+    """What an error says, on one line, cut after LONGEST_REASON characters.
+
+    All its lines are joined, because an error of numba gives its reason after the first line.
+    """
     said = " ".join(str(error).split())
     return said if len(said) <= LONGEST_REASON else f"{said[:LONGEST_REASON]} ..."
 

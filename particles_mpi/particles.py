@@ -47,7 +47,7 @@ FIELDS = {
     "orientation": Column(orientation=True),  # from that at the start
     # when it last met anyone or a wall, in mode event; -inf: never
     "contacted": Column(ghost=True, output=False, default=-np.inf),
-    # -r.dp of its collisions so far, told to the lower id, or to the other one if that is fixed; for the observables
+    # sum of r.J of its collisions so far; each counts for the lower id, or for the other one if that is fixed; for observables
     "virial": Column(output=False),
     "supported": Column("uint8", output=False),  # pressed onto something by forces: see contacts/persistent
     # of forces and lasting contacts, in this step
@@ -72,7 +72,8 @@ class Particles:
     """Rows of particles as arrays by name: `position[i]`, `mass[i]`, ...; vectors are (n, d), scalars (n,), in the scene's units.
 
     Row order changes from step to step; `id` tells which particle a row is. `version` counts the times that rows were moved, or
-    that a user changed what decides who meets whom: whatever is kept by row is then stale. `edition` counts changes by a user.
+    that a user changed what decides who meets whom: whatever is kept by row is then stale. `edition` counts changes by a user
+    (of fields, of effects, of who is there) and the start.
     """
 
     def __init__(self, dimension: int, arrays: dict[str, Array]):
@@ -244,7 +245,10 @@ def same_bits(one: Array, other: Array) -> bool:
 
 
 def row_dot(rows: Array, vectors: Array) -> Array:
-    """Row by row, axes summed in order: the same bits whatever the number of rows (a BLAS product promises no such thing)."""
+    """Dot products (n,) of rows (n, d) with `vectors`, (n, d) or one (d,) for all.
+
+    Axes are summed in order: the same bits whatever the number of rows (a BLAS product promises no such thing).
+    """
     total = rows[:, 0] * vectors[..., 0]
     for k in range(1, rows.shape[1]):
         total += rows[:, k] * vectors[..., k]

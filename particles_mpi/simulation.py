@@ -27,7 +27,8 @@ class Simulation(Saved):
     `sim.particles` (this rank's rows, see `ParticleView`), `sim.time`, `sim.h`, the options of `sim.effects[name]`; `sim.add`
     and `sim.remove` change who is there. Going on is then the same, to the bit, as a new simulation of that state (`State`).
     Raises SceneError for a scene that cannot be run and StoppedError when a state has lost its meaning, on all ranks.
-    What a script writes into `particles` and cannot be is told on the rank where it was written; not caught, it ends all ranks.
+    An impossible value that a script writes into `particles` raises StateError on the rank where it was written; if nobody
+    catches it there, all ranks end.
     """
 
     def __init__(self, scene: Scene, comm: Any = None, start: Particles | None = None):
@@ -78,7 +79,10 @@ class Simulation(Saved):
             view.after_step(self)
 
     def advance(self, h: float, contacts: bool = True, stop: bool = False) -> None:
-        """One step of the integrator over h, with kicks and drifts in its order; `stop` ends its drift at a collision."""
+        """One step of the integrator over h, its kicks and drifts in order.
+
+        `contacts`: False lets particles pass through one another and through walls; `stop`: its drift ends at a collision.
+        """
         if self.persistent:
             self.persistent.awake = contacts
 
@@ -111,7 +115,7 @@ class Simulation(Saved):
         return met
 
     def advance_to_collision(self) -> tuple[int, int] | None:
-        """As `step_to_collision`, for a state that is taken and checked."""
+        """Do what `step_to_collision` says, after `take_changes`, within `stepping`; returns the ids of the two, or None."""
         exact, free = self.drift.exact, not (self.active.forces or self.active.on_velocities)
         search = LengthSearch(self.h)
         while True:
@@ -129,7 +133,7 @@ class Simulation(Saved):
                 self.advance(search.h)
                 reached, met = search.h, None
                 break
-        self.moment = self.time + reached, self.steps_done
+        self.clock_start = self.time + reached, self.steps_done
         self.particles.open()
         return met
 

@@ -18,7 +18,7 @@ def mode_of(run: Run) -> str:
 
 
 def measured(run: Run) -> dict[str, Any]:
-    """Step, collisions and missed ones in unit time, their standard error, and seconds of the loop."""
+    """Step, collisions in unit time and their standard error, share of missed ones in them, and seconds of the loop."""
     rows, about = run.columns, run.about
     time = rows["time"]
     kept = time >= time[0] + SETTLED * (time[-1] - time[0])

@@ -34,7 +34,7 @@ class Saved(Membership):
         """Clock, counts over all ranks, and scene, as plain data: what a state is besides particles and contacts. Collective."""
         self.take_changes()
         totals = self.ranks.allreduce_sum(np.array([self.totals[name] for name in COUNTS])).tolist()
-        clock = {"step": self.steps_done, "moment": self.moment, "h": self._h, "observed": self.observed}
+        clock = {"step": self.steps_done, "moment": self.clock_start, "h": self._h, "observed": self.observed}
         return {**clock, "totals": totals, "next_id": self.next_id, "additions": self.additions, "scene": self.scene.to_dict()}
 
     def lasting_contacts(self) -> Memory:
@@ -47,7 +47,7 @@ class Saved(Membership):
         sim = cls.__new__(cls)
         sim.begin(scene, ranks, rows, metadata["next_id"])
         sim.steps_done, sim._h, sim.additions = metadata["step"], metadata["h"], metadata["additions"]
-        sim.moment = metadata["moment"][0], metadata["moment"][1]
+        sim.clock_start = metadata["moment"][0], metadata["moment"][1]
         sim.observed = {reader: list(since) for reader, since in metadata["observed"].items()}
         if sim.persistent:
             sim.persistent.history.restore(contacts)
@@ -134,7 +134,10 @@ class Saved(Membership):
             return cls.restored(scene, ranks, rows, metadata, Memory(*(column[mine] for column in kept)))
 
     def __eq__(self, other: object) -> bool:
-        """The same scene, files of effects, time, step length and particles, to the bit. Collective."""
+        """The same scene, files of effects, time, step length, next id and particles, to the bit. Collective.
+
+        The impulses that lasting contacts keep for a warm start are not compared.
+        """
         if not isinstance(other, Saved):
             return NotImplemented
         for sim in (self, other):

@@ -67,7 +67,7 @@ class State:
         self.scene, self.ranks, self.timers = scene.running(), ranks, Timers()
         self.warnings: list[str] = []
         self.steps_done, self._h = 0, scene.time.step
-        self.moment = 0.0, 0  # (time, steps done) that the clock counts from
+        self.clock_start = 0.0, 0  # (time, steps done) that the clock counts from
         self.reported = [0] * len(COUNTS)
         self.written: dict[str, int] = {}
         self.saved: tuple[Path, int, Any] | None = None  # folder, step and `identity_of` its last checkpoint
@@ -182,7 +182,7 @@ class State:
     @property
     def time(self) -> float:
         """The moment the state belongs to. To set it changes nothing but the clock; all ranks set the same."""
-        since, steps = self.moment
+        since, steps = self.clock_start
         return since + (self.steps_done - steps) * self._h
 
     @time.setter
@@ -192,7 +192,7 @@ class State:
             raise ValueError(f"time: {value!r} is no finite number")
         for since in self.observed.values():
             since[0] += value - self.time
-        self.moment = float(value), self.steps_done
+        self.clock_start = float(value), self.steps_done
         self.forget_contacts()
 
     @property
@@ -205,14 +205,14 @@ class State:
         same_on_all(self.ranks, {"h": value})
         if not (is_number(value) and 0.0 < value < np.inf):
             raise ValueError(f"h: {value!r} is no length of a step, which is above 0")
-        self.moment = self.time, self.steps_done
+        self.clock_start = self.time, self.steps_done
         self._h = float(value)
         self.forget_contacts()
 
     @property
     def last_step(self) -> int:
         """The number of the step with which the run ends: after `time.steps`, or nearest to `time.end`."""
-        since, steps = self.moment
+        since, steps = self.clock_start
         end = self.scene.time.end
         return self.scene.steps if end is None else steps + max(0, round((end - since) / self._h))
 

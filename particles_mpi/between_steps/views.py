@@ -118,7 +118,11 @@ class ParticleView:
         vars(self)["_open"] = True
 
     def close(self) -> None:
-        """Until `open` fields can only be read, and those of now for ever; StateError if an earlier one was written to."""
+        """End the time in which the user may change the state: until `open`, fields can only be read.
+
+        Arrays that the user holds become those of an earlier step, read-only for good. StateError if one of an earlier step was
+        written to all the same.
+        """
         vars(self)["_open"] = False
         if not self._copies and not self._earlier:
             return

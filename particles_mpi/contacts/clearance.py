@@ -12,9 +12,10 @@ from particles_mpi.neighbours.trajectories import fastest
 
 @in_place
 def images_are_far(axes, x, v, radius, h, length):
-    """Does no row get so far in a drift over h that another image than the nearest one of a partner could matter?
+    """Is the box so wide that in a drift over h only the nearest image of a partner can matter?
 
-    So far that a search for neighbours would refuse the step is too far here, too: as a part of the periodic `length` (d,).
+    It is if 4 h times the largest speed, plus the largest diameter, is below 0.499 of each periodic length (d,): no step passes
+    that a search for neighbours would refuse.
     """
     periodic = False
     for k in range(len(axes)):

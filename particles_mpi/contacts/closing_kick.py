@@ -148,13 +148,13 @@ class ClosingKick:
             mobility = w[one] + w[other] + arm[0] ** 2 * q[one] + arm[1] ** 2 * q[other]
             grip = np.where(self.law[kind, FRICTION] == inf, (1.0 + self.law[kind, BETA_0]) / mobility, 0.0)
             impulse -= grip[:, None] * (u - along[:, None] * normal)
-            torque = moments(normal, impulse)
+            torque = torques(normal, impulse)
             by[one, d:], by[other, d:] = -(q[one] * arm[0])[:, None] * torque, -(q[other] * arm[1])[:, None] * torque
         by[one, :d], by[other, :d] = w[one][:, None] * impulse, -w[other][:, None] * impulse
         return by, met
 
 
-def moments(normal: Array, impulse: Array) -> Array:
+def torques(normal: Array, impulse: Array) -> Array:
     """n x J (m, d(d-1)/2) of unit vectors and impulses (m, d), in the components of spins."""
     d = normal.shape[1]
     found = np.empty((len(normal), d * (d - 1) // 2))

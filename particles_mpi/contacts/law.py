@@ -107,8 +107,8 @@ def apply_impulse(axes, v, column, r, i, j, w_i, w_j, t, restitution, velocity_f
 
     The velocity of row i is v[i, column:], since the rows of mode event hold more than that. v_i -= (1+e) (w_i/(w_i+w_j))
     (n.u) n and the opposite for j, with n = r/|r|, u = v_i - v_j and w = 1/m, 0 where fixed; then the course's damping
-    multiplies both velocities by `velocity_factor` = sqrt(1-alpha) (1 with the restitution rule). Returns by how much the
-    contact changed r.u. `walls.bounce` is the same law for a wall.
+    multiplies both velocities by `velocity_factor` = sqrt(1-alpha) (1 with the restitution rule). Returns (1+e) r.u with the u
+    before the impulse: minus the change of r.u by it; 0 where there is no normal. `walls.bounce` is the same law for a wall.
     """
     approach = 0.0
     r2 = 0.0
@@ -143,12 +143,12 @@ def apply_impulse_at_contact(v, column, r, r2, i, j, w_i, w_j, tau, restitution,
     for k in range(len(r)):
         v2_i += v[i, column + k] * v[i, column + k]
         v2_j += v[j, column + k] * v[j, column + k]
-    decay_i, push_i = change_of(i, v2_i, w_i, tau, rates)
-    decay_j, push_j = change_of(j, v2_j, w_j, tau, rates)
+    decay_i, force_time_i = change_of(i, v2_i, w_i, tau, rates)
+    decay_j, force_time_j = change_of(j, v2_j, w_j, tau, rates)
     approach, acceleration_offset = 0.0, 0.0
     for k in range(len(r)):
         approach += r[k] * (decay_i * v[i, column + k] - decay_j * v[j, column + k])
-        acceleration_offset += (push_i * a[at, k] - push_j * a[to, k]) * r[k]
+        acceleration_offset += (force_time_i * a[at, k] - force_time_j * a[to, k]) * r[k]
     approach += acceleration_offset
     if not approach < 0.0:
         return 0.0
@@ -156,12 +156,12 @@ def apply_impulse_at_contact(v, column, r, r2, i, j, w_i, w_j, tau, restitution,
     impulse = change / (r2 * (w_i + w_j))
     v2_i, v2_j = 0.0, 0.0
     for k in range(len(r)):
-        v2_i += (velocity_factor * (decay_i * v[i, column + k] + push_i * a[at, k] - impulse * w_i * r[k])) ** 2
-        v2_j += (velocity_factor * (decay_j * v[j, column + k] + push_j * a[to, k] + impulse * w_j * r[k])) ** 2
+        v2_i += (velocity_factor * (decay_i * v[i, column + k] + force_time_i * a[at, k] - impulse * w_i * r[k])) ** 2
+        v2_j += (velocity_factor * (decay_j * v[j, column + k] + force_time_j * a[to, k] + impulse * w_j * r[k])) ** 2
     back_i, pull_i = change_of(i, v2_i, w_i, -tau, rates)
     back_j, pull_j = change_of(j, v2_j, w_j, -tau, rates)
     back_i, back_j = velocity_factor * back_i, velocity_factor * back_j
-    left_i, left_j = back_i * push_i + pull_i, back_j * push_j + pull_j  # 0 without a loss
+    left_i, left_j = back_i * force_time_i + pull_i, back_j * force_time_j + pull_j  # 0 without a loss
     leaving = 0.0
     for k in range(len(r)):
         after_i = back_i * decay_i * v[i, column + k] - back_i * (impulse * w_i * r[k]) + left_i * a[at, k]
@@ -179,7 +179,8 @@ def apply_impulse_at_contact(v, column, r, r2, i, j, w_i, w_j, tau, restitution,
 def collide_pair(axes, segments, spheres, i, j, t, loss, length, rates, rough, r):
     """Collide rows i and j at time t. In place on the segments, and on spins of rough spheres; r (d,) is overwritten.
 
-    Returns the virial -r.dp. `segments.collide` is the same for the rows of mode event.
+    Returns the virial r.J, with r = x_i - x_j and J the impulse on i: positive, for J pushes i away from j. `segments.collide`
+    is the same for the rows of mode event.
     """
     x, v, start, _ = segments
     radius, w, _, _ = spheres

@@ -57,8 +57,11 @@ def plane_of(axes, p, q):
 
 @lean_inner
 def strike_pair(axes, v, column, rough, r, i, j, spheres, t, restitution, rates):
-    """The law of a contact of the rows i and j, r = x_i - x_j (d,) apart, at time t; in place. As `law.apply_impulse` it
-    returns the change of r.u; v and column as there. `spheres`: inverse masses and radii of i and j."""
+    """The law of a contact of the rows i and j, r = x_i - x_j (d,) apart, at time t; in place.
+
+    Returns (1+e) r.u before the impulse, as `law.apply_impulse`; v and column as there. `spheres`: inverse masses and radii of i
+    and j.
+    """
     w_i, w_j, radius_i, radius_j = spheres
     r2 = 0.0
     for k in range(len(axes)):
@@ -87,7 +90,8 @@ def strike(axes, v, column, rough, which, i, j, bodies, t, restitution, rates):
     """The contact with the unit vector `rough.normal`, j < 0 being a wall; `bodies`: w and arms of i and j.
 
     It takes place between the velocities of its own moment (see `velocity_flow`); between those of the segments, where partners
-    are so slow that they would have moved apart at that moment, or would approach after it. Returns the change of u.k.
+    are so slow that they would have moved apart at that moment, or would approach after it. Returns (1+e) u.k before the
+    impulse, which is minus the change of u.k by it; 0 if they do not approach.
     """
     if len(rates.a) > 0:
         change = strike_at(axes, v, column, rough, which, i, j, bodies, t - rates.t_mid, restitution, rates)
@@ -103,15 +107,15 @@ def strike_at(axes, v, column, rough, which, i, j, bodies, tau, restitution, rat
     impulse, normal, a = rough.impulse, rough.normal, rates.a
     moved = tau != 0.0
     at, to = (row_of(i, rates), row_of(j, rates)) if moved else (i, j)
-    decay_i, push_i = change_of(i, speed2(axes, v, column, i), w_i, tau, rates) if moved else (1.0, 0.0)
-    decay_j, push_j = change_of(j, speed2(axes, v, column, j), w_j, tau, rates) if moved and j >= 0 else (1.0, 0.0)
+    decay_i, force_time_i = change_of(i, speed2(axes, v, column, i), w_i, tau, rates) if moved else (1.0, 0.0)
+    decay_j, force_time_j = change_of(j, speed2(axes, v, column, j), w_j, tau, rates) if moved and j >= 0 else (1.0, 0.0)
     approach, offset = 0.0, 0.0
     for k in range(len(axes)):
         impulse[k] = decay_i * v[i, column + k] - (decay_j * v[j, column + k] if j >= 0 else 0.0)
         if moved:
-            pushed = push_i * a[at, k] - (push_j * a[to, k] if j >= 0 else 0.0)
-            impulse[k] += pushed
-            offset += pushed * normal[k]
+            gained = force_time_i * a[at, k] - (force_time_j * a[to, k] if j >= 0 else 0.0)
+            impulse[k] += gained
+            offset += gained * normal[k]
         approach += impulse[k] * normal[k]
     if not approach < 0.0:
         return 0.0
@@ -125,12 +129,12 @@ def strike_at(axes, v, column, rough, which, i, j, bodies, tau, restitution, rat
         return (1.0 + restitution) * approach
     v2_i, v2_j = 0.0, 0.0
     for k in range(len(axes)):
-        v2_i += (decay_i * v[i, column + k] + push_i * a[at, k] + w_i * impulse[k]) ** 2
+        v2_i += (decay_i * v[i, column + k] + force_time_i * a[at, k] + w_i * impulse[k]) ** 2
         if j >= 0:
-            v2_j += (decay_j * v[j, column + k] + push_j * a[to, k] - w_j * impulse[k]) ** 2
+            v2_j += (decay_j * v[j, column + k] + force_time_j * a[to, k] - w_j * impulse[k]) ** 2
     back_i, pull_i = change_of(i, v2_i, w_i, -tau, rates)
     back_j, pull_j = change_of(j, v2_j, w_j, -tau, rates) if j >= 0 else (1.0, 0.0)
-    left_i, left_j = back_i * push_i + pull_i, back_j * push_j + pull_j  # 0 without a loss
+    left_i, left_j = back_i * force_time_i + pull_i, back_j * force_time_j + pull_j  # 0 without a loss
     leaving = 0.0
     for k in range(len(axes)):
         after = back_i * decay_i * v[i, column + k] + back_i * w_i * impulse[k] + left_i * a[at, k]
@@ -173,12 +177,12 @@ def to_impulse(axes, rough, which, i, j, bodies, approach, restitution):
         u[k] -= approach * normal[k]
         slip2 += u[k] * u[k]
     slip = sqrt(slip2)
-    push = -(1.0 + restitution) * approach / (w_i + w_j)
+    normal_impulse = -(1.0 + restitution) * approach / (w_i + w_j)
     grip = (1.0 + rough.law[which, BETA_0]) * slip / mobility
-    most = rough.law[which, FRICTION] * push
+    most = rough.law[which, FRICTION] * normal_impulse
     held = (grip if grip <= most else most) / slip if slip > 0.0 else 0.0
     for k in range(len(axes)):
-        u[k] = push * normal[k] - held * u[k]
+        u[k] = normal_impulse * normal[k] - held * u[k]
 
 
 @lean_inner

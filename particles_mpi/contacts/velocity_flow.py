@@ -46,11 +46,12 @@ def no_rates(dimension: int) -> Rates:
 
 @lean_inner
 def change(speed, k, b, time):
-    """(decay, push): dv/dt = a - k v - b v/|v| takes v, of the given speed, to v decay + a push in a time of either sign.
+    """(decay, force_time): in a time of either sign dv/dt = a - k v - b v/|v| takes v to v decay + a force_time.
 
-    The implicit midpoint rule with friction as a drag of the rate b/|v|: second order, exact for constant a without drag and
-    friction and for friction alone, and with linear drag the way back is the exact inverse. Where drag and friction would
-    stop the particle within the time, there is no way back that is not a huge speed; times are cut to half of that.
+    `speed`: the length of v. The implicit midpoint rule with friction as a drag of the rate b/|v|: second order, exact for
+    constant a without drag and friction and for friction alone, and with linear drag the way back is the exact inverse. Where
+    drag and friction would stop the particle within the time, there is no way back that is not a huge speed; times are cut to
+    half of that.
     """
     if b > 0.0 and speed == 0.0:
         return 1.0, 0.0

@@ -35,43 +35,43 @@ def wall_contact(axes, x, v, column, start, i, radius, last_partner, h, planes):
     point, normal, _, _, _, _, _ = planes
     first = h
     which = -1
-    for w in range(point.shape[0]):
+    for wall in range(point.shape[0]):
         speed = 0.0
         for k in range(len(axes)):
-            speed += v[i, column + k] * normal[w, k]
-        if not speed < 0.0 or last_partner == -1 - w:
+            speed += v[i, column + k] * normal[wall, k]
+        if not speed < 0.0 or last_partner == -1 - wall:
             continue
         distance = 0.0
         for k in range(len(axes)):
-            distance += (x[i, k] - point[w, k]) * normal[w, k]
+            distance += (x[i, k] - point[wall, k]) * normal[wall, k]
         gap = distance - radius
         t = start - gap / speed if gap > 0.0 else start
         if t < first or (t == first and which < 0):
             first = t
-            which = w
+            which = wall
     return first, which
 
 
 @lean_inner
-def bounce(axes, v, column, i, w, normal, restitution, velocity_factor, inverse_mass, t, rates):
-    """The law of a contact with wall w at time t: v -= (1+e)(v.n) n, then v times `velocity_factor`.
+def bounce(axes, v, column, i, wall, normal, restitution, velocity_factor, inverse_mass, t, rates):
+    """The law of a contact with a wall at time t: v -= (1+e)(v.n) n, then v times `velocity_factor`.
 
     `law.apply_impulse` is the law of a pair.
     """
     speed = 0.0
     for k in range(len(axes)):
-        speed += v[i, column + k] * normal[w, k]
+        speed += v[i, column + k] * normal[wall, k]
     if len(rates.a) > 0 and bounce_at_contact(
-        v, column, i, w, normal, speed, restitution, velocity_factor, inverse_mass, t - rates.t_mid, rates
+        v, column, i, wall, normal, speed, restitution, velocity_factor, inverse_mass, t - rates.t_mid, rates
     ):
         return
     after = speed - (1.0 + restitution) * speed
     for k in range(len(axes)):
-        v[i, column + k] = velocity_factor * ((v[i, column + k] - speed * normal[w, k]) + after * normal[w, k])
+        v[i, column + k] = velocity_factor * ((v[i, column + k] - speed * normal[wall, k]) + after * normal[wall, k])
 
 
 @lean_inner
-def bounce_at_contact(v, column, i, w, normal, speed, restitution, velocity_factor, inverse_mass, tau, rates):
+def bounce_at_contact(v, column, i, wall, normal, speed, restitution, velocity_factor, inverse_mass, tau, rates):
     """`bounce` of the velocity at the moment of contact, a time tau after the middle of the step: see `velocity_flow`.
 
     `speed`: v.n of the segment. Returns False, and changes nothing, for a particle so slow that it would have moved off the
@@ -81,50 +81,52 @@ def bounce_at_contact(v, column, i, w, normal, speed, restitution, velocity_fact
     v2 = 0.0
     for k in range(normal.shape[1]):
         v2 += v[i, column + k] * v[i, column + k]
-    decay, push = change_of(i, v2, inverse_mass, tau, rates)
+    decay, force_time = change_of(i, v2, inverse_mass, tau, rates)
     acceleration_offset = 0.0
     for k in range(normal.shape[1]):
-        acceleration_offset += push * a[at, k] * normal[w, k]
+        acceleration_offset += force_time * a[at, k] * normal[wall, k]
     approach = decay * speed + acceleration_offset
     if not approach < 0.0:
         return False
     change = (1.0 + restitution) * approach
     v2, along = 0.0, 0.0
     for k in range(normal.shape[1]):
-        v2 += (velocity_factor * (decay * v[i, column + k] + push * a[at, k] - change * normal[w, k])) ** 2
-        along += a[at, k] * normal[w, k]
+        v2 += (velocity_factor * (decay * v[i, column + k] + force_time * a[at, k] - change * normal[wall, k])) ** 2
+        along += a[at, k] * normal[wall, k]
     back, pull = change_of(i, v2, inverse_mass, -tau, rates)
     back *= velocity_factor
     if back * (approach - change) + pull * along < 0.0 and acceleration_offset != 0.0:
         return False
     after = speed - change / decay
-    left = back * push + pull  # 0 without a loss
+    left = back * force_time + pull  # 0 without a loss
     for k in range(normal.shape[1]):
-        v[i, column + k] = back * decay * ((v[i, column + k] - speed * normal[w, k]) + after * normal[w, k]) + left * a[at, k]
+        along_wall = v[i, column + k] - speed * normal[wall, k]
+        v[i, column + k] = back * decay * (along_wall + after * normal[wall, k]) + left * a[at, k]
     return True
 
 
 @lean_inner
-def meet_wall(axes, v, column, i, w, radius, inverse_mass, t, loss, normal, rates, rough):
-    """The contact of row i with wall w at time t, smooth or rough; `loss`: (restitution, velocity factor) of this contact."""
+def meet_wall(axes, v, column, i, wall, radius, inverse_mass, t, loss, normal, rates, rough):
+    """The contact of row i with a wall at time t, smooth or rough; `loss`: (restitution, velocity factor) of this contact."""
     restitution, velocity_factor = loss
-    if rough.law[1 + w, FRICTION] > 0.0:
-        strike_wall(axes, v, column, rough, i, w, normal, inverse_mass, radius, t, restitution, rates)
+    if rough.law[1 + wall, FRICTION] > 0.0:
+        strike_wall(axes, v, column, rough, i, wall, normal, inverse_mass, radius, t, restitution, rates)
     else:
-        bounce(axes, v, column, i, w, normal, restitution, velocity_factor, inverse_mass, t, rates)
+        bounce(axes, v, column, i, wall, normal, restitution, velocity_factor, inverse_mass, t, rates)
 
 
 @lean_inner
 def bounce_until(axes, x, v, start, last_partner, i, radius, inverse_mass, h, planes, rates, rough):
     """Take row i through all its wall contacts up to time h.
 
-    Returns (their number, 1 if it gets nowhere, or 0: then it stays where it is until h, at its last contact; the last partner).
+    Returns (number of contacts, stuck, last partner). stuck: 1 if the row gets nowhere, and then it stays at its last contact
+    until h; else 0.
     """
     _, normal, restitution, velocity_factor, _, _, _ = planes
     hits, before = 0, start[i]
     while True:
-        t, w = wall_contact(axes, x, v, np.int64(0), start[i], i, radius, last_partner, h, planes)
-        if w < 0:
+        t, wall = wall_contact(axes, x, v, np.int64(0), start[i], i, radius, last_partner, h, planes)
+        if wall < 0:
             return hits, 0, last_partner
         hits += 1
         if hits % BOUNCES == 0:
@@ -133,9 +135,9 @@ def bounce_until(axes, x, v, start, last_partner, i, radius, inverse_mass, h, pl
                 return hits, 1, last_partner
             before = t
         move_to(axes, x, v, start, i, t)
-        loss = restitution[w], velocity_factor[w]
-        meet_wall(axes, v, np.int64(0), i, w, radius, inverse_mass, t, loss, normal, rates, rough)
-        last_partner = -1 - w
+        loss = restitution[wall], velocity_factor[wall]
+        meet_wall(axes, v, np.int64(0), i, wall, radius, inverse_mass, t, loss, normal, rates, rough)
+        last_partner = -1 - wall
 
 
 @lean
@@ -143,9 +145,9 @@ def drift_with_walls(axes, x, v, radius, inverse_mass, last, h, planes, rates, r
     """x += v h, reflected by walls on the way. In place on x, v (n, d).
 
     Returns how many hits there were, how many rows got nowhere, how many are in `near`, and how many in `last`.
-    `inverse_mass` (n,), or no row where nothing depends on it. last: room for the starts of the last segments (n,), and for
-    rows with hits, the walls of their last ones as -1 - wall, and the times of these, if that has room. To `near` (n,), if it has
-    room, the rows that may be within `reach` of a wall at the end.
+    `inverse_mass` (n,), or no row where nothing depends on it. last: (start (n,), rows, walls, times): to start, when last
+    segments begin; to the others, if they have room, each row with hits, its last wall as -1 - wall, and when it hit that. To
+    `near` (n,), if it has room, the rows that may be within `reach` of a wall at the end.
     """
     start, last_row, last_wall, last_time = last
     hits, missed, found, noted = 0, 0, 0, 0

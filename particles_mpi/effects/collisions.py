@@ -17,8 +17,9 @@ class Options(Losses, EffectOptions):
 
     `allow_overlap`: spheres that overlap at the start are pushed apart, with a warning, instead of being refused.
 
-    `contact_duration` t_c, in mode event: a contact within t_c of the last one of either partner takes no energy (TC model);
-    if not given, one within a ten-thousandth of a step, without forces only after many that followed one another so soon.
+    `contact_duration` t_c, in mode event: a contact within t_c of the last one of either partner takes no energy (TC model). If
+    not given, t_c is a ten-thousandth of a step, and a contact takes none only if its particle has had many that followed one
+    another so soon, or at one moment: 8 under forces, more of few particles without (`contacts/README.md`).
     `contact_tolerance`: where forces keep spheres in contact, by which part of a radius contacts may close in a step, as root
     mean square.
     """

@@ -30,5 +30,5 @@ class Effect(Damping):
         """One `math.exp` a distinct rate: a vectorised exp may round differently at the end of an array, that is by rank."""
         rates, which = np.unique(particles["drag"], return_inverse=True)
         decay = np.array([math.exp(-k * h) for k in rates])
-        push = np.array([-math.expm1(-k * h) / k if k > 0.0 else h for k in rates])
-        return decay[which], push[which]
+        force_time = np.array([-math.expm1(-k * h) / k if k > 0.0 else h for k in rates])
+        return decay[which], force_time[which]

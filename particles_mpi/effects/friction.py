@@ -22,5 +22,5 @@ class Effect(ConstantFriction):
     def __init__(self, options: Options, scene: Scene):
         self.strength = options.strength
 
-    def kick(self, particles: Particles, a: Array, decay: Array, push: Array, h: float, coast: float) -> None:
-        kick_with_friction(particles.velocity, a, particles.mass, decay, push, self.strength, h, coast)
+    def kick(self, particles: Particles, a: Array, decay: Array, force_time: Array, h: float, coast: float) -> None:
+        kick_with_friction(particles.velocity, a, particles.mass, decay, force_time, self.strength, h, coast)

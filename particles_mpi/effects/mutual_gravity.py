@@ -27,9 +27,10 @@ PAIRS = 2 * 10**8  # at once
 class Options(EffectOptions):
     """`G`, by default the scene's; `softening` eps (length): the force of a Plummer sphere of that size (Aarseth 1963).
 
-    `method`: "direct", the sum over all pairs; "tree", Barnes and Hut's with `opening_angle`, the radius of a cell over its
-    distance, and a `multipole`, what cells act by: "quadrupole", which includes the mass, or "monopole", the mass alone;
-    "auto", whichever costs less for a median relative error of the forces of `accuracy`, with quadrupoles.
+    `method`: "direct", the sum over all pairs; "tree", Barnes and Hut's with `opening_angle` (0.5 if not given), the radius of a
+    cell over its distance, and a `multipole`, what cells act by: "quadrupole", which includes the mass, or "monopole", the mass
+    alone; "auto", whichever costs less for a median relative error of the forces of `accuracy` (1e-3 if not given), with
+    quadrupoles.
     """
 
     G: NotNegative | None = None
@@ -92,7 +93,10 @@ class Effect(Force):
 
 
 class DirectSum:
-    """Over all pairs; `pull` and `potential` are for G = 1."""
+    """The sum over all pairs; `pull` and `potential` are for G = 1.
+
+    `G` and `softening2` are kept for `integrators.many_steps`.
+    """
 
     def __init__(self, ranks: Communicator, ids: IdRange, G: float, softening2: float):
         self.ranks, self.ids, self.G, self.softening2 = ranks, ids, G, softening2
@@ -128,14 +132,17 @@ class DirectSum:
 
 
 def part_with(every: Array, ids: Array) -> slice:
-    """Where the ids, in order, lie in those of a block without others between them; an empty slice if they do not."""
+    """The slice of a block with the ids `every`, ascending, that has exactly `ids`, ascending; an empty slice if none has."""
     first = int(np.searchsorted(every, ids[0])) if len(ids) else 0
     part = slice(first, first + len(ids))
     return part if np.array_equal(every[part], ids) else slice(0, 0)
 
 
 def slices(begin: int, end: int, each: int) -> Iterator[slice]:
-    """Parts of the range, of some tenths of a second, so that Ctrl-C is heard; `each`: pairs for one of its numbers."""
+    """The numbers begin ... end - 1 in slices of at most PAIRS pairs, some tenths of a second; between them signals are checked.
+
+    `each`: pairs that one number stands for.
+    """
     many = max(1, PAIRS // max(each, 1))
     for first in range(begin, end, many):
         check_signals()

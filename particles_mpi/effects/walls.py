@@ -32,7 +32,7 @@ class Options(Losses, EffectOptions):
 
     @property
     def divides_by_mass(self) -> bool:
-        """What rough walls turn has a moment of inertia."""
+        """Is a mass of 0 refused? It is if a wall is rough: the spheres that it turns need a moment of inertia."""
         return any(losses.rough for losses in self.parts().values())
 
     def faults(self, scene: Scene) -> list[str]:

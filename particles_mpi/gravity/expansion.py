@@ -31,7 +31,7 @@ COLUMN_OF = {n: row for row, n in enumerate(POWERS)}
 
 
 def higher(n: tuple[int, ...], axis: int, by: int = 1) -> int:
-    """The coefficient whose power of one axis is higher than that of n; -1 if there is none."""
+    """The number of the coefficient whose power of `axis` is that of n plus `by`; -1 if there is none."""
     return COLUMN_OF.get(tuple(power + by * (k == axis) for k, power in enumerate(n)), -1)
 
 

@@ -44,5 +44,5 @@ def choose(method: str, angle: float, accuracy: float, dimension: int, total: in
 
 
 def tree_cost(angle: float, total: int, multipole: str) -> float:
-    """ns a particle; it no longer grows where far cells act on whole groups."""
+    """What the tree costs, ns a particle: in proportion to `total` while that is small, then by the angle alone."""
     return BUILD_NS + min(FAR_NS[multipole] * angle**-STEEP, NEAREST * total)

@@ -2,7 +2,7 @@
 
 Each rank makes a block of ids, and the result does not depend on how many ranks there are. In the order of their use:
 
-- `populate`: one quantity after the other, population by population; `blocks`: a rank's part of a population, in its columns
+- `populate`: one quantity after the other, population by population; `columns`: a rank's share of a population, in its columns
 - `table_file`: columns of CSV files, of which each rank reads a part
 - `attributes`: radius, mass, spin and velocities; `places`: where particles are
 - `random_numbers`: by (seed, population, quantity, number of the particle); `plummer`: places and speeds of a star cluster

@@ -4,9 +4,9 @@ from functools import partial
 
 import numpy as np
 
-from particles_mpi.initial.blocks import Block, Columns
 from particles_mpi.initial.checks import divided_masses
-from particles_mpi.initial.plummer import centered, plummer_speeds, plummer_velocities
+from particles_mpi.initial.columns import Columns, Share
+from particles_mpi.initial.plummer import centered, plummer_velocities, scaled_velocities
 from particles_mpi.initial.random_numbers import directions, draw, normals, stream_key, uniform
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exact_sum import exact_sums
@@ -14,10 +14,10 @@ from particles_mpi.particles import FIELDS, Array, moment_of_sphere
 from particles_mpi.scene.model import LARGEST_NUMBER
 
 
-def fill_attributes(columns: Columns, block: Block) -> None:
+def fill_attributes(columns: Columns, share: Share) -> None:
     """radius, mass, fixed, spin, and the fields of effects. Collective."""
-    scene, population, rows, arrays = columns.scene, block.population, block.rows, columns.arrays
-    arrays["fixed"][rows] = columns.of(block, "fixed", population.fixed)
+    scene, population, rows, arrays = columns.scene, share.population, share.rows, columns.arrays
+    arrays["fixed"][rows] = columns.of(share, "fixed", population.fixed)
     given = {
         "radius": 0.0 if population.radius is None else population.radius,
         "mass": 1.0 if population.mass is None else population.mass,
@@ -29,86 +29,86 @@ def fill_attributes(columns: Columns, block: Block) -> None:
     given |= {name: (population.model_extra or {}).get(name) for name in scene.columns}  # of effects from outside
     for name, value in given.items():
         if value is not None:
-            columns.fill(block, name, value)
+            columns.fill(share, name, value)
             least = FIELDS[name].least
             low = f"below {least:g} for" if name in scene.columns else "negative for"
-            columns.refuse(block, name, arrays[name][rows] < least, low)
+            columns.refuse(share, name, arrays[name][rows] < least, low)
     if "spin" in arrays:
-        fill_spins(columns, block)
+        fill_spins(columns, share)
     for name, needed in divided_masses(scene, arrays["fixed"][rows]).items():
         massless = needed & (arrays["mass"][rows] == 0.0)
-        columns.refuse(block, "mass", massless, f"0, but [effects.{name}] divides by it, for")
+        columns.refuse(share, "mass", massless, f"0, but [effects.{name}] divides by it, for")
 
 
-def fill_spins(columns: Columns, block: Block) -> None:
+def fill_spins(columns: Columns, share: Share) -> None:
     """Moments of inertia, of solid spheres if not given, and spins; what is fixed has none. Collective."""
-    population, d = block.population, columns.scene.dimension
+    population, d = share.population, columns.scene.dimension
     fixed, mass, radius, moment, spin = (
-        columns.arrays[name][block.rows] for name in ("fixed", "mass", "radius", "moment_of_inertia", "spin")
+        columns.arrays[name][share.rows] for name in ("fixed", "mass", "radius", "moment_of_inertia", "spin")
     )
     moment[:] = moment_of_sphere(mass, radius, d)
     if population.moment_of_inertia is not None:
-        columns.fill(block, "moment_of_inertia", population.moment_of_inertia)
-        columns.refuse(block, "moment_of_inertia", moment < 0.0, "negative for")
-        columns.refuse(block, "moment_of_inertia", (moment == 0.0) & (mass > 0.0) & (radius > 0.0) & (fixed == 0), "0 for")
+        columns.fill(share, "moment_of_inertia", population.moment_of_inertia)
+        columns.refuse(share, "moment_of_inertia", moment < 0.0, "negative for")
+        columns.refuse(share, "moment_of_inertia", (moment == 0.0) & (mass > 0.0) & (radius > 0.0) & (fixed == 0), "0 for")
     value = population.spin
     if value is None:
         return
     if isinstance(value, dict):
-        key = stream_key(columns.scene.seed, block.number, "spin")
-        normal = draw(key, *block.numbers, partial(normals, width=spin.shape[1]))
+        key = stream_key(columns.scene.seed, share.number, "spin")
+        normal = draw(key, *share.numbers, partial(normals, width=spin.shape[1]))
         turns = (fixed == 0) & (moment > 0.0)
         spin[:] = normal * np.sqrt(value["temperature"] / np.where(turns, moment, np.inf))[:, None]
         return
-    columns.fill(block, "spin", value if d == 3 else [[s] for s in value] if isinstance(value, list) else value)
-    columns.refuse(block, "spin", (fixed != 0) & (spin != 0.0).any(axis=1), "not zero, but fixed:")
+    columns.fill(share, "spin", value if d == 3 else [[s] for s in value] if isinstance(value, list) else value)
+    columns.refuse(share, "spin", (fixed != 0) & (spin != 0.0).any(axis=1), "not zero, but fixed:")
 
 
-def fill_velocities(columns: Columns, block: Block) -> None:
+def fill_velocities(columns: Columns, share: Share) -> None:
     """Given, or drawn; what is fixed has none. Collective."""
-    value, arrays = block.population.velocity, columns.arrays
-    velocity, fixed = arrays["velocity"][block.rows], arrays["fixed"][block.rows] != 0
+    value, arrays = share.population.velocity, columns.arrays
+    velocity, fixed = arrays["velocity"][share.rows], arrays["fixed"][share.rows] != 0
     if value is None:
         return
     if isinstance(value, list) or "file" in value:
-        columns.fill(block, "velocity", value)
-        columns.refuse(block, "velocity", fixed & (velocity != 0.0).any(axis=1), "not zero, but fixed:")
+        columns.fill(share, "velocity", value)
+        columns.refuse(share, "velocity", fixed & (velocity != 0.0).any(axis=1), "not zero, but fixed:")
         return
     movable = columns.ranks.total(np.count_nonzero(~fixed))[0]
     if value != "equilibrium" and not movable and value not in ({"speed": 0}, {"temperature": 0}):
-        columns.refuse(block, "velocity", fixed, "given, but fixed:")
+        columns.refuse(share, "velocity", fixed, "given, but fixed:")
         return
     if isinstance(value, dict) and "temperature" in value:
-        columns.refuse(block, "velocity", ~fixed & (arrays["mass"][block.rows] == 0.0), "a temperature needs a mass:")
+        columns.refuse(share, "velocity", ~fixed & (arrays["mass"][share.rows] == 0.0), "a temperature needs a mass:")
         if columns.faults.found:
             return
-    velocity[:] = drawn_velocities(columns, block)
+    velocity[:] = drawn_velocities(columns, share)
     velocity[fixed] = 0.0
-    columns.refuse(block, "velocity", ~(np.abs(velocity) <= LARGEST_NUMBER), f"beyond {LARGEST_NUMBER:g} for")
+    columns.refuse(share, "velocity", ~(np.abs(velocity) <= LARGEST_NUMBER), f"beyond {LARGEST_NUMBER:g} for")
 
 
-def drawn_velocities(columns: Columns, block: Block) -> Array:
+def drawn_velocities(columns: Columns, share: Share) -> Array:
     """Velocities (n, d) of this rank's part of a population by a speed, a temperature, or in a Plummer sphere. Collective."""
-    scene, ranks, numbers, value = columns.scene, columns.ranks, block.numbers, block.population.velocity
-    position, mass, fixed = (columns.arrays[name][block.rows] for name in ("position", "mass", "fixed"))
-    key = stream_key(scene.seed, block.number, "velocity")
+    scene, ranks, numbers, value = columns.scene, columns.ranks, share.numbers, share.population.velocity
+    position, mass, fixed = (columns.arrays[name][share.rows] for name in ("position", "mass", "fixed"))
+    key = stream_key(scene.seed, share.number, "velocity")
     if value == "equilibrium":
         gravity = scene.effects["mutual_gravity"]
         G = scene.G if gravity.G is None else gravity.G
-        speeds = draw(key, *numbers, plummer_speeds)
-        return plummer_velocities(ranks, speeds, position, block.population.position["plummer"], mass, G)
+        scaled = draw(key, *numbers, scaled_velocities)
+        return plummer_velocities(ranks, scaled, position, share.population.position["plummer"], mass, G)
     if "temperature" in value:
         normal = draw(key, *numbers, partial(normals, width=scene.dimension))
         return warm(ranks, float(value["temperature"]), normal, mass, fixed == 0)
     speed = value["speed"]
     if isinstance(speed, dict):
-        speeds = draw(stream_key(scene.seed, block.number, "speed"), *numbers, uniform)
+        speeds = draw(stream_key(scene.seed, share.number, "speed"), *numbers, uniform)
         speed = (speed["min"] + speeds * (speed["max"] - speed["min"]))[:, None]
     return draw(key, *numbers, partial(directions, d=scene.dimension)) * speed
 
 
 def warm(ranks: Communicator, temperature: float, normal: Array, mass: Array, movable: Array) -> Array:
-    """Maxwellian: variance T/m a component, without drift of the whole, and scaled so that sum m v^2 = d N T. Collective.
+    """Maxwellian velocities (n, d): variance T/m a component, without total momentum, sum m v^2 = d N T. Collective.
 
     `normal` (n, d): numbers of a normal distribution; those that are not `movable` (n,) get no velocity.
     """

@@ -15,7 +15,7 @@ from particles_mpi.scene.model import LARGEST_NUMBER
 from particles_mpi.scene.schema import Scene
 
 MOST_CROSSINGS = 1e4  # of the box in a step
-LEAST_SKIN = 1.001  # of two contact distances: what is left of a periodic box is where neighbours are looked for
+ROOM_FOR_SKINS = 1.001  # by which a periodic box is longer than two contact distances: lists of neighbours need room
 FARTHEST = 1e6  # lengths of a periodic box, from which a given place can be brought back into it
 
 
@@ -130,7 +130,7 @@ def check_step(scene: Scene, particles: Particles, event: bool, faults: Faults) 
     largest = [radius.max(initial=0.0), radius[particles.fixed == 0].max(initial=0.0), speed.max(initial=0.0)]
     widest, movable, fastest = ranks.allreduce_max(np.array(largest)).tolist()
     if event:  # a sphere must not meet two images of another
-        least = 2.0 * (widest + movable) * LEAST_SKIN
+        least = 2.0 * (widest + movable) * ROOM_FOR_SKINS
         need = f"two contact distances and a thousandth, {least:.5g}"
     else:
         least = 2.0 * (widest + movable + 2.0 * fastest * dt)

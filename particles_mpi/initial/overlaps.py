@@ -7,7 +7,7 @@ import numpy as np
 from particles_mpi.errors import MOST_NAMED, listed
 from particles_mpi.initial.faults import Faults
 from particles_mpi.initial.room import Room
-from particles_mpi.initial.sphere_cells import LEVELS, class_of
+from particles_mpi.initial.sphere_cells import CLASSES, class_of
 from particles_mpi.initial.sphere_grid import SphereGrid
 from particles_mpi.kernels.geometry import image_shift, image_shifts, wrap
 from particles_mpi.kernels.jit import inner, kernel
@@ -71,9 +71,9 @@ def in_contact(x: Array, radius: Array, length: Array) -> Array:
         return np.empty(0, np.int64)
     lower, upper = bulk(x, x.min(axis=0), x.max(axis=0))
     extent = np.where(length > 0.0, length, np.maximum(upper - lower, np.finfo(float).tiny))
-    level = class_of(radius, float(radius.max()))
-    reach = np.array([radius[level == k].max(initial=-1.0) for k in range(LEVELS)])
-    grid = SphereGrid(lower, extent, length, np.bincount(level, minlength=LEVELS), reach)
+    kind = class_of(radius, float(radius.max()))
+    largest_radii = np.array([radius[kind == k].max(initial=-1.0) for k in range(CLASSES)])
+    grid = SphereGrid(lower, extent, length, np.bincount(kind, minlength=CLASSES), largest_radii)
     order = grid.order(x, radius)
     first, last = grid.append(x[order], radius[order], np.arange(len(x)))
     return np.sort(order[~grid.open_points(grid.x[:last], grid.radius[:last], 1.0 - 0.1 * TOUCH, np.arange(first, last))])
@@ -126,7 +126,10 @@ def push_apart(ranks: Communicator, particles: Particles, room: Room) -> list[st
 
 
 def line_of(p: Particles, length: Array) -> tuple[Array, Array, Array]:
-    """(rows, rows behind them, how much is added to the places of these): neighbours on a line, which stay what they are."""
+    """Neighbours on a line, which stay neighbours: (rows, the next row at larger x of each, what is added to the x of that).
+
+    (m,) each; the length of a periodic line is added for the pair across its end, and 0 for all others.
+    """
     order = np.lexsort((p.id, p.position[:, 0]))
     behind, ahead, shift = order, np.roll(order, -1), np.zeros(len(order))
     shift[-1:] = length[0]
@@ -159,7 +162,11 @@ def listed_pairs(ranks: Communicator, first: Array, second: Array) -> str:
 
 @kernel
 def separate(x, radius, w, first, second, lower, upper, length, point, normal):
-    """Move the spheres of each pair apart, the lighter one further, in place on x; they stay inside walls and box."""
+    """Move the two spheres of each pair that overlap apart, in place on x; they stay inside walls and box.
+
+    x (n, d); radius (n,); w (n,): inverse masses, 0 of fixed ones, by which the two share the way; first, second (m,): rows of
+    the pairs; lower, upper, length (d,): the box; point, normal (walls, d).
+    """
     d = x.shape[1]
     r = np.zeros(d)
     for i, j in zip(first, second):
@@ -192,7 +199,7 @@ def separate(x, radius, w, first, second, lower, upper, length, point, normal):
 
 @kernel
 def separate_on_line(x, radius, w, first, second, shift, lower, upper, length, point, normal):
-    """As `separate`, of neighbours (first, second) on a line, the second behind the first: they never change places.
+    """As `separate`, of neighbours on a line, `second` being the next one at larger x: they never change places.
 
     A periodic line is given without ends and length: what is brought back into the box would seem to be behind others.
     """

@@ -5,7 +5,7 @@ from math import inf
 
 import numpy as np
 
-from particles_mpi.initial.blocks import Block, Columns
+from particles_mpi.initial.columns import Columns, Share
 from particles_mpi.initial.lattices import lattice
 from particles_mpi.initial.plummer import centered, plummer_points
 from particles_mpi.initial.random_addition import JAMMING_PACKING, RandomAddition
@@ -16,42 +16,42 @@ from particles_mpi.particles import Array
 DENSEST = {1: 1.0, 2: 0.9069, 3: 0.7405}  # packing of equal spheres
 
 
-def fill_places(columns: Columns, blocks: list[Block], room: Room, scattered: Array) -> None:
+def fill_places(columns: Columns, shares: list[Share], room: Room, scattered: Array) -> None:
     """Lists, files and lattices first, then random places around them, the largest spheres first. Collective.
 
     `scattered` (n,): which rows of this rank get random places.
     """
     x, radius, ranks = columns.arrays["position"], columns.arrays["radius"], columns.ranks
-    largest = {block.number: ranks.largest(radius[block.rows].max(initial=0.0))[0] for block in blocks}
-    for block in blocks:
-        given = block.population.position
+    largest = {share.number: ranks.largest(radius[share.rows].max(initial=0.0))[0] for share in shares}
+    for share in shares:
+        given = share.population.position
         if given == "lattice":
-            places = lattice(block.total, largest[block.number], room, *block.numbers)
+            places = lattice(share.total, largest[share.number], room, *share.numbers)
             if places is None:
-                fraction = packing_fraction(ranks, radius[block.rows], room)
-                why = f"{block.total} spheres do not fit (packing fraction {fraction:.3g})"
-                columns.faults.add(f"{block.key}.position: lattice: {why}")
+                fraction = packing_fraction(ranks, radius[share.rows], room)
+                why = f"{share.total} spheres do not fit (packing fraction {fraction:.3g})"
+                columns.faults.add(f"{share.key}.position: lattice: {why}")
             else:
-                x[block.rows] = places
+                x[share.rows] = places
         elif isinstance(given, dict) and "plummer" in given:
-            key = stream_key(columns.scene.seed, block.number, "position")
-            points = draw(key, *block.numbers, partial(plummer_points, a=given["plummer"]))
-            x[block.rows] = centered(ranks, points, columns.arrays["mass"][block.rows])
+            key = stream_key(columns.scene.seed, share.number, "position")
+            points = draw(key, *share.numbers, partial(plummer_points, a=given["plummer"]))
+            x[share.rows] = centered(ranks, points, columns.arrays["mass"][share.rows])
         elif given != "random":
-            columns.fill(block, "position", given)
+            columns.fill(share, "position", given)
     columns.faults.stop()
-    if random := [block for block in blocks if block.population.position == "random"]:
+    if random := [share for share in shares if share.population.position == "random"]:
         addition = RandomAddition(ranks, room, x[~scattered], radius[~scattered], [radius[scattered]])
-        for block in sorted(random, key=lambda block: -largest[block.number]):
-            if fault := scatter(columns, block, room, addition, largest[block.number]):
-                columns.faults.add(f"{block.key}.position: random: {fault}")
+        for share in sorted(random, key=lambda share: -largest[share.number]):
+            if fault := scatter(columns, share, room, addition, largest[share.number]):
+                columns.faults.add(f"{share.key}.position: random: {fault}")
                 return
 
 
-def scatter(columns: Columns, block: Block, room: Room, addition: RandomAddition, largest: float) -> str:
+def scatter(columns: Columns, share: Share, room: Room, addition: RandomAddition, largest: float) -> str:
     """Random places for a population; returns why there are none, or "" . Collective."""
     ranks, dimension = columns.ranks, columns.scene.dimension
-    own, count = columns.arrays["radius"][block.rows], block.total
+    own, count = columns.arrays["radius"][share.rows], share.total
     smallest = ranks.least(own.min(initial=inf))
     wide = np.flatnonzero((room.length == 0.0) & (2.0 * largest > room.upper - room.lower))
     if room.bounded and len(wide):
@@ -60,8 +60,8 @@ def scatter(columns: Columns, block: Block, room: Room, addition: RandomAddition
     if room.solid and count > 1000 and smallest == largest and fraction > most:
         said = f"{count} spheres have packing fraction {fraction:.3g}, above the {most} at which"
         return f"{said} random places run out; {advice(fraction, dimension)}"
-    key = int(np.random.Philox(key=stream_key(columns.scene.seed, block.number, "position")).random_raw())
-    columns.arrays["position"][block.rows], missing = addition.place(key, np.arange(*block.numbers), own)
+    key = int(np.random.Philox(key=stream_key(columns.scene.seed, share.number, "position")).random_raw())
+    columns.arrays["position"][share.rows], missing = addition.place(key, np.arange(*share.numbers), own)
     if not missing:
         return ""
     fraction = packing_fraction(ranks, columns.arrays["radius"], room)

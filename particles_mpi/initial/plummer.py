@@ -1,4 +1,4 @@
-"""Plummer's sphere: places, and speeds that keep it as it is. H. Plummer, MNRAS 71, 460 (1911).
+"""Plummer's sphere: places, and velocities that keep it as it is. H. Plummer, MNRAS 71, 460 (1911).
 
 Density ~ (1 + r^2/a^2)^(-5/2); drawn as S. Aarseth, M. Henon and R. Wielen do, Astron. Astrophys. 37, 183 (1974). Plain arrays.
 
@@ -30,8 +30,8 @@ def plummer_points(random: np.random.Generator, n: int, a: float) -> Array:
     return radius[:, None] * directions(random, n, 3)
 
 
-def plummer_speeds(random: np.random.Generator, n: int) -> Array:
-    """Isotropic velocities (n, 3) over the speed of escape, q, of density q^2 (1 - q^2)^(7/2)."""
+def scaled_velocities(random: np.random.Generator, n: int) -> Array:
+    """Isotropic velocities (n, 3) in units of the escape speed; their length q has the density q^2 (1 - q^2)^(7/2)."""
     q, rest = np.zeros(n), np.arange(n)
     while len(rest):
         tried, height = random.random(len(rest)), 0.1 * random.random(len(rest))
@@ -42,11 +42,11 @@ def plummer_speeds(random: np.random.Generator, n: int) -> Array:
     return q[:, None] * directions(random, n, 3)
 
 
-def plummer_velocities(ranks: Communicator, speeds: Array, x: Array, a: float, mass: Array, G: float) -> Array:
-    """Velocities (n, 3) in equilibrium, without momentum, of this rank's particles at x (n, 3). Collective."""
+def plummer_velocities(ranks: Communicator, scaled: Array, x: Array, a: float, mass: Array, G: float) -> Array:
+    """Velocities (n, 3) in equilibrium without momentum: `scaled` (n, 3) times the escape speed at x (n, 3). Collective."""
     total = exact_sums(ranks, [mass])[0]
     escape = np.sqrt(2.0 * G * total) / np.sqrt(np.sqrt((x**2).sum(axis=1) + a**2))
-    return centered(ranks, escape[:, None] * speeds, mass)
+    return centered(ranks, escape[:, None] * scaled, mass)
 
 
 def centered(ranks: Communicator, vectors: Array, mass: Array) -> Array:

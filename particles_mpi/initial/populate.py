@@ -1,4 +1,4 @@
-"""The particles at the start of a scene. Each rank makes a block of ids; the result is the same on any number of ranks.
+"""The particles at the start of a scene. Each rank makes a share of ids; the result is the same on any number of ranks.
 
 Random numbers are keyed by (seed, population, quantity, number of the particle), so that changing the radii of one population
 leaves its velocities, and all other populations, as they were.
@@ -13,8 +13,8 @@ from pydantic import ValidationError
 
 from particles_mpi.errors import SceneError
 from particles_mpi.initial.attributes import fill_attributes, fill_velocities
-from particles_mpi.initial.blocks import Block, Columns
 from particles_mpi.initial.checks import check_start
+from particles_mpi.initial.columns import Columns, Share
 from particles_mpi.initial.faults import Faults
 from particles_mpi.initial.places import fill_places
 from particles_mpi.initial.room import room_of
@@ -110,16 +110,16 @@ class Populator:
         self.first, self.last = self.ranks.share(self.total)
         with raising_together(self.ranks):
             columns = Columns(self.scene, self.ranks, self.faults, self.columns(fields), self.total)
-        blocks = self.blocks(counts, files)
-        for block in blocks:
-            fill_attributes(columns, block)
+        shares = self.shares(counts, files)
+        for share in shares:
+            fill_attributes(columns, share)
         self.faults.stop()
         room, scattered = room_of(self.scene), np.zeros(len(columns.arrays["id"]), bool)
-        for block in blocks:
-            scattered[block.rows] = block.population.position == "random"
-        fill_places(columns, blocks, room, scattered)
-        for block in blocks:
-            fill_velocities(columns, block)
+        for share in shares:
+            scattered[share.rows] = share.population.position == "random"
+        fill_places(columns, shares, room, scattered)
+        for share in shares:
+            fill_velocities(columns, share)
         self.faults.stop()
         particles = Particles(self.scene.dimension, columns.arrays)
         judged = ~scattered  # by whether they overlap: those with random places overlap nobody
@@ -127,15 +127,15 @@ class Populator:
         self.faults.stop()
         return particles, self.notes + warnings
 
-    def blocks(self, counts: list[int], files: list[dict[str, Table]]) -> list[Block]:
+    def shares(self, counts: list[int], files: list[dict[str, Table]]) -> list[Share]:
         """This rank's part of each population."""
-        blocks, begin = [], 0
+        shares, begin = [], 0
         for (number, population), count, read in zip(self.populations.items(), counts, files, strict=True):
             low, high = (min(max(edge, self.first), self.last) for edge in (begin, begin + count))
             rows = slice(self.before + low - self.first, self.before + high - self.first)
-            blocks.append(Block(number, population, count, begin, (low - begin, high - begin), rows, read))
+            shares.append(Share(number, population, count, begin, (low - begin, high - begin), rows, read))
             begin += count
-        return blocks
+        return shares
 
     def columns(self, fields: list[str]) -> dict[str, Array]:
         """These fields, with what they hold where nothing gives a value, and what the user has attached."""
@@ -149,7 +149,7 @@ class Populator:
         return arrays
 
     def check_box(self) -> None:
-        """Numbers that are too large to count with."""
+        """Add faults for a seed, a corner of the box or a volume of it that is too large, or too small, to count with."""
         box = self.scene.box
         if self.scene.seed >= 2**64:
             self.faults.add("seed: must be below 2^64")
@@ -159,7 +159,10 @@ class Populator:
             self.faults.add(f"box: its volume {volume:g} is too small or too large to count with")
 
     def check_memory(self, counts: list[int], fields: list[str]) -> None:
-        """A count with a zero too many should be a fault, and not a killed process. Collective."""
+        """SceneError if the particles need more memory than there is, or a rank more rows than an int32 counts. Collective.
+
+        So a count with a zero too many is a fault, and not a killed process.
+        """
         total, ranks = sum(counts), self.ranks
         columns = {name: default_values(name, 1, self.scene.dimension) for name in fields}
         need, have = memory_needed(self.scene, columns, total, ranks.size, piles=False), ranks.least(memory_there())

@@ -9,7 +9,7 @@ import numpy as np
 
 from particles_mpi.initial.random_numbers import LOW_HALF, random_pair
 from particles_mpi.initial.room import Room
-from particles_mpi.initial.sphere_cells import LEVELS, class_of
+from particles_mpi.initial.sphere_cells import CLASSES, class_of
 from particles_mpi.initial.sphere_grid import FREE, SphereGrid
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.neighbours.halo_region import build
@@ -22,7 +22,8 @@ from particles_mpi.parallel.halo import Halo
 from particles_mpi.particles import Array, rows_of
 
 MOST_TRIES = 100_000  # failures in a row before spheres are given up: at packing 0.30 in 3D about 1 try in 1000 succeeds
-JAMMING_PACKING = {1: 0.7476, 2: 0.547, 3: 0.384}  # packing at which random addition of equal spheres stops (literature)
+# Packing at which random addition of equal spheres stops: A. Renyi 1958; G. Zhang and S. Torquato, Phys. Rev. E 88, 053312 (2013)
+JAMMING_PACKING = {1: 0.7476, 2: 0.547, 3: 0.384}
 FEW_LEFT = 10_000  # spheres without a place that each rank throws all of, several times at once, in its part of space
 POINTS_AT_ONCE = 100_000  # thrown at once then
 SPHERES_AT_ONCE = 2**20  # spheres of all ranks that are thrown at once, which need several times the memory of their places
@@ -40,16 +41,16 @@ class RandomAddition:
         self.ranks, self.room, self.dimension = ranks, room, x.shape[1]
         every = np.concatenate([radius, *radii])
         self.largest = ranks.largest(every.max(initial=0.0))[0]
-        level = class_of(every, self.largest)
-        counts = ranks.allreduce_sum(np.bincount(level, minlength=LEVELS))
-        reach = ranks.allreduce_max(np.array([every[level == k].max(initial=-1.0) for k in range(LEVELS)]))
+        kind = class_of(every, self.largest)
+        counts = ranks.allreduce_sum(np.bincount(kind, minlength=CLASSES))
+        largest_radii = ranks.allreduce_max(np.array([every[kind == k].max(initial=-1.0) for k in range(CLASSES)]))
         extent = room.upper - room.lower
         if ranks.size > 1:  # equal parts of the room, by any points that fill it
             some = np.random.Generator(np.random.Philox(key=ranks.rank)).random((CUTTING_POINTS, self.dimension))
             self.parts = bisect(ranks, room.lower + some * extent, 1.0)
             corners = np.clip([self.parts.lower, self.parts.upper], room.lower, room.upper)
             self.boxes = corners.transpose(1, 0, 2) + self.largest * np.array([[-1.0], [1.0]])
-        self.grid = SphereGrid(room.lower, extent, room.length, counts * room.solid, reach, ranks.size)
+        self.grid = SphereGrid(room.lower, extent, room.length, counts * room.solid, largest_radii, ranks.size)
         if room.solid:
             self.append(self.to_their_parts({"id": np.full(len(x), -1), "radius": radius, "position": x}))
 
@@ -79,9 +80,9 @@ class RandomAddition:
         """
         self.key = np.array([key >> (32 * k) & int(LOW_HALF) for k in range(2)], np.uint64)
         x, missing = np.zeros((len(number), self.dimension)), 0
-        level = class_of(radius, self.largest)
-        for k in range(LEVELS):
-            rows = np.flatnonzero(level == k)
+        kind = class_of(radius, self.largest)
+        for k in range(CLASSES):
+            rows = np.flatnonzero(kind == k)
             total = self.ranks.total(len(rows))[0]
             if total and not missing:
                 places, missing = self.place_class(number[rows], radius[rows], total)

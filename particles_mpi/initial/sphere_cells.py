@@ -13,7 +13,7 @@ import numpy as np
 from particles_mpi.kernels.jit import kernel, lean_inner
 from particles_mpi.particles import Array
 
-LEVELS = 10  # classes of radius, each with radii at most half as large as in the one before
+CLASSES = 10  # classes of radius, each with radii at most half as large as in the one before
 
 
 class Grids(NamedTuple):
@@ -21,11 +21,11 @@ class Grids(NamedTuple):
 
     head: Array  # (lists,) first row of each list; -1: none
     after: Array  # (n,) the next row of the same list; -1: none
-    level: Array  # (n,) class of each sphere
-    reach: Array  # (LEVELS,) largest radius of a class; -1: no sphere has this class
-    cells: Array  # (LEVELS, 3) cells of a grid along each axis
-    first: Array  # (LEVELS,) where the lists of a class begin in `head`
-    mask: Array  # (LEVELS,) its number of lists less one: a power of two less one
+    kind: Array  # (n,) class of each sphere
+    largest: Array  # (CLASSES,) largest radius of each class; -1: no sphere has this class
+    cells: Array  # (CLASSES, 3) cells of a grid along each axis
+    first: Array  # (CLASSES,) where the lists of a class begin in `head`
+    mask: Array  # (CLASSES,) its number of lists less one: a power of two less one
     lower: Array  # (d,) corner of the box
     extent: Array  # (d,) its lengths
     length: Array  # (d,) those of periodic axes; 0 for others
@@ -34,14 +34,14 @@ class Grids(NamedTuple):
 @kernel
 def class_of(radius, largest):
     """The class of each radius (n,): 0 for those above half of the largest, and so on."""
-    level = np.empty(len(radius), np.int8)
+    kind = np.empty(len(radius), np.int8)
     for i in range(len(radius)):
         least = 0.5 * largest
-        level[i] = 0
-        while radius[i] <= least and level[i] < LEVELS - 1:
+        kind[i] = 0
+        while radius[i] <= least and kind[i] < CLASSES - 1:
             least *= 0.5
-            level[i] += 1
-    return level
+            kind[i] += 1
+    return kind
 
 
 def cells_of(extent: Array, count: int, side: float) -> list[int]:
@@ -66,21 +66,21 @@ def cells_within(k, y, far, grid, cells):
 
 
 @lean_inner
-def list_of(y, level, grid):
+def list_of(y, kind, grid):
     """The list of a sphere of this class at the point y (d,)."""
     c = 0
     for k in range(3):
-        cells = grid.cells[level, k]
+        cells = grid.cells[kind, k]
         c = c * cells + cells_within(k, y, 0.0, grid, cells)[0] % cells
-    return grid.first[level] + (c & grid.mask[level])
+    return grid.first[kind] + (c & grid.mask[kind])
 
 
 @kernel
-def list_of_each(x, level, grid):
+def list_of_each(x, kind, grid):
     """The lists of the spheres at x (n, d) with these classes (n,)."""
     lists = np.empty(len(x), np.int32)
     for i in range(len(x)):
-        lists[i] = list_of(x[i], level[i], grid)
+        lists[i] = list_of(x[i], kind[i], grid)
     return lists
 
 
@@ -88,7 +88,7 @@ def list_of_each(x, level, grid):
 def enter_spheres(x, first, last, grid):
     """Enter the rows first ... last - 1."""
     for i in range(first, last):
-        c = list_of(x[i], grid.level[i], grid)
+        c = list_of(x[i], grid.kind[i], grid)
         grid.after[i] = grid.head[c]
         grid.head[c] = i
 
@@ -100,7 +100,7 @@ def keep(first, last, stays, x, radius, ids, grid):
     The newest rows are at the heads of their lists: all are taken out, and those that stay enter again in their new rows.
     """
     for i in range(first, last):
-        c = list_of(x[i], grid.level[i], grid)
+        c = list_of(x[i], grid.kind[i], grid)
         while grid.head[c] >= first:
             grid.head[c] = grid.after[grid.head[c]]
     n = first
@@ -108,7 +108,7 @@ def keep(first, last, stays, x, radius, ids, grid):
         if stays[i - first]:
             for k in range(x.shape[1]):
                 x[n, k] = x[i, k]
-            radius[n], ids[n], grid.level[n] = radius[i], ids[i], grid.level[i]
+            radius[n], ids[n], grid.kind[n] = radius[i], ids[i], grid.kind[i]
             n += 1
     enter_spheres(x, first, n, grid)
     return n

@@ -17,20 +17,20 @@ UNDECIDED, FREE, TAKEN = 0, 1, 2  # may a sphere stay where it is?
 class SphereGrid:
     """Rows of spheres x (n, d), radius (n,), id (n,) in linked cells; room for more is made as they come.
 
-    `counts` and `reach` (LEVELS,): how many spheres of each class there will be on all ranks, and the largest radius of each;
-    `ranks`: among how many they are divided.
+    `counts` and `largest_radii` (CLASSES,): how many spheres of each class there will be on all ranks, and the largest radius
+    of each; `ranks`: among how many they are divided.
     """
 
-    def __init__(self, lower: Array, extent: Array, length: Array, counts: Array, reach: Array, ranks: int = 1):
-        cells = np.array([cells_of(extent, int(count), 2.0 * far) for count, far in zip(counts, reach)])
+    def __init__(self, lower: Array, extent: Array, length: Array, counts: Array, largest_radii: Array, ranks: int = 1):
+        cells = np.array([cells_of(extent, int(count), 2.0 * far) for count, far in zip(counts, largest_radii)])
         lists = np.array([1 << int(-(-int(c) // ranks) - 1).bit_length() for c in cells.prod(axis=1)])
         first = np.cumsum(lists) - lists
         self.n, d, space = 0, len(lower), int(1.05 * counts.sum() / ranks) + 1
         require_countable(max(space, int(lists.sum())), "spheres, or cells for them,")
         self.x, self.radius, self.id = np.empty((space, d)), np.empty(space), np.empty(space, np.int64)
-        head, after, level = np.full(int(lists.sum()), -1, np.int32), np.empty(space, np.int32), np.empty(space, np.int8)
-        self.grids = Grids(head, after, level, reach, cells, first, lists - 1, lower, extent, length)
-        self.largest = float(reach.max())
+        head, after, kind = np.full(int(lists.sum()), -1, np.int32), np.empty(space, np.int32), np.empty(space, np.int8)
+        self.grids = Grids(head, after, kind, largest_radii, cells, first, lists - 1, lower, extent, length)
+        self.largest = float(largest_radii.max())
 
     def append(self, x: Array, radius: Array, ids: Array, enter: bool = True) -> tuple[int, int]:
         """Put spheres behind the others, and `enter` them into the lists; returns (first, last + 1) of their rows."""
@@ -39,13 +39,13 @@ class SphereGrid:
             require_countable(last, "spheres")
             capacity = last + last // 4
             new = np.empty((capacity, x.shape[1])), np.empty(capacity), np.empty(capacity, np.int64)
-            grids = self.grids._replace(after=np.empty(capacity, np.int32), level=np.empty(capacity, np.int8))
-            old = self.x, self.radius, self.id, self.grids.after, self.grids.level
-            for wide, narrow in zip((*new, grids.after, grids.level), old, strict=True):
+            grids = self.grids._replace(after=np.empty(capacity, np.int32), kind=np.empty(capacity, np.int8))
+            old = self.x, self.radius, self.id, self.grids.after, self.grids.kind
+            for wide, narrow in zip((*new, grids.after, grids.kind), old, strict=True):
                 wide[:first] = narrow[:first]
             self.x, self.radius, self.id, self.grids = *new, grids
         self.x[first:last], self.radius[first:last], self.id[first:last] = x, radius, ids
-        self.grids.level[first:last] = class_of(radius, self.largest)
+        self.grids.kind[first:last] = class_of(radius, self.largest)
         if enter:
             enter_spheres(self.x, first, last, self.grids)
         self.n = last
@@ -92,11 +92,11 @@ class SphereGrid:
 def verdict(y, r, me, x, radius, ids, first, status, margin, grid):
     """May a sphere of radius r be at the point y (d,)? FREE, TAKEN or UNDECIDED; `me`: its row, or -1. See `decide`."""
     result = FREE
-    for level in range(len(grid.reach)):
-        far = (r + grid.reach[level]) * (1.0 + 1e-9)
-        if grid.reach[level] < 0.0 or far == 0.0:
+    for kind in range(len(grid.largest)):
+        far = (r + grid.largest[kind]) * (1.0 + 1e-9)
+        if grid.largest[kind] < 0.0 or far == 0.0:
             continue
-        m0, m1, m2 = grid.cells[level, 0], grid.cells[level, 1], grid.cells[level, 2]
+        m0, m1, m2 = grid.cells[kind, 0], grid.cells[kind, 1], grid.cells[kind, 2]
         a0, a1 = cells_within(np.int64(0), y, far, grid, m0)
         b0, b1 = cells_within(np.int64(1), y, far, grid, m1)
         c0, c1 = cells_within(np.int64(2), y, far, grid, m2)
@@ -106,7 +106,7 @@ def verdict(y, r, me, x, radius, ids, first, status, margin, grid):
                 row = (row_a + (b + m1 if b < 0 else b - m1 if b >= m1 else b)) * m2
                 for c in range(c0, c1 + 1):
                     cell = row + (c + m2 if c < 0 else c - m2 if c >= m2 else c)
-                    j = grid.head[grid.first[level] + (cell & grid.mask[level])]
+                    j = grid.head[grid.first[kind] + (cell & grid.mask[kind])]
                     while j >= 0:
                         r2 = 0.0
                         for k in range(len(y)):

@@ -96,7 +96,10 @@ def coincident(scene: Scene, particles: Particles, ranks: Communicator) -> list[
 
 
 def coincident_pairs(columns: dict[str, Array]) -> tuple[Array, Array]:
-    """(lower ids, higher ids) of those that follow one another, by id, at a place where one attracts and one can be moved."""
+    """(lower ids, higher ids) of particles at the same place, each one with the next id there.
+
+    Only of places where at least one particle has mass and at least one is not fixed.
+    """
     x, ids, mass, fixed = (columns[name] for name in ("position", "id", "mass", "fixed"))
     order = np.argsort(x[:, 0], kind="stable")
     equal = x[order[1:], 0] == x[order[:-1], 0]

@@ -105,7 +105,8 @@ def columns_in(ranks: Communicator, path: Path, dimension: int, scalars: list[st
 
     `scalars`: quantities of one number a particle that the scene has besides those of NAMES; their columns are called the same.
 
-    Nothing where it cannot be read, which is told where the places are, or in more than three dimensions: there are no names.
+    Nothing is given where the file cannot be read, which is a fault as soon as its places are read, or in more than three
+    dimensions, where columns have no names.
     """
     start = Beginning()
     with suppress(OSError):
@@ -124,7 +125,10 @@ def columns_in(ranks: Communicator, path: Path, dimension: int, scalars: list[st
 
 
 def uneven_line(block: bytes, start: Beginning, first: int) -> str:
-    """Which of the lines, of which the first has this number, has not so many cells as `start`, or ""; empty ones have none."""
+    """The first line with another number of cells than `start`, in words, or "". Empty lines and remarks are left out.
+
+    `first`: the number of the first line of the block.
+    """
     text = np.frombuffer(block, np.uint8)
     ends = np.append(np.flatnonzero(text == ord("\n")), len(text))
     begins = np.append(0, ends[:-1] + 1)
@@ -163,7 +167,7 @@ def first_of(ranks: Communicator, fault: str, name_rank: bool = True) -> str:
 
 
 def lines_of(path: Path, at: int, rank: int, size: int) -> bytes:
-    """The lines that begin in the part of a rank of so many, of those from the byte `at` on."""
+    """The lines that begin in part `rank` of the `size` equal parts into which a file is divided from its byte `at` on."""
     length = path.stat().st_size - at
     with open(path, "rb") as file:
         begin, end = (line_start(file, at + length * r // size) for r in (rank, rank + 1))

@@ -53,12 +53,12 @@ PROGRESS = np.dtype(
 class Work(NamedTuple):
     """What a step of `adaptive` knows between two evaluations of the forces; vectors of all rows are flat, (n d,).
 
-    progress (1,) of PROGRESS: stage, node and iterations of the substep of this `length`; tries so far, those in a row that were
-    `blind`, and `substeps` taken; `done` of the `step`; noise: round-off of an acceleration; change, before: of this iteration
-    and the one before; largest acceleration and `top`, the largest highest coefficient; of the last substep its length,
-    where within it the next one begins (0 or 1), and whether it is `guessable`; the `longest` substep taken. x0: places at the
-    start; lost: what rounding took from them; at (8, n d): accelerations at the nodes; last (8, n d): those of the last substep;
-    row (8,): numbers of one component.
+    progress (1,) of PROGRESS: stage, node and iterations of the substep of this `length`; tries so far, those in a row that
+    were `blind`, and `substeps` taken; `done` of the `step`; noise: round-off of an acceleration; change, before: of this
+    iteration and the one before; largest acceleration and `top`, the largest highest coefficient; of the last substep its
+    length, where within it the next one begins (0 or 1), and whether it is `guessable`; the `longest` substep taken. x0:
+    places at the start; lost: what rounding took from them; at (8, n d): accelerations at the nodes; last (8, n d): those of
+    the last substep; row (8,): numbers of one component.
     """
 
     progress: Array
@@ -79,7 +79,7 @@ def work_for(numbers: int) -> Work:
 
 
 @lean
-def random_sign(number, attempt):
+def random_factor(number, attempt):
     """A number in [-1, 1) that depends on these two (int64) alone: a multiplicative hash."""
     k = (np.uint64(number) + (np.uint64(attempt) << np.uint64(32))) * np.uint64(0x9E3779B97F4A7C15)
     k = (k ^ (k >> np.uint64(32))) * np.uint64(0xD6E8FEB86659FD93)
@@ -90,8 +90,8 @@ def random_sign(number, attempt):
 def shake(x, d, attempt):
     """Move each coordinate of x (n d,) by up to SHAKEN units in its last place, and bodies at the same place alike.
 
-    By what depends on the place, the axis and the attempt. If it were on the id, bodies at the same place, between which no force
-    acts, would be torn apart, and their force, huge all of a sudden, be taken for round-off.
+    By what depends on the place, the axis and the attempt. If it were on the id, bodies at the same place, between which no
+    force acts, would be torn apart, and their force, huge all of a sudden, be taken for round-off.
     """
     for first in range(0, len(x), d):
         place = np.uint64(0)
@@ -99,8 +99,8 @@ def shake(x, d, attempt):
             mixed = (place ^ (place >> np.uint64(32))) * np.uint64(0x9E3779B97F4A7C15)
             place = mixed + np.float64(x[first + k]).view(np.uint64)
         for k in range(d):
-            sign = random_sign(np.int64(place + np.uint64(k)), attempt)
-            x[first + k] += SHAKEN * np.spacing(abs(x[first + k])) * sign
+            factor = random_factor(np.int64(place + np.uint64(k)), attempt)
+            x[first + k] += SHAKEN * np.spacing(abs(x[first + k])) * factor
 
 
 @in_place
@@ -201,7 +201,10 @@ def still_to_come(change, before):
 
 @in_place
 def end_of_try(x, v, round_off, left, work, tables):
-    """Take the substep, or not; returns how long the next one may be. If that is too short, nothing has changed."""
+    """Take the substep, or refuse it; returns how long the next one may be.
+
+    It is refused if that is less than SAFE_GROWTH of this one: then x is x0 again, and v as it was.
+    """
     progress, x0, lost, at, last, _ = work
     s = progress[0]
     h, largest = s["length"], s["largest"]
@@ -239,11 +242,11 @@ def begin(x, step, work):
 
 @lean_in_place
 def go_on(x, v, d, force, work, tables):
-    """Go on with a step as far as it is known what it needs; returns what that is, which must be there at the next call.
+    """Carry the step on until something is needed from outside; returns what, which must be there at the next call.
 
-    FORCES: `force`, the accelerations at x. MAXIMA: those of all ranks in the place of this rank's. END: the step is done.
-    STUCK: the next substep would be too short, or round-off hides the motion. x, v, force: vectors of all rows, flat (n d,).
-    d: the dimension.
+    FORCES: `force` must be the accelerations at x. MAXIMA: noise, change, largest and top in `work.progress` must be the
+    largest ones of all ranks. END: the step is done. STUCK: the next substep would be too short, or round-off hides the
+    motion. x, v, force: vectors of all rows, flat (n d,). d: the dimension.
     """
     progress, _, _, at, _, _ = work
     s = progress[0]

@@ -53,7 +53,7 @@ class StepLosses(NamedTuple):
     """What happens in a kick besides forces: `Damping` and `ConstantFriction`."""
 
     decay: Array  # (kicks, n), no row without either
-    push: Array
+    force_time: Array
     friction: bool
     strength: float
     coasts: bool  # does nothing but friction act?
@@ -152,7 +152,7 @@ def keep_on_walls(axes, bodies, losses, part, space, h, kicked, near):
     changed, by = hand_over(rows, settled, held, v, supported)
     for r in range(len(changed)):
         on_walls.pushed[r] = changed[r]
-        undamped = losses.push[part][changed[r]] / kicked if len(losses.push) > 0 else 1.0
+        undamped = losses.force_time[part][changed[r]] / kicked if len(losses.force_time) > 0 else 1.0
         for k in range(len(axes)):
             on_walls.given[r, k] = by[r, k] / undamped
     return len(changed), len(rows)
@@ -199,14 +199,14 @@ def kick_bodies(bodies, forces, losses, space, part, h, drift):
             kick(bodies.v, bodies.total, h)
     elif losses.friction:
         coast = drift if losses.coasts else 0.0
-        decay, push, on_walls = losses.decay[part], losses.push[part], space.on_walls
+        decay, force_time, on_walls = losses.decay[part], losses.force_time[part], space.on_walls
         if on_walls.kept:
             press(bodies.total, bodies.fixed, on_walls.supported, space.rates, on_walls.alone)
-        kick_with_friction(bodies.v, bodies.total, bodies.mass, decay, push, losses.strength, h, coast)
+        kick_with_friction(bodies.v, bodies.total, bodies.mass, decay, force_time, losses.strength, h, coast)
         if on_walls.kept:
-            release(bodies.v, bodies.total, bodies.fixed, on_walls.supported, space.rates, on_walls.alone, push)
+            release(bodies.v, bodies.total, bodies.fixed, on_walls.supported, space.rates, on_walls.alone, force_time)
     else:
-        kick_with_drag(bodies.v, bodies.total, losses.decay[part], losses.push[part])
+        kick_with_drag(bodies.v, bodies.total, losses.decay[part], losses.force_time[part])
 
 
 @in_place

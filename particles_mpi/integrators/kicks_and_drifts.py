@@ -35,7 +35,8 @@ def integrator_of(
 ) -> Adaptive | Taylor | Composition:
     """The integrator that a scene names; `persistent` keeps contacts that last, and `closing` finishes others, if any do.
 
-    It advances particles by a step of length h, and calls `drift` to move them for a time, with contacts on the way. Collective.
+    It advances particles by a step of length h, and calls `drift` to move them for a time, with contacts on the way.
+    Collective.
     """
     name = scene.time.integrator
     if name == "adaptive":
@@ -106,9 +107,10 @@ class Accelerations:
 class Kick:
     """dv/dt = a + the effects on velocities, over a time h, with a from `forces`, which may be None.
 
-    Force and damping are advanced together, exactly, and friction with them. Other flows act one after the other for h/2
-    before, and in reverse order for h/2 after (Strang splitting), so that the whole is symmetric and of second order.
-    Friction and flows act on the velocities that contacts that last leave, not on those that forces alone would give.
+    Force and damping are advanced together, exactly; with friction the kick is of second order in h, and near a standstill
+    exact but for drag (`kernels.sliding`). Other flows act one after the other for h/2 before, and in reverse order for h/2
+    after (Strang splitting), so that the whole is symmetric and of second order. Friction and flows act on the velocities that
+    contacts that last leave, not on those that forces alone would give.
     """
 
     def __init__(self, effects: ActiveEffects, forces: Callable[[], Array | None], timers: Timers):
@@ -143,15 +145,15 @@ class Kick:
             if a is not None:
                 kick(particles.velocity, a, h)
             return
-        decay, push = self.factors_of(particles, h)
+        decay, force_time = self.factors_of(particles, h)
         a = np.zeros_like(particles.velocity) if a is None else a
         if self.friction:
-            self.friction.kick(particles, a, decay, push, h, coast)
+            self.friction.kick(particles, a, decay, force_time, h, coast)
         else:
-            kick_with_drag(particles.velocity, a, decay, push)
+            kick_with_drag(particles.velocity, a, decay, force_time)
 
     def factors_of(self, particles: Particles, h: float) -> tuple[Array, Array]:
-        """(decay, push), (n,) each: by drag, v becomes v decay + a push over h; kept until the particles or h change."""
+        """(decay, force_time) (n,): by drag, v becomes v decay + a force_time over h; kept until the particles or h change."""
         if self.known != (particles.version, particles.edition, h):
             self.known = particles.version, particles.edition, h
             n = len(particles)
@@ -175,8 +177,8 @@ class Composition:
     """Kicks and drifts by turns, for parts of a step; `persistent`, if given, keeps contacts that last after each kick, and
     `closing` gives others, after the last one, what they lack.
 
-    Leapfrog is V(h/2) D(h) V(h/2): v to n+1/2, x to n+1, v to n+1. Kicks and drifts are symmetric, so it is of second order with
-    dissipation too, needs one force evaluation, and stays stable for any drag (an explicit -k v in the kicks would not).
+    Leapfrog is V(h/2) D(h) V(h/2): v to n+1/2, x to n+1, v to n+1. Kicks and drifts are symmetric, so it is of second order
+    with dissipation too, needs one force evaluation, and stays stable for any drag (an explicit -k v in the kicks would not).
     """
 
     def __init__(self, kick: Kick, persistent: Any, closing: Any, kicks: tuple[float, ...], drifts: tuple[float, ...]):

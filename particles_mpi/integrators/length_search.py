@@ -3,7 +3,7 @@
 LENGTH_TOLERANCE = 1e-14  # of the whole step: how well the length must be known
 SECANTS = 8  # tries after which the interval is halved
 MOST_ROOT_TRIES = 64
-PAST_JUMP = 0.01  # of the whole step: what one goes on by at a jump
+PAST_JUMP = 0.01  # of the whole step: the least by which one goes on, without a contact, to the jump
 
 
 class LengthSearch:

@@ -258,8 +258,8 @@ class ManySteps:
             return StepLosses(np.empty((0, 0)), np.empty((0, 0)), False, strength, False)
         n = len(p)
         factors = [damping.factors(p, part * h) if damping else (np.ones(n), np.full(n, part * h)) for part in kicks]
-        decay, push = (np.array(of) for of in zip(*factors, strict=True))
-        return StepLosses(decay, push, friction is not None, strength, not (damping or self.summed.forces))
+        decay, force_time = (np.array(of) for of in zip(*factors, strict=True))
+        return StepLosses(decay, force_time, friction is not None, strength, not (damping or self.summed.forces))
 
     def give_back(self) -> None:
         """To this rank's rows what the kernels have changed."""

@@ -22,5 +22,5 @@ def fingerprint(x):
 
 
 def places_of(particles: Any) -> tuple[int, ...]:
-    """(version, edition, fingerprint) of `Particles`: the same as long as nobody moved rows, or a row, or changed one."""
+    """(version, edition, fingerprint) of `Particles`: the same until rows change order, or anything of them changes."""
     return particles.version, particles.edition, fingerprint(particles.position)

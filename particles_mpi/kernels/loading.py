@@ -97,7 +97,7 @@ def save_alone(files: Any, key: Any, data: Any) -> None:
 
 
 def load_and_keep_kernels() -> None:
-    """Do so from now on, if this version of numba is known."""
+    """Let numba load and save kernels by the functions of this module, if its version is known."""
     if version_info[:2] in KNOWN:
         codegen.JITCPUCodegen._library_class = Library
         cache_class.load_overload = load_overload

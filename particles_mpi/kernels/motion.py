@@ -32,11 +32,11 @@ free_drift = kick
 
 
 @lean
-def kick_with_drag(v, a, decay, push):
-    """v = v decay + a push, in place on v (n, d)."""
+def kick_with_drag(v, a, decay, force_time):
+    """v = v decay + a force_time, in place on v (n, d)."""
     for i in range(v.shape[0]):
         for k in range(v.shape[1]):
-            v[i, k] = v[i, k] * decay[i] + a[i, k] * push[i]
+            v[i, k] = v[i, k] * decay[i] + a[i, k] * force_time[i]
 
 
 @lean_inner
@@ -69,13 +69,13 @@ def press(a, fixed, held, pressed, alone):
 
 
 @lean
-def release(v, a, fixed, held, pressed, alone, push):
+def release(v, a, fixed, held, pressed, alone, force_time):
     """The end of `press`: velocities v (n, d) lose what contacts gave in the kick, for that is found anew after it.
 
-    push (n,): the times that accelerations acted.
+    force_time (n,): the times that accelerations acted.
     """
     for i in range(len(held)):
         if held[i] != 0 and fixed[i] == 0:
             for k in range(a.shape[1]):
-                v[i, k] -= (pressed[i, k] - alone[i, k]) * push[i]
+                v[i, k] -= (pressed[i, k] - alone[i, k]) * force_time[i]
                 a[i, k] = alone[i, k]

@@ -17,7 +17,10 @@ def slowed(speed: float, loss: float) -> float:
 
 @lean_inner
 def sliding_time(y, steep, away2):
-    """Time in which tan(phi/2) falls by the factor e^-y, and its derivative; see `slide`."""
+    """(t, dt/dy): the time in which tan(phi/2) falls by the factor e^-y, in units of |v_0|/(|a| (1 + u_0^2)); see `slide`.
+
+    steep: mu = b/|a|; away2: u_0^2.
+    """
     slower, faster = 1.0 - steep, 1.0 + steep
     along = expm1(slower * y) / slower if slower != 0.0 else y
     return along - away2 * expm1(-faster * y) / faster, exp(slower * y) + away2 * exp(-faster * y)
@@ -25,7 +28,7 @@ def sliding_time(y, steep, away2):
 
 @lean_inner
 def stops(v, a, i, b, decay, h):
-    """Does dv/dt = a - b v/|v| bring row i, with v decay, to rest within h? Then it stays there, since b > |a|.
+    """Does dv/dt = a - b v/|v| bring row i to rest within h, if it begins at v times `decay`? Then it stays, since b > |a|.
 
     b |v| + v.a falls at the rate b^2 - a^2, so that 0 is reached at the time (b |v| + v.a)/(b^2 - a^2).
     """
@@ -90,10 +93,11 @@ def slide(v, a, i, pull, b, decay, h):
 
 
 @lean
-def kick_with_friction(v, a, mass, decay, push, strength, h, coast):
+def kick_with_friction(v, a, mass, decay, force_time, strength, h, coast):
     """friction(h/2) . force(h) . friction(h/2), in place on v (n, d); what friction brings to rest stays at rest.
 
-    The factors of half a step are exact, their composition is of second order.
+    mass, decay, force_time (n,): by drag and force v becomes decay v + force_time a over h; strength: alpha, a force. The
+    factors of half a step are exact, their composition is of second order.
 
     A free particle that will stop within the coming drift of length `coast` = dt, i.e. |v| <= alpha dt/m, is given its
     mean velocity over that drift, v t/(2 dt) with t = m |v|/alpha: it covers exactly its stopping distance m v^2/(2 alpha),
@@ -126,7 +130,7 @@ def kick_with_friction(v, a, mass, decay, push, strength, h, coast):
         first = slowed(before, 0.5 * loss)
         after = 0.0
         for k in range(d):
-            v[i, k] = v[i, k] * first * decay[i] + a[i, k] * push[i]
+            v[i, k] = v[i, k] * first * decay[i] + a[i, k] * force_time[i]
             after += v[i, k] ** 2
         second = slowed(sqrt(after), 0.5 * loss)
         for k in range(d):

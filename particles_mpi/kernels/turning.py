@@ -8,7 +8,7 @@ from math import sqrt
 
 from particles_mpi.kernels.jit import lean
 
-LARGEST_ANGLE = 0.25  # radians of a half turn for which the series is good to round-off
+LARGEST_ANGLE = 0.25  # radians: the largest half of a rotation angle for which the series is good to round-off
 TERMS = 7
 
 

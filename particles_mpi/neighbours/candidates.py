@@ -141,7 +141,10 @@ class Candidates:
         return self.replace(rows, why, tuple(segments), h) if len(rows) else 0.0
 
     def replace(self, rows: Array, why: int, segments: tuple[Array, ...], h: float) -> float:
-        """As `replace_candidates`, with room for as many pairs as it finds; returns how far a row gets, or 0 if it may."""
+        """As `replace_candidates`, with room for as many pairs as it finds.
+
+        Returns 0, or how far a row gets where bound or region forbid it: nothing was replaced then.
+        """
         done = -1
         while True:
             needed, until, self.pair_count, self.wall_count, tests, count, done = replace_candidates(

@@ -104,7 +104,11 @@ def keep_pairs(axes, waiting, parts, holding, horizon, pairs, found):
 
 @inner
 def wanted(i, j, marked, bounding_radius, owned, ids, w):
-    """Is this a pair to keep, found from i?"""
+    """Is the pair of rows i and j to be kept, where row i asks for partners?
+
+    One must be owned, and one movable. If j asks too (`marked`), the pair is kept from the row with the larger bounding radius,
+    of equal ones from that with the larger id.
+    """
     if i == j or not (i < owned or j < owned) or (w[i] == 0.0 and w[j] == 0.0):
         return False
     return not (

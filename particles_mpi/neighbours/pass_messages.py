@@ -34,7 +34,10 @@ def message_width(dimension: int) -> int:
 
 
 def exchange_selections(halo: Halo, selected: Array, first_rows: Array, second_rows: Array, marked: Array) -> None:
-    """The selected partners of owned rows with hits, to all who hold them as ghosts. `marked`: no row, now and after."""
+    """The selected partners of owned rows with hits, to all who hold them as ghosts.
+
+    `marked` (n,) bool: scratch, False before and afterwards.
+    """
 
     def pack(rows: Array, buffer: Array) -> int:
         return int(pack_selections(rows, selected, first_rows, second_rows, halo.owned, marked, buffer.view(np.int64)))
@@ -74,7 +77,10 @@ def who_is_concerned(shared, owned, first, second):
 
 @kernel
 def pack_selections(rows, selected, first_rows, second_rows, owned, marked, words):
-    """(place among rows, selected partner) of the owned rows of the hits that are among them."""
+    """To `words`, of each owned row of the hits that is among `rows` and selected somebody: its place there, and the partner.
+
+    rows: those that the receiver holds, ascending. Returns how many words there are.
+    """
     size = 0
     for packing in (True, False):  # each row once, and all unmarked again
         for p in range(len(first_rows)):

@@ -30,7 +30,7 @@ class RebuildTuner:
     def next(self, work: float, crossing: float) -> int:
         """Steps that the next candidates shall last; `work` since the last search, of all ranks.
 
-        `crossing`: steps in which the fastest row gets as far as the next one is, for a start.
+        `crossing`: steps in which the fastest row covers half of the mean distance of rows; the search for the best begins there.
         """
         if self.steps == 0:
             self.steps = int(min(crossing, MOST_STEPS))

@@ -165,8 +165,9 @@ def rows_turned(x, v, start, path, rows, time, horizon, length):
 def renew_paths(rows, segments, owned, paths, region, horizon, length, time, h):
     """New paths for `rows` along their present segments, in the drift over h from `time`; in place on `paths`.
 
-    Returns (0, or how far from its midpoint, the first one if there is a bound, a row gets in this drift if it may not get
-    there; until when candidates are valid now). Rows that could get further than the bound, or out of their `HaloRegion`,
+    Returns (needed, until). needed: 0, or, if a row would break bound or region within this drift, how far such a row gets from
+    its midpoint (in a periodic box, its first one), tolerance included, the largest of all; inf if that is not a number. until:
+    the time until which candidates are valid now. Rows that could get further than the bound, or out of their `HaloRegion`,
     before the horizon bring it nearer.
     """
     x, v, starts, _ = segments

@@ -82,7 +82,10 @@ class VerletLists:
             wider, longest, self.width = self.width, mean, width
 
     def widest_skin(self, distance: float) -> float:
-        """Two rows in each other's list must have one nearest image only, wherever within their skins they are."""
+        """The widest skin at which two rows in each other's list have one nearest image only; inf if no axis is periodic.
+
+        `distance`: see `tune`. StateError if the box is too narrow for any skin.
+        """
         periodic = self.box.length[self.box.length > 0.0]
         widest = float(periodic.min() - 2.0 * distance) / 8.0 if len(periodic) else np.inf
         if not widest > 0.0:

@@ -49,7 +49,10 @@ def make_folder(ranks: Communicator, folder: Path) -> None:
 
 
 def identity_of(path: Path, ranks: Communicator) -> tuple[int, int] | None:
-    """What tells a file from another one that takes its place, on all ranks; None if there is none. Collective."""
+    """(inode, time of the last change in ns) of a file, on all ranks; None if there is none. Collective.
+
+    They tell a file from another one that takes its place.
+    """
     found = None
     if ranks.is_root:
         with suppress(OSError):

@@ -36,14 +36,15 @@ def changed_keys(one: dict[str, Any], two: dict[str, Any]) -> Iterator[str]:
 def checkpoint_to_continue(folder: Path, ranks: Communicator, scene: dict[str, Any]) -> Path | None:
     """The checkpoint in the folder of a run; None if it has none, and the run begins. Rank 0 looks. Collective.
 
-    What is there without a checkpoint must be the beginning of a run of this scene. Otherwise raises a SceneError on all ranks.
+    What is there without a checkpoint must be the beginning of a run of this scene, and no other run may keep the folder.
+    Otherwise raises a SceneError on all ranks.
     """
     path = folder / "checkpoint.h5"
     found = None
     with failing_together(ranks, f"cannot read {folder}"):
         if ranks.is_root:
             if folder.is_dir():
-                Lock(folder).release()
+                Lock(folder).release()  # refused while another run keeps it
             present = [name for name in OURS if (folder / name).exists()]
             found = path if path.name in present else None
             if present and not found:

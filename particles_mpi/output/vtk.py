@@ -31,7 +31,7 @@ NUMBER_KINDS = {"f": "Float", "i": "Int", "u": "UInt"}  # of numbers: as numpy a
 
 
 def suffix(ids: IdRange) -> str:
-    """Of the file of a frame with these ids that readers open."""
+    """The suffix of the file that readers open, of a frame with these ids: vtu, or pvtu if it has pieces."""
     return "pvtu" if ids.end - ids.first > PIECE_IDS else "vtu"
 
 

@@ -160,8 +160,9 @@ def describe_unexpected(error: BaseException) -> str:
 
 
 def abort_all(error: BaseException, whole: bool = False) -> int:
-    """Print why this rank ends, and end all ranks. Returns the exit code if all ranks have the same error; otherwise never.
+    """Print why this rank ends, and end all ranks. Returns the exit code only where processes can end by themselves.
 
+    That is on a single rank, or where every rank fails by an error that is raised on all of them (`Notice.shared`).
     Prints one line, or one for each fault of a scene; with `whole` the traceback of an unexpected exception. Where several
     ranks fail within PATIENCE seconds, only the lowest prints.
     """

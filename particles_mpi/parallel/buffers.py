@@ -119,7 +119,8 @@ class Replica:
 
     `all_particles` holds the rows of all ranks, always the same, in any order; on one rank it is `particles` itself.
 
-    Its version is raised where a field of `MEETING` changed that is not among the `changing` ones, those that a drift changes.
+    The version of `all_particles` is raised where a field of `MEETING` changed that is not among the `changing` ones, which are
+    those that a drift changes. `self.version` is the one for which `row_of` holds.
     """
 
     def __init__(self, particles: Particles, ranks: Communicator, changing: Sequence[str]):

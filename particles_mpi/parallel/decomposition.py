@@ -87,7 +87,7 @@ def extent(ranks: Communicator, x: Array) -> tuple[Array, Array]:
 
 
 def best_cuts(ranks: Communicator, parts: list[Part], weight: float) -> list[tuple[int, float]]:
-    """For each part the (axis, position) of a cut with half of its ranks' work on either side, across its longest axis.
+    """For each part the (axis, position) of a cut across its longest axis: each side gets the work of the ranks there.
 
     An interval is divided into BINS, and the cut lies in one of them, as if the work in it were spread evenly; a bin with more
     than FINE_ENOUGH of the part's work is divided in turn. Collective.

@@ -38,7 +38,11 @@ class Halo:
         self.messages[widths].exchange(*tables)
 
     def exchange(self, pack: Callable[[Array, Array], int]) -> list[tuple[int, Array]]:
-        """Refresh the ghosts by what `pack(rows, buffer)` writes, returning its length: (first row, message)s. Collective."""
+        """Send each rank what `pack` makes of its ghosts; returns (first ghost row, message) of each sender. Collective.
+
+        `pack(rows, buffer)` writes what is sent of these owned rows, and returns how many float64 these are, `width` a row at
+        most. The ghosts stay as they are: the caller unpacks the messages.
+        """
         ranks, requests = self.ranks, []
         for (p, _, _), buffer in zip(self.incoming, self.receive_buffers, strict=True):
             requests += receive(ranks, p, buffer)

@@ -90,7 +90,10 @@ class LiveView:
         return (step // self.every + 1) * self.every
 
     def after_step(self, sim: Any) -> None:
-        """After a step."""
+        """Take a frame if the step is a multiple of `every`, and send new frames to the page. Collective.
+
+        Messages are at least SENDING_PAUSE seconds apart.
+        """
         if sim.steps_done % self.every == 0:
             self.take(sim)
             if self.display and perf_counter() - self.last > SENDING_PAUSE:

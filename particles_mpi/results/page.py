@@ -43,9 +43,9 @@ class Choice(NamedTuple):
 
 
 class PageColumn(NamedTuple):
-    """A quantity of each particle: its type in the page, and what 0 and 1 in it mean; constant: stored once, for all frames.
+    """A quantity of each particle in the page: a stored number n of this `type` means offset + scale * n.
 
-    low, high: values of the first and the last colour, or None for what no colour tells.
+    constant: stored once, for all frames; low, high: values of the first and the last colour, or None where no colour tells it.
     """
 
     name: str

@@ -64,7 +64,7 @@ class ActiveEffects:
 
     @property
     def conserves_energy(self) -> bool:
-        """Do forces with a potential alone change velocities, and contacts that take nothing?"""
+        """Are forces that have a potential, and contacts that take no energy, all that changes velocities?"""
         known = all(type(force).potential is not kinds.Force.potential for force in self.forces.values())
         return known and not (self.on_velocities or self.events or self.lossy)
 

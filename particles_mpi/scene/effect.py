@@ -112,7 +112,10 @@ class Effect:
         """The options `before` became those `after` between two steps: change the columns that follow them."""
 
     def bind(self, context: Context) -> None:
-        """Called before the first step and whenever the number of particles has changed. Collective."""
+        """Called once for each effect object, before the first step in which it acts. Collective.
+
+        Effects are built and bound anew when particles are added or removed, and when an option of an effect is changed.
+        """
 
 
 class Force(Effect):
@@ -169,7 +172,7 @@ class Damping(Effect):
     role = "dissipation"
 
     def factors(self, particles: Particles, h: float) -> tuple[Array, Array]:
-        """(decay, push), each (n,): the velocity after h is v * decay + a * push."""
+        """(decay, force_time), each (n,): the velocity after h is v * decay + a * force_time."""
         raise NotImplementedError
 
 
@@ -179,8 +182,12 @@ class ConstantFriction(Effect):
     role = "dissipation"
     strength: float
 
-    def kick(self, particles: Particles, a: Array, decay: Array, push: Array, h: float, coast: float) -> None:
-        """Advance velocities over h. `coast` > 0: nothing else acts in the coming drift, of that length."""
+    def kick(self, particles: Particles, a: Array, decay: Array, force_time: Array, h: float, coast: float) -> None:
+        """Advance velocities over h by forces, damping and friction together, in place.
+
+        `a` (n, d): accelerations by forces; `decay`, `force_time` (n,): what `Damping.factors` gives for h; `coast`: the length
+        of the drift that follows, if nothing but friction acts in it, else 0.
+        """
         raise NotImplementedError
 
 

@@ -16,7 +16,7 @@ from particles_mpi.scene.model import faults_of, key_of, suggestion
 
 PACKAGE = "particles_mpi.effects"
 METHODS = {Force: "add", VelocityFlow: "advance", Event: "act"}  # what a user's effect must have
-FROM_FILES = tuple(METHODS)  # other kinds are planned, and computed, by their names
+FROM_FILES = tuple(METHODS)  # of each other kind there is one effect, which the program computes together with others
 OUTSIDE = "particles_mpi_effect"  # modules of effects from outside the package are called so, with a digest of path and content
 
 

@@ -104,7 +104,7 @@ def advice(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]
 
 
 def duration(seconds: float) -> str:
-    """Seconds for people."""
+    """A time in seconds as a text, in a unit that fits its size: "43 s", "2.5 h", "3 days"."""
     if seconds < 10.0:
         return f"{max(seconds, 0.01):.2g} s"
     if seconds < 120.0:

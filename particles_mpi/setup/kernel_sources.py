@@ -32,7 +32,10 @@ Place = tuple[str, str]  # a module and a name in it
 
 @contextmanager
 def keeping_garbage() -> Iterator[None]:
-    """Syntax trees are many objects without cycles: to look at them again and again for garbage takes two thirds of the time."""
+    """Switch the garbage collector off in a block that makes syntax trees.
+
+    They are many objects without cycles, and looking at them again and again took two thirds of the time.
+    """
     collecting = gc.isenabled()
     gc.disable()
     try:

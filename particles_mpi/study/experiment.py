@@ -188,5 +188,5 @@ def total_count(sim: Simulation, counter: str) -> int:
 
 
 def distance(a: Any, b: Any) -> float:
-    """Between two points, or between two sets of points taken as one."""
+    """The distance between two points, or between two sets of points taken as one."""
     return float(np.sqrt(((np.asarray(a) - np.asarray(b)) ** 2).sum()))

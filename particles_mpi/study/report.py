@@ -110,7 +110,7 @@ def write_csv(path: Path, rows: list[dict[str, Any]]) -> Path:
 
 
 def csv_rows(found: Experiment) -> list[dict[str, Any]]:
-    """Of the file of an experiment."""
+    """The rows of the CSV file of an experiment, one for each setting."""
     front, kinds = found.front(), work_done(found)
     return [
         {"setting": row.setting.curve, found.parameter: row.setting.parameter}

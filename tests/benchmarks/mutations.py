@@ -282,8 +282,8 @@ MUTATIONS = (
     Mutation(
         "after a rough contact friction is of the speed before it",
         "contacts/rough.py",
-        "        v2_i += (decay_i * v[i, column + k] + push_i * a[at, k] + w_i * impulse[k]) ** 2\n",
-        "        v2_i += (decay_i * v[i, column + k] + push_i * a[at, k]) ** 2\n",
+        "        v2_i += (decay_i * v[i, column + k] + force_time_i * a[at, k] + w_i * impulse[k]) ** 2\n",
+        "        v2_i += (decay_i * v[i, column + k] + force_time_i * a[at, k]) ** 2\n",
         ("tests/physics/test_order_of_bounces.py", "-k", "rough"),
     ),
     Mutation(

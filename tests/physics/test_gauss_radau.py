@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from particles_mpi import Scene, SceneError, Simulation, StoppedError
-from particles_mpi.integrators.collocation import SHAKEN, add, random_sign, shake
+from particles_mpi.integrators.collocation import SHAKEN, add, random_factor, shake
 from particles_mpi.particles import Particles
 from particles_mpi.scene.schema import TOLERANCES
 from particles_mpi.study.accuracy.orbits import PYTHAGOREAN as BODIES
@@ -138,7 +138,7 @@ def test_a_sum_with_what_it_lost():
 
 def test_signs_of_numbers_in_a_row():
     """In [-1, 1), evenly, another set at each try, and no two numbers near one another have much in common."""
-    signs, others = (np.array([random_sign(number, attempt) for number in range(30_000)]) for attempt in (7, 8))
+    signs, others = (np.array([random_factor(number, attempt) for number in range(30_000)]) for attempt in (7, 8))
     assert signs.min() >= -1.0 and signs.max() < 1.0 and np.abs(signs.reshape(-1, 3).mean(axis=0)).max() < 0.03
     for partner in (others, np.roll(signs, 1), np.roll(signs, 3)):
         assert abs(np.corrcoef(signs, partner)[0, 1]) < 0.05

@@ -69,7 +69,8 @@ def verify(rows, lists, directory, log, regions, begin, message):
     """(must the window that began at `begin` be rolled back, which ghosts differ from their owners' rows).
 
     It must if such a ghost could have touched an own row. `message`: all that arrived; a ghost of which no UPDATE tells did not
-    change at its owner. Of each ghost that differs: the row, and where its right record begins in the message, or else the log.
+    change at its owner. Of the ghosts that differ (m, 2): the row, and the place of its right record in the message; or, if that
+    is in `log.saved`, len(numbers) plus its place there.
     """
     rows, lists, directory, log, regions = Rows(*rows), Lists(*lists), Directory(*directory), Log(*log), Regions(*regions)
     numbers, bits = message

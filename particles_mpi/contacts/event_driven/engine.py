@@ -44,15 +44,16 @@ from particles_mpi.parallel.signals import check_signals
 from particles_mpi.particles import Array, Particles
 
 EVENTS_PER_BUCKET = 0.5  # expected, in the queue: memory is prefetched for one in each
-FLIGHT_AHEAD = 0.8  # of a skin: how far before it a particle's reference position lies, where flights are longer than skins;
-TURNING = 0.35  # and how much less where there are many collisions an expiry: fitted to fewest expiries at packing 0.05 to 0.45
+# A new reference position lies ahead of its row, on the way that it flies: by FLIGHT_AHEAD of a skin where flights are longer
+# than skins, TURNING less where there are many collisions an expiry. Fitted to fewest expiries at packing 0.05 to 0.45.
+FLIGHT_AHEAD, TURNING = 0.8, 0.35
 MOST_EXPIRIES = 8  # of the list of a row, on average; then all rows are sorted in space and listed anew
 NEVER_CROWDED = 2**31
 NO_SPIN = np.empty((0, 1))
 NAMED = 64  # contacts without loss whose time and partners are kept
 
 
-def moments_of_contact(p: Particles) -> Array:
+def times_of_contact(p: Particles) -> Array:
     """When each particle last had a contact (n,); never, where a scene keeps no record of it: nothing depends on it there."""
     return p["contacted"] if "contacted" in p.arrays else np.full(len(p), -np.inf)
 
@@ -82,9 +83,9 @@ class Engine:
         self.pending = 0  # rows in work.stale
         self.set_step(NEVER_CROWDED, no_rates(d), Collapse(0.0, 0, 0, False, NEVER_CROWDED))
 
-    def set_step(self, crowded: int, rates: Rates, collapse: Collapse) -> None:
+    def set_step(self, crowd_from: int, rates: Rates, collapse: Collapse) -> None:
         """For this step: quick contacts that make a crowd, how velocities change, and which contacts take no energy."""
-        self.crowded, self.rates, self.collapse = crowded, rates, collapse
+        self.crowd_from, self.rates, self.collapse = crowd_from, rates, collapse
 
     def load(self, p: Particles, owned: int, spare: int = 0) -> None:
         """Rows of p, the first `owned` of them own ones, and `spare` free ones; `lists` were built for them."""
@@ -102,7 +103,7 @@ class Engine:
         state[:] = 0
         state[:n, ID], state[:n, OWNERSHIP] = p.id, GHOST
         state[:owned, OWNERSHIP] = OWN
-        reals[:n, LAST_CONTACT] = moments_of_contact(p)
+        reals[:n, LAST_CONTACT] = times_of_contact(p)
         if "virial" in p.arrays:
             reals[:n, VIRIAL] = p.virial
         self.node = np.full((total, NODE), NO_EVENT, np.int32)
@@ -128,7 +129,7 @@ class Engine:
         virial = p.arrays.get("virial", np.empty(0))
         a = p.arrays.get("total_acceleration", np.empty((0, 0)))
         moved, speed = start_drift(
-            self.axes, tuple(self.rows), p.position, p.velocity, p.radius, moments_of_contact(p), virial, a,
+            self.axes, tuple(self.rows), p.position, p.velocity, p.radius, times_of_contact(p), virial, a,
             p.arrays.get("spin", NO_SPIN), own_rows,
         )  # fmt: skip
         return bool(moved), float(speed)
@@ -152,7 +153,7 @@ class Engine:
         queue.present[:] = min(int(now * queue.per_time), len(queue.first) - 1), 0  # nothing is left from before
         a, drag = self.rows.acceleration, self.rows.drag
         rates = self.rates.of({"drag": drag, "total_acceleration": a} if len(a) else {"drag": drag})
-        rules = self.loss, self.law, tuple(self.collapse), self.crowded, self.planes, rates
+        rules = self.loss, self.law, tuple(self.collapse), self.crowd_from, self.planes, rates
         interval = (self.h, moment), now, until, self.ahead
         rows, written, log = tuple(self.rows), tuple(work), tuple(self.log)
         work.progress[:] = now, 0.0
@@ -181,8 +182,8 @@ class Engine:
     def end_drift(self) -> int:
         """All rows to the end of the drift. Returns how many own ones were squeezed."""
         lists = self.lists.arrays
-        h, stands = float(self.work.stopped[0]), self.collapse.stands
-        squeezed = end_drift(self.axes, tuple(self.rows), h, lists.reference, lists.box, stands)
+        h, stops = float(self.work.stopped[0]), self.collapse.stops
+        squeezed = end_drift(self.axes, tuple(self.rows), h, lists.reference, lists.box, stops)
         counts = self.work.counts
         self.expiries += int(counts[EXPIRIES])
         self.events = int(counts[COLLISIONS] + counts[WALL_HITS] + counts[EXPIRIES])
@@ -202,5 +203,5 @@ class Engine:
     def write_back(self, p: Particles, own_rows: Array) -> None:
         """Particle r of p as row own_rows[r] is."""
         virial, supported = p.arrays.get("virial", np.empty(0)), p.arrays.get("supported", np.empty(0, np.uint8))
-        fields = p.position, p.velocity, moments_of_contact(p), virial, supported, p.arrays.get("spin", NO_SPIN)
-        write_back(self.axes, tuple(self.rows), *fields, self.crowded, own_rows)
+        fields = p.position, p.velocity, times_of_contact(p), virial, supported, p.arrays.get("spin", NO_SPIN)
+        write_back(self.axes, tuple(self.rows), *fields, self.crowd_from, own_rows)

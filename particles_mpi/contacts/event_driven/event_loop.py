@@ -50,8 +50,8 @@ from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS, SKIN, Lists, c
 from particles_mpi.particles import Array
 
 COLLISIONS, WALL_HITS, TC_ELASTIC, EXPIRIES = range(4)  # what `counts` counts
-ASKED, LOWER, HIGHER = range(3)  # columns of `stop`
-LAST_PROGRESS, EVENTS_SINCE = range(2)  # columns of `progress`
+ASKED, LOWER, HIGHER = range(3)  # numbers in `stop`
+LAST_PROGRESS, EVENTS_SINCE = range(2)  # numbers in `progress`
 INTERRUPTED, STANDSTILL, FULL_BUCKET = -1, -2, -3  # what `run` returns
 EVENTS_A_CALL = 100_000  # about a tenth of a second
 MOST_STANDING = 2.0 * SQUEEZED / ZERO_TIME_EVENT  # events a row while no time passes: twice what SQUEEZED allows
@@ -65,8 +65,8 @@ class Work(NamedTuple):
     counts: Array  # (4,) COLLISIONS, WALL_HITS, those of them that were TC_ELASTIC, and list EXPIRIES of all rows
     tc_elastic: Array  # (m, 3) the first contacts that took no energy: time, id, id or -1 - wall
     stop: Array  # (3,) int64: is it ASKED to end after the first collision, then its LOWER and HIGHER id
-    stopped: Array  # (1,) time of that collision
-    progress: Array  # (2,) LAST_PROGRESS: a time later than that before by more than STANDING; EVENTS_SINCE then
+    stopped: Array  # (1,) when the drift ends: at that collision, or else at its length
+    progress: Array  # (2,) LAST_PROGRESS: when time last passed by more than STANDING of the drift; EVENTS_SINCE that
     any_squeezed: Array  # (1,) bool: is any row squeezed?
     place: Array  # (d,) scratch
     r: Array  # (d,) scratch
@@ -81,7 +81,7 @@ class Rules(NamedTuple):
     loss: Loss  # of a contact of two rows
     law: Array  # of rough spheres, see `Rough`
     collapse: Collapse
-    crowded: int  # quick contacts that make a crowd
+    crowd_from: int  # quick contacts that make a crowd
     planes: Planes
     rates: Rates
 
@@ -104,7 +104,7 @@ def note_tc_elastic(work, t, one, other):
 
 @in_place
 def renew_list(axes, rows, lists, work, log, i, now, ahead):
-    """The list of row i has expired: it gets a new one, around a reference position that lies `ahead` skins before it.
+    """The list of row i has expired: it gets a new one, around a reference position `ahead` skins further on its way.
 
     Returns how many places the pool of the lists is short of; if there are any, nothing else has been done.
     """
@@ -133,7 +133,7 @@ def hit_wall(axes, rows, lists, rules, rough, work, log, i, wall, t, clock):
     segment, state, planes, d = rows.segment, rows.state, rules.planes, len(axes)
     lossy = planes.restitution[wall] * planes.velocity_factor[wall] < 1.0
     elastic = lossy and takes_nothing(d, rows, i, t, clock, rules.collapse)
-    note_contact(axes, rows, i, t, -1 - wall, clock, elastic, rules.collapse, rules.crowded, work.any_squeezed)
+    note_contact(axes, rows, i, t, -1 - wall, clock, elastic, rules.collapse, rules.crowd_from, work.any_squeezed)
     move_to(axes, segment, i, t)
     w = lists.reference[i, d + INVERSE_MASS]
     if elastic:
@@ -141,7 +141,7 @@ def hit_wall(axes, rows, lists, rules, rough, work, log, i, wall, t, clock):
     else:
         loss = planes.restitution[wall], planes.velocity_factor[wall]
         meet_wall(axes, segment, np.int64(d), i, wall, segment[i, 2 * d + RADIUS], w, t, loss, planes.normal, rules.rates, rough)
-    stop_squeezed(axes, rows, i, rules.crowded)
+    stop_squeezed(axes, rows, i, rules.crowd_from)
     own = state[i, OWNERSHIP] >= OWN
     if elastic and own:
         note_tc_elastic(work, clock.moment + t, state[i, ID], -1 - wall)
@@ -160,15 +160,15 @@ def hit_row(axes, rows, lists, rules, rough, work, log, i, j, t, clock):
         elastic = rules.loss.restitution * rules.loss.velocity_factor < 1.0 and (
             takes_nothing(len(axes), rows, i, t, clock, collapse) or takes_nothing(len(axes), rows, j, t, clock, collapse)
         )
-        note_contact(axes, rows, i, t, state[j, ID], clock, elastic, collapse, rules.crowded, any_squeezed)
-        note_contact(axes, rows, j, t, state[i, ID], clock, elastic, collapse, rules.crowded, any_squeezed)
+        note_contact(axes, rows, i, t, state[j, ID], clock, elastic, collapse, rules.crowd_from, any_squeezed)
+        note_contact(axes, rows, j, t, state[i, ID], clock, elastic, collapse, rules.crowd_from, any_squeezed)
         loss = (1.0, 1.0) if elastic else (rules.loss.restitution, rules.loss.velocity_factor)
         length = lists.box[2]
         rows.reals[i, VIRIAL] += collide(
             axes, rows.segment, lists.reference, i, j, t, loss, length, rules.rates, rough, elastic, work.r
         )
-        stop_squeezed(axes, rows, i, rules.crowded)
-        stop_squeezed(axes, rows, j, rules.crowded)
+        stop_squeezed(axes, rows, i, rules.crowd_from)
+        stop_squeezed(axes, rows, j, rules.crowd_from)
         own = state[i, OWNERSHIP] >= OWN
         if elastic and own:
             note_tc_elastic(work, clock.moment + t, state[i, ID], state[j, ID])
@@ -183,7 +183,7 @@ def hit_row(axes, rows, lists, rules, rough, work, log, i, j, t, clock):
 
 
 @in_place
-def stands_still(work, t, h, rows):
+def time_stands_still(work, t, h, rows):
     """Count an event at time t of a drift over h: have so many followed one another, while no time passed, that it has no end?"""
     progress = work.progress
     progress[EVENTS_SINCE] += 1.0
@@ -196,8 +196,8 @@ def stands_still(work, t, h, rows):
 def run(axes, rows, lists, queue, rules, interval, work, log, pending):
     """All events of an interval, in order. work.stale[:pending] are rows whose next event is not known.
 
-    rules: see `Rules`. interval: the `Clock`, from when until when in it, and how many skins before a particle its new reference
-    position lies.
+    rules: see `Rules`. interval: the `Clock`, from when until when in it, and how many skins ahead of a particle its new
+    reference position lies.
     Returns 0; or how many places the pool of the lists is short of: then call again with a larger one; or INTERRUPTED after so
     many events that a user may have pressed Ctrl-C: then call again; or FULL_BUCKET: sort it, and call again; or STANDSTILL,
     where events follow one another for ever but time does not pass. With stop[ASKED] the loop ends after the first collision.
@@ -206,8 +206,8 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
     as plain tuples, as in all kernels of this folder that Python calls: see `jit.plain`.
     """
     rows, lists, queue, work, log = Rows(*rows), Lists(*lists), Queue(*queue), Work(*work), Log(*log)
-    loss, law, collapse, crowded, planes, rates = rules
-    rules = Rules(Loss(*loss), law, Collapse(*collapse), crowded, Planes(*planes), rates)
+    loss, law, collapse, crowd_from, planes, rates = rules
+    rules = Rules(Loss(*loss), law, Collapse(*collapse), crowd_from, Planes(*planes), rates)
     rough = Rough(rows.spin, rows.inverse_inertia, law, work.normal, work.impulse)
     clock, now, until, ahead = interval
     clock = Clock(*clock)
@@ -233,7 +233,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
         if i == EMPTY or times[i, TIME] >= until:
             return 0
         t, j = times[i, TIME], np.int64(node[i, PARTNER])
-        if stands_still(work, t, clock.length, len(state)):
+        if time_stands_still(work, t, clock.length, len(state)):
             stale[0], stale[1] = i, j
             return STANDSTILL
         events += 1

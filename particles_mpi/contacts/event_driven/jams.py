@@ -39,7 +39,7 @@ class Collapse(NamedTuple):
     and if time has passed, or after `at_once` contacts at one moment: what touches several others, as in a corner or in Newton's
     cradle, loses energy at all of them.
 
-    `stands`: does what has no room come to rest? Where forces press it onto a wall it would else win, from step to step, the
+    `stops`: does what has no room come to rest? Where forces press it onto a wall it would else win, from step to step, the
     speed of a fall that does not take place. `most`: after so many quick contacts in a drift a row has no room, though it moves
     by more than round-off from one to the next: spheres that fill a box from side to side would have millions.
     """
@@ -47,7 +47,7 @@ class Collapse(NamedTuple):
     duration: float
     before: int
     at_once: int
-    stands: bool
+    stops: bool
     most: int
 
 
@@ -91,9 +91,12 @@ def takes_nothing(d, rows, i, t, clock, collapse):
 
 
 @in_place
-def note_contact(axes, rows, i, t, partner, clock, elastic, collapse, crowded, any_squeezed):
-    """Row i is about to begin a new segment at time t of a drift: change its state. Rows of a crowd wait as squeezed
-    ones do. `elastic`: the contact `takes_nothing`, because it follows others so soon."""
+def note_contact(axes, rows, i, t, partner, clock, elastic, collapse, crowd_from, any_squeezed):
+    """Row i is about to begin a new segment at time t of a drift: change its state.
+
+    With `crowd_from` quick contacts it is one of a crowd, whose rows wait as squeezed ones do. `elastic`: the contact
+    `takes_nothing`, because it follows others so soon.
+    """
     state, reals = rows.state, rows.reals
     if t - rows.segment[i, 2 * len(axes) + START] > STANDING * clock.length:  # contacts at the same moment are as one
         following = state[i, RAPID_EVENTS] % ZERO_TIME_EVENT // FOLLOWING
@@ -105,7 +108,7 @@ def note_contact(axes, rows, i, t, partner, clock, elastic, collapse, crowded, a
     elif way > 0:
         state[i, RAPID_EVENTS] %= ZERO_TIME_EVENT
     state[i, RAPID_EVENTS] += abs(clock.moment + t - reals[i, LAST_CONTACT]) <= QUICK * clock.length
-    if state[i, RAPID_EVENTS] % FOLLOWING >= min(crowded, collapse.most) and state[i, RAPID_EVENTS] < SQUEEZED:
+    if state[i, RAPID_EVENTS] % FOLLOWING >= min(crowd_from, collapse.most) and state[i, RAPID_EVENTS] < SQUEEZED:
         state[i, RAPID_EVENTS] += SQUEEZED
     any_squeezed[0] |= state[i, RAPID_EVENTS] >= SQUEEZED
     state[i, LAST_PARTNER] = partner
@@ -114,11 +117,11 @@ def note_contact(axes, rows, i, t, partner, clock, elastic, collapse, crowded, a
 
 
 @in_place
-def stop_squeezed(axes, rows, i, crowded):
+def stop_squeezed(axes, rows, i, crowd_from):
     """Jam row i if it is SQUEEZED by contacts in which it got nowhere, and not because it is one of a crowd."""
     rapid = rows.state[i, RAPID_EVENTS]
-    if SQUEEZED <= rapid < JAMMED and rapid % FOLLOWING < crowded:
-        stand_still(axes, rows, i)
+    if SQUEEZED <= rapid < JAMMED and rapid % FOLLOWING < crowd_from:
+        jam(axes, rows, i)
 
 
 @lean_inner
@@ -127,11 +130,11 @@ def stop_at_jam(axes, rows, i, t):
     if rows.state[i, RAPID_EVENTS] < JAMMED:
         move_to(axes, rows.segment, i, t)
         rows.state[i, EVENT_COUNT] += 1
-        stand_still(axes, rows, i)
+        jam(axes, rows, i)
 
 
 @lean_inner
-def stand_still(axes, rows, i):
+def jam(axes, rows, i):
     """Row i is jammed from now on."""
     rows.state[i, RAPID_EVENTS] = JAMMED
     for k in range(len(axes)):

@@ -3,10 +3,10 @@
 A message is a series of numbers, each part beginning with its kind and a particle's id:
 
 - UPDATE: the record (see `rows`) of a row that was changed, to all ranks that hold it as a ghost.
-- ADD_GHOST: the record, R, 1/m, reference position, and the acceleration and drag where these differ from row to row, and
-  1/I where spheres are rough, of a row that comes near the receiver's region.
-- TRANSFER: rank and place of the particle's fields, reference position, and who had it, of a row that the receiver owns
-  from now on. Who holds it the receiver finds as the sender did.
+- ADD_GHOST: the record, R, 1/m, reference position, the acceleration where it differs from row to row, the drag if there is
+  any, and 1/I where spheres are rough, of a row that comes near the receiver's region.
+- TRANSFER: rank and place of the particle's fields, the rank that had it, and the reference position, of a row that the receiver
+  owns from now on. Who holds it the receiver finds as the sender did.
 - DROP_GHOST: a row that has gone away from the receiver's region.
 """
 

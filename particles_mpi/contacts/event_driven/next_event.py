@@ -102,7 +102,10 @@ def list_expires(axes, segment, reference, i, now, until):
 
 @inner(inline="always")
 def next_event(axes, rows, lists, planes, work, i, now, h):
-    """(time, partner) of the next event of row i on the present segments: its first contact, or LIST_EXPIRY."""
+    """(time, partner) of the next event of row i on the present segments: its first contact, or LIST_EXPIRY.
+
+    (h, NO_EVENT) if none comes before h.
+    """
     segment, state, d = rows.segment, rows.state, len(axes)
     time, partner = h, np.int64(NO_EVENT)
     jammed = state[i, RAPID_EVENTS] >= JAMMED

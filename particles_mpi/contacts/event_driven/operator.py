@@ -132,10 +132,10 @@ class EventDriven:
             return self.drift_once(h, moment, stop, NEVER_CROWDED)
         p = self.particles
         undone = ["id", *(name for name in CHANGING if name in p.arrays and name != "supported")]
-        for tried, crowded in enumerate(self.attempts):
+        for tried, crowd_from in enumerate(self.attempts):
             before, tc_elastic_before = {name: p[name].copy() for name in undone}, self.tc_elastic
-            happened = self.drift_once(h, moment, False, crowded)
-            if crowded == NEVER_CROWDED or not self.ranks.any((p["supported"] == CROWD).any()):
+            happened = self.drift_once(h, moment, False, crowd_from)
+            if crowd_from == NEVER_CROWDED or not self.ranks.any((p["supported"] == CROWD).any()):
                 break
             self.undo(before)
             self.tc_elastic = tc_elastic_before
@@ -152,9 +152,9 @@ class EventDriven:
         for name, values in rows.items():
             p[name][:] = values
 
-    def drift_once(self, h: float, moment: float, stop: bool, crowded: int) -> Array:
-        """One attempt at the drift: particles that had `crowded` quick contacts in it have no more, and are marked as CROWD."""
-        step = crowded, self.rates, self.collapse
+    def drift_once(self, h: float, moment: float, stop: bool, crowd_from: int) -> Array:
+        """One attempt at the drift: particles with `crowd_from` quick contacts in it have no more, and are marked as CROWD."""
+        step = crowd_from, self.rates, self.collapse
         if self.divided and not stop and self.pause:
             self.pause -= 1
         elif self.divided and not stop:

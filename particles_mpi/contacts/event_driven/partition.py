@@ -45,7 +45,7 @@ class Partition:
 
     version: of the particles that the rows are of, or -1; own_rows (particles,): the row of each; neighbours: the ranks that
     messages go to; directory: who holds which row; skin: of the neighbour lists of all ranks, a length; depth: of the ghosts, in
-    mean diameters; crowded: does a rank hold nearly all?
+    mean diameters; one_holds_most: does a rank hold nearly all?
     Counted: redistributions (`searches`), particles that this rank sent to other ranks (`migrated`), and ghosts.
     """
 
@@ -57,7 +57,7 @@ class Partition:
         self.balance, self.row_buffers = LoadBalance(ranks, timers), RowBuffers(particles)
         self.version = -1
         self.searches = self.migrated = self.ghost_rows = 0
-        self.crowded = False
+        self.one_holds_most = False
         self.depth = DEPTH
         self.total = ranks.total(len(particles))[0]
 
@@ -103,7 +103,7 @@ class Partition:
             np.zeros(total, np.int64), np.roll(np.arange(total, dtype=np.int32), spare), np.array([spare]),
         )  # fmt: skip
         self.own_rows = np.arange(n, dtype=np.int32)
-        self.crowded = ranks.largest(len(here))[0] > MOST_ON_ONE_RANK * self.total
+        self.one_holds_most = ranks.largest(len(here))[0] > MOST_ON_ONE_RANK * self.total
         self.ghost_rows += ghosts
         self.version = p.version
         self.searches += 1

@@ -20,7 +20,7 @@ LAST_PARTNER, RAPID_EVENTS, TRAJECTORY_HASH, LAST_CONTACT, VIRIAL, ID, EVENT_COU
 SAVED = 5  # the first of these are in a record
 NOT_HERE, GHOST, OWN, SHARED = range(4)  # OWNERSHIP: a free row, another rank's particle, an own one, an own one others know
 # RAPID_EVENTS is three numbers: of quick contacts, in units of 1; of contacts that follow one another within t_c, MOST_FOLLOWING
-# at most, in units of FOLLOWING; and of contacts in a row that got nowhere, in units of ZERO_TIME_EVENT
+# at most, in units of FOLLOWING; and of contacts in succession that got nowhere, in units of ZERO_TIME_EVENT
 FOLLOWING, MOST_FOLLOWING, ZERO_TIME_EVENT = 2**20, 2**12 - 1, 2**32
 SQUEEZED = 1000 * ZERO_TIME_EVENT  # from here on a particle is squeezed: it has no more contacts in this drift
 JAMMED = 2**60  # from here on others that come to it stop there, as it does; its velocity is kept times HARDLY, exactly
@@ -34,7 +34,7 @@ class Rows(NamedTuple):
     brought to other times before the next contact, so that no look at it leaves a trace in the bits. Of each row, in `state`:
     LAST_PARTNER in this drift is an id, -1 - wall, or NOBODY; TRAJECTORY_HASH, a hash of all its segments in this drift;
     EVENT_COUNT, how often its path was changed: an event that was foreseen with another count is void. In `reals`: the time
-    of its LAST_CONTACT and the sum of its -r.dp, VIRIAL.
+    of its LAST_CONTACT, and VIRIAL, the sum of r.J over its collisions (`law.collide_pair`).
     """
 
     segment: Array  # (n, 2 d + 2): x (d), v (d), START, RADIUS
@@ -42,7 +42,7 @@ class Rows(NamedTuple):
     state: Array  # (n, 8) int64: one line of the cache
     reals: Array  # the same memory as float64
     acceleration: Array  # (n, d), or no row where it is the same for all
-    drag: Array  # (n,), or no row where it is the same for all
+    drag: Array  # (n,) rates of drag, or no row without drag
     spin: Array  # (n, d(d-1)/2), or no row where spheres are smooth
     inverse_inertia: Array  # (n,) inverse moments of inertia, likewise
 
@@ -119,8 +119,8 @@ def end_drift(axes, rows, h, reference, box, stands):
 
 
 @lean
-def write_back(axes, rows, x, v, last_contact, virial, supported, spin, crowded, own_rows):
-    """Particle p as row own_rows[p] is; those with `crowded` quick contacts are marked CROWD in `supported` if that has rows."""
+def write_back(axes, rows, x, v, last_contact, virial, supported, spin, crowd_from, own_rows):
+    """Particle p as row own_rows[p] is; those with `crowd_from` quick contacts are CROWD in `supported` if that has rows."""
     rows = Rows(*rows)
     segment, state, reals = rows.segment, rows.state, rows.reals
     d = len(axes)
@@ -134,7 +134,7 @@ def write_back(axes, rows, x, v, last_contact, virial, supported, spin, crowded,
         last_contact[p] = reals[i, LAST_CONTACT]
         if len(virial):
             virial[p] = reals[i, VIRIAL]
-        if len(supported) and state[i, RAPID_EVENTS] % FOLLOWING >= crowded:
+        if len(supported) and state[i, RAPID_EVENTS] % FOLLOWING >= crowd_from:
             supported[p] = CROWD
 
 

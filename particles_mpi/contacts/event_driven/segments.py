@@ -48,7 +48,8 @@ def may_touch(axes, segment, i, others, place, now, until, length, boxes_per_len
 def touch_time(axes, segment, i, j, now, h, length, r, u):
     """Time at which the segments of i and j first touch, up to h, or NEVER: the root of `law.contact_time`.
 
-    `now`, at or after both starts, only tells which periodic images are meant; r, u (d,) are scratch, and r is x_i - x_j then.
+    `now`, at or after both starts, only tells which periodic images are meant; r, u (d,) are scratch: afterwards r is x_i - x_j
+    at the later one of the two starts, and u is v_i - v_j.
     """
     d = len(axes)
     start = max(segment[i, 2 * d + START], segment[j, 2 * d + START])
@@ -106,7 +107,7 @@ def move_to(axes, segment, i, t):
 
 @in_place
 def collide(axes, segment, reference, i, j, t, loss, length, rates, rough, smooth, r):
-    """The contact of rows i and j at time t: `law.collide_pair` on segments. Returns its virial, -r.dp; r (d,) is scratch.
+    """The contact of rows i and j at time t: `law.collide_pair` on segments, with its virial; r (d,) is scratch.
 
     `smooth`: this one is, even if spheres are rough.
 

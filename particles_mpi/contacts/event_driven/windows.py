@@ -63,7 +63,7 @@ class Windows:
         engine, p = self.engine, self.particles
         with self.timers("agree"):
             speed = self.prepare(moment)
-        if self.partition.crowded and not self.always:
+        if self.partition.one_holds_most and not self.always:
             return None
         self.longest = 0.9 * self.partition.regions.bound / speed if speed > 0.0 else np.inf
         if h / self.longest > (max(self.events / WORTH, CHEAP) if self.events else UNTRIED) and not self.always:
@@ -128,7 +128,7 @@ class Windows:
         """More ghosts where many windows were redone, fewer where none was or ghosts are too many."""
         if self.redone_often():
             self.partition.depth += DEEPER
-        elif self.partition.crowded or (self.redone == self.verified[1] and self.count > self.verified[0] + ENOUGH):
+        elif self.partition.one_holds_most or (self.redone == self.verified[1] and self.count > self.verified[0] + ENOUGH):
             self.partition.depth = max(self.partition.depth - SHALLOWER, LEAST_DEPTH)
         self.verified = self.count, self.redone
 

@@ -66,8 +66,8 @@ def solve_factorized(active, size):
 def change_impulses(active, size, most):
     """Add `most` times x to the impulses of the chosen contacts, or less: until that of one is 0, which is let go.
 
-    Returns (how many times x was added, how many contacts are left, how many of the first ones were there before). Nothing
-    changes if `most` is infinite and no impulse comes to be 0.
+    Returns (how many times x was added, how many contacts are left, how many of these, from the first on, kept their place).
+    Nothing changes if `most` is infinite and no impulse comes to be 0.
     """
     _, impulse, _, inside, chosen, _, _, x, _ = active
     part = most

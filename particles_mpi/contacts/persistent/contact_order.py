@@ -7,7 +7,7 @@ from particles_mpi.kernels.jit import inner
 
 @inner
 def contacts_by_row(rows, size):
-    """(start (size + 1,), of_row): the contacts (m, 2) of row i are of_row[start[i]:start[i + 1]]."""
+    """(start (size + 1,), of_row (2 m,)): the contacts of row i, among rows (m, 2), are of_row[start[i]:start[i + 1]]."""
     start, of_row = np.zeros(size + 1, np.int64), np.empty(rows.size, np.int64)
     for i in rows.flat:
         start[i + 1] += 1
@@ -25,7 +25,7 @@ def contacts_by_row(rows, size):
 def visit_from(first, done, start, of_row, rows, w, place, queue):
     """Rows that contacts lead to from row `first`, the nearest ones first: to queue[done:], and their places there to `place`.
 
-    start (size + 2,), of_row: the contacts of row i are of_row[start[i]:start[i + 1]]. Returns how far the queue reaches.
+    start (len(w) + 1,), of_row: see `contacts_by_row`. Returns how far the queue reaches.
     """
     queue[done], place[first], end = first, done, done + 1
     while done < end:

@@ -55,7 +55,11 @@ ASKED, WITHOUT_GAP = 500, 1500
 
 
 class Seen(NamedTuple):
-    """What an iteration that looks sees on all ranks: errors divided by those allowed, and by round-off; see `verdict`."""
+    """What an iteration that looks sees on all ranks; errors are divided by those allowed. See `verdict`.
+
+    worst: the largest error; over_round_off: the largest one, divided by round-off instead; squares: the sum of the squares of
+    errors, times SUM_UNITS; work: of the last change against the momentum, of which only the sign counts.
+    """
 
     worst: float
     over_round_off: float
@@ -69,7 +73,7 @@ class Seen(NamedTuple):
 
 
 def exact_from(rough: bool) -> int:
-    """From how many iterations that are asked for errors are followed down to round-off, of smooth or of rough spheres."""
+    """How many iterations a pile must be given at least (`until_good`) to be solved to round-off, and not to a tolerance."""
     return ROUGH_EXACT if rough else EXACT
 
 

@@ -22,7 +22,7 @@ FIRST_THETA = 0.25  # where the sequence of momenta begins: not at 1, for soluti
 OUTLIER = 20.0  # times the root mean square that is allowed may the largest error be
 CALM = 1e-3  # of the allowed errors, root mean square: below it at least MORE iterations are done
 MORE = 150  # iterations in such a pile: fewer do not show what else has to fall
-GROWN = 3.0  # mean square errors
+GROWN = 3.0  # times the least sum of squares of errors so far: above it rough spheres give up momentum, see `verdict`
 
 
 @inner
@@ -156,7 +156,10 @@ def works(axes, problem, w, v0, v, sums):
 
 @kernel
 def whole_numbers(sums, unit):
-    """The columns of sums (n, 2), in these units, as sums of whole numbers, alike in any order and on any number of ranks."""
+    """Sums of the columns of sums (n, 2), divided by their `unit` and times SUM_UNITS, as whole numbers.
+
+    A row of the first column counts LARGEST_SUM units at most. The same in any order and on any number of ranks.
+    """
     first, second = np.int64(0), np.int64(0)
     for i in range(len(sums)):
         first += np.int64(min(sums[i, 0] / unit[0], LARGEST_SUM) * SUM_UNITS)

@@ -18,14 +18,14 @@ def ids_of(graph: ContactGraph, walls: int) -> tuple[Array, Array]:
 
 
 def remember(graph: ContactGraph, impulses: Array, walls: int) -> Memory:
-    """Those of the half-edges that have an impulse."""
+    """The contacts of the graph's rows, with partners and with walls, that have an impulse along their normal."""
     of = np.flatnonzero(along_normals(impulses))
     ids, partners = ids_of(graph, walls)
     return Memory(ids[of], partners[of], impulses[of])
 
 
 def recall(memory: Memory, graph: ContactGraph, walls: int) -> Array:
-    """The impulse of each half-edge of the graph, 0 where nothing is remembered."""
+    """Impulses of all half-edges of the graph, then of its rows with each wall; 0 where nothing is remembered."""
     ids, partners = ids_of(graph, walls)
     order = np.argsort(memory.id, kind="stable")
     return np.asarray(match(ids, partners, memory.id[order], memory.partner[order], memory.taken[order]))
@@ -44,7 +44,7 @@ def carry_over(old: ContactGraph, last_impulses: Array, new: ContactGraph, walls
 
 @kernel
 def copy_impulses(old, new, walls):
-    """The impulses of the new graph's half-edges, and of walls.
+    """The impulses of a new graph, in the order that `ids_of` gives.
 
     old: (index, start, ids of partners, impulses); new: (rows, start, ids).
     """

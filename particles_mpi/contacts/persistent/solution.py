@@ -76,9 +76,10 @@ class SlowContacts:
     ) -> Solution | None:
         """Velocities that keep the slow contacts of rows `inside`; None if no rank has a contact. Collective.
 
-        `last_impulses`: of half-edges of the graph in the last solution, if that is `known`. `tried`: how often a crowd has been
-        solved for since the last kick. Its velocities keep contacts already; their impulses begin at 0 now, and
-        are added to the last ones.
+        `last_impulses`: of half-edges of the graph in the last solution, if that is `known`. `tried`: None after a kick; of a
+        crowd, how often it has been solved for since the kick. The velocities of a crowd keep contacts already, so impulses begin
+        at 0, and only the new ones are in the solution; a row is held if a contact of it has an impulse now or had one in
+        `last_impulses`.
         """
         contacts = self.contacts(local, graph, inside, h)
         before, last = last_impulses[contacts.slot], self.last

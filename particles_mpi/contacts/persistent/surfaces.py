@@ -49,12 +49,15 @@ class Pile(NamedTuple):
     allowed: float
 
     def pushes(self, normal_impulses: Array) -> Array:
-        """The push (n,) that each row feels at contacts with these `normal_impulses` (m,), or its own if that is more."""
+        """The push (n,) that each row feels where contacts bear a load, or its own if that is more; 0 if none bears any.
+
+        normal_impulses (m,): above 0 where a contact bears.
+        """
         contacts, own = self.contacts, self.local.push[: len(self.contacts.start) - 1]
         felt = felt_push(contacts.start, contacts.partner, self.local.w, contacts.larger_push, normal_impulses)
         return np.where(felt > 0.0, np.maximum(felt, np.sqrt(row_dot(own, own))), 0.0)
 
-    def stands(self, normal_impulses: Array) -> bool:
+    def is_borne(self, normal_impulses: Array) -> bool:
         """Does a wall or a fixed sphere bear anything? Else nothing says what rest is: all may be on its way together."""
         return bool(((self.local.w[self.contacts.partner] == 0.0) & (normal_impulses > 0.0)).any())
 
@@ -105,7 +108,7 @@ class SmoothContacts:
         return problem.table[:, impulse_columns(len(self.axes), False)[0]].copy()
 
     def press(self, contacts: Contacts, w: Array, load: Array, net_push: Array) -> None:
-        """Add the loads of contacts across their normals to the net pushes (n, d) of rows."""
+        """Add the loads of contacts across their normals to the net pushes (n, d) of rows: smooth spheres have none."""
 
     def asleep(self, ranks: Communicator, pile: Pile, normal_impulses: Array, v: Array) -> bool:
         """Do all who bear anything move by no more than what errors leave? Collective."""
@@ -117,13 +120,13 @@ class SmoothContacts:
         return np.asarray(row_dot(v, v) > (LEFT_BETWEEN * pile.pushes(normal_impulses)) ** 2)
 
     def at_rest(self, ranks: Communicator, pile: Pile, normal_impulses: Array, held: Array, v: Array) -> Array:
-        """Velocities and spins v (n, columns), where those that are `held` and all but at rest stand still. Collective.
+        """Velocities v (n, d), where rows that bear others and are all but at rest stand still. Collective.
 
-        In piles that stand on something, speeds below the round-off of a solution become 0. In the drift they would be hundreds
-        of collisions in a step between spheres that touch.
+        `held` (n,) is for rough spheres only. In piles that stand on something, speeds below the round-off of a solution become
+        0: in the drift they would be hundreds of collisions in a step between spheres that touch.
         """
         rests = ~self.quick(pile, normal_impulses, v)
-        if not ranks.any(rests.any()) or not ranks.any(pile.stands(normal_impulses)):
+        if not ranks.any(rests.any()) or not ranks.any(pile.is_borne(normal_impulses)):
             return v
         return np.asarray(np.where((rests & pile.piled(normal_impulses))[:, None], 0.0, v))
 
@@ -183,14 +186,17 @@ class RoughContacts(SmoothContacts):
         """
         quick, piled = self.quick(pile, normal_impulses, v), pile.piled(normal_impulses)
         self.forget_dust(pile, held, v)
-        awake, stands = ranks.largest(bool((quick & piled).any()), pile.stands(normal_impulses))
-        if not stands:
+        awake, borne = ranks.largest(bool((quick & piled).any()), pile.is_borne(normal_impulses))
+        if not borne:
             return v
         rests = (held != 0) & ~quick & ~(piled & bool(awake))
         return np.asarray(np.where(rests[:, None], 0.0, v))
 
     def forget_dust(self, pile: Pile, held: Array, v: Array) -> None:
-        """Spins in v (n, columns), in place, of which each solution so far has left a factor 1e-16, component by component."""
+        """Set to 0, in v (n, columns), those components of spins of held rows that are below DUST of the row's own push.
+
+        Each solution leaves about 1e-16 of such a spin, until that is below the range of numbers.
+        """
         spin, radius = v[:, len(self.axes) :], pile.local.radius[: len(v), None]
         least = DUST * np.abs(pile.local.push[: len(v)]).max(axis=1, initial=0.0, keepdims=True)
         spin[(held != 0)[:, None] & (radius * np.abs(spin) < least)] = 0.0

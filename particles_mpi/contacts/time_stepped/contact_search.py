@@ -152,7 +152,7 @@ def brushed_pairs(segments, spheres, first, second, h, length):
 
 @in_place
 def overlap_at(segments, radius, i, j, t, length):
-    """How far rows i and j overlap at t, in units of the smaller radius; below 0 if they do not."""
+    """How far rows i and j overlap at t, in units of the smaller radius that is not 0; 0 if they do not."""
     x, v, start, _ = segments
     r2 = 0.0
     for k in range(len(length)):

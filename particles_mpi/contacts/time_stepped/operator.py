@@ -145,7 +145,11 @@ class Rewind:
         return self.signs.remarks(self.exact)
 
     def all_passes(self, h: float) -> Array:
-        """All passes; leaves each row at the start of its last segment. Returns (collisions, wall hits, missed) of this rank."""
+        """Make all passes; each row is left at the start of its last segment. Collective.
+
+        Returns counts (4,) of this rank: collisions, wall hits, missed contacts, late collisions. TooFarError, TooDenseError: the
+        drift must be undone.
+        """
         near, counts, needed = self.near, np.zeros(4, np.int64), 0.0
         for left in range(self.passes, -1, -1):
             with self.timers("search"):

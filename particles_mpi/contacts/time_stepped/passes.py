@@ -76,7 +76,7 @@ def apply_contacts(axes, segments, spheres, hits, selected_partner, rules, activ
 
     Rows that changed, and rows with a hit that has to wait, are active in the next pass, and no others. `log` gets the owned rows
     of which this was the first contact. `counts` (4,) += collisions, wall hits and collisions that came late, each collision
-    counted by the owner of the lower id. Its virial -r.dp, where that is wanted (else `virial` (owned,) is empty), is told to the
+    counted by the owner of the lower id. Its virial r.J, where that is wanted (else `virial` (owned,) is empty), is told to the
     lower id, or to the other one if that is fixed.
     """
     x, v, start, last_partner = segments

@@ -104,7 +104,10 @@ def settings(benchmark: Benchmark, n: int) -> Iterator[Setting]:
 
 
 def absence(benchmark: Benchmark, n: int) -> tuple[float, float, float]:
-    """(quartile, median, quartile) of the share of a step that goes when all that is about absent effects is taken out."""
+    """(first quartile, median, third quartile) of the share of a step that is spent on effects that are absent.
+
+    Samples of the program alternate with samples of `Stripped`, which has nothing of them; the share is 1 - stripped/whole.
+    """
     start = benchmark.simulate(gas(n * benchmark.ranks.size, {"uniform_gravity": ACTIVE["uniform_gravity"]}))
 
     def one_by_one() -> Simulation:

@@ -69,9 +69,9 @@ def throw(
 
 
 def throws(benchmark: Benchmark) -> list[Experiment]:
-    """With drag that slows down over many steps, with drag that stops within one (k h from 20 downwards), and with friction.
+    """With drag that slows down over many steps, with drag that stops within one (k h = 10 in the longest), and with friction.
 
-    That is as strong as the weight: what is thrown sideways falls at half the speed in the end.
+    Friction is as strong as the weight: what is thrown sideways falls at half the speed in the end.
     """
     stiff_title, order_8 = f"Stiff drag, k = {STIFF_DRAG:g}", "Runge-Kutta of order 8 (DOP853) at 1e-13"
     weak = throw(benchmark, "G1", "Throw with drag", THROW, {"drag": {"rate": DRAG}}, thrown(DRAG))

@@ -85,7 +85,11 @@ CaseFunction = Callable[[CaseRun], Finding]
 
 
 class Case(NamedTuple):
-    """One row of the table, or several: a mode and a dimension each. `long`: minutes, not seconds."""
+    """One row of the table, or several: one for each of its modes and dimensions.
+
+    `naive`: what naive programs do; `must`: what must hold here; `modes`: of collisions, None for a case without them;
+    `dimensions`: in which it is run; `long`: it takes minutes, not seconds.
+    """
 
     name: str
     naive: str

@@ -22,7 +22,7 @@ def under_gravity(run: CaseRun, e: float, step: float, upper: list[float], parti
 
 
 def deepest_overlap(sim: Simulation) -> float:
-    """Of two spheres, or a sphere and the box, in mean radii; negative if nothing touches. Collective."""
+    """The deepest overlap of two spheres, or a sphere and the box, in mean radii; < 0 if nothing touches. Collective."""
     p, box = all_particles(sim), sim.scene.box
     assert box
     walls = np.maximum(box.lower - (p.position - p.radius[:, None]), p.position + p.radius[:, None] - box.upper).max()

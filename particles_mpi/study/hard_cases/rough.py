@@ -28,12 +28,16 @@ def surfaces(run: CaseRun, gravity: list[float], friction: float, normals: list[
 
 
 def spinning(run: CaseRun, speed: float) -> Any:
-    """The spin of one sphere about the axis that rolls it along the first axis, on a floor across the last: > 0 drives it on."""
+    """A spin for the scene's table, of one sphere that turns in the plane of the first axis and the last.
+
+    A number in the plane, a list of one vector in space. At speed > 0 the lowest point of the sphere moves along the first axis,
+    so that friction of a floor pushes the sphere backwards along it.
+    """
     return speed if run.dimension == 2 else [[0.0, -speed, 0.0]]
 
 
 def rolled(run: CaseRun, speed: float) -> Array:
-    """The same spin, of a row of results."""
+    """The same spin as one row of results: (1,) in the plane, (3,) in space."""
     return np.array([speed] if run.dimension == 2 else [0.0, -speed, 0.0])
 
 
@@ -186,7 +190,7 @@ def stands(sim: Simulation, time: float) -> tuple[float, float]:
 
 
 def verdict(found: list[tuple[float, float]]) -> Finding:
-    """Of `stands` below what statics asks for and above it, by turns."""
+    """The finding from `stands` of pairs of runs: friction just below what statics asks for (must fall), then just above."""
     falls, holds = min(moved for moved, _ in found[::2]), max(moved for moved, _ in found[1::2])
     rise = max(rise for _, rise in found)
     below, above = (f"moved {moved:.0e} at {part:.2f} mu" for moved, part in zip((falls, holds), BESIDE_LIMIT, strict=True))

@@ -17,7 +17,7 @@ ROW, KEPT, RESTING = 8e-8, 2e-7, 5e-6  # of a particle in a step; more where con
 
 
 def counted_seconds(sim: Simulation) -> float:
-    """Of all that was done so far. Collective."""
+    """The counted seconds of all that a simulation has done so far, on all ranks. Collective."""
     work, many = sim.work(), sim.many_steps and not sim.active.pairs
     step = (STEP_OF_MANY if many else STEP) + ROW * sim.total
     if sim.persistent and not many:

@@ -55,7 +55,7 @@ class ErrorMetric:
 
     @property
     def snapshots(self) -> int:
-        """Of runs over the span."""
+        """How many snapshots runs over the span have."""
         return self.start.snapshots(self.part)
 
     def errors(self, record: Record) -> Errors:

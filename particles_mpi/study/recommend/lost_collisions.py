@@ -38,9 +38,10 @@ class BesideEvent(NamedTuple):
 
 
 def beside_event(benchmark: Benchmark, scene: Scene, seconds: float) -> BesideEvent:
-    """Its own mode and `event` from the start of the scene, in as many steps as there are `counted_seconds` for. Collective.
+    """Count collisions in the scene's own mode and in mode `event`, from its start, in the same steps. Collective.
 
-    Nothing is compared in 0 s, or if mode `event` refuses the scene, or stops.
+    Steps are made until `counted_seconds` of these runs together reach `seconds`. Nothing is compared in 0 s, or if mode `event`
+    refuses the scene, or stops.
     """
     done = found = exact = same = 0
     try:

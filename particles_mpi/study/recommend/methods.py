@@ -37,16 +37,16 @@ class Method:
 
     @property
     def ratio(self) -> float:
-        """Of the resolution from one setting to the next."""
+        """The factor in the resolution from one setting to the next."""
         return 10.0 if self.adaptive else 2.0
 
     def steps(self, resolution: float, part: float) -> int:
-        """Of a part of the run; `adaptive` only stops where a frame is written."""
+        """The number of steps of a part of the run; `adaptive` only stops where a frame is written."""
         steps = frames(self.start.scene) if self.adaptive else max(resolution, self.least)
         return whole_parts(part * steps, self.start.snapshots(part))
 
     def whole_steps(self, resolution: float, part: float) -> int:
-        """Of the whole run, in steps as long as those of a part (a half, a quarter ...) that was measured."""
+        """The number of steps of the whole run, each as long as those of a part (a half, a quarter ...) that was measured."""
         return round(self.steps(resolution, part) / part)
 
     def scene(self, resolution: float, part: float) -> Scene:

@@ -64,7 +64,10 @@ def exact_scene(start: Start, steps: int, duration: float, **time: Any) -> Scene
 
 
 def affordable(start: Start, cost: float, seconds: float) -> ErrorMetric:
-    """The span that can be measured, where a unit of time costs so many seconds: all of it, or a half, a quarter and so on."""
+    """An empty error metric over the part of the run that can be measured: all of it, or a half, a quarter and so on.
+
+    `cost`: counted seconds that a unit of simulated time takes; `seconds`: how many there are.
+    """
     part = 1.0
     while part * start.duration * cost > seconds and part * start.scene.steps > LEAST_SNAPSHOTS:
         part *= 0.5

@@ -98,8 +98,8 @@ class Start:
     def simulate(self, scene: Scene, shifted: int = 0, duration: float = 0.0, amount: float = DISPLACEMENT) -> Simulation:
         """The start in a variant of the scene. Collective. SceneError if it cannot run.
 
-        `shifted`: the number of a start that is displaced by `amount` of the size of what moves, where that leaves no
-        overlap, and otherwise by so much of the velocities; `duration` of what follows tells how fast something at rest is.
+        `shifted`: the number of a start that is displaced by `amount` of the size of what moves; in a scene with contacts by so
+        much of the velocities, so that nothing overlaps; `duration` of what follows tells how fast something at rest is.
         """
         given, d = self.particles.arrays, self.particles.dimension
         arrays = {
@@ -114,7 +114,7 @@ class Start:
         return Simulation(scene, comm=self.benchmark.comm, start=particles)
 
     def displace(self, p: Particles, number: int, duration: float, amount: float) -> None:
-        """Move every movable particle a little, by random numbers keyed by `number` and its id."""
+        """Displace each movable particle a little, or its velocity where there are contacts, at random by `number` and id."""
         shift = np.random.Generator(np.random.Philox(key=number)).uniform(-1.0, 1.0, p.position.shape)
         shift[p.fixed != 0] = 0.0
         x, v = p["position"], p["velocity"]

@@ -39,7 +39,7 @@ def color_of(result: Result, curve: Curve) -> str:
 
 
 def against_ranks(axes: Axes, ranks: list[int], title: str, **legend: Any) -> None:
-    """Ranks on a log axis, as whole numbers; what all panels have."""
+    """Ranks on a log axis, as whole numbers; what all panels but that of the phases have."""
     axes.set_xscale("log", base=2)
     axes.set_xticks(ranks, [str(n) for n in ranks])
     axes.minorticks_off()

@@ -65,7 +65,10 @@ class RankSubsetTimer(StepTimer):
         return seconds
 
     def a_step(self) -> dict[str, float]:
-        """What a step takes and does on this rank. Phases, which come in lumps, have their share of all samples in the median."""
+        """Seconds of each phase, and counts, of one step on this rank, by name.
+
+        Phases come in lumps: each gets the share of the median step that it has of all samples together.
+        """
         phase, step = self.seconds.median / self.sums["clocked"], 1.0 / self.sums["steps"]
         return {name: whole * (phase if name.startswith(PHASE_PREFIX) else step) for name, whole in self.sums.items()}
 

@@ -93,7 +93,11 @@ class Law:
         return min(ranks - 1.0, prod(1.0 + side for side in self.sides(ranks)) - 1.0)
 
     def rows(self, particles: float, ranks: int, thickness: float) -> float:
-        """Rows that a rank fetches at a time, from a layer that is `thickness` mean distances between particles thick."""
+        """Rows that a rank fetches at a time.
+
+        `thickness`: of the layer around its block, in mean distances between particles; with `fetches_all` there is no layer,
+        and it is how often each particle of the other ranks is fetched, about 1.
+        """
         if self.fetches_all:
             return thickness * (particles - particles / ranks)
         lengths = [edge * particles ** (1.0 / len(self.edges)) for edge in self.edges]

@@ -45,7 +45,7 @@ def unable_to_grow(scene: Scene) -> list[str]:
 
 
 def edges(scene: Scene) -> tuple[float, ...]:
-    """Of the box, in units in which its volume is 1; open space counts as a cube."""
+    """The edges of the box, in units in which its volume is 1; open space counts as a cube."""
     if scene.box is None:
         return (1.0,) * scene.dimension
     sides = [high - low for low, high in zip(scene.box.lower, scene.box.upper, strict=True)]

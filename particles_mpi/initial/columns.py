@@ -1,4 +1,4 @@
-"""What is built: the columns of this rank, and its part of each population in them."""
+"""What is built: the columns of this rank, and its share of each population in them."""
 
 from typing import Any, NamedTuple
 
@@ -18,8 +18,8 @@ LARGEST_WHOLE = 2.0**53  # up to which a float64 holds each whole number
 Numbers = tuple[int, int]  # (first, last + 1) of a rank's particles of a population, counted from its first one
 
 
-class Block(NamedTuple):
-    """This rank's part of a population, which stands in these `rows` of the columns."""
+class Share(NamedTuple):
+    """This rank's share of a population: the particles `numbers` of it, which stand in these `rows` of the columns."""
 
     number: int  # of the population, in messages and in random numbers
     population: Population
@@ -42,15 +42,15 @@ class Columns:
         """`total`: particles that are built, on all ranks."""
         self.scene, self.ranks, self.faults, self.arrays, self.total = scene, ranks, faults, arrays, total
 
-    def of(self, block: Block, name: str, value: Any) -> Any:
+    def of(self, share: Share, name: str, value: Any) -> Any:
         """This rank's part of a value of a population: of a list, a file, random numbers in a range; a number is for all."""
-        first, last = block.numbers
+        first, last = share.numbers
         if isinstance(value, dict) and "file" in value:
-            table = block.files[name]
-            rows = self.own_rows(table.values, block.begin + table.first)
+            table = share.files[name]
+            rows = self.own_rows(table.values, share.begin + table.first)
             return rows if FIELDS[name].vector else rows[:, 0]
         if isinstance(value, dict):
-            key = stream_key(self.scene.seed, block.number, name)
+            key = stream_key(self.scene.seed, share.number, name)
             part, least, most = draw(key, first, last, uniform), value["min"], value["max"]
             if self.arrays[name].dtype.kind in "iu" and least == int(least) and most == int(most):  # each of them as likely
                 return np.minimum(np.floor(least + part * (most - least + 1)), most)
@@ -62,13 +62,17 @@ class Columns:
         return value
 
     def own_rows(self, values: Array, first: int) -> Array:
-        """Of rows that the ranks hold in order, this rank's beginning with number `first`, those of the numbers it builds."""
+        """Rows of a file sent to the ranks that build their particles; returns this rank's, in order. Collective.
+
+        The ranks have read the rows in order: `values` (n, columns) are those of this rank, for the particles with the numbers
+        from `first` on, counted over all populations that are built.
+        """
         owner = self.ranks.sharer(self.total, np.arange(first, first + len(values)))
         return send_rows(self.ranks, {"values": values}, *by_destination(owner, self.ranks.size))[0]["values"]
 
-    def fill(self, block: Block, name: str, value: Any) -> None:
+    def fill(self, share: Share, name: str, value: Any) -> None:
         """A field of a population from a number, a list, a file or a range. Collective."""
-        mine, own = self.of(block, name, value), self.arrays[name][block.rows]
+        mine, own = self.of(share, name, value), self.arrays[name][share.rows]
         try:
             values = np.asarray(mine, float)
         except OverflowError:
@@ -77,15 +81,15 @@ class Columns:
             least, most = max(np.iinfo(own.dtype).min, -LARGEST_WHOLE), min(np.iinfo(own.dtype).max, LARGEST_WHOLE)
             whole = (values >= least) & (values <= most) & (values == np.rint(values))
             wrong = ~whole & np.ones(own.shape if len(own) else (0,), bool)
-            self.refuse(block, name, wrong, f"no whole number of {own.dtype} for")
+            self.refuse(share, name, wrong, f"no whole number of {own.dtype} for")
             values = np.where(whole, values, 0.0)
         if len(own):
             own[:] = values
-        self.refuse(block, name, np.abs(own) > LARGEST_NUMBER, f"beyond {LARGEST_NUMBER:g} for")
+        self.refuse(share, name, np.abs(own) > LARGEST_NUMBER, f"beyond {LARGEST_NUMBER:g} for")
         if name == "mass":  # 1/m must be a number too
-            self.refuse(block, name, (own > 0.0) & (own < 1.0 / LARGEST_NUMBER), f"below {1.0 / LARGEST_NUMBER:g} for")
+            self.refuse(share, name, (own > 0.0) & (own < 1.0 / LARGEST_NUMBER), f"below {1.0 / LARGEST_NUMBER:g} for")
 
-    def refuse(self, block: Block, name: str, bad: Array, why: str) -> None:
+    def refuse(self, share: Share, name: str, bad: Array, why: str) -> None:
         """A fault of a key of the population, which names the particles that are `bad` (n,) or (n, d). Collective."""
         which = np.flatnonzero(bad.any(axis=1) if bad.ndim == 2 else bad)
-        self.faults.name(f"{block.key}.{name}: {why} ", self.arrays["id"][block.rows][which])
+        self.faults.name(f"{share.key}.{name}: {why} ", self.arrays["id"][share.rows][which])
