@@ -5,7 +5,7 @@ import numpy as np
 from particles_mpi.contacts.law import may_come_near
 from particles_mpi.contacts.walls import may_hit, wall_contact
 from particles_mpi.kernels.geometry import nearest
-from particles_mpi.kernels.jit import in_place, lean_inner
+from particles_mpi.kernels.jit import in_place
 from particles_mpi.kernels.markers import NOBODY
 from particles_mpi.neighbours.trajectories import fastest
 
@@ -32,7 +32,7 @@ def images_are_far(axes, x, v, radius, h, length):
     return far
 
 
-@lean_inner
+@in_place
 def all_clear(axes, x, v, radius, h, length, bounded, planes):
     """Does no row of x, v (n, d) meet another one, or a wall, on a straight path over h? Quick, and never wrongly True.
 

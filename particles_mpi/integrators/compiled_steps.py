@@ -89,7 +89,6 @@ class Space(NamedTuple):
     smooth: Rough  # for walls, which are not rough here
     reach: float  # rows that may be so near to walls are found, if contacts with walls last
     on_walls: OnWalls
-    begun: Array  # (n, d): room for the velocities at the start of a step; no row where no two can collide
 
 
 class Scheme(NamedTuple):
@@ -217,12 +216,12 @@ def copy_rows(given, into):
             into[i, k] = given[i, k]
 
 
-@lean_inner
-def someone_meets(axes, bodies, space, h):
-    """May anyone meet anyone in a drift over h? Then velocities are again those of the start of the step."""
+@in_place
+def someone_meets(axes, bodies, space, h, begun):
+    """May anyone meet anyone in a drift over h? Then velocities are again those `begun` with at the start of the step."""
     if all_clear(axes, bodies.x, bodies.v, bodies.radius, h, space.length, space.bounded, space.planes):
         return False
-    copy_rows(space.begun, bodies.v)
+    copy_rows(begun, bodies.v)
     return True
 
 
@@ -234,11 +233,12 @@ def invalid(axes, bodies, space):
 
 
 @lean
-def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, budget):
+def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, budget, begun):
     """Up to `steps` steps as of `Composition` or `Taylor`; from step `watch` on, they end where the watchdog would stop the run.
 
     Fewer steps where they are more work than `budget` allows: what rests on walls takes a hundred times as long as what flies.
-    Where particles collide, they end before a step in which anyone could meet anyone.
+    Where particles collide, they end before a step in which anyone could meet anyone. `begun` (n, d): room for the velocities at
+    the start of a step; None where nobody collides, and then the kernel is compiled without that test, which would slow it down.
 
     Returns (steps done, wall hits, how often a row had no room, sums of forces, are the forces in `bodies.total` those of the
     present places?).
@@ -246,10 +246,9 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
     hits, missed, sums, known, noted = 0, 0, 0, True, 0
     before, near, pushed = -1, -1, 0
     resting = 0
-    collide = len(space.begun) > 0
     for step in range(1, steps + 1):
-        if collide:
-            copy_rows(bodies.v, space.begun)
+        if begun is not None:
+            copy_rows(bodies.v, begun)
         for part in range(len(scheme.kicks)):
             kicked, drifted = scheme.kicks[part] * h, scheme.drifts[part] * h
             if not known:
@@ -269,8 +268,9 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
                     pushed, rows = keep_on_walls(axes, bodies, losses, part, space, h, kicked, near)
                     resting += rows
             if drifted != 0.0:
-                if collide and someone_meets(axes, bodies, space, drifted):
-                    return step - 1, hits, missed, sums, known
+                if begun is not None:  # noqa: SIM102 - a branch that is left out where it is None
+                    if someone_meets(axes, bodies, space, drifted, begun):
+                        return step - 1, hits, missed, sums, known
                 if space.own_rates:
                     set_rates(axes, bodies, space, before, pushed, 0.5 * h)
                     before = pushed

@@ -154,7 +154,8 @@ class ManySteps:
             watch, budget = most + 1, Budget(cost, inf)
         hits = missed = 0
         for block in self.blocks:
-            done, hit, stuck, sums, known = fixed_steps(self.axes, *block, self.scheme, h, most, watch, budget)
+            begun = np.empty_like(block.bodies.v) if self.collide else None
+            done, hit, stuck, sums, known = fixed_steps(self.axes, *block, self.scheme, h, most, watch, budget, begun)
             hits, missed = hits + hit, missed + stuck
         return done, hits, missed, sums, known
 
@@ -218,8 +219,7 @@ class ManySteps:
         smooth = no_spins(d, np.zeros((1 + len(planes.point), 2)))
         noting = n if effects.finishes_bounces else 0
         last = np.empty(n), np.empty(noting, np.int64), np.empty(noting, np.int64), np.empty(noting)
-        begun = np.empty((n * self.collide, d))
-        space = Space(tuple(planes), bool(effects.walls), a, own, *box, last, smooth, reach, on_walls, begun)
+        space = Space(tuple(planes), bool(effects.walls), a, own, *box, last, smooth, reach, on_walls)
         return RowsTogether(bodies, self.forces_on(p), self.losses_of(p, h), space)
 
     def forces_on(self, p: Particles) -> Forces:

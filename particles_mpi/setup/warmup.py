@@ -134,7 +134,7 @@ def rough(d: int, ranks: Communicator) -> None:
 
 
 def others(d: int, ranks: Communicator) -> None:
-    """Scenes without pairs: walls alone, integrators, the direct sum."""
+    """Scenes without pairs: walls alone, integrators, the direct sum; and two spheres that fly past one another."""
     run(ranks, d, {"uniform_gravity": down(d), "walls": LOSSY})
     run(ranks, d, {"walls": {}})
     for integrator in ("taylor", "leapfrog", "order4", "adaptive"):
@@ -144,6 +144,8 @@ def others(d: int, ranks: Communicator) -> None:
     run(ranks, d, {"drag": {"rate": 0.1}}, periodic=True)
     run(ranks, d, {"friction": {"strength": 0.1}})
     run(ranks, d, {})
+    apart = [{"position": [[1.0] * d, [3.0] * d], "radius": 0.1}]
+    Simulation(scene(d, {"collisions": {}}, particles=apart), ranks.comm).steps(2)
 
 
 def windows(d: int, ranks: Communicator) -> None:
