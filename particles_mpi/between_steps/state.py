@@ -42,9 +42,9 @@ class State:
     A user sets: scene, what it goes by; time; h; particles; effects.
 
     Kept: ranks; rows, this rank's particles (`particles` is what a user sees of them); ids, where the ids of all lie; total, how
-    many there are on all ranks; next_id, of a particle that is added; additions, how often some were; steps_done; moment, the
-    time and the number of steps that the clock counts from. Of this rank, since the start: totals, the COUNTS of what happened,
-    and calls, how often each effect was asked.
+    many there are on all ranks; next_id, of a particle that is added; additions, how often some were; steps_done; clock_start,
+    the time and the number of steps that the clock counts from. Of this rank, since the start: totals, the COUNTS of what
+    happened, and calls, how often each effect was asked.
 
     For output: warnings, of the start; reported and written, counts and steps at the last row of diagnostics and the last frame;
     observed, time, collisions and virial at the last row of diagnostics with observables, and when `measure` was last called;
@@ -55,10 +55,24 @@ class State:
     integrator, many_steps.
     """
 
+    begun = False  # has it all that it ever has?
     broken = ""  # why the state cannot be used any more
     persistent: Any = None
     drift: Any = None
     accelerations: Any = None
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """AttributeError for a name that means nothing here, as `dt`: nobody would be told that it changes nothing.
+
+        A class of the user's that is derived from `Simulation` may have whatever it likes.
+        """
+        own = type(self).__module__.startswith(__package__.partition(".")[0] + ".")
+        if self.begun and own and name not in vars(self) and not hasattr(type(self), name):
+            raise AttributeError(
+                f"sim.{name}: there is no such thing to be set; a script sets sim.h, sim.time, fields of"
+                " sim.particles, and options of sim.effects[name]"
+            )
+        super().__setattr__(name, value)
 
     def begin(self, scene: Scene, ranks: Communicator, rows: Particles, next_id: int = 0) -> None:
         """Set all of it from the particles of this rank; `next_id`: of one that is added, or above. Collective."""
@@ -80,6 +94,7 @@ class State:
         self.next_id = max(next_id, int(ranks.allreduce_max(rows.id.max(initial=-1))[0]) + 1)
         (self.lower, self.upper), self.length = scene.corners, scene.periodic_length
         self.build()
+        self.begun = True
 
     def build(self) -> None:
         """All that follows from the scene's effects and from how many particles there are. Collective."""

@@ -215,6 +215,8 @@ def test_arrays_of_an_earlier_step_cannot_be_written_to_unnoticed():
         ("sim.h = 0.0", ValueError, "above 0"),
         ("sim.h = 'a'", ValueError, "h: 'a' is no length of a step"),
         ("sim.time = None", ValueError, "time: None is no finite number"),
+        ("sim.dt = 0.1", AttributeError, r"sim\.dt: there is no such thing to be set; a script sets sim\.h"),
+        ("copy = sim.copy(); copy.mode = 'event'", AttributeError, r"sim\.mode: there is no such thing"),
         ("sim.particles.position[1] = 1e3; sim.step()", StateError, r"step 1: particles\.position: particle 1 on rank 0 was put"),
         ("sim.run(steps=3)", TypeError, "run: steps: only with a folder"),
         ("Simulation('x.toml')", TypeError, "'x.toml' is no Scene; there are Scene.load"),
@@ -231,6 +233,21 @@ def test_what_cannot_be_changed_says_so(wrong, error, says):
     there = {"sim": Simulation(Scene.from_dict(SCENES["elastic"])), "Simulation": Simulation}
     with pytest.raises(error, match=says):
         exec(wrong, there)
+
+
+def test_a_class_of_the_users_has_what_it_likes():
+    class Counted(Simulation):
+        def __init__(self, scene):
+            super().__init__(scene)
+            self.counted = 0
+
+        def step(self, **how):
+            super().step(**how)
+            self.counted += 1
+
+    sim = Counted(Scene.from_dict(SCENES["elastic"]))
+    sim.steps(3)
+    assert sim.counted == sim.steps_done == 3
 
 
 def test_fixed_is_a_mask_of_rows():
