@@ -20,11 +20,11 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.integrators.radau_tables import NODES
-from particles_mpi.kernels.jit import in_place, lean, lean_in_place
+from particles_mpi.integrators.shaking import SHAKEN, shake
+from particles_mpi.kernels.jit import in_place, lean_in_place
 from particles_mpi.particles import Array
 
 MOST_ITERATIONS = 12
-SHAKEN = 32.0  # units in the last place by which a coordinate is moved, at most, to see what its round-off does
 SUM_ROUND_OFF = float(np.finfo(float).eps)  # round-off of a sum of forces, relative to the largest acceleration
 CAUTION = 10.0  # times the change that the next iteration is expected to make
 NOISY = 8.0  # times the round-off: changes from one iteration to the next that are nothing else
@@ -76,31 +76,6 @@ def work_for(numbers: int) -> Work:
 
 
 # --- a substep, between two evaluations of the forces -----------------------------------------------------------------
-
-
-@lean
-def random_factor(number, attempt):
-    """A number in [-1, 1) that depends on these two (int64) alone: a multiplicative hash."""
-    k = (np.uint64(number) + (np.uint64(attempt) << np.uint64(32))) * np.uint64(0x9E3779B97F4A7C15)
-    k = (k ^ (k >> np.uint64(32))) * np.uint64(0xD6E8FEB86659FD93)
-    return np.float64(np.int64(k >> np.uint64(11))) * 2.0**-52 - 1.0
-
-
-@lean
-def shake(x, d, attempt):
-    """Move each coordinate of x (n d,) by up to SHAKEN units in its last place, and bodies at the same place alike.
-
-    By what depends on the place, the axis and the attempt. If it were on the id, bodies at the same place, between which no
-    force acts, would be torn apart, and their force, huge all of a sudden, be taken for round-off.
-    """
-    for first in range(0, len(x), d):
-        place = np.uint64(0)
-        for k in range(d):
-            mixed = (place ^ (place >> np.uint64(32))) * np.uint64(0x9E3779B97F4A7C15)
-            place = mixed + np.float64(x[first + k]).view(np.uint64)
-        for k in range(d):
-            factor = random_factor(np.int64(place + np.uint64(k)), attempt)
-            x[first + k] += SHAKEN * np.spacing(abs(x[first + k])) * factor
 
 
 @in_place

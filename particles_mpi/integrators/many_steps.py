@@ -17,20 +17,10 @@ from particles_mpi.contacts.drift import Drift
 from particles_mpi.contacts.rough import no_spins
 from particles_mpi.gravity.direct import ONE_SUM
 from particles_mpi.integrators.collocation import END, STUCK, work_for
-from particles_mpi.integrators.compiled_steps import (
-    Bodies,
-    Budget,
-    Forces,
-    OnWalls,
-    Scheme,
-    Space,
-    StepLosses,
-    Until,
-    adaptive_steps,
-    fixed_steps,
-)
+from particles_mpi.integrators.compiled_steps import Budget, Scheme, Until, adaptive_steps, fixed_steps
 from particles_mpi.integrators.gauss_radau import Adaptive
 from particles_mpi.integrators.kicks_and_drifts import Accelerations, Composition, Taylor
+from particles_mpi.integrators.step_parts import Bodies, Forces, OnWalls, Space, StepLosses
 from particles_mpi.kernels.fingerprint import places_of
 from particles_mpi.kernels.planes import no_planes
 from particles_mpi.kernels.validity import WATCH_EVERY

@@ -6,7 +6,8 @@ Mode `rewind` (`contacts/time_stepped`) searches by candidates. The files, in th
     cells             linked cells: a grid, rows sorted by cell, and lists of rows a cell
     search_index      how rows are held in cells, and put elsewhere when their paths change
     near_paths        do two paths come near each other, and when
-    pair_search       which rows are tested for that, by cells
+    partner_lists     which rows are in cells near a path
+    pair_search       which rows are tested, then, and found to be partners
     replacement       the compiled call that finds the candidates of all rows, or replaces those of a few
     candidates        one search: all pairs and all particles near walls, and how those are replaced whose paths changed
     rank_boxes        boxes of ranks, and which rows get into them

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from particles_mpi import Scene, SceneError, Simulation, StoppedError
-from particles_mpi.integrators.collocation import SHAKEN, add, random_factor, shake
+from particles_mpi.integrators.collocation import add
+from particles_mpi.integrators.shaking import SHAKEN, random_factor, shake
 from particles_mpi.particles import Particles
 from particles_mpi.scene.schema import TOLERANCES
 from particles_mpi.study.accuracy.orbits import PYTHAGOREAN as BODIES

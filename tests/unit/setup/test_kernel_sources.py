@@ -90,7 +90,8 @@ def test_what_is_stale_is_forgotten(whole, edit):
     script = [sys.executable, "-P", str(whole / "setup/kernel_sources.py")]
     cache = whole / "neighbours" / "__pycache__"
     cache.mkdir(exist_ok=True)
-    files = [cache / f"pair_search.{name}-100.py311.1.nbc" for name in ("cover", "find_partners", "list_bits")]
+    names = ("partner_lists.cover", "pair_search.find_partners", "partner_lists.list_bits")
+    files = [cache / f"{name}-100.py311.1.nbc" for name in names]
     for file in files:
         file.touch()
     assert subprocess.run(script, timeout=60).returncode == 0
