@@ -94,12 +94,14 @@ def run(
         sim.scene = described  # it may end later, or write more often
     else:
         sim = simulation_of(described, scene)
-    if auto and sim.steps_done >= (last := sim.last_step if steps is None else steps):
+    last = sim.last_step if steps is None else steps
+    begun = f"step {sim.steps_done} of {last}" + (": nothing is left to do" if sim.steps_done >= last else "")
+    if auto and sim.steps_done >= last:
         if IS_ROOT and not quiet:
-            print(f"{folder}: step {sim.steps_done} of {last}: nothing is left to do")
+            print(f"{folder}: {begun}")
         return
     collect_garbage()
-    notes = [line for line in (note, f"goes on from step {sim.steps_done}" if resume else "") if line]
+    notes = [line for line in (note, f"goes on from {begun}" if resume else "") if line]
     how: dict[str, Any] = {"quiet": quiet, "overwrite": overwrite, "steps": steps, "wall_time": limit, "setup_began": STARTED}
     Job(sim, folder, resumed=resume is not None, notes=notes, scene_file=scene, **how).run()
 

@@ -92,6 +92,9 @@ def test_run_and_resume_give_the_same_bits_on_any_ranks(scene, tmp_path):
     assert {"min", "mean", "max"} == set(told["timers"]["loop"]) == set(told["timers"]["setup"])
     assert [row["calls"] for row in told["plan"]["not_run"]] == [0] * 5
     assert all(row["calls"] > 0 for row in told["plan"]["effects"])
+    done = particles_mpi(2, "run", scene, "--output", tmp_path / "more", "--resume", parts / "checkpoint.h5")
+    steps = told["scene"]["time"]["steps"]
+    assert done.returncode == 0 and f"goes on from step {steps} of {steps}: nothing is left to do" in done.stdout
 
 
 UNEVEN = """
