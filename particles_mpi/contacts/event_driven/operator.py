@@ -78,13 +78,13 @@ class EventDriven:
         # What forces press together has such contacts in each step, without end
         before, at_once = (min(max(FOLLOWING_EFFORT // max(total, 1), least), most) for least, most in (FOLLOWERS, AT_ONE_MOMENT))
         left = loss.restitution * loss.velocity_factor  # of the speed along the normal, after a contact
-        stands = forces and len(planes.point) > 0 and left < 1.0
+        stops = forces and len(planes.point) > 0 and left < 1.0
         if forces:
             before = PRESSED_FOLLOWERS
         first = TAKING / max(1.0 - left, TAKING / MOST_FIRST_QUICK)
         self.attempts = int(max(first, LEAST_QUICK)), *QUICK_CONTACTS
         most = MOST_QUICK if hold else NEVER_CROWDED
-        self.collapse = Collapse(0.0, 0 if duration is not None else before, at_once, stands, most)
+        self.collapse = Collapse(0.0, 0 if duration is not None else before, at_once, stops, most)
         # Contacts of this rank that took no energy: how many; of the first step with some its moment, and (time, id, id or wall)
         self.tc_elastic: tuple[int, float, Array] = 0, np.inf, np.empty((0, 3))
         self.crowded_steps = 0

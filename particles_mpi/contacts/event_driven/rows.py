@@ -88,10 +88,10 @@ def start_drift(axes, rows, x, v, radius, last_contact, virial, acceleration, sp
 
 
 @lean
-def end_drift(axes, rows, h, reference, box, stands):
+def end_drift(axes, rows, h, reference, box, stops):
     """All rows to time h, in a periodic box with their `reference` positions. Returns how many own ones were squeezed.
 
-    Jammed rows get their velocities back, or come to rest if what is jammed `stands`.
+    Jammed rows get their velocities back, or come to rest if what is jammed `stops`.
     """
     rows = Rows(*rows)
     segment, state = rows.segment, rows.state
@@ -106,7 +106,7 @@ def end_drift(axes, rows, h, reference, box, stands):
             segment[i, 2 * d + START] = h  # it stays where its last contact was
             if state[i, RAPID_EVENTS] >= JAMMED:
                 for k in range(d):
-                    segment[i, d + k] = 0.0 if stands else segment[i, d + k] / HARDLY
+                    segment[i, d + k] = 0.0 if stops else segment[i, d + k] / HARDLY
         for k in range(d):
             at = segment[i, k] + segment[i, d + k] * (h - segment[i, 2 * d + START])
             if length[k] > 0.0 and not lower[k] <= at < lower[k] + length[k]:
