@@ -95,13 +95,13 @@ def run(
     else:
         sim = simulation_of(described, scene)
     last = sim.last_step if steps is None else steps
-    begun = f"step {sim.steps_done} of {last}" + (": nothing is left to do" if sim.steps_done >= last else "")
+    reached = f"step {sim.steps_done} of {last}" + (": nothing is left to do" if sim.steps_done >= last else "")
     if auto and sim.steps_done >= last:
         if IS_ROOT and not quiet:
-            print(f"{folder}: {begun}")
+            print(f"{folder}: {reached}")
         return
     collect_garbage()
-    notes = [line for line in (note, f"goes on from {begun}" if resume else "") if line]
+    notes = [line for line in (note, f"goes on from {reached}" if resume else "") if line]
     how: dict[str, Any] = {"quiet": quiet, "overwrite": overwrite, "steps": steps, "wall_time": limit, "setup_began": STARTED}
     Job(sim, folder, resumed=resume is not None, notes=notes, scene_file=scene, **how).run()
 

@@ -55,7 +55,7 @@ class State:
     integrator, many_steps.
     """
 
-    begun = False  # has it all that it ever has?
+    complete = False  # does it have every attribute that it ever has?
     broken = ""  # why the state cannot be used any more
     persistent: Any = None
     drift: Any = None
@@ -66,8 +66,8 @@ class State:
 
         A class of the user's that is derived from `Simulation` may have whatever it likes.
         """
-        own = type(self).__module__.startswith(__package__.partition(".")[0] + ".")
-        if self.begun and own and name not in vars(self) and not hasattr(type(self), name):
+        known = name in vars(self) or not self.complete or hasattr(type(self), name)
+        if not known and type(self).__module__.startswith("particles_mpi."):
             raise AttributeError(
                 f"sim.{name}: there is no such thing to be set; a script sets sim.h, sim.time, fields of"
                 " sim.particles, and options of sim.effects[name]"
@@ -94,7 +94,7 @@ class State:
         self.next_id = max(next_id, int(ranks.allreduce_max(rows.id.max(initial=-1))[0]) + 1)
         (self.lower, self.upper), self.length = scene.corners, scene.periodic_length
         self.build()
-        self.begun = True
+        self.complete = True
 
     def build(self) -> None:
         """All that follows from the scene's effects and from how many particles there are. Collective."""

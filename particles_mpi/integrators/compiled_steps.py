@@ -84,9 +84,8 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
                     pushed, rows = keep_on_walls(axes, bodies, losses, part, space, h, kicked, near)
                     resting += rows
             if drifted != 0.0:
-                if begun is not None:  # noqa: SIM102 - a branch that is left out where it is None
-                    if someone_meets(axes, bodies, space, drifted, begun):
-                        return step - 1, hits, missed, sums, known
+                if begun is not None and someone_meets(axes, bodies, space, drifted, begun):
+                    return step - 1, hits, missed, sums, known
                 if space.own_rates:
                     set_rates(axes, bodies, space, before, pushed, 0.5 * h)
                     before = pushed
