@@ -157,13 +157,15 @@ class Launcher:
 
     def relay(self) -> int:
         """Pass on what it prints on stderr until it ends; its exit code, or minus the signal that ended it."""
-        passing, open_, silent = Filter(self.pid), True, 0.0
+        passing, open_ = Filter(self.pid), True
+        alone = -PATIENCE  # seconds for which it has been silent, and without ranks, after it said how it ends
         while open_:
             ready, _, _ = select.select([self.stderr], [], [], PATIENCE)
             data = os.read(self.stderr, 65536) if ready else b""
             say(passing.feed(data) if data else passing.rest())
-            silent = 0.0 if ready else silent + PATIENCE
-            if passing.code is not None and silent >= STUCK and not has_children(self.pid):
+            waits = passing.code is not None and not ready and not has_children(self.pid)
+            alone = alone + PATIENCE if waits else -PATIENCE
+            if alone >= STUCK:
                 self.send(signal.SIGKILL)
             open_ = bool(data) or not (ready or self.ended(os.WNOHANG))  # others may keep it open when this one has ended
         while self.code is None:
