@@ -18,7 +18,8 @@ if TYPE_CHECKING:  # signals are caught before anything that takes long is impor
     from particles_mpi.parallel.communicator import Communicator
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)  # the last: of a scheduler, before the end of a job
-GRACE = 0.4  # seconds that a step has to end after a signal, where `check_signals` is called within it
+GRACE = 0.4  # seconds that a step has to end after a signal, where `check_signals` is called within it; and, if steps take long,
+AS_BEFORE, LONGEST_GRACE = 2.0, 30.0  # times the longest one so far, but no more than so many seconds: then others kill
 POLL_STEPS, POLL_SECONDS = 10, 0.2  # between two polls of all ranks: whichever is less
 
 
@@ -29,9 +30,9 @@ def exit_on_signals() -> None:
 
 
 class SignalCaught:
-    """Remembers when the first signal came, for `check_signals`."""
+    """Remembers when the first signal came, for `check_signals`, and how many seconds (`grace`) a step has to end after it."""
 
-    asked_at = np.inf
+    asked_at, begun, grace = np.inf, -np.inf, GRACE  # begun: when the present step did
 
     def ask(self, *_: object) -> None:
         """What a signal calls."""
@@ -45,6 +46,7 @@ class StopRequest(SignalCaught):
         self.ranks = ranks
         self.end = np.inf if wall_time is None else began + wall_time
         self.reserve = 0.0  # seconds before the end that a checkpoint needs
+        self.enough = False  # has this rank seen all that it wanted to see? Then the run ends as after a signal
         self.polled, self.step, self.next = perf_counter(), 0, 0
         caught = SIGNALS if current_thread() is main_thread() else ()  # no other thread may catch any
         self.before = {number: signal.signal(number, self.ask) for number in caught}
@@ -56,10 +58,19 @@ class StopRequest(SignalCaught):
             return False
         now = perf_counter()
         pace = (now - self.polled) / max(step - self.step, 1)
-        stop, pace = self.ranks.allreduce_max(np.array([self.asked_at < np.inf or now + self.reserve > self.end, pace]))
+        over = self.enough or self.asked_at < np.inf or now + self.reserve > self.end
+        stop, pace = self.ranks.allreduce_max(np.array([over, pace]))
         self.polled, self.step = now, step
         self.next = step + int(min(max(POLL_SECONDS / max(pace, 1e-9), 1), POLL_STEPS))
         return bool(stop)
+
+    def __enter__(self) -> None:
+        """A step begins, or several that are computed at once."""
+        self.begun = perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        """It has ended: the next one may take as long."""
+        self.grace = max(self.grace, min(AS_BEFORE * (perf_counter() - self.begun), LONGEST_GRACE))
 
     def close(self) -> None:
         """Give the signals back their former meaning."""
@@ -93,7 +104,10 @@ _requests: list[SignalCaught] = []  # those that catch signals at present
 
 
 def check_signals() -> None:
-    """For the middle of long computations: raises KeyboardInterrupt if a signal came more than GRACE seconds ago."""
+    """For the middle of long computations: raises KeyboardInterrupt if a step goes on for too long after a signal.
+
+    A signal that came before the step began, as while a frame was written, leaves the step as much time as one that comes then.
+    """
     for request in _requests:
-        if perf_counter() > request.asked_at + GRACE:
+        if perf_counter() > max(request.asked_at, request.begun) + request.grace:
             raise KeyboardInterrupt("stopped within a step that takes long: what counts is the last checkpoint")

@@ -120,7 +120,8 @@ class Job:
             self.save()  # what is in this folder begins here
         periods = output.every, output.diagnostics_every, output.checkpoint_every
         while sim.steps_done < self.last and not (stopped := self.request.poll(sim.steps_done)):
-            sim.step_towards(min(self.last, *(sim.steps_done // k * k + k for k in periods)))
+            with self.request:
+                sim.step_towards(min(self.last, *(sim.steps_done // k * k + k for k in periods)))
             n, final = sim.steps_done, sim.steps_done == self.last
             if final or any(n % k == 0 for k in (WATCH_EVERY, output.every, output.checkpoint_every)):
                 sim.watch()
@@ -150,7 +151,7 @@ class Job:
             return
         self.forecast = forecast
         if self.rehearsal:
-            self.request.ask()
+            self.request.enough = True
         elif before is None:
             self.plan["predicted_seconds"] = forecast.seconds
             self.plan["predicted_seconds_range"] = [forecast.least, forecast.most]

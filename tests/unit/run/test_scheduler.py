@@ -2,14 +2,19 @@
 
 import os
 import re
+import signal
 import subprocess
 import time
 
 import pytest
 from conftest import ROOT
 
+from particles_mpi import Run, Scene, Simulation
+from particles_mpi.errors import Interrupted
+from particles_mpi.parallel import signals
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.signals import StopRequest
+from particles_mpi.run.files import RunFiles
 from particles_mpi.run.scheduler import parse_time, slurm_limit
 
 
@@ -85,3 +90,47 @@ def test_time_is_left_for_a_checkpoint():
     stops.append(request.poll(request.next))
     request.close()
     assert stops == [False, True]
+
+
+@pytest.mark.parametrize(("before", "most"), [(0.001, 0.4), (5.0, 10.0), (300.0, 30.0)])
+def test_after_a_signal_a_step_may_take_twice_as_long_as_those_before(monkeypatch, before, most):
+    """Steps of five seconds end with a checkpoint; the first one, of which nothing is known, has 0.4 s, none has more than 30 s."""
+    clock = [0.0]
+    monkeypatch.setattr(signals, "perf_counter", lambda: clock[0])
+    request = StopRequest(Communicator.alone(), 0.0, None)
+    try:
+        with request:
+            clock[0] += before
+        request.ask()
+        clock[0] += 1000.0  # while a frame is written
+        with request:
+            clock[0] += 0.999 * most
+            signals.check_signals()
+            clock[0] += 0.002 * most
+            with pytest.raises(KeyboardInterrupt, match="what counts is the last checkpoint"):
+                signals.check_signals()
+    finally:
+        request.close()
+
+
+def test_a_signal_while_something_is_written_slowly_is_followed_by_a_checkpoint(tmp_path, monkeypatch):
+    """Ranks compare every ten steps; those until then are short, however long the writing has taken."""
+    write, signalled = RunFiles.write_frame, []
+
+    def slowly(files):
+        write(files)
+        step = files.sim.steps_done
+        if not signalled and 0 < step < signals._requests[-1].next:
+            signalled.append(step)
+            os.kill(os.getpid(), signal.SIGUSR1)
+            time.sleep(1.1 * signals.GRACE)
+
+    monkeypatch.setattr(RunFiles, "write_frame", slowly)
+    bodies = [{"position": [[1.0, 0.0], [-1.0, 0.0]], "velocity": [[0.0, 0.5], [0.0, -0.5]], "mass": 1.0}]
+    output = {"every": 5, "diagnostics_every": 5, "checkpoint_every": 1000}
+    time_step = {"step": 0.01, "steps": 1000, "integrator": "adaptive"}
+    scene = Scene(dimension=2, G=1.0, time=time_step, particles=bodies, effects={"mutual_gravity": {}}, output=output)
+    with pytest.raises(Interrupted, match="of 1000, saved"):
+        Simulation(scene).run(tmp_path / "o", quiet=True)
+    saved = Simulation.resume(tmp_path / "o" / "checkpoint.h5").steps_done
+    assert signalled[0] < saved <= signalled[0] + 10 and not Run(tmp_path / "o").ended
