@@ -94,7 +94,7 @@ def test_time_is_left_for_a_checkpoint():
 
 @pytest.mark.parametrize(("before", "most"), [(0.001, 0.4), (5.0, 10.0), (300.0, 30.0)])
 def test_after_a_signal_a_step_may_take_twice_as_long_as_those_before(monkeypatch, before, most):
-    """Steps of five seconds end with a checkpoint; the first one, of which nothing is known, has 0.4 s, none has more than 30 s."""
+    """Steps of five seconds end with a checkpoint; the first one, of which nothing is known, has 0.4 s, none more than 30 s."""
     clock = [0.0]
     monkeypatch.setattr(signals, "perf_counter", lambda: clock[0])
     request = StopRequest(Communicator.alone(), 0.0, None)
