@@ -21,7 +21,7 @@ import numpy as np
 
 from particles_mpi.contacts.warm_start import NOTHING, Memory, rough_columns
 from particles_mpi.errors import SceneError
-from particles_mpi.output.files import FILE_PATIENCE, failing_together, mpi_io_errors, sync_folder
+from particles_mpi.output.files import FILE_PATIENCE, failing_together, mpi_io_errors, sync
 from particles_mpi.output.replacing import replacing, temporary_of
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
@@ -134,7 +134,7 @@ def _replace(path: Path, sizes: dict[str, list[int]], crcs: dict[str, list[list[
             written.write(seal + TAIL.format(length, len(seal), zlib.crc32(seal)).encode())
             written.flush()
             os.fsync(written.fileno())  # on the disk before it takes the name, or a power cut leaves an empty file of that name
-    sync_folder(path.parent)
+    sync(path.parent)
 
 
 def _crc_between(path: Path, length: int, seal: dict[str, Any]) -> int:

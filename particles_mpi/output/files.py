@@ -93,6 +93,14 @@ class Continuing:
     def show(self) -> None:
         """Let readers see all that was written."""
 
+    def keep(self) -> None:
+        """Show all that was written, and wait until it is on the disk: a checkpoint that comes after it counts on it."""
+        self.show()
+        with failing_together(self.ranks, f"cannot write {self.path}"):
+            if self.ranks.is_root:
+                with suppress(FileNotFoundError):  # there is no list of frames before the first one
+                    sync(self.path)
+
     def close(self) -> None:
         """Close the file, if one is open. All that was shown is safe without it."""
         if self.file is not None:
@@ -183,9 +191,9 @@ def write_text(path: Path, ranks: Communicator, text: str) -> None:
             replace_text(path, text)
 
 
-def sync_folder(folder: Path) -> None:
-    """Make sure that a rename inside the folder is on the disk, and so lasts through a power cut."""
-    descriptor = os.open(folder, os.O_RDONLY)
+def sync(path: Path) -> None:
+    """Wait until what was written to a file, or renamed in a folder, is on the disk, and so lasts through a power cut."""
+    descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:

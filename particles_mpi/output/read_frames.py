@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from threading import RLock
 from time import sleep
 from typing import Any, NamedTuple
 
@@ -18,6 +19,7 @@ from particles_mpi.errors import SceneError
 from particles_mpi.particles import Array
 
 PAUSES = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)  # seconds between looks at a file that is being changed
+OPENING = RLock()  # HDF5 does not open a file for writing that another thread of this process has open for reading
 SHOW: dict[Path, Callable[[], None]] = {}  # of each file that this process alone writes: writes the frames that wait
 
 
@@ -74,7 +76,7 @@ class FrameReader:
                 sleep(pause)
             before = self._stamp()
             try:
-                with opened(self.path) as file:
+                with OPENING, opened(self.path) as file:
                     found = read(file["VTKHDF"])
             except (OSError, RuntimeError, ValueError, KeyError) as error:  # h5py raises all four for what is wrong with a file
                 failure = (str(error) or type(error).__name__).splitlines()[0]

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
+from threading import RLock
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -20,7 +21,7 @@ import numpy as np
 from particles_mpi.errors import StoppedError
 from particles_mpi.output import layout
 from particles_mpi.output.files import FILE_PATIENCE, Continuing, check_last, failing_together, frame_arrays, mpi_io_errors
-from particles_mpi.output.read_frames import SHOW
+from particles_mpi.output.read_frames import OPENING, SHOW
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
 from particles_mpi.particles import Array, default_values, field, row_bytes
@@ -70,15 +71,17 @@ class Trajectory(Continuing):
         self.shown, self.shown_at = self.frames, -np.inf  # frames that readers see, and since when
         self.waiting: list[WaitingFrame] = []  # not yet written, of particles with the ids `ids`
         self.ids = IdRange(0, 0, 0)
+        self.lock = RLock()  # a reader in another thread of this process has frames shown while the run writes more
         self.collective = h5py.h5p.create(h5py.h5p.DATASET_XFER)
         if self.parallel:
             self.collective.set_dxpl_mpio(h5py.h5fd.MPIO_COLLECTIVE)
 
     def open(self) -> None:
         """Make the file, or cut it, and open it on all ranks that write."""
-        super().open()  # by one process: cheaper, and nothing collective can go wrong
-        with failing_together(self.ranks, f"cannot open {self.path}"):
-            self._open()
+        with OPENING:
+            super().open()  # by one process: cheaper, and nothing collective can go wrong
+            with failing_together(self.ranks, f"cannot open {self.path}"):
+                self._open()
 
     def _open(self) -> None:
         """Open the file, which is there, on all ranks that write."""
@@ -96,11 +99,16 @@ class Trajectory(Continuing):
     def write(self, step: int, time: float, arrays: dict[str, Array], ids: IdRange) -> None:
         """Append a frame. `arrays`: this rank's owned rows in any order, at least the fields given at the start."""
         rows = in_id_order(self.ranks, {n: arrays[n] for n in self.fields}, ids, self.ranks.size if self.parallel else 1)
+        columns = {self.places[name]: column for name, column in frame_arrays(rows, self.dimension).items()}
+        with self.lock:
+            self._take(step, time, columns, ids)
+
+    def _take(self, step: int, time: float, columns: dict[str, Array], ids: IdRange) -> None:
+        """Write a frame, or let it wait; `columns`: this rank's range of ids, by place in the file. Collective."""
         if self.waiting and ids != self.ids:
             self._write_waiting()
         self.ids = ids
         late = self.ranks.bcast(perf_counter() - self.shown_at > SHOWING_PAUSE)
-        columns = {self.places[name]: column for name, column in frame_arrays(rows, self.dimension).items()}
         waits = not late and (len(self.waiting) + 1) * ids.total * self.row_bytes <= WAITING_BYTES
         if waits:  # the run goes on and changes its arrays
             columns = {place: column.copy() for place, column in columns.items()}
@@ -133,18 +141,21 @@ class Trajectory(Continuing):
         The count is raised after all that it counts has left this process: the file of a killed run is readable. Parallel
         HDF5 waits for the disk in each flush, but not when it closes a file: so it is closed and opened again.
         """
-        self._write_waiting()
-        if self.shown < self.frames:
-            before, after = (self._close, self._open) if self.parallel else (self._flush, self._flush)
-            self._do(self.step, [before, self._raise_count, after])
-            self.shown, self.shown_at = self.frames, perf_counter()
+        with self.lock:
+            self._write_waiting()
+            if self.shown < self.frames:
+                before, after = (self._close, self._open) if self.parallel else (self._flush, self._flush)
+                with OPENING:
+                    self._do(self.step, [before, self._raise_count, after])
+                self.shown, self.shown_at = self.frames, perf_counter()
 
     def close(self) -> None:
         """Close the file; after a failure it stays open until the process ends."""
         SHOW.pop(self.path.resolve(), None)
-        if not self.failed:
-            self.show()
-            super().close()
+        with self.lock:
+            if not self.failed:
+                self.show()
+                super().close()
 
     def _do(self, step: int, actions: list[Callable[[], None]]) -> None:
         """Change the file. With parallel HDF5 all ranks do, and ask one another after each action whether it went well."""

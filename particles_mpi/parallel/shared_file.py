@@ -34,5 +34,9 @@ class SharedFile:
                 self.file.Write_at(place + at, data[at : at + ONCE])
 
     def close(self) -> None:
-        """What all ranks wrote is in the file when all have closed it."""
-        (self.plain.close if self.plain else self.file.Close)()
+        """What all ranks wrote is in the file when all have closed it; and on the disk, if they are on several machines."""
+        if self.plain:
+            self.plain.close()
+        else:
+            self.file.Sync()  # rank 0 can wait for its own machine alone, see `files.sync`
+            self.file.Close()

@@ -1,6 +1,7 @@
 """The folder of a run and what is written into it: frames, rows of diagnostics, checkpoints."""
 
 import json
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,7 @@ class RunFiles:
             if output.formats:
                 write_text(self.folder / "view_paraview.py", ranks, paraview_script(self.folder, sim.scene.to_dict()))
         except (SceneError, StoppedError):  # on all ranks
-            self.close()
+            self.give_up()
             raise
 
     def shown(self) -> dict[str, Array]:
@@ -115,8 +116,8 @@ class RunFiles:
         """The exact state; replaces the checkpoint before."""
         sim = self.sim
         with sim.timers("output"):
-            for writer in self.frames:
-                writer.show()  # a run that goes on from here counts on all frames up to here
+            for writer in (*self.frames, self.diagnostics):
+                writer.keep()  # a run that goes on from here counts on all frames and rows up to here
         with sim.timers("checkpoint"):
             metadata = sim.metadata()
             past = {"counts": run_counts(sim), "calls": sim.calls, "remarks": sim.drift.remarks_of_operators()}
@@ -142,6 +143,13 @@ class RunFiles:
         with self.sim.timers("output"):
             for writer in (*self.frames, self.diagnostics):
                 writer.close()
+
+    def give_up(self) -> None:
+        """Close what can be closed, after an error: what that left unwritten is refused once more, which says nothing new."""
+        with self.sim.timers("output"):
+            for writer in (*self.frames, self.diagnostics):
+                with suppress(OSError, RuntimeError, ValueError, StoppedError):
+                    writer.close()
 
     def release(self) -> None:
         """The folder is free for others."""

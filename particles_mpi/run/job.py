@@ -86,13 +86,13 @@ class Job:
             tell_end(sim, self.plan, self.folder, self.screen, seconds, phases, begun_with, self.rows, not stopped)
         except (SceneError, StoppedError) as error:
             await_all(self.ranks, error)  # to close a file would wait for ranks that have no error
-            self.files.close()
+            self.files.give_up()
             if isinstance(error, StateError) and not self.rehearsal:
                 raise self.files.dump(error) from None
             raise
         except BaseException:
             if self.ranks.size == 1:  # others may be anywhere, and to close a file would wait for them
-                self.files.close()
+                self.files.give_up()
             raise
         finally:
             self.screen.stop()
