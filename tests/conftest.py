@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parent))  # for the modules that tests share
 from ranks import ROOT, end_standing_ranks, environment, run_ranks, take_turns_often
@@ -18,6 +19,12 @@ __all__ = ["ROOT", "environment", "run_ranks"]
 
 def pytest_addoption(parser):
     parser.addoption("--all", action="store_true", help="run the slow tests too: many ranks, long physics, kills")
+
+
+def pytest_configure(config):
+    """Property tests have no limit of time for an example; only with --all they look for examples that are new each time."""
+    settings.register_profile("here", deadline=None, derandomize=not config.getoption("--all"))
+    settings.load_profile("here")
 
 
 def pytest_collection_modifyitems(config, items):

@@ -311,7 +311,7 @@ def half_edges(n, a, b, normal):
 
 @given(problems)
 @example((112302617, 13, 12, 0))  # errors pass through 0 while momentum carries them on
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_projection(drawn):
     """No contact closes faster than it may, momentum stays, energy does not rise, and pressed ones close as fast as they may."""
     check_random_problem(*drawn)

@@ -16,6 +16,7 @@ import h5py
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from ranks import ROOT, environment
 
+from particles_mpi import Run
 from particles_mpi.output import checkpoint
 
 SCENE = """
@@ -83,21 +84,24 @@ def kill(launcher):
     for pid in children(launcher.pid):
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signal.SIGSTOP)  # so that it starts no more
-    for pid in [*ranks_of(launcher), *children(launcher.pid), launcher.pid]:
+    ranks = ranks_of(launcher)
+    for pid in [*ranks, *children(launcher.pid), launcher.pid]:
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)
     launcher.communicate()
+    while any(Path(f"/proc/{rank}").exists() for rank in ranks):  # one that waits for the disk holds the folder until then
+        time.sleep(0.001)
 
 
-def kill_one(launcher, rank):
-    """-9 to one rank: mpirun must end the others, and say so."""
+def kill_one(launcher, rank, folder):
+    """-9 to one rank: mpirun must end the others, and say so, unless the run in the folder has come to its end just now."""
     ranks = ranks_of(launcher)
     if launcher.poll() is not None or not ranks:
         return kill(launcher)
     with contextlib.suppress(ProcessLookupError):  # it ended by itself just now
         os.kill(ranks[rank % len(ranks)], signal.SIGKILL)
         finish(launcher)
-        assert launcher.returncode != 0
+        assert launcher.returncode != 0 or Run(folder).ended
 
 
 def contents(folder):
@@ -165,7 +169,7 @@ def kill_and_resume(folder, scene, whole, kills, chance):
         if chance.random() < 0.5:
             kill(launcher)
         else:
-            kill_one(launcher, chance.randrange(2))
+            kill_one(launcher, chance.randrange(2), folder)
     return steps
 
 

@@ -8,7 +8,8 @@ import os
 import signal
 from contextlib import contextmanager
 from functools import cache
-from threading import Timer
+from threading import Thread
+from time import sleep
 
 import numpy as np
 import pytest
@@ -127,7 +128,7 @@ def test_random_scenes_that_are_changed(seed, count, on_three, tmp_path):
             assert [name for name in one if one[name].tobytes() != many[name].tobytes()] == [], (ranks, cases[n])
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=100, suppress_health_check=list(HealthCheck))
 @given(
     name=st.sampled_from([name for name in SCENES if name != "adaptive"]),
     before=st.integers(0, 8),
@@ -298,10 +299,18 @@ def test_ctrl_c_comes_between_two_steps(name):
     """Of a script or a notebook: what was computed counts, and the clock is that of the state."""
     sim = Simulation(Scene.from_dict(SCENES[name]))
     sim.step()
-    timer = Timer(0.1, os.kill, (os.getpid(), signal.SIGINT))
+
+    def press():
+        while sim.steps_done < 3:
+            sleep(0.001)
+        sleep(0.1)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    presser = Thread(target=press, daemon=True)
     with interrupts_of_a_terminal(), pytest.raises(KeyboardInterrupt):
-        timer.start()
+        presser.start()
         sim.steps(10**7)
+    presser.join()
     assert sim.steps_done > 1
     if name == "heap":
         other = Simulation(Scene.from_dict(SCENES[name]))

@@ -15,7 +15,7 @@ case = st.tuples(st.integers(0, 10**6), st.integers(0, 60), st.integers(1, 4), s
 
 @pytest.mark.parametrize("ranks", [2, 3, *with_all(5)])
 def test_rows_arrive(tmp_path_factory, ranks):
-    @settings(max_examples=2, deadline=None)
+    @settings(max_examples=2)
     @given(st.lists(case, min_size=30, max_size=60))
     def rows_arrive(cases):
         file = tmp_path_factory.mktemp("exchange") / "cases.json"

@@ -202,8 +202,8 @@ def test_a_rank_that_failed_waits_until_its_message_is_read():
     begin = time.monotonic()
     wait_until_read(end, 0.2)
     assert time.monotonic() - begin >= 0.2  # nobody reads it
-    threading.Timer(0.2, os.read, (source, 10)).start()
     begin = time.monotonic()
+    threading.Timer(0.2, os.read, (source, 10)).start()
     wait_until_read(end, 20.0)
     assert 0.1 < time.monotonic() - begin < 10.0
     wait_until_read(end, 20.0)  # nothing is left to read
@@ -326,11 +326,11 @@ OTHER = "[vm:1] a line of a rank\n"
 
 
 def launch(mpirun, lines):
-    """(exit code, stderr) of the launcher with a shell script as mpirun, which it waits for 0.75 seconds instead of five."""
+    """(exit code, stderr) of the launcher with a shell script as mpirun, which it waits for 1.5 seconds instead of five."""
     mpirun.write_text(f"#!/bin/sh\n{lines}\n")
     mpirun.chmod(0o755)
     folder = str(Path(launcher.__file__).parent)
-    sooner = "launcher.PATIENCE, launcher.STUCK = 0.25, 0.75"
+    sooner = "launcher.PATIENCE, launcher.STUCK = 0.25, 1.5"
     program = f"import sys; sys.path.append({folder!r}); import launcher; {sooner}; launcher.main()"
     done = subprocess.run([sys.executable, "-ISc", program, mpirun], capture_output=True, text=True, timeout=50)
     return done.returncode, done.stderr
@@ -352,7 +352,7 @@ def test_an_mpirun_that_waits_for_itself_when_all_ranks_have_ended(tmp_path, par
     assert launch(tmp_path / "mpirun", f"printf %s '{paragraph}' >&2; exec sleep 40")[0] == code
 
 
-@pytest.mark.parametrize(("paragraph", "ranks", "its_end"), [(ABORTED, 1.5, 0.35), ("", 0.0, 2.0)])
+@pytest.mark.parametrize(("paragraph", "ranks", "its_end"), [(ABORTED, 2.0, 0.35), ("", 0.0, 2.0)])
 def test_an_mpirun_is_waited_for_while_it_has_ranks_or_has_not_said_how_it_ends(tmp_path, paragraph, ranks, its_end):
     """However long the ranks take: what counts is for how long there have been none."""
     end = f"exec {sys.executable} -ISc 'import time; time.sleep({its_end}); raise SystemExit(5)'"

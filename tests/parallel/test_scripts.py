@@ -104,7 +104,7 @@ def viz(module):
         sys.path.pop(0)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     seed=st.integers(0, 10**6),
     points=st.integers(1, 12),

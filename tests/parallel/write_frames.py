@@ -17,6 +17,7 @@ from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.output import checkpoint
 from particles_mpi.output.diagnostics_csv import Diagnostics
 from particles_mpi.output.trajectory import Trajectory
+from particles_mpi.parallel.agreement import wait_until_read
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange
 from particles_mpi.particles import FIELDS, shape
@@ -105,6 +106,7 @@ def main() -> None:
         trajectory.close()
     except (SceneError, StoppedError) as stopped:
         print(f"STOPPED {ranks.rank} {stopped}", flush=True)
+        wait_until_read(1, 1.0)
         ranks.comm.Barrier()  # mpirun ends all as soon as one has left
         raise SystemExit(stopped.exit_code) from None
     finally:

@@ -37,7 +37,7 @@ def test_oblique_pair_is_exact_at_every_step_and_phase(step, phase):
 
 
 @pytest.mark.parametrize("dimension", [3, *with_all(2, 4)])
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.floats(0.0, 0.99), st.floats(0.0, 1.0), st.floats(0.1, 10.0), st.floats(0.01, 0.9), st.floats(0.05, 0.95))
 def test_pair_keeps_momentum_and_loses_what_restitution_says(dimension, b, e, mass, step, offset):
     """Along the normal the relative speed shrinks by e; momentum and the tangential velocity are as before."""

@@ -285,7 +285,7 @@ places = st.integers(0, 2**32).flatmap(lambda seed: st.tuples(st.just(seed), st.
 
 
 @given(places)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_no_cell_is_far_from_what_is_in_it(drawn):
     """At an opening angle of 1 and any masses; radii hold all particles; every particle is in one leaf and one group."""
     seed, n, d = drawn

@@ -128,14 +128,14 @@ def accepted_or_refused(make):
         assert len(str(error).splitlines()) == 1
 
 
-@settings(max_examples=400, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=400, suppress_health_check=list(HealthCheck))
 @given(st.data())
 def test_a_mutated_scene_runs_or_is_refused_in_one_line_a_fault(data):
     tables = mutate(data.draw)
     accepted_or_refused(lambda: Scene.from_dict(tables))
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=200, suppress_health_check=list(HealthCheck))
 @given(
     st.integers(0, len(VALID)), st.integers(0, 3), st.text(max_size=3) | st.sampled_from(["[[", "]", '"', "=", "nan", "1e999"])
 )
@@ -151,7 +151,7 @@ def test_mutated_text_is_a_scene_or_one_line_a_fault(tmp_path_factory, at, cut, 
     accepted_or_refused(lambda: Scene.load(path))
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=150, suppress_health_check=list(HealthCheck))
 @given(st.integers(0, 60), st.integers(0, 5), st.binary(max_size=4))
 @example(0, 60, b"\xff\xfe0.5\n")
 @example(0, 0, b"\x00")
@@ -191,7 +191,7 @@ def test_cut_short_anywhere_is_refused_and_nothing_is_touched(stopped, tmp_path,
     Simulation.resume(folder / "checkpoint.h5").run(folder, resumed=True)
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=200, suppress_health_check=list(HealthCheck))
 @given(st.data())
 def test_a_changed_bit_is_never_read_as_a_state(stopped, data):
     whole = bytearray((stopped / "checkpoint.h5").read_bytes())

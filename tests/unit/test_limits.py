@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from particles_mpi import Scene, Simulation
@@ -99,7 +99,6 @@ def test_a_particle_may_have_any_number_of_contacts():
     assert np.array_equal(in_id_order(sim), in_id_order(expected))
 
 
-@settings(deadline=None)
 @given(st.lists(st.floats(), max_size=30))
 def test_sums_of_few_have_the_bits_of_sums_by_digits(values):
     """Also where values, or sums of some of them, are infinite, are no numbers, or are negative zeros."""

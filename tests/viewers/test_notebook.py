@@ -23,7 +23,7 @@ def test_the_tour(tmp_path):
     tour = nbformat.read(ROOT / "python_viz" / "tour.ipynb", 4)
     cells = [cell for cell in tour.cells if cell.cell_type == "code"]
     assert len(cells) == 10 and not any(cell.outputs for cell in cells)
-    nbclient.NotebookClient(tour, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    nbclient.NotebookClient(tour, timeout=300, iopub_timeout=60, resources={"metadata": {"path": str(tmp_path)}}).execute()
     outputs = [output for cell in cells for output in cell.outputs]
     assert sum("image/png" in output.get("data", {}) for output in outputs) == 4
     shown = next(output.data["text/html"] for output in outputs if "iframe" in output.get("data", {}).get("text/html", ""))

@@ -91,7 +91,7 @@ def any_scene(draw):
 
 
 @pytest.mark.timeout(100)
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.data())
 def test_any_state_ends(data):
     """Fields set to anything between two steps: the next steps end with numbers, or say in one line why not."""

@@ -1,7 +1,7 @@
 """Rows are found by id in tables whose size depends on the rows here, and ranks that hold a row by bits of the known ones."""
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numba import njit
 
@@ -26,7 +26,6 @@ def take_turns(table, names, row):
         row += 1
 
 
-@settings(deadline=None)  # the first one compiles
 @given(st.lists(IDS, max_size=20, unique=True), st.lists(IDS, max_size=60))
 def test_a_table_finds_what_is_in_it(first, then):
     """As a dictionary, whatever comes and goes: an id that is there leaves, another one enters."""

@@ -40,7 +40,7 @@ def warned(sim):
     return [line for line in sim.warnings if "changes nothing" not in line and "nobody" not in line]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(periodic=AXES, uniform=st.none() | PULL, own=st.none() | st.lists(PULL, min_size=3, max_size=3))
 def test_an_energy_is_kept_or_not_told(periodic, uniform, own):
     """A constant force keeps kinetic + potential exactly; along a periodic axis there is no potential, which is said by key."""
@@ -85,7 +85,7 @@ def test_a_run_without_a_potential_is_written_resumed_and_drawn(tmp_path):
 BODY = st.tuples(st.sampled_from([(0.0, 0.0), (-0.0, 0.0), (0.0, 1.0), (1.0, 0.0)]), st.sampled_from([0.0, 1.0]), st.booleans())
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(st.lists(BODY, max_size=7))
 def test_bodies_at_one_place_without_softening_are_named(bodies):
     """Against all pairs: whoever shares a place with another that could pull or be pulled."""

@@ -54,7 +54,7 @@ def deepest(particles, length=0.0):
 # places
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(1, 5), st.booleans(), st.integers(0, 60), st.booleans(), st.sampled_from(["random", "lattice"]))
 def test_places_never_overlap_and_stay_inside(d, periodic, count, polydisperse, position):
     radius = 0.18 * 0.2 ** (1 / d) * max(count, 8) ** (-1.0 / d)
@@ -438,7 +438,7 @@ def test_allowed_overlap_is_pushed_apart_without_touching_velocities():
     assert np.array_equal(again.position, particles.position)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.lists(st.floats(0.0, 2.0), min_size=2, max_size=6), st.sampled_from(["open", "walls", "periodic"]), st.booleans())
 def test_rods_on_a_line_are_pushed_apart_in_their_order(places, kind, held):
     """Rods cannot pass one another, not even where they overlap at the start; on a ring it is the order round it."""

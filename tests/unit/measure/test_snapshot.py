@@ -58,7 +58,7 @@ def test_one_bit_makes_two_states():
     assert sim != "a simulation"
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     rows=st.lists(
         st.tuples(st.floats(allow_nan=False), st.floats(allow_nan=False), st.floats(width=32, allow_nan=False)), max_size=5

@@ -48,7 +48,7 @@ def at_start(c):
     return Segments(c.x, c.v, np.zeros(len(c.x)), np.full(len(c.x), -1))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 10**6),
     d=st.sampled_from([2, 3]),

@@ -13,7 +13,7 @@ from particles_mpi.neighbours.replacement import LEAVING
 from particles_mpi.neighbours.trajectories import Horizon, Spheres
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     seed=st.integers(0, 10**6),
     d=st.sampled_from([2, 3]),

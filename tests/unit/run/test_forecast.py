@@ -68,7 +68,7 @@ def invented(monkeypatch, steps, every, step_costs, frame, row, saved, loading):
     return found, clock[0]
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     steps=st.integers(2, 400),
     every=st.tuples(st.integers(1, 500), st.integers(1, 500), st.integers(1, 500)),

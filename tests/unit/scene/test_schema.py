@@ -184,7 +184,7 @@ garbage = st.fixed_dictionaries(
 )
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=300, suppress_health_check=list(HealthCheck))
 @given(garbage)
 def test_garbage_is_a_scene_error_and_nothing_else(given_tables):
     try:
