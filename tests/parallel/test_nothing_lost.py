@@ -159,9 +159,7 @@ def test_a_signal_at_any_time_leaves_a_checkpoint_or_nothing(tmp_path, number, t
 def test_ctrl_c_in_a_terminal_saves_at_once_and_twice_too(tmp_path, presses):
     """A terminal tells all processes of the command; Open MPI's mpirun, left alone, waits for seconds, or kills."""
     scene, out = tmp_path / "scene.toml", tmp_path / "o"
-    scene.write_text(
-        SLOW.replace("checkpoint_every = 3", "checkpoint_every = 1000")
-    )  # a disk may be slow: one is saved, at the end
+    scene.write_text(SLOW.replace("checkpoint_every = 3", "checkpoint_every = 1000"))  # one is saved: a disk may be slow
     command = ["mpirun", "-n", "2", sys.executable, "-m", "particles_mpi", "run", str(scene), "--output", str(out), "--quiet"]
     pid, terminal = pty.fork()
     if pid == 0:
