@@ -13,6 +13,7 @@ of numba: other versions than those that it was written for go on as they do.
 import fcntl
 import sys
 from contextlib import suppress
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +22,14 @@ from numba import version_info
 from numba.core import caching, codegen, environment
 from numba.core.runtime.nrt import rtsys
 
+from particles_mpi.source_files import edited
+
 KNOWN = {(0, 68)}  # versions of numba
 IMPORTED = {"numba.cpython.hashing"}  # of numba's modules those that must be: they make C functions known
 
 library_class: Any = codegen.JITCodeLibrary
 cache_class: Any = caching.Cache
 files_class: Any = caching.IndexDataCacheFile
-save_to_files = files_class.save
 import_environment: Any = environment._rebuild_env
 
 
@@ -89,11 +91,23 @@ def environment_of(module: str, constants: list[Any], name: str) -> Any:
 
 
 def save_alone(files: Any, key: Any, data: Any) -> None:
-    """As `IndexDataCacheFile.save`, which reads an index file, adds a line and writes it, while no other process does so."""
+    """As `IndexDataCacheFile.save`, which reads an index file, adds a line and writes it, while no other process does so.
+
+    The code comes before the line that names it: numba's own order, interrupted between the two, leaves a line that names the
+    code of something else. What was compiled from files that have been edited since is not kept: other files than its own are
+    not compared when it is loaded.
+    """
+    if edited():
+        return
     with open(Path(files._cache_path) / "kernels.lock", "w") as lock:
         with suppress(OSError):  # some file systems have no locks
             fcntl.flock(lock, fcntl.LOCK_EX)
-        save_to_files(files, key, data)
+        known = files._load_index()
+        names = map(files._data_name, count(1))
+        name = known[key] if key in known else next(name for name in names if name not in known.values())
+        files._save_data(name, data)
+        if key not in known:
+            files._save_index(known | {key: name})
 
 
 def load_and_keep_kernels() -> None:

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 from zlib import crc32
 
-PACKAGE = Path(__file__).parents[1]
+from particles_mpi.source_files import AT_START, PACKAGE
+
 RECORD = "looked_at.json"  # of the last look: files, and digests of all kernels
 
 
@@ -24,40 +25,28 @@ def cache_of(package: Path) -> tuple[Path, str]:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "numba", "*_*"
 
 
-def files_of(package: Path) -> str:
-    """Name, time and size of each file with sources, a line each."""
-    lines = []
-    for folder, _, names in os.walk(package):
-        for name in names:
-            if name.endswith(".py") and not name.startswith("."):  # an editor's own files
-                path = os.path.join(folder, name)
-                about = os.stat(path)
-                lines.append(f"{path} {about.st_mtime_ns} {about.st_size}")
-    return "\n".join(sorted(lines))
-
-
-def forget_stale_kernels(package: Path = PACKAGE) -> None:
+def forget_stale_kernels() -> None:
     """Where a file has changed since the last look, delete what was compiled of kernels that it concerns.
 
     Where the folder for compiled kernels cannot be written there is nothing to be done: none are kept there.
     """
-    cache, folders = cache_of(package)
-    record = package / "__pycache__" / RECORD
-    if cache != package:  # which copies of the package may share
-        record = cache / f"{crc32(str(package).encode()):08x}_{RECORD}"
+    cache, folders = cache_of(PACKAGE)
+    record = PACKAGE / "__pycache__" / RECORD
+    if cache != PACKAGE:  # which copies of the package may share
+        record = cache / f"{crc32(str(PACKAGE).encode()):08x}_{RECORD}"
     try:
-        seen, files = record_in(record), files_of(package)
-        if seen.get("files") == files:
+        seen = record_in(record)
+        if seen.get("files") == AT_START:
             return
         from particles_mpi.setup.kernel_sources import Sources
 
-        sources = Sources(package)
+        sources = Sources(PACKAGE)
         sources.forget_stale(seen.get("kernels"), cache, folders)
         record.parent.mkdir(parents=True, exist_ok=True)
         part = record.with_suffix(f".{os.getpid()}")
-        part.write_text(json.dumps({"files": files, "kernels": sources.kernels}), encoding="utf-8")
+        part.write_text(json.dumps({"files": AT_START, "kernels": sources.kernels}), encoding="utf-8")
         part.replace(record)
-    except (OSError, SyntaxError):  # not to be written, or full; or half of an edit, of which Python tells more
+    except OSError:  # not to be written, or full
         return
 
 

@@ -17,7 +17,7 @@ import pickle
 import sys
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
@@ -58,9 +58,11 @@ class Sources:
         self.calls: dict[Place, set[Place]] = {}
         for path in sorted(package.rglob("[!.]*.py")):
             module = ".".join((package.name, *path.relative_to(package).with_suffix("").parts)).removesuffix(".__init__")
-            self.files[module] = path
-            for statement in ast.parse(path.read_text(encoding="utf-8")).body:
-                self.enter(module, statement)
+            with suppress(SyntaxError, FileNotFoundError):  # half of an edit, or gone just now: what it defines is not there
+                statements = ast.parse(path.read_text(encoding="utf-8")).body
+                self.files[module] = path
+                for statement in statements:
+                    self.enter(module, statement)
 
     def enter(self, module: str, statement: ast.stmt) -> None:
         """Enter the names that a statement at the top of a module defines or imports."""
@@ -149,8 +151,11 @@ class Sources:
 
     def note(self) -> None:
         """Save the state: all kernels have been compiled."""
-        (self.package / STATE_FILE).parent.mkdir(exist_ok=True)
-        (self.package / STATE_FILE).write_text(json.dumps(self.state(), indent=1))
+        file = self.package / STATE_FILE
+        file.parent.mkdir(exist_ok=True)
+        part = file.with_suffix(".tmp")
+        part.write_text(json.dumps(self.state(), indent=1))
+        part.replace(file)  # another set-up may read it meanwhile
 
 
 class Anything:

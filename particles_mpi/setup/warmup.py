@@ -22,6 +22,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.scene.schema import Scene
 from particles_mpi.setup.kernel_sources import PACKAGE, Sources
 from particles_mpi.simulation import Simulation
+from particles_mpi.source_files import edited
 
 DIMENSIONS = (3, 2, 1)
 LOSSY = {"restitution": 0.5}
@@ -212,6 +213,7 @@ def main() -> None:
     begin = perf_counter()
     world, alone = Communicator(), Communicator.alone()
     claims = Path(world.bcast(tempfile.mkdtemp() if world.is_root else None))
+    claims.mkdir(parents=True, exist_ok=True)  # on another machine
     for number, job in enumerate(JOBS):
         try:
             (claims / str(number)).mkdir()
@@ -229,7 +231,8 @@ def main() -> None:
     starts(world)
     if world.is_root:
         shutil.rmtree(claims)
-        Sources(PACKAGE).note()
+        if not edited():  # else the next set-up compiles what is missing
+            Sources(PACKAGE).note()
         print(f"kernels compiled in {perf_counter() - begin:.0f} s")
 
 

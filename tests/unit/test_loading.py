@@ -92,3 +92,22 @@ def test_what_two_processes_keep_at_the_same_time_is_all_there(tmp_path):
     files = IndexDataCacheFile(str(tmp_path), "kernel", "stamp")
     for key in ((name, number) for name in "ab" for number in range(100)):
         assert files.load(key) == key
+
+
+@pytest.mark.skipif(version_info[:2] not in KNOWN, reason="another version of numba keeps kernels its own way")
+def test_a_process_that_is_killed_while_it_keeps_a_kernel_leaves_none_under_a_wrong_name(tmp_path, monkeypatch):
+    """After a change of the file there is code that no index names any more, in files whose names are used again."""
+    before, now = (IndexDataCacheFile(str(tmp_path), "kernel", stamp) for stamp in ("before", "now"))
+    for key in ("first", "second"):
+        before.save(key, f"{key} of before")
+
+    def killed(*_):
+        raise KeyboardInterrupt
+
+    for what in ("_save_data", "_save_index"):
+        with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+            patch.setattr(now, what, killed)
+            now.save("second", "second of now")
+        assert now.load("second") is None and now.load("first") is None
+    now.save("second", "second of now")
+    assert now.load("second") == "second of now" and now.load("first") is None
