@@ -215,6 +215,40 @@ def test_a_rank_that_failed_waits_until_its_message_is_read():
     assert time.monotonic() - begin < 20.0
 
 
+STANDS_STILL = """
+from particles_mpi import Scene, Simulation
+from particles_mpi.contacts.event_driven.engine import Engine
+from particles_mpi.errors import StateError
+from particles_mpi.study.experiment import Benchmark
+from particles_mpi.study.recommend import predict
+costs, run, at = predict.costs_of, Engine.run, {"costs": False}
+
+def counted(*arguments):
+    at["costs"] = True
+    return costs(*arguments)
+
+def standing(engine, *arguments):
+    if at["costs"] and sim.ranks.rank == 1:
+        raise StateError("time stands still")
+    return run(engine, *arguments)
+
+predict.costs_of, Engine.run = counted, standing
+discs = {"count": 20, "position": "random", "radius": 0.2, "velocity": {"speed": 1.0}}
+box, effects = {"lower": [0, 0], "upper": [5, 5]}, {"collisions": {"mode": "event"}, "walls": {}}
+sim = Simulation(Scene(dimension=2, time={"step": 0.01, "steps": 100}, box=box, particles=[discs], effects=effects))
+predict.predict(sim, Benchmark())
+"""
+
+
+def test_what_check_and_study_get_over_ends_all_if_one_rank_alone_has_it(tmp_path):
+    """A scene that cannot go on without some effect is left out; the others would wait for a rank that does so alone."""
+    script = tmp_path / "check.py"
+    script.write_text(STANDS_STILL)
+    done = run_ranks(2, script, fresh=True)
+    assert done.returncode == 3
+    assert re.fullmatch(r"particles-mpi: rank 1: step \d+: time stands still\n", done.stderr), done.stderr
+
+
 def test_a_script_that_nobody_catches_errors_in(tmp_path):
     """A SceneError of one rank is a line, and what nobody expected one traceback, of the lowest of the ranks that fail."""
     text = "import sys\nfrom particles_mpi import Scene, Simulation\nfrom mpi4py import MPI\n"

@@ -4,6 +4,7 @@ from math import isnan, nan
 
 from particles_mpi import Scene
 from particles_mpi.errors import SceneError, StoppedError
+from particles_mpi.parallel.agreement import await_all
 from particles_mpi.study.experiment import Benchmark, Experiment, Setting
 from particles_mpi.study.recommend.methods import as_it_is, methods
 from particles_mpi.study.recommend.reference import reference
@@ -60,6 +61,7 @@ def effects(start: Start) -> Experiment:
             less = variant(scene, time, {name: None} if name else {})
             start.simulate(less).step()
         except (SceneError, StoppedError) as error:
+            await_all(start.benchmark.ranks, error)
             answers.append(f"without {name}: {str(error).splitlines()[0]}")
             continue
         begin = lambda less=less: start.simulate(less)  # noqa: E731

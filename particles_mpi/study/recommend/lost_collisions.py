@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from particles_mpi import Scene, Simulation
 from particles_mpi.errors import SceneError, StoppedError
+from particles_mpi.parallel.agreement import await_all
 from particles_mpi.study.experiment import Benchmark, total_count
 from particles_mpi.study.recommend.counted_seconds import counted_seconds
 from particles_mpi.study.recommend.methods import EVENT
@@ -55,6 +56,7 @@ def beside_event(benchmark: Benchmark, scene: Scene, seconds: float) -> BesideEv
             done += number
             found, exact = (total_count(sim, "collisions") for sim in (runs[0], runs[-1]))
             same = exact if found == exact else same
-    except (SceneError, StoppedError):
+    except (SceneError, StoppedError) as error:
+        await_all(benchmark.ranks, error)
         return BesideEvent()
     return BesideEvent(done, found, exact, same)

@@ -23,6 +23,7 @@ from particles_mpi import Scene, Simulation
 from particles_mpi.errors import Interrupted, SceneError, StoppedError
 from particles_mpi.integrators.gauss_radau import TOLERANCE
 from particles_mpi.output.files import failing_together
+from particles_mpi.parallel.agreement import await_all
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.run.forecast import Forecast
 from particles_mpi.run.job import Job
@@ -80,6 +81,7 @@ def predict(sim: Simulation, benchmark: Benchmark) -> Prediction:
             else predict_steps(benchmark, scene, forecast.step)
         )
     except StoppedError as error:
+        await_all(ranks, error)
         return Prediction(None, [f"predicted: stops within the first steps: {str(error).splitlines()[0]}"])
     return Prediction(forecast, errors, costs)
 
@@ -108,14 +110,16 @@ def costs_of(sim: Simulation, step: float) -> str:
         try:
             twin = begin()
             twin.steps(COST_STEPS)  # the first ones contain what is done only once
-        except (SceneError, StoppedError):  # nothing can be without it
+        except (SceneError, StoppedError) as error:  # nothing can be without it
+            await_all(sim.ranks, error)
             continue
         timers[name] = StepTimer(sim.ranks, begin, sys.maxsize, sim=twin, left=sys.maxsize)
     if "" not in timers:
         return ""
     try:
         time_in_turns(list(timers.values()), COST_SAMPLES, max(COST_SECONDS, COST_STEPS * step))
-    except StoppedError:  # without some effect it goes nowhere
+    except StoppedError as error:  # without some effect it goes nowhere
+        await_all(sim.ranks, error)
         return ""
     whole = timers.pop("").seconds.median
     shares = {name: 1.0 - timer.seconds.median / whole for name, timer in timers.items()}

@@ -12,6 +12,7 @@ import numpy as np
 from particles_mpi import Scene, Simulation
 from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.kernels.geometry import image_shifts
+from particles_mpi.parallel.agreement import await_all
 from particles_mpi.particles import Array
 from particles_mpi.study.recommend.counted_seconds import counted_seconds
 from particles_mpi.study.recommend.error_metric import ROUND_OFF, ErrorMetric
@@ -111,7 +112,8 @@ def by_order_15(start: Start, seconds: float) -> ErrorMetric | None:
                 if found.part * start.scene.steps < 1.0:
                     return None
         loose, displaced = (over_span(found, LOOSE, shifted) for shifted in (0, 1))
-    except StoppedError:
+    except StoppedError as error:
+        await_all(start.benchmark.ranks, error)
         return None
     found.reference = f"adaptive, tolerance {TIGHT:g}"
     set_limits(found, tight, start.apart(loose.places, displaced.places), start.apart(tight.places, loose.places))

@@ -8,6 +8,7 @@ from time import perf_counter
 
 from particles_mpi import Scene
 from particles_mpi.errors import SceneError, StoppedError
+from particles_mpi.parallel.agreement import await_all
 from particles_mpi.study.experiment import Errors, Row, Setting
 from particles_mpi.study.recommend.error_metric import ErrorMetric
 from particles_mpi.study.recommend.methods import AS_IT_IS, Method
@@ -98,6 +99,7 @@ class Search:
             before = sim.work()
             record = follow(self.start, sim, self.metric.snapshots, patience)
         except (SceneError, StoppedError) as error:
+            await_all(self.start.benchmark.ranks, error)
             self.too_long = isinstance(error, TooLongError)
             why = "dearer than others, or no time left" if self.too_long else str(error).splitlines()[0]
             self.refused[f"{method.name}, {method.describe(resolution, self.metric.part)}"] = why

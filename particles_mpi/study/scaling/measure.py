@@ -17,7 +17,7 @@ import numpy as np
 
 from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.output.files import failing_together, make_folder
-from particles_mpi.parallel.agreement import raising_together
+from particles_mpi.parallel.agreement import await_all, raising_together
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import FIELDS, components
 from particles_mpi.run.console import Screen
@@ -96,7 +96,8 @@ def found_by(world: Communicator, subset: Communicator | None, work: Callable[[C
     if subset:
         try:
             value = work(subset)
-        except (SceneError, StoppedError) as raised:  # on all of the subset together
+        except (SceneError, StoppedError) as raised:
+            await_all(subset, raised)
             error = raised
     world.sleeping_barrier()
     found = world.allgather((subset is not None, value, error))
