@@ -235,15 +235,34 @@ warm_up() {  # compile the kernels now, so that the first run, or four test rank
   [[ -f particles_mpi/setup/warmup.py ]] || return 0
   key=$(find particles_mpi -name '*.py' -print0 | sort -z | xargs -0 cat | digest)
   was_done kernels "$key" && return
+  lock
+  compile_kernels "$key"
+  exec 9<&-
+}
+
+compile_kernels() {
+  local key=$1
+  was_done kernels "$key" && return  # by the one that this one has waited for
   [[ -f $DONE/kernels ]] || note 'kernels are compiled now, once, for one to five minutes'
   $PY -m compileall -q particles_mpi || true  # also where Python is told to write no bytecode: 0.1 s less for each start
   if $PY -P particles_mpi/setup/kernel_sources.py || mpirun -n 2 $PY -m particles_mpi.setup.warmup; then printf '%s' "$key" >"$DONE/kernels"
   else note 'kernels could not be compiled ahead: the first run does it'; fi
 }
 
+lock() {  # two run.sh at once: the second waits
+  exec 9<.
+  flock -n 9 2>/dev/null && return
+  command -v flock >/dev/null || return 0
+  note 'another run.sh is at work here: this one waits for it'
+  flock 9 || true
+}
+
+BUILD=''  # the process that builds h5py beside the other steps
+stop_building() { [[ -z $BUILD ]] || kill -- -"$BUILD" 2>/dev/null || true; }
+
 setup() {  # setup [test]: with what the tests need
-  local start=$SECONDS extras=${1:-} CASE MPICC LAUNCHER HDF5='' WHEELS='' ANSWER='' LOG_TAIL='' project mark build=''
-  exec 9<. && { flock 9 2>/dev/null || true; }  # two run.sh at once: the second waits
+  local start=$SECONDS extras=${1:-} CASE MPICC LAUNCHER HDF5='' WHEELS='' ANSWER='' LOG_TAIL='' project mark
+  lock
   CASE=$(choose_case)
   project=$(cat pyproject.toml | digest)
   mark="$VENV $CASE $project $(digest <run.sh)"
@@ -259,15 +278,20 @@ setup() {  # setup [test]: with what the tests need
     if HDF5=$(parallel_hdf5) && ! was_done h5py "$MPICC $HDF5"; then
       WHEELS=${XDG_CACHE_HOME:-$HOME/.cache}/particles_mpi/h5py-$( { $PY --version; "$LAUNCHER" --version | tr -cd '0-9.\n'; "$MPICC" -show
         cat "$HDF5"/include/H5pubconf*.h; echo "$HDF5"; } 2>&1 | digest)
-      if compgen -G "$WHEELS/h5py-*.whl" >/dev/null; then true & else build_parallel_h5py >.venv/h5py.log 2>&1 & fi
-      build=$!  # goes on beside the next steps: it keeps one core busy for a minute
+      # goes on beside the next steps: it keeps one core busy for a minute. With all that it starts it is a group of its own
+      trap stop_building EXIT
+      set -m
+      if compgen -G "$WHEELS/h5py-*.whl" >/dev/null; then true & else build_parallel_h5py >.venv/h5py.log 2>&1 9<&- & fi
+      BUILD=$!
+      set +m
     fi
     step package "$project" 'pip: particles-mpi and what it needs' pip -e .
     [[ $extras != test ]] || { step tests "$project" 'pip: what the tests need' pip -e '.[test]'; install_browser; }
-    if [[ -n $build ]]; then
-      if timed 'h5py on parallel HDF5 (a build of about a minute, once)' use_parallel_h5py "$build"; then :; else
+    if [[ -n $BUILD ]]; then
+      if timed 'h5py on parallel HDF5 (a build of about a minute, once)' use_parallel_h5py "$BUILD"; then :; else
         parallel_h5py_failed
       fi
+      BUILD=''
       printf '%s' "$MPICC $HDF5" >"$DONE/h5py"
     elif [[ -z $HDF5 ]]; then
       note 'no parallel HDF5 for this MPI: one rank gathers and writes, the files are the same'

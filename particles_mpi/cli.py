@@ -72,7 +72,7 @@ def run(
 
     Example:   mpirun -n 2 particles-mpi run my.toml --output out/my --steps 100
     """
-    from particles_mpi.output.run_folder import changed_keys, checkpoint_to_continue
+    from particles_mpi.output.run_folder import changed_keys, checkpoint_to_continue, has_ended
     from particles_mpi.run.job import Job
     from particles_mpi.simulation import Simulation
 
@@ -96,7 +96,7 @@ def run(
         sim = simulation_of(described, scene)
     last = sim.last_step if steps is None else steps
     reached = f"step {sim.steps_done} of {last}" + (": nothing is left to do" if sim.steps_done >= last else "")
-    if auto and sim.steps_done >= last:
+    if auto and sim.steps_done >= last and has_ended(folder, sim.ranks):
         if IS_ROOT and not quiet:
             print(f"{folder}: {reached}")
         return

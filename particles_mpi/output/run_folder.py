@@ -57,6 +57,15 @@ def checkpoint_to_continue(folder: Path, ranks: Communicator, scene: dict[str, A
     return ranks.bcast(found)
 
 
+def has_ended(folder: Path, ranks: Communicator) -> bool:
+    """Does run.json tell that the run in a folder has come to its end? A run may be killed just before. Collective."""
+    ended = False
+    if ranks.is_root:
+        with suppress(OSError, ValueError):
+            ended = bool(json.loads((folder / "run.json").read_text(encoding="utf-8")).get("ended"))
+    return bool(ranks.bcast(ended))
+
+
 class Lock:
     """Keeps a folder for one run until it is released, or its process is gone; a SceneError if another run keeps it.
 

@@ -160,14 +160,17 @@ class Launcher:
         passing, open_ = Filter(self.pid), True
         alone = -PATIENCE  # seconds for which it has been silent, and without ranks, after it said how it ends
         while open_:
-            ready, _, _ = select.select([self.stderr], [], [], PATIENCE)
+            ready, _, _ = select.select([self.stderr], [], [], PATIENCE if self.code is None else 0.0)
             data = os.read(self.stderr, 65536) if ready else b""
             say(passing.feed(data) if data else passing.rest())
             waits = passing.code is not None and not ready and not has_children(self.pid)
             alone = alone + PATIENCE if waits else -PATIENCE
             if alone >= STUCK:
                 self.send(signal.SIGKILL)
-            open_ = bool(data) or not (ready or self.ended(os.WNOHANG))  # others may keep it open when this one has ended
+            if not (ready or self.code is not None):
+                self.ended(os.WNOHANG)  # others may keep stderr open when this one has ended; what it has said by then is read
+            else:
+                open_ = bool(data)
         while self.code is None:
             self.ended()
         if self.requests and self.code in (-signal.SIGUSR1, 128 + signal.SIGUSR1, -signal.SIGKILL):
@@ -182,7 +185,14 @@ def has_children(pid: int) -> bool:
         for task in os.listdir(f"/proc/{pid}/task"):
             with open(f"/proc/{pid}/task/{task}/children", "rb") as children:
                 found.append(children.read())
-    return not found or any(found)
+    return not found or any(map(runs, b" ".join(found).decode().split()))
+
+
+def runs(pid: str) -> bool:
+    """Has this process not ended yet? One that has, and that its parent has not asked for, is there as a zombie."""
+    with suppress(OSError), open(f"/proc/{pid}/stat", "rb") as about:
+        return about.read().rpartition(b") ")[2][:1] not in (b"Z", b"X")
+    return False
 
 
 def say(text: bytes) -> None:

@@ -1,5 +1,6 @@
 """As on a cluster: ranks that share nothing but the folder of the run, and jobs that go on where the one before was stopped."""
 
+import json
 import os
 import re
 import shutil
@@ -14,6 +15,7 @@ from conftest import ROOT, run_ranks
 from killing import contents, final_state
 from numba.core.caching import _CacheLocator
 
+from particles_mpi import Run
 from particles_mpi.setup.kernel_sources import PACKAGE
 
 pytestmark = pytest.mark.parallel
@@ -92,6 +94,12 @@ def test_a_chain_of_jobs_has_the_bits_of_one_run(job, apart, tmp_path):
     done = program(2, scene, "--output", out, "--resume", "auto")
     assert done.returncode == 0 and "step 100 of 100: nothing is left to do" in done.stdout, done.stderr
     assert ended == ((out / "checkpoint.h5").stat().st_mtime_ns, (out / "run.json").stat().st_mtime_ns)
+
+    about = json.loads((out / "run.json").read_text())
+    (out / "run.json").write_text(json.dumps({"scene": about["scene"], "plan": about["plan"]}))  # killed before it told its end
+    done = program(2, scene, "--output", out, "--resume", "auto", "--quiet")
+    assert done.returncode == 0 and Run(out).ended, done.stderr
+    assert contents(out) == contents(tmp_path / "whole") and final_state(out) == final_state(tmp_path / "whole")
 
 
 @pytest.mark.slow
