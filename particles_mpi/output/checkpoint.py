@@ -13,6 +13,7 @@ and checks the pieces with them only.
 import json
 import os
 import zlib
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ import numpy as np
 
 from particles_mpi.contacts.warm_start import NOTHING, Memory, rough_columns
 from particles_mpi.errors import SceneError
-from particles_mpi.output.files import FILE_PATIENCE, failing_together, mpi_io_errors, sync
+from particles_mpi.output.files import FILE_PATIENCE, failing_together, mpi_io_errors, open_everywhere, sync
 from particles_mpi.output.replacing import replacing, temporary_of
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
@@ -106,6 +107,7 @@ def _make(part: Path, columns: dict[str, Array], total: dict[str, int], facts: d
 
 def _write_all(part: Path, ranks: Communicator, writes: list[tuple[int, Array]], task: str) -> None:
     """Write the columns of each rank at these bytes of the file. Collective."""
+    open_everywhere(ranks, part, task)
     with failing_together(ranks, task, FILE_PATIENCE), mpi_io_errors():
         file = SharedFile(ranks, part)
     with failing_together(ranks, task, FILE_PATIENCE), mpi_io_errors():
@@ -158,6 +160,7 @@ class Checkpoint:
     def __init__(self, path: Path):
         self.path = Path(path)
         try:
+            self.inode = self.path.stat().st_ino
             self.seal = self._check_seal()
             with h5py.File(path, "r", locking=False) as file:
                 stored = file.attrs.items()
@@ -198,6 +201,10 @@ class Checkpoint:
         return read
 
     def _damaged(self) -> SceneError:
+        """What is wrong with the file; where a run has put a newer one in its place meanwhile, nothing is."""
+        with suppress(FileNotFoundError):
+            if self.path.stat().st_ino != self.inode:
+                return SceneError(f"{self.path}: replaced by its run while it was read: start again")
         return SceneError(f"{self.path}: damaged: it is not what was written (CRC-32)")
 
     def _check_shapes(self) -> None:

@@ -191,6 +191,19 @@ def write_text(path: Path, ranks: Communicator, text: str) -> None:
             replace_text(path, text)
 
 
+def open_everywhere(ranks: Communicator, path: Path, task: str) -> None:
+    """Make sure that each rank can open a file that all of them are going to open together. Collective.
+
+    A folder that machines do not share is there for some ranks only; those that can open the file would wait for the others for
+    ever, inside of MPI.
+    """
+    with failing_together(ranks, task):
+        try:
+            os.close(os.open(path, os.O_RDWR))
+        except FileNotFoundError:
+            raise OSError("it is not there for this rank: all machines must share the folder") from None
+
+
 def sync(path: Path) -> None:
     """Wait until what was written to a file, or renamed in a folder, is on the disk, and so lasts through a power cut."""
     descriptor = os.open(path, os.O_RDONLY)

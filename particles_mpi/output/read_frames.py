@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 from threading import RLock
-from time import sleep
+from time import sleep, time_ns
 from typing import Any, NamedTuple
 
 import h5py
@@ -19,6 +19,7 @@ from particles_mpi.errors import SceneError
 from particles_mpi.particles import Array
 
 PAUSES = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)  # seconds between looks at a file that is being changed
+TICK = 50_000_000  # nanoseconds: two changes of a file that follow one another faster may have the same time (Linux before 6.13)
 OPENING = RLock()  # HDF5 does not open a file for writing that another thread of this process has open for reading
 SHOW: dict[Path, Callable[[], None]] = {}  # of each file that this process alone writes: writes the frames that wait
 
@@ -44,9 +45,12 @@ class FrameReader:
         """What there is now; read again only if the file has changed."""
         if show := SHOW.get(self.path.resolve()):
             show()
-        stamp = self._stamp()
+        stamp, now = self._stamp(), time_ns()
         if self.cached[0] != stamp or self.cached[1] is None:
-            self.cached = stamp, self._read(_index)
+            index = self._read(_index)
+            if abs(now - stamp[0]) < TICK:
+                return index
+            self.cached = stamp, index
         assert self.cached[1] is not None
         return self.cached[1]
 

@@ -20,7 +20,15 @@ import numpy as np
 
 from particles_mpi.errors import StoppedError
 from particles_mpi.output import layout
-from particles_mpi.output.files import FILE_PATIENCE, Continuing, check_last, failing_together, frame_arrays, mpi_io_errors
+from particles_mpi.output.files import (
+    FILE_PATIENCE,
+    Continuing,
+    check_last,
+    failing_together,
+    frame_arrays,
+    mpi_io_errors,
+    open_everywhere,
+)
 from particles_mpi.output.read_frames import OPENING, SHOW
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
@@ -80,6 +88,8 @@ class Trajectory(Continuing):
         """Make the file, or cut it, and open it on all ranks that write."""
         with OPENING:
             super().open()  # by one process: cheaper, and nothing collective can go wrong
+            if self.parallel:
+                open_everywhere(self.ranks, self.path, f"cannot open {self.path}")
             with failing_together(self.ranks, f"cannot open {self.path}"):
                 self._open()
 

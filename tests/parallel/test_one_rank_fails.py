@@ -99,6 +99,28 @@ def test_a_scene_that_is_missing_on_one_rank(scene, tmp_path):
     assert not out.exists()
 
 
+APART = """
+import os, sys
+folder, *program = sys.argv[1:]
+hide = 'mount -t tmpfs none "$0" && exec "$@"'
+os.execvp("unshare", ["unshare", "-m", "sh", "-c", hide, folder, sys.executable, *program])
+"""
+
+
+@pytest.mark.skipif(subprocess.run("unshare -m true", shell=True, capture_output=True).returncode, reason="not for any user")
+@pytest.mark.parametrize("formats", ["hdf5", "vtk"])
+def test_a_folder_that_machines_do_not_share(scene, tmp_path, formats):
+    """Rank 1 has a file system of its own in its place: MPI would wait inside of the call that opens a file."""
+    out = tmp_path / "out"
+    out.mkdir()
+    scene.write_text(SCENE.replace("every = 1, c", f'formats = ["{formats}"], every = 1, c'))
+    program = ["-m", "particles_mpi", "run", scene, "--output", out / "o", "--quiet"]
+    code, said = start(program, ["-c", APART, out, *program])
+    assert code == 3 and said.count("\n") == 1, said
+    assert said.startswith(f"particles-mpi: rank 1: cannot {'open' if formats == 'hdf5' else 'write'} {out}/o/"), said
+    assert said.endswith(": it is not there for this rank: all machines must share the folder\n"), said
+
+
 def test_arguments_that_differ(scene, tmp_path):
     program = ["-m", "particles_mpi", "run", scene, "--output", tmp_path / "o"]
     code, said = start([*program, "--quiet"], [*program, "--help"])

@@ -25,11 +25,14 @@ from particles_mpi.particles import FIELDS, shape
 EVERY = 10  # steps between frames
 
 
+KNOWN = dict(FIELDS)  # before any scene has an effect with columns of its own
+
+
 def frame_of(step: int, total: int, dimension: int) -> dict[str, np.ndarray]:
     """All particles at a step, in id order, any bit patterns among the floats; the same in the writer and in the test."""
     rng = np.random.default_rng(step)
     arrays = {}
-    for name, field in FIELDS.items():
+    for name, field in KNOWN.items():
         wanted = shape(name, total, dimension)
         if name == "id":
             arrays[name] = np.arange(total)
@@ -70,7 +73,7 @@ def main() -> None:
     if options.limit:  # stands for a full disk
         resource.setrlimit(resource.RLIMIT_FSIZE, (options.limit, options.limit))
     try:
-        trajectory = Trajectory(options.folder / "trajectory.vtkhdf", ranks, list(FIELDS), d, n, options.resume)
+        trajectory = Trajectory(options.folder / "trajectory.vtkhdf", ranks, list(KNOWN), d, n, options.resume)
         diagnostics = Diagnostics(options.folder / "diagnostics.csv", ranks, ["step", "time", "particles"], options.resume)
         writers = [trajectory, diagnostics]
         if not options.no_vtk:
