@@ -81,7 +81,7 @@ class Continuing:
                 try:
                     self.read_kept(resume_step, last)
                 except Exception as error:  # damaged files raise anything
-                    way_on = "delete it to go on without what is in it"
+                    way_on = "delete it to go on without what is in it, or go on in another folder"
                     raise SceneError(f"{path}: cannot be continued: {_reason(error)}; {way_on}") from None
 
     def open(self) -> None:
