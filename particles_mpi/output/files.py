@@ -93,9 +93,8 @@ class Continuing:
     def show(self) -> None:
         """Let readers see all that was written."""
 
-    def keep(self) -> None:
-        """Show all that was written, and wait until it is on the disk: a checkpoint that comes after it counts on it."""
-        self.show()
+    def wait_for_disk(self) -> None:
+        """Wait until all that was shown is on the disk: a checkpoint that comes after it counts on it."""
         with failing_together(self.ranks, f"cannot write {self.path}"):
             if self.ranks.is_root:
                 with suppress(FileNotFoundError):  # there is no list of frames before the first one

@@ -159,12 +159,11 @@ class Trajectory(Continuing):
                     self._do(self.step, [before, self._raise_count, after])
                 self.shown, self.shown_at = self.frames, perf_counter()
 
-    def keep(self) -> None:
-        """Show all frames, without waiting for the disk: a frame of a million then takes two and a half times as long.
+    def wait_for_disk(self) -> None:
+        """Nobody does: a frame of a million then takes two and a half times as long.
 
         Nor would it be safe after a power cut: HDF5 changes tables in the middle of the file while it appends.
         """
-        self.show()
 
     def close(self) -> None:
         """Close the file; after a failure it stays open until the process ends."""

@@ -116,9 +116,11 @@ class RunFiles:
         """The exact state; replaces the checkpoint before."""
         sim = self.sim
         with sim.timers("output"):
-            for writer in (*self.frames, self.diagnostics):
-                writer.keep()  # a run that goes on from here counts on all frames and rows up to here
+            for writer in self.frames:
+                writer.show()  # a run that goes on from here counts on all frames up to here
         with sim.timers("checkpoint"):
+            for writer in (*self.frames, self.diagnostics):
+                writer.wait_for_disk()
             metadata = sim.metadata()
             past = {"counts": run_counts(sim), "calls": sim.calls, "remarks": sim.drift.remarks_of_operators()}
             kept = metadata | {"reported": sim.reported, "written": self.written, "past": past}
