@@ -250,9 +250,10 @@ compile_kernels() {
 }
 
 lock() {  # two run.sh at once: the second waits
+  local status=0
   exec 9<.
-  flock -n 9 2>/dev/null && return
-  command -v flock >/dev/null || return 0
+  flock -n 9 2>/dev/null || status=$?
+  ((status == 1)) || return 0  # not 1 where there are no locks
   note 'another run.sh is at work here: this one waits for it'
   flock 9 || true
 }
