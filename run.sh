@@ -282,7 +282,7 @@ setup() {  # setup [test]: with what the tests need
       # goes on beside the next steps: it keeps one core busy for a minute. With all that it starts it is a group of its own
       trap stop_building EXIT
       set -m
-      if compgen -G "$WHEELS/h5py-*.whl" >/dev/null; then true & else build_parallel_h5py >.venv/h5py.log 2>&1 9<&- & fi
+      if compgen -G "$WHEELS/h5py-*.whl" >/dev/null; then true & else build_parallel_h5py >.venv/h5py.log 2>&1 </dev/null 9<&- & fi
       BUILD=$!
       set +m
     fi

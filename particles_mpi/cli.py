@@ -96,7 +96,7 @@ def run(
         sim = simulation_of(described, scene)
     last = sim.last_step if steps is None else steps
     reached = f"step {sim.steps_done} of {last}" + (": nothing is left to do" if sim.steps_done >= last else "")
-    if auto and sim.steps_done >= last and has_ended(folder, sim.ranks):
+    if auto and (sim.steps_done > last or (sim.steps_done == last and has_ended(folder, sim.ranks))):
         if IS_ROOT and not quiet:
             print(f"{folder}: {reached}")
         return

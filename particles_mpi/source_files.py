@@ -12,9 +12,12 @@ PACKAGE = Path(__file__).parent
 
 
 def files_of(package: Path) -> str:
-    """Name, time and size of each file with sources, a line each."""
+    """Name, time and size of each file with sources, a line each. What a run wrote into a folder of the package is no source."""
     lines = []
-    for folder, _, names in os.walk(package):
+    for folder, folders, names in os.walk(package):
+        if "__init__.py" not in names:
+            folders.clear()
+            continue
         for name in names:
             if name.endswith(".py") and not name.startswith("."):  # an editor's own files
                 path = os.path.join(folder, name)

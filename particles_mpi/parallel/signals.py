@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # signals are caught before anything that takes long is impor
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)  # the last: of a scheduler, before the end of a job
 GRACE = 0.4  # seconds that a step has to end after a signal, where `check_signals` is called within it; and, if steps take long,
-AS_BEFORE, LONGEST_GRACE = 2.0, 30.0  # times the longest one so far, but no more than so many seconds: then others kill
+AS_BEFORE, LONGEST_GRACE = 2.0, 20.0  # times the one before, but no more than so many seconds: after 30 Slurm kills
 POLL_STEPS, POLL_SECONDS = 10, 0.2  # between two polls of all ranks: whichever is less
 
 
@@ -69,8 +69,8 @@ class StopRequest(SignalCaught):
         self.begun = perf_counter()
 
     def __exit__(self, *_: object) -> None:
-        """It has ended: the next one may take as long."""
-        self.grace = max(self.grace, min(AS_BEFORE * (perf_counter() - self.begun), LONGEST_GRACE))
+        """It has ended: the next one may take as long. The first one, which may compile, soon counts no more."""
+        self.grace = max(GRACE, min(AS_BEFORE * (perf_counter() - self.begun), LONGEST_GRACE))
 
     def close(self) -> None:
         """Give the signals back their former meaning."""

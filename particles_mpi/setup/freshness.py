@@ -41,7 +41,8 @@ def forget_stale_kernels() -> None:
         from particles_mpi.setup.kernel_sources import Sources
 
         sources = Sources(PACKAGE)
-        sources.forget_stale(seen.get("kernels"), cache, folders)
+        if not sources.forget_stale(seen.get("kernels"), cache, folders):
+            return
         record.parent.mkdir(parents=True, exist_ok=True)
         part = record.with_suffix(f".{os.getpid()}")
         part.write_text(json.dumps({"files": AT_START, "kernels": sources.kernels}), encoding="utf-8")

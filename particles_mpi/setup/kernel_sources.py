@@ -17,7 +17,7 @@ import pickle
 import sys
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
@@ -56,13 +56,17 @@ class Sources:
         self.defined: dict[Place, list[ast.stmt]] = defaultdict(list)
         self.links: dict[Place, Place] = {}  # where an imported name is defined
         self.calls: dict[Place, set[Place]] = {}
+        self.unread: set[str] = set()  # modules that are half an edit, or gone just now
         for path in sorted(package.rglob("[!.]*.py")):
             module = ".".join((package.name, *path.relative_to(package).with_suffix("").parts)).removesuffix(".__init__")
-            with suppress(SyntaxError, FileNotFoundError):  # half of an edit, or gone just now: what it defines is not there
+            self.files[module] = path
+            try:
                 statements = ast.parse(path.read_text(encoding="utf-8")).body
-                self.files[module] = path
-                for statement in statements:
-                    self.enter(module, statement)
+            except (SyntaxError, FileNotFoundError):
+                self.unread.add(module)
+                continue
+            for statement in statements:
+                self.enter(module, statement)
 
     def enter(self, module: str, statement: ast.stmt) -> None:
         """Enter the names that a statement at the top of a module defines or imports."""
@@ -132,13 +136,23 @@ class Sources:
         """Are all kernels compiled from their present source?"""
         return self.compiled() == self.state()
 
+    def unsure(self, before: dict[str, str]) -> bool:
+        """Might kernels, those there are or were `before`, use something of a file that could not be read?"""
+        importers = {module for (module, _), (source, _) in self.links.items() if source in self.unread}
+        kernels = (kernel.rpartition(".") for kernel in before.keys() | self.kernels.keys())
+        places = {(module, name) for module, _, name in kernels}
+        return not places or any(module in self.unread | importers for module, _ in self.reached(places))
+
     def forget_stale(
         self, before: dict[str, str] | None = None, cache: Path | None = None, folders: str = "**/__pycache__"
-    ) -> None:
+    ) -> bool:
         """Delete what was compiled of stale kernels, and of those whose arguments are of classes that are gone.
 
-        `before`: as for `stale`. Compiled kernels are in these `folders` below `cache`: by default beside their sources.
+        `before`: as for `stale`. Compiled kernels are in these `folders` below `cache`: by default beside their sources. Returns
+        False, and deletes nothing, where that cannot be known yet.
         """
+        if self.unread and self.unsure(self.compiled().get("kernels", {}) if before is None else before):
+            return False
         cache = self.package if cache is None else cache
         stale = {".".join(name.split(".")[-2:]) for name in self.stale(before)}  # numba's files have no more of the name
         for file in cache.glob(f"{folders}/*.nb[ic]"):
@@ -148,6 +162,7 @@ class Sources:
             if not classes_in(index, self.package.name) <= self.defined.keys():
                 for old in index.parent.glob(f"{index.stem}.*nb[ic]"):
                     old.unlink(missing_ok=True)
+        return True
 
     def note(self) -> None:
         """Save the state: all kernels have been compiled."""

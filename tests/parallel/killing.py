@@ -18,6 +18,7 @@ from ranks import ROOT, environment
 
 from particles_mpi import Run
 from particles_mpi.output import checkpoint
+from particles_mpi.parallel.launcher import runs
 
 SCENE = """
 dimension = 2
@@ -89,7 +90,7 @@ def kill(launcher):
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)
     launcher.communicate()
-    while any(Path(f"/proc/{rank}").exists() for rank in ranks):  # one that waits for the disk holds the folder until then
+    while any(runs(str(rank)) for rank in ranks):  # one that waits for the disk holds the folder until then
         time.sleep(0.001)
 
 

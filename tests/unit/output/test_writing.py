@@ -2,16 +2,15 @@
 
 import os
 import threading
-from contextlib import suppress
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 import pytest
 
-from particles_mpi import Run, Scene, SceneError, Simulation
+from particles_mpi import Run, Scene, Simulation
 from particles_mpi.errors import StoppedError
-from particles_mpi.output import trajectory
+from particles_mpi.output import read_frames, trajectory
 from particles_mpi.output.diagnostics_csv import Diagnostics
 from particles_mpi.output.read_frames import FrameReader
 from particles_mpi.output.trajectory import Trajectory
@@ -56,16 +55,29 @@ def test_a_reader_and_the_run_write_one_after_the_other(tmp_path, monkeypatch):
     assert FrameReader(file).index().steps.tolist() == [0, 1]
 
 
-def test_a_run_begins_while_another_thread_of_the_process_looks_for_it(tmp_path):
-    """HDF5 opens no file for writing that is open for reading in the same process."""
-    for number in range(3):
-        folder, sim = tmp_path / str(number), simulation()
-        thread, reader = threading.Thread(target=sim.run, args=[folder]), FrameReader(folder / "trajectory.vtkhdf")
-        thread.start()
-        while thread.is_alive():
-            with suppress(SceneError):  # before the first frame
-                reader.index()
-        assert len(Run(folder)) == 5
+def test_a_run_begins_while_another_thread_of_the_process_looks_for_it(tmp_path, monkeypatch):
+    """HDF5 opens no file for writing that is open for reading in the same process: the run waits for the end of the look."""
+    simulation().run(tmp_path / "o", steps=20)
+    resumed = Simulation.resume(tmp_path / "o" / "checkpoint.h5")
+    reader, looks, goes_on = FrameReader(tmp_path / "o" / "trajectory.vtkhdf"), threading.Event(), threading.Event()
+
+    def slowly(group):
+        looks.set()
+        goes_on.wait(10.0)
+        return index(group)
+
+    index = read_frames._index
+    monkeypatch.setattr(read_frames, "_index", slowly)
+    look = threading.Thread(target=reader.index)
+    run = threading.Thread(target=resumed.run, args=[tmp_path / "o"])
+    look.start()
+    assert looks.wait(10.0)
+    run.start()
+    run.join(0.3)
+    goes_on.set()
+    look.join()
+    run.join()
+    assert Run(tmp_path / "o").ended and len(Run(tmp_path / "o")) == 5
 
 
 def test_a_disk_that_is_full_at_a_row_of_diagnostics_is_one_line(tmp_path, monkeypatch):

@@ -92,15 +92,16 @@ def test_time_is_left_for_a_checkpoint():
     assert stops == [False, True]
 
 
-@pytest.mark.parametrize(("before", "most"), [(0.001, 0.4), (5.0, 10.0), (300.0, 30.0)])
-def test_after_a_signal_a_step_may_take_twice_as_long_as_those_before(monkeypatch, before, most):
-    """Steps of five seconds end with a checkpoint; the first one, of which nothing is known, has 0.4 s, none more than 30 s."""
+@pytest.mark.parametrize(("before", "most"), [(0.001, 0.4), (5.0, 10.0), (300.0, 20.0)])
+def test_after_a_signal_a_step_may_take_twice_as_long_as_the_one_before(monkeypatch, before, most):
+    """Steps of five seconds end with a checkpoint; the first one, of which nothing is known, has 0.4 s, none more than 20 s."""
     clock = [0.0]
     monkeypatch.setattr(signals, "perf_counter", lambda: clock[0])
     request = StopRequest(Communicator.alone(), 0.0, None)
     try:
-        with request:
-            clock[0] += before
+        for seconds in (100.0, before):  # the first one compiles
+            with request:
+                clock[0] += seconds
         request.ask()
         clock[0] += 1000.0  # while a frame is written
         with request:

@@ -103,6 +103,20 @@ def test_what_is_stale_is_forgotten(whole, edit):
     assert subprocess.run(script, timeout=300).returncode == 1
 
 
+HALF = [("study/plots.py", True), ("kernels/geometry.py", False), ("kernels/jit.py", False)]
+
+
+@pytest.mark.parametrize(("file", "forgets"), HALF)
+def test_half_an_edit_deletes_nothing_that_it_may_concern(whole, file, forgets):
+    """When the edit is whole, or taken back, the kernels are needed again; a file that no kernel uses is of no account."""
+    text = (whole / file).read_text()
+    (whole / file).write_text(text + "\ndef half(\n")
+    try:
+        assert Sources(whole).forget_stale() == forgets
+    finally:
+        (whole / file).write_text(text)
+
+
 def test_kernels_with_arguments_of_a_class_that_is_gone_are_forgotten(whole, edit):
     """Numba fails when it reads what it kept of them, even where the kernel itself has not changed."""
     Sources(whole).note()
