@@ -11,10 +11,10 @@ from pathlib import Path
 PACKAGE = Path(__file__).parent
 
 
-def files_of(package: Path) -> str:
-    """Name, time and size of each file with sources, a line each. What a run wrote into a folder of the package is no source."""
+def sources_now() -> str:
+    """Path, time in ns and size in bytes of each file with sources, a line each; not of what a run wrote below the package."""
     lines = []
-    for folder, folders, names in os.walk(package):
+    for folder, folders, names in os.walk(PACKAGE):
         if "__init__.py" not in names:
             folders.clear()
             continue
@@ -27,9 +27,9 @@ def files_of(package: Path) -> str:
     return "\n".join(sorted(lines))
 
 
-AT_START = files_of(PACKAGE)
+AT_START = sources_now()
 
 
 def edited() -> bool:
     """Has a file changed since this process began?"""
-    return files_of(PACKAGE) != AT_START
+    return sources_now() != AT_START

@@ -160,9 +160,9 @@ class Trajectory(Continuing):
                 self.shown, self.shown_at = self.frames, perf_counter()
 
     def wait_for_disk(self) -> None:
-        """Nobody does: a frame of a million then takes two and a half times as long.
+        """Does nothing: with a wait here, a frame of a million particles takes two and a half times as long.
 
-        Nor would it be safe after a power cut: HDF5 changes tables in the middle of the file while it appends.
+        Nor would the file be safe after a power cut: HDF5 changes tables in the middle of it while it appends.
         """
 
     def close(self) -> None:

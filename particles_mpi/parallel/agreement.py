@@ -73,7 +73,7 @@ def raising_together(ranks: Communicator) -> Iterator[None]:
 def await_all(ranks: Communicator, error: Exception | None, patience: float = PATIENCE) -> None:
     """Wait for all ranks; a rank with an error waits for `patience` seconds only, then it ends all ranks. Collective.
 
-    For who catches an error: one that this rank alone has leaves the others in the middle of something else, for ever.
+    Code that catches an error and goes on calls it first: if this rank alone has the error, the others wait for it elsewhere.
     """
     if error is None:
         ranks.comm.Ibarrier().Wait()
