@@ -7,7 +7,7 @@ cd "$(dirname "${BASH_SOURCE[0]}")"
 help() {
   cat <<'TEXT'
 ./run.sh                 set up, then the main job: particles_mpi/scenes/marbles.toml on 2 ranks, into out/marbles
-./run.sh test [...]      set up, then the tests of every feature, two at once (arguments go to pytest: tests/unit, -k WORD)
+./run.sh test [...]      set up, then the tests of every feature, three at once (arguments go to pytest: tests/unit, -k WORD)
 ./run.sh test --all      the same and all that takes longer: more ranks, long physics, kills
 ./run.sh lint            ruff (rules and format) and mypy
 ./run.sh setup           only set up
@@ -322,7 +322,7 @@ main() {
   case $command in
     help | -h) help ;;
     setup) setup; warm_up ;;
-    test) setup test; warm_up; exec $PY -m pytest -n 2 "${@:2}" ;;
+    test) setup test; warm_up; exec $PY -m pytest -n 3 "${@:2}" ;;
     lint) setup test; ruff check . && ruff format --check . && mypy ;;
     view) setup; cd "$HERE"; exec particles-mpi "$@" ;;  # one process reads files
     doctor) setup; exec particles-mpi doctor ;;  # alone, so that it can try a start on two ranks itself

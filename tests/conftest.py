@@ -52,12 +52,15 @@ SHARING = {
     "test_tree.py",
 }
 RANKS = "tests/parallel"
+ENDED = {"test_nothing_lost.py", "test_one_rank_fails.py"}  # runs that are killed, or fail: they wait more than they compute
+ENDING = f"{RANKS}: runs that end early"
 
 
 def group_of(nodeid):
-    """Tests of one group are given to one process: all of tests/parallel, each of SHARING, and all others one by one.
+    """Tests of one group are given to one process: those of ENDED, all others of tests/parallel, each of SHARING; others one by one.
 
     Two ranks and one test beside them keep two cores busy; two such pairs at once wait for one another, and all take longer.
+    Tests of ENDED leave a core free most of the time.
     What compiles all kernels for an older processor takes one core for a minute or more, beside all else; those of four
     dimensions are compiled when they are needed, by one process instead of both at once.
     """
@@ -65,7 +68,7 @@ def group_of(nodeid):
     if nodeid.endswith(("[4]", "-4]")) and not path.startswith(RANKS):
         return "4D"
     if path.startswith(f"{RANKS}/") and "older_processor" not in nodeid:
-        return RANKS
+        return ENDING if Path(path).name in ENDED else RANKS
     return path if Path(path).name in SHARING else nodeid
 
 
@@ -92,7 +95,7 @@ def pytest_runtest_setup(item):
     Beside one that wants a core for itself, and is as urgent, two ranks take four times as long; beside one as nice as can be 6 %
     more.
     """
-    ranks = group_of(item.nodeid) == RANKS
+    ranks = group_of(item.nodeid) in (RANKS, ENDING)
     if ranks:
         take_turns_often()
     if on_a_worker(item.config):  # 19: as nice as can be

@@ -17,8 +17,8 @@ from particles_mpi.scene.model import LARGEST_NUMBER
 def fill_attributes(columns: Columns, share: Share) -> None:
     """radius, mass, fixed, spin, and the fields of effects. Collective."""
     scene, population, rows, arrays = columns.scene, share.population, share.rows, columns.arrays
-    arrays["fixed"][rows] = columns.of(share, "fixed", population.fixed)
     given = {
+        "fixed": population.fixed,
         "radius": 0.0 if population.radius is None else population.radius,
         "mass": 1.0 if population.mass is None else population.mass,
     }
@@ -33,6 +33,7 @@ def fill_attributes(columns: Columns, share: Share) -> None:
             least = FIELDS[name].least
             low = f"below {least:g} for" if name in scene.columns else "negative for"
             columns.refuse(share, name, arrays[name][rows] < least, low)
+    columns.refuse(share, "fixed", arrays["fixed"][rows] > 1, "neither 0 nor 1 for")
     if "spin" in arrays:
         fill_spins(columns, share)
     for name, needed in divided_masses(scene, arrays["fixed"][rows]).items():
@@ -54,13 +55,13 @@ def fill_spins(columns: Columns, share: Share) -> None:
     value = population.spin
     if value is None:
         return
-    if isinstance(value, dict):
+    if isinstance(value, dict) and "temperature" in value:
         key = stream_key(columns.scene.seed, share.number, "spin")
         normal = draw(key, *share.numbers, partial(normals, width=spin.shape[1]))
         turns = (fixed == 0) & (moment > 0.0)
         spin[:] = normal * np.sqrt(value["temperature"] / np.where(turns, moment, np.inf))[:, None]
         return
-    columns.fill(share, "spin", value if d == 3 else [[s] for s in value] if isinstance(value, list) else value)
+    columns.fill(share, "spin", [[s] for s in value] if d == 2 and isinstance(value, list) else value)
     columns.refuse(share, "spin", (fixed != 0) & (spin != 0.0).any(axis=1), "not zero, but fixed:")
 
 

@@ -48,7 +48,7 @@ class Columns:
         if isinstance(value, dict) and "file" in value:
             table = share.files[name]
             rows = self.own_rows(table.values, share.begin + table.first)
-            return rows if FIELDS[name].vector else rows[:, 0]
+            return rows if self.arrays[name].ndim == 2 else rows[:, 0]
         if isinstance(value, dict):
             key = stream_key(self.scene.seed, share.number, name)
             part, least, most = draw(key, first, last, uniform), value["min"], value["max"]

@@ -183,15 +183,17 @@ class Populator:
         if not (isinstance(place, dict) and "file" in place):
             return population
         scene = self.scene
-        scalars = [name for name, column in scene.columns.items() if not column.vector]
-        scalars += ["drag"] * ("drag" in scene.effects) + ["moment_of_inertia"] * scene.rough
-        given, unread = columns_in(self.ranks, scene.folder / place["file"], scene.dimension, scalars)
+        said, there = population.model_fields_set, ["position", "velocity", "radius", "mass", "fixed", *scene.columns]
+        there += ["drag"] * ("drag" in scene.effects) + ["acceleration"] * ("user_acceleration" in scene.effects)
+        there += ["spin", "moment_of_inertia"] * scene.rough
+        given, unread = columns_in(self.ranks, scene.folder / place["file"], scene.dimension, there)
         if unread:
             self.notes.append(f"particles[{number}].position: {unread}")
         for name in given:
-            if name != "position" and getattr(population, name, None) not in (None, place):
+            if name in said and getattr(population, name) not in (None, place):
                 self.notes.append(f"particles[{number}].{name}: that of the scene is taken, and not that in {place['file']}")
-        return population.model_copy(update={name: place for name in given if getattr(population, name, None) is None})
+        taken = [name for name in given if name not in said or getattr(population, name) is None]
+        return population.model_copy(update=dict.fromkeys(taken, place))
 
     def count_of(self, number: int, population: Population, files: dict[str, Table]) -> int:
         """Particles of a population: `count`, or the length of its lists and `files`, which it reads, and which must agree."""

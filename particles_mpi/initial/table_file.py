@@ -13,12 +13,12 @@ import numpy as np
 
 from particles_mpi.errors import listed, one_line
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.particles import Array
+from particles_mpi.particles import FIELDS, Array, components
 
 MOST_SHOWN = 6  # columns of a header in a message
 BOM = b"\xef\xbb\xbf"  # with which some programs begin a text
-# Of columns in a header, by what they give
-NAMES = {"position": ("x", "y", "z"), "velocity": ("vx", "vy", "vz"), "radius": ("radius",), "mass": ("mass",)}
+# Of columns in a header, by what they give; other quantities are called by their own names
+NAMES = {"position": ("x", "y", "z"), "velocity": ("vx", "vy", "vz")}
 
 
 class Table(NamedTuple):
@@ -46,7 +46,7 @@ def read_table(ranks: Communicator, path: Path, quantity: str, dimension: int) -
     """The columns of a quantity in a CSV file, or what is wrong with it, the same on all ranks. Collective.
 
     A first line of names, that is of cells which begin with a letter and are no numbers, is a header: columns with the names of
-    the quantity's components (NAMES) are taken. Without a header, or in more than three dimensions, the first columns are. Files
+    the quantity's components (`names_of`) are taken. Without a header, or in more than three dimensions, the first columns are. Files
     that are not the same on all ranks are refused: each rank also looks at what the next one reads.
     """
     fault, block, seen, start = "", b"", (0, 0), Beginning()
@@ -100,10 +100,17 @@ def beginning(path: Path) -> Beginning:
     return Beginning(lines=lines, at=at)
 
 
-def columns_in(ranks: Communicator, path: Path, dimension: int, scalars: list[str]) -> tuple[list[str], str]:
-    """(which quantities a CSV file gives by the names in its header, which columns are not read). Collective.
+def names_of(quantity: str, dimension: int) -> tuple[str, ...]:
+    """What a header calls the columns of a quantity, at most three: "x", "y"; "mass"; of other vectors "spin_x" and so on."""
+    if quantity in NAMES:
+        return NAMES[quantity][:dimension]
+    name, column = quantity.lower(), FIELDS[quantity]
+    one = not column.vector and components(column, dimension) <= 1
+    return (name,) if one else tuple(f"{name}_{axis}" for axis in "xyz"[:dimension])
 
-    `scalars`: quantities of one number a particle that the scene has besides those of NAMES; their columns are called the same.
+
+def columns_in(ranks: Communicator, path: Path, dimension: int, quantities: list[str]) -> tuple[list[str], str]:
+    """(which of these quantities a CSV file gives by the names in its header, which columns are not read). Collective.
 
     Nothing is given where the file cannot be read, which is a fault as soon as its places are read, or in more than three
     dimensions, where columns have no names.
@@ -113,7 +120,7 @@ def columns_in(ranks: Communicator, path: Path, dimension: int, scalars: list[st
         if ranks.is_root:
             start = beginning(path)
     start = ranks.bcast(start)
-    known = {quantity: of[:dimension] for quantity, of in NAMES.items()} | {name: (name.lower(),) for name in scalars}
+    known = {quantity: names_of(quantity, dimension) for quantity in quantities}
     given = [quantity for quantity, of in known.items() if start.header and not set(of).isdisjoint(start.cells)]
     if dimension > 3:
         return [], ""
@@ -142,8 +149,8 @@ def uneven_line(block: bytes, start: Beginning, first: int) -> str:
 
 def columns_of(given: tuple[str, ...], quantity: str, dimension: int) -> list[int] | str:
     """Numbers of the columns that a header with these names gives to a quantity, or what is wrong with it."""
-    names = NAMES.get(quantity, (quantity.lower(),))[:dimension]
-    named = [name for name in given if name in chain.from_iterable(NAMES.values())]
+    names = names_of(quantity, dimension)
+    named = [name for name in given if name in (*chain.from_iterable(NAMES.values()), "radius", "mass")]
     if not given or (dimension > 3 and (not named or given[:3] == names)):
         return list(range(dimension))
     if dimension > 3:

@@ -15,6 +15,7 @@ from vtkmodules.vtkIOHDF import vtkHDFReader
 from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridReader
 
 from particles_mpi import Run, Scene, SceneError, Simulation, StoppedError
+from particles_mpi.initial.populate import populate
 from particles_mpi.study.recommend.runs import variant
 
 OUTSIDE = Path(__file__).parent / "outside"
@@ -266,6 +267,22 @@ def test_a_start_table_gives_columns_of_effects_too(tmp_path):
     (tmp_path / "start.csv").write_text("x,y,stiffness\n0.5,0.6,-3\n")
     with pytest.raises(SceneError, match=r"stiffness: below 0 for particle 0"):
         Simulation(Scene.from_dict(tables | {"effects": {"springs": springs, "drag": {}}}, tmp_path))
+
+
+def test_a_start_table_gives_vectors_of_effects(tmp_path):
+    """One column a component; half a vector is refused."""
+    source = (
+        (OUTSIDE / "springs.py").read_text().replace("stiffness", "pull").replace("Column(least", "Column(vector=True, least")
+    )
+    (tmp_path / "wind.py").write_text(source)
+    tables = {"dimension": 2, "time": {"step": 0.01, "steps": 1}, "particles": [{"position": {"file": "start.csv"}}]}
+    tables |= {"effects": {"wind": {"file": "wind.py", "centre": [0.0, 0.0]}}}
+    (tmp_path / "start.csv").write_text("pull_y,x,y,pull_x\n4,0.5,0.6,3\n6,1.5,1.6,5\n")
+    particles, _ = populate(Scene.from_dict(tables, tmp_path))
+    assert particles["pull"].tolist() == [[3.0, 4.0], [5.0, 6.0]]
+    (tmp_path / "start.csv").write_text("x,y,pull_x\n0.5,0.6,3\n")
+    with pytest.raises(SceneError, match="its header has pull_x and no pull_y"):
+        populate(Scene.from_dict(tables, tmp_path))
 
 
 def test_a_study_leaves_an_effect_out_with_its_column():

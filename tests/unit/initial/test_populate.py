@@ -165,6 +165,32 @@ def test_a_file_of_places_gives_velocities_too_where_its_header_names_them(tmp_p
     assert "its header has vx and no vy" in faults({"position": {"file": "b.csv"}}, folder=tmp_path)
 
 
+@pytest.mark.parametrize(("d", "axes"), [(2, ["spin"]), (3, ["spin_x", "spin_y", "spin_z"])])
+def test_a_file_gives_all_that_a_population_can_have(tmp_path, d, axes):
+    """As a list in the scene does: what is fixed, spins, accelerations, whatever the order of the columns."""
+    names = ["fixed", *[f"acceleration_{axis}" for axis in "xyz"[:d]], *"xyz"[:d], *axes, "radius", "moment_of_inertia"]
+    rows = np.round(np.random.default_rng(5).uniform(0.2, 0.8, (4, len(names))), 3)
+    rows[:, 0], rows[0, -2 - len(axes) : -2] = [1, 0, 0, 1], 0.0
+    rows[3, -2 - len(axes) : -2], rows[:, -2] = 0.0, 0.01
+    (tmp_path / "a.csv").write_text("\n".join([",".join(names), *(",".join(map(str, row)) for row in rows.tolist())]))
+    effects = {"collisions": {"friction": 0.3}, "user_acceleration": {}}
+    particles, warnings = start({"position": {"file": "a.csv"}}, d=d, folder=tmp_path, effects=effects)
+    of = {name: rows[:, k] for k, name in enumerate(names)}
+    listed = {name: np.column_stack([of[f"{name}_{axis}"] for axis in "xyz"[:d]]).tolist() for name in ("acceleration",)}
+    listed |= {"position": np.column_stack([of[axis] for axis in "xyz"[:d]]).tolist(), "fixed": [True, False, False, True]}
+    listed |= {"spin": (np.column_stack([of[axis] for axis in axes]) if d == 3 else of["spin"]).tolist()}
+    same, _ = start(listed | {n: of[n].tolist() for n in ("radius", "moment_of_inertia")}, d=d, effects=effects)
+    assert not warnings and all(np.array_equal(particles[name], same[name]) for name in same.arrays)
+    assert particles.fixed.tolist() == [1, 0, 0, 1] and particles.spin[1].tolist() == rows[1, -2 - len(axes) : -2].tolist()
+
+
+def test_what_is_fixed_by_a_file_is_0_or_1(tmp_path):
+    for given, says in (("2", "neither 0 nor 1 for particle 1"), ("0.5", "no whole number of uint8 for particle 1")):
+        (tmp_path / "a.csv").write_text(f"x,y,fixed\n0.1,0.2,1\n0.5,0.6,{given}\n")
+        told = faults({"position": {"file": "a.csv"}, "radius": 0.01}, folder=tmp_path)
+        assert told == f"particles[0].fixed: {says}"
+
+
 def test_columns_that_the_scene_overrides_are_told(tmp_path):
     (tmp_path / "a.csv").write_text("x,y,radius\n0.1,0.2,0.05\n0.5,0.6,0.05\n")
     particles, warnings = start({"position": {"file": "a.csv"}, "radius": 0.01}, folder=tmp_path)
