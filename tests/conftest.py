@@ -57,7 +57,7 @@ ENDING = f"{RANKS}: runs that end early"
 
 
 def group_of(nodeid):
-    """Tests of one group are given to one process: those of ENDED, all others of tests/parallel, each of SHARING; others one by one.
+    """One process gets all tests of a group: those of ENDED, the rest of tests/parallel, each of SHARING; others one by one.
 
     Two ranks and one test beside them keep two cores busy; two such pairs at once wait for one another, and all take longer.
     Tests of ENDED leave a core free most of the time.

@@ -46,8 +46,8 @@ def read_table(ranks: Communicator, path: Path, quantity: str, dimension: int) -
     """The columns of a quantity in a CSV file, or what is wrong with it, the same on all ranks. Collective.
 
     A first line of names, that is of cells which begin with a letter and are no numbers, is a header: columns with the names of
-    the quantity's components (`names_of`) are taken. Without a header, or in more than three dimensions, the first columns are. Files
-    that are not the same on all ranks are refused: each rank also looks at what the next one reads.
+    the quantity's components (`names_of`) are taken. Without a header, or in more than three dimensions, the first columns are.
+    Files that are not the same on all ranks are refused: each rank also looks at what the next one reads.
     """
     fault, block, seen, start = "", b"", (0, 0), Beginning()
     try:

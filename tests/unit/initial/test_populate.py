@@ -185,8 +185,8 @@ def test_a_file_gives_all_that_a_population_can_have(tmp_path, d, axes):
 
 
 def test_what_is_fixed_by_a_file_is_0_or_1(tmp_path):
-    for given, says in (("2", "neither 0 nor 1 for particle 1"), ("0.5", "no whole number of uint8 for particle 1")):
-        (tmp_path / "a.csv").write_text(f"x,y,fixed\n0.1,0.2,1\n0.5,0.6,{given}\n")
+    for value, says in (("2", "neither 0 nor 1 for particle 1"), ("0.5", "no whole number of uint8 for particle 1")):
+        (tmp_path / "a.csv").write_text(f"x,y,fixed\n0.1,0.2,1\n0.5,0.6,{value}\n")
         told = faults({"position": {"file": "a.csv"}, "radius": 0.01}, folder=tmp_path)
         assert told == f"particles[0].fixed: {says}"
 
