@@ -73,6 +73,7 @@ class Lock:
     """
 
     def __init__(self, folder: Path):
+        self.folder = folder
         self.descriptor: int | None = os.open(folder, os.O_RDONLY)
         try:
             fcntl.flock(self.descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -80,6 +81,13 @@ class Lock:
             raise SceneError(f"--output: another run is writing into {folder}") from None
         except OSError:
             pass
+
+    def check(self) -> None:
+        """Raise an OSError if the folder is gone, or is another one by now: that may belong to another run."""
+        with suppress(FileNotFoundError):
+            if self.descriptor is None or os.path.samestat(os.fstat(self.descriptor), self.folder.stat()):
+                return
+        raise OSError("the folder was deleted, or replaced, while this run wrote into it")
 
     def release(self) -> None:
         """Let others write there."""

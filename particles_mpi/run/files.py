@@ -12,7 +12,7 @@ from particles_mpi.errors import SceneError, StateError, StoppedError
 from particles_mpi.measure.diagnostics import column_names
 from particles_mpi.output import checkpoint, run_folder
 from particles_mpi.output.diagnostics_csv import Diagnostics
-from particles_mpi.output.files import identity_of, write_text
+from particles_mpi.output.files import failing_together, identity_of, write_text
 from particles_mpi.particles import Array, field
 from particles_mpi.results.paraview import paraview_script
 from particles_mpi.run.ending import run_counts, scene_and_folder
@@ -103,9 +103,16 @@ class RunFiles:
         collisions, wall_hits, missed, *_ = totals.tolist()
         return {**row, "hits_so_far": collisions + wall_hits, "missed_so_far": missed}
 
+    def check_folder(self) -> None:
+        """Stop where the folder is no longer this run's."""
+        with failing_together(self.ranks, f"cannot write into {self.folder} at step {self.sim.steps_done}"):
+            if self.lock:
+                self.lock.check()
+
     def write_frame(self) -> None:
         """One frame in every format."""
         with self.sim.timers("output"):
+            self.check_folder()
             self.sim.take_changes()
             shown = self.shown()
             for writer in self.frames:
@@ -116,6 +123,7 @@ class RunFiles:
         """The exact state; replaces the checkpoint before."""
         sim = self.sim
         with sim.timers("output"):
+            self.check_folder()
             for writer in self.frames:
                 writer.show()  # a run that goes on from here counts on all frames up to here
         with sim.timers("checkpoint"):

@@ -1,5 +1,6 @@
 """A run that does not begin leaves nothing behind in the process: signals mean what they meant, and no file is open."""
 
+import shutil
 import signal
 
 import pytest
@@ -9,6 +10,7 @@ from particles_mpi.output.diagnostics_csv import Diagnostics
 from particles_mpi.output.run_folder import changed_keys
 from particles_mpi.parallel.signals import SIGNALS
 from particles_mpi.run.console import Screen
+from particles_mpi.run.files import RunFiles
 
 
 def simulation():
@@ -45,6 +47,27 @@ def test_a_refused_run_can_be_done_again(hindrance, error, tmp_path, monkeypatch
     monkeypatch.undo()
     sim.run(tmp_path / "out", overwrite=True)
     assert sim.steps_done == 3 and (tmp_path / "out/run.json").exists()
+
+
+@pytest.mark.parametrize("again", [False, True])
+@pytest.mark.parametrize("formats", [["hdf5", "vtk"], []])
+def test_a_folder_that_is_deleted_ends_the_run(tmp_path, monkeypatch, formats, again):
+    """And nothing is written into the one that another run may have made in its place."""
+    out, write_row = tmp_path / "out", RunFiles.write_row
+
+    def delete_before(self, extra=False):
+        if self.sim.steps_done == 2 and not extra:
+            shutil.rmtree(out)
+            if again:
+                out.mkdir()
+        return write_row(self, extra)
+
+    monkeypatch.setattr(RunFiles, "write_row", delete_before)
+    sim = simulation()
+    sim.scene.output.formats, sim.scene.output.diagnostics_every = formats, 1
+    with pytest.raises(StoppedError, match=f"cannot write into {out} at step 3: the folder was deleted, or replaced"):
+        sim.run(out)
+    assert out.exists() == again and (not again or not list(out.iterdir()))
 
 
 def test_overwriting_deletes_only_what_runs_leave(tmp_path):
