@@ -92,8 +92,14 @@ class Neighbourhood:
             return self.candidates.follow(leaving, LEAVING, self.segments, h)
 
     def search(self, h: float, at_least: float) -> None:
-        """Migrate, fetch ghosts, find candidates to last some steps of h; `at_least`: how far rows must get. Collective."""
+        """Migrate, fetch ghosts, find candidates to last some steps of h. Collective.
+
+        `at_least`: how far a row got, that broke the candidates there are: 0 if none did.
+        """
         particles = self.particles
+        last = self.candidates.horizon if self.version != -1 else None
+        shortest = last is not None and self.candidates.time == 0.0 and last.valid_until < 1.5 * h
+        way = at_least - last.tolerance if last else 0.0
         self.forget_candidates()
         with self.timers("migrate"):
             self.balance.update(particles, self.searches)
@@ -101,7 +107,7 @@ class Neighbourhood:
             self.migrated += self.row_buffers.migrate(self.ranks, self.balance.decomposition.owner(particles.position))
         with self.timers("agree"):
             extent = bounds(particles.position)
-            horizon, margins = self.horizon(h, at_least, extent)
+            horizon, margins = self.horizon(h, at_least, way, shortest, extent)
         with self.timers("pairs"):
             if self.searches % SORT_EVERY == 0 and len(particles) > 1:
                 self.row_buffers.sort(order_in_space(particles.position, extent))
@@ -120,8 +126,14 @@ class Neighbourhood:
             del self.spin, self.inverse_inertia
         self.version = -1
 
-    def horizon(self, h: float, at_least: float, extent: tuple[Array, Array]) -> tuple[Horizon, Margins]:
-        """Those of the next candidates, the same on all ranks; `extent`: bounds of this rank's particles."""
+    def horizon(
+        self, h: float, at_least: float, way: float, shortest: bool, extent: tuple[Array, Array]
+    ) -> tuple[Horizon, Margins]:
+        """Those of the next candidates, the same on all ranks; `extent`: bounds of this rank's particles.
+
+        `at_least`: see `search`; `way`: the same without the tolerance of the candidates. In a periodic box too narrow for it,
+        candidates for this drift alone may do, from where the rows are now; unless the last ones were those (`shortest`).
+        """
         particles = self.particles
         d, x, n = particles.dimension, particles.position, len(particles)
         radius = particles.radius
@@ -145,7 +157,9 @@ class Neighbourhood:
             if not 2.0 * contact < self.length[periodic].min():
                 raise too_narrow(self.length, contact)
             widest = float(((0.5 * self.length - contact) * part)[periodic].min()) * (1.0 - 1e-9)
-            least = max(travel, at_least - tolerance)
+            least = max(travel, way)
+            if travel < widest <= least and not shortest:
+                least, steps = travel, 1
             if not least < widest:
                 raise StoppedError(
                     f"time.step: a particle crosses {least:.3g} in one step, too far for a periodic box of "
