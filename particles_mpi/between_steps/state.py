@@ -11,12 +11,10 @@ import numpy as np
 
 from particles_mpi.between_steps.views import ParticleView, RunningEffect, RunningEffects, changed_options
 from particles_mpi.contacts.drift import COUNTS, Drift
-from particles_mpi.contacts.keeper import keeper_of_contacts
 from particles_mpi.errors import SceneError, StateError, StoppedError
 from particles_mpi.initial.checks import divided_masses, value_limits
 from particles_mpi.integrators.kicks_and_drifts import Accelerations, Kick, integrator_of
 from particles_mpi.integrators.many_steps import ManySteps
-from particles_mpi.kernels.planes import no_planes
 from particles_mpi.kernels.validity import find_invalid
 from particles_mpi.measure.watchdog import Watchdog
 from particles_mpi.parallel.agreement import describe_unexpected, same_on_all
@@ -111,9 +109,12 @@ class State:
         self.context = Context(ranks, self.ids, self.timers, self.lower, self.upper, self.length)
         self.active = effects = ActiveEffects(scene)
         effects.bind(self.context)
-        walls = effects.walls.planes if effects.walls else no_planes(scene.dimension)
-        self.watchdog = Watchdog(ranks, p.id, self.ids, walls, self.lower, self.length)
-        self.persistent = keeper_of_contacts(effects, self.context, self.rows)
+        self.watchdog = Watchdog(ranks, p.id, self.ids, effects.planes, self.lower, self.length)
+        self.persistent = None
+        if effects.keeps_contacts:
+            from particles_mpi.contacts.persistent.operator import PersistentContacts
+
+            self.persistent = PersistentContacts(self.context, effects, p)
         self.drift = Drift(p, self.context, effects, self.persistent, self.sum_forces)
         if old_drift:
             self.drift.continue_counts(old_drift)

@@ -12,7 +12,6 @@ The files and folders, in the order in which one reads them:
     time_stepped/    mode `rewind`: the contacts of a drift in a few passes over all candidate pairs
     event_driven/    mode `event`: the contacts of a drift one after the other, in exact order of time
     warm_start       what lasting contacts took, which is saved with a state
-    keeper           who keeps contacts that last, where a scene can have any
     persistent/      contacts that last, where forces press particles that lose energy onto one another
 
 The way of one drift in mode `rewind` (`time_stepped.operator.Rewind.drift`): `Neighbourhood.prepare` sees that the candidate

@@ -26,10 +26,10 @@ import numpy as np
 from particles_mpi.contacts.rough import BETA_0, FRICTION, plane_of
 from particles_mpi.contacts.walls import finish_bounces
 from particles_mpi.kernels.geometry import image_shifts
-from particles_mpi.kernels.planes import Planes
-from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import by_destination, send_rows
 from particles_mpi.particles import Array, Particles, row_dot, rows_with
+from particles_mpi.scene.active import ActiveEffects
+from particles_mpi.scene.effect import Context
 
 
 class LastContacts(NamedTuple):
@@ -44,11 +44,11 @@ class LastContacts(NamedTuple):
 class ClosingKick:
     """Remembers the contacts of a drift until the accelerations at its end are known."""
 
-    def __init__(self, rows: Particles, ranks: Communicator, length: Array, planes: Planes, restitution: float, law: Array):
-        """length (d,): of the box on periodic axes, 0 on others; restitution: of pairs; law: see `contacts.rough.Rough`."""
-        self.rows, self.ranks, self.length, self.planes = rows, ranks, length, planes
-        self.restitution, self.law = np.append(restitution, planes.restitution), law
-        self.rough = bool((law[:, FRICTION] > 0.0).any())
+    def __init__(self, rows: Particles, context: Context, effects: ActiveEffects):
+        """`restitution`, `law` (see `contacts.rough.Rough`): of pairs, then of each plane."""
+        self.rows, self.ranks, self.length, self.planes = rows, context.ranks, context.length, effects.planes
+        self.restitution = np.append(effects.pairs.loss.restitution if effects.pairs else 1.0, self.planes.restitution)
+        self.law, self.rough = effects.surfaces, effects.rough
         self.forget()
 
     def forget(self) -> None:

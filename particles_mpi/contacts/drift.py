@@ -8,16 +8,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from particles_mpi.contacts.closing_kick import ClosingKick, LastContacts
+from particles_mpi.contacts.closing_kick import ClosingKick
 from particles_mpi.contacts.velocity_flow import Rates
-from particles_mpi.kernels.geometry import Box, wrap
+from particles_mpi.kernels.geometry import wrap
 from particles_mpi.kernels.jit import plain
 from particles_mpi.kernels.motion import free_drift
-from particles_mpi.kernels.planes import no_planes
 from particles_mpi.kernels.turning import turn
 from particles_mpi.particles import Array, Particles, rows_with
 from particles_mpi.scene.active import ActiveEffects
@@ -26,6 +25,7 @@ from particles_mpi.scene.effect import Context, Damping, Event, PairContacts, Ro
 if TYPE_CHECKING:
     from particles_mpi.contacts.event_driven.operator import EventDriven
     from particles_mpi.contacts.persistent.operator import PersistentContacts
+    from particles_mpi.contacts.time_stepped.operator import Rewind
     from particles_mpi.neighbours.neighbour_list import Neighbourhood
 
 HAPPENED = ("collisions", "wall_hits", "missed", "exchanges")  # in a drift
@@ -33,27 +33,12 @@ COUNTS = (*HAPPENED, "unconverged")
 WORK = ("pair_tests", "pair_searches", "ghost_rows", "windows", "windows_redone")
 
 
-class CollisionOperator(Protocol):
-    """Does the contacts of pairs, and of particles with walls, in a drift; one for each mode."""
-
-    last: LastContacts | None  # of the last drift, if it is `noting` them
-
-    def drift(self, h: float, moment: float, rates: Rates, stop: bool = False) -> Array:
-        """Move all from `moment` over h, or with `stop` to the first collision: (collisions, wall hits, missed). Collective."""
-
-    def pass_by(self, h: float, drifts: int) -> None:
-        """So many drifts over h were done by other means, for nobody met anybody."""
-
-    def remarks(self) -> list[str]:
-        """What a user should be told at the end. Collective."""
-
-
 class Drift:
     """Moves the rows of this rank.
 
-    persistent: keeps contacts that last; near: knows the neighbours; operator: does the contacts of pairs; each of them may be
-    None. accelerations: called for the accelerations (n, d) of this moment. totals: counts of what happened, by
-    the names of COUNTS; calls: how often each effect was asked.
+    persistent: keeps contacts that last; near: knows the neighbours; operator: does the contacts of pairs, one for each mode;
+    each of them may be None. accelerations: called for the accelerations (n, d) of this moment. totals: counts of what
+    happened, by the names of COUNTS; calls: how often each effect was asked.
     """
 
     def __init__(
@@ -79,14 +64,10 @@ class Drift:
         self.past_remarks: list[str] = []
         self.accelerations = accelerations
         self.near: Neighbourhood | EventDriven | None = None
-        self.operator: CollisionOperator | None = None
+        self.operator: Rewind | EventDriven | None = None
         if effects.pairs:
             self.load_operator(effects.pairs)
-        self.closing: ClosingKick | None = None
-        if effects.finishes_bounces:
-            planes = effects.walls.planes if effects.walls else no_planes(rows.dimension)
-            restitution = effects.pairs.loss.restitution if effects.pairs else 1.0
-            self.closing = ClosingKick(rows, context.ranks, context.length, planes, restitution, effects.surfaces)
+        self.closing = ClosingKick(rows, context, effects) if effects.finishes_bounces else None
 
     def load_operator(self, pairs: PairContacts) -> None:
         """The collision operator that the scene names, and its search for neighbours. Collective."""
@@ -96,29 +77,19 @@ class Drift:
         from particles_mpi.contacts.time_stepped.operator import Rewind
         from particles_mpi.neighbours.neighbour_list import Neighbourhood
 
-        context, walls = self.context, self.effects.walls.planes if self.effects.walls else no_planes(self.rows.dimension)
-        kicked = bool(self.effects.forces or self.effects.on_velocities or self.events)
-        self.near = Neighbourhood(self.rows, context.ranks, self.box, plain(walls), kicked, context.timers)
-        law, passes, noting = self.effects.surfaces, pairs.options.passes, self.effects.finishes_bounces
-        redoes = self.effects.lossy
-        self.operator = Rewind(self.near, pairs.loss, law, passes, context.timers, noting, lambda: self.exact, redoes)
-
-    @property
-    def box(self) -> Box:
-        return Box(self.context.lower, self.context.upper, self.context.length)
+        context, effects = self.context, self.effects
+        kicked = bool(effects.forces or effects.on_velocities or self.events)
+        self.near = Neighbourhood(self.rows, context.ranks, context.box, plain(effects.planes), kicked, context.timers)
+        self.operator = Rewind(self.near, effects, pairs, lambda: self.exact)
 
     @cached_property
     def exact(self) -> EventDriven:
         """The operator `event`; in mode rewind it does what `passes` cannot, and drifts that end at a collision. Collective."""
         from particles_mpi.contacts.event_driven.operator import EventDriven
 
-        context, pairs, planes = self.context, self.effects.pairs, self.effects.walls.planes if self.effects.walls else None
-        assert pairs
+        assert self.effects.pairs
         hold = self.keep_crowds if self.persistent and self.persistent.pairs else None
-        return EventDriven(
-            self.rows, context.ranks, self.box, pairs.loss, self.effects.surfaces, pairs.options.contact_duration,
-            bool(self.effects.forces), planes, context.timers, self.effects.finishes_bounces, hold,
-        )  # fmt: skip
+        return EventDriven(self.rows, self.context, self.effects, self.effects.pairs, hold)
 
     def keep_crowds(self, h: float, tried: int) -> None:
         """See `PersistentContacts.keep_crowds`. Collective."""

@@ -12,9 +12,8 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
 
-from particles_mpi.kernels.jit import as_kind, fma, inner
+from particles_mpi.kernels.jit import as_kind, fma, inner, intrinsic
 from particles_mpi.kernels.lanes import LANES
 
 # Minus half of the bits of a number gives those of its inverse square root, within 3.5 %: for 64 and 32 bits.
@@ -32,7 +31,8 @@ def constant(kind: Any, number: Any) -> Any:
     return ir.Constant(kind, [number] * kind.count if isinstance(kind, ir.VectorType) else number)
 
 
-def _first_guess(typing: Any, r: Any) -> Any:
+@intrinsic
+def first_guess(typing: Any, r: Any) -> Any:
     """r^(-1/2) within 3.5 %, from the bits of r, which is not negative."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -43,7 +43,8 @@ def _first_guess(typing: Any, r: Any) -> Any:
     return r(r), generate
 
 
-def _if_positive(typing: Any, r: Any, value: Any) -> Any:
+@intrinsic
+def if_positive(typing: Any, r: Any, value: Any) -> Any:
     """The value where r is positive, 0 elsewhere."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -53,14 +54,10 @@ def _if_positive(typing: Any, r: Any, value: Any) -> Any:
     return r(r, r), generate
 
 
-def _by_kind(typing: Any, r: Any, single: Any, double: Any) -> Any:
+@intrinsic
+def by_kind(typing: Any, r: Any, single: Any, double: Any) -> Any:
     """`single` if r is a float32, `double` if not."""
     return double(r, single, double), lambda context, builder, signature, arguments: arguments[1 if r == types.float32 else 2]
-
-
-first_guess: Any = intrinsic(_first_guess)
-if_positive: Any = intrinsic(_if_positive)
-by_kind: Any = intrinsic(_by_kind)
 
 
 @formula

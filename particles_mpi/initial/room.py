@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.kernels.planes import no_planes
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.particles import Array
@@ -28,7 +27,7 @@ class Room(NamedTuple):
 def room_of(scene: Scene) -> Room:
     """Box and walls of a scene as arrays; an open side is infinite."""
     effects = ActiveEffects(scene, switched_off=True)
-    walls, solid = effects.walls.planes if effects.walls else no_planes(scene.dimension), effects.pairs is not None
+    walls, solid = effects.planes, effects.pairs is not None
     bounded = solid or len(walls.point) > 0
     return Room(*scene.corners, scene.periodic_length, walls.point, walls.normal, solid, bounded)
 

@@ -200,7 +200,7 @@ class ManySteps:
         w = p.inverse_mass if effects.friction else np.empty(0)
         rate = p["rate"] if self.scheme.taylor else np.empty((0, d))
         bodies = Bodies(p.position, p.velocity, p.mass, p.radius, w, drag, p.fixed, p[SUM], rate)
-        planes, kicked = effects.walls.planes if effects.walls else no_planes(d), bool(forces or effects.on_velocities)
+        planes, kicked = effects.planes, bool(forces or effects.on_velocities)
         own = kicked and "total_acceleration" in p.arrays
         a = p["total_acceleration"] if own else self.summed.g[None, :] if kicked else np.empty((0, d))
         box = self.context.lower, self.context.upper, self.context.length

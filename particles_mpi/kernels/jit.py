@@ -18,18 +18,18 @@ from functools import partial
 from typing import Any
 
 from llvmlite import ir
-from numba import njit, types
+from numba import extending, njit, types
 from numba.core import cgutils
 from numba.core.registry import CPUDispatcher
 from numba.cpython.unsafe.numbers import trailing_zeros as count_trailing_zeros
 from numba.cpython.unsafe.tuple import tuple_setitem
-from numba.extending import intrinsic
 
 from particles_mpi.kernels.loading import load_and_keep_kernels
 
 load_and_keep_kernels()
 kernel: Any = partial(njit, cache=True, no_cfunc_wrapper=True)
 lean: Any = kernel(_nrt=False)
+intrinsic: Any = extending.intrinsic  # whose own types say that it is called as it is written, `typing` included
 
 
 class Inner(CPUDispatcher):
@@ -65,7 +65,8 @@ def plain(bundle: tuple[Any, ...]) -> tuple[Any, ...]:
     return tuple(plain(part) if isinstance(part, tuple) else part for part in bundle)
 
 
-def _prefetch(typing: Any, array: Any, row: Any) -> Any:
+@intrinsic
+def prefetch(typing: Any, array: Any, row: Any) -> Any:
     """Ask for the beginning of array[row] to be in the cache soon, without waiting for it."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -85,9 +86,6 @@ def _prefetch(typing: Any, array: Any, row: Any) -> Any:
     return types.void(array, row), generate
 
 
-prefetch: Any = intrinsic(_prefetch)
-
-
 def repeated(builder: Any, value: Any, count: int) -> Any:
     """A vector of the compiler's with one number in all places."""
     place = ir.IntType(32)
@@ -96,7 +94,8 @@ def repeated(builder: Any, value: Any, count: int) -> Any:
     return builder.shuffle_vector(one, empty, ir.Constant(ir.VectorType(place, count), [0] * count))
 
 
-def _spheres_within(typing: Any, axes: Any, middle: Any, own: Any, limit: Any, spheres: Any, first: Any) -> Any:
+@intrinsic
+def spheres_within(typing: Any, axes: Any, middle: Any, own: Any, limit: Any, spheres: Any, first: Any) -> Any:
     """Which of eight spheres are within reach of one: bit p for sphere first + p, as int64.
 
     middle (g,) and own: place and radius of the one. spheres (n, 4): g coordinates, and last the radius, all float32. g: the
@@ -136,10 +135,8 @@ def _spheres_within(typing: Any, axes: Any, middle: Any, own: Any, limit: Any, s
     return types.int64(axes, middle, own, limit, spheres, first), generate
 
 
-spheres_within: Any = intrinsic(_spheres_within)
-
-
-def _fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
+@intrinsic
+def fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
     """a b + c, rounded once, on every processor: those that have no instruction for it take a hundred times as long."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -153,19 +150,15 @@ def _fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
     return a(a, a, a), generate
 
 
-fma: Any = intrinsic(_fma)
-
-
-def _as_kind(typing: Any, value: Any, other: Any) -> Any:
+@intrinsic
+def as_kind(typing: Any, value: Any, other: Any) -> Any:
     """The value as a number of the kind of another one: numba takes a literal for a float64, and what comes of it too."""
     kind = types.unliteral(other)
     return kind(value, other), lambda context, builder, signature, arguments: context.cast(builder, arguments[0], value, kind)
 
 
-as_kind: Any = intrinsic(_as_kind)
-
-
-def _wide(typing: Any) -> Any:
+@intrinsic
+def wide(typing: Any) -> Any:
     """The kernel that calls this may use the longest vectors, and may take it that no two of its arrays have memory in common.
 
     By itself the compiler uses vectors of half the length where these were faster on older processors, and examines the places
@@ -180,6 +173,3 @@ def _wide(typing: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(), generate
-
-
-wide: Any = intrinsic(_wide)

@@ -16,9 +16,9 @@ from numba.core import cgutils
 from numba.core.imputils import lower_builtin, lower_cast
 from numba.core.typeconv.rules import default_type_manager
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
-from numba.extending import intrinsic, models, register_model
+from numba.extending import models, register_model
 
-from particles_mpi.kernels.jit import repeated
+from particles_mpi.kernels.jit import intrinsic, repeated
 
 LANE_COUNT = 8
 VECTOR = ir.VectorType(ir.DoubleType(), LANE_COUNT)
@@ -79,7 +79,8 @@ def _repeated(context: Any, builder: Any, number: Any, kind: Any, value: Any) ->
     return repeated(builder, value, LANE_COUNT)
 
 
-def _eight(typing: Any, value: Any) -> Any:
+@intrinsic
+def eight(typing: Any, value: Any) -> Any:
     """The float64 eight times."""
     return LANES(value), lambda context, builder, signature, arguments: _repeated(context, builder, value, LANES, *arguments)
 
@@ -90,7 +91,8 @@ def _address(context: Any, builder: Any, kind: Any, arguments: Any) -> Any:
     return builder.bitcast(builder.gep(held.data, [arguments[1]]), VECTOR.as_pointer())
 
 
-def _load(typing: Any, array: Any, first: Any) -> Any:
+@intrinsic
+def load(typing: Any, array: Any, first: Any) -> Any:
     """The numbers array[first], ..., array[first + 7] of an array (n,) without gaps."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -99,7 +101,8 @@ def _load(typing: Any, array: Any, first: Any) -> Any:
     return LANES(array, types.int64), generate
 
 
-def _store(typing: Any, array: Any, first: Any, value: Any) -> Any:
+@intrinsic
+def store(typing: Any, array: Any, first: Any, value: Any) -> Any:
     """Put eight numbers to array[first], ..., array[first + 7]."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -161,8 +164,3 @@ def _transposed(builder: Any, rows: list[Any]) -> list[Any]:
                 a, b = rows[p], rows[p + size]
                 rows[p], rows[p + size] = (builder.shuffle_vector(a, b, m) for m in masks)
     return rows
-
-
-eight: Any = intrinsic(_eight)
-load: Any = intrinsic(_load)
-store: Any = intrinsic(_store)

@@ -122,8 +122,7 @@ class Candidates:
                 self.marked, np.empty(n + WAITING, np.int32), self.wall_rows,
             )
         )  # fmt: skip
-        segments = self.x, self.v, np.empty(0), np.empty(0, np.int64)
-        self.replace(np.arange(n, dtype=np.int32), ALL, segments, 0.0)
+        self.follow(np.arange(n, dtype=np.int32), ALL, Segments(self.x, self.v, np.empty(0), np.empty(0, np.int64)), 0.0)
 
     def leaving(self, h: float) -> Array:
         """Rows that a drift over h from now takes away from their paths."""
@@ -136,19 +135,13 @@ class Candidates:
         """New paths and candidates for `rows` that are LEAVING their paths or were TURNED, on their segments in the drift over h.
 
         Of rows that were turned only those which leave their paths get new ones. Returns 0, or how far a row gets in this drift
-        if bound or region forbid it: then all must be searched anew.
+        if bound or region forbid it: then nothing was replaced, and all must be searched anew. See `replace_candidates`; here
+        is room for as many pairs as it finds.
         """
-        return self.replace(rows, why, tuple(segments), h) if len(rows) else 0.0
-
-    def replace(self, rows: Array, why: int, segments: tuple[Array, ...], h: float) -> float:
-        """As `replace_candidates`, with room for as many pairs as it finds.
-
-        Returns 0, or how far a row gets where bound or region forbid it: nothing was replaced then.
-        """
-        done = -1
-        while True:
+        done, needed, count = -1, 0.0, 0
+        while len(rows):
             needed, until, self.pair_count, self.wall_count, tests, count, done = replace_candidates(
-                self.axes, rows, done, why, segments, (self.time, h), tuple(self.horizon), self.holding,
+                self.axes, rows, done, why, tuple(segments), (self.time, h), tuple(self.horizon), self.holding,
                 tuple(self.room), self.pair_count, self.wall_count,
             )  # fmt: skip
             self.tests += tests if why == ALL else ALONE * tests

@@ -4,6 +4,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from particles_mpi.kernels.planes import Planes, no_planes
 from particles_mpi.particles import ALWAYS, BUILT_IN, FIELDS, Array
 from particles_mpi.scene import effect as kinds
 from particles_mpi.scene.schema import Scene
@@ -16,7 +17,7 @@ class ActiveEffects:
 
     def __init__(self, scene: Scene, switched_off: bool = False):
         options = scene.effects if switched_off else scene.active
-        self.integrator = scene.time.integrator
+        self.dimension, self.integrator = scene.dimension, scene.time.integrator
         self.all: dict[str, kinds.Effect] = {name: kinds.built(name, of, scene) for name, of in options.items()}
         self.forces, self.flows = self.of_kind(kinds.Force), self.of_kind(kinds.VelocityFlow)
         self.events = self.of_kind(kinds.Event)
@@ -51,6 +52,11 @@ class ActiveEffects:
     def rough(self) -> bool:
         """Are there rough spheres, which turn?"""
         return any(mu > 0.0 for mu, _ in self.surfaces)
+
+    @property
+    def planes(self) -> Planes:
+        """The walls, of which there may be none."""
+        return self.walls.planes if self.walls else no_planes(self.dimension)
 
     @property
     def surfaces(self) -> Array:

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from particles_mpi.errors import SceneError, StoppedError, one_line
+from particles_mpi.kernels.geometry import Box
 from particles_mpi.particles import Array, Column, Particles, add_column
 from particles_mpi.scene.model import Model
 
@@ -87,6 +88,11 @@ class Context(NamedTuple):
     lower: Array  # (d,): corners of the box, infinite where space is open
     upper: Array
     length: Array  # (d,): of the box on periodic axes, 0 on others
+
+    @property
+    def box(self) -> Box:
+        """The corners and lengths of the box together."""
+        return Box(self.lower, self.upper, self.length)
 
 
 class Effect:

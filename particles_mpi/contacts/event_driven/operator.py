@@ -18,15 +18,12 @@ from particles_mpi.contacts.event_driven.event_loop import HIGHER, LOWER, TC_ELA
 from particles_mpi.contacts.event_driven.jams import Collapse
 from particles_mpi.contacts.event_driven.whole import CHANGING, Whole
 from particles_mpi.contacts.event_driven.windows import Windows
-from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.velocity_flow import Rates
-from particles_mpi.kernels.geometry import Box
 from particles_mpi.kernels.markers import CROWD
-from particles_mpi.kernels.planes import Planes, no_planes
-from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import allgather_rows
 from particles_mpi.particles import Array, Particles, rows_of, rows_with
-from particles_mpi.timers import Timers
+from particles_mpi.scene.active import ActiveEffects
+from particles_mpi.scene.effect import Context, PairContacts
 
 LEAST_DIVIDED = 2000  # particles a rank; with fewer, space is not divided
 LONGEST_PAUSE = 64  # drifts
@@ -51,28 +48,16 @@ class EventDriven:
     window_counts = 0, 0  # windows of time so far, and how many were undone
 
     def __init__(
-        self,
-        particles: Particles,
-        ranks: Communicator,
-        box: Box,
-        loss: Loss,
-        law: Array,
-        duration: float | None,
-        forces: bool,
-        planes: Planes | None,
-        timers: Timers,
-        noting: bool,
+        self, particles: Particles, context: Context, effects: ActiveEffects, pairs: PairContacts,
         hold: Callable[[float, int], None] | None,
-    ):
-        """`forces`: are there any? `noting`: does `last` tell the last contacts of each drift?
-
-        `hold`: keeps the contacts of a crowd after a kick (`PersistentContacts.keep_crowds`) of a step of h, after so many
-        attempts at the drift, if contacts can last.
+    ):  # fmt: skip
+        """`hold`: keeps the contacts of a crowd after a kick (`PersistentContacts.keep_crowds`) of a step of h, after so many
+        attempts at the drift, if contacts can last. `noting`: does `last` tell the last contacts of each drift?
         """
-        self.ranks, self.given_duration = ranks, duration
-        self.particles, self.box, self.timers = particles, box, timers
-        planes = planes or no_planes(particles.dimension)
-        self.rules = box, loss, law, planes
+        self.ranks, self.particles, self.box, self.timers = context.ranks, particles, context.box, context.timers
+        self.given_duration = duration = pairs.options.contact_duration
+        ranks, loss, planes, forces = context.ranks, pairs.loss, effects.planes, bool(effects.forces)
+        self.rules = self.box, loss, effects.surfaces, planes
         total = ranks.total(len(particles))[0]
         self.divided = ranks.size > 1 and total >= LEAST_DIVIDED * ranks.size
         # What forces press together has such contacts in each step, without end
@@ -91,7 +76,7 @@ class EventDriven:
         self.pause, self.next_pause = 0, 1  # drifts that every rank computes as a whole, after windows that did not pay
         self.stop, self.stopped = np.array([0, -1, -1]), np.zeros(1)
         self.hold = hold
-        self.noting = noting
+        self.noting = effects.finishes_bounces
         self.last: LastContacts | None = None
         self.parts: list[Whole | Windows] = []  # what has been needed so far
 

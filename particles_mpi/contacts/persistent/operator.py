@@ -27,35 +27,43 @@ from particles_mpi.contacts.persistent.solution import SlowContacts
 from particles_mpi.contacts.persistent.surfaces import Surfaces
 from particles_mpi.contacts.persistent.walls import Walls
 from particles_mpi.contacts.persistent.zone import inside_zone, spread, zone_around
+from particles_mpi.contacts.rough import FRICTION
 from particles_mpi.kernels.markers import CROWD
-from particles_mpi.kernels.planes import Planes
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles
-from particles_mpi.timers import Timers
+from particles_mpi.scene.active import ActiveEffects
+from particles_mpi.scene.effect import Context
 
 OUTWARDS = np.array([[-1.0], [1.0]])  # the signs of the ends of a box
 
 
 class PersistentContacts:
-    """Keeps the slow contacts of particles: with one another if `pairs`, and with those of the planes that are `taking` energy.
+    """Keeps the slow contacts of particles: with one another if `pairs`, and with those of the planes that take energy.
 
     `uniform`: all forces give all particles the same acceleration, so that free ones never press onto
-    one another. `tolerance`: by which part of a radius contacts may close in a step. `points`: do points touch one another?
-    `migrating`: do rows change their rank, though no `pairs` are kept?
+    one another. `migrating`: do rows change their rank, though no `pairs` are kept?
     """
 
-    def __init__(
-        self, ranks: Communicator, length: Array, pairs: bool, planes: Planes, taking: Array, surfaces: Surfaces, uniform: bool,
-        tolerance: float, timers: Timers, points: bool = False, migrating: bool = False,
-    ):  # fmt: skip
+    def __init__(self, context: Context, effects: ActiveEffects, p: Particles):
+        """Of effects with forces and losses that can make a contact last. Collective.
+
+        Elastic spheres, too, come to rest on one another where the walls below them take energy and forces are the same for all.
+        """
+        ranks, length, options = context.ranks, context.length, effects.pairs.options if effects.pairs else None
+        pairs = effects.pairs is not None and effects.pairs.lossy
+        if effects.pairs and not pairs and effects.uniform:
+            pairs = ranks.any((p.radius > 0.0).any())
         self.ranks, self.length = ranks if pairs else Communicator.alone(), length
-        self.pairs, self.uniform, self.timers = pairs, uniform, timers
+        self.pairs, self.uniform, self.timers = pairs, effects.uniform, context.timers
         self.everywhere = OUTWARDS * np.full((2, len(length)), np.inf)
-        self.walls = Walls(planes, taking)
-        surfaces = surfaces._replace(walls=surfaces.walls[taking])
-        self.slow = SlowContacts(self.ranks, length, pairs, self.walls, surfaces, tolerance)
+        taking = effects.walls.taking if effects.walls else np.empty(0, bool)
+        self.walls = Walls(effects.planes, taking)
+        friction, resistance = effects.surfaces[:, FRICTION], effects.rolling.resistance if effects.rolling else 0.0
+        surfaces = Surfaces(float(friction[0]), friction[1:][taking], resistance)
+        self.slow = SlowContacts(self.ranks, length, pairs, self.walls, surfaces, options.contact_tolerance if options else 0.0)
         self.kind = self.slow.kind
-        self.migrating = migrating and ranks.size > 1
+        self.migrating = options is not None and ranks.size > 1
+        points = options is not None and p.dimension == 1 and options.mode == "event"  # these touch one another
         self.history = ContactHistory(ranks if self.migrating else self.ranks, length, len(self.walls), self.kind.columns, points)
         self.given: tuple[Array, Array] = np.empty(0, np.int64), np.empty(0)  # our rows, velocities given to them, but for drag
         self.undamped: Array | None = None  # see `keep`

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from particles_mpi.contacts.closing_kick import LastContacts
-from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.rough import Rough
 from particles_mpi.contacts.time_stepped.contact_search import brushed_pairs, find_contacts, find_wall_hits
 from particles_mpi.contacts.time_stepped.passes import (
@@ -36,24 +35,15 @@ from particles_mpi.neighbours.candidates import Hits
 from particles_mpi.neighbours.neighbour_list import Neighbourhood
 from particles_mpi.neighbours.pass_messages import ACROSS, OWN_ONLY, exchange_segments, exchange_selections
 from particles_mpi.particles import Array
-from particles_mpi.timers import Timers
+from particles_mpi.scene.active import ActiveEffects
+from particles_mpi.scene.effect import PairContacts
 
 if TYPE_CHECKING:
     from particles_mpi.contacts.event_driven.operator import EventDriven
 
 NONE = np.empty(0)
+TOO_DENSE = -1.0  # what `all_passes` returns for more contacts than they can put in order
 LOOK_AFTER = 3  # passes, after which partners that overlap are taken as a sign of a crowd, not of two who soon move apart
-
-
-class TooFarError(Exception):
-    """A collision threw a particle further than the candidates reach; `travel` is the distance it needs."""
-
-    def __init__(self, travel: float):
-        self.travel = travel
-
-
-class TooDenseError(Exception):
-    """More contacts than the passes can put in order."""
 
 
 class Rewind:
@@ -63,16 +53,18 @@ class Rewind:
     `passes` put in order; else they are just counted. `noting`: does `last` tell the last contacts of each drift?
     """
 
-    def __init__(
-        self, near: Neighbourhood, loss: Loss, law: Array, passes: int, timers: Timers, noting: bool,
-        exact: Callable[[], EventDriven], redoes: bool,
-    ):  # fmt: skip
-        """`law`: see `contacts.rough.Rough`."""
-        self.near, self.passes, self.timers, self.exact, self.redoes = near, passes, timers, exact, redoes
-        self.loss, self.law, self.planes = tuple(loss), law, near.planes
+    def __init__(self, near: Neighbourhood, effects: ActiveEffects, pairs: PairContacts, exact: Callable[[], EventDriven]):
+        self.near, self.passes, self.timers, self.exact, self.redoes = (
+            near,
+            pairs.options.passes,
+            near.timers,
+            exact,
+            effects.lossy,
+        )
+        self.loss, self.law, self.planes = tuple(pairs.loss), effects.surfaces, near.planes  # law: see `contacts.rough.Rough`
         self.walls = len(self.planes[0]) > 0
         self.signs = Signs(near)
-        self.noting = noting
+        self.noting = effects.finishes_bounces
         self.last: LastContacts | None = None
         self.searches = -1  # the search of `near` that the arrays by row belong to
 
@@ -91,17 +83,15 @@ class Rewind:
         travel = 0.0
         while True:
             self.renew(rates)
-            try:
-                counts = self.all_passes(h)
+            counts, needed = self.all_passes(h)
+            if not needed:
                 break
-            except TooDenseError:
-                self.undo()
+            self.undo()
+            if needed == TOO_DENSE:
                 self.signs.dense_steps += 1
                 return self.exactly(h, moment, rates)
-            except TooFarError as far:
-                self.undo()
-                travel = max(far.travel, 1.2 * travel)
-                near.search(h, travel)
+            travel = max(needed, 1.2 * travel)
+            near.search(h, travel)
         if self.noting:
             self.last = self.last_contacts()
         with self.timers("drift"):
@@ -144,11 +134,11 @@ class Rewind:
         """What a user should be told at the end. Collective."""
         return self.signs.remarks(self.exact)
 
-    def all_passes(self, h: float) -> Array:
+    def all_passes(self, h: float) -> tuple[Array, float]:
         """Make all passes; each row is left at the start of its last segment. Collective.
 
-        Returns counts (4,) of this rank: collisions, wall hits, missed contacts, late collisions. TooFarError, TooDenseError: the
-        drift must be undone.
+        Returns counts (4,) of this rank: collisions, wall hits, missed contacts, late collisions; and 0, or, where the drift must
+        be undone, TOO_DENSE, or how far candidates must reach, because a collision threw a particle further than they do.
         """
         near, counts, needed = self.near, np.zeros(4, np.int64), 0.0
         for left in range(self.passes, -1, -1):
@@ -159,23 +149,21 @@ class Rewind:
                 mine = np.array([len(hits.first), needed, near.concerned(hits), late], float)
                 waiting, needed, concerned, late = near.ranks.allreduce_max(mine)
             if needed:
-                raise TooFarError(float(needed))
+                break
             if self.redoes and (late or (waiting and not left)):
-                raise TooDenseError
+                return counts, TOO_DENSE
             if not waiting:
                 if left < self.passes:
                     if self.redoes and self.signs.overlapping(h):
-                        raise TooDenseError
+                        return counts, TOO_DENSE
                     first, second, _, _ = near.candidates.pairs
                     counts[LATE] += brushed_pairs(*near.rows, first, second, h, near.length)
                 break
             if not left:
                 needed = near.ranks.largest(self.finish(hits, h, counts, int(concerned)))[0]
-                if needed:
-                    raise TooFarError(float(needed))
                 break
             needed = self.one_pass(hits, h, counts, int(concerned))
-        return counts
+        return counts, float(needed)
 
     def find(self, h: float, everything: bool) -> Hits:
         """The hits on the present segments: all of them, or those of active rows."""
