@@ -62,7 +62,7 @@ RESUMING = "Go on from this checkpoint.h5, on any number of ranks; auto: from th
 def run(
     scene: SceneFile,
     output: Annotated[Path | None, typer.Option("--output", "-o", parser=given_path, metavar="PATH", help=RESULTS)] = None,
-    steps: Annotated[int | None, typer.Option(min=0, help="Stop after this many steps instead of at the scene's end.")] = None,
+    steps: Annotated[int | None, typer.Option(min=0, help="End with this step instead of that of the scene.")] = None,
     resume: Annotated[Path | None, typer.Option(parser=given_path, metavar="PATH", help=RESUMING)] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run that the folder holds.")] = False,
     wall_time: WallTime = None,
@@ -126,7 +126,8 @@ def check(scene: SceneFile) -> None:
         screen.shares(found.forecast)
     if found.costs:
         screen.say(f"  each effect costs, by what a step takes less without it: {found.costs}")
-    for line in (*(f"  {error}" for error in found.errors), "valid"):
+    stops = any("stops within" in error for error in found.errors)
+    for line in (*(f"  {error}" for error in found.errors), "valid, but it stops: see above" if stops else "valid"):
         screen.say(line)
 
 

@@ -163,7 +163,10 @@ def add_column(name: str, column: Column) -> None:
     if not name.isidentifier() or hasattr(Particles, name) or (known != column and name in BUILT_IN):
         raise ValueError(f"column {name!r}: the name is taken, or is no identifier")
     if known != column:
-        raise ValueError(f"column {name!r}: this Python knows it otherwise, from another file or version of one; restart it")
+        raise ValueError(
+            f"column {name!r}: known otherwise, from another effect or an earlier version of this file: use another name, or"
+            " restart Python"
+        )
     if str(np.dtype(column.dtype)) not in IN_FILES:
         raise ValueError(f"column {name!r}: {column.dtype} is none of the types that files of frames have: {', '.join(IN_FILES)}")
     FIELDS[name] = column

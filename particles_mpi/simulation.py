@@ -175,7 +175,8 @@ class Simulation(Saved):
         self.take_changes()
         p = self.rows
         with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is told below
-            measured = energies_and_momenta(self.ranks, p, self.accelerations.potentials(p))
+            gravity = "mutual_gravity" in self.scene.effects
+            measured = energies_and_momenta(self.ranks, p, self.accelerations.potentials(p), gravity)
             if self.scene.output.observables:
                 collisions = self.ranks.total(self.totals["collisions"])[0]
                 volume = float(np.prod(self.upper - self.lower)) if self.scene.box else np.nan

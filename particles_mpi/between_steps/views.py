@@ -56,6 +56,8 @@ class ParticleView:
         return self._shown[name]
 
     def __setattr__(self, name: str, value: Array) -> None:
+        if isinstance(getattr(type(self), name, None), property):
+            raise AttributeError(f"{name} follows from other fields, and cannot be set")
         shown = getattr(self, name)  # an unknown name is an error: data of one's own come by `attach`
         if value is not shown:
             shown[...] = value
@@ -80,7 +82,7 @@ class ParticleView:
     def inverse_mass(self) -> Array:
         """1/m, and 0 for fixed particles; (n,)."""
         self.collect()
-        return self._rows.inverse_mass
+        return read_only(self._rows.inverse_mass)
 
     @property
     def arrays(self) -> dict[str, Array]:

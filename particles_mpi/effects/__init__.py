@@ -22,10 +22,13 @@ What an effect needs stands in `needs`: a column of its own per particle (a char
 `kernel` compiles a function with a loop over rows. Decide by data and ids of particles, never by the order of rows: results
 must have the same bits on any number of ranks. Each rank calls the methods for its own rows, of which there may be none.
 An `Effect` is made several times, before a run, too: what takes long, as to read a table, is for `bind`, which is called when a
-simulation begins.
+simulation begins. Keep nothing in the object from one step to the next, for a copy, and a run that is gone on with, make it anew:
+what must last belongs into a column. An effect is not told the time; a script may change an option between two steps
+(`sim.effects["wind"].strength = ...`). Only the file itself is compared when a run goes on, and not what it imports.
 
-A force with a `potential` is part of the total energy. In a periodic box that must be the same where a particle leaves it and
-where it comes in again; a force that pushes particles around the box has none, and `potential` then returns `nan` for each.
+A force with a `potential` is part of the total energy: half of the energy of a pair for each partner, fixed or not. In a periodic
+box that must be the same where a particle leaves it and where it comes in again; a force that pushes particles around the box has
+none, and `potential` then returns `nan` for each.
 
 A force between particles needs those of other ranks. `bind` gives it the `Context` before the first step: the ranks, the box.
 Say `collective = True` if `add` exchanges messages: all ranks then call it together, with rows or without. Examples are in

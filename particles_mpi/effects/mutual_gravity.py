@@ -63,6 +63,7 @@ class Options(EffectOptions):
 class Effect(Force):
     """Adds the attraction; its potential energy is shared by both partners of a pair."""
 
+    of_movable = True
     formula = "dv_i/dt = G sum_j m_j (x_j - x_i)/(|x_j - x_i|^2 + eps^2)^(3/2)"
     collective = True
 

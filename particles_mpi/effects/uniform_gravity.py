@@ -20,6 +20,7 @@ class Options(EffectOptions):
 class Effect(Force):
     """Adds g; its potential energy is -m g.x."""
 
+    of_movable = True
     formula = "dv/dt = g"
     place_dependent = False
 

@@ -14,6 +14,7 @@ class Options(EffectOptions):
 class Effect(Force):
     """Adds a_i. (PBPhys cleared it after the first step; here it stays.)"""
 
+    of_movable = True
     formula = "dv/dt = a_i"
     place_dependent = False
     needs = Needs(columns={"acceleration": FIELDS["acceleration"]})

@@ -95,8 +95,12 @@ class Accelerations:
 
     def potentials(self, p: Particles) -> dict[str, Array]:
         """Potential energies (n,) by force, of those that have one. Collective."""
-        found = {name: force.potential(p) for name, force in self.forces.items()}
-        return {name: energy for name, energy in found.items() if energy is not None}
+        found = {}
+        for name, force in self.forces.items():
+            energy = force.potential(p)
+            if energy is not None:
+                found[name] = np.where(p.fixed == 0, energy, 0.0) if force.of_movable else energy
+        return found
 
     @property
     def interactions(self) -> int:

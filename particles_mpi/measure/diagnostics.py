@@ -28,14 +28,15 @@ OBSERVABLES = ("temperature", "moment_ratio", "packing", "collision_rate", "free
 ROTATION_PLANES = {2: ((0, 1),), 3: ((1, 2), (2, 0), (0, 1))}  # of the components of the angular momentum, by dimension
 
 
-def energies_and_momenta(ranks: Communicator, p: Particles, potentials: dict[str, Array]) -> dict[str, float]:
+def energies_and_momenta(ranks: Communicator, p: Particles, potentials: dict[str, Array], gravity: bool) -> dict[str, float]:
     """Kinetic, potential and total energy, momentum and largest speed of all movable particles. Collective.
 
     `potentials`: the potential energy (n,) of this rank's particles for each force that has one, by name; nan of one of them
-    makes the sums nan. With mutual gravity: angular momentum about the origin (in two and three dimensions), centre of mass, and
-    virial ratio 2 K/|W|. Where spheres turn: the energy of spins, which is part of the total, and angular momentum with spins.
+    makes the sums nan. With mutual `gravity`, which may be switched off: angular momentum about the origin (in two and three
+    dimensions), centre of mass, and virial ratio 2 K/|W|. Where spheres turn: the energy of spins, which is part of the total,
+    and angular momentum with spins.
     """
-    d, gravity, turning = p.dimension, "mutual_gravity" in potentials, "spin" in p.arrays
+    d, turning = p.dimension, "spin" in p.arrays
     fastest = 0.0
 
     def terms(rows: slice) -> dict[str, Array]:
@@ -53,7 +54,7 @@ def energies_and_momenta(ranks: Communicator, p: Particles, potentials: dict[str
     row["max_speed"] = float(np.sqrt(ranks.largest(fastest)[0]))
     row |= {name: sums[name] for name in angular_names(d) if gravity or turning}
     if gravity:
-        binding, total = sums["potential of mutual_gravity"], sums["mass"]
+        binding, total = sums.get("potential of mutual_gravity", 0.0), sums["mass"]
         row |= {name: sums[name] / total if total else nan for name in vector_names("center", d)}
         row["virial_ratio"] = 2.0 * kinetic / abs(binding) if binding else nan
     if turning:
@@ -66,12 +67,12 @@ def energies_and_momenta(ranks: Communicator, p: Particles, potentials: dict[str
 def energy_and_momentum(
     p: Particles, square: Array, potentials: dict[str, Array], gravity: bool, turning: bool
 ) -> dict[str, Array]:
-    """What each row (n,) adds to the sums of `energies_and_momenta`, by name; 0 of fixed particles. `square`: v^2 (n,)."""
+    """What each row (n,) adds to the sums of `energies_and_momenta`, by name; fixed ones only energies. `square`: v^2 (n,)."""
     movable = p.fixed == 0
     mass = p.mass * movable
     terms = {"kinetic": 0.5 * mass * square}
     terms |= dict(zip(vector_names("momentum", p.dimension), mass * p.velocity.T, strict=True))
-    terms |= {f"potential of {name}": np.where(movable, energy, 0.0) for name, energy in potentials.items()}
+    terms |= {f"potential of {name}": energy for name, energy in potentials.items()}
     if gravity or turning:
         terms |= angular_momenta(p, mass)
     if gravity:

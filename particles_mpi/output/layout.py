@@ -66,7 +66,8 @@ def frames_up_to(path: Path, resume_step: int, columns: ColumnShapes, last_count
         whole = numbers[: len(kept)] == kept and bool(((parts >= 0) & (parts < len(sizes))).all())
         points = int(sizes[parts].sum()) if whole else 0
         if whole and (found != columns.keys() or (kept and sizes[parts[-1]] != last_count)):
-            raise ValueError("it holds other particles or fields than the run to be continued")
+            other = ", ".join(sorted(name.removeprefix("PointData/") for name in found ^ columns.keys()))
+            raise ValueError(f"it holds other {other or 'particles'} than the run to be continued")
         if not whole or any(len(group[place]) < points for place in found):
             raise ValueError("it does not hold all of its frames")
         return kept, points, sizes[: int(parts.max(initial=0)) + 1].tolist()

@@ -35,8 +35,8 @@ def outlook(scene: Scene) -> Outlook:
         return Outlook(0.3, 3.0, "steps are cut where bodies come close, and how often that will be is not known")
     if effects.forces and effects.pairs:
         if prod(effects.pairs.loss) < HEAPING:
-            return Outlook(1.0 / TRUST, 10.0, "what falls heaps up, and contacts that last are not counted")
-        return Outlook(1.0 / TRUST, 4.0, "what falls gets faster and denser, and later contacts are not counted")
+            return Outlook(1.0 / TRUST, 10.0, "what forces bring together heaps up, and contacts that last are not counted")
+        return Outlook(1.0 / TRUST, 4.0, "what forces bring together gets faster and denser, and later contacts are not counted")
     if effects.keeps_contacts:
         return Outlook(1.0 / TRUST, 3.0, "what falls comes to rest, and contacts that last are not counted")
     return Outlook()

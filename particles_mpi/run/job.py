@@ -61,6 +61,7 @@ class Job:
         self.forecast: Forecast | None = None
         self.rows: list[dict[str, Any]] = []  # of diagnostics: of the start, unless that was in another job, and of the end
         self.screen = Screen(self.ranks.is_root, quiet or rehearsal)
+        sim.take_changes()
         self.plan = plan(self.scene, sim.rows, self.ranks, self.last)
         self.request = StopRequest(self.ranks, self.setup_began, wall_time)  # from here on a signal must not leave half a file
         try:
@@ -116,8 +117,8 @@ class Job:
             if pace:
                 pace.reported()
             files.write_frame()
-        if not files.continues and (self.resumed or sim.steps_done == self.last):
-            self.save()  # what is in this folder begins here
+        if sim.steps_done == self.last or (self.resumed and not files.continues):
+            self.save()  # what is in this folder begins here, or nothing is left but to keep what the user changed
         periods = output.every, output.diagnostics_every, output.checkpoint_every
         while sim.steps_done < self.last and not (stopped := self.request.poll(sim.steps_done)):
             with self.request:

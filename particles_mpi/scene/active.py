@@ -95,9 +95,9 @@ def fields_of(scene: Scene) -> list[str]:
         "contacted": pairs and (pairs.options.mode == "event" or effects.lossy),
         "virial": scene.output.observables,
         "supported": keeps,
-        "spin": effects.rough,
-        "moment_of_inertia": effects.rough,
-        "orientation": effects.rough and scene.output.orientation,
+        "spin": scene.rough,
+        "moment_of_inertia": scene.rough,
+        "orientation": scene.rough and scene.output.orientation,
         "free_acceleration": keeps and effects.finishes_bounces,
         "total_acceleration": (pairs or effects.walls) and (keeps or not effects.uniform),
     }

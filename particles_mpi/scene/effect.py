@@ -130,6 +130,7 @@ class Force(Effect):
     role = "force"
     place_dependent: ClassVar[bool] = True  # False: summed anew only where somebody has changed a field of the particles
     collective: ClassVar[bool] = False  # does `add` communicate? Then all ranks call it together
+    of_movable: ClassVar[bool] = False  # is `potential` that of movable particles only, which have the part of fixed ones too?
     g: Any = None  # the acceleration (d,), if it is the same for every particle
     direct: Any = None  # the sum over all pairs, with its `G` and `softening2`, if that is what the force adds
     interactions: Any = 0  # pairs, or what is put in their place, that were computed so far: for comparisons of cost
@@ -139,7 +140,10 @@ class Force(Effect):
         raise NotImplementedError
 
     def potential(self, particles: Particles) -> Array | None:
-        """Potential energy (n,) of each particle, NaN where there is none; None if this force has no energy."""
+        """Potential energy (n,) of each particle, NaN where there is none; None if this force has no energy.
+
+        The energy of a pair is the sum of what its partners have: half of it each, also where one is fixed.
+        """
         return None
 
 

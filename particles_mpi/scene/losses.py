@@ -69,5 +69,5 @@ class Losses(Model):
     @classmethod
     def _one_of_both(cls, value: float | None, info: ValidationInfo) -> float | None:
         if value is not None and info.data.get("damping") is not None:
-            raise ValueError("give restitution or damping, not both; None for the one to be left")
+            raise ValueError("give restitution or damping, not both (in Python: None for the one to be left)")
         return value

@@ -5,7 +5,7 @@ import pytest
 from with_all import with_all
 
 from particles_mpi import Scene, Simulation
-from particles_mpi.contacts.persistent import solver
+from particles_mpi.contacts.persistent import solution, solver  # noqa: F401  loaded before tests replace what is in `solver`
 from particles_mpi.contacts.persistent.descent import Iteration
 from particles_mpi.contacts.persistent.iterations import MOST_ITERATIONS
 from particles_mpi.contacts.persistent.problem import EXTRAPOLATED, IMPULSE, Problem

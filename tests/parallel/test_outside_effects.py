@@ -269,6 +269,19 @@ def test_a_start_table_gives_columns_of_effects_too(tmp_path):
         Simulation(Scene.from_dict(tables | {"effects": {"springs": springs, "drag": {}}}, tmp_path))
 
 
+def test_energy_of_a_force_between_pairs_is_that_of_the_pairs_with_a_fixed_one_too():
+    """h h' (reach - r)^2/2 of the pair, and the total stays."""
+    pair = {"position": [[0.0, 0.0], [0.9, 0.0]], "velocity": [[0.0, 0.0], [-0.5, 0.0]], "fixed": [True, False], "hardness": 2.0}
+    sim = Simulation(
+        scene({"repulsion": {"file": "repulsion.py", "reach": 1.0}}, d=2, particle=pair, time={"step": 1e-3, "steps": 800})
+    )
+    for _ in range(8):
+        row, r = sim.measure(), np.ptp(sim.particles.position[:, 0])
+        assert row["potential"] == pytest.approx(2.0 * (1.0 - r) ** 2, rel=1e-12)
+        assert row["total_energy"] == pytest.approx(0.145, rel=1e-5)
+        sim.steps(100)
+
+
 def test_a_start_table_gives_vectors_of_effects(tmp_path):
     """One column a component; half a vector is refused."""
     source = (

@@ -1,6 +1,7 @@
 """Runs that a script starts, goes on with, copies, or shows: what it asks for is done, or refused in one line."""
 
 import copy
+import json
 import pickle
 import threading
 
@@ -107,3 +108,60 @@ def test_what_a_run_does_not_have_is_told_by_name(tmp_path):
         run["position"]
     frames = pickle.loads(pickle.dumps(run[:]))
     assert [frame.position.tolist() for frame in frames] == [frame.position.tolist() for frame in run]
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_mutual_gravity_that_is_switched_off_has_its_columns(tmp_path, d):
+    """From the start, and between two runs into one folder."""
+    pair = [{"position": [[0.0] * d, [1.0] + [0.0] * (d - 1)], "mass": 1.0}]
+    tables = {"dimension": d, "G": 1.0, "time": {"step": 0.01, "steps": 4}, "particles": pair}
+    sim = Simulation(Scene(**tables, effects={"mutual_gravity": {"active": False}}, output={"diagnostics_every": 1}))
+    sim.run(tmp_path / "out", steps=2)
+    sim.effects["mutual_gravity"].active = True
+    sim.run(tmp_path / "out")
+    rows = Run(tmp_path / "out").diagnostics
+    assert np.isnan(rows["virial_ratio"][:3]).all() and np.isfinite(rows["virial_ratio"][3:]).all()
+    assert (rows["center_x"] == 0.5).all() and rows["potential"].tolist()[:3] == [0.0] * 3
+
+
+def test_who_is_fixed_just_before_a_run_is_so_in_its_frames(tmp_path):
+    tables = {"dimension": 2, "time": {"step": 0.01, "steps": 4}, "effects": {}}
+    sim = Simulation(Scene(**tables, particles=[{"position": [[0.0, 0.0], [1.0, 0.0]], "velocity": [1.0, 0.0]}]))
+    sim.particles.fixed[0] = True
+    sim.particles.velocity[0] = 0.0
+    sim.run(tmp_path / "out", steps=2)
+    assert Run(tmp_path / "out")[-1].fixed.tolist() == [True, False]
+    assert json.loads((tmp_path / "out/run.json").read_text())["plan"]["fixed"] == 1
+    resumed = Simulation.resume(tmp_path / "out/checkpoint.h5")
+    resumed.run(tmp_path / "out")
+    assert len(Run(tmp_path / "out").times) > 0 and resumed.steps_done == 4
+
+
+def test_a_run_that_has_nothing_left_to_do_keeps_what_was_changed(tmp_path):
+    tables = {"dimension": 2, "time": {"step": 0.01, "steps": 4}, "effects": {}}
+    sim = Simulation(Scene(**tables, particles=[{"position": [[0.0, 0.0]], "velocity": [1.0, 0.0]}]))
+    sim.run(tmp_path / "out")
+    sim.particles.velocity *= -3.0
+    sim.run(tmp_path / "out")
+    assert Simulation.resume(tmp_path / "out/checkpoint.h5") == sim
+
+
+def test_what_follows_from_other_fields_cannot_be_set():
+    sim = Simulation(Scene(dimension=1, time={"step": 0.01, "steps": 4}, effects={}, particles=[{"position": [[0.0]]}]))
+    for change in (
+        lambda p: setattr(p, "inverse_mass", 2.0),
+        lambda p: setattr(p, "dimension", 2),
+        lambda p: p.inverse_mass.__setitem__(0, 2.0),
+    ):
+        with pytest.raises((AttributeError, ValueError), match="inverse_mass|dimension|read-only"):
+            change(sim.particles)
+
+
+def test_a_spin_is_kept_where_no_wall_is():
+    """Rough walls of a box that is periodic are none, and spheres turn all the same."""
+    box = {"lower": [0.0] * 2, "upper": [1.0] * 2, "periodic": True}
+    spinning = [{"position": [[0.5, 0.5]], "radius": 0.1, "spin": 3.0}]
+    scene = Scene(dimension=2, box=box, time={"step": 0.01, "steps": 4}, effects={"walls": {"friction": 0.3}}, particles=spinning)
+    sim = Simulation(scene)
+    sim.run()
+    assert sim.particles.spin.tolist() == [[3.0]]
