@@ -122,7 +122,7 @@ def check(scene: SceneFile) -> None:
     screen.plan(described.title, plan(described, sim.rows, sim.ranks, described.steps), sim.warnings)
     found = predict(sim, Benchmark())
     if found.forecast:
-        screen.forecast(found.forecast)
+        screen.say(f"  predicted: {found.forecast}")
         screen.shares(found.forecast)
     if found.costs:
         screen.say(f"  each effect costs, by what a step takes less without it: {found.costs}")

@@ -23,7 +23,7 @@ from particles_mpi.parallel.exchange import id_range
 from particles_mpi.parallel.signals import HeldInterrupt
 from particles_mpi.particles import Array, Particles, default_values, moment_of_sphere
 from particles_mpi.scene.active import ActiveEffects, fields_of
-from particles_mpi.scene.effect import Context, Force
+from particles_mpi.scene.effect import Context, Force, built
 from particles_mpi.scene.model import python_values
 from particles_mpi.scene.schema import Scene
 from particles_mpi.timers import Timers
@@ -256,7 +256,7 @@ class State:
         self.particles.show()
         self.scene = scene
         if issubclass(options.effect_class(), Force) and options.active and key != "active":  # nothing else depends on it
-            force = self.scene.effects[name].build(self.scene)
+            force = built(name, self.scene.effects[name], self.scene)
             force.bind(self.context)
             self.accelerations.replace(name, force)
             self.active.all[name] = self.active.forces[name] = force

@@ -54,6 +54,10 @@ class Options(EffectOptions):
     def described(self, scene: Scene, total: int) -> str:
         return self.choice(scene, total).words
 
+    def strength(self, scene: Scene) -> float:
+        """Its own G, or else that of the scene."""
+        return scene.G if self.G is None else self.G
+
     def choice(self, scene: Scene, total: int) -> Choice:
         """How the sum is done for `total` particles, and what it costs."""
         angle, accuracy = self.opening_angle or 0.5, self.accuracy or ACCURACY
@@ -69,7 +73,7 @@ class Effect(Force):
 
     def __init__(self, options: Options, scene: Scene):
         self.options, self.scene = options, scene
-        self.G = scene.G if options.G is None else options.G
+        self.G = options.strength(scene)
         self.softening2 = options.softening**2
 
     def bind(self, context: Context) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from particles_mpi.initial.checks import divided_masses
 from particles_mpi.initial.columns import Columns, Share
 from particles_mpi.initial.plummer import centered, plummer_velocities, scaled_velocities
-from particles_mpi.initial.random_numbers import directions, draw, normals, stream_key, uniform
+from particles_mpi.initial.random_numbers import directions, draw, stream_key, uniform
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.particles import FIELDS, Array, moment_of_sphere
@@ -57,7 +57,7 @@ def fill_spins(columns: Columns, share: Share) -> None:
         return
     if isinstance(value, dict) and "temperature" in value:
         key = stream_key(columns.scene.seed, share.number, "spin")
-        normal = draw(key, *share.numbers, partial(normals, width=spin.shape[1]))
+        normal = draw(key, *share.numbers, lambda random, n: random.standard_normal((n, spin.shape[1])))
         turns = (fixed == 0) & (moment > 0.0)
         spin[:] = normal * np.sqrt(value["temperature"] / np.where(turns, moment, np.inf))[:, None]
         return
@@ -94,12 +94,10 @@ def drawn_velocities(columns: Columns, share: Share) -> Array:
     position, mass, fixed = (columns.arrays[name][share.rows] for name in ("position", "mass", "fixed"))
     key = stream_key(scene.seed, share.number, "velocity")
     if value == "equilibrium":
-        gravity = scene.effects["mutual_gravity"]
-        G = scene.G if gravity.G is None else gravity.G
-        scaled = draw(key, *numbers, scaled_velocities)
+        G, scaled = scene.effects["mutual_gravity"].strength(scene), draw(key, *numbers, scaled_velocities)
         return plummer_velocities(ranks, scaled, position, share.population.position["plummer"], mass, G)
     if "temperature" in value:
-        normal = draw(key, *numbers, partial(normals, width=scene.dimension))
+        normal = draw(key, *numbers, lambda random, n: random.standard_normal((n, scene.dimension)))
         return warm(ranks, float(value["temperature"]), normal, mass, fixed == 0)
     speed = value["speed"]
     if isinstance(speed, dict):

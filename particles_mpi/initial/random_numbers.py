@@ -43,11 +43,6 @@ def uniform(generator: np.random.Generator, count: int) -> Array:
     return generator.random(count)
 
 
-def normals(generator: np.random.Generator, count: int, width: int) -> Array:
-    """Numbers (count, width) of a normal distribution of mean 0 and variance 1."""
-    return generator.standard_normal((count, width))
-
-
 def directions(generator: np.random.Generator, count: int, d: int) -> Array:
     """Unit vectors (count, d), no direction preferred."""
     normal = generator.standard_normal((count, d))

@@ -1,7 +1,5 @@
 """What a start may be, and will surprise: no fault, but told."""
 
-from typing import Any
-
 import numpy as np
 
 from particles_mpi.initial.faults import listed_ids
@@ -66,20 +64,15 @@ def idle_effects(scene: Scene, particles: Particles, ranks: Communicator) -> lis
     weak = {
         "uniform_gravity.acceleration": "uniform_gravity" in effects and not any(effects["uniform_gravity"].acceleration),
         "friction.strength": "friction" in effects and effects["friction"].strength == 0.0,
-        "mutual_gravity.G": gravity is not None and strength(scene, gravity) == 0.0,
+        "mutual_gravity.G": gravity is not None and gravity.strength(scene) == 0.0,
     }
     return idle + [f"effects.{key}: 0, which changes nothing" for key, is_weak in weak.items() if is_weak]
-
-
-def strength(scene: Scene, gravity: Any) -> float:
-    """The G of mutual gravity: its own, or else that of the scene."""
-    return float(scene.G if gravity.G is None else gravity.G)
 
 
 def coincident(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]:
     """A warning of bodies at the same place that attract one another without softening: the law has no value there."""
     gravity = scene.active.get("mutual_gravity")
-    if gravity is None or gravity.softening > 0.0 or strength(scene, gravity) == 0.0:
+    if gravity is None or gravity.softening > 0.0 or gravity.strength(scene) == 0.0:
         return []
     columns = {name: particles[name] for name in ("id", "position", "mass", "fixed")}
     if ranks.size > 1:  # those at the same place to the same rank

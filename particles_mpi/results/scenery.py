@@ -1,8 +1,12 @@
-"""What stands around the particles of a run: its box, or the extent of its particles, and the walls that are no faces of it."""
+"""What stands around the particles of a run: its box, or the extent of its particles, and the walls that are no faces of it.
+
+`view_paraview.py` is the text of the script that shows a run in ParaView, into which it is filled.
+"""
 
 from __future__ import annotations
 
 from itertools import combinations, product
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,6 +52,19 @@ def scenery(scene: dict[str, Any], lower: Array, upper: Array) -> Scenery:
         if len(corners) > 1:
             walls.append((corners, normal))
     return Scenery(lower, upper, periodic, bool(box), walls)
+
+
+def paraview_script(folder: Path, scene: dict[str, Any]) -> str:
+    """The script that shows the run of a scene (as tables) in this folder."""
+    around = scenery(scene, np.zeros(3), np.zeros(3))
+    facts = {
+        "folder": str(folder.resolve()),
+        "box": [around.lower.tolist(), around.upper.tolist()] if around.real else None,
+        "walls": [corners.tolist() for corners, _ in around.walls] if around.real else [],
+        "planar": scene["dimension"] < 3,
+    }
+    text = (Path(__file__).parent / "view_paraview.py").read_text(encoding="utf-8")
+    return text.replace("RUN: dict = {}", f"RUN = {facts!r}")
 
 
 def in_front(corners: Array, point: Array, normal: Array, close: float) -> Array:

@@ -143,10 +143,6 @@ class Screen:
         for line in warnings:
             say(f" {line}", head="  warning:")
 
-    def forecast(self, forecast: Forecast, again: bool = False) -> None:
-        """Print how long the run will take; `again`: the forecast before was wrong."""
-        self.say(f"  predicted{' now' if again else ''}: {forecast}")
-
     def shares(self, forecast: Forecast) -> None:
         """Print the share of each phase in a step, the largest first."""
         total = sum(forecast.phases.values())

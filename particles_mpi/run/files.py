@@ -14,7 +14,7 @@ from particles_mpi.output import checkpoint, run_folder
 from particles_mpi.output.diagnostics_csv import Diagnostics
 from particles_mpi.output.files import failing_together, identity_of, write_text
 from particles_mpi.particles import Array, field
-from particles_mpi.results.paraview import paraview_script
+from particles_mpi.results.scenery import paraview_script
 from particles_mpi.run.ending import run_counts, scene_and_folder
 
 MOST_VTK = 1_000_000  # particles of which there are VTK files without being asked for: slower and larger than HDF5

@@ -156,7 +156,7 @@ class Job:
         elif before is None:
             self.plan["predicted_seconds"] = forecast.seconds
             self.plan["predicted_seconds_range"] = [forecast.least, forecast.most]
-        self.screen.forecast(forecast, again=before is not None)
+        self.screen.say(f"  predicted{' now' if before else ''}: {forecast}")
 
     def save(self) -> None:
         """A checkpoint; the longest one so far tells how long before the limit of its time the run stops."""

@@ -35,10 +35,6 @@ class EffectOptions(Model):
         """Is a mass of 0 refused with these options?"""
         return bool(self.effect_class().needs.divides_by_mass)
 
-    def build(self, scene: Any) -> Any:
-        """The effect with these options."""
-        return self.effect_class()(self, scene)
-
     def described(self, scene: Any, total: int) -> str:
         """How the effect is computed for `total` particles, in a few words for the plan; "" if there is only one way."""
         return ""
@@ -60,7 +56,7 @@ def faults_in(name: str, options: EffectOptions, scene: Any) -> list[str]:
 def built(name: str, options: EffectOptions, scene: Any) -> Any:
     """The effect of that name with its options. SceneError if it cannot be made, as one of a user's own may fail to be."""
     try:
-        return options.build(scene)
+        return options.effect_class()(options, scene)
     except SceneError:
         raise
     except (Exception, SystemExit) as error:

@@ -9,8 +9,8 @@ from rich.table import Table
 from particles_mpi import Scene
 from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.output.replacing import replace_text
-from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.run.console import Screen
+from particles_mpi.run.scene_file import load
 from particles_mpi.scene.model import suggestion
 from particles_mpi.study.experiment import Benchmark, Errors
 from particles_mpi.study.recommend.error_metric import ERROR_NAMES
@@ -165,12 +165,9 @@ def recommend_scene(
 ) -> Recommendation | None:
     """What `study recommend` does: find it, print it, write the tuned scene (to NAME.tuned.toml by default). Collective."""
     benchmark, target = Benchmark(quiet=False), output or path.with_suffix(".tuned.toml")
-    with raising_together(benchmark.ranks):
-        scene = Scene.load(path)
-        if target.resolve() == path.resolve():
-            raise SceneError(f"--output {target}: is the scene itself")
-    same_on_all(benchmark.ranks, scene.to_dict())
-
+    scene = load(path)
+    if target.resolve() == path.resolve():
+        raise SceneError(f"--output {target}: is the scene itself")
     found = recommend(benchmark, scene, tolerance, error, seconds)
     if found:
         report(benchmark.screen, found)

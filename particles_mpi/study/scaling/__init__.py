@@ -2,8 +2,7 @@
 
 measure            `study scaling`: seconds, phases and counts of a step on some of the ranks, while the others sleep
 scale_scene        a scene with more particles at the same density
-counted            `study scaling --counts`: work and messages on more ranks than there are, counted and not timed
-counts_report      what was counted: as lines on the screen, as rows of CSV files; which columns grow with the ranks
+counted            `study scaling --counts`: work and messages on more ranks than there are, counted and not timed; which grow
 performance_model  t(N, P): seconds of a step on more ranks than there are
 report             curves and predictions, as tables and rows of CSV files
 figure             the same as a picture

@@ -2,7 +2,7 @@
 
 Counts are the same where ranks share cores, so there may be many more ranks than cores. Each scene grows with the ranks (weak:
 PER_RANK particles on each) and is divided among them (strong). Every column should stay flat on a weak curve with many ranks,
-and fall on a strong one as the surface of a block of space; counts_report names those that do not. Only steps on a single
+and fall on a strong one as the surface of a block of space; those that do not are named. Only steps on a single
 rank are timed: with the counts they give the model of many ranks.
 
 How often mode rewind renews its candidates is learned during a run; here it is every SEARCH_INTERVAL steps, so that counts can be
@@ -10,32 +10,52 @@ compared. Memory is the largest sum of all arrays of a rank (of tracemalloc; wha
 """
 
 import tracemalloc
+from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
-from math import inf
+from math import inf, log
 from pathlib import Path
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from particles_mpi.neighbours.neighbour_list import Neighbourhood
 from particles_mpi.output.files import failing_together, make_folder
 from particles_mpi.parallel.agreement import raising_together
-from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.communicator import KINDS, Communicator
 from particles_mpi.run.console import Screen
 from particles_mpi.scene.schema import Scene
 from particles_mpi.simulation import Simulation
 from particles_mpi.study.recommend.runs import variant
-from particles_mpi.study.report import write_csv
-from particles_mpi.study.scaling.counts_report import BYTE_COLUMNS, say_counts, table_rows
+from particles_mpi.study.report import grouped, numbers_table, write_csv
 from particles_mpi.study.scaling.measure import HEADLINE, counters, divides, found_by, law_of, rank_counts, row_bytes
-from particles_mpi.study.scaling.performance_model import Point, fit
+from particles_mpi.study.scaling.performance_model import Law, Point, fit
 from particles_mpi.study.scaling.report import Curve, Result, say_model
 from particles_mpi.study.scaling.scale_scene import scale_scene, unable_to_grow
 
 PER_RANK = 2000  # particles; fewer would be blocks of space that are all surface
 STRONG_RANKS, QUICK_RANKS = 32, 8  # ranks of the strong curve's scene; ranks at most with --quick
 SEARCH_INTERVAL, COUNTED_STEPS = 8, 24  # steps from one search for neighbours to the next, and those that are counted
+FLAT_FROM, FLAT_WITHIN = 8, 0.1  # ranks from which on a column is judged, and how much it may change
+BYTE_COLUMNS = {f"bytes_{kind}": f"bytes: {kind}" for kind in KINDS}
+COLUMNS = {
+    "bytes": "bytes sent", **BYTE_COLUMNS, "messages": "messages", "reductions": "reductions", "all_to_alls": "all-to-alls",
+    "fetches": "searches", "ghosts": "ghost rows", "memory": "memory, MB", "memory_start": "memory of set-up, MB",
+}  # fmt: skip
+CAUSES = {
+    "bytes_rows": "rows of ghosts or of a tree, and what is sent of each",
+    "bytes_counts": "in every exchange each rank tells all others how many rows come: P - 1 numbers",
+    "bytes_gathers": "each rank sends its box, or what went wrong, to all others: P - 1 times",
+    "bytes_reductions": "each number is sent in log2 P stages",
+    "messages": "blocks of bisection have more neighbours than those of a regular grid, or ranks send to all",
+    "reductions": "ranks agree more often: of more particles some need more passes, or more windows of time",
+    "all_to_alls": "more exchanges of all with all",
+    "fetches": "all search when one of more particles has gone too far",
+    "ghosts": "ghosts come from further away",
+    "memory": "more than the rows of the rank and of ghosts: room for messages, entries for each rank, or all particles",
+    "memory_start": "more than the particles of the rank: entries for each rank, or all particles",
+}
 
 
 def count_scaling(described: Scene | None, folder: Path, quick: bool) -> None:
@@ -91,27 +111,17 @@ def count_scene(scene: Scene, world: Communicator, counts: list[int], screen: Sc
     found, divided = {}, True
     for particles, ranks in wanted:
         parts = found_by(world, world.subset(ranks), partial(run_counted, scaled(particles)))
-        columns, first = [part.columns for part in parts], parts[0]
+        columns, (first, shared) = [point.counts for point, _ in parts], parts[0]
         mean, most = ({name: float(of([one[name] for one in columns])) for name in columns[0]} for of in (np.mean, np.max))
-        s = first.seconds  # of a step; only a rank that was alone was timed
-        found[particles, ranks] = Point(first.particles, ranks, s, s, s, s, s, 0.0, mean, oversubscribed=ranks > 1, most=most)
-        divided &= ranks == 1 or first.divided
+        found[particles, ranks] = replace(first, counts=mean, oversubscribed=ranks > 1, most=most)
+        divided &= ranks == 1 or shared
         progress("counting")
     screen.stop()
     return [Curve(weak, [found[setting] for setting in curve]) for weak, curve in zip((False, True), curves)], divided
 
 
-class RankCounts(NamedTuple):
-    """What one rank found. divided: does each rank compute its part of space; columns: counts of a step; seconds: if alone."""
-
-    particles: int
-    divided: bool
-    columns: dict[str, float]
-    seconds: float
-
-
-def run_counted(scene: Scene, ranks: Communicator) -> RankCounts:
-    """Count some steps of a scene. Collective."""
+def run_counted(scene: Scene, ranks: Communicator) -> tuple[Point, bool]:
+    """(Counts of a step on this rank, and its seconds if there is no other; do ranks divide space?) Collective."""
     tracemalloc.start()
     sim = Simulation(scene, comm=ranks.comm)
     if isinstance(sim.near, Neighbourhood):
@@ -133,7 +143,7 @@ def run_counted(scene: Scene, ranks: Communicator) -> RankCounts:
         begin = perf_counter()
         to_search(sim, COUNTED_STEPS)
         seconds = (perf_counter() - begin) / (sim.steps_done - first - steps)
-    return RankCounts(sim.total, divides(sim), columns, seconds)
+    return Point(sim.total, ranks.size, seconds, seconds, seconds, seconds, seconds, 0.0, columns), divides(sim)
 
 
 def to_search(sim: Simulation, least: int) -> None:
@@ -144,3 +154,69 @@ def to_search(sim: Simulation, least: int) -> None:
             break
         searches = sim.near.searches if sim.near else 0
         sim.step()
+
+
+def verdict(name: str, points: list[Point], law: Law) -> str:
+    """How the mean of a column changes past FLAT_FROM ranks: "flat", or as geometry makes it, or what is wrong with it."""
+    first, last = points[0], points[-1]
+    before, after = first.counts[name], last.counts[name]
+    ideal, reason = expected(name, first, last, law)
+    if abs(after - before) <= FLAT_WITHIN * before and ideal >= 1.0 - FLAT_WITHIN:
+        return "flat"
+    grows = f"from {amount(before)} to {amount(after)} on {last.ranks} ranks"
+    if reason and after <= (1.0 + FLAT_WITHIN) * ideal * before:
+        return f"{grows}: as {reason}"
+    power = f", as P^{log(after / before) / log(last.ranks / first.ranks):.2f}" if before and after else ""
+    if name == "bytes":  # of all bytes, the kind that grew most
+        name = max(BYTE_COLUMNS, key=lambda kind: last.counts[kind] - first.counts[kind])
+    return f"NOT FLAT, {grows}{power}: {CAUSES[name]}"
+
+
+def expected(name: str, first: Point, last: Point, law: Law) -> tuple[float, str]:
+    """By which factor a column changes where ranks divide space perfectly, and as what; 1 and "" for what should not change."""
+    if name in ("bytes", "bytes_rows", "ghosts"):
+        layer = law.thickness(first.particles, first.ranks, first.counts["ghosts"])
+        if layer > (first.particles / first.ranks) ** (1.0 / len(law.edges)):  # thicker than the block
+            return 1.0, ""
+        rows = [law.rows(point.particles, point.ranks, layer) for point in (first, last)]
+        return (rows[1] / rows[0] if rows[0] else 0.0), "the surfaces that a block has in common with others"
+    if name == "messages":
+        return law.neighbours(last.ranks) / law.neighbours(first.ranks), "the number of neighbours of a block"
+    if name.startswith("memory"):
+        rows = [p.particles / p.ranks + (p.counts["ghosts"] if name == "memory" else 0.0) for p in (first, last)]
+        return rows[1] / rows[0], "the rows of a rank and its ghosts" if name == "memory" else "the particles of a rank"
+    return 1.0, ""
+
+
+def say_counts(scene: str, curve: Curve, law: Law, screen: Screen) -> None:
+    """A line for each column: its mean over the ranks for every number of ranks, and the largest of a rank; then the verdicts."""
+    points = curve.points
+    table = numbers_table("a rank and step", *(f"P = {point.ranks}" for point in points), "largest")
+    for name, words in COLUMNS.items():
+        table.add_row(words, *(amount(point.counts[name]) for point in points), amount(points[-1].most[name]))
+    screen.say(f": {curve.name}, counted", head=scene)
+    screen.table(table)
+    past = [point for point in points if point.ranks >= FLAT_FROM]
+    if len(past) < 2:
+        screen.say(f"  which columns are flat, is judged past {FLAT_FROM} ranks")
+        return
+    verdicts = {words: verdict(name, past, law) for name, words in COLUMNS.items()}
+    flat = [words for words, text in verdicts.items() if text == "flat"]
+    screen.say(f"  flat past {FLAT_FROM} ranks: {', '.join(flat) or 'none'}")
+    for words, text in verdicts.items():
+        if text != "flat":
+            screen.say(f"  {words}: {text}")
+
+
+def amount(value: float) -> str:
+    """A short text: whole numbers from 100 on, else three digits."""
+    return grouped(value) if value >= 100.0 else f"{value:.3g}"
+
+
+def table_rows(scene: str, curve: Curve) -> Iterator[dict[str, Any]]:
+    """Of counts.csv: a row for each point, mean and largest of each column."""
+    for point in curve.points:
+        row = {"scene": scene, "curve": curve.name, "ranks": point.ranks, "particles": point.particles}
+        for name in COLUMNS:
+            row |= {name: point.counts[name], f"{name}_largest": point.most[name]}
+        yield row

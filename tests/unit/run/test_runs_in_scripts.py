@@ -153,7 +153,7 @@ def test_what_follows_from_other_fields_cannot_be_set():
         lambda p: setattr(p, "dimension", 2),
         lambda p: p.inverse_mass.__setitem__(0, 2.0),
     ):
-        with pytest.raises((AttributeError, ValueError), match="inverse_mass|dimension|read-only"):
+        with pytest.raises((AttributeError, ValueError), match=r"inverse_mass|dimension|read-only"):
             change(sim.particles)
 
 

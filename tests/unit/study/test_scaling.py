@@ -8,7 +8,7 @@ import pytest
 
 from particles_mpi import Scene, SceneError
 from particles_mpi.initial.populate import populate
-from particles_mpi.study.scaling.counts_report import verdict
+from particles_mpi.study.scaling.counted import verdict
 from particles_mpi.study.scaling.measure import HEADLINE, rank_counts, settings
 from particles_mpi.study.scaling.performance_model import NETWORK_BANDWIDTH, NETWORK_LATENCY, Law, Model, Point, fit
 from particles_mpi.study.scaling.report import Curve, Result, what_ends
