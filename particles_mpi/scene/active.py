@@ -1,10 +1,9 @@
 """The effects of a scene that are switched on, built and sorted by kind, and what follows from which they are."""
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
-from particles_mpi.kernels.planes import Planes, no_planes
 from particles_mpi.particles import ALWAYS, BUILT_IN, FIELDS, Array
 from particles_mpi.scene import effect as kinds
 from particles_mpi.scene.schema import Scene
@@ -54,8 +53,10 @@ class ActiveEffects:
         return any(mu > 0.0 for mu, _ in self.surfaces)
 
     @property
-    def planes(self) -> Planes:
-        """The walls, of which there may be none."""
+    def planes(self) -> Any:
+        """The walls, as `kernels.planes.Planes`, of which there may be none."""
+        from particles_mpi.kernels.planes import no_planes  # here, for a scene can be read where no kernels can be kept
+
         return self.walls.planes if self.walls else no_planes(self.dimension)
 
     @property

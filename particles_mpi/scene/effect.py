@@ -8,7 +8,6 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from particles_mpi.errors import SceneError, StoppedError, one_line
-from particles_mpi.kernels.geometry import Box
 from particles_mpi.particles import Array, Column, Particles, add_column
 from particles_mpi.scene.model import Model
 
@@ -86,8 +85,10 @@ class Context(NamedTuple):
     length: Array  # (d,): of the box on periodic axes, 0 on others
 
     @property
-    def box(self) -> Box:
-        """The corners and lengths of the box together."""
+    def box(self) -> Any:
+        """The corners and lengths of the box together, a `kernels.geometry.Box`."""
+        from particles_mpi.kernels.geometry import Box  # here, for a scene can be read where no kernels can be kept
+
         return Box(self.lower, self.upper, self.length)
 
 
