@@ -56,8 +56,8 @@ class ParticleView:
         return self._shown[name]
 
     def __setattr__(self, name: str, value: Array) -> None:
-        if isinstance(getattr(type(self), name, None), property):
-            raise AttributeError(f"{name} follows from other fields, and cannot be set")
+        if hasattr(type(self), name) or name.startswith("_"):
+            raise AttributeError(f"{name} is no field: it cannot be set")
         shown = getattr(self, name)  # an unknown name is an error: data of one's own come by `attach`
         if value is not shown:
             shown[...] = value

@@ -26,9 +26,10 @@ simulation begins. Keep nothing in the object from one step to the next, for a c
 what must last belongs into a column. An effect is not told the time; a script may change an option between two steps
 (`sim.effects["wind"].strength = ...`). Only the file itself is compared when a run goes on, and not what it imports.
 
-A force with a `potential` is part of the total energy: half of the energy of a pair for each partner, fixed or not. In a periodic
-box that must be the same where a particle leaves it and where it comes in again; a force that pushes particles around the box has
-none, and `potential` then returns `nan` for each.
+A force with a `potential` is part of the total energy: half of the energy of a pair for each partner, fixed or not. What a fixed
+particle has by itself counts too, a constant, unless it is not finite. In a periodic box a potential must be the same where a
+particle leaves it and where it comes in again; a force that pushes particles around the box has none, and `potential` then
+returns `nan` for each.
 
 A force between particles needs those of other ranks. `bind` gives it the `Context` before the first step: the ranks, the box.
 Say `collective = True` if `add` exchanges messages: all ranks then call it together, with rows or without. Examples are in

@@ -99,7 +99,8 @@ class Accelerations:
         for name, force in self.forces.items():
             energy = force.potential(p)
             if energy is not None:
-                found[name] = np.where(p.fixed == 0, energy, 0.0) if force.of_movable else energy
+                counts = p.fixed == 0 if force.of_movable else (p.fixed == 0) | np.isfinite(energy)
+                found[name] = np.where(counts, energy, 0.0)
         return found
 
     @property

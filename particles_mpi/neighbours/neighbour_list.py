@@ -59,6 +59,7 @@ class Neighbourhood:
         self.position: Array | None = None  # the particles' own array at the last search
         self.searches = self.migrated = self.ghost_rows = self.expected = self.pair_tests = 0
         self.tuner = RebuildTuner()
+        self.steps_ahead = 0.0  # for which the last candidates were found, the same on all ranks: a row may shorten it on one
         self.work = 0.0  # of the last search, in the tuner's units
 
     def prepare(self, h: float) -> None:
@@ -97,9 +98,9 @@ class Neighbourhood:
         `at_least`: how far a row got, that broke the candidates there are: 0 if none did.
         """
         particles = self.particles
-        last = self.candidates.horizon if self.version != -1 else None
-        shortest = last is not None and self.candidates.time == 0.0 and last.valid_until < 1.5 * h
-        way = at_least - last.tolerance if last else 0.0
+        known = self.version != -1
+        shortest = known and self.candidates.time == 0.0 and self.steps_ahead == 1
+        way = at_least - self.candidates.horizon.tolerance if known else 0.0
         self.forget_candidates()
         with self.timers("migrate"):
             self.balance.update(particles, self.searches)
@@ -169,6 +170,7 @@ class Neighbourhood:
             bound = widest - tolerance
             if travel > 0.0:
                 steps = max(1, min(steps, floor((bound - tolerance) / travel)))
+        self.steps_ahead = steps
         slack = max(travel + 2.0 * tolerance, 1.01 * at_least)  # what a turned row may take in one drift
         margins = Margins(slack, slack + CLEARANCE * travel * steps)
         return Horizon(steps * h * (1.0 + 1e-9), tolerance, bound), margins

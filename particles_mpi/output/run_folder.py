@@ -87,7 +87,7 @@ class Lock:
         with suppress(FileNotFoundError):
             if self.descriptor is None or os.path.samestat(os.fstat(self.descriptor), self.folder.stat()):
                 return
-        raise OSError("the folder was deleted, or replaced, while this run wrote into it")
+        raise OSError("the folder was deleted, moved or replaced while this run wrote into it")
 
     def release(self) -> None:
         """Let others write there."""

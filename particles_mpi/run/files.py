@@ -41,6 +41,9 @@ class RunFiles:
         about = scene_and_folder(sim.scene) | {"plan": plan | {"not_run": not_run}}
         self.continues, self.lock = run_folder.claim(folder, self.ranks, about, resumed, overwrite, own)
         self.written = sim.written = sim.written if self.continues else {"row": -1, "frame": -1}
+        shows_fixed = self.written.setdefault("fixed", int(plan["fixed"] > 0))
+        if plan["fixed"] and not shows_fixed:
+            sim.warnings.append(f"output: frames in {folder} do not tell who is fixed, for nobody was when they began")
         try:
             self.open(about)
         except BaseException:
@@ -77,9 +80,9 @@ class RunFiles:
             raise
 
     def shown(self) -> dict[str, Array]:
-        """The fields that a frame shows; `fixed` only where something is."""
+        """The fields that a frame shows; `fixed` only where something was when the first one was written."""
         arrays = self.sim.rows.arrays
-        return {n: a for n, a in arrays.items() if field(n).output and (n != "fixed" or self.plan["fixed"])}
+        return {n: a for n, a in arrays.items() if field(n).output and (n != "fixed" or self.written["fixed"])}
 
     def write_row(self, extra: bool = False) -> dict[str, Any]:
         """One row of diagnostics.csv: the state, and what happened since the row before.

@@ -117,8 +117,12 @@ class Job:
             if pace:
                 pace.reported()
             files.write_frame()
+        if sim.steps_done == self.last and self.resumed:  # nothing is left but to keep what the user changed
+            extra = sim.steps_done % output.diagnostics_every != 0
+            if extra or not files.continues:
+                row = files.write_row(extra)
         if sim.steps_done == self.last or (self.resumed and not files.continues):
-            self.save()  # what is in this folder begins here, or nothing is left but to keep what the user changed
+            self.save()
         periods = output.every, output.diagnostics_every, output.checkpoint_every
         while sim.steps_done < self.last and not (stopped := self.request.poll(sim.steps_done)):
             with self.request:

@@ -29,7 +29,7 @@ class Population(Model):
     velocity: Velocity = None
     radius: Scalar = None
     mass: Scalar = None
-    fixed: Flags = False
+    fixed: Flags = None
     drag: Scalar = None
     acceleration: Vectors = None
     spin: Any = None

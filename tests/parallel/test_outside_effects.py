@@ -282,6 +282,17 @@ def test_energy_of_a_force_between_pairs_is_that_of_the_pairs_with_a_fixed_one_t
         sim.steps(100)
 
 
+def test_a_fixed_particle_where_the_energy_is_not_finite_does_not_count(tmp_path):
+    """As a sun that is shown at the origin of a force."""
+    source = (OUTSIDE / "springs.py").read_text().replace("return 0.5 * ", "return -1.0 / ")
+    (tmp_path / "sun.py").write_text(source)
+    pair = {"position": [[0.0, 0.0], [1.0, 0.0]], "fixed": [True, False], "stiffness": [1.0, 1.0]}
+    tables = {"dimension": 2, "time": {"step": 0.01, "steps": 1}, "particles": [pair]}
+    sim = Simulation(Scene.from_dict(tables | {"effects": {"sun": {"file": "sun.py", "centre": [0.0, 0.0]}}}, tmp_path))
+    with np.errstate(divide="ignore"):
+        assert sim.measure()["potential"] == -1.0
+
+
 def test_a_start_table_gives_vectors_of_effects(tmp_path):
     """One column a component; half a vector is refused."""
     source = (

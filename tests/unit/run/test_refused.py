@@ -65,7 +65,7 @@ def test_a_folder_that_is_deleted_ends_the_run(tmp_path, monkeypatch, formats, a
     monkeypatch.setattr(RunFiles, "write_row", delete_before)
     sim = simulation()
     sim.scene.output.formats, sim.scene.output.diagnostics_every = formats, 1
-    with pytest.raises(StoppedError, match=f"cannot write into {out} at step 3: the folder was deleted, or replaced"):
+    with pytest.raises(StoppedError, match=f"cannot write into {out} at step 3: the folder was deleted, moved or replaced"):
         sim.run(out)
     assert out.exists() == again and (not again or not list(out.iterdir()))
 

@@ -5,10 +5,12 @@ import json
 import pickle
 import threading
 
+import h5py
 import numpy as np
 import pytest
 
 from particles_mpi import Run, Scene, SceneError, Simulation
+from particles_mpi.study.recommend.runs import variant
 
 HEAD = {"dimension": 1, "time": {"step": 0.1, "steps": 40}, "output": {"every": 10, "checkpoint_every": 10}}
 
@@ -165,3 +167,41 @@ def test_a_spin_is_kept_where_no_wall_is():
     sim = Simulation(scene)
     sim.run()
     assert sim.particles.spin.tolist() == [[3.0]]
+
+
+def test_a_run_goes_on_in_its_folder_when_others_are_fixed(tmp_path):
+    """Frames that told who was fixed go on telling it; those that did not cannot, and the run says so."""
+    for before, after in ((True, False), (False, True)):
+        pair = {"position": [[0.0, 0.0], [1.0, 0.0]], "fixed": [before, False]}
+        sim = Simulation(Scene(dimension=2, time={"step": 0.01, "steps": 4}, effects={}, particles=[pair]))
+        sim.run(tmp_path / f"{before}", steps=2)
+        sim.particles.fixed[0] = after
+        sim.run(tmp_path / f"{before}")
+        with h5py.File(tmp_path / f"{before}/trajectory.vtkhdf") as file:
+            assert ("fixed" in file["VTKHDF/PointData"]) == before
+        assert any("do not tell who is fixed" in line for line in sim.warnings) == after and sim.steps_done == 4
+        resumed = Simulation.resume(tmp_path / f"{before}/checkpoint.h5")
+        assert resumed.particles.fixed.tolist() == [after, False]
+
+
+def test_the_last_row_is_there_when_nothing_is_left_to_do(tmp_path):
+    """It is extra, and so removed where a run goes on; what was changed meanwhile is in it. In another folder, too."""
+    tables = {"dimension": 2, "time": {"step": 0.01, "steps": 10}, "effects": {}, "output": {"diagnostics_every": 4}}
+    sim = Simulation(Scene(**tables, particles=[{"position": [[0.0, 0.0]], "velocity": [1.0, 0.0]}]))
+    sim.run(tmp_path / "a")
+    sim.particles.velocity *= 3.0
+    sim.run(tmp_path / "a")
+    rows = Run(tmp_path / "a").diagnostics
+    assert rows["step"].tolist() == [0, 4, 8, 10] and rows["kinetic"].tolist() == [0.5, 0.5, 0.5, 4.5]
+    Simulation.resume(tmp_path / "a/checkpoint.h5").run(tmp_path / "b", resumed=True)
+    assert Run(tmp_path / "b").diagnostics["step"].tolist() == [10]
+
+
+def test_what_is_fixed_by_a_table_is_so_in_each_form_of_the_scene(tmp_path):
+    (tmp_path / "a.csv").write_text("x,y,fixed\n0.1,0.2,1\n0.5,0.6,0\n")
+    tables = {"dimension": 2, "time": {"step": 0.01, "steps": 2}, "particles": [{"position": {"file": "a.csv"}}]}
+    scene = Scene.from_dict(tables | {"effects": {"uniform_gravity": {"acceleration": [0, -1]}}}, tmp_path)
+    changed = Scene.from_dict(scene.to_dict(), tmp_path)
+    changed.time.steps = 4
+    variants = scene, changed, variant(scene, scene.to_dict()["time"])
+    assert [Simulation(each).particles.fixed.tolist() for each in variants] == [[True, False]] * 3
