@@ -29,7 +29,7 @@ LEAST_DIVIDED = 2000  # particles a rank; with fewer, space is not divided
 LONGEST_PAUSE = 64  # drifts
 # Quick contacts in a drift, after which a particle is one of a crowd that collapses: in the first attempt TAKING/(1 - e), for so
 # many take a given part of the energy, and a rack of balls with e = 0.95 is none, within LEAST_QUICK and MOST_FIRST_QUICK, or
-# FOLLOWING_EFFORT over the number of particles if that is more, up to FEW_FIRST_QUICK: so a row of nine that is hit, or five
+# FEW_EFFORT over the number of particles if that is more, up to FEW_FIRST_QUICK: so a row of nine that is hit, or five
 # balls that fall onto a floor one on another, come apart as they do hit by hit. Then in each further attempt. What an attempt
 # leaves is little as a rule, and dies away; else those that hit the crowd from outside have to be among it.
 TAKING, LEAST_QUICK, MOST_FIRST_QUICK, FEW_FIRST_QUICK = 4.0, 8.0, 160.0, 60.0
@@ -37,7 +37,7 @@ QUICK_CONTACTS = (1000, 8, 4, 2, 1, NEVER_CROWDED)
 DURATION = 1e-4  # of a step: the `contact_duration` of a scene that gives none,
 FOLLOWING_EFFORT = 10_000  # particles times contacts that have to follow one another so soon until further ones take no energy,
 FOLLOWERS, AT_ONE_MOMENT = (3, 4000), (50, 900)  # at least and at most; and those at one moment
-PRESSED_FOLLOWERS = 8  # the least under forces
+PRESSED_FOLLOWERS, FEW_EFFORT = 8, 1000  # the same under forces: the least, and particles times contacts
 MOST_QUICK = 3000  # quick contacts of a particle in the last attempt: then it has no room
 
 
@@ -66,9 +66,9 @@ class EventDriven:
         left = loss.restitution * loss.velocity_factor  # of the speed along the normal, after a contact
         stops = forces and len(planes.point) > 0 and left < 1.0
         if forces:
-            before = max(before, PRESSED_FOLLOWERS)
+            before = max(FEW_EFFORT // max(total, 1), PRESSED_FOLLOWERS)
         first = TAKING / max(1.0 - left, TAKING / MOST_FIRST_QUICK)
-        first = max(first, LEAST_QUICK, min(FOLLOWING_EFFORT / max(total, 1), FEW_FIRST_QUICK))
+        first = max(first, LEAST_QUICK, min(FEW_EFFORT / max(total, 1), FEW_FIRST_QUICK))
         self.attempts = int(first), *QUICK_CONTACTS
         most = MOST_QUICK if hold else NEVER_CROWDED
         self.collapse = Collapse(0.0, 0 if duration is not None else before, at_once, stops, most)
