@@ -1,6 +1,6 @@
 """What stands around the particles of a run: its box, or the extent of its particles, and the walls that are no faces of it.
 
-`view_paraview.py` is the text of the script that shows a run in ParaView, into which it is filled.
+`paraview_script` fills it into the text of `view_paraview.py`, the script that shows a run in ParaView.
 """
 
 from __future__ import annotations

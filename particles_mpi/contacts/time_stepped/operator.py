@@ -54,13 +54,8 @@ class Rewind:
     """
 
     def __init__(self, near: Neighbourhood, effects: ActiveEffects, pairs: PairContacts, exact: Callable[[], EventDriven]):
-        self.near, self.passes, self.timers, self.exact, self.redoes = (
-            near,
-            pairs.options.passes,
-            near.timers,
-            exact,
-            effects.lossy,
-        )
+        self.near, self.timers, self.exact = near, near.timers, exact
+        self.passes, self.redoes = pairs.options.passes, effects.lossy
         self.loss, self.law, self.planes = tuple(pairs.loss), effects.surfaces, near.planes  # law: see `contacts.rough.Rough`
         self.walls = len(self.planes[0]) > 0
         self.signs = Signs(near)
