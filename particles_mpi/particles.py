@@ -56,6 +56,8 @@ FIELDS = {
     "rate": Column(vector=True, output=False),  # dv/dt at the start of a `taylor` step
 }
 RUN_MADE = tuple(name for name, column in FIELDS.items() if not column.output)  # fields that a run fills by itself
+# What these names say is something else in files of frames, and for those who read them; so is any that ends in FULL.
+OF_FRAMES, FULL = ("Points", "index", "time", "step", "count", "fields", "speed", "energy", "axis"), "_full"
 BUILT_IN = tuple(FIELDS)  # those of the program; effects from outside bring more
 USER = Column("", output=False)  # any other name: data of the user's, of any type and shape, that goes where its particle goes
 # Types of columns that viewers, too, can read: VTK has no others.
@@ -162,6 +164,8 @@ def add_column(name: str, column: Column) -> None:
     known = FIELDS.get(name, column)
     if not name.isidentifier() or hasattr(Particles, name) or (known != column and name in BUILT_IN):
         raise ValueError(f"column {name!r}: the name is taken, or is no identifier")
+    if column.output and (name in OF_FRAMES or name.endswith(FULL)):
+        raise ValueError(f"column {name!r}: frames have something else of such a name: use another one")
     if known != column:
         raise ValueError(
             f"column {name!r}: known otherwise, from another effect or an earlier version of this file: use another name, or"

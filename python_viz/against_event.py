@@ -81,5 +81,5 @@ def draw(exact: dict[str, Any], found: list[dict[str, Any]], title: str) -> Figu
     panels[1].axvline(exact["seconds"], color=BLUE, label="event")
     for axes in panels:
         axes.legend()
-    figure.suptitle(title, fontsize=13)
+    figure.suptitle(title, fontsize=13, parse_math=False)
     return figure

@@ -95,7 +95,7 @@ def draw(times: np.ndarray, curves: dict[str, np.ndarray], radius: float, title:
             axes.set_yticks([])
         axes.set_title(f"difference of {name}")
     panels[-1].set(xlabel="time", xlim=(times.min(), times.max() if times.max() > times.min() else times.min() + 1))
-    figure.suptitle(title, fontsize=13)
+    figure.suptitle(title, fontsize=13, parse_math=False)
     return figure
 
 

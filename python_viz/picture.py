@@ -45,6 +45,13 @@ def color_of(name: str) -> tuple[Callable[[Frame], np.ndarray], str, str, float]
     return COLORS.get(name, (values, name, "plasma", 99.5))
 
 
+def coordinates(low: float, high: float) -> tuple[str, str]:
+    """The coordinates of the ends of an edge, with as many digits as tell one from the other."""
+    ratio = max(abs(low), abs(high)) / (high - low) if high > low else 1.0
+    digits = min(3 + int(np.log10(max(ratio, 1.0))), 16)
+    return f"{low:.{digits}g}", f"{high:.{digits}g}"
+
+
 def add_picture_options(parser: ArgumentParser) -> None:
     offered = f"what the colour tells: {', '.join(COLORS)}, or any field of the frames, as spin, or a column of your effect"
     parser.add_argument("--color", default="speed", metavar="NAME", help=f"{offered} (default: speed)")
@@ -138,7 +145,9 @@ class Picture:
         shown.formatter.set_useOffset(False)
         shown.outline.set_visible(False)
         middle = (place.x0 + place.x1) / 2
-        self.heading = self.figure.text(middle, place.y1 + 0.12 / height, "", ha="center", va="bottom", fontsize=HEADING)
+        self.heading = self.figure.text(
+            middle, place.y1 + 0.12 / height, "", ha="center", va="bottom", fontsize=HEADING, parse_math=False
+        )
         self.letters = int(2.0 * min(middle, 1.0 - middle) * width / LETTER)
         self.caption = self.figure.text(middle, 0.15 / height, "", ha="center", fontsize=9, color=LINE)
         self.marbles = self.axes.imshow(np.zeros((1, 1, 4)), extent=(left, right, bottom, top), origin="lower", zorder=3)
@@ -181,7 +190,7 @@ class Picture:
         out = np.array([start[1] - end[1], end[0] - start[0]])
         out *= (self.largest + 0.035 * np.ptp(self.axes.get_xlim())) / max(np.linalg.norm(out), 1e-300)
         out *= np.sign(out @ (ends.mean(axis=0) - self.project(self.camera.center[None])[0])) or 1
-        first, last = (f"{number:.3g}" for number in faces[:, axis])
+        first, last = coordinates(*faces[:, axis])
         inset = 0 if axis == 2 else 0.04  # the numbers of x and y meet at one corner
         for along, text, size in [(inset, first, 9), (0.5, "xyz"[axis], 12), (1 - inset, last, 9)]:
             x, y = start + along * (end - start) + out

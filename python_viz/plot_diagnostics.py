@@ -33,6 +33,8 @@ def plot_energy(axes: Axes, rows: dict[str, np.ndarray]) -> None:
         axes.set_title("kinetic energy   (a force along a periodic axis has no potential)")
         return
     axes.plot(rows["time"], rows["potential"], label="potential")
+    if "rotational" in rows:
+        axes.plot(rows["time"], rows["rotational"], label="of spins")
     axes.plot(rows["time"], rows["total_energy"], color="#222222", ls=":", label="total")
     total = rows["total_energy"]
     scale = max(np.abs(rows[name]).max() for name in ("kinetic", "potential", "total_energy")) or 1
@@ -106,7 +108,7 @@ def main() -> None:
             axes.legend()
     for axes in panels[-1]:
         axes.set_xlabel("time")
-    figure.suptitle(f"{run.title} · {spaced(rows['particles'][-1])} particles", fontsize=14)
+    figure.suptitle(f"{run.title} · {spaced(rows['particles'][-1])} particles", fontsize=14, parse_math=False)
     finish(figure, save_path(options.save, options.run, "diagnostics.png"), options.show)
 
 

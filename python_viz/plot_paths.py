@@ -37,7 +37,7 @@ def paths_of(frames: list[Frame], smooth: bool, length: np.ndarray | float = 0.0
     """Moments (s,) and places (s, n, d) of all particles there ever were, which leave the box on periodic axes.
 
     smooth: nothing changes velocities at once. length (d,): of the box on periodic axes, 0 on others. Between two frames a
-    particle went the shorter way.
+    particle went the way that its velocities there tell best.
     """
     ids = np.unique(np.concatenate([frame.id for frame in frames]))
     times = np.array([frame.time for frame in frames])
@@ -46,7 +46,8 @@ def paths_of(frames: list[Frame], smooth: bool, length: np.ndarray | float = 0.0
     for k, frame in enumerate(frames):
         here = np.searchsorted(ids, frame.id)
         places[k, here], velocities[k, here] = frame.position, frame.velocity
-    periods = np.rint(np.diff(places, axis=0) / np.where(length, length, np.inf))
+    expected = 0.5 * (velocities[1:] + velocities[:-1]) * np.diff(times)[:, None, None]
+    periods = np.rint((np.diff(places, axis=0) - expected) / np.where(length, length, np.inf))
     places[1:] -= np.cumsum(np.nan_to_num(periods), axis=0) * length
     if not smooth or len(frames) == 1 or np.isnan(places).any():
         return times, places
@@ -135,7 +136,7 @@ def plot(axes: Axes, run: Run, span: float, title: str) -> None:
     axes.spines[:].set_visible(True)
     if d > 1:
         axes.set_aspect("equal", adjustable="datalim" if not half else "box")
-    axes.set_title(fill(title, TITLE), fontsize=10)
+    axes.set_title(fill(title, TITLE), fontsize=10, parse_math=False)
     seen = f"{spaced(len(last.position))} at t = {last.time:g}" + (f", two of {d} axes" if d > 3 else "")
     axes.text(0.99, 0.01, seen, transform=axes.transAxes, ha="right", fontsize=8,
               bbox={"facecolor": axes.get_facecolor(), "alpha": 0.7, "lw": 0, "pad": 1},

@@ -85,7 +85,7 @@ def draw_one(timing: Timing) -> Figure:
     axes.grid(axis="y", visible=False)
     ranks = f"{timing.ranks} rank" + "s" * (timing.ranks != 1)
     part = f" from step {timing.first} on" if timing.first else ""
-    axes.set_title(f"{timing.run.title} · {ranks} · loop{part} {timing.loop['mean']:.3g} s", fontsize=13)
+    axes.set_title(f"{timing.run.title} · {ranks} · loop{part} {timing.loop['mean']:.3g} s", fontsize=13, parse_math=False)
     return figure
 
 
@@ -150,7 +150,7 @@ def draw_several(timings: list[Timing], weak: bool) -> Figure:
     draw_stack(stack, timings)
     draw_scaling(time, efficiency, timings, weak)
     stack.grid(visible=False)
-    figure.suptitle(timings[0].run.title, fontsize=14)
+    figure.suptitle(timings[0].run.title, fontsize=14, parse_math=False)
     return figure
 
 

@@ -209,7 +209,7 @@ class Drift:
 
     def remarks_of_operators(self) -> list[str]:
         """Those of the present operator, and of operators that are no longer there. Collective."""
-        return [*self.past_remarks, *(self.operator.remarks() if self.operator else [])]
+        return list(dict.fromkeys([*self.past_remarks, *(self.operator.remarks() if self.operator else [])]))
 
     def work(self) -> dict[str, int]:
         """Searches for neighbours, ghosts, tests of pairs and windows of time so far, of this rank."""

@@ -14,7 +14,7 @@ from particles_mpi.scene.model import LARGEST_NUMBER
 from particles_mpi.scene.population import Population
 from particles_mpi.scene.schema import Scene
 
-LARGEST_WHOLE = 2.0**53  # up to which a float64 holds each whole number
+LARGEST_WHOLE = 2.0**53 - 1.0  # up to which no two whole numbers are the same float64
 Numbers = tuple[int, int]  # (first, last + 1) of a rank's particles of a population, counted from its first one
 
 

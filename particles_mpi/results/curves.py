@@ -10,6 +10,7 @@ from particles_mpi.particles import Array
 
 MOST_ROWS = 800  # of a curve: longer tables are thinned, counts summed up
 SHORT_NAMES = {"total_energy": "total", "max_speed": "fastest particle", "wall_hits": "wall hits"}
+ENERGIES = ("kinetic", "rotational", "potential", "total_energy")  # the second where spheres turn
 EVENTS = ("collisions", "wall_hits", "missed")
 
 
@@ -21,12 +22,13 @@ def curves(rows: dict[str, Array]) -> list[dict[str, Any]]:
     group = 1 + len(time) // MOST_ROWS
     edges = time[::group]
     panels = [
-        _panel("energy", edges, {n: rows[n][::group] for n in ("kinetic", "potential", "total_energy")}),
+        _panel("energy", edges, {n: rows[n][::group] for n in ENERGIES if n in rows}),
         _panel("momentum", edges, {n: row[::group] for n, row in rows.items() if n.startswith("momentum_")}),
         _panel("speed", edges, {"max_speed": rows["max_speed"][::group]}),
     ]
     starts = np.arange(1, (len(edges) - 1) * group + 1, group)
-    lasting = np.maximum(np.diff(edges), 1e-300)
+    lasting = np.diff(edges)
+    lasting = np.where(lasting > 0.0, lasting, np.inf)  # somebody has set the clock back: of that interval nothing is known
     counts = {n: np.add.reduceat(rows[n][: (len(edges) - 1) * group + 1], starts) for n in EVENTS}
     panels.append(_panel("events per unit time", edges[1:], {n: row / lasting for n, row in counts.items() if row.any()}))
     return [panel for panel in panels if panel["lines"] and len(panel["time"]) > 1]

@@ -189,7 +189,8 @@ def pack(frame: Any, columns: list[PageColumn], every: int) -> str:
         if not column.type:
             continue
         values = (now[column.name][kept] - np.array(column.offset)) / np.array(column.scale)
-        values = np.nan_to_num(values, posinf=0.0, neginf=0.0)
+        if column.type[0] in "ui":
+            values = np.nan_to_num(values, posinf=0.0, neginf=0.0)
         whole = values.round() if column.type[0] in "ui" else values
         block = whole.astype(f"<{column.type}").tobytes()
         parts.append(block + bytes(-len(block) % 8))

@@ -39,10 +39,13 @@ def scenery(scene: dict[str, Any], lower: Array, upper: Array) -> Scenery:
     periodic = np.zeros(3, bool)
     if box:
         lower, upper = in_space(box["lower"]), in_space(box["upper"])
-        periodic = np.resize(box.get("periodic") or False, 3)
+        flags = box.get("periodic") or False
+        flags = flags if isinstance(flags, list) else [flags] * len(box["lower"])
+        periodic[: len(flags)] = flags[:3]
     elif not np.any(upper > lower):  # a single point, or no particle at all
         lower, upper = np.full(3, -1.0), np.ones(3)
-    given = ((scene.get("effects") or {}).get("walls") or {}).get("planes") or []
+    options = (scene.get("effects") or {}).get("walls") or {}
+    given = (options.get("planes") or []) if options.get("active", True) else []  # what is switched off is not there
     planes = [(in_space(plane["point"]), in_space(plane["normal"])) for plane in given if np.any(in_space(plane["normal"]))]
     walls = []
     for point, normal in planes:

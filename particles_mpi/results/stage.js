@@ -5,7 +5,7 @@ let spheres, camera;
 
 function range() {
   let {low, high} = columnOf(state.color);
-  if (state.fit) [low, high] = numbers(frameAt(state.frame), state.color).reduce(([a, b], x) => [Math.min(a, x), Math.max(b, x)], [Infinity, -Infinity]);
+  if (state.fit) [low, high] = numbers(frameAt(state.frame), state.color).filter(isFinite).reduce(([a, b], x) => [Math.min(a, x), Math.max(b, x)], [Infinity, -Infinity]);
   if (state.log) {
     if (!(high > 0)) high = 1;
     low = Math.max(low, high * 1e-6);
@@ -42,7 +42,7 @@ function boxLines() {
     for (let bits = 0; bits < 8; bits++)
       if (!(bits >> axis & 1)) {
         const others = [0, 1, 2].filter(k => k !== axis), [a, b] = [corner(bits), corner(bits | 1 << axis)];
-        const dashed = !run.box.real || others.every(k => run.periodic[k] || a[k] === b[k]) && others.some(k => run.periodic[k]);
+        const dashed = !run.box.real || others.every(k => run.periodic[k] || run.box.upper[k] === run.box.lower[k]) && others.some(k => run.periodic[k]);
         const parts = dashed ? 40 : 1;  // periodic edges are dashed
         for (let p = 0; p < parts; p += 2) {
           const at = s => a.map((x, k) => x + (b[k] - x) * s);

@@ -132,9 +132,9 @@ class Screen:
         say(table)
         say(f"  does not run: {', '.join(plan['not_run']) or 'nothing left out'}")
         shown = (plan["frames"] - 1) * plan["every"]
-        last = f" (the last of step {shown}: output.every = {plan['every']})" if shown < plan["steps"] else ""
+        last = f" (the last of step {shown}: output.every = {plan['every']})" if 0 <= shown < plan["steps"] else ""
         say(f"  ghosts: {plan['ghosts']}; memory about {decimal(plan['memory_bytes'])}; output {plan['frames']} "
-            f"frame{'s' * (plan['frames'] > 1)}{last}, about {decimal(plan['output_bytes'])}")  # fmt: skip
+            f"frame{'s' * (plan['frames'] != 1)}{last}, about {decimal(plan['output_bytes'])}")  # fmt: skip
         for line in plan["advice"]:
             say(f"  {line}")
         few = FEW_WITH_GRAVITY if any(row["effect"] == "mutual_gravity" for row in plan["effects"]) else FEW_ON_A_RANK

@@ -17,6 +17,7 @@ from particles_mpi.particles import Array, field
 from particles_mpi.results.scenery import paraview_script
 from particles_mpi.run.ending import run_counts, scene_and_folder
 
+FRAMES_IN = {"hdf5": "trajectory.vtkhdf", "vtk": "particles.pvd"}  # by format: what one opens to see the frames
 MOST_VTK = 1_000_000  # particles of which there are VTK files without being asked for: slower and larger than HDF5
 
 
@@ -59,12 +60,16 @@ class RunFiles:
         if "hdf5" in output.formats:
             from particles_mpi.output.trajectory import Trajectory
 
-            path = self.folder / "trajectory.vtkhdf"
+            path = self.folder / FRAMES_IN["hdf5"]
             self.frames.append(Trajectory(path, ranks, list(self.shown()), d, sim.total, step, frame, last_count))
         if "vtk" in output.formats:
             from particles_mpi.output.vtk import VtkSeries
 
             self.frames.append(VtkSeries(self.folder, ranks, d, step, frame))
+        if self.continues:
+            left = [name for kind, name in FRAMES_IN.items() if kind not in output.formats and (self.folder / name).exists()]
+            old = f"is from before step {sim.steps_done} and gets no more frames"
+            sim.warnings += [f"output.formats: {self.folder / name} {old}" for name in left]
         names = column_names(d, output.observables, "mutual_gravity" in sim.scene.effects, "spin" in sim.rows.arrays)
         self.diagnostics = Diagnostics(self.folder / "diagnostics.csv", ranks, names, step, row)
         sim.warnings += [line for writer in (*self.frames, self.diagnostics) for line in writer.lost]

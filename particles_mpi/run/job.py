@@ -117,7 +117,7 @@ class Job:
             if pace:
                 pace.reported()
             files.write_frame()
-        if sim.steps_done == self.last and self.resumed:  # nothing is left but to keep what the user changed
+        if sim.steps_done >= self.last and self.resumed:  # nothing is left but to keep what the user changed
             extra = sim.steps_done % output.diagnostics_every != 0
             if extra or not files.continues:
                 row = files.write_row(extra)

@@ -41,7 +41,7 @@ def plan(scene: Scene, particles: Particles, ranks: Communicator, steps: int) ->
         "ghosts": ghosts if pairs and ranks.size > 1 else "none",
         "ranks": ranks.size,
         "memory_bytes": memory_needed(scene, particles.arrays, total, ranks.size),
-        "frames": steps // scene.output.every + 1,
+        "frames": (steps // scene.output.every + 1) * bool(scene.output.formats),
         "every": scene.output.every,
         "output_bytes": output_bytes(scene, particles, total * row_bytes(*particles.arrays.values()), total, fixed > 0, steps),
         "predicted_seconds": None,  # of the loop, and between which two: known after the first steps

@@ -422,7 +422,7 @@ def test_what_would_be_ignored_is_refused(tmp_path):
     (tmp_path / "slow.py").write_text(slow)
     with pytest.raises(SceneError, match='"taylor" needs a method `rate` of the effect slow; use "leapfrog"'):
         scene({"slow": magnetic | {"file": str(tmp_path / "slow.py")}}, time={"integrator": "taylor"})
-    for wrong in (1.5, [0.5], 1e30, {"min": 0.5, "max": 0.6}, {"min": 1e30, "max": 1e31}):
+    for wrong in (1.5, [0.5], [2**53 + 1], 1e30, {"min": 0.5, "max": 0.6}, {"min": 1e30, "max": 1e31}):
         with pytest.raises(SceneError, match=r"particles\[0\].crossings: no whole number of int64 for particle 0"):
             Simulation(scene({"gate": {"file": "gate.py", "place": 0.0}}, particle={"crossings": wrong}))
     with pytest.raises(SceneError, match=r"effects\.drag\.file: drag is an effect of the program"):
@@ -442,6 +442,14 @@ def test_what_would_be_ignored_is_refused(tmp_path):
         ),
         ("number", (OUTSIDE / "gate.py").read_text().replace('Column("int64")', "1.0"), "must be a table of columns"),
         ("taken", (OUTSIDE / "gate.py").read_text().replace("crossings", "mass"), "column 'mass': the name is taken"),
+        *(
+            (
+                f"of_{name}",
+                (OUTSIDE / "gate.py").read_text().replace("crossings", name),
+                f"column '{name}': frames have something",
+            )
+            for name in ("Points", "time", "index", "speed", "energy", "step", "fields", "count", "axis", "tank_full")
+        ),
     ]:
         (tmp_path / f"{name}.py").write_text(lines)
         with pytest.raises(SceneError, match=rf"effects\.{name}\.file: .*{name}\.py: .*{why}"):

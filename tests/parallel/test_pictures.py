@@ -1,12 +1,14 @@
 """Every script of python_viz draws a run, and a film has all of its frames."""
 
 import json
+import sys
 
+import numpy as np
 import pytest
 from conftest import ROOT, run_ranks
 from PIL import Image
 
-from particles_mpi import Scene, Simulation
+from particles_mpi import Run, Scene, Simulation
 
 pytestmark = pytest.mark.parallel
 
@@ -16,7 +18,8 @@ def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run") / "run"
     walls = {"planes": [{"point": [0, 0, 0.5], "normal": [0, 0.3, 1]}, {"point": [0, 0, 4], "normal": [0, 0, -1]}]}
     particles = [{"count": 60, "position": "random", "radius": 0.2, "velocity": {"speed": 1.0}}]
-    Simulation(Scene(dimension=3, box={"lower": [0, 0, 0], "upper": [4, 4, 4], "periodic": [True, True, False]},
+    box = {"lower": [0, 0, 0], "upper": [4, 4, 4], "periodic": [True, True, False]}
+    Simulation(Scene(title=r"$\frac$ and $E_k_1$", dimension=3, box=box,
                      time={"step": 0.05, "steps": 8}, particles=particles, effects={"collisions": {}, "walls": walls},
                      output={"every": 2, "diagnostics_every": 1})).run(folder)  # fmt: skip
     return folder
@@ -58,3 +61,25 @@ def test_only_runs_of_one_scene_show_strong_scaling(run, tmp_path):
         (tmp_path / name / "run.json").write_text(json.dumps(table))
         done = run_ranks(1, ROOT / "python_viz/plot_phases.py", run, tmp_path / name, "--save", tmp_path / "picture.png")
         assert done.returncode == code and told in done.stderr, done.stderr
+
+
+@pytest.mark.parametrize("walls", [{}, {"walls": {}}])
+def test_the_path_of_a_fast_particle_through_periodic_faces_is_straight(walls, tmp_path):
+    """Between two frames it went 0.9 of the box; without walls its path is a curve that its velocities give."""
+    sys.path.insert(0, str(ROOT / "python_viz"))
+    from plot_paths import paths_of
+
+    box = {"lower": [0, 0], "upper": [10, 10], "periodic": [True, False]}
+    particles = [{"position": [[1, 5]], "velocity": [9, 0.5], "radius": 0.2}]
+    time, output = {"step": 0.01, "steps": 300}, {"every": 100}
+    Simulation(Scene(dimension=2, box=box, time=time, output=output, effects=walls, particles=particles)).run(tmp_path)
+    moments, places = paths_of(Run(tmp_path)[:], not walls, np.array([10.0, 0.0]))
+    assert np.abs(places[:, 0] - ([1, 5] + moments[:, None] * [9, 0.5])).max() < 1e-9
+
+
+def test_the_ends_of_a_box_far_away_are_told_apart():
+    sys.path.insert(0, str(ROOT / "python_viz"))
+    from picture import coordinates
+
+    assert coordinates(1000.0, 1001.5) == ("1000", "1001.5") and coordinates(0.0, 0.5) == ("0", "0.5")
+    assert coordinates(-1e6, -1e6 + 1e-3) == ("-1000000", "-999999.999") and coordinates(2.0, 2.0) == ("2", "2")

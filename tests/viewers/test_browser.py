@@ -211,8 +211,8 @@ CORNERS = """[-0.5, 0.5].map(k => project([k * sides[0], k * sides[1], 0])).flat
 
 @pytest.mark.parametrize("upper", [[6.0, 1.5], [1.5, 6.0]])
 def test_all_of_a_plane_is_seen_in_a_window_of_any_size(opened, tmp_path, upper):
-    """Until the user moves it or comes nearer."""
-    box, particles = {"lower": [0, 0], "upper": upper}, [{"position": [[1.0, 1.0]], "radius": 0.1}]
+    """Until the user moves it or comes nearer. Sides that are periodic are dashed, floor and ceiling are not."""
+    box, particles = {"lower": [0, 0], "upper": upper, "periodic": [True, False]}, [{"position": [[1.0, 1.0]], "radius": 0.1}]
     time, effects = {"step": 0.1, "steps": 2}, {"walls": {}}
     page = opened(ran(tmp_path / "run", dimension=2, box=box, time=time, particles=particles, effects=effects))
     for width, height in ((1200, 800), (700, 900), (1600, 500)):
@@ -220,6 +220,8 @@ def test_all_of_a_plane_is_seen_in_a_window_of_any_size(opened, tmp_path, upper)
         places = np.array(page.evaluate(f"new Promise(ready => requestAnimationFrame(() => ready({CORNERS})))"))
         assert places.min() > 0.0 and places.max() < 1.0
         assert np.abs(np.diff(places.reshape(2, 2), axis=0)).max() > 0.75  # nor is it small
+    dashes, lines = 20, 4  # of an edge; edges along each axis, of which those along the third are points
+    assert page.evaluate("boxLines().length") == lines * (dashes + 1 + 1)
     page.evaluate("camera.zoom(0.5)")
     page.set_viewport_size({"width": 1200, "height": 800})
     assert np.abs(np.diff(np.array(page.evaluate(CORNERS)).reshape(2, 2), axis=0)).max() > 1.0  # the user's choice stays

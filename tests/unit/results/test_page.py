@@ -9,7 +9,7 @@ import pytest
 
 from particles_mpi import Run, Scene, SceneError, Simulation
 from particles_mpi.results.curves import MOST_ROWS, curves
-from particles_mpi.results.page import Choice, choose, page, survey, write_page
+from particles_mpi.results.page import Choice, PageColumn, choose, pack, page, survey, write_page
 from particles_mpi.results.scenery import scenery, section
 
 
@@ -194,3 +194,47 @@ def test_walls_end_where_they_meet():
     for (corners, _), side in zip(around.walls, (0.0, 1.0), strict=True):
         expected = [[side, 0, 0.7], [side, 1, 0.7], [0.5, 0, 0.2], [0.5, 1, 0.2]]
         assert sorted(corners.tolist()) == pytest.approx(np.array(sorted(expected)))
+
+
+def test_an_axis_of_the_box_is_periodic_where_the_scene_says_so():
+    for d in (1, 2, 3, 4):
+        flags = [k % 2 == 0 for k in range(d)]
+        for given, right in ((True, [True] * d), (False, [False] * d), (flags, flags)):
+            box = {"lower": [0] * d, "upper": [4] * d, "periodic": given}
+            assert scenery({"box": box}, np.zeros(3), np.ones(3)).periodic.tolist() == [*right, False, False][:3]
+
+
+def test_walls_that_are_switched_off_are_not_drawn():
+    planes = [{"point": [2, 2, 2], "normal": [0, 0, 1]}]
+    for active in (False, True):
+        box, walls = {"lower": [0, 0, 0], "upper": [4, 4, 4]}, {"active": active, "planes": planes}
+        assert len(scenery({"box": box, "effects": {"walls": walls}}, np.zeros(3), np.ones(3)).walls) == active
+
+
+def test_what_is_no_number_is_not_shown_as_zero():
+    """A column of an effect may be; the rest of the frame is shown as it is."""
+
+    class Frame:
+        id, position, velocity, mass, radius = np.arange(2), np.zeros((2, 3)), np.zeros((2, 3)), np.ones(2), np.ones(2)
+        fields, speed, hot = ("hot",), np.zeros(2), np.array([np.nan, 5.0])
+
+        def __getitem__(self, name):
+            return getattr(self, name)
+
+    block = b64decode(pack(Frame(), [PageColumn("hot", "f4", False)], 1))
+    assert np.array_equal(np.frombuffer(block[8:16], "<f4"), [np.nan, 5.0], equal_nan=True)
+
+
+def ones(time, *more):
+    """A table of diagnostics in which everything is 1."""
+    names = ["kinetic", "potential", "total_energy", "momentum_x", "max_speed", "collisions", "wall_hits", "missed"]
+    return {"time": np.array(time)} | {name: np.ones(len(time)) for name in (*names, *more)}
+
+
+def test_no_rate_is_told_of_an_interval_in_which_the_clock_was_set_back():
+    (events,) = (panel for panel in curves(ones([0.0, 1.0, 2.0, 0.5, 1.5])) if panel["title"].startswith("events"))
+    assert events["lines"]["collisions"] == [1.0, 1.0, 0.0, 1.0]
+
+
+def test_the_energy_of_spins_is_a_curve_of_its_own():
+    assert "rotational" in curves(ones([0.0, 1.0], "rotational"))[0]["lines"]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from particles_mpi import Scene, Simulation
+from particles_mpi import Run, Scene, Simulation
 from particles_mpi.run import files
 
 
@@ -30,3 +30,21 @@ def test_vtk_files_of_many_particles(tmp_path, monkeypatch, asked, written):
         assert len(list((out / "vtk").glob("*.vtu"))) == 3 * vtk if vtk else not (out / "particles.pvd").exists()
         assert [w for w in sim.warnings if w.startswith("output.formats: no VTK files")] == sim.warnings[: int(said)]
         assert len(sim.warnings) == said
+
+
+def test_a_file_of_frames_that_is_left_behind_is_told(tmp_path):
+    """Whoever opens it would take it for the whole run."""
+    tables = {"dimension": 2, "time": {"step": 0.1, "steps": 4}, "particles": [{"position": [[0.0, 0.0]]}], "effects": {}}
+    for left, name in (("hdf5", "trajectory.vtkhdf"), ("vtk", "particles.pvd")):
+        Simulation(Scene(**tables, output={"every": 1})).run(tmp_path / left, steps=2)
+        sim = Simulation.resume(tmp_path / left / "checkpoint.h5")
+        sim.scene.output.formats = [kind for kind in ("hdf5", "vtk") if kind != left]
+        sim.run(tmp_path / left, resumed=True)
+        (warning,) = sim.warnings
+        assert f"{name} is from before step 2 and gets no more frames" in warning
+
+
+def test_a_plan_without_formats_has_no_frames(tmp_path):
+    tables = {"dimension": 2, "time": {"step": 0.1, "steps": 4}, "particles": [{"position": [[0.0, 0.0]]}], "effects": {}}
+    Simulation(Scene(**tables, output={"formats": []})).run(tmp_path)
+    assert Run(tmp_path).about["plan"]["frames"] == 0

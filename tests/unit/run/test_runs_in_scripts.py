@@ -205,3 +205,31 @@ def test_what_is_fixed_by_a_table_is_so_in_each_form_of_the_scene(tmp_path):
     changed.time.steps = 4
     variants = scene, changed, variant(scene, scene.to_dict()["time"])
     assert [Simulation(each).particles.fixed.tolist() for each in variants] == [[True, False]] * 3
+
+
+def test_a_run_that_is_to_end_earlier_than_it_has_come_keeps_its_last_row(tmp_path):
+    particles = [{"position": [[0.0, 0.0]], "velocity": [1.0, 0.0]}]
+    longer, shorter = (
+        Scene(dimension=2, time={"step": 0.01, "steps": n}, output={"diagnostics_every": 4}, particles=particles)
+        for n in (13, 10)
+    )
+    Simulation(longer).run(tmp_path)
+    sim = Simulation.resume(tmp_path / "checkpoint.h5")
+    sim.scene = shorter
+    sim.run(tmp_path, resumed=True)
+    assert Run(tmp_path).diagnostics["step"].tolist() == [0, 4, 8, 12, 13]
+
+
+def test_a_remark_is_made_once_though_both_parts_of_a_run_have_it(tmp_path):
+    """A sphere that crosses most of a narrow box in a step: mode event, or shorter steps, would be better."""
+    box = {"lower": [-1, 2], "upper": [1, 4], "periodic": True}
+    particles = [
+        {"position": [[0, 3.5], [0.5, 3.2]], "velocity": [[9, 3], [-1, 0.5]], "radius": 0.05},
+        {"count": 10, "position": "random", "velocity": {"speed": 2}, "radius": 0.03},
+    ]
+    tables = {"dimension": 2, "box": box, "particles": particles, "time": {"step": 0.01, "steps": 3000}}
+    sim = Simulation(Scene(**tables, effects={"collisions": {}}))
+    sim.run(tmp_path, steps=1500)
+    Simulation.resume(tmp_path / "checkpoint.h5").run(tmp_path, resumed=True)
+    remarks = Run(tmp_path).about["remarks"]
+    assert remarks and len(set(remarks)) == len(remarks)
