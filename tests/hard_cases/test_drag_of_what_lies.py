@@ -47,3 +47,18 @@ def test_a_ball_that_rolls_with_drag_is_of_second_order(mode):
         sim.run()
         errors.append(abs(sim.particles.position[0, 0] - a / k * (t + np.expm1(-k * t) / k)))
     assert errors[0] < 3e-5 and errors[1] / errors[2] == pytest.approx(4.0, rel=0.1)
+
+
+@pytest.mark.parametrize("mode", ["event", "rewind"])
+@pytest.mark.parametrize(
+    "surface", [{"restitution": 0.0}, {"restitution": 0.4, "friction": 0.3}, *with_all({"restitution": 0.4})]
+)
+@pytest.mark.parametrize("h", [0.1, *with_all(0.01)])
+def test_two_that_sink_together_have_their_common_final_speed(h, surface, mode):
+    """Nothing but drag presses the upper one, which it slows less, onto the lower one: (m1 + m2) g = (k1 m1 + k2 m2) v."""
+    masses, rates, g = [1.0, 3.0], [5.0, 0.5], 10.0
+    row = {"position": [[0.0, 0.0], [0.0, 0.25]], "radius": 0.1, "mass": masses, "drag": rates}
+    effects = {"uniform_gravity": {"acceleration": [0.0, -g]}, "drag": {}, "collisions": {"mode": mode, **surface}}
+    sim = Simulation(Scene(dimension=2, time={"step": h, "end": 20.0}, particles=[row], effects=effects))
+    sim.run()
+    assert sim.particles.velocity[:, 1] == pytest.approx(-g * sum(masses) / np.dot(masses, rates), rel=1e-7)

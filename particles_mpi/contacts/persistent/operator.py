@@ -38,7 +38,7 @@ OUTWARDS = np.array([[-1.0], [1.0]])  # the signs of the ends of a box
 
 
 class PersistentContacts:
-    """Keeps the slow contacts of particles: with one another if `pairs`, and with those of the planes that take energy.
+    """Keeps the slow contacts of particles: with one another if `pairs`; with planes that take energy, or all if pairs take some.
 
     `uniform`: all forces give all particles the same acceleration, so that free ones never press onto
     one another. `migrating`: do rows change their rank, though no `pairs` are kept?
@@ -47,7 +47,8 @@ class PersistentContacts:
     def __init__(self, context: Context, effects: ActiveEffects, p: Particles):
         """Of effects with forces and losses that can make a contact last. Collective.
 
-        Elastic spheres, too, come to rest on one another where the walls below them take energy and forces are the same for all.
+        Elastic spheres, too, come to rest on one another where the walls below them take energy and forces are the same for all;
+        and spheres that lose energy to one another on walls that take none.
         """
         ranks, length, options = context.ranks, context.length, effects.pairs.options if effects.pairs else None
         pairs = effects.pairs is not None and effects.pairs.lossy
@@ -56,10 +57,12 @@ class PersistentContacts:
         self.ranks, self.length = ranks if pairs else Communicator.alone(), length
         self.pairs, self.uniform, self.timers = pairs, effects.uniform, context.timers
         self.everywhere = OUTWARDS * np.full((2, len(length)), np.inf)
-        taking = effects.walls.taking if effects.walls else np.empty(0, bool)
-        self.walls = Walls(effects.planes, taking)
+        keeping = effects.walls.taking if effects.walls else np.empty(0, bool)
+        if effects.pairs and effects.pairs.lossy:  # a pile would rattle for ever between walls that take no energy
+            keeping = np.ones_like(keeping)
+        self.walls = Walls(effects.planes, keeping)
         friction, resistance = effects.surfaces[:, FRICTION], effects.rolling.resistance if effects.rolling else 0.0
-        surfaces = Surfaces(float(friction[0]), friction[1:][taking], resistance)
+        surfaces = Surfaces(float(friction[0]), friction[1:][keeping], resistance)
         self.slow = SlowContacts(self.ranks, length, pairs, self.walls, surfaces, options.contact_tolerance if options else 0.0)
         self.kind = self.slow.kind
         self.migrating = options is not None and ranks.size > 1
@@ -86,12 +89,18 @@ class PersistentContacts:
             if not self.pairs:
                 self.keep_on_walls(p, a, h, involved)
                 return
-            some, known = self.ranks.largest(len(involved) > 0, self.history.has_impulses())
-            if not some and self.uniform:
+            rates = np.zeros(1) if undamped is None else p["drag"][p.fixed == 0]
+            most, least = rates.max(initial=-np.inf), rates.min(initial=np.inf)
+            some, known, most, least = self.ranks.largest(len(involved) > 0, self.history.has_impulses(), most, -least)
+            presses = most > -least  # drag presses those that it slows less onto those that it slows more
+            if presses:
+                a = a - p["drag"][:, None] * p.velocity
+            everywhere = presses or not self.uniform
+            if not some and not everywhere:
                 self.history.forget()
                 return
             wide = slow_widths(p, a, h)
-            zone = self.zone(p, wide, involved, bool(known))
+            zone = self.everywhere if everywhere or not known else self.zone(p, wide, involved)
             graph = self.history.graph_of(p, wide, zone)
             local = self.local(p, a, h, graph)
             inside = inside_zone(local.x, widths(local.radius, local.push, HELD * h, REACH), zone)
@@ -122,10 +131,8 @@ class PersistentContacts:
             last_impulses = self.history.impulses_before(p, graph)
             self.solve(p, local, graph, np.ones(graph.size + 1, np.bool_), h, last_impulses, True, tried)
 
-    def zone(self, p: Particles, wide: Array, involved: Array, known: bool) -> Array:
-        """The box (2, d) in which contacts are sought: around those involved, or all space. Collective."""
-        if not self.uniform or not known:
-            return self.everywhere
+    def zone(self, p: Particles, wide: Array, involved: Array) -> Array:
+        """The box (2, d) around those involved, in which contacts are sought. Collective."""
         ends = self.ranks.allreduce_max(zone_around(p.position, wide, involved))
         return np.where(self.length > 0.0, self.everywhere, ends.reshape(self.everywhere.shape) * OUTWARDS)
 

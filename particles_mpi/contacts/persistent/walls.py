@@ -9,14 +9,14 @@ from particles_mpi.particles import Array, Particles
 
 
 class Walls:
-    """Those of the planes that are `taking` energy (bool, one for each plane). `len` is their number.
+    """Those of the planes that are `keeping` contacts (bool, one for each plane). `len` is their number.
 
     planes: their points and normals, (walls, d) each; faces: what all the planes bound, see `Planes`; straight: are all of
     them faces along the axes?
     """
 
-    def __init__(self, planes: Planes, taking: Array):
-        self.planes = planes.point[taking], planes.normal[taking]
+    def __init__(self, planes: Planes, keeping: Array):
+        self.planes = planes.point[keeping], planes.normal[keeping]
         self.faces = planes.lower, planes.upper, planes.oblique
         self.straight = not planes.oblique
         self.round_off = 1e-12 * np.abs(self.planes[0]).max(initial=0.0)
