@@ -43,6 +43,9 @@ class Options(EffectOptions):
     def faults(self, scene: Scene) -> list[str]:
         d, auto, periodic = scene.dimension, self.method == "auto", any(scene.periodic)
         faults = {
+            'method: forces of a tree jump where cells change, and "adaptive" would follow that to round-off; use "direct"': (
+                self.method == "tree" and scene.time.integrator == "adaptive"
+            ),
             f'method: there is no tree in dimension {d}; use "direct"': self.method == "tree" and d not in TREES,
             'opening_angle: method "auto" chooses it; give accuracy': self.opening_angle is not None and auto,
             'accuracy: only with method "auto"': self.accuracy is not None and not auto,
@@ -61,7 +64,8 @@ class Options(EffectOptions):
     def choice(self, scene: Scene, total: int) -> Choice:
         """How the sum is done for `total` particles, and what it costs."""
         angle, accuracy = self.opening_angle or 0.5, self.accuracy or ACCURACY
-        return choose(self.method, angle, accuracy, scene.dimension, total, self.multipole)
+        method = "direct" if self.method == "auto" and scene.time.integrator == "adaptive" else self.method
+        return choose(method, angle, accuracy, scene.dimension, total, self.multipole)
 
 
 class Effect(Force):

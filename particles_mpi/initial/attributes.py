@@ -65,7 +65,7 @@ def fill_spins(columns: Columns, share: Share) -> None:
     columns.refuse(share, "spin", (fixed != 0) & (spin != 0.0).any(axis=1), "not zero, but fixed:")
 
 
-def fill_velocities(columns: Columns, share: Share) -> None:
+def fill_velocities(columns: Columns, share: Share, shares: list[Share]) -> None:
     """Given, or drawn; what is fixed has none. Collective."""
     value, arrays = share.population.velocity, columns.arrays
     velocity, fixed = arrays["velocity"][share.rows], arrays["fixed"][share.rows] != 0
@@ -83,19 +83,21 @@ def fill_velocities(columns: Columns, share: Share) -> None:
         columns.refuse(share, "velocity", ~fixed & (arrays["mass"][share.rows] == 0.0), "a temperature needs a mass:")
         if columns.faults.found:
             return
-    velocity[:] = drawn_velocities(columns, share)
+    velocity[:] = drawn_velocities(columns, share, shares)
     velocity[fixed] = 0.0
     columns.refuse(share, "velocity", ~(np.abs(velocity) <= LARGEST_NUMBER), f"beyond {LARGEST_NUMBER:g} for")
 
 
-def drawn_velocities(columns: Columns, share: Share) -> Array:
+def drawn_velocities(columns: Columns, share: Share, shares: list[Share]) -> Array:
     """Velocities (n, d) of this rank's part of a population by a speed, a temperature, or in a Plummer sphere. Collective."""
     scene, ranks, numbers, value = columns.scene, columns.ranks, share.numbers, share.population.velocity
     position, mass, fixed = (columns.arrays[name][share.rows] for name in ("position", "mass", "fixed"))
     key = stream_key(scene.seed, share.number, "velocity")
     if value == "equilibrium":
         G, scaled = scene.effects["mutual_gravity"].strength(scene), draw(key, *numbers, scaled_velocities)
-        return plummer_velocities(ranks, scaled, position, share.population.position["plummer"], mass, G)
+        sphere = share.population.position
+        whole = np.concatenate([columns.arrays["mass"][of.rows] for of in shares if of.population.position == sphere])
+        return plummer_velocities(ranks, scaled, position, sphere["plummer"], mass, G, whole)
     if "temperature" in value:
         normal = draw(key, *numbers, lambda random, n: random.standard_normal((n, scene.dimension)))
         return warm(ranks, float(value["temperature"]), normal, mass, fixed == 0)

@@ -42,9 +42,12 @@ def scaled_velocities(random: np.random.Generator, n: int) -> Array:
     return q[:, None] * directions(random, n, 3)
 
 
-def plummer_velocities(ranks: Communicator, scaled: Array, x: Array, a: float, mass: Array, G: float) -> Array:
-    """Velocities (n, 3) in equilibrium without momentum: `scaled` (n, 3) times the escape speed at x (n, 3). Collective."""
-    total = exact_sums(ranks, [mass])[0]
+def plummer_velocities(ranks: Communicator, scaled: Array, x: Array, a: float, mass: Array, G: float, whole: Array) -> Array:
+    """Velocities (n, 3) in equilibrium without momentum: `scaled` (n, 3) times the escape speed at x (n, 3). Collective.
+
+    `whole`: this rank's masses of all populations that make up the sphere, of which these particles may be one.
+    """
+    total = exact_sums(ranks, [whole])[0]
     escape = np.sqrt(2.0 * G * total) / np.sqrt(np.sqrt((x**2).sum(axis=1) + a**2))
     return centered(ranks, escape[:, None] * scaled, mass)
 

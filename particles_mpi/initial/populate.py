@@ -119,7 +119,7 @@ class Populator:
             scattered[share.rows] = share.population.position == "random"
         fill_places(columns, shares, room, scattered)
         for share in shares:
-            fill_velocities(columns, share)
+            fill_velocities(columns, share, shares)
         self.faults.stop()
         particles = Particles(self.scene.dimension, columns.arrays)
         judged = ~scattered  # by whether they overlap: those with random places overlap nobody

@@ -34,6 +34,7 @@ SHRINK, GROW = 0.1, 4.0  # bounds of the length of a substep, divided by that of
 SHORTEST = 1e-11  # of the longest substep so far in a step of the scene: where masses meet head on there is no end to it
 BLIND = 4.0  # times the largest tolerance: more round-off hides the motion
 MOST_BLIND = 100  # tries in a row in which it does; then it is an error
+NOTHING = 1e-280  # smaller accelerations are none: times a tolerance they would leave the range of numbers
 GUESSED = 1.5  # times the last step: for longer ones its polynomial is no guess
 ROOT_ROUNDS = 60
 
@@ -186,10 +187,11 @@ def end_of_try(x, v, round_off, left, work, tables):
     copy(x0, x)
     s["blind"] = s["blind"] + 1 if tables.gain * round_off > BLIND * tables.coarsest * largest else 0
     least = min(tables.gain * round_off, tables.coarsest * largest)  # that the highest coefficient can tell
-    if not s["change"] < np.inf or left > max(DIVERGED * largest, NOISY * least / tables.gain):  # far too long
+    diverged = left > max(DIVERGED * largest, NOISY * least / tables.gain) and not largest <= NOTHING
+    if diverged or not s["change"] < np.inf:  # far too long
         return SHRINK * h
     factor = GROW
-    if not s["top"] <= 0.0:
+    if not s["top"] <= NOTHING:
         ratio = max(tables.tolerance * largest, least) / s["top"]
         factor = seventh_root(min(max(ratio, SHRINK**7), GROW**7)) if ratio == ratio else np.nan
     s["last_length"], s["last_begin"], s["guessable"] = h, 1.0 if factor >= SAFE_GROWTH else 0.0, 1

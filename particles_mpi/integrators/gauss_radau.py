@@ -7,7 +7,9 @@ import numpy as np
 from particles_mpi.errors import StateError
 from particles_mpi.integrators.collocation import END, FORCES, MAXIMA, MOST_BLIND, STUCK, Work, begin, go_on, work_for
 from particles_mpi.integrators.radau_tables import radau
+from particles_mpi.kernels.geometry import wrap
 from particles_mpi.parallel.communicator import Communicator
+from particles_mpi.parallel.signals import check_signals
 from particles_mpi.particles import Array, Particles
 from particles_mpi.timers import Timers
 
@@ -17,8 +19,14 @@ TOLERANCE = 1e-9  # of the highest coefficient over the largest acceleration, wh
 class Adaptive:
     """Order 15, with steps of its own choice; `substeps` counts those taken."""
 
-    def __init__(self, ranks: Communicator, tolerance: float, forces: Callable[[], Array | None], timers: Timers):
-        """`forces`: accelerations (n, d) at the positions of the moment, or None."""
+    def __init__(
+        self, ranks: Communicator, tolerance: float, forces: Callable[[], Array | None], timers: Timers,
+        box: tuple[Array, Array, Array] | None = None,
+    ):  # fmt: skip
+        """`forces`: accelerations (n, d) at the positions of the moment, or None; `box`: corners, and lengths of periodic axes,
+        where these depend on places and must be given some inside of it.
+        """
+        self.box = box
         self.ranks, self.sum_forces, self.timers = ranks, forces, timers
         self.tables = radau(tolerance)
         self.substeps = 0
@@ -31,6 +39,7 @@ class Adaptive:
             begin(x, h, work)
             need = FORCES
             while need != END:
+                check_signals()
                 if need == STUCK:
                     raise self.stuck(particles, work)
                 if need == MAXIMA:
@@ -51,6 +60,8 @@ class Adaptive:
 
     def accelerations(self, particles: Particles) -> Array:
         """Accelerations at the present positions, 0 where there are no forces."""
+        if self.box:
+            wrap(particles.position, *self.box)  # `collocation` computes each place anew
         a = self.sum_forces()
         return np.zeros_like(particles.position) if a is None else a
 

@@ -321,6 +321,18 @@ def test_temperature_is_exact_and_the_whole_at_rest():
     assert not particles.velocity[~free].any()
 
 
+@pytest.mark.parametrize("masses", [[1.0], [0.5, 0.5], [0.25] * 4, [1.0, 0.0]])
+def test_a_plummer_sphere_of_several_populations_is_in_equilibrium(masses):
+    """Each of them moves in the field of all, test particles too: the mean square of velocities is 3 pi/32."""
+    sphere = {"count": 2000, "position": {"plummer": 1.0}, "velocity": "equilibrium"}
+    parts = [sphere | {"mass": m / 2000} for m in masses]
+    time, effects = {"step": 0.01, "steps": 1}, {"mutual_gravity": {"G": 1.0, "method": "tree"}}
+    sim = Simulation(Scene(dimension=3, time=time, effects=effects, particles=parts))
+    assert sim.measure()["virial_ratio"] == pytest.approx(1.0, abs=0.05)
+    squares = (sim.particles.velocity**2).sum(axis=1).reshape(len(masses), -1).mean(axis=1)
+    assert squares == pytest.approx(3 * np.pi / 32, rel=0.1)
+
+
 def test_fields_are_those_the_effects_name():
     plain, _ = start({"position": [[0.5, 0.5]]}, effects={})
     assert list(plain.arrays) == ["id", "position", "velocity", "radius", "mass", "fixed"]
